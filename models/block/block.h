@@ -1,0 +1,99 @@
+#ifndef INTERAREA_BLOCK_H
+#define INTERAREA_BLOCK_H
+/* The contract between a block (plant, controller, channel) and whatever runs
+ * it: the FMI layer, a test shim, a batch driver. A block kind is one
+ * translation unit that defines the functions below; one kind is linked into
+ * one binary.
+ *
+ * A block owns no globals, opens no file, allocates nothing and keeps no
+ * pointer between calls. Everything that can change during a run lies in the
+ * arrays of `Block` marked SAVED, so saving and restoring an FMU state is
+ * copying these arrays.                                                      */
+#include <stddef.h>
+#include "record.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum { BLOCK_MESSAGE_SIZE = 256, BLOCK_INPUT_ORDER = 3 };
+
+typedef enum {
+    BLOCK_OK = 0,
+    BLOCK_DISCARD = 1,   /* the step cannot be computed, the state before it is intact */
+    BLOCK_ERROR = 2      /* message says what, where, got, allowed                      */
+} BlockStatus;
+
+/* Set by the callee on any status other than BLOCK_OK. */
+typedef struct { char text[BLOCK_MESSAGE_SIZE]; } BlockMessage;
+
+/* How many of each variable the block has: the order of the value references.
+ * Reals:    states, derivatives, inputs, outputs, locals, parameters.
+ * Integers (Integer, Enumeration, Boolean): inputs, outputs, locals, parameters. */
+typedef struct {
+    size_t n_x, n_u, n_y, n_w, n_p;
+    size_t n_iu, n_iy, n_iw, n_ip;
+} BlockLayout;
+
+typedef struct {
+    const Record *record;   /* read-only data of the case or design            */
+    BlockLayout layout;
+    double *x;              /* SAVED states                                    */
+    double *dx;             /* SAVED derivatives as last computed              */
+    double *u;              /* SAVED inputs at the current time                */
+    double *y;              /* SAVED outputs as last computed                  */
+    double *w;              /* SAVED locals as last computed                   */
+    double *p;              /* SAVED parameters                                */
+    int *iu, *iy, *iw, *ip; /* SAVED integer variables                         */
+    double *memory;         /* SAVED discrete state of n_memory doubles        */
+    double *scratch;        /* n_scratch doubles; contents mean nothing between calls */
+} Block;
+
+/* What the runner must provide besides the variables; read from the record,
+ * checked once at instantiation (sizes that disagree with the layout, unknown
+ * format: BLOCK_ERROR). */
+typedef struct { size_t n_memory, n_scratch; } BlockNeeds;
+BlockStatus block_needs(const Record *record, const BlockLayout *layout,
+                        BlockNeeds *needs, BlockMessage *message);
+
+/* Leaves initialization mode: checks parameters and prepares memory. x holds
+ * the start values; the block may overwrite states that follow from parameters. */
+BlockStatus block_start(Block *b, double t, BlockMessage *message);
+
+/* dx/dt and, in one pass, nothing else. Called 4 times per Runge-Kutta step. */
+BlockStatus block_derivatives(Block *b, double t, const double *x,
+                              const double *u, double *dx, BlockMessage *message);
+
+/* Outputs y, locals w (into b->w) and integer outputs (b->iy, b->iw). */
+BlockStatus block_outputs(Block *b, double t, const double *x,
+                          const double *u, double *y, BlockMessage *message);
+
+/* Derivative of (dx, y) at (t, x, u) in the direction (vx, vu), exact to
+ * rounding. Either result pointer may be null. */
+BlockStatus block_directional(Block *b, double t, const double *x, const double *u,
+                              const double *vx, const double *vu,
+                              double *vdx, double *vy, BlockMessage *message);
+
+/* Time of the first event strictly after t; INFINITY if there is none.
+ * Events at the start time are handled by block_start. */
+double block_next_event(const Block *b, double t);
+
+/* Handles every event at time t exactly (as block_next_event returned it).
+ * May change x, memory. */
+BlockStatus block_event(Block *b, double t, double *x, BlockMessage *message);
+
+/* Blocks that live on communication points (channels). The runner calls this
+ * instead of integrating when block_is_sampled is nonzero.
+ * `u_poly[4*i + k]` is the k-th time derivative at t of real input i over the
+ * step [t, t+h] (k = 0 is the value). On return b->y and the integer outputs
+ * hold their values at t+h and `dy[i]` the first time derivative of output i
+ * there. A zero-length call (h = 0) at the start of a run gives the outputs
+ * at the initial time. */
+extern const int block_is_sampled;
+BlockStatus block_step(Block *b, double t, double h, const double *u_poly,
+                       double *dy, BlockMessage *message);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
