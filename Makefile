@@ -1,0 +1,52 @@
+# Two commands do everything on a fresh machine: `make study` and `make test`.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+OUT    ?= out/thesis
+# numpy and scipy bring a thread pool each; on small matrices two pools fight.
+export OPENBLAS_NUM_THREADS := 1
+export OMP_NUM_THREADS := 1
+
+.PHONY: study test test-fast test-slow lint types bench clean
+
+study: $(VENV)/installed
+	$(BIN)/interarea study thesis --out $(OUT)
+
+# Everything that decides whether a change lands.
+test: lint types test-fast test-slow
+
+test-fast: $(VENV)/installed-test
+	$(BIN)/python -m pytest -q --durations=10
+
+test-slow: $(VENV)/installed-test
+	$(BIN)/python -m pytest -q -m slow --durations=10
+
+lint: $(VENV)/installed-test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+# mypy does not see through an editable install, so it checks a wheel's content.
+types: $(VENV)/installed-test
+	rm -rf build/typecheck && mkdir -p build/typecheck
+	$(BIN)/pip install --quiet --no-deps --target build/typecheck .
+	cd build/typecheck && ../../$(BIN)/python -m mypy --config-file ../../pyproject.toml \
+	    -p interarea.models -p interarea.fmu_build -p interarea.design -p interarea.cosim
+
+bench: $(VENV)/installed-test
+	$(BIN)/pip install --quiet -e ".[bench,cluster]"
+	for script in benchmarks/bench_*.py; do $(BIN)/python $$script; done
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --upgrade pip
+
+$(VENV)/installed: $(VENV)/bin/python pyproject.toml
+	$(BIN)/pip install --quiet -e .
+	touch $@
+
+$(VENV)/installed-test: $(VENV)/bin/python pyproject.toml
+	$(BIN)/pip install --quiet -e ".[test,cluster]"
+	touch $@ $(VENV)/installed
+
+clean:
+	rm -rf build out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
