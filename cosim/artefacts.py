@@ -1,0 +1,183 @@
+"""Files made once and found again: FMUs, linear models, controllers, each named by the hash of what it came from.
+
+A key holds the bytes of the inputs and of the sources that turn them into the
+artefact, so a changed case, design or C file gives a new file and an unchanged
+one is never computed twice. Files appear by an atomic rename: a killed run
+leaves no half-written artefact behind.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Callable, Iterable
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+
+from interarea.design import study_designs
+from interarea.design.controller import Controller
+from interarea.design.linearise import linearise, remove_reference
+from interarea.fmu_build.open import open_plant
+from interarea.fmu_build.package import build_fmu
+from interarea.models.case import Case
+from interarea.models.channel_block import channel_block
+from interarea.models.plant_block import plant_block
+from interarea.models.variables import Block
+
+ROOMS = Path(__file__).resolve().parent.parent
+
+#: Controllers that `design_controller` knows, in the order in which the study tells them.
+CONTROLLER_NAMES = ("wdc", "cc", "ftc")
+
+
+def default_cache() -> Path:
+    """Return the artefact folder: `$INTERAREA_CACHE`, else `interarea` in the user's cache folder."""
+    named = os.environ.get("INTERAREA_CACHE")
+    if named:
+        return Path(named)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "interarea"
+
+
+def content_hash(*parts: object) -> str:
+    """Return 16 hexadecimal digits of SHA-256 over `parts` (bytes, arrays, or anything JSON can hold)."""
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, bytes):
+            raw = part
+        elif isinstance(part, np.ndarray):
+            raw = str((part.dtype.str, part.shape)).encode() + np.ascontiguousarray(part).tobytes()
+        else:
+            raw = json.dumps(part, sort_keys=True, default=str).encode()
+        digest.update(len(raw).to_bytes(8, "little") + raw)
+    return digest.hexdigest()[:16]
+
+
+def file_hash(path: Path) -> str:
+    """Return 16 hexadecimal digits of SHA-256 over the bytes of a file."""
+    return content_hash(path.read_bytes())
+
+
+@lru_cache(maxsize=None)
+def source_hash(room: str, without: tuple[str, ...] = ()) -> str:
+    """Return the hash of one room's Python, C and TOML sources; `without` names stems left out."""
+    folder = ROOMS / room
+    files = sorted(p for p in folder.rglob("*") if p.suffix in (".py", ".c", ".h") and p.stem not in without)
+    return content_hash(*(part for p in files for part in (p.relative_to(folder).as_posix(), p.read_bytes())))
+
+
+@lru_cache(maxsize=None)
+def numerics_versions() -> dict[str, str]:
+    """Return the versions of the libraries whose rounding can reach a result."""
+    return {name: _version(name) for name in ("numpy", "scipy", "control", "cvxpy", "clarabel", "fmpy")}
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def artefact(cache: Path, kind: str, key: str, suffix: str, make: Callable[[Path], object]) -> Path:
+    """Return the file `cache/KIND/KEYSUFFIX`, calling `make(temporary path)` when it is not there yet."""
+    path = cache / kind / f"{key}{suffix}"
+    if path.exists():
+        return path
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".making-", dir=path.parent) as folder:
+        made = Path(folder) / f"{key}{suffix}"
+        make(made)
+        made.replace(path)
+    return path
+
+
+def block_fmu(block: Block, cache: Path, *, kind: str | None = None) -> Path:
+    """Build the FMU of a block once; the key is everything the block holds and the FMU builder's sources."""
+    variables = [repr(v) for v in block.table]
+    data = [part for name, value in block.data.items() for part in (name, _raw(value))]
+    key = content_hash(
+        block.kind,
+        block.name,
+        block.description,
+        [block.step_s, block.stop_s, block.internal_step_s, block.model_exchange],
+        dict(block.documentation),
+        dict(block.provenance),
+        variables,
+        *data,
+        *(p.read_bytes() for p in block.sources),
+        _headers(block.sources),
+        source_hash("fmu_build"),
+        source_hash("models", ()),
+        os.environ.get("CC", ""),
+    )
+    return artefact(cache, kind or block.kind, f"{block.name}-{key}", ".fmu", lambda p: build_fmu(block, p, cache=cache))
+
+
+def _raw(value: object) -> bytes | np.ndarray[Any, Any]:
+    return value if isinstance(value, bytes) else np.asarray(value)
+
+
+def _headers(sources: Iterable[Path]) -> str:
+    folders = sorted({p.parent for p in sources})
+    return content_hash(*(h.read_bytes() for folder in folders for h in sorted(folder.glob("*.h"))))
+
+
+def plant_fmu(case: Case, cache: Path) -> Path:
+    """Return the plant FMU of a case, built when its data or its C sources are new."""
+    return block_fmu(plant_block(case), cache)
+
+
+def channel_fmu(cache: Path) -> Path:
+    """Return the FMU of one channel; latency, outages and the rule on loss are its parameters."""
+    return block_fmu(channel_block(), cache)
+
+
+def controller_fmu(controller: Controller, omega_b: float, cache: Path) -> Path:
+    """Return the FMU of a controller: pu in, pu out; `omega_b` in rad/s."""
+    return block_fmu(controller.block(omega_b), cache)
+
+
+def linear_plant(case: Case, cache: Path) -> control.StateSpace:
+    """Return the plant FMU linearised at its operating point, reference angle removed.
+
+    Inputs `G1_vs`.. in pu, outputs as the FMU gives them (speeds in pu); all states in s.
+    """
+    fmu = plant_fmu(case, cache)
+    key = content_hash(fmu.name, source_hash("design"), numerics_versions())
+    path = artefact(cache, "linear", key, ".npz", lambda p: _save_linear(remove_reference(linearise(open_plant(fmu))), p))
+    with np.load(path) as z:
+        return control.ss(
+            *(z[m] for m in "ABCD"),
+            states=[str(s) for s in z["states"]],
+            inputs=[str(s) for s in z["inputs"]],
+            outputs=[str(s) for s in z["outputs"]],
+            name=case.name,
+        )
+
+
+def _save_linear(system: control.StateSpace, path: Path) -> None:
+    names = {"states": system.state_labels, "inputs": system.input_labels, "outputs": system.output_labels}
+    with path.open("wb") as out:
+        np.savez(out, A=system.A, B=system.B, C=system.C, D=system.D, **{k: np.array(v) for k, v in names.items()})
+
+
+def design_controller(case: Case, name: str, cache: Path) -> Controller:
+    """Return controller `name` (wdc | cc | ftc) of a case, designed and certified when it is new.
+
+    Raises
+    ------
+    ValueError : an unknown name. InfeasibleDesign, UncertifiedDesign : as the design says.
+    """
+    if name not in CONTROLLER_NAMES:
+        raise ValueError(f"controller {name!r} is not known, allowed: {', '.join(CONTROLLER_NAMES)}")
+    make = getattr(study_designs, f"design_{name}")
+    key = content_hash(name, file_hash(plant_fmu(case, cache)), source_hash("design"), numerics_versions())
+    path = artefact(cache, "controllers", f"{name}-{key}", ".json", lambda p: make(linear_plant(case, cache), case).save(p))
+    return Controller.load(path)
