@@ -81,7 +81,9 @@ def test_no_drawers() -> None:
 @pytest.mark.parametrize("path", SOURCES, ids=_name)
 def test_nothing_is_left_for_later(path: Path) -> None:
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
-        assert not re.search(r"\b(TODO|FIXME|XXX|NotImplementedError)\b", line), f"{_name(path)}:{number}: {line}"
+        assert not re.search(r"\b(TODO|FIXME|XXX|NotImplementedError)\b", line), (
+            f"{_name(path)}:{number}: {line}"
+        )
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "tests").rglob("test_*.py")), ids=_name)

@@ -37,7 +37,8 @@ def test_gradient_agrees_with_central_differences(objective: Objective, seed: in
     _, gradient = objective(theta)
     step = 1e-6
     numeric = [
-        (objective(theta + step * e)[0] - objective(theta - step * e)[0]) / (2 * step) for e in np.eye(theta.size)
+        (objective(theta + step * e)[0] - objective(theta - step * e)[0]) / (2 * step)
+        for e in np.eye(theta.size)
     ]
     # central differences of 1e-6 leave about 1e-6 of the size of the gradient
     assert np.allclose(gradient, numeric, atol=2e-6 * max(1.0, np.abs(gradient).max()))

@@ -1,0 +1,1 @@
+"""pytest fixture `scenario`: run a scenario once per session and assert on what it did."""
