@@ -1,0 +1,126 @@
+"""Solve an LMI problem with cvxpy and Clarabel: the generic engine, and the cross-check of the structured one.
+
+cvxpy receives every block in its real form (a complex Hermitian n x n block
+becomes a real symmetric 2n x 2n one) as ``constant + E + E' >> 0``.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Mapping
+
+import cvxpy as cp
+import numpy as np
+
+from .problem import BlockLMI, Matrix, Problem, Solution
+from .regions import real_form
+
+#: What the statuses of cvxpy mean here.
+_STATUS = {
+    cp.OPTIMAL: "optimal",
+    cp.OPTIMAL_INACCURATE: "almost optimal",
+    cp.INFEASIBLE: "infeasible",
+    cp.INFEASIBLE_INACCURATE: "infeasible",
+}
+
+
+def solve_clarabel(
+    problem: Problem, *, tolerance: float = 1e-8, method: str = "auto", iterations: int = 200
+) -> Solution:
+    """Solve `problem` with Clarabel through cvxpy.
+
+    Parameters
+    ----------
+    problem : what to solve.
+    tolerance : relative and absolute gap and feasibility asked of Clarabel.
+    method : Clarabel's `direct_solve_method`, e.g. "auto", "qdldl", "faer".
+    iterations : most iterations.
+
+    Returns
+    -------
+    Solution
+        The multipliers of complex blocks are folded back to n x n Hermitian.
+    """
+    started = time.perf_counter()
+    unknowns: dict[str, cp.Variable] = {
+        v.name: cp.Variable((v.rows, v.cols), symmetric=True)
+        if v.symmetric
+        else cp.Variable((v.rows, v.cols))
+        for v in problem.variables
+    }
+    scalars: dict[str, cp.Variable] = {g: cp.Variable() for g in problem.scalars}
+    constraints = [_expression(real_form(b), unknowns, scalars) >> 0 for b in problem.blocks]
+    objective = sum((cp.sum(cp.multiply(G, unknowns[k])) for k, G in problem.objective_matrices.items()), 0.0)
+    objective = objective + sum(c * scalars[g] for g, c in problem.objective_scalars.items())
+    program = cp.Problem(cp.Minimize(objective), constraints)
+    options = {
+        "direct_solve_method": method,
+        "max_iter": iterations,
+        "tol_gap_abs": tolerance,
+        "tol_gap_rel": tolerance,
+        "tol_feas": tolerance,
+    }
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            program.solve(solver=cp.CLARABEL, **options)
+        message = str(program.status)
+    except cp.error.SolverError as error:
+        message = f"failed: {error}"
+    status = _STATUS.get(str(program.status), "failed")
+    count = program.solver_stats.num_iters if program.solver_stats is not None else 0
+    known = status in ("optimal", "almost optimal") and all(
+        v.value is not None for v in (*unknowns.values(), *scalars.values())
+    )
+    values: Mapping[str, Matrix] = (
+        {k: np.asarray(v.value, dtype=float) for k, v in unknowns.items()} if known else {}
+    )
+    numbers = {g: float(v.value) for g, v in scalars.items()} if known else {}
+    value = problem.objective(values, numbers) if known else float("nan")
+    multipliers = None
+    gap = float("nan")
+    if known and all(c.dual_value is not None for c in constraints):
+        multipliers = tuple(
+            _fold(np.asarray(c.dual_value, dtype=float), b)
+            for c, b in zip(constraints, problem.blocks, strict=True)
+        )
+        complementarity = sum(
+            float(np.vdot(Z, b.value(values, numbers)).real)
+            for Z, b in zip(multipliers, problem.blocks, strict=True)
+        )
+        gap = abs(complementarity) / (1.0 + abs(value))
+    return Solution(
+        status=status if known or status == "infeasible" else "failed",
+        values=values,
+        scalars=numbers,
+        objective=value,
+        gap=gap,
+        iterations=int(count or 0),
+        seconds=time.perf_counter() - started,
+        engine="clarabel",
+        multipliers=multipliers,
+        message=message,
+    )
+
+
+def _expression(
+    block: BlockLMI, unknowns: Mapping[str, cp.Variable], scalars: Mapping[str, cp.Variable]
+) -> cp.Expression:
+    """Return constant + sum (L V R + its transpose) + sum g D."""
+    total = cp.Constant(block.constant)
+    for term in block.terms:
+        product = term.left @ unknowns[term.variable] @ term.right
+        total = total + product + product.T
+    for g, D in block.scalars.items():
+        total = total + scalars[g] * D
+    return total
+
+
+def _fold(Z: Matrix, block: BlockLMI) -> Matrix:
+    """Return the n x n Hermitian multiplier with the same inner products as the real 2n x 2n one."""
+    Z = (Z + Z.T) / 2
+    if not block.is_complex:
+        return Z
+    n = block.size
+    return Z[:n, :n] + Z[n:, n:] + 1j * (Z[n:, :n] - Z[:n, n:])
