@@ -1,0 +1,327 @@
+"""The case: everything a study is told about a grid, checked once, frozen from then on.
+
+A case file is TOML. Tables of rows are keyed by their id; `source` and `defaults` of a table
+apply to all its rows:
+
+    name = "my-grid"
+    title = "..."
+    frequency_hz = 60.0
+    base_mva = 100.0
+    [branches]
+    source = "Kundur1994, Ex. 12.6"
+    "7-8 a" = { from = 7, to = 8, r = 0.011, x = 0.11, b = 0.1925 }
+    [machines.defaults]
+    base_mva = 900.0
+
+A variant names its `base` and holds only `[change]` tables of the same form, merged row by row:
+`defaults` there reach every row, a control whose `kind` changes is replaced as a whole, and the
+word "none" in place of a row, a stabilizer or the tie takes it out.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import json
+import math
+import tomllib
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from .case_schema import Branch, Bus, Load, Machine, Positive, Shunt, Tie
+
+#: table in the file -> field that holds the row's key
+ROW_TABLES = {"buses": "number", "branches": "name", "shunts": "name", "loads": "name", "machines": "name"}
+
+
+RESERVED = ("source", "defaults")  #: keys of a table of rows that are not ids
+
+REMOVED = "none"  #: what stands in place of a row, a stabilizer, a tie that is taken out
+BUNDLED = Path(__file__).parent / "cases"  #: folder of the cases that come with the package
+
+
+class CaseError(ValueError):
+    """A case, or what is asked of it, is wrong: one line with file, key, value and what is allowed."""
+
+
+class Case(BaseModel):
+    """A grid with its machines, controls and loads; rows keep the order of the file."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, ignored_types=(cached_property,)
+    )
+
+    name: Annotated[str, Field(strict=True, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    title: str = ""
+    source: str
+    frequency_hz: Positive
+    base_mva: Positive
+    sources: dict[str, str] = {}  #: table -> "KEY, where"
+    buses: Annotated[tuple[Bus, ...], Field(min_length=1)]
+    branches: tuple[Branch, ...] = ()
+    shunts: tuple[Shunt, ...] = ()
+    loads: tuple[Load, ...] = ()
+    machines: Annotated[tuple[Machine, ...], Field(min_length=1)]
+    tie: Tie | None = None
+
+    @property
+    def omega_b(self) -> float:
+        """Base angular frequency, rad/s."""
+        return 2.0 * math.pi * self.frequency_hz
+
+    @cached_property
+    def hash(self) -> str:
+        """Content hash (hex): changes with any name or number, not with titles and sources."""
+        text = json.dumps(_without_words(self.model_dump(mode="json")), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    @property
+    def areas(self) -> dict[str, int]:
+        """Area of each machine."""
+        return {m.name: m.area for m in self.machines}
+
+    @property
+    def slack(self) -> Machine:
+        """The machine that holds the angle reference and balances the power flow."""
+        return next(m for m in self.machines if m.slack)
+
+    def machine(self, name: str) -> Machine:
+        """Return machine `name`; CaseError with the nearest names when there is none."""
+        return _named(self.machines, name, f"{self.name}: machine")
+
+    def branch(self, name: str) -> Branch:
+        """Return branch `name`; CaseError with the nearest names when there is none."""
+        return _named(self.branches, name, f"{self.name}: branch")
+
+    def load(self, name: str) -> Load:
+        """Return load `name`; CaseError with the nearest names when there is none."""
+        return _named(self.loads, name, f"{self.name}: load")
+
+    def shunt(self, name: str) -> Shunt:
+        """Return shunt `name`; CaseError with the nearest names when there is none."""
+        return _named(self.shunts, name, f"{self.name}: shunt")
+
+    def document(self) -> dict[str, Any]:
+        """Return the case in the form of its file: tables keyed by row id, defaults written out."""
+        raw = self.model_dump(mode="python", by_alias=True, exclude_none=True)
+        sources = raw.pop("sources")
+        for table, key in ROW_TABLES.items():
+            rows = {str(row.pop(key)): _without_empty(row) for row in raw.pop(table)}
+            raw[table] = ({"source": sources[table]} if table in sources else {}) | rows
+        return raw
+
+    def with_changes(self, change: Mapping[str, Any], *, name: str | None = None) -> Case:
+        """Return this case with `change` merged in, tables as in the `[change]` of a variant file.
+
+        >>> case = load_case("two-area-thesis")
+        >>> case.with_changes({"branches": {"8-9 a": {"in_service": False}}}).branch("8-9 a").in_service
+        False
+
+        Raises
+        ------
+        CaseError : a key that does not exist, a value out of range, a network that falls apart.
+        """
+        document = apply_change(self.document(), change)
+        document["name"] = name or self.name
+        return case_of(document, where=f"{self.name} with changes")
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        from .case_checks import check_whole  # needs Case for its types
+
+        check_whole(self)
+        return self
+
+
+def case_names() -> list[str]:
+    """Return the names of the bundled cases, sorted."""
+    return sorted(file.stem for file in BUNDLED.glob("*.toml"))
+
+
+def load_case(name_or_path: str | Path) -> Case:
+    """Load a bundled case by name, or a case file (a path that ends in .toml).
+
+    >>> load_case("kundur-manual").frequency_hz
+    60.0
+
+    Raises
+    ------
+    CaseError : unknown name (with the nearest ones), unreadable file, or any rule of the case broken.
+    """
+    return case_of(_document(name_or_path, seen=()), where=str(name_or_path))
+
+
+def case_of(document: Mapping[str, Any], *, where: str) -> Case:
+    """Build a Case from a document in the form of a case file; `where` names it in errors."""
+    raw = {k: v for k, v in document.items() if v != REMOVED}
+    sources = dict(raw.get("sources", {}))
+    for table, key in ROW_TABLES.items():
+        rows, source = _rows(raw.get(table, {}), table, key, where)
+        raw[table] = rows
+        if source:
+            sources[table] = source
+    for row in raw["branches"]:
+        _to_case_base(row, raw.get("base_mva"), where)
+    raw["sources"] = sources
+    try:
+        return Case.model_validate(raw)
+    except ValidationError as error:
+        raise CaseError(f"{where}: {_one_line(error, raw)}") from None
+
+
+def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `base` with `change` merged in table by table.
+
+    Values replace values; a table whose `kind` differs replaces the old one.
+    """
+    result = dict(base)
+    for key, value in change.items():
+        old = result.get(key)
+        if isinstance(value, Mapping) and isinstance(old, Mapping):
+            other_kind = "kind" in value and value["kind"] != old.get("kind")
+            result[key] = dict(value) if other_kind else merge(old, value)
+        else:
+            result[key] = value
+    return result
+
+
+def apply_change(document: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `document` with `change` merged in; the `defaults` of a changed table reach every row of it."""
+    result = merge(document, change)
+    for table in ROW_TABLES:
+        part = change.get(table)
+        every = part.get("defaults") if isinstance(part, Mapping) else None
+        if not isinstance(every, Mapping) or not isinstance(document.get(table), Mapping):
+            continue
+        for key, row in document[table].items():
+            if key not in RESERVED and isinstance(row, Mapping):
+                own = part.get(key, {})
+                result[table][key] = merge(merge(row, every), own) if isinstance(own, Mapping) else own
+    return result
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return the part of an error that names what is close to `name`, else all that is known."""
+    names = [str(k) for k in known]
+    close = difflib.get_close_matches(str(name), names, n=3, cutoff=0.5)
+    if close:
+        return f"did you mean {' or '.join(close)}?"
+    return f"allowed: {', '.join(names[:20])}{', ...' if len(names) > 20 else ''}"
+
+
+def _named(rows: Iterable[Any], name: str, what: str) -> Any:
+    table = {row.name: row for row in rows}
+    if name not in table:
+        raise CaseError(f"{what} {name!r} does not exist; {nearest(name, table)}")
+    return table[name]
+
+
+def _document(name_or_path: str | Path, seen: tuple[str, ...], beside: Path | None = None) -> dict[str, Any]:
+    text, where, folder = _text(name_or_path, beside)
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        hint = " (an id given twice?)" if "overwrite" in str(error) or "declare" in str(error) else ""
+        raise CaseError(f"{where}: not valid TOML: {error}{hint}") from None
+    if "base" not in raw:
+        return raw
+    if where in seen:
+        raise CaseError(f"{where}: base = {raw['base']!r} leads back to the case itself")
+    extra = sorted(set(raw) - {"base", "change", "name", "title", "source"})
+    if extra:
+        raise CaseError(
+            f"{where}: {extra[0]} stands outside [change]; a variant holds base, change, name, title, source"
+        )
+    base = _document(raw["base"], (*seen, where), folder)
+    changed = apply_change(base, raw.get("change", {}))
+    return changed | {k: raw[k] for k in ("name", "title", "source") if k in raw}
+
+
+def _text(name_or_path: str | Path, beside: Path | None) -> tuple[str, str, Path | None]:
+    name = str(name_or_path)
+    if name.endswith(".toml"):
+        path = Path(name) if beside is None else beside / name
+        try:
+            return path.read_text(encoding="utf-8"), str(path), path.parent
+        except (OSError, UnicodeDecodeError) as error:
+            raise CaseError(f"{path}: the case file cannot be read: {error}") from None
+    known = case_names()
+    if name not in known:
+        hint = "(or give the path of a .toml file)"
+        raise CaseError(f"case {name!r} does not exist; {nearest(name, known)} {hint}")
+    return (BUNDLED / f"{name}.toml").read_text(encoding="utf-8"), name, None
+
+
+def _rows(table: Any, name: str, key: str, where: str) -> tuple[list[dict[str, Any]], str]:
+    if not isinstance(table, Mapping):
+        raise CaseError(f"{where}: {name} must be a table keyed by {key}, got {type(table).__name__}")
+    defaults = table.get("defaults", {})
+    rows: list[dict[str, Any]] = []
+    for identity, row in table.items():
+        if identity in RESERVED or row == REMOVED:
+            continue
+        if not isinstance(row, Mapping):
+            raise CaseError(f"{where}: {name}.{identity} = {row!r}, allowed: a table with the row's values")
+        whole = {k: v for k, v in merge(defaults, row).items() if v != REMOVED}
+        rows.append({key: _number(identity, f"{where}: {name}") if key == "number" else identity, **whole})
+    source = table.get("source", "")
+    if not isinstance(source, str):
+        raise CaseError(f"{where}: {name}.source = {source!r}, allowed: a string such as 'KEY, Table n'")
+    return rows, source
+
+
+def _number(text: str, what: str) -> int:
+    if not text.isdecimal():
+        raise CaseError(f"{what}.{text}: a bus is named by its number, allowed: 1, 2, ...")
+    return int(text)
+
+
+def _to_case_base(row: dict[str, Any], case_base: Any, where: str) -> None:
+    own = row.pop("base_mva", None)
+    if own is None:
+        return
+    for value in (own, case_base):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+            raise CaseError(f"{where}: branches.{row['name']}.base_mva = {own!r}, allowed: a number above 0")
+    for key, factor in (("r", case_base / own), ("x", case_base / own), ("b", own / case_base)):
+        if isinstance(row.get(key), int | float):
+            row[key] = row[key] * factor
+
+
+def _one_line(error: ValidationError, raw: Mapping[str, Any]) -> str:
+    first = error.errors()[0]
+    path: list[str] = []
+    for part in first["loc"]:
+        if path and path[-1] in ROW_TABLES and isinstance(part, int):
+            path.append(str(raw[path[-1]][part][ROW_TABLES[path[-1]]]))
+        elif part not in _KINDS:
+            path.append(str(part))
+    message = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    key = ".".join(path)
+    if first["type"] == "value_error":
+        return f"{key}: {message}" if key else message
+    if first["type"] == "missing":
+        return f"{key} is missing"
+    if first["type"] == "extra_forbidden":
+        return f"{key} = {first['input']!r}: no such key here"
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    return f"{key} = {first['input']!r}, allowed: {message}{more}"
+
+
+_KINDS = {"constant", "static", "static_tgr", "st1a", "dc1", "none", "steam", "tgov1", "float", "int", "str"}
+_WORDS = {"source", "sources", "title"}
+
+
+def _without_words(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_words(v) for k, v in value.items() if k not in _WORDS}
+    return [_without_words(v) for v in value] if isinstance(value, list) else value
+
+
+def _without_empty(row: dict[str, Any]) -> dict[str, Any]:
+    kept = {k: v for k, v in row.items() if not (k in ("source", "name") and v == "")}
+    return {k: _without_empty(v) if isinstance(v, dict) else v for k, v in kept.items()}
