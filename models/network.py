@@ -1,0 +1,111 @@
+"""The network as admittances: stamps of branches and shunts, the bus matrix, Kron reduction.
+
+Per unit on the base of the case; bus order is the order of `case.buses`, machine order that of
+`case.machines`. Currents into the network are positive: ``I = Y V``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from .case import Case, CaseError
+from .case_schema import Branch, Load, Shunt
+
+ComplexArray = npt.NDArray[np.complex128]
+
+
+def bus_index(case: Case) -> dict[int, int]:
+    """Return the position of each bus number in the admittance matrix."""
+    return {bus.number: k for k, bus in enumerate(case.buses)}
+
+
+def machine_bus_index(case: Case) -> npt.NDArray[np.int32]:
+    """Return the bus position of each machine, (machines,)."""
+    index = bus_index(case)
+    return np.array([index[m.bus] for m in case.machines], dtype=np.int32)
+
+
+def branch_stamp(branch: Branch) -> ComplexArray:
+    r"""Return the (2, 2) admittance of a branch between its `from` and `to` ends.
+
+    With series admittance :math:`y = 1/(r + jx)` and tap :math:`t = tap\,e^{j\,shift}` at the `from` side,
+
+    .. math:: \begin{bmatrix} (y + jb/2)/|t|^2 & -y/t^* \\ -y/t & y + jb/2 \end{bmatrix} .
+
+    >>> from interarea.models.case_schema import Branch
+    >>> line = Branch(name="1-2", from_bus=1, to_bus=2, x=0.5)
+    >>> [complex(branch_stamp(line)[0, k]).imag for k in (0, 1)]
+    [-2.0, 2.0]
+    """
+    y = 1.0 / complex(branch.r, branch.x)
+    tap = branch.tap * np.exp(1j * np.deg2rad(branch.shift_deg))
+    end = y + 0.5j * branch.b
+    return np.array([[end / abs(tap) ** 2, -y / np.conj(tap)], [-y / tap, end]])
+
+
+def shunt_admittance(case: Case, shunt: Shunt) -> complex:
+    """Return the admittance to ground of `shunt`, pu; a capacitor has a positive imaginary part."""
+    return complex(shunt.P_mw, shunt.Q_mvar) / case.base_mva
+
+
+def load_power(case: Case, load: Load) -> complex:
+    """Return P + jQ that `load` takes at the operating point, pu on the base of the case."""
+    return complex(load.P_mw, load.Q_mvar) / case.base_mva
+
+
+def admittance_matrix(case: Case, *, without: Iterable[str] = (), shunts: bool = True) -> ComplexArray:
+    """Return the bus admittance matrix, (buses, buses): branches and shunts in service, no loads, no machines.
+
+    `without`: names of branches left out besides those out of service.
+
+    Raises
+    ------
+    CaseError : a name in `without` that is no branch.
+    """
+    left_out = {case.branch(name).name for name in without}
+    index = bus_index(case)
+    Y = np.zeros((len(index), len(index)), dtype=complex)
+    for branch in case.branches:
+        if branch.in_service and branch.name not in left_out:
+            ends = [index[branch.from_bus], index[branch.to_bus]]
+            Y[np.ix_(ends, ends)] += branch_stamp(branch)
+    if shunts:
+        for shunt in case.shunts:
+            if shunt.in_service:
+                k = index[shunt.bus]
+                Y[k, k] += shunt_admittance(case, shunt)
+    return Y
+
+
+def kron_reduction(Y: npt.ArrayLike, keep: Sequence[int]) -> ComplexArray:
+    r"""Return the admittance seen at the buses `keep` when no current enters the others.
+
+    .. math:: Y_{red} = Y_{kk} - Y_{ke} Y_{ee}^{-1} Y_{ek}
+
+    Y : (n, n); keep : positions of the kept buses, in the order of the result.
+
+    Raises
+    ------
+    CaseError : the eliminated part is singular (a bus without any admittance).
+    """
+    Y = np.asarray(Y, dtype=complex)
+    kept = list(keep)
+    rest = [k for k in range(len(Y)) if k not in set(kept)]
+    try:
+        inner = np.linalg.solve(Y[np.ix_(rest, rest)], Y[np.ix_(rest, kept)])
+    except np.linalg.LinAlgError:
+        dead = [k for k in rest if not np.any(Y[k])]
+        raise CaseError(
+            f"network: the admittance of the eliminated buses is singular (positions without admittance: {dead}); "
+            "every bus needs a branch, a load or a shunt"
+        ) from None
+    return Y[np.ix_(kept, kept)] - Y[np.ix_(kept, rest)] @ inner
+
+
+def machine_norton_admittance(case: Case) -> ComplexArray:
+    """Return 1/(Ra + j X) of each machine on the base of the case, X = Xd2 (classical: Xd1), (machines,)."""
+    impedances = [complex(m.Ra, m.Xd2 or m.Xd1) * case.base_mva / m.base_mva for m in case.machines]
+    return 1.0 / np.array(impedances)
