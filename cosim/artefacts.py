@@ -1,4 +1,4 @@
-"""Files made once and found again: FMUs, linear models, controllers, each named by the hash of what it came from.
+"""Files made once and found again: FMUs, linear models, controllers, named by content hash.
 
 A key holds the bytes of the inputs and of the sources that turn them into the
 artefact, so a changed case, design or C file gives a new file and an unchanged
@@ -13,7 +13,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Iterable
-from functools import lru_cache
+from functools import cache as forever
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -64,7 +64,7 @@ def file_hash(path: Path) -> str:
     return content_hash(path.read_bytes())
 
 
-@lru_cache(maxsize=None)
+@forever
 def source_hash(room: str, without: tuple[str, ...] = ()) -> str:
     """Return the hash of one room's Python, C and TOML sources; `without` names stems left out."""
     folder = ROOMS / room
@@ -72,7 +72,7 @@ def source_hash(room: str, without: tuple[str, ...] = ()) -> str:
     return content_hash(*(part for p in files for part in (p.relative_to(folder).as_posix(), p.read_bytes())))
 
 
-@lru_cache(maxsize=None)
+@forever
 def numerics_versions() -> dict[str, str]:
     """Return the versions of the libraries whose rounding can reach a result."""
     return {name: _version(name) for name in ("numpy", "scipy", "control", "cvxpy", "clarabel", "fmpy")}
@@ -117,7 +117,9 @@ def block_fmu(block: Block, cache: Path, *, kind: str | None = None) -> Path:
         source_hash("models", ()),
         os.environ.get("CC", ""),
     )
-    return artefact(cache, kind or block.kind, f"{block.name}-{key}", ".fmu", lambda p: build_fmu(block, p, cache=cache))
+    return artefact(
+        cache, kind or block.kind, f"{block.name}-{key}", ".fmu", lambda p: build_fmu(block, p, cache=cache)
+    )
 
 
 def _raw(value: object) -> bytes | np.ndarray[Any, Any]:
@@ -151,7 +153,9 @@ def linear_plant(case: Case, cache: Path) -> control.StateSpace:
     """
     fmu = plant_fmu(case, cache)
     key = content_hash(fmu.name, source_hash("design"), numerics_versions())
-    path = artefact(cache, "linear", key, ".npz", lambda p: _save_linear(remove_reference(linearise(open_plant(fmu))), p))
+    path = artefact(
+        cache, "linear", key, ".npz", lambda p: _save_linear(remove_reference(linearise(open_plant(fmu))), p)
+    )
     with np.load(path) as z:
         return control.ss(
             *(z[m] for m in "ABCD"),
@@ -165,7 +169,9 @@ def linear_plant(case: Case, cache: Path) -> control.StateSpace:
 def _save_linear(system: control.StateSpace, path: Path) -> None:
     names = {"states": system.state_labels, "inputs": system.input_labels, "outputs": system.output_labels}
     with path.open("wb") as out:
-        np.savez(out, A=system.A, B=system.B, C=system.C, D=system.D, **{k: np.array(v) for k, v in names.items()})
+        np.savez(
+            out, A=system.A, B=system.B, C=system.C, D=system.D, **{k: np.array(v) for k, v in names.items()}
+        )
 
 
 def design_controller(case: Case, name: str, cache: Path) -> Controller:
@@ -179,5 +185,11 @@ def design_controller(case: Case, name: str, cache: Path) -> Controller:
         raise ValueError(f"controller {name!r} is not known, allowed: {', '.join(CONTROLLER_NAMES)}")
     make = getattr(study_designs, f"design_{name}")
     key = content_hash(name, file_hash(plant_fmu(case, cache)), source_hash("design"), numerics_versions())
-    path = artefact(cache, "controllers", f"{name}-{key}", ".json", lambda p: make(linear_plant(case, cache), case).save(p))
+    path = artefact(
+        cache,
+        "controllers",
+        f"{name}-{key}",
+        ".json",
+        lambda p: make(linear_plant(case, cache), case).save(p),
+    )
     return Controller.load(path)

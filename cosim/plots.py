@@ -88,7 +88,9 @@ def frequency_response(system: control.StateSpace, omega: Array) -> npt.NDArray[
     return np.asarray(C @ np.linalg.solve(resolvent, np.broadcast_to(B, (omega.size, *B.shape))) + D)
 
 
-def participation_plot(participation: Mapping[str, float], machines: Sequence[str], *, count: int = 12) -> Figure:
+def participation_plot(
+    participation: Mapping[str, float], machines: Sequence[str], *, count: int = 12
+) -> Figure:
     """Draw the `count` largest participation factors of a mode, coloured by machine.
 
     participation : state name (`G1.delta`) -> factor; machines : names in colour order.
@@ -139,7 +141,13 @@ def mode_shape_plot(shape: Mapping[str, complex], area_of: Mapping[str, int], ti
             spot = _free_spot(value, placed)
             placed.append(spot)
             axes.text(
-                float(np.angle(spot)), abs(spot), machine, color=colour, weight="bold", ha="center", va="center"
+                float(np.angle(spot)),
+                abs(spot),
+                machine,
+                color=colour,
+                weight="bold",
+                ha="center",
+                va="center",
             )
         for k, area in enumerate(areas):
             axes.plot([], [], color=SERIES[k % len(SERIES)], label=f"area {area}")
@@ -158,7 +166,9 @@ def _free_spot(value: complex, placed: Sequence[complex]) -> complex:
     return complex(direction * (abs(value) + 0.13))
 
 
-def singular_value_plot(systems: Mapping[str, control.StateSpace], omega: Array, *, ylabel: str = "dB") -> Figure:
+def singular_value_plot(
+    systems: Mapping[str, control.StateSpace], omega: Array, *, ylabel: str = "dB"
+) -> Figure:
     """Draw the largest singular value of each system over frequency (rad/s)."""
     figure, axes = new_figure()
     with mpl.rc_context(STYLE):
@@ -252,8 +262,15 @@ def _time_axis(
         axes.set_ylim(-top, top)
     for label, at in marks.items():
         axes.axvline(at, color=MUTED, linewidth=0.9, linestyle=(0, (2, 2)))
-        axes.annotate(label, (at, 0.02), xycoords=("data", "axes fraction"), xytext=(3, 2),
-                      textcoords="offset points", fontsize=7.5, color=MUTED)
+        axes.annotate(
+            label,
+            (at, 0.02),
+            xycoords=("data", "axes fraction"),
+            xytext=(3, 2),
+            textcoords="offset points",
+            fontsize=7.5,
+            color=MUTED,
+        )
     axes.xaxis.set_major_locator(MaxNLocator(10, integer=end - start > 8))
     axes.set_xlabel("time (s)")
 
@@ -275,7 +292,7 @@ def latency_panels(curves: Mapping[str, Curve], reference: tuple[str, Curve]) ->
             panel.set_ylim(-peak, peak)
             panel.set_xlim(float(np.asarray(t0)[0]), float(np.asarray(t0)[-1]))
             panel.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-        for panel in axes.flat[len(curves):]:
+        for panel in axes.flat[len(curves) :]:
             panel.set_visible(False)
         for panel in axes[-1]:
             panel.set_xlabel("time (s)")
@@ -302,14 +319,29 @@ def latency_damping_plot(
             axes.plot(1e3 * delay, zeta, color=SERIES[k], linestyle=DASHES[k], label=f"{wiring}, exact")
             marks = np.asarray(measured.get(wiring, ()), dtype=float).reshape(-1, 2)
             if len(marks):
-                axes.plot(1e3 * marks[:, 0], marks[:, 1], "os^"[k % 3], color=SERIES[k], markersize=4.5,
-                          markerfacecolor="none", label=f"{wiring}, co-simulated")
+                axes.plot(
+                    1e3 * marks[:, 0],
+                    marks[:, 1],
+                    "os^"[k % 3],
+                    color=SERIES[k],
+                    markersize=4.5,
+                    markerfacecolor="none",
+                    label=f"{wiring}, co-simulated",
+                )
             margin = margin_s.get(wiring)
             if margin is not None and np.isfinite(margin):
                 axes.axvline(1e3 * margin, color=MUTED, linewidth=0.9, linestyle=(0, (2, 2)))
-                axes.annotate(f"margin {1e3 * margin:.1f} ms", (1e3 * margin, 0.96),
-                              xycoords=("data", "axes fraction"), xytext=(-4, 0), textcoords="offset points",
-                              ha="right", va="top", fontsize=8, color=MUTED)
+                axes.annotate(
+                    f"margin {1e3 * margin:.1f} ms",
+                    (1e3 * margin, 0.96),
+                    xycoords=("data", "axes fraction"),
+                    xytext=(-4, 0),
+                    textcoords="offset points",
+                    ha="right",
+                    va="top",
+                    fontsize=8,
+                    color=MUTED,
+                )
         axes.set_xlabel("latency (ms)")
         axes.set_ylabel("least damping ratio of the swing modes")
         figure.legend(loc="outside upper center", ncols=2 if measured else len(exact), fontsize=8)
@@ -322,8 +354,16 @@ def hankel_plot(values: Mapping[str, npt.ArrayLike], kept: Mapping[str, int]) ->
     with mpl.rc_context(STYLE):
         for k, (label, hankel) in enumerate(values.items()):
             sigma = np.asarray(hankel, dtype=float)
-            axes.semilogy(np.arange(1, sigma.size + 1), sigma, "o-s"[2 * (k % 2)], color=SERIES[k], markersize=3,
-                          linestyle=DASHES[k], linewidth=0.8, label=label)
+            axes.semilogy(
+                np.arange(1, sigma.size + 1),
+                sigma,
+                "o-s"[2 * (k % 2)],
+                color=SERIES[k],
+                markersize=3,
+                linestyle=DASHES[k],
+                linewidth=0.8,
+                label=label,
+            )
             if label in kept:
                 axes.axvline(kept[label] + 0.5, color=SERIES[k], linewidth=0.9, linestyle=(0, (2, 2)))
         axes.set_xlabel("state of the balanced plant")
