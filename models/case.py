@@ -20,19 +20,22 @@ word "none" in place of a row, a stabilizer or the tie takes it out.
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 import math
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from .case_errors import CaseError, nearest, one_line
 from .case_schema import Branch, Bus, Load, Machine, Positive, Shunt, Tie
+from .events import Event, check_events, events_of
+
+__all__ = ["Case", "CaseError", "apply_change", "case_names", "case_of", "load_case", "merge", "nearest"]
 
 #: table in the file -> field that holds the row's key
 ROW_TABLES = {"buses": "number", "branches": "name", "shunts": "name", "loads": "name", "machines": "name"}
@@ -44,15 +47,15 @@ REMOVED = "none"  #: what stands in place of a row, a stabilizer, a tie that is 
 BUNDLED = Path(__file__).parent / "cases"  #: folder of the cases that come with the package
 
 
-class CaseError(ValueError):
-    """A case, or what is asked of it, is wrong: one line with file, key, value and what is allowed."""
-
-
 class Case(BaseModel):
     """A grid with its machines, controls and loads; rows keep the order of the file."""
 
     model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, ignored_types=(cached_property,)
+        frozen=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        populate_by_name=True,
+        ignored_types=(cached_property,),
     )
 
     name: Annotated[str, Field(strict=True, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -67,6 +70,9 @@ class Case(BaseModel):
     loads: tuple[Load, ...] = ()
     machines: Annotated[tuple[Machine, ...], Field(min_length=1)]
     tie: Tie | None = None
+    events: tuple[Event, ...] = Field(
+        default=(), alias="event"
+    )  #: what happens unless a scenario says otherwise
 
     @property
     def omega_b(self) -> float:
@@ -109,6 +115,8 @@ class Case(BaseModel):
         """Return the case in the form of its file: tables keyed by row id, defaults written out."""
         raw = self.model_dump(mode="python", by_alias=True, exclude_none=True)
         sources = raw.pop("sources")
+        if not raw["event"]:
+            del raw["event"]
         for table, key in ROW_TABLES.items():
             rows = {str(row.pop(key)): _without_empty(row) for row in raw.pop(table)}
             raw[table] = ({"source": sources[table]} if table in sources else {}) | rows
@@ -134,6 +142,7 @@ class Case(BaseModel):
         from .case_checks import check_whole  # needs Case for its types
 
         check_whole(self)
+        check_events(self, self.events)
         return self
 
 
@@ -167,10 +176,11 @@ def case_of(document: Mapping[str, Any], *, where: str) -> Case:
     for row in raw["branches"]:
         _to_case_base(row, raw.get("base_mva"), where)
     raw["sources"] = sources
+    raw["event"] = events_of(raw.get("event", ()), where=where)
     try:
         return Case.model_validate(raw)
     except ValidationError as error:
-        raise CaseError(f"{where}: {_one_line(error, raw)}") from None
+        raise CaseError(f"{where}: {one_line(error, lambda location: _path(location, raw))}") from None
 
 
 def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
@@ -202,15 +212,6 @@ def apply_change(document: Mapping[str, Any], change: Mapping[str, Any]) -> dict
                 own = part.get(key, {})
                 result[table][key] = merge(merge(row, every), own) if isinstance(own, Mapping) else own
     return result
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """Return the part of an error that names what is close to `name`, else all that is known."""
-    names = [str(k) for k in known]
-    close = difflib.get_close_matches(str(name), names, n=3, cutoff=0.5)
-    if close:
-        return f"did you mean {' or '.join(close)}?"
-    return f"allowed: {', '.join(names[:20])}{', ...' if len(names) > 20 else ''}"
 
 
 def _named(rows: Iterable[Any], name: str, what: str) -> Any:
@@ -292,24 +293,14 @@ def _to_case_base(row: dict[str, Any], case_base: Any, where: str) -> None:
             row[key] = row[key] * factor
 
 
-def _one_line(error: ValidationError, raw: Mapping[str, Any]) -> str:
-    first = error.errors()[0]
+def _path(location: Sequence[int | str], raw: Mapping[str, Any]) -> list[str]:
     path: list[str] = []
-    for part in first["loc"]:
+    for part in location:
         if path and path[-1] in ROW_TABLES and isinstance(part, int):
             path.append(str(raw[path[-1]][part][ROW_TABLES[path[-1]]]))
         elif part not in _KINDS:
             path.append(str(part))
-    message = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    key = ".".join(path)
-    if first["type"] == "value_error":
-        return f"{key}: {message}" if key else message
-    if first["type"] == "missing":
-        return f"{key} is missing"
-    if first["type"] == "extra_forbidden":
-        return f"{key} = {first['input']!r}: no such key here"
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    return f"{key} = {first['input']!r}, allowed: {message}{more}"
+    return path
 
 
 _KINDS = {"constant", "static", "static_tgr", "st1a", "dc1", "none", "steam", "tgov1", "float", "int", "str"}

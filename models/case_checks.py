@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
+
+from .case_errors import nearest
 
 if TYPE_CHECKING:
     from .case import Case
@@ -36,8 +39,6 @@ def _check_references(case: Case) -> None:
     branches = {b.name: b for b in case.branches}
     for name in case.tie.branches:
         if name not in branches:
-            from .case import nearest
-
             raise ValueError(f"tie.branches: branch {name!r} does not exist; {nearest(name, branches)}")
         if case.tie.from_bus not in (branches[name].from_bus, branches[name].to_bus):
             raise ValueError(f"tie.from = {case.tie.from_bus}: branch {name!r} does not end there")
@@ -64,11 +65,13 @@ def _check_slack(case: Case) -> None:
                 )
 
 
-def islands(case: Case) -> list[set[int]]:
-    """Return the connected sets of buses under the branches in service, the slack's first."""
+def islands_of(case: Case, closed: Mapping[str, bool] | None = None) -> list[set[int]]:
+    """Return the connected sets of buses, the slack's first, under the branches in service or in `closed`."""
+    if closed is None:
+        closed = {branch.name: branch.in_service for branch in case.branches}
     neighbours: dict[int, list[int]] = {bus.number: [] for bus in case.buses}
     for branch in case.branches:
-        if branch.in_service:
+        if closed[branch.name]:
             neighbours[branch.from_bus].append(branch.to_bus)
             neighbours[branch.to_bus].append(branch.from_bus)
     found: list[set[int]] = []
@@ -89,7 +92,7 @@ def islands(case: Case) -> list[set[int]]:
 
 
 def _check_connection(case: Case) -> None:
-    parts = islands(case)
+    parts = islands_of(case)
     if len(parts) == 1:
         return
     for machine in case.machines:

@@ -57,7 +57,7 @@ def load_power(case: Case, load: Load) -> complex:
 
 
 def admittance_matrix(case: Case, *, without: Iterable[str] = (), shunts: bool = True) -> ComplexArray:
-    """Return the bus admittance matrix, (buses, buses): branches and shunts in service, no loads, no machines.
+    """Return the bus admittance matrix, (buses, buses): branches and shunts in service.
 
     `without`: names of branches left out besides those out of service.
 
@@ -99,7 +99,7 @@ def kron_reduction(Y: npt.ArrayLike, keep: Sequence[int]) -> ComplexArray:
     except np.linalg.LinAlgError:
         dead = [k for k in rest if not np.any(Y[k])]
         raise CaseError(
-            f"network: the admittance of the eliminated buses is singular (positions without admittance: {dead}); "
+            f"network: the admittance of the eliminated buses is singular (without any: {dead}); "
             "every bus needs a branch, a load or a shunt"
         ) from None
     return Y[np.ix_(kept, kept)] - Y[np.ix_(kept, rest)] @ inner

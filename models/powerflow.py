@@ -20,7 +20,7 @@ class PowerFlowError(CaseError):
 
 @dataclass(frozen=True)
 class PowerFlow:
-    """Solved bus voltages; arrays read-only, per unit on the base of the case, bus and machine order of the case."""
+    """Solved bus voltages; arrays read-only, pu on the base of the case, in its bus and machine order."""
 
     case: Case
     voltages: ComplexArray  #: (buses,)

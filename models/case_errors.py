@@ -1,0 +1,47 @@
+"""How a wrong case is reported: one class, one line, with the key, what was found and what is allowed."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterable
+
+from pydantic import ValidationError
+
+
+class CaseError(ValueError):
+    """A case, or what is asked of it, is wrong: one line with file, key, value and what is allowed."""
+
+
+def nearest(name: object, known: Iterable[object]) -> str:
+    """Return the part of an error that names what is close to `name`, else all that is known.
+
+    >>> nearest("8-9a", ["7-8 a", "8-9 a"])
+    'did you mean 8-9 a or 7-8 a?'
+    """
+    names = [str(k) for k in known]
+    close = difflib.get_close_matches(str(name), names, n=3, cutoff=0.5)
+    if close:
+        return f"did you mean {' or '.join(close)}?"
+    return (
+        f"allowed: {', '.join(names[:20])}{', ...' if len(names) > 20 else ''}" if names else "there is none"
+    )
+
+
+def one_line(error: ValidationError, path_of: Callable[[tuple[int | str, ...]], list[str]]) -> str:
+    """Return the first failure of a pydantic `error` in one line; `path_of` turns its location into words."""
+    first = error.errors()[0]
+    key = ".".join(path_of(first["loc"]))
+    message = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    context = first.get("ctx", {})
+    if first["type"] == "value_error":
+        return f"{key}: {message}" if key else message
+    if first["type"] == "missing":
+        return f"{key} is missing{more}"
+    if first["type"] == "extra_forbidden":
+        return f"{key} = {first['input']!r}: no such key here{more}"
+    if first["type"] == "union_tag_not_found":
+        return f"{key}.kind is missing{more}"
+    if first["type"] == "union_tag_invalid":
+        return f"{key}.kind = {context['tag']!r}, allowed: {context['expected_tags']}{more}"
+    return f"{key} = {first['input']!r}, allowed: {message}{more}"
