@@ -1,0 +1,355 @@
+"""A structured primal-dual interior-point engine for control LMIs.
+
+Solves a `Problem`
+
+    minimise c'y   subject to   S_k(y) = C_k + F_k(y) >= 0,   k = 1..K,
+
+whose multipliers Z_k >= 0 satisfy F*(Z) = c, by an infeasible-start predictor-corrector
+method (Mehrotra) in the Nesterov-Todd direction. The Schur complement keeps the Kronecker structure of
+the matrix variables (`interior_point_schur.py`); what remains is one Cholesky factor of
+size m. Once C + F(y) has a Cholesky factor it *is* S, and every later y is strictly feasible.
+
+Where no y satisfies the inequalities, Z tends to a certificate: F*(Z) = 0 and <C, Z> < 0.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.linalg import blas, lapack
+from threadpoolctl import ThreadpoolController
+
+from .interior_point_map import AffineMap, Matrix, Vector
+from .interior_point_scaling import Scaling, cholesky, inner
+from .interior_point_schur import SchurComplement
+from .problem import Problem, Solution
+
+#: Added to the diagonal of H, relative, until its Cholesky factor exists.
+_SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9, 1e-7)
+
+#: An infeasibility certificate must exclude every y whose entries stay below this size.
+_LEAST_RADIUS = 1e8
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One iteration, as a `callback` receives it; returning True from the callback stops the engine."""
+
+    iteration: int
+    objective: float  #: c'y
+    gap: float  #: <S, Z> / (1 + |c'y|)
+    primal_residual: float  #: ||C + F(y) - S|| relative to its start; 0 once y is strictly feasible
+    dual_residual: float  #: sum |c - F*(Z)|_i |y_i| / (1 + |c'y|)
+    step: tuple[float, float]  #: primal and dual step lengths
+
+
+@lru_cache(maxsize=1)
+def _pools() -> ThreadpoolController:
+    """Find the BLAS pools of numpy and scipy once (both are loaded by now)."""
+    return ThreadpoolController()
+
+
+def solve_structured(
+    problem: Problem,
+    *,
+    tolerance: float = 1e-7,
+    max_iterations: int = 100,
+    stop_gap: float | None = None,
+    callback: Callable[[Progress], bool | None] | None = None,
+) -> Solution:
+    r"""Solve an LMI problem by the structured interior-point method.
+
+    Parameters
+    ----------
+    problem : the problem; blocks real symmetric or complex Hermitian.
+    tolerance : relative duality gap :math:`\langle S, Z\rangle / (1 + |c'y|)` to reach.
+    max_iterations : most iterations; about 20 are usual.
+    stop_gap : stop already at this (larger) gap: recovery of a controller at the exact
+        optimum is singular.
+    callback : called after every iteration with its `Progress`; a true answer stops the engine.
+
+    Returns
+    -------
+    Solution
+        "optimal": gap and multipliers within `tolerance`, the point strictly feasible by
+        Cholesky. "almost optimal": strictly feasible, the optimum known less well, as the message says.
+        "infeasible": `multipliers` hold the certificate. "failed": none of these.
+
+    Raises
+    ------
+    ValueError
+        `tolerance` or `max_iterations` not positive.
+    """
+    if not tolerance > 0.0 or not max_iterations > 0:
+        raise ValueError(
+            f"structured engine: tolerance {tolerance!r} and max_iterations {max_iterations!r} must be positive"
+        )
+    wanted = max(tolerance, stop_gap or 0.0)
+    with _pools().limit(limits=1), np.errstate(all="ignore"):
+        return _Run(problem, wanted, max_iterations, callback).solve()
+
+
+class _Run:
+    """The iteration on one problem."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        tolerance: float,
+        max_iterations: int,
+        callback: Callable[[Progress], bool | None] | None,
+    ) -> None:
+        self.started = time.perf_counter()
+        self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
+        self.callback = callback
+        self.affine = AffineMap(problem)
+        self.schur = SchurComplement(problem, self.affine)
+        self.C, self.c = self.affine.constants, self.affine.cost
+        self.degree = float(sum(self.affine.sizes))
+        self._start()
+
+    def _start(self) -> None:
+        """Start at y = 0, S = eta I, Z = xi I with the sizes that SDPT3 takes."""
+        norms = self.affine.column_norms()
+        self.y = np.zeros(self.affine.m)
+        self.S: list[Matrix] = []
+        self.Ls: list[Matrix] = []
+        self.Fz: list[Matrix] = []
+        for C, size, column in zip(self.C, self.affine.sizes, norms, strict=True):
+            root = np.sqrt(size)
+            eta = max(10.0, root, float(column.max(initial=0.0)), float(np.linalg.norm(C)))
+            ratio = (1.0 + np.abs(self.c)) / (1.0 + column)
+            xi = max(10.0, root, root * float(ratio[column > 0.0].max(initial=0.0)))
+            identity: Matrix = np.eye(size, dtype=C.dtype)
+            self.S.append(eta * identity)
+            self.Ls.append(np.sqrt(eta) * identity)
+            self.Fz.append(np.sqrt(xi) * identity)
+        self.exact = False  # S is C + F(y) to the last digit
+        self.used = np.sum([n**2 for n in norms], axis=0) > 0.0 if norms else np.zeros(self.affine.m, bool)
+
+    # -- one iteration ---------------------------------------------------------------------------
+
+    def solve(self) -> Solution:
+        """Iterate until optimal, infeasible, or no further progress."""
+        idle = np.flatnonzero(~self.used & (self.c != 0.0))
+        if idle.size:
+            return self._finish("failed", 0, "the objective is unbounded: it moves coordinates that no block contains")
+        start_residual = 1.0 + sum(float(np.linalg.norm(R)) for R in self._primal_residual())
+        short = 0
+        for iteration in range(1, self.max_iterations + 1):
+            Z = [F @ F.conj().T for F in self.Fz]
+            gradient = self.affine.adjoint(Z)
+            rp = self.c - gradient
+            Rd = self._primal_residual()
+            objective = float(self.c @ self.y)
+            scale = 1.0 + abs(objective)
+            complementarity = sum(inner(S, W) for S, W in zip(self.S, Z, strict=True))
+            self.gap = complementarity / scale
+            self.doubt = float(np.abs(rp) @ np.abs(self.y)) / scale
+            if self.exact and self.gap < self.tolerance and self.doubt < 10.0 * self.tolerance:
+                return self._finish("optimal", iteration - 1, "", Z)
+            if self.exact and self.gap < 1e-3 * self.tolerance:
+                break
+            scalings = [Scaling(Ls, Fz) for Ls, Fz in zip(self.Ls, self.Fz, strict=True)]
+            if not self._factor(scalings):
+                break
+            if not self.exact:
+                certificate = self._certificate(scalings, Z, gradient)
+                if certificate is not None:
+                    return self._finish("infeasible", iteration, self._verdict, certificate)
+            step = self._step(scalings, rp, Rd, complementarity / self.degree)
+            if step is None:
+                break
+            short = short + 1 if max(step) < 1e-4 or min(step) < 1e-7 else 0
+            if short >= 3 and iteration >= 12:
+                break
+            if self.callback is not None:
+                residual = 0.0 if self.exact else sum(float(np.linalg.norm(R)) for R in self._primal_residual())
+                report = Progress(iteration, objective, self.gap, residual / start_residual, self.doubt, step)
+                if self.callback(report):
+                    break
+        return self._give_up(iteration)
+
+    def _primal_residual(self) -> list[Matrix]:
+        """Return Rd = C + F(y) - S, zero once S is exact."""
+        if self.exact:
+            return [np.zeros_like(S) for S in self.S]
+        moved = self.affine.apply(self.y)
+        return [C + F - S for C, F, S in zip(self.C, moved, self.S, strict=True)]
+
+    def _step(
+        self, scalings: list[Scaling], rp: Vector, Rd: list[Matrix], mu: float
+    ) -> tuple[float, float] | None:
+        """Take a predictor-corrector step; None where the linear algebra has come to its end."""
+        residual = None if self.exact else self.affine.adjoint([s.G @ R @ s.G for s, R in zip(scalings, Rd, strict=True)])
+
+        def direction(targets: list[Matrix]) -> tuple[Vector, list[Matrix], list[Matrix], list[Matrix]]:
+            right = self.affine.adjoint([s.unscale(K) for s, K in zip(scalings, targets, strict=True)]) - rp
+            if residual is not None:
+                right -= residual
+            dy = self._solve(right)
+            dS = self.affine.apply(dy)
+            if residual is not None:
+                dS = [F + R for F, R in zip(dS, Rd, strict=True)]
+            ds = [s.scale(M) for s, M in zip(scalings, dS, strict=True)]
+            return dy, dS, ds, [K - d for K, d in zip(targets, ds, strict=True)]
+
+        def lengths(ds: list[Matrix], dz: list[Matrix], share: float) -> tuple[float, float]:
+            primal = min(s.longest_step(d) for s, d in zip(scalings, ds, strict=True))
+            dual = min(s.longest_step(d) for s, d in zip(scalings, dz, strict=True))
+            return min(1.0, share * primal), min(1.0, share * dual)
+
+        _, _, ds, dz = direction([s.target(0.0, None) for s in scalings])
+        ap, ad = lengths(ds, dz, 1.0)
+        after = sum(
+            inner(np.diag(s.D) + ap * a, np.diag(s.D) + ad * b) for s, a, b in zip(scalings, ds, dz, strict=True)
+        )
+        least = min(ap, ad)
+        sigma = 0.3 if least < 0.1 else max(1e-6, max(after / self.degree / mu, 0.0) ** max(1.0, 3.0 * least**2))
+        sigma = min(sigma, 1.0)
+        crosses = [(a @ b + b @ a) / 2.0 for a, b in zip(ds, dz, strict=True)]
+        dy, dS, ds, dz = direction([s.target(sigma * mu, x) for s, x in zip(scalings, crosses, strict=True)])
+        if not np.all(np.isfinite(dy)):
+            return None
+        ap, ad = lengths(ds, dz, min(0.98, 0.9 + 0.09 * least))
+        return self._move(scalings, dy, dS, dz, ap, ad)
+
+    def _move(
+        self, scalings: list[Scaling], dy: Vector, dS: list[Matrix], dz: list[Matrix], ap: float, ad: float
+    ) -> tuple[float, float] | None:
+        """Move y, S and Z; shorten a step whose end is not numerically positive definite."""
+        for _ in range(8):
+            y = self.y + ap * dy
+            exact = self.exact or ap == 1.0
+            if exact:
+                S = [C + F for C, F in zip(self.C, self.affine.apply(y), strict=True)]
+            else:
+                S = [A + ap * B for A, B in zip(self.S, dS, strict=True)]
+            Ls = [cholesky(M) for M in S]
+            if all(L is not None for L in Ls):
+                self.y, self.S, self.exact = y, S, exact
+                self.Ls = [L for L in Ls if L is not None]
+                break
+            ap *= 0.8
+        else:
+            ap = 0.0
+        for _ in range(8):
+            Fz = [s.updated_factor(ad, d) for s, d in zip(scalings, dz, strict=True)]
+            if all(F is not None for F in Fz):
+                self.Fz = [F for F in Fz if F is not None]
+                break
+            ad *= 0.8
+        else:
+            ad = 0.0
+        return None if ap == 0.0 and ad == 0.0 else (ap, ad)
+
+    # -- the linear system -----------------------------------------------------------------------
+
+    def _factor(self, scalings: list[Scaling]) -> bool:
+        """Form and factor H; False where it has no factor even with the largest shift."""
+        H = self.schur.form([s.Ri for s in scalings], [s.G for s in scalings])
+        diagonal = H.ravel()[:: self.affine.m + 1]
+        diagonal[~self.used] = 1.0
+        if not np.all(np.isfinite(diagonal)) or np.any(diagonal <= 0.0):
+            return False
+        self._diagonal = diagonal.copy()
+        if not hasattr(self, "_factored"):
+            self._factored = np.empty_like(H)
+        for shift in _SHIFTS:
+            np.copyto(self._factored, H)
+            self._factored.ravel()[:: self.affine.m + 1] *= 1.0 + shift
+            _, info = lapack.dpotrf(self._factored.T, lower=1, clean=0, overwrite_a=1)
+            if info == 0:
+                return True
+        return False
+
+    def _solve(self, right: Vector) -> Vector:
+        """Solve H dy = right by conjugate gradients, preconditioned by the factor."""
+        H, factor = self.schur.H.T, self._factored.T
+
+        def precondition(r: Vector) -> Vector:
+            x: Vector = lapack.dpotrs(factor, r, lower=1)[0]
+            return x
+
+        x = precondition(right)
+        r = right - blas.dsymv(1.0, H, x, lower=1)
+        wanted = 1e-13 * np.linalg.norm(right / np.sqrt(self._diagonal))
+        p = z = precondition(r)
+        rz = float(r @ z)
+        for _ in range(3):
+            if not np.linalg.norm(r / np.sqrt(self._diagonal)) > wanted or not rz > 0.0:
+                break
+            q = blas.dsymv(1.0, H, p, lower=1)
+            step = rz / float(p @ q)
+            if not np.isfinite(step):
+                break
+            x = x + step * p
+            r = r - step * q
+            z = precondition(r)
+            before, rz = rz, float(r @ z)
+            p = z + (rz / before) * p
+        return x
+
+    # -- ends ------------------------------------------------------------------------------------
+
+    def _certificate(self, scalings: list[Scaling], Z: list[Matrix], gradient: Vector) -> list[Matrix] | None:
+        """Project Z onto F*(Z) = 0; return it where it proves that no y is feasible.
+
+        The projection in the metric of the scaling, Z - G F(w) G with H w = F*(Z), stays
+        positive definite once <C, Z> is far below zero. A feasible y would satisfy
+        0 <= <S(y), Z> = <C, Z> + y' F*(Z), so with <C, Z> < 0 what is left of F*(Z) by
+        rounding bounds the size below which there is none.
+        """
+        if not sum(inner(C, W) for C, W in zip(self.C, Z, strict=True)) < 0.0:
+            return None
+        scaled: list[Matrix] = [np.diag(s.D).astype(C.dtype) for s, C in zip(scalings, self.C, strict=True)]
+        projected = Z
+        for _ in range(2):
+            w = self._solve(gradient)
+            if not np.all(np.isfinite(w)):
+                return None
+            moved = [s.scale(F) for s, F in zip(scalings, self.affine.apply(w), strict=True)]
+            scaled = [z - m for z, m in zip(scaled, moved, strict=True)]
+            if any(cholesky(z) is None for z in scaled):
+                return None
+            projected = [s.unscale(z) for s, z in zip(scalings, scaled, strict=True)]
+            gradient = self.affine.adjoint(projected)
+        value = sum(inner(C, W) for C, W in zip(self.C, projected, strict=True))
+        magnitude = sum(inner(np.abs(C), np.abs(W)) for C, W in zip(self.C, projected, strict=True))
+        if not value < -1e-9 * magnitude:
+            return None
+        residual = float(np.abs(gradient).sum())
+        radius = -value / residual if residual > 0.0 else float("inf")
+        if not radius > _LEAST_RADIUS:
+            return None
+        self._verdict = (
+            "no point satisfies all inequalities: multipliers Z > 0 with <C, Z> = -1 and "
+            f"F*(Z) = 0 but for {1.0 / radius:.1e}, so a feasible point would need an entry above {radius:.1e}"
+        )
+        return [W / -value for W in projected]
+
+    def _give_up(self, iteration: int) -> Solution:
+        """End without having reached the tolerance."""
+        Z = [F @ F.conj().T for F in self.Fz]
+        if self.exact and self.gap < 1e3 * self.tolerance and self.doubt < 1e3 * self.tolerance:
+            return self._finish("almost optimal", iteration, f"relative gap {self.gap:.1e}, uncertainty {self.doubt:.1e}", Z)
+        return self._finish("failed", iteration, "no further progress", Z)
+
+    def _finish(self, status: str, iterations: int, message: str, Z: list[Matrix] | None = None) -> Solution:
+        values, scalars = self.affine.unpack(self.y)
+        return Solution(
+            status=status,
+            values=values,
+            scalars=scalars,
+            objective=float(self.c @ self.y),
+            gap=getattr(self, "gap", float("inf")),
+            iterations=iterations,
+            seconds=time.perf_counter() - self.started,
+            engine="structured",
+            multipliers=None if Z is None else tuple(Z),
+            message=message,
+        )
