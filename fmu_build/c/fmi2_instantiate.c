@@ -1,0 +1,209 @@
+/* fmi2Instantiate, fmi2FreeInstance: the record of resources/model.bin turned
+ * into an instance, everything checked before the first use. */
+#include <stdio.h>
+#include <string.h>
+
+#include "instance.h"
+
+enum { FORMAT = 1, WHY_SIZE = 512 };
+static const size_t LARGEST_COUNT = 1u << 24;
+
+const char *fmi2GetTypesPlatform(void)
+{
+    return fmi2TypesPlatform;
+}
+
+const char *fmi2GetVersion(void)
+{
+    return fmi2Version;
+}
+
+static int count_is(const void *array, size_t got, size_t wanted)
+{
+    return got == wanted && (array != NULL || wanted == 0);
+}
+
+/* Finds the arrays that every record carries and checks their sizes. */
+static int read_tables(Instance *c, char *why)
+{
+    BlockLayout *n = &c->block.layout;
+    size_t k[12];
+    const int32_t *layout = record_i32(&c->record, "layout", &k[0]);
+    const int32_t *format = record_i32(&c->record, "format", &k[1]);
+    const double *step = record_f64(&c->record, "internal_step", &k[2]);
+
+    if (format == NULL || k[1] != 1 || format[0] != FORMAT) {
+        snprintf(why, WHY_SIZE, "resources/model.bin has format %d, this binary reads %d",
+                 format != NULL && k[1] == 1 ? (int)format[0] : -1, FORMAT);
+        return 1;
+    }
+    if (layout == NULL || k[0] != 9 || step == NULL || k[2] != 1 || !(step[0] > 0.0)) {
+        snprintf(why, WHY_SIZE, "resources/model.bin lacks `layout` or `internal_step`");
+        return 1;
+    }
+    for (int i = 0; i < 9; ++i)
+        if (layout[i] < 0 || (size_t)layout[i] > LARGEST_COUNT) {
+            snprintf(why, WHY_SIZE, "resources/model.bin: impossible count %d in `layout`", (int)layout[i]);
+            return 1;
+        }
+    n->n_x = (size_t)layout[0];  n->n_u = (size_t)layout[1];  n->n_y = (size_t)layout[2];
+    n->n_w = (size_t)layout[3];  n->n_p = (size_t)layout[4];  n->n_iu = (size_t)layout[5];
+    n->n_iy = (size_t)layout[6]; n->n_iw = (size_t)layout[7]; n->n_ip = (size_t)layout[8];
+    c->n_real = 2 * n->n_x + n->n_u + n->n_y + n->n_w + n->n_p;
+    c->n_integer = n->n_iu + n->n_iy + n->n_iw + n->n_ip;
+    c->internal_step = step[0];
+    c->start_real = record_f64(&c->record, "start.real", &k[3]);
+    c->min_real = record_f64(&c->record, "min.real", &k[4]);
+    c->max_real = record_f64(&c->record, "max.real", &k[5]);
+    c->flags_real = record_i32(&c->record, "flags.real", &k[6]);
+    c->start_integer = record_i32(&c->record, "start.integer", &k[7]);
+    c->min_integer = record_i32(&c->record, "min.integer", &k[8]);
+    c->max_integer = record_i32(&c->record, "max.integer", &k[9]);
+    c->flags_integer = record_i32(&c->record, "flags.integer", &k[10]);
+    c->type_integer = record_i32(&c->record, "type.integer", &k[11]);
+    for (int i = 3; i < 12; ++i) {
+        const void *const array[] = {c->start_real, c->min_real, c->max_real, c->flags_real, c->start_integer,
+                                     c->min_integer, c->max_integer, c->flags_integer, c->type_integer};
+        if (!count_is(array[i - 3], k[i], i < 7 ? c->n_real : c->n_integer)) {
+            snprintf(why, WHY_SIZE, "resources/model.bin: an array of variables does not fit `layout`");
+            return 1;
+        }
+    }
+    c->nominal_x = record_f64(&c->record, "nominal.x", &k[0]);
+    if (!count_is(c->nominal_x, k[0], n->n_x)) {
+        snprintf(why, WHY_SIZE, "resources/model.bin: `nominal.x` does not fit `layout`");
+        return 1;
+    }
+    return 0;
+}
+
+/* One piece for everything that an FMU state carries, pointers into it. */
+static int allocate(Instance *c, const BlockNeeds *needs)
+{
+    const BlockLayout *n = &c->block.layout;
+    const size_t doubles = c->n_real + n->n_x + 5 * n->n_u + n->n_y + needs->n_memory;
+    Block *b = &c->block;
+    double *d;
+
+    c->saved_size = sizeof(RunState) + doubles * sizeof(double) + (c->n_integer + n->n_u) * sizeof(int);
+    c->run = instance_allocate(&c->callbacks, c->saved_size);
+    if (!block_is_sampled) c->undo = instance_allocate(&c->callbacks, c->saved_size);
+    c->work = instance_allocate(&c->callbacks,
+                                (6 * n->n_x + 2 * n->n_u + n->n_y + needs->n_scratch) * sizeof(double));
+    if (c->run == NULL || c->work == NULL || (c->undo == NULL && !block_is_sampled)) return 1;
+
+    d = (double *)(c->run + 1);
+    c->real = d;
+    b->x = d;
+    b->dx = b->x + n->n_x;
+    b->u = b->dx + n->n_x;
+    b->y = b->u + n->n_u;
+    b->w = b->y + n->n_y;
+    b->p = b->w + n->n_w;
+    c->x_start = d + c->n_real;
+    c->u_slope = c->x_start + n->n_x;
+    c->u_poly = c->u_slope + n->n_u;
+    c->y_slope = c->u_poly + 4 * n->n_u;
+    b->memory = c->y_slope + n->n_y;
+    c->integer = (int *)(b->memory + needs->n_memory);
+    b->iu = c->integer;
+    b->iy = b->iu + n->n_iu;
+    b->iw = b->iy + n->n_iy;
+    b->ip = b->iw + n->n_iw;
+    b->u_order = c->integer + c->n_integer;
+    b->scratch = c->work + 6 * n->n_x + 2 * n->n_u + n->n_y;
+    b->record = &c->record;
+    return 0;
+}
+
+static int prepare(Instance *c, fmi2String location, fmi2String guid, char *why)
+{
+    BlockMessage message = {{0}};
+    BlockNeeds needs = {0, 0};
+    const char *reason, *own;
+    size_t size, length;
+
+    if (block_is_sampled && c->type == fmi2ModelExchange) {
+        snprintf(why, WHY_SIZE, "this FMU offers co-simulation only");
+        return 1;
+    }
+    c->record_bytes = resource_read(location, &c->callbacks, &size, why, WHY_SIZE);
+    if (c->record_bytes == NULL) return 1;
+    if (record_open(&c->record, c->record_bytes, size, &reason) != 0) {
+        snprintf(why, WHY_SIZE, "resources/model.bin: %s; extract the FMU again", reason);
+        return 1;
+    }
+    own = record_text(&c->record, "guid", &length);
+    if (own == NULL || length == 0 || own[length - 1] != 0) {
+        snprintf(why, WHY_SIZE, "resources/model.bin has no GUID");
+        return 1;
+    }
+    if (guid == NULL || strcmp(guid, own) != 0) {
+        snprintf(why, WHY_SIZE, "the GUID %.64s asked for is not that of resources/model.bin, %.64s; "
+                 "modelDescription.xml and resources come from different FMUs",
+                 guid != NULL ? guid : "(null)", own);
+        return 1;
+    }
+    if (read_tables(c, why) != 0) return 1;
+    if (block_needs(&c->record, &c->block.layout, &needs, &message) != BLOCK_OK) {
+        snprintf(why, WHY_SIZE, "resources/model.bin: %s", message.text);
+        return 1;
+    }
+    if (needs.n_memory > LARGEST_COUNT || needs.n_scratch > LARGEST_COUNT || allocate(c, &needs) != 0) {
+        snprintf(why, WHY_SIZE, "out of memory");
+        return 1;
+    }
+    return 0;
+}
+
+static void release(Instance *c)
+{
+    const fmi2CallbackFunctions callbacks = c->callbacks;
+
+    instance_release(&callbacks, c->run);
+    instance_release(&callbacks, c->undo);
+    instance_release(&callbacks, c->work);
+    instance_release(&callbacks, c->record_bytes);
+    instance_release(&callbacks, c->name);
+    instance_release(&callbacks, c);
+}
+
+fmi2Component fmi2Instantiate(fmi2String instance_name, fmi2Type type, fmi2String guid,
+                              fmi2String resource_location, const fmi2CallbackFunctions *functions,
+                              fmi2Boolean visible, fmi2Boolean logging_on)
+{
+    char why[WHY_SIZE] = "";
+    const char *name = instance_name != NULL && instance_name[0] != 0 ? instance_name : "unnamed";
+    Instance *c;
+
+    (void)visible;
+    if (functions == NULL) return NULL;
+    c = instance_allocate(functions, sizeof *c);
+    if (c == NULL) return NULL;
+    memset(c, 0, sizeof *c);
+    c->callbacks = *functions;
+    c->type = type;
+    c->name = instance_allocate(functions, strlen(name) + 1);
+    if (c->name == NULL) {
+        release(c);
+        return NULL;
+    }
+    memcpy(c->name, name, strlen(name) + 1);
+    if (instance_name == NULL || instance_name[0] == 0)
+        snprintf(why, sizeof why, "the instance name is empty");
+    else if (type != fmi2ModelExchange && type != fmi2CoSimulation)
+        snprintf(why, sizeof why, "unknown FMU type %d", (int)type);
+    else if (prepare(c, resource_location, guid, why) == 0) {
+        instance_reset_values(c);
+        if (logging_on) fmi2SetDebugLogging(c, fmi2True, 0, NULL);
+        return c;
+    }
+    instance_report(c, fmi2Error, "fmi2Instantiate", "%s", why);
+    release(c);
+    return NULL;
+}
+
+void fmi2FreeInstance(fmi2Component component)
+{
+    if (component != NULL) release(component);
+}

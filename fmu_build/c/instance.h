@@ -1,0 +1,102 @@
+#ifndef INTERAREA_INSTANCE_H
+#define INTERAREA_INSTANCE_H
+/* One FMI 2.0 component: a block, its variables in one piece of memory that can
+ * be saved by copying, and where it stands in the standard's call sequence.  */
+#include <stdint.h>
+
+#include "block.h"
+#include "fmi2Functions.h"
+
+typedef enum {
+    MODE_INSTANTIATED = 1,
+    MODE_INITIALIZATION = 2,
+    MODE_EVENT = 4,             /* model exchange                              */
+    MODE_CONTINUOUS = 8,        /* model exchange                              */
+    MODE_STEP_COMPLETE = 16,    /* co-simulation                               */
+    MODE_STEP_FAILED = 32,      /* co-simulation, after fmi2Discard            */
+    MODE_TERMINATED = 64,
+    MODE_ERROR = 128
+} Mode;
+
+enum {
+    MODES_ALL = 255,
+    MODES_RUNNING = MODE_EVENT | MODE_CONTINUOUS | MODE_STEP_COMPLETE,
+    MODES_READ = MODE_INITIALIZATION | MODES_RUNNING | MODE_STEP_FAILED | MODE_TERMINATED | MODE_ERROR
+};
+
+/* The scalars of a run that an FMU state carries; the arrays follow it in the
+ * same piece of memory. */
+typedef struct {
+    double time, start_time, stop_time;
+    double last_event;          /* events up to this time have been handled    */
+    double step_failed_at;      /* last successful time of a discarded step    */
+    int32_t mode, stop_defined;
+    int32_t outputs_fresh, derivatives_fresh;
+} RunState;
+
+/* When a variable may be set: `flags.real`, `flags.integer` of the record. */
+enum { SET_NEVER = 0, SET_START = 1, SET_ANY_TIME = 2 };
+/* `type.integer` of the record. */
+enum { TYPE_INTEGER = 0, TYPE_BOOLEAN = 1, TYPE_ENUMERATION = 2 };
+
+typedef struct {
+    fmi2CallbackFunctions callbacks;
+    fmi2Type type;
+    char *name;
+    int log_categories;         /* bit k: the k-th of LOG_CATEGORIES is on     */
+
+    unsigned char *record_bytes;
+    Record record;
+    Block block;
+    size_t n_real, n_integer;
+
+    RunState *run;              /* start of the saved piece                    */
+    size_t saved_size;
+    double *real;               /* by value reference; block.x ... block.p lie in it */
+    int *integer;               /* by value reference; block.iu ... block.ip lie in it */
+    double *x_start;            /* states as set before initialization ends    */
+    double *u_slope;            /* du/dt at the current time                   */
+    double *u_poly;             /* [4*i+k]: k-th derivative of input i over the coming step */
+    double *y_slope;            /* dy/dt, sampled blocks                       */
+
+    RunState *undo;             /* copy of the saved piece: a step to take back */
+    double *work;               /* solver: 6 n_x + n_u, directional: 2 n_x + n_u + n_y */
+
+    const double *start_real, *min_real, *max_real, *nominal_x;
+    const int32_t *start_integer, *min_integer, *max_integer;
+    const int32_t *flags_real, *flags_integer, *type_integer;
+    double internal_step;
+} Instance;
+
+/* instance.c */
+int instance_allowed(Instance *c, int modes, const char *call);
+/* Logs the text, and with fmi2Error puts the instance into its error mode.
+ * Returns `status`. */
+fmi2Status instance_report(Instance *c, fmi2Status status, const char *call,
+                           const char *format, ...);
+fmi2Status instance_report_block(Instance *c, BlockStatus status, const char *call,
+                                 const BlockMessage *message);
+void instance_log_event(Instance *c, const char *format, ...);
+const char *instance_real_name(const Instance *c, size_t reference);
+const char *instance_integer_name(const Instance *c, size_t reference);
+void *instance_allocate(const fmi2CallbackFunctions *callbacks, size_t bytes);
+void instance_release(const fmi2CallbackFunctions *callbacks, void *memory);
+void instance_reset_values(Instance *c);
+fmi2Status instance_initialise(Instance *c, const char *call);
+fmi2Status instance_refresh_outputs(Instance *c, const char *call);
+fmi2Status instance_refresh_derivatives(Instance *c, const char *call);
+fmi2Status instance_check_finite(Instance *c, const char *call);
+
+/* resource.c: reads `model.bin` out of the folder that a FMI resource location
+ * names. Returns null and writes what is wrong into why. */
+unsigned char *resource_read(const char *location, const fmi2CallbackFunctions *callbacks,
+                             size_t *size, char *why, size_t why_size);
+
+/* solver.c: from run->time to `end`, with inputs following u_poly from `begin`.
+ * Events on the way split the interval and are handled exactly. */
+BlockStatus solver_advance(Instance *c, double begin, double end, BlockMessage *message);
+/* Input values at `elapsed` seconds into the step. */
+void solver_inputs(const Instance *c, double elapsed, double *u);
+enum { SOLVER_MAX_SUBSTEPS = 1000000 };
+
+#endif
