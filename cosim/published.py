@@ -5,8 +5,10 @@ from __future__ import annotations
 import tomllib
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import resources
+from pathlib import Path
 from typing import Any
+
+TEMPLATES = Path(__file__).resolve().parent / "templates"
 
 
 @dataclass(frozen=True)
@@ -40,5 +42,4 @@ class PrintedNumber:
 @lru_cache(maxsize=1)
 def published() -> dict[str, Any]:
     """Return the tables `modes`, `loops`, `statement` and `figure` with their source key."""
-    text = resources.files("interarea.cosim").joinpath("templates/published.toml").read_text(encoding="utf-8")
-    return tomllib.loads(text)
+    return tomllib.loads((TEMPLATES / "published.toml").read_text(encoding="utf-8"))

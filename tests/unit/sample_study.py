@@ -1,0 +1,139 @@
+"""A study with made-up numbers in the form of `study.json`, to test what reads it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+NAMES = ("inter-area", "local area 1", "local area 2")
+CONDITIONS = ("normal", "remote lost", "synchronous 100 ms", "non-synchronous 100 ms")
+
+
+def sample_study() -> dict[str, Any]:
+    """Return a complete study: every key the report and the judgements read."""
+    return {
+        "schema": 1,
+        "case": "two-area-thesis",
+        "title": "The two-area study",
+        "plant": {"states": 55, "reference_removed": True},
+        "sector_note": "Pole sector: half-angle 75.5 degrees, least damping ratio .25.",
+        "modes": {
+            "inter-area": _mode(0.62272, 0.08059),
+            "local area 1": _mode(1.1393, 0.2466),
+            "local area 2": _mode(1.2109, 0.2041),
+        },
+        "loops": {
+            "ranking": [
+                {"actuator": "G4", "signal": "dw24", "index": 0.19},
+                {"actuator": "G4", "signal": "dw14", "index": 0.18},
+                {"actuator": "G2", "signal": "dw24", "index": 0.15},
+            ],
+            "selected": {"actuator": "G4", "signal": "dw24"},
+            "coordinates": "balanced coordinates of a 6-state reduction",
+        },
+        "reduction": {
+            order: {
+                "plant": "dw24 from G4",
+                "method": "balanced truncation",
+                "relative_error": 0.11 / int(order),
+                "relative_bound": 0.4 / int(order),
+                "relative_next_hankel": 0.05 / int(order),
+            }
+            for order in ("6", "8")
+        },
+        "controllers": {
+            "wdc": _controller(8, 4, 0.296, 0.21, 0.22),
+            "cc": _controller(8, 8, 0.311, 0.223, 0.083),
+            "ftc": _controller(8, 5, 0.344, 0.344, 0.11),
+        },
+        "sensitivity": {"s_at_zero": 1.0, "w1_s": 1.31, "w2_ks": 0.21},
+        "delay": {
+            "synchronous": _delay(0.6, 0.4301),
+            "non_synchronous": _delay(0.2, None),
+        },
+        "delay_table": [
+            {
+                "latency_s": d,
+                "synchronous": _cell(0.2 - 0.6 * d, stable=d < 0.4),
+                "non_synchronous": _cell(0.2 - 0.2 * d, stable=True),
+            }
+            for d in (0.05, 0.1, 0.2, 0.5)
+        ],
+        "scenarios": {
+            "none-pulse": _scenario(0.081, 13.1),
+            "wdc-pulse": _scenario(0.296, 4.2),
+            "cc-pulse": _scenario(0.31, 4.1),
+            "ftc-pulse": _scenario(0.344, 3.9),
+            "cc-lost-1s": _scenario(0.223, 5.9),
+            "ftc-lost-1s": _scenario(0.343, 3.8),
+            "wdc-synchronous-100ms": _scenario(0.24, 5.0),
+            "wdc-non-synchronous-100ms": _scenario(0.28, 4.4),
+            "wdc-margin-below": _scenario(0.004, None),
+            "wdc-margin-above": _scenario(-0.004, None),
+        },
+        "figures": {},
+        "provenance": {
+            "command": "interarea study thesis --out out",
+            "case_hash": "0123456789abcdef",
+            "case_source": "Kundur1994",
+            "published": "Sundaria2016",
+            "fmus": {"plant.fmu": "00ff"},
+            "versions": {"interarea": "0.1.0", "numpy": "2.0"},
+        },
+    }
+
+
+def _mode(frequency_hz: float, damping_ratio: float) -> dict[str, Any]:
+    w = 2.0 * math.pi * frequency_hz
+    real = -w * damping_ratio / math.sqrt(1.0 - damping_ratio**2)
+    return {"frequency_hz": frequency_hz, "damping_ratio": damping_ratio, "eigenvalue": [real, w]}
+
+
+def _controller(full: int, order: int, normal: float, lost: float, effort: float) -> dict[str, Any]:
+    return {
+        "order": order,
+        "order_full": full,
+        "damping_ratio": {
+            "normal": dict(zip(NAMES, (normal, 0.247, 0.23), strict=True)),
+            "remote_lost": dict(zip(NAMES, (lost, 0.247, 0.22), strict=True)),
+        },
+        "stable": {"normal": True, "remote_lost": lost > 0},
+        "slowest_pole": [-0.05, 0.0],
+        "fastest_pole": [-101.0, 9.0],
+        "effort": effort,
+        "remote_utilisation": 0.4,
+        "conditions": [
+            {
+                "condition": c,
+                "stable": True,
+                "damping_ratio": dict(zip(NAMES, (normal, 0.247, 0.23), strict=True)),
+                "rightmost": [-0.05, 0.0],
+            }
+            for c in CONDITIONS
+        ],
+    }
+
+
+def _delay(slope: float, margin_s: float | None) -> dict[str, Any]:
+    rows = [[k / 50.0, 0.23 - slope * k / 50.0] for k in range(26)]
+    return {"margin_s": margin_s, "damping": rows, "inter_area": [[d, z + 0.05] for d, z in rows]}
+
+
+def _cell(zeta: float, *, stable: bool) -> dict[str, Any]:
+    return {
+        "least": zeta,
+        "inter_area": zeta + 0.05,
+        "measured": zeta + 0.051,
+        "settling_time_s": 5.0 if stable else None,
+    }
+
+
+def _scenario(zeta: float, settling_time_s: float | None) -> dict[str, Any]:
+    return {
+        "title": "a run",
+        "stable": zeta > 0,
+        "damping_ratio": zeta,
+        "settling_time_s": settling_time_s,
+        "peak_dw24": 8.1e-4,
+        "energy": 3.2e-7,
+    }
