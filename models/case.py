@@ -32,7 +32,8 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from .case_errors import CaseError, nearest, one_line
-from .case_schema import Branch, Bus, Load, Machine, Positive, Shunt, Tie
+from .case_schema import Branch, Bus, Load, Machine, Shunt, Tie
+from .case_schema_controls import Positive
 from .events import Event, check_events, events_of
 
 __all__ = ["Case", "CaseError", "apply_change", "case_names", "case_of", "load_case", "merge", "nearest"]
