@@ -1,0 +1,298 @@
+"""Fixed-order controllers that hold the worst damping up over operating points, losses and latencies.
+
+The recipe: reduce each operating point's plant, put a Pade model of each latency
+and a washout in, and minimise the smoothed objective of `smoothed.py` from
+several random stable starts with its analytic gradient; polish the best. What
+comes out is only a proposal: `certificate.py` judges it on the full plants with
+exact delays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import control
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize
+
+from .delay import pade
+from .errors import InfeasibleDesign
+from .linearise import select, speeds_in_rad
+from .norms import frequency_response
+from .reduction import balanced_truncation
+from .smoothed import Array, Complex, DesignModel, EffortGrid, Objective
+from .solve import one_blas_thread
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What the signals suffer: names of lost signals, latency (s) of the others (0 where not named)."""
+
+    name: str
+    lost: tuple[str, ...] = ()
+    latency_s: Mapping[str, float] = field(default_factory=dict)
+
+
+def condition_of(code: str, local: str, remote: str) -> Condition:
+    """Return the condition of a short code, for one local and one remote signal.
+
+    ``N`` normal, ``L`` remote lost, ``ns150`` non-synchronous (remote late by 150 ms),
+    ``s100`` synchronous (both late by 100 ms), ``L+s100`` remote lost and local late.
+
+    Raises ValueError for any other code.
+    """
+    lost: tuple[str, ...] = ()
+    latency: dict[str, float] = {}
+    for part in code.split("+"):
+        digits = part.lstrip("ns")
+        if part == "N":
+            continue
+        if part == "L":
+            lost = (remote,)
+        elif digits.isdigit() and part[: -len(digits)] in ("s", "ns"):
+            late = (remote,) if part.startswith("ns") else (local, remote)
+            latency = {name: int(digits) / 1000.0 for name in late}
+        else:
+            raise ValueError(f"condition {code!r}: parts are N, L, s<ms> or ns<ms> joined by +, got {part!r}")
+    return Condition(code, lost, {k: v for k, v in latency.items() if k not in lost})
+
+
+@dataclass(frozen=True)
+class RobustSpec:
+    """What a robust design must hold, and how hard to try.
+
+    signals : controller inputs (speeds, rad/s), e.g. ("G2_dw", "G4_dw").
+    actuators : controller outputs (pu), e.g. ("G4_vs",).
+    sees : actuator -> (signals, order) of a decentralised controller; empty = one full controller.
+    effort_cap : (omega, cap) nodes in rad/s and pu per rad/s, log-log interpolated; None = no cap.
+    washout_s : time constant of sT/(1+sT) in series with each output; 0 = none.
+    """
+
+    signals: tuple[str, ...]
+    actuators: tuple[str, ...]
+    conditions: tuple[Condition, ...]
+    order: int = 6
+    sees: Mapping[str, tuple[tuple[str, ...], int]] = field(default_factory=dict)
+    effort_cap: tuple[tuple[float, float], ...] | None = ((0.05, 0.15), (300.0, 0.15))
+    washout_s: float = 2.0
+    plant_order: int = 16
+    pade_order: int = 3
+    starts: int = 6
+    evaluations: int = 600
+    polish: int = 1500
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not self.order >= 1:
+            raise ValueError(f"robust design: order is {self.order}, at least 1 is needed")
+        for condition in self.conditions:
+            unknown = {*condition.lost, *condition.latency_s} - set(self.signals)
+            if unknown:
+                raise ValueError(
+                    f"condition {condition.name!r} names {sorted(unknown)}; the controller's signals are "
+                    f"{', '.join(self.signals)}"
+                )
+
+
+@dataclass(frozen=True)
+class RobustDesign:
+    """A proposal and the figures of its design models (not of the full plants)."""
+
+    system: control.StateSpace  #: signals (rad/s) -> actuators (pu), washout included
+    objective: float
+    worst_damping: float  #: over design models, Pade and filter modes counted
+    rightmost: float  #: largest real part over design models, 1/s
+    evaluations: int
+    starts: tuple[float, ...]  #: objective reached from each start
+
+
+def design_robust(
+    plants: Mapping[str, control.StateSpace],
+    spec: RobustSpec,
+    omega_b: float,
+    *,
+    progress: Callable[[str, float], None] | None = None,
+) -> RobustDesign:
+    """Return the best controller found for `spec` over all `plants` and conditions.
+
+    Parameters
+    ----------
+    plants : operating point -> full linear plant without reference mode, outputs in pu as linearised.
+    omega_b : rated speed, rad/s.
+    progress : called with (what, objective) after each start.
+
+    Raises
+    ------
+    InfeasibleDesign : no start led to a controller that keeps every design model stable.
+    """
+    objective = build_objective(plants, spec, omega_b)
+    rng = np.random.default_rng(spec.seed)
+    best: tuple[float, Array] | None = None
+    reached: list[float] = []
+    count = 0
+    with one_blas_thread():
+        for k in range(spec.starts):
+            theta, used = _descend(objective, _stable_start(objective, rng), spec.evaluations)
+            count += used
+            value = objective(theta)[0]
+            reached.append(value)
+            if best is None or value < best[0]:
+                best = (value, theta)
+            if progress is not None:
+                progress(f"start {k + 1} of {spec.starts}", value)
+        assert best is not None
+        theta, used = _descend(objective, best[1], spec.polish)
+        count += used
+        value = objective(theta)[0]
+    rightmost, worst = objective.worst(theta)
+    if not rightmost < 0.0:
+        raise InfeasibleDesign(
+            f"robust design: no controller of order {spec.order} kept all {len(objective.models)} design "
+            f"models stable in {spec.starts} starts (largest real part {rightmost:.3g} 1/s); raise the "
+            "order, lower the largest latency or take out the hardest operating point",
+            constraint="stability",
+            asked=spec.order,
+        )
+    K = _with_washout(objective.unpack(theta), spec)
+    return RobustDesign(K, value, worst, rightmost, count, tuple(reached))
+
+
+def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, omega_b: float) -> Objective:
+    """Return the objective of `spec`: one design model per operating point and condition."""
+    models: list[DesignModel] = []
+    efforts: list[EffortGrid] = []
+    omega = np.geomspace(0.3, 300.0, 60)
+    for point, plant in plants.items():
+        full = select(speeds_in_rad(plant, omega_b), list(spec.actuators), list(spec.signals))
+        unstable = int(np.count_nonzero(np.linalg.eigvals(full.A).real >= 0.0))
+        small = balanced_truncation(full, max(spec.plant_order, unstable + 2)).system
+        response = frequency_response(full.A, full.B, full.C, full.D, omega)
+        for condition in spec.conditions:
+            name = f"{point}: {condition.name}"
+            models.append(_design_model(name, small, spec, condition))
+            if spec.effort_cap is not None:
+                efforts.append(_effort_grid(name, omega, response, spec, condition))
+    return Objective(models, _total_order(spec), efforts, mask=_structure(spec))
+
+
+def _total_order(spec: RobustSpec) -> int:
+    return sum(order for _, order in spec.sees.values()) if spec.sees else spec.order
+
+
+def _structure(spec: RobustSpec) -> npt.NDArray[np.bool_] | None:
+    if not spec.sees:
+        return None
+    n, p, m = _total_order(spec), len(spec.signals), len(spec.actuators)
+    A, B, C = np.zeros((n, n), bool), np.zeros((n, p), bool), np.zeros((m, n), bool)
+    first = 0
+    for row, actuator in enumerate(spec.actuators):
+        signals, order = spec.sees[actuator]
+        states = slice(first, first + order)
+        A[states, states] = True
+        C[row, states] = True
+        for signal in signals:
+            B[states, spec.signals.index(signal)] = True
+        first += order
+    return np.concatenate([A.ravel(), B.ravel(), C.ravel()])
+
+
+def _design_model(
+    name: str, plant: control.StateSpace, spec: RobustSpec, condition: Condition
+) -> DesignModel:
+    """Chain washout, plant and Pade models; lost signals give zero."""
+    A, B, C = (np.asarray(M, dtype=float) for M in (plant.A, plant.B, plant.C))
+    if spec.washout_s > 0.0:
+        # u_plant = u - w,  T w' = u - w, one per actuator
+        m, T = B.shape[1], spec.washout_s
+        A = np.block([[A, -B], [np.zeros((m, A.shape[0])), -np.eye(m) / T]])
+        B = np.vstack([B, np.eye(m) / T])
+        C = np.hstack([C, np.zeros((C.shape[0], m))])
+    rows = []
+    for k, signal in enumerate(spec.signals):
+        row = np.zeros((1, A.shape[0]))
+        latency = condition.latency_s.get(signal, 0.0)
+        if signal in condition.lost:
+            pass
+        elif latency > 0.0:
+            late = pade(latency, spec.pade_order)
+            size = A.shape[0]
+            delayed = late.B @ C[k : k + 1]
+            A = np.block([[A, np.zeros((size, late.A.shape[0]))], [delayed, late.A]])
+            B = np.vstack([B, np.zeros((late.A.shape[0], B.shape[1]))])
+            C = np.hstack([C, np.zeros((C.shape[0], late.A.shape[0]))])
+            row = np.hstack([late.D @ C[k : k + 1, :size], late.C])
+        else:
+            row = C[k : k + 1]
+        rows.append(row)
+    width = A.shape[0]
+    C_seen = np.vstack([np.hstack([row, np.zeros((1, width - row.shape[1]))]) for row in rows])
+    return DesignModel(name, A, B, C_seen)
+
+
+def _effort_grid(
+    name: str, omega: Array, response: Complex, spec: RobustSpec, condition: Condition
+) -> EffortGrid:
+    assert spec.effort_cap is not None
+    nodes = np.array(spec.effort_cap)
+    cap = np.exp(np.interp(np.log(omega), np.log(nodes[:, 0]), np.log(nodes[:, 1])))
+    seen = response.copy()
+    for k, signal in enumerate(spec.signals):
+        late = np.exp(-1j * omega * condition.latency_s.get(signal, 0.0))
+        seen[:, k, :] *= 0.0 if signal in condition.lost else late[:, None]
+    if spec.washout_s > 0.0:
+        s = 1j * omega * spec.washout_s
+        # the filter belongs to the controller: its gain is taken out of the cap, put into the plant
+        washout = s / (1.0 + s)
+        seen = seen * washout[:, None, None]
+        cap = cap / np.abs(washout)
+    return EffortGrid(name, omega, seen, cap)
+
+
+def _stable_start(objective: Objective, rng: np.random.Generator) -> Array:
+    """A random stable controller, its gain lowered until every model is stable and the effort near its cap."""
+    n, p, m = objective.order, objective.n_y, objective.n_u
+    A = rng.normal(size=(n, n))
+    A = A - A.T + np.diag(rng.normal(size=n))
+    A = 6.0 * (A - (max(np.linalg.eigvals(A).real.max(), 0.0) + 0.5) * np.eye(n))
+    B, C = rng.normal(size=(n, p)), rng.normal(size=(m, n))
+    theta = objective.pack(A, B, C)
+    A, B, C = objective.unpack(theta)
+    for _ in range(60):
+        theta = objective.pack(A, B, C)
+        if objective.worst(theta)[0] < 0.0 and objective(theta)[0] < 1.0:
+            break
+        C = 0.7 * C
+    return objective.pack(A, B, C)
+
+
+def _descend(objective: Objective, start: Array, evaluations: int) -> tuple[Array, int]:
+    """L-BFGS with the analytic gradient; the last iterate is the best it saw."""
+    result = minimize(
+        objective,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        options={"maxfun": evaluations, "maxiter": evaluations, "maxcor": 30, "ftol": 1e-12, "gtol": 1e-9},
+    )
+    return np.asarray(result.x), int(result.nfev)
+
+
+def _with_washout(K: tuple[Array, Array, Array], spec: RobustSpec) -> control.StateSpace:
+    A, B, C = K
+    n, m = A.shape[0], C.shape[0]
+    if spec.washout_s > 0.0:
+        T = spec.washout_s
+        A = np.block([[A, np.zeros((n, m))], [C / T, -np.eye(m) / T]])
+        B = np.vstack([B, np.zeros((m, B.shape[1]))])
+        C = np.hstack([C, -np.eye(m)])
+    return control.ss(
+        A,
+        B,
+        C,
+        np.zeros((m, B.shape[1])),
+        inputs=list(spec.signals),
+        outputs=list(spec.actuators),
+        name="robust",
+    )
