@@ -88,6 +88,7 @@ static int step_is_sane(Instance *c, double begin, double step, const char *call
 {
     const RunState *run = c->run;
     const double slack = 1e-9 * (1.0 + fabs(run->time)) + 1e-6 * step;
+    const double longest = c->internal_step * (double)SOLVER_MAX_SUBSTEPS;
 
     if (!isfinite(begin) || !isfinite(step) || !(step > 0.0))
         instance_report(c, fmi2Error, call, "communication point %g with step %g; a finite point and a "
@@ -95,9 +96,9 @@ static int step_is_sane(Instance *c, double begin, double step, const char *call
     else if (!(fabs(begin - run->time) <= slack))
         instance_report(c, fmi2Error, call, "communication point %.17g, but the last step ended at %.17g",
                         begin, run->time);
-    else if (!(step <= c->internal_step * SOLVER_MAX_SUBSTEPS))
+    else if (!(step <= longest))
         instance_report(c, fmi2Error, call, "a step of %g s at time %.9g s is longer than the allowed %g s",
-                        step, run->time, c->internal_step * SOLVER_MAX_SUBSTEPS);
+                        step, run->time, longest);
     else if (run->stop_defined && !(begin + step <= run->stop_time + slack))
         instance_report(c, fmi2Error, call, "the step to %.17g passes the stop time %.17g", begin + step,
                         run->stop_time);

@@ -1,0 +1,1 @@
+"""Co-simulation of FMUs with exact delays: master, scenarios, metrics, study."""

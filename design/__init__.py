@@ -1,0 +1,1 @@
+"""From a plant to a controller: modes, loops, reduction, LMI synthesis, certificates."""

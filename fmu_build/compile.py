@@ -1,0 +1,265 @@
+"""Compile one generic FMI 2.0 binary per block kind and platform, cached by content.
+
+The compiler is ``$CC`` if that is set, else zig from the ``ziglang`` wheel, which
+also compiles for the platforms it does not run on. A binary is named in the
+cache by a hash of everything that decides its bytes: sources, headers, flags,
+target and compiler version.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.util
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from .errors import BuildError
+
+_C = Path(__file__).resolve().parent / "c"
+_FLAGS = (
+    "-std=c99 -O2 -ffp-contract=off -fvisibility=hidden -fno-ident -g0 "
+    "-Wall -Wextra -Wpedantic -Wconversion -Werror"
+).split()
+
+
+@dataclass(frozen=True)
+class Platform:
+    """Where a binary runs: its folder under ``binaries/``, zig's target, its suffix."""
+
+    name: str
+    folder: str
+    target: str
+    suffix: str
+    compile_flags: tuple[str, ...] = ()
+    link_flags: tuple[str, ...] = ()
+
+
+#: Platforms by name; `folder` is FMI 2.0's where the standard has one.
+PLATFORMS: dict[str, Platform] = {
+    p.name: p
+    for p in (
+        Platform("linux64", "linux64", "x86_64-linux-gnu.2.17", ".so", ("-fPIC",), ("-lm", "-Wl,-s")),
+        Platform("win64", "win64", "x86_64-windows-gnu", ".dll", (), ("-Wl,-s",)),
+        Platform("darwin64", "darwin64", "x86_64-macos.11.0", ".dylib", ("-fPIC",)),
+        Platform("darwin-arm64", "aarch64-darwin", "aarch64-macos.11.0", ".dylib", ("-fPIC",)),
+        Platform(
+            "linux-arm64", "aarch64-linux", "aarch64-linux-gnu.2.17", ".so", ("-fPIC",), ("-lm", "-Wl,-s")
+        ),
+    )
+}
+
+
+def host_platform() -> str:
+    """Return the name of the platform this Python runs on.
+
+    Raises
+    ------
+    BuildError : a platform that no binary is made for.
+    """
+    import platform
+
+    machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
+    names = {
+        ("linux", "x86_64"): "linux64",
+        ("linux", "aarch64"): "linux-arm64",
+        ("win32", "x86_64"): "win64",
+        ("darwin", "x86_64"): "darwin64",
+        ("darwin", "aarch64"): "darwin-arm64",
+    }
+    name = names.get((sys.platform, machine))
+    if name is None:
+        raise BuildError(
+            f"no FMU binary is made for {sys.platform} on {machine}; allowed: {', '.join(PLATFORMS)}"
+        )
+    return name
+
+
+def fmi_sources() -> tuple[Path, ...]:
+    """Return the C files of the FMI layer, which is the same for every block."""
+    return tuple(sorted(_C.glob("*.c")))
+
+
+def fmi_headers() -> Path:
+    """Return the folder with the standard's headers, shipped by fmpy.
+
+    Raises
+    ------
+    BuildError : fmpy is not installed.
+    """
+    spec = importlib.util.find_spec("fmpy")
+    if spec is None or spec.origin is None:
+        raise BuildError("the FMI 2.0 headers come with fmpy, which is not installed; run `pip install fmpy`")
+    return Path(spec.origin).parent / "c-code"
+
+
+def source_files(block_sources: tuple[Path, ...]) -> dict[str, bytes]:
+    """Return every C file and header of a block's binary, flat, by file name.
+
+    Quoted includes are followed and rewritten to bare names, so that the files
+    compile from one folder (``sources/`` of the FMU) with no include path.
+
+    Raises
+    ------
+    BuildError : an include that is not there, or two different files of one name.
+    """
+    files: dict[str, bytes] = {}
+    origin: dict[str, Path] = {}
+    to_do = [p.resolve() for p in (*fmi_sources(), *block_sources)]
+    folders = (_C, fmi_headers(), _block_folder())
+    while to_do:
+        path = to_do.pop()
+        if path.name in origin:
+            if origin[path.name] != path:
+                raise BuildError(
+                    f"two C files are called {path.name}: {origin[path.name]} and {path}; rename one"
+                )
+            continue
+        origin[path.name] = path
+        try:
+            text = path.read_text(encoding="utf-8")
+        except OSError as error:
+            raise BuildError(f"cannot read the C file {path}: {error}") from error
+        lines = []
+        for line in text.splitlines():
+            words = line.split('"')
+            if line.startswith("#include") and len(words) >= 3:
+                found = [f / words[1] for f in (path.parent, *folders) if (f / words[1]).is_file()]
+                if not found:
+                    raise BuildError(
+                        f'{path}: #include "{words[1]}" is neither beside it nor among the headers'
+                    )
+                to_do.append(found[0].resolve())
+                line = f'#include "{found[0].name}"'
+            lines.append(line)
+        files[path.name] = ("\n".join(lines) + "\n").encode("utf-8")
+    return dict(sorted(files.items()))
+
+
+def record_source() -> Path:
+    """Return the C file that reads ``resources/model.bin``; every binary has it."""
+    return _block_folder() / "record.c"
+
+
+def _block_folder() -> Path:
+    """Folder of block.h and record.c."""
+    spec = importlib.util.find_spec("interarea.models")
+    assert spec is not None and spec.submodule_search_locations
+    return Path(next(iter(spec.submodule_search_locations))).resolve() / "block"
+
+
+def compile_binary(
+    kind: str, block_sources: tuple[Path, ...], platform: str, *, cache: Path | None = None
+) -> Path:
+    """Return the cached binary of a block kind for a platform, compiling it if need be.
+
+    Parameters
+    ----------
+    kind : name of the block kind; only for messages and the file name.
+    block_sources : C files of the block; headers are found beside them.
+    platform : a key of `PLATFORMS`.
+    cache : folder of compiled binaries; default ``$INTERAREA_CACHE``, else the user's cache folder.
+
+    Raises
+    ------
+    BuildError : unknown platform, no compiler, or the compiler's own message.
+    """
+    if platform not in PLATFORMS:
+        raise BuildError(f"unknown platform {platform!r}; allowed: {', '.join(PLATFORMS)}")
+    to = PLATFORMS[platform]
+    sources = source_files((*block_sources, record_source()))
+    return _compiled(kind, tuple(sources.items()), to, cache or default_cache())
+
+
+def default_cache() -> Path:
+    """Return ``$INTERAREA_CACHE``, else the user's cache folder."""
+    if os.environ.get("INTERAREA_CACHE"):
+        return Path(os.environ["INTERAREA_CACHE"])
+    if sys.platform == "win32" and os.environ.get("LOCALAPPDATA"):
+        return Path(os.environ["LOCALAPPDATA"]) / "interarea"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "interarea"
+
+
+def _compiled(kind: str, sources: tuple[tuple[str, bytes], ...], to: Platform, cache: Path) -> Path:
+    command, version = _compiler()
+    flags = [*_FLAGS, *to.compile_flags, "-shared", *to.link_flags]
+    if "ziglang" in command:
+        flags += ["-target", to.target]
+        if to.name.startswith("darwin"):
+            flags.append(f"-Wl,-install_name,@rpath/{kind}.dylib")
+    elif to.name != host_platform():
+        raise BuildError(
+            f"$CC ({shlex.join(command)}) compiles for {host_platform()}, not for {to.name}; "
+            "unset CC and `pip install ziglang` to build for other platforms"
+        )
+    digest = hashlib.sha256(repr((kind, sources, flags, to.name, version)).encode()).hexdigest()
+    result = cache / "binaries" / f"{kind}-{to.name}-{digest[:24]}{to.suffix}"
+    if result.is_file():
+        return result
+    result.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=result.parent, prefix=f".{kind}-") as folder:
+        for name, content in sources:
+            (Path(folder) / name).write_bytes(content)
+        c_files = [name for name, _ in sources if name.endswith(".c")]
+        output = f"{kind}{to.suffix}"
+        _run_compiler([*command, *flags, *c_files, "-I.", "-o", output], Path(folder), cache, kind, to.name)
+        # A rename is atomic: another process building the same binary sees a whole file or none.
+        os.replace(Path(folder) / output, result)
+    return result
+
+
+def _run_compiler(command: list[str], folder: Path, cache: Path, kind: str, platform: str) -> None:
+    zig_cache = str((cache / "zig").absolute())
+    environment = {
+        **os.environ,
+        "ZIG_GLOBAL_CACHE_DIR": zig_cache,
+        "ZIG_LOCAL_CACHE_DIR": zig_cache,
+        "LC_ALL": "C",
+    }
+    try:
+        done = subprocess.run(
+            command,
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            check=False,
+        )
+    except OSError as error:
+        raise BuildError(f"cannot run the C compiler {command[0]!r}: {error}") from error
+    if done.returncode != 0:
+        raise BuildError(
+            f"compiling {kind} for {platform} failed with code {done.returncode}:\n{done.stderr.strip()[-4000:]}"
+        )
+
+
+def _compiler() -> tuple[list[str], str]:
+    """Command of the C compiler and its version."""
+    return _compiler_of(os.environ.get("CC", "").strip())
+
+
+@functools.lru_cache(maxsize=8)
+def _compiler_of(chosen: str) -> tuple[list[str], str]:
+    if chosen:
+        command = shlex.split(chosen)
+        if shutil.which(command[0]) is None:
+            raise BuildError(
+                f"the C compiler {command[0]!r} that $CC names is not there; unset CC to use zig"
+            )
+        done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False)
+        return command, f"{chosen}\n{done.stdout}"
+    if importlib.util.find_spec("ziglang") is None:
+        raise BuildError(
+            "no C compiler: the ziglang package is not installed and $CC is not set; "
+            "run `pip install ziglang` or set CC, e.g. CC=gcc"
+        )
+    from importlib.metadata import version
+
+    return [sys.executable, "-m", "ziglang", "cc"], f"ziglang {version('ziglang')}"

@@ -1,0 +1,30 @@
+"""Errors of the FMU builder and of opened FMUs."""
+
+from __future__ import annotations
+
+
+class BuildError(RuntimeError):
+    """An FMU could not be built: no compiler, a compiler error, or a block whose parts do not fit."""
+
+
+class FmuError(RuntimeError):
+    """A call into an FMU failed.
+
+    Attributes
+    ----------
+    instance : name of the FMU instance.
+    call : FMI function that failed.
+    time_s : simulation time of the call in seconds, or None before a run.
+    log_line : last line that the FMU logged, or "".
+    """
+
+    def __init__(
+        self, instance: str, call: str, reason: str, *, time_s: float | None = None, log_line: str = ""
+    ) -> None:
+        self.instance = instance
+        self.call = call
+        self.time_s = time_s
+        self.log_line = log_line
+        when = "" if time_s is None else f" at {time_s:.9g} s"
+        said = f"; it said: {log_line}" if log_line else ""
+        super().__init__(f"{instance}: {call}{when}: {reason}{said}")

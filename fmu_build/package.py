@@ -1,0 +1,130 @@
+"""Put a block together as an FMU: one archive, the same bytes for the same block."""
+
+from __future__ import annotations
+
+import functools
+import io
+import os
+import re
+import struct
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import jinja2
+import numpy as np
+
+from interarea.models.variables import Block
+
+from .compile import PLATFORMS, compile_binary, host_platform, record_source, source_files
+from .errors import BuildError
+from .render import product_version, render
+
+_TEMPLATES = Path(__file__).resolve().parent / "templates"
+_EPOCH = (1980, 1, 1, 0, 0, 0)
+
+
+def build_fmu(
+    block: Block, path: Path | str, *, platforms: Sequence[str] | None = None, cache: Path | None = None
+) -> Path:
+    """Write `block` as an FMU for model exchange and co-simulation; return its path.
+
+    Parameters
+    ----------
+    path : the file to write, or an existing folder to write ``NAME.fmu`` into.
+    platforms : keys of `compile.PLATFORMS`; None = the one this Python runs on.
+    cache : folder of compiled binaries; default ``$INTERAREA_CACHE``, else the user's cache folder.
+
+    Raises
+    ------
+    BuildError : no compiler, an unknown platform, or a name that is no C identifier.
+    """
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", block.name):
+        raise BuildError(
+            f"block name {block.name!r} is no C identifier; use letters, digits and _ (it names the binary)"
+        )
+    path = Path(path)
+    if path.is_dir():
+        path = path / f"{block.name}.fmu"
+    names = [host_platform()] if platforms is None else list(dict.fromkeys(platforms))
+    if not names:
+        raise BuildError(f"no platform was asked for; allowed: {', '.join(PLATFORMS)}")
+    binaries = {name: compile_binary(block.kind, block.sources, name, cache=cache) for name in names}
+    content = _archive(block, {name: file.read_bytes() for name, file in binaries.items()})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # Written beside and renamed, so that nobody ever opens half an FMU.
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        Path(temporary).chmod(0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+    return path
+
+
+def _archive(block: Block, binaries: dict[str, bytes]) -> bytes:
+    """Bytes of the FMU; entries sorted, one fixed date, so nothing depends on when or where."""
+    sources = source_files((*block.sources, record_source()))
+    description, record = render(block, sources)
+    entries: dict[str, bytes] = {
+        "modelDescription.xml": description.encode("utf-8"),
+        "model.png": _picture(),
+        "resources/model.bin": record,
+        "documentation/index.html": _documentation(block).encode("utf-8"),
+        "documentation/licenses/license.txt": (_TEMPLATES / "license.txt").read_bytes(),
+    }
+    for name, content in sources.items():
+        entries[f"sources/{name}"] = content
+    for name, content in binaries.items():
+        platform = PLATFORMS[name]
+        entries[f"binaries/{platform.folder}/{block.name}{platform.suffix}"] = content
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
+        # modelDescription.xml first: tools that stream find it at once.
+        for name in sorted(entries, key=lambda n: (n != "modelDescription.xml", n)):
+            info = zipfile.ZipInfo(name, date_time=_EPOCH)
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.create_system = 3
+            info.external_attr = 0o100644 << 16
+            archive.writestr(info, entries[name])
+    return buffer.getvalue()
+
+
+@functools.cache
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(_TEMPLATES), autoescape=True)
+    return environment.get_template("documentation.html")
+
+
+def _documentation(block: Block) -> str:
+    return _template().render(block=block, version=product_version())
+
+
+@functools.cache
+def _picture() -> bytes:
+    """PNG of a decaying oscillation, 128 by 128 pixels."""
+    size = 128
+    image = np.full((size, size), 255, dtype=np.uint8)
+    image[size // 2, 8 : size - 8] = 190
+    s = np.linspace(0.0, 1.0, 40 * size)
+    columns = (8 + s * (size - 17)).round().astype(int)
+    rows = size / 2 - 48 * np.exp(-3.0 * s) * np.cos(2 * np.pi * 4 * s)
+    for offset in (-1, 0, 1):
+        image[np.clip(rows.round().astype(int) + offset, 0, size - 1), columns] = 40
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", size, size, 8, 0, 0, 0, 0)
+    rows_bytes = b"".join(b"\0" + row.tobytes() for row in image)
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"IDAT", zlib.compress(rows_bytes, 9))
+        + chunk(b"IEND", b"")
+    )

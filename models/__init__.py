@@ -1,0 +1,1 @@
+"""Physics in C, case data, and what a plant is."""
