@@ -1,0 +1,238 @@
+"""From a nonlinear plant to a linear system: exact matrices, checked, reference angle removed once.
+
+The plant supplies its own Jacobians; nothing here trusts them. Central differences at
+two steps must agree with each other and with the exact matrices, so that an active limit,
+a kink at the operating point or a wrong derivative is an error and not a wrong eigenvalue.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from interarea.models.plant import Plant
+
+Matrix = NDArray[np.float64]
+
+
+class LinearisationError(ValueError):
+    """The linear model would not describe the plant at this operating point."""
+
+
+def linearise(
+    plant: Plant, *, rest: float = 1e-7, step: float = 1e-5, tolerance: float = 1e-6
+) -> control.StateSpace:
+    r"""Linearise a plant at its operating point.
+
+    :math:`\dot x = f(x, u),\ y = h(x, u)` at :math:`f(x_0, u_0) = 0` gives
+    :math:`A = \partial f/\partial x` and so on, taken from ``plant.jacobians()``. The
+    differences :math:`D_h = (f(x_0 + h e_i) - f(x_0 - h e_i))/2h` at h and 2h must agree with each
+    other, and :math:`(4 D_h - D_{2h})/3` with the exact column, to `tolerance` of the largest
+    entry of the row.
+
+    Parameters
+    ----------
+    plant : anything that follows the `Plant` protocol; n states, m inputs, p outputs.
+    rest : largest \|dx/dt\| accepted at the operating point, unit of the state per second.
+    step : step of the differences, relative to max(1, \|x_i\|).
+    tolerance : largest relative disagreement.
+
+    Returns
+    -------
+    StateSpace with A (n, n), B (n, m), C (p, n), D (p, m) and the plant's names; speeds in pu.
+
+    Raises
+    ------
+    LinearisationError : not at rest, not finite, or derivatives that disagree (named).
+    """
+    x0, u0 = (np.asarray(v, dtype=float) for v in plant.operating_point())
+    states, inputs, outputs = list(plant.state_names), list(plant.input_names), list(plant.output_names)
+    dx0, _ = plant.derivatives(x0, u0)
+    worst = int(np.argmax(np.where(np.isfinite(dx0), np.abs(dx0), np.inf))) if x0.size else 0
+    if x0.size and not abs(dx0[worst]) <= rest:
+        raise LinearisationError(
+            f"the plant is not at rest: d {states[worst]}/dt = {dx0[worst]:.3g} at its operating point, "
+            f"allowed is {rest:g}; solve the equilibrium before linearising"
+        )
+    A, B, C, D = (np.asarray(M, dtype=float) for M in plant.jacobians())
+    exact = np.block([[A, B], [C, D]])
+    if exact.shape != (len(states) + len(outputs), len(states) + len(inputs)):
+        raise LinearisationError(
+            f"Jacobians of shape {exact.shape} for {len(states)} states, {len(inputs)} inputs and "
+            f"{len(outputs)} outputs; the plant must return A, B, C, D in the order of its names"
+        )
+    if not np.all(np.isfinite(exact)):
+        row, col = np.argwhere(~np.isfinite(exact))[0]
+        raise LinearisationError(f"d {(states + outputs)[row]} / d {(states + inputs)[col]} is not finite")
+    _check_differences(plant, x0, u0, exact, step, tolerance)
+    return control.ss(A, B, C, D, states=states, inputs=inputs, outputs=outputs)
+
+
+def _check_differences(plant: Plant, x0: Matrix, u0: Matrix, exact: Matrix, step: float, tol: float) -> None:
+    """Raise unless differences at two steps agree with each other and with the exact matrices."""
+    z0 = np.concatenate([x0, u0])
+    n = x0.size
+
+    def column(i: int, h: float) -> Matrix:
+        ends = []
+        for sign in (1.0, -1.0):
+            z = z0.copy()
+            z[i] += sign * h
+            dx, y = plant.derivatives(z[:n], z[n:])
+            ends.append(np.concatenate([dx, y]))
+        return np.asarray((ends[0] - ends[1]) / (2.0 * h))
+
+    steps = step * np.maximum(1.0, np.abs(z0))
+    one = np.column_stack([column(i, steps[i]) for i in range(z0.size)])
+    two = np.column_stack([column(i, 2.0 * steps[i]) for i in range(z0.size)])
+    scale = np.maximum(np.max(np.abs(exact), axis=1, keepdims=True), 1.0)
+    rows = [f"d({name})/dt" for name in plant.state_names] + list(plant.output_names)
+    cols = list(plant.state_names) + list(plant.input_names)
+    for what, error in (
+        ("differences at two steps disagree", np.abs(one - two) / scale),
+        ("the exact Jacobian disagrees with differences", np.abs((4.0 * one - two) / 3.0 - exact) / scale),
+    ):
+        if not np.all(error <= tol):
+            row, col = np.unravel_index(int(np.argmax(np.nan_to_num(error, nan=np.inf))), error.shape)
+            raise LinearisationError(
+                f"{what}: {rows[row]} with respect to {cols[col]}, exact {exact[row, col]:.9g}, differences "
+                f"{one[row, col]:.9g} and {two[row, col]:.9g} (step {steps[col]:g} and twice that), allowed "
+                f"is {tol:g} of the row's largest entry; is a limit active at the operating point?"
+            )
+
+
+def remove_reference(system: control.StateSpace, *, tolerance: float = 1e-7) -> control.StateSpace:
+    r"""Take out the zero mode of the reference angle, once, by going over to relative angles.
+
+    With r = 1 on every rotor angle (states ``*.delta``) and 0 elsewhere, a plant without an infinite bus has
+    :math:`A r = 0`: only angle differences act. If the outputs do not see r either
+    (:math:`C r = 0`), the states z = x_i - r_i x_ref with the reference angle left out satisfy
+
+    .. math:: \dot z = P A E z + P B u, \qquad y = C E z + D u
+
+    exactly, where P subtracts the reference row from the other angles and E drops its column.
+    The transfer function is unchanged and every other eigenvalue stays where it is. With constant
+    mechanical torque and no damping torque a second zero remains (the common speed); it is a
+    mode of the plant, and reductions keep it.
+
+    Parameters
+    ----------
+    system : n states, at least one named ``*.delta``.
+    tolerance : allowed \|A r\|, \|C r\| relative to the largest entries in those columns.
+
+    Returns
+    -------
+    StateSpace with n - 1 states; angles are named ``G2.delta-G1.delta``.
+
+    Raises
+    ------
+    LinearisationError : no angle states, or the angles have a reference already (infinite
+        bus, relative angles, or called twice).
+    """
+    names = list(system.state_labels)
+    angles = [i for i, name in enumerate(names) if name.endswith(".delta")]
+    if not angles:
+        raise LinearisationError(
+            "no rotor angle to refer to: none of the states is named '*.delta'; "
+            "was the reference removed already? (it is removed once)"
+        )
+    A, B, C = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C))
+    for what, M in (("A", A), ("C", C)):
+        if M.shape[0] == 0:
+            continue
+        drift = np.abs(M[:, angles].sum(axis=1))
+        scale = np.maximum(
+            np.max(np.abs(M[:, angles]), axis=1), 1e-6 * max(1.0, np.max(np.abs(M[:, angles])))
+        )
+        worst = int(np.argmax(drift / scale))
+        if not drift[worst] <= tolerance * scale[worst]:
+            row = names[worst] if what == "A" else list(system.output_labels)[worst]
+            raise LinearisationError(
+                f"the angles have a reference already: turning all rotors together moves {row} by "
+                f"{drift[worst]:.3g} per rad (allowed {tolerance * scale[worst]:.1g}); an infinite bus or an "
+                "absolute angle output has no zero mode to remove"
+            )
+    ref = angles[0]
+    keep = [i for i in range(len(names)) if i != ref]
+    P = np.eye(len(names))
+    P[[i for i in angles if i != ref], ref] = -1.0
+    P = P[keep]
+    states = [f"{names[i]}-{names[ref]}" if i in angles else names[i] for i in keep]
+    return control.ss(
+        (P @ A)[:, keep],
+        P @ B,
+        C[:, keep],
+        system.D,
+        states=states,
+        inputs=list(system.input_labels),
+        outputs=list(system.output_labels),
+        name=system.name,
+    )
+
+
+def speeds_in_rad(system: control.StateSpace, omega_b: float) -> control.StateSpace:
+    """Scale the outputs ``*_dw`` from per unit to rad/s (dw_rad = omega_b dw_pu); the design's unit.
+
+    omega_b : rated speed, rad/s. States and all other outputs stay as they are.
+    """
+    if not (np.isfinite(omega_b) and omega_b > 0.0):
+        raise ValueError(f"omega_b = {omega_b!r} rad/s: must be positive, 2 pi 60 = 376.99 for 60 Hz")
+    labels = list(system.output_labels)
+    scale = np.array([omega_b if name.endswith("_dw") else 1.0 for name in labels])
+    return control.ss(
+        system.A,
+        system.B,
+        scale[:, None] * system.C,
+        scale[:, None] * system.D,
+        states=list(system.state_labels),
+        inputs=list(system.input_labels),
+        outputs=labels,
+        name=system.name,
+    )
+
+
+def select(
+    system: control.StateSpace,
+    inputs: list[str] | tuple[str, ...] | None = None,
+    outputs: list[str] | tuple[str, ...] | dict[str, dict[str, float]] | None = None,
+) -> control.StateSpace:
+    """Pick named inputs and outputs, or weighted sums of outputs, of a system.
+
+    outputs : names, or {new name: {output: weight}} such as ``{"dw24": {"G2_dw": 1, "G4_dw": -1}}``.
+
+    Raises ValueError naming an unknown signal and the known ones.
+    """
+    known_in, known_out = list(system.input_labels), list(system.output_labels)
+    wanted_in = known_in if inputs is None else list(inputs)
+    combos: dict[str, dict[str, float]] = (
+        dict(outputs)
+        if isinstance(outputs, dict)
+        else {name: {name: 1.0} for name in (known_out if outputs is None else outputs)}
+    )
+    for kind, wanted, known in (
+        ("input", wanted_in, known_in),
+        ("output", [o for combo in combos.values() for o in combo], known_out),
+    ):
+        for name in wanted:
+            if name not in known:
+                raise ValueError(f"unknown {kind} {name!r} of the plant; known are {', '.join(known)}")
+    pick = np.array([known_in.index(name) for name in wanted_in], dtype=int)
+    W = np.zeros((len(combos), len(known_out)))
+    for k, combo in enumerate(combos.values()):
+        for name, weight in combo.items():
+            W[k, known_out.index(name)] += weight
+    arguments: dict[str, Any] = {"name": system.name} if system.name else {}
+    return control.ss(
+        system.A,
+        system.B[:, pick],
+        W @ system.C,
+        W @ system.D[:, pick],
+        states=list(system.state_labels),
+        inputs=wanted_in,
+        outputs=list(combos),
+        **arguments,
+    )
