@@ -1,0 +1,180 @@
+"""The command `interarea`: results on stdout, progress and errors on stderr, one line for a user's mistake."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import traceback
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    import control
+
+    from interarea.design.modes import Modes
+    from interarea.models.case import Case
+
+app = typer.Typer(
+    name="interarea",
+    help="Wide-area damping of inter-area oscillations: plant and controllers as FMUs, co-simulated.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+CaseName = Annotated[str, typer.Argument(metavar="CASE", help="bundled case or TOML file", show_default=False)]
+OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)]
+AsJson = Annotated[bool, typer.Option("--json", help="print JSON instead of a table")]
+
+
+@app.command()
+def cases(json_: AsJson = False) -> None:
+    """List the bundled cases."""
+    from interarea.models.case import case_names, load_case
+
+    rows = {}
+    for name in case_names():
+        case = load_case(name)
+        rows[name] = {"title": case.title, "machines": len(case.machines), "buses": len(case.buses)}
+    if json_:
+        return _print_json(rows)
+    _print_table(
+        "bundled cases",
+        ("case", "machines", "buses", "title"),
+        [(n, str(r["machines"]), str(r["buses"]), str(r["title"])) for n, r in rows.items()],
+    )
+    return None
+
+
+@app.command()
+def modes(case: CaseName, json_: AsJson = False) -> None:
+    """Linearise the plant FMU of a case and name its swing modes."""
+    loaded, system, found = _modes(case)
+    rows = mode_rows(found)
+    if json_:
+        return _print_json(
+            {
+                "case": loaded.name,
+                "states": system.nstates,
+                "eigenvalues": [[z.real, z.imag] for z in found.eigenvalues],
+                "modes": rows,
+            }
+        )
+    _print_table(
+        f"{loaded.name}: {system.nstates} states, swing modes",
+        ("mode", "frequency (Hz)", "damping ratio", "eigenvalue (1/s)", "takes part most"),
+        [
+            (
+                name,
+                f"{row['frequency_hz']:.4f}",
+                f"{row['damping_ratio']:.4f}",
+                f"{row['eigenvalue'][0]:.4f} ± {row['eigenvalue'][1]:.4f}j",
+                ", ".join(sorted(found[name].participation, key=lambda s: -found[name].participation[s])[:3]),
+            )
+            for name, row in rows.items()
+        ],
+    )
+    return None
+
+
+@app.command()
+def loops(case: CaseName, json_: AsJson = False) -> None:
+    """Rank actuators and signals for the inter-area mode of a case."""
+    from .study import loop_rows, wide_area_loops
+
+    loaded, system, found = _modes(case)
+    ranked = loop_rows(wide_area_loops(loaded, system, found))
+    if json_:
+        return _print_json({"case": loaded.name, **ranked})
+    _print_table(
+        f"{loaded.name}: loops for the inter-area mode",
+        ("actuator", "signal", "index"),
+        [(r["actuator"], r["signal"], f"{r['index']:.4f}") for r in ranked["ranking"]],
+    )
+    typer.echo(f"coordinates: {ranked['coordinates']}")
+    return None
+
+
+@app.command()
+def build(case: CaseName, out: OutFolder) -> None:
+    """Build the plant FMU of a case."""
+    from interarea.models.case import load_case
+
+    from .artefacts import default_cache, plant_fmu, place
+
+    with _busy("building the plant FMU"):
+        loaded = load_case(case)
+        made = plant_fmu(loaded, default_cache())
+    typer.echo(place(made, out / f"{loaded.name}.fmu"))
+
+
+@app.command()
+def run(
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="scenario file", show_default=False)],
+    out: OutFolder,
+    explain: Annotated[bool, typer.Option("--explain", help="print delays and stepping order")] = False,
+) -> None:
+    """Co-simulate one scenario; writes trajectory, metrics and a plot."""
+    from .artefacts import default_cache
+    from .run import run_scenario
+    from .run_files import write_run
+    from .scenario import load_scenario
+
+    loaded = load_scenario(scenario)
+    with _busy(f"running {scenario}"):
+        result = run_scenario(loaded, cache=default_cache())
+        files = write_run(result, loaded, out)
+    if explain:
+        typer.echo(result.explain())
+    for file in files:
+        typer.echo(file)
+
+
+@app.command()
+def study(
+    out: OutFolder,
+    name: Annotated[str, typer.Argument(metavar="NAME", help="bundled study or TOML file")] = "thesis",
+) -> None:
+    """Run a whole study: FMUs, designs, co-simulations, figures, report.html and study.json."""
+    from .study import STAGES, run_study
+
+    with stage_progress(STAGES) as progress:
+        summary = run_study(name, out, progress)
+    typer.echo(out / "study.json")
+    typer.echo(out / "report.html")
+    verdicts = summary["statements"]
+    counts = ", ".join(f"{sum(v == k for v in verdicts.values())} {k}" for k in ("agrees", "partly", "differs"))
+    typer.echo(f"printed statements: {counts}", err=True)
+
+
+def mode_rows(found: Modes) -> dict[str, dict[str, Any]]:
+    """Return modes as JSON holds them: name -> frequency_hz, damping_ratio, eigenvalue [re, im]."""
+    return {
+        name: {
+            "frequency_hz": mode.frequency_hz,
+            "damping_ratio": mode.damping_ratio,
+            "eigenvalue": [mode.eigenvalue.real, mode.eigenvalue.imag],
+        }
+        for name, mode in found.items()
+    }
+
+
+def _modes(name: str) -> tuple[Case, control.StateSpace, Modes]:
+    from interarea.design.modes import modes_of
+    from interarea.models.case import load_case
+
+    from .artefacts import default_cache, linear_plant
+
+    with _busy(f"linearising the plant FMU of {name}"):
+        case = load_case(name)
+        system = linear_plant(case, default_cache())
+        return case, system, modes_of(system, case.areas)
+
+
+def _print_json(value: Mapping[str, Any]) -> None:
+    typer.echo(json.dumps(value, indent=2, allow_nan=False))

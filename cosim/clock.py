@@ -1,0 +1,139 @@
+"""Time as a whole number of ticks of 1 ns, and the communication points of a run.
+
+A float sum of steps drifts and never lands on an event. Here t = t0 + k H in
+whole ticks, steps are shortened to end at known instants (*marks*: events,
+outages), and a time that is not a whole number of ticks is refused with the
+nearest ones that are. The seconds handed to an FMU are the double nearest to
+the decimal time, so 3 steps of 10 ms are 0.03 to the bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .errors import ScenarioError
+
+TICKS_PER_SECOND = 1_000_000_000
+_MAX_SECONDS = 9.0e6  # 9e15 ticks: whole ticks are still exact as doubles
+
+
+def seconds(ticks: int) -> float:
+    """Return a tick count in seconds, rounded once to the nearest double.
+
+    >>> seconds(30_000_000)
+    0.03
+    """
+    return ticks / TICKS_PER_SECOND
+
+
+def to_ticks(value_s: float, what: str) -> int:
+    """Return `value_s` seconds as a whole number of ticks.
+
+    A value within four units in the last place of a tick counts as that tick,
+    so that a computed 0.1 + 0.2 is 0.3.
+
+    >>> to_ticks(1.1333333, "end_s")
+    1133333300
+
+    Raises
+    ------
+    ScenarioError : not finite, beyond 9e6 s, or between two ticks; the message names the nearest two.
+    """
+    value = float(value_s)
+    if not abs(value) <= _MAX_SECONDS:
+        raise ScenarioError(f"{what} = {value:g} s: a finite time of at most {_MAX_SECONDS:g} s is needed")
+    ticks = round(value * TICKS_PER_SECOND)
+    if abs(seconds(ticks) - value) <= 4.0 * np.spacing(abs(value)):
+        return ticks
+    below = int(np.floor(value * TICKS_PER_SECOND))
+    raise ScenarioError(
+        f"{what} = {value!r} s lies between two ticks of the clock (1 ns); "
+        f"use {below / TICKS_PER_SECOND:.9f} or {(below + 1) / TICKS_PER_SECOND:.9f}"
+    )
+
+
+@dataclass(frozen=True)
+class Step:
+    """One communication step, in ticks.
+
+    `edge`: a step of one tick before or after a mark, in which signals may
+    jump; `recorded`: its end is a grid point, a mark or the end of the run.
+    """
+
+    start: int
+    end: int
+    edge: bool
+    recorded: bool
+
+    @property
+    def start_s(self) -> float:
+        return seconds(self.start)
+
+    @property
+    def length_s(self) -> float:
+        return seconds(self.end - self.start)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The communication points from `start` to `stop` in ticks: every `step`, every mark.
+
+    With `edges` a mark is surrounded by points one tick before and after it:
+    what a signal was just before a jump and what it is just after are then
+    both known, whichever of the two an FMU reports at the instant itself.
+    """
+
+    start: int
+    stop: int
+    step: int
+    marks: tuple[int, ...] = ()
+    edges: bool = True
+
+    @classmethod
+    def of_seconds(
+        cls,
+        stop_s: float,
+        step_s: float,
+        *,
+        start_s: float = 0.0,
+        marks_s: Iterable[float] = (),
+        edges: bool = True,
+    ) -> Clock:
+        """Return the clock of a run given in seconds.
+
+        Raises
+        ------
+        ScenarioError : step not positive, stop not after start, a time between ticks.
+        """
+        start, stop, step = (
+            to_ticks(start_s, "start_s"),
+            to_ticks(stop_s, "stop_s"),
+            to_ticks(step_s, "step_s"),
+        )
+        if not step > 2:
+            raise ScenarioError(f"step_s = {step_s!r}: must be positive and longer than 2 ns")
+        if not stop > start:
+            raise ScenarioError(f"stop_s = {stop_s!r}: must lie after the start, {start_s!r} s")
+        marks = sorted({to_ticks(m, "event time") for m in marks_s})
+        return cls(start, stop, step, tuple(m for m in marks if start < m < stop), edges)
+
+    @cached_property
+    def steps(self) -> tuple[Step, ...]:
+        """All steps of the run in order."""
+        kept = {self.stop, *self.marks, *range(self.start + self.step, self.stop, self.step)}
+        ends = set(kept)
+        near: set[int] = set()
+        if self.edges:
+            for mark in self.marks:
+                near |= {mark, mark + 1}
+                ends |= {t for t in (mark - 1, mark + 1) if self.start < t < self.stop}
+        found = []
+        now = self.start
+        for end in sorted(ends):
+            found.append(Step(now, end, edge=end in near and end - now == 1, recorded=end in kept))
+            now = end
+        return tuple(found)

@@ -1,0 +1,313 @@
+"""One FMI 2.0 co-simulation FMU as a participant, over fmpy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from ctypes import byref, c_double, c_int, c_size_t, c_uint, c_void_p
+from typing import Any
+
+import fmpy.fmi2 as fmi2
+from fmpy import calloc, free
+
+from .errors import GraphError, StepError, nearest
+from .fmu_file import FmuFile, FmuVariable
+from .participant import Description
+
+Value = float | int | bool | str
+_STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
+
+
+class FmuParticipant:
+    """An instance of `file` named `name` with `start` values for its parameters, states or inputs.
+
+    Enumeration parameters take the item's name or its number. The numbers pass through ctypes
+    buffers made once, and each call goes to the FMU's function directly.
+
+    Raises
+    ------
+    GraphError : a start value for an unknown variable, of the wrong type, or on an output.
+    """
+
+    def __init__(self, name: str, file: FmuFile, start: Mapping[str, Value] | None = None) -> None:
+        self.name = name
+        self.file = file
+        self.description: Description = file.description
+        self._start = {k: (self._variable(k), v) for k, v in (start or {}).items()}
+        for variable, value in self._start.values():
+            self._encode(variable, value)
+        self._fmu: Any = None
+        self._log: list[str] = []
+        self._initialised = False
+        self.bind((), ())
+
+    # -- wiring ---------------------------------------------------------------------------
+
+    def bind(self, inputs: Sequence[str], slopes: Sequence[str]) -> None:
+        """Fix the inputs that will be sent and the outputs whose slopes will be asked."""
+        ports = self.description.input_of
+        reals = [(i, n) for i, n in enumerate(inputs) if ports[n].type == "Real"]
+        self._real_inputs = [i for i, _ in reals]
+        self._other_inputs = [
+            (i, ports[n].type, self._references([n])) for i, n in enumerate(inputs) if ports[n].type != "Real"
+        ]
+        self.u = (c_double * max(1, len(inputs)))()
+        self.du = (c_double * max(1, 3 * len(inputs)))()
+        self._n_u = len(reals)
+        self._u_vr = self._references([n for _, n in reals])
+        self._u_buffer = (c_double * max(1, len(reals)))()
+        self._all_real = len(reals) == len(inputs)
+        self._du_vr, self._du_order, self._du_buffer = {}, {}, {}
+        for order in (1, 2, 3):
+            self._du_vr[order] = self._references([n for _, n in reals for _ in range(order)])
+            self._du_order[order] = (c_int * max(1, order * len(reals)))(
+                *[k + 1 for _ in reals for k in range(order)]
+            )
+            self._du_buffer[order] = (c_double * max(1, order * len(reals)))()
+        outputs = self.description.outputs
+        self.y = (c_double * max(1, len(outputs)))()
+        real_first = all(p.type == "Real" for p in outputs)
+        self._y_all_real = real_first
+        self._y_reals = [j for j, p in enumerate(outputs) if p.type == "Real"]
+        self._n_y = len(self._y_reals)
+        self._y_vr = self._references([outputs[j].name for j in self._y_reals])
+        self._y_buffer = (c_double * max(1, self._n_y))()
+        self._y_others = [
+            (j, p.type, self._references([p.name]), c_int()) for j, p in enumerate(outputs) if p.type != "Real"
+        ]
+        self._n_dy = len(slopes)
+        self._dy_vr = self._references(list(slopes))
+        self._dy_order = (c_int * max(1, len(slopes)))(*([1] * len(slopes)))
+        self.dy = (c_double * max(1, len(slopes)))()
+
+    def _references(self, names: list[str]) -> Any:
+        return (c_uint * max(1, len(names)))(*[self.file.variables[n].reference for n in names])
+
+    # -- life -----------------------------------------------------------------------------
+
+    def begin(self, start_s: float, stop_s: float) -> None:
+        """Instantiate (first time) or reset, set start values and enter initialisation."""
+        if self._fmu is None:
+            self._instantiate()
+        else:
+            self._call("fmi2Reset", self._raw.fmi2Reset(self._c), None)
+        self._initialised = False
+        setup = self._raw.fmi2SetupExperiment(self._c, 0, 0.0, start_s, 1, stop_s)
+        self._call("fmi2SetupExperiment", setup, start_s)
+        for variable, value in self._start.values():
+            self._set(variable, value, start_s)
+        self._call("fmi2EnterInitializationMode", self._raw.fmi2EnterInitializationMode(self._c), start_s)
+        self._time = start_s
+
+    def ready(self) -> None:
+        """Leave initialisation."""
+        status = self._raw.fmi2ExitInitializationMode(self._c)
+        self._call("fmi2ExitInitializationMode", status, self._time)
+        self._initialised = True
+
+    def close(self) -> None:
+        """Terminate and free the instance."""
+        if self._fmu is None:
+            return
+        if self._initialised:
+            self._raw.fmi2Terminate(self._c)
+        self._fmu.freeInstance()
+        self._fmu = None
+
+    def _instantiate(self) -> None:
+        model = self.file.model
+        try:
+            self._fmu = fmi2.FMU2Slave(
+                instanceName=self.name,
+                guid=model.guid,
+                modelIdentifier=model.coSimulation.modelIdentifier,
+                unzipDirectory=str(self.file.folder),
+                requireFunctions=False,
+            )
+        except Exception as error:
+            raise StepError(str(error), instance=self.name, call="loading the FMU", time_s=None) from error
+        self._callbacks = _callbacks(self._log)
+        try:
+            self._fmu.instantiate(callbacks=self._callbacks, loggingOn=False)
+        except Exception as error:
+            self._fmu.freeLibrary()
+            self._fmu = None
+            raise StepError(
+                "returned no instance",
+                instance=self.name,
+                call="fmi2Instantiate",
+                time_s=None,
+                last_log=self.last_log(),
+            ) from error
+        self._raw = self._fmu.dll
+        self._c = c_void_p(self._fmu.component)
+        self._do_step = self._raw.fmi2DoStep
+        self._set_real = self._raw.fmi2SetReal
+        self._get_real = self._raw.fmi2GetReal
+
+    # -- one step -------------------------------------------------------------------------
+
+    def send(self, order: int) -> None:
+        """Set the bound inputs, and their derivatives up to `order`."""
+        if self._n_u:
+            u: Any = self.u
+            if not self._all_real:
+                u = self._u_buffer
+                for k, i in enumerate(self._real_inputs):
+                    u[k] = self.u[i]
+            status = self._set_real(self._c, self._u_vr, self._n_u, u)
+            if status > 1:
+                self._fail("fmi2SetReal", status)
+            if order:
+                du = self._du_buffer[order]
+                k = 0
+                for i in self._real_inputs:
+                    for m in range(order):
+                        du[k] = self.du[3 * i + m]
+                        k += 1
+                status = self._raw.fmi2SetRealInputDerivatives(
+                    self._c, self._du_vr[order], k, self._du_order[order], du
+                )
+                if status > 1:
+                    self._fail("fmi2SetRealInputDerivatives", status)
+        for i, kind, reference in self._other_inputs:
+            value = c_int(int(self.u[i]))
+            setter = self._raw.fmi2SetBoolean if kind == "Boolean" else self._raw.fmi2SetInteger
+            self._call("fmi2SetInteger", setter(self._c, reference, c_size_t(1), byref(value)), self._time)
+
+    def advance(self, time_s: float, length_s: float) -> None:
+        """Step from `time_s` over `length_s`."""
+        status = self._do_step(self._c, time_s, length_s, 1)
+        if status > 1:
+            self._time = time_s
+            self._fail("fmi2DoStep", status)
+        self._time = time_s + length_s
+
+    def receive(self, slopes: bool) -> None:
+        """Read every output, and the bound slopes if `slopes`."""
+        if self._n_y:
+            y: Any = self.y if self._y_all_real else self._y_buffer
+            status = self._get_real(self._c, self._y_vr, self._n_y, y)
+            if status > 1:
+                self._fail("fmi2GetReal", status)
+            if not self._y_all_real:
+                for k, j in enumerate(self._y_reals):
+                    self.y[j] = y[k]
+        for j, kind, reference, box in self._y_others:
+            getter = self._raw.fmi2GetBoolean if kind == "Boolean" else self._raw.fmi2GetInteger
+            self._call("fmi2GetInteger", getter(self._c, reference, c_size_t(1), byref(box)), self._time)
+            self.y[j] = float(box.value)
+        if slopes and self._n_dy:
+            status = self._raw.fmi2GetRealOutputDerivatives(
+                self._c, self._dy_vr, self._n_dy, self._dy_order, self.dy
+            )
+            if status > 1:
+                self._fail("fmi2GetRealOutputDerivatives", status)
+
+    def save(self) -> c_void_p:
+        """Copy the FMU state."""
+        state = c_void_p()
+        self._call("fmi2GetFMUstate", self._raw.fmi2GetFMUstate(self._c, byref(state)), self._time)
+        return state
+
+    def restore(self, state: object) -> None:
+        """Go back to a saved FMU state."""
+        self._call("fmi2SetFMUstate", self._raw.fmi2SetFMUstate(self._c, state), self._time)
+
+    def release(self, state: object) -> None:
+        """Free a saved FMU state."""
+        self._call("fmi2FreeFMUstate", self._raw.fmi2FreeFMUstate(self._c, byref(state)), self._time)
+
+    def value_of(self, name: str) -> float:
+        """Return the present value of any Real, Integer, Boolean or Enumeration variable."""
+        variable = self._variable(name)
+        reference = self._references([name])
+        if variable.type == "Real":
+            real = c_double()
+            self._call("fmi2GetReal", self._get_real(self._c, reference, 1, byref(real)), self._time)
+            return real.value
+        box = c_int()
+        getter = self._raw.fmi2GetBoolean if variable.type == "Boolean" else self._raw.fmi2GetInteger
+        self._call("fmi2GetInteger", getter(self._c, reference, c_size_t(1), byref(box)), self._time)
+        return float(box.value)
+
+    def last_log(self) -> str:
+        """Return the last line the FMU logged, or an empty string."""
+        return self._log[-1] if self._log else ""
+
+    # -- private --------------------------------------------------------------------------
+
+    def _call(self, call: str, status: int, time_s: float | None) -> None:
+        """Raise unless `status` is ok or warning."""
+        if status > 1:
+            self._fail(call, status, time_s)
+
+    def _fail(self, call: str, status: int, time_s: float | None = None) -> None:
+        label = _STATUS[status] if 0 <= status < len(_STATUS) else str(status)
+        raise StepError(
+            f"returned {label}",
+            instance=self.name,
+            call=call,
+            time_s=self._time if time_s is None and hasattr(self, "_time") else time_s,
+            last_log=self.last_log(),
+        )
+
+    def _variable(self, name: str) -> FmuVariable:
+        try:
+            return self.file.variables[name]
+        except KeyError:
+            raise GraphError(
+                f"{self.name} ({self.file.path.name}) has no variable {name!r}; {nearest(name, self.file.variables)}"
+            ) from None
+
+    def _encode(self, variable: FmuVariable, value: Value) -> Value:
+        where = f"{self.name}.{variable.name}"
+        if variable.causality in ("output", "calculatedParameter", "independent"):
+            raise GraphError(f"{where}: has causality {variable.causality} and takes no start value")
+        if variable.type == "Enumeration" and isinstance(value, str):
+            items = self.file.enumerations.get(variable.name, {})
+            if value not in items:
+                raise GraphError(f"{where} = {value!r}: allowed are {', '.join(items)}")
+            return items[value]
+        if variable.type == "String":
+            return str(value)
+        if isinstance(value, str):
+            raise GraphError(f"{where} = {value!r}: the FMU wants a number ({variable.type})")
+        if variable.type != "Real" and int(value) != value:
+            raise GraphError(f"{where} = {value!r}: the FMU wants a whole number ({variable.type})")
+        return value
+
+    def _set(self, variable: FmuVariable, value: Value, time_s: float) -> None:
+        encoded = self._encode(variable, value)
+        reference = self._references([variable.name])
+        what = f"setting {variable.name} = {value!r}"
+        if variable.type == "Real":
+            status = self._set_real(self._c, reference, 1, (c_double * 1)(float(encoded)))
+        elif variable.type == "String":
+            status = self._raw.fmi2SetString(self._c, reference, 1, (fmi2.fmi2String * 1)(str(encoded).encode()))
+        elif variable.type == "Boolean":
+            status = self._raw.fmi2SetBoolean(self._c, reference, 1, (c_int * 1)(int(encoded)))
+        else:
+            status = self._raw.fmi2SetInteger(self._c, reference, 1, (c_int * 1)(int(encoded)))
+        self._call(what, status, time_s)
+
+
+def _callbacks(lines: list[str]) -> Any:
+    """Return FMI callbacks whose logger keeps the last hundred lines."""
+
+    def log(_env: object, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
+        lines.append(message.decode("utf-8", "replace").strip() if message else "")
+        del lines[:-100]
+
+    callbacks = fmi2.fmi2CallbackFunctions()
+    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(log)
+    callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
+    callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
+    callbacks.stepFinished = None
+    callbacks.componentEnvironment = None
+    try:
+        from fmpy.logging import addLoggerProxy
+
+        addLoggerProxy(byref(callbacks))
+    except (ImportError, OSError):
+        pass  # without the proxy a message keeps its %-placeholders
+    return callbacks

@@ -1,0 +1,404 @@
+"""The master: steps connected participants so that a connection has the latency asked for, no more, no less.
+
+One step from t to t + H, all times whole ticks (`clock`), every known event a communication point:
+
+1. every signal is predicted over the step (`signals`);
+2. channels whose latency covers the step go first: their outputs over the step depend on the past only,
+   and what they are sent at t is exact (value and slope);
+3. the rest follow in dependency order (`graph`), each handed its inputs over the whole step as a cubic
+   (value and three derivatives) or, where an FMU takes none, as means over parts of the step;
+4. a loop without a channel is stepped on predicted signals; when what comes out differs from what was
+   predicted by more than the tolerance, the FMU states are put back and the step is repeated with a
+   better guess (`secant`), until it agrees;
+5. outputs are recorded.
+
+Modes ``hold-jacobi`` and ``hold-gauss-seidel`` hold inputs instead, as most masters do; the delay that
+adds is in the ledger (`ledger`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from .clock import Clock, Step, seconds, to_ticks
+from .errors import GraphError, StepError
+from .graph import Connection, Graph, Group, build_graph
+from .initialise import initialise
+from .node import Feed, Node
+from .participant import Description, Participant
+from .secant import Secant
+from .signals import Kind, Signal
+from .trajectory import Trajectory
+
+Inputs = Literal["hermite", "linear", "hold-jacobi", "hold-gauss-seidel"]
+Loops = Literal["auto", "iterate", "extrapolate"]
+INPUTS: tuple[Inputs, ...] = ("hermite", "linear", "hold-jacobi", "hold-gauss-seidel")
+LOOPS: tuple[Loops, ...] = ("auto", "iterate", "extrapolate")
+_MAX_SWEEPS = 50
+_DEFAULT_STEP_S, _LEAST_CHOSEN_STEP_S = 0.01, 0.001
+
+
+@dataclass(frozen=True)
+class Saved:
+    """A master between two steps: states of all participants and what the master itself remembers."""
+
+    index: int
+    states: Mapping[str, object]
+    signals: tuple[tuple[object, ...], ...]
+    rows: int
+
+
+class Master:
+    """Steps `participants` along `connections` from `start_s` to `stop_s`.
+
+    Parameters
+    ----------
+    participants : any number, each with its own name.
+    connections : pairs ("instance.output", "instance.input"), in any order.
+    step_s : communication step H; None: chosen from the latencies (`choose_step`).
+    marks_s : instants that must be communication points (events, outages).
+    latency_s : instance -> least time its inputs need to reach its outputs (a promise of that instance).
+    inputs : how inputs are handed over a step. loops : what to do with loops without a channel;
+        ``auto`` iterates where all their FMUs can save their state.
+    tolerance : of loops, relative to the largest value a signal has had.
+    substeps : parts of a step for FMUs that take no input derivatives.
+
+    Raises
+    ------
+    GraphError, ScenarioError, StepError
+    """
+
+    def __init__(
+        self,
+        participants: Iterable[Participant],
+        connections: Iterable[tuple[str, str]],
+        *,
+        stop_s: float,
+        step_s: float | None = None,
+        start_s: float = 0.0,
+        marks_s: Iterable[float] = (),
+        latency_s: Mapping[str, float] | None = None,
+        inputs: Inputs = "hermite",
+        loops: Loops = "auto",
+        tolerance: float = 1e-8,
+        substeps: int = 4,
+    ) -> None:
+        _one_of("inputs", inputs, INPUTS)
+        _one_of("loops", loops, LOOPS)
+        self.participants = {p.name: p for p in sorted(participants, key=lambda p: p.name)}
+        descriptions = {n: p.description for n, p in self.participants.items()}
+        pairs = sorted(connections)
+        self.latency_s = dict(latency_s or {})
+        for name in self.latency_s:
+            if name not in descriptions:
+                raise GraphError(f"latency_s names {name!r}, which is no instance")
+        ticks = {n: to_ticks(v, f"latency of {n}") for n, v in self.latency_s.items()}
+        self.step_s = choose_step(self.latency_s.values()) if step_s is None else step_s
+        self.inputs, self.loops, self.tolerance, self.substeps = inputs, loops, tolerance, substeps
+        self.clock = _clock(descriptions, start_s, stop_s, self.step_s, marks_s, ticks, holds=self._holds)
+        self.graph: Graph = build_graph(
+            descriptions, pairs, step_ticks=self.clock.step, latency_ticks=ticks
+        )
+        self._initial_graph = build_graph(descriptions, pairs, step_ticks=self.clock.stop - self.clock.start + 1)
+        self.signals = self._make_signals()
+        self.nodes = self._make_nodes()
+        self.residual = 0.0  #: of the initial values, relative
+        self.repeated = 0  #: loop steps done again since the start
+        self._order: list[Group] = self._groups()
+        self._index = -1
+        outputs = [(n, p) for n, d in descriptions.items() for p in d.outputs]
+        self._columns = [f"{n}.{p.name}" for n, p in outputs]
+        self._ports = [p for _, p in outputs]
+        points = 1 + sum(s.recorded for s in self.clock.steps)
+        self._times = np.full(points, np.nan)
+        self._records = np.full((points, len(outputs)), np.nan)
+        self._rows = 0
+
+    # -- running --------------------------------------------------------------------------
+
+    @property
+    def time_s(self) -> float:
+        """Present time."""
+        return seconds(self.clock.start if self._index <= 0 else self.clock.steps[self._index - 1].end)
+
+    @property
+    def finished(self) -> bool:
+        return self._index >= len(self.clock.steps)
+
+    def start(self) -> None:
+        """Initialise all participants (again, if they ran before) and record the start."""
+        start_s, stop_s = seconds(self.clock.start), seconds(self.clock.stop)
+        self._rows = self.repeated = 0
+        for p in self.participants.values():
+            p.begin(start_s, stop_s)
+        self.residual = initialise(self._initial_graph, self.nodes, self.clock.start, 1e-12)
+        for p in self.participants.values():
+            p.ready()
+        for node in self.nodes.values():
+            node.take_start(self.clock.start)
+        self._index = 0
+        self._record(self.clock.start)
+
+    def step(self) -> bool:
+        """Do the next communication step; return whether there was one.
+
+        Raises
+        ------
+        StepError : an FMU failed or an output is not finite; `trajectory` of the error has the results so far.
+        """
+        if self._index < 0:
+            self.start()
+        if self.finished:
+            return False
+        step = self.clock.steps[self._index]
+        try:
+            for s in self.signals:
+                s.begin(step.start, step.edge)
+            for group in self._order:
+                if group.torn and self._iterates(group):
+                    self._solve_loop(group, step)
+                else:
+                    for name in group.members:
+                        self.nodes[name].advance(step)
+            for s in self.signals:
+                s.accept(step.start, step.end, step.edge)
+        except StepError as error:
+            error.trajectory = self.trajectory
+            raise
+        self._index += 1
+        if step.recorded:
+            self._record(step.end)
+        return True
+
+    def run(
+        self, until_s: float | None = None, *, progress: Callable[[float, float], object] | None = None
+    ) -> Trajectory:
+        """Step to `until_s` (default: the end) and return the trajectory.
+
+        progress : called with (present time, stop time) after each recorded step.
+        """
+        until = self.clock.stop if until_s is None else to_ticks(until_s, "until_s")
+        stop_s = seconds(self.clock.stop)
+        if self._index < 0:
+            self.start()
+        while not self.finished and self.clock.steps[self._index].end <= until:
+            self.step()
+            if progress is not None:
+                progress(self.time_s, stop_s)
+        return self.trajectory
+
+    def close(self) -> None:
+        """End all participants."""
+        for p in self.participants.values():
+            p.close()
+
+    def __enter__(self) -> Master:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Results up to now: every output of every participant."""
+        return Trajectory.of_records(
+            self._times[: self._rows], self._records[: self._rows], self._columns, self._ports
+        )
+
+    # -- saving ---------------------------------------------------------------------------
+
+    def save(self) -> Saved:
+        """Return the state between two steps, to `restore` as often as wanted (fork a run)."""
+        if self._index < 0:
+            self.start()
+        for n, p in self.participants.items():
+            if not p.description.saves_state:
+                raise GraphError(f"{n} cannot save its state (canGetAndSetFMUstate); a run with it cannot be forked")
+        states = {n: p.save() for n, p in self.participants.items()}
+        return Saved(self._index, states, tuple(s.copy() for s in self.signals), self._rows)
+
+    def restore(self, saved: Saved) -> None:
+        """Go back to `saved`; the records up to then are kept as they are."""
+        for n, p in self.participants.items():
+            p.restore(saved.states[n])
+        for s, kept in zip(self.signals, saved.signals, strict=True):
+            s.paste(kept)
+        self._index, self._rows = saved.index, saved.rows
+
+    def release(self, saved: Saved) -> None:
+        """Free the participants' part of `saved`."""
+        for n, p in self.participants.items():
+            p.release(saved.states[n])
+
+    # -- private --------------------------------------------------------------------------
+
+    @property
+    def _holds(self) -> bool:
+        return self.inputs.startswith("hold")
+
+    def _groups(self) -> list[Group]:
+        if self.inputs == "hold-jacobi":  # nobody waits for anybody
+            return [Group((name,)) for name in self.participants]
+        return list(self.graph.groups)
+
+    def _iterates(self, group: Group) -> bool:
+        """Whether a loop is iterated: not with held inputs, not when told to extrapolate."""
+        if self._holds or self.loops == "extrapolate":
+            return False
+        able = all(self.participants[n].description.saves_state for n in group.members)
+        if self.loops == "iterate" and not able:
+            lame = [n for n in group.members if not self.participants[n].description.saves_state]
+            raise GraphError(
+                f"loop {' -> '.join(group.members)}: {', '.join(lame)} cannot save its state "
+                '(canGetAndSetFMUstate), so the step cannot be iterated; use loops = "extrapolate"'
+            )
+        return able
+
+    def _make_signals(self) -> list[Signal]:
+        found = []
+        for end in sorted({c.source for c in self.graph.connections}):
+            p = self.participants[end.instance]
+            index = next(k for k, o in enumerate(p.description.outputs) if o.name == end.variable)
+            port = p.description.outputs[index]
+            found.append(Signal(str(end), end.instance, index, -1, self._kind(p, port.discrete), port.nominal))
+        for name, p in self.participants.items():
+            mine = [s for s in found if s.owner == name]
+            sloped = [s for s in mine if s.kind == "hermite"]
+            for k, s in enumerate(sloped):
+                s.slope_index = k
+            p.bind(
+                [c.target.variable for c in self.graph.into(name)],
+                [p.description.outputs[s.index].name for s in sloped],
+            )
+        return found
+
+    def _kind(self, p: Participant, discrete: bool) -> Kind:
+        if discrete or self.inputs == "hold-jacobi":
+            return "held"
+        if self.inputs == "hold-gauss-seidel":
+            return "newest"
+        if self.inputs == "linear":
+            return "linear"
+        return "hermite" if p.description.output_order >= 1 else "points"
+
+    def _make_nodes(self) -> dict[str, Node]:
+        by_name = {s.name: s for s in self.signals}
+        nodes = {}
+        for name, p in self.participants.items():
+            d = p.description
+            into = self.graph.into(name)
+            feeds = [Feed(k, by_name[str(c.source)], c.gain, c.offset) for k, c in enumerate(into)]
+            order = 0 if self._holds else min(3, d.input_order)
+            held = all(f.signal.kind == "held" for f in feeds)
+            parts = 1 if self._holds or order or held or not d.variable_step else self.substeps
+            mine = [s for s in self.signals if s.owner == name]
+            nodes[name] = Node(p, feeds, mine, order=order, substeps=parts)
+        return nodes
+
+    def _solve_loop(self, group: Group, step: Step) -> None:
+        """Repeat the step of a loop until what comes out is what was supposed."""
+        h = step.length_s
+        torn = {str(c.source) for c in group.torn}
+        signals = [s for s in self.signals if s.name in torn and s.kind != "held"]
+        members = [self.participants[n] for n in group.members]
+        states = [p.save() for p in members]
+        solver = Secant(2 * len(signals))
+        try:
+            for sweep in range(_MAX_SWEEPS):
+                x = [v for s in signals for v in _end_of(s, h)] if sweep == 0 else x
+                if sweep:
+                    for p, state in zip(members, states, strict=True):
+                        p.restore(state)
+                    for k, s in enumerate(signals):
+                        s.know(step.start, step.end, step.edge, x[2 * k], x[2 * k + 1] / h)
+                for name in group.members:
+                    self.nodes[name].advance(step)
+                residual = []
+                error = 0.0
+                for k, s in enumerate(signals):
+                    dv = s.v1 - x[2 * k]
+                    ds = h * s.s1 - x[2 * k + 1] if s.kind == "hermite" and not step.edge else 0.0
+                    residual += [dv, ds]
+                    allowed = max(s.peak, abs(s.v1), 1e-4 * s.nominal)
+                    error = max(error, abs(dv) / allowed, abs(ds) / allowed / 8.0)
+                if error <= self.tolerance:
+                    return
+                self.repeated += 1
+                x = solver.correct(x, residual)
+        finally:
+            for p, state in zip(members, states, strict=True):
+                p.release(state)
+        raise StepError(
+            f"the loop does not settle in {_MAX_SWEEPS} sweeps: relative change {error:.3g}, allowed {self.tolerance:g}",
+            instance=" -> ".join(group.members),
+            call="iterating the step",
+            time_s=step.start_s,
+            advice="take a shorter step_s or a larger tolerance",
+        )
+
+    def _record(self, tick: int) -> None:
+        row = self._records[self._rows]
+        k = 0
+        for node in self.nodes.values():
+            p = node.participant
+            n = len(p.description.outputs)
+            row[k : k + n] = p.y[:n]
+            k += n
+        self._times[self._rows] = seconds(tick)
+        self._rows += 1
+
+
+def _end_of(s: Signal, h: float) -> tuple[float, float]:
+    """Return value and h times slope at the end of the step, as predicted."""
+    d0, d1, d2, d3 = s.d
+    value = d0 + h * (d1 + h * (d2 / 2.0 + h * (d3 / 6.0)))
+    return value, h * (d1 + h * (d2 + h * (d3 / 2.0)))
+
+
+def choose_step(latencies_s: Iterable[float]) -> float:
+    """Return H: 10 ms, or the shortest positive latency when that is less, but at least 1 ms.
+
+    >>> choose_step([0.1, 0.004, 0.0])
+    0.004
+    """
+    positive = [v for v in latencies_s if v > 0.0]
+    return max(_LEAST_CHOSEN_STEP_S, min([_DEFAULT_STEP_S, *positive]))
+
+
+def _clock(
+    descriptions: Mapping[str, Description],
+    start_s: float,
+    stop_s: float,
+    step_s: float,
+    marks_s: Iterable[float],
+    latency_ticks: Mapping[str, int],
+    *,
+    holds: bool,
+) -> Clock:
+    """Return the clock: marks, and marks again as they come out of each channel."""
+    plain = Clock.of_seconds(stop_s, step_s, start_s=start_s, marks_s=marks_s)
+    rigid = sorted(n for n, d in descriptions.items() if not d.variable_step)
+    if rigid:
+        for mark in (*plain.marks, plain.stop):
+            off = (mark - plain.start) % plain.step
+            if off:
+                raise GraphError(
+                    f"{rigid[0]} takes steps of one length only (canHandleVariableCommunicationStepSize = false), "
+                    f"but t = {seconds(mark)} s is no multiple of step_s = {step_s:g}; "
+                    f"use {seconds(mark - off)} or {seconds(mark - off + plain.step)}"
+                )
+    late = {m + d for m in plain.marks for d in latency_ticks.values()} if not rigid else set()
+    marks = tuple(sorted({*plain.marks, *(m for m in late if m < plain.stop)}))
+    return Clock(plain.start, plain.stop, plain.step, marks, edges=not (rigid or holds))
+
+
+def _one_of(key: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise GraphError(f"{key} = {value!r}: allowed are {', '.join(allowed)}")
+
+
+__all__ = ["INPUTS", "LOOPS", "Connection", "Inputs", "Loops", "Master", "Saved", "choose_step"]

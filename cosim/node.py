@@ -1,0 +1,119 @@
+"""A participant with its place in the graph: fills its inputs over a step, steps it, takes its outputs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from . import interpolation as ip
+from .clock import Step, seconds
+from .errors import StepError
+from .participant import Participant
+from .signals import Signal
+
+
+@dataclass(frozen=True)
+class Feed:
+    """Input number `place` of a participant is gain * signal + offset."""
+
+    place: int
+    signal: Signal
+    gain: float
+    offset: float
+
+
+class Node:
+    """Steps one participant.
+
+    order : highest input derivative it is sent (0: held inputs).
+    substeps : parts a step is cut into when inputs can only be held; in each, the mean over the part is held.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        feeds: Sequence[Feed],
+        signals: Sequence[Signal],
+        *,
+        order: int,
+        substeps: int,
+    ) -> None:
+        self.participant = participant
+        self.feeds = tuple(feeds)
+        self.signals = tuple(signals)
+        self.order = order
+        self.substeps = substeps
+        self.has_slopes = any(s.slope_index >= 0 for s in signals)
+        self._names = [p.name for p in participant.description.outputs]
+
+    def advance(self, step: Step) -> None:
+        """Step the participant and tell its signals their ends."""
+        p, t = self.participant, step.start_s
+        if self.substeps > 1 and self.feeds and not step.edge:
+            self._advance_in_parts(step)
+        else:
+            self._fill(self.order, 0.0)
+            p.send(self.order)
+            p.advance(t, step.length_s)
+        p.receive(self.has_slopes)
+        self._check(step.end)
+        y, dy = p.y, p.dy
+        for s in self.signals:
+            slope = dy[s.slope_index] if s.slope_index >= 0 else 0.0
+            s.know(step.start, step.end, step.edge, y[s.index], slope)
+
+    def send_start(self) -> None:
+        """Hand over the values at the start time."""
+        for f in self.feeds:
+            self.participant.u[f.place] = f.gain * f.signal.v1 + f.offset
+        if self.feeds:
+            self.participant.send(0)
+
+    def take_start(self, tick: int) -> None:
+        """Read outputs and slopes at the start of the run."""
+        p = self.participant
+        p.receive(self.has_slopes)
+        self._check(tick)
+        for s in self.signals:
+            s.start(tick, p.y[s.index], p.dy[s.slope_index] if s.slope_index >= 0 else 0.0)
+
+    def _fill(self, order: int, at: float) -> None:
+        u, du = self.participant.u, self.participant.du
+        for f in self.feeds:
+            d = f.signal.d
+            k = 3 * f.place
+            u[f.place] = f.gain * (d[0] if at == 0.0 else ip.value_at(d, at)) + f.offset
+            if order:
+                du[k] = f.gain * d[1]
+                du[k + 1] = f.gain * d[2]
+                du[k + 2] = f.gain * d[3]
+
+    def _advance_in_parts(self, step: Step) -> None:
+        p, n = self.participant, self.substeps
+        length = step.end - step.start
+        ends = [step.start + (length * (k + 1)) // n for k in range(n)]
+        now = step.start
+        for end in ends:
+            if end == now:
+                continue
+            a, b = seconds(now - step.start), seconds(end - step.start)
+            for f in self.feeds:
+                p.u[f.place] = f.gain * ip.mean_between(f.signal.d, a, b) + f.offset
+            p.send(0)
+            p.advance(seconds(now), seconds(end - now))
+            now = end
+        self._fill(0, step.length_s)
+        p.send(0)
+
+    def _check(self, tick: int) -> None:
+        p = self.participant
+        for j, name in enumerate(self._names):
+            if not math.isfinite(p.y[j]):
+                raise StepError(
+                    f"output {name} is {p.y[j]}",
+                    instance=p.name,
+                    call="reading outputs",
+                    time_s=seconds(tick),
+                    last_log=p.last_log(),
+                )

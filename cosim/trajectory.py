@@ -1,0 +1,88 @@
+"""Results of a run: named series with units on one time axis."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from .participant import Port
+
+TIME = "time_s"
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """`data`: column ``time_s``, then ``INSTANCE.VARIABLE``; `units` and `descriptions` by column.
+
+    `units` are also in ``data.attrs["units"]``.
+    """
+
+    data: pd.DataFrame
+    units: Mapping[str, str]
+    descriptions: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of_records(
+        cls,
+        times_s: npt.NDArray[np.float64],
+        records: npt.NDArray[np.float64],
+        columns: Sequence[str],
+        ports: Sequence[Port],
+    ) -> Trajectory:
+        """Return the trajectory of recorded outputs; integers and Booleans get their own types."""
+        series: dict[str, npt.NDArray[np.generic]] = {TIME: times_s.copy()}
+        units = {TIME: "s"}
+        for k, (name, port) in enumerate(zip(columns, ports, strict=True)):
+            column = records[:, k]
+            series[name] = {
+                "Real": column.copy,
+                "Integer": lambda c=column: c.astype(np.int64),
+                "Boolean": lambda c=column: c != 0.0,
+            }[port.type]()
+            units[name] = port.unit.name if port.unit is not None else "1"
+        data = pd.DataFrame(series)
+        data.attrs["units"] = dict(units)
+        return cls(data, units, {n: p.description for n, p in zip(columns, ports, strict=True)})
+
+    def __getitem__(self, column: str) -> npt.NDArray[np.float64]:
+        """Return one column as an array; the error names the columns there are."""
+        if column not in self.data:
+            raise KeyError(f"no column {column!r}; there are {', '.join(self.data.columns)}")
+        return self.data[column].to_numpy()
+
+    @property
+    def time_s(self) -> npt.NDArray[np.float64]:
+        return self[TIME]
+
+    def write_csv(self, path: Path) -> None:
+        """Write the numbers with all their digits; the units go into the Parquet file and `units`."""
+        self.data.to_csv(path, index=False, float_format="%.17g")
+
+    def write_parquet(self, path: Path) -> None:
+        """Write a Parquet file whose schema carries unit and description of each column."""
+        table = pa.Table.from_pandas(pd.DataFrame(self.data), preserve_index=False)
+        fields = []
+        for f in table.schema:
+            extra = {"unit": self.units[f.name], "description": self.descriptions.get(f.name, "")}
+            fields.append(f.with_metadata({k: v for k, v in extra.items() if v}))
+        notes = {**(table.schema.metadata or {}), b"units": json.dumps(dict(self.units)).encode()}
+        pq.write_table(table.cast(pa.schema(fields, metadata=notes)), path)
+
+    @classmethod
+    def read_parquet(cls, path: Path) -> Trajectory:
+        """Read what `write_parquet` wrote."""
+        table = pq.read_table(path)
+        metadata = {f.name: f.metadata or {} for f in table.schema}
+        units = {n: m.get(b"unit", b"1").decode() for n, m in metadata.items()}
+        texts = {n: m[b"description"].decode() for n, m in metadata.items() if b"description" in m}
+        data = table.to_pandas()
+        data.attrs["units"] = dict(units)
+        return cls(data, units, texts)
