@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from interarea.design.problem import BlockLMI, MatrixVariable, Problem, Term
 
 Matrix = npt.NDArray[np.float64]

@@ -110,26 +110,44 @@ class _Run:
         self.schur = SchurComplement(problem, self.affine)
         self.C, self.c = self.affine.constants, self.affine.cost
         self.degree = float(sum(self.affine.sizes))
+        # Further centrality correctors pay where a factor costs much more than a solve.
+        self.correctors = int(self.affine.m > 400) + int(self.affine.m > 900)
         self._start()
 
     def _start(self) -> None:
-        """Start at y = 0, S = eta I, Z = xi I with the sizes that SDPT3 takes."""
+        """Start at y = 0, S = eta I, and Z next to the least multipliers with F*(Z) = c."""
         norms = self.affine.column_norms()
+        self.used = sum((n > 0.0 for n in norms), np.zeros(self.affine.m, bool))
         self.y = np.zeros(self.affine.m)
         self.S: list[Matrix] = []
         self.Ls: list[Matrix] = []
-        self.Fz: list[Matrix] = []
         for C, size, column in zip(self.C, self.affine.sizes, norms, strict=True):
-            root = np.sqrt(size)
-            eta = max(10.0, root, float(column.max(initial=0.0)), float(np.linalg.norm(C)))
-            ratio = (1.0 + np.abs(self.c)) / (1.0 + column)
-            xi = max(10.0, root, root * float(ratio[column > 0.0].max(initial=0.0)))
-            identity: Matrix = np.eye(size, dtype=C.dtype)
-            self.S.append(eta * identity)
-            self.Ls.append(np.sqrt(eta) * identity)
-            self.Fz.append(np.sqrt(xi) * identity)
+            eta = max(10.0, np.sqrt(size), float(column.max(initial=0.0)), float(np.linalg.norm(C)))
+            self.S.append(eta * np.eye(size, dtype=C.dtype))
+            self.Ls.append(np.sqrt(eta) * np.eye(size, dtype=C.dtype))
         self.exact = False  # S is C + F(y) to the last digit
-        self.used = np.sum([n**2 for n in norms], axis=0) > 0.0 if norms else np.zeros(self.affine.m, bool)
+        self.Fz = self._start_multipliers(norms)
+
+    def _start_multipliers(self, norms: list[Vector]) -> list[Matrix]:
+        """Return factors of F(w) + xi I, F(w) the least-norm solution of F*(Z) = c, xi well past its spectrum."""
+        identities: list[Matrix] = [
+            np.eye(d, dtype=C.dtype) for d, C in zip(self.affine.sizes, self.C, strict=True)
+        ]
+        if np.any(self.c) and self._factor(identities, identities):
+            least = self.affine.apply(self._solve(self.c, 1e-8))
+            spectra = [np.linalg.eigvalsh(M) for M in least]
+            lowest = min(float(w[0]) for w in spectra)
+            largest = max(float(np.abs(w).max()) for w in spectra)
+            xi = max(-5.0 * lowest, 0.01 * largest)
+            factors = [cholesky(M + xi * one) for M, one in zip(least, identities, strict=True)]
+            if xi > 0.0 and all(F is not None for F in factors):
+                return [F for F in factors if F is not None]
+        starts = []
+        for one, column in zip(identities, norms, strict=True):
+            ratio = (1.0 + np.abs(self.c)) / (1.0 + column)
+            root = np.sqrt(len(one))
+            starts.append(np.sqrt(max(10.0, root, root * float(ratio[column > 0.0].max(initial=0.0)))) * one)
+        return starts
 
     # -- one iteration ---------------------------------------------------------------------------
 
@@ -137,7 +155,9 @@ class _Run:
         """Iterate until optimal, infeasible, or no further progress."""
         idle = np.flatnonzero(~self.used & (self.c != 0.0))
         if idle.size:
-            return self._finish("failed", 0, "the objective is unbounded: it moves coordinates that no block contains")
+            return self._finish(
+                "failed", 0, "the objective is unbounded: it moves coordinates that no block contains"
+            )
         start_residual = 1.0 + sum(float(np.linalg.norm(R)) for R in self._primal_residual())
         short = 0
         for iteration in range(1, self.max_iterations + 1):
@@ -155,7 +175,7 @@ class _Run:
             if self.exact and self.gap < 1e-3 * self.tolerance:
                 break
             scalings = [Scaling(Ls, Fz) for Ls, Fz in zip(self.Ls, self.Fz, strict=True)]
-            if not self._factor(scalings):
+            if not self._factor([s.Ri for s in scalings], [s.G for s in scalings]):
                 break
             if not self.exact:
                 certificate = self._certificate(scalings, Z, gradient)
@@ -168,7 +188,9 @@ class _Run:
             if short >= 3 and iteration >= 12:
                 break
             if self.callback is not None:
-                residual = 0.0 if self.exact else sum(float(np.linalg.norm(R)) for R in self._primal_residual())
+                residual = (
+                    0.0 if self.exact else sum(float(np.linalg.norm(R)) for R in self._primal_residual())
+                )
                 report = Progress(iteration, objective, self.gap, residual / start_residual, self.doubt, step)
                 if self.callback(report):
                     break
@@ -185,13 +207,19 @@ class _Run:
         self, scalings: list[Scaling], rp: Vector, Rd: list[Matrix], mu: float
     ) -> tuple[float, float] | None:
         """Take a predictor-corrector step; None where the linear algebra has come to its end."""
-        residual = None if self.exact else self.affine.adjoint([s.G @ R @ s.G for s, R in zip(scalings, Rd, strict=True)])
+        residual = (
+            None
+            if self.exact
+            else self.affine.adjoint([s.G @ R @ s.G for s, R in zip(scalings, Rd, strict=True)])
+        )
 
-        def direction(targets: list[Matrix]) -> tuple[Vector, list[Matrix], list[Matrix], list[Matrix]]:
+        def direction(
+            targets: list[Matrix], accuracy: float = 1e-12
+        ) -> tuple[Vector, list[Matrix], list[Matrix], list[Matrix]]:
             right = self.affine.adjoint([s.unscale(K) for s, K in zip(scalings, targets, strict=True)]) - rp
             if residual is not None:
                 right -= residual
-            dy = self._solve(right)
+            dy = self._solve(right, accuracy)
             dS = self.affine.apply(dy)
             if residual is not None:
                 dS = [F + R for F, R in zip(dS, Rd, strict=True)]
@@ -203,19 +231,31 @@ class _Run:
             dual = min(s.longest_step(d) for s, d in zip(scalings, dz, strict=True))
             return min(1.0, share * primal), min(1.0, share * dual)
 
-        _, _, ds, dz = direction([s.target(0.0, None) for s in scalings])
+        _, _, ds, dz = direction([s.target(0.0, None) for s in scalings], 1e-6)
         ap, ad = lengths(ds, dz, 1.0)
-        after = sum(
-            inner(np.diag(s.D) + ap * a, np.diag(s.D) + ad * b) for s, a, b in zip(scalings, ds, dz, strict=True)
-        )
+        after = sum(s.product(ap * a, ad * b) for s, a, b in zip(scalings, ds, dz, strict=True))
         least = min(ap, ad)
-        sigma = 0.3 if least < 0.1 else max(1e-6, max(after / self.degree / mu, 0.0) ** max(1.0, 3.0 * least**2))
-        sigma = min(sigma, 1.0)
+        reached = max(after / self.degree / mu, 0.0)
+        sigma = 0.3 if least < 0.1 else min(1.0, max(1e-6, reached ** max(1.0, 3.0 * least**2)))
         crosses = [(a @ b + b @ a) / 2.0 for a, b in zip(ds, dz, strict=True)]
-        dy, dS, ds, dz = direction([s.target(sigma * mu, x) for s, x in zip(scalings, crosses, strict=True)])
+        targets = [s.target(sigma * mu, x) for s, x in zip(scalings, crosses, strict=True)]
+        found = direction(targets)
+        share = min(0.98, 0.9 + 0.09 * least)
+        ap, ad = lengths(found[2], found[3], share)
+        for _ in range(self.correctors):
+            longer = min(1.0, ap + 0.3), min(1.0, ad + 0.3)
+            targets = [
+                K + s.centring(longer[0] * a, longer[1] * b, sigma * mu)
+                for K, s, a, b in zip(targets, scalings, found[2], found[3], strict=True)
+            ]
+            other = direction(targets)
+            bp, bd = lengths(other[2], other[3], share)
+            if not (bp * bd > 1.02 * ap * ad and min(bp, bd) >= 0.9 * min(ap, ad)):
+                break
+            found, ap, ad = other, bp, bd
+        dy, dS, _, dz = found
         if not np.all(np.isfinite(dy)):
             return None
-        ap, ad = lengths(ds, dz, min(0.98, 0.9 + 0.09 * least))
         return self._move(scalings, dy, dS, dz, ap, ad)
 
     def _move(
@@ -249,9 +289,9 @@ class _Run:
 
     # -- the linear system -----------------------------------------------------------------------
 
-    def _factor(self, scalings: list[Scaling]) -> bool:
+    def _factor(self, roots: list[Matrix], metrics: list[Matrix]) -> bool:
         """Form and factor H; False where it has no factor even with the largest shift."""
-        H = self.schur.form([s.Ri for s in scalings], [s.G for s in scalings])
+        H = self.schur.form(roots, metrics)
         diagonal = H.ravel()[:: self.affine.m + 1]
         diagonal[~self.used] = 1.0
         if not np.all(np.isfinite(diagonal)) or np.any(diagonal <= 0.0):
@@ -267,9 +307,13 @@ class _Run:
                 return True
         return False
 
-    def _solve(self, right: Vector) -> Vector:
-        """Solve H dy = right by conjugate gradients, preconditioned by the factor."""
+    def _solve(self, right: Vector, accuracy: float = 1e-12) -> Vector:
+        """Solve H dy = right by at most three conjugate-gradient steps, preconditioned by the factor.
+
+        `accuracy` is relative, in the norm that scales H to a unit diagonal.
+        """
         H, factor = self.schur.H.T, self._factored.T
+        weights = 1.0 / np.sqrt(self._diagonal)
 
         def precondition(r: Vector) -> Vector:
             x: Vector = lapack.dpotrs(factor, r, lower=1)[0]
@@ -277,21 +321,19 @@ class _Run:
 
         x = precondition(right)
         r = right - blas.dsymv(1.0, H, x, lower=1)
-        wanted = 1e-13 * np.linalg.norm(right / np.sqrt(self._diagonal))
-        p = z = precondition(r)
-        rz = float(r @ z)
+        wanted = accuracy * float(np.linalg.norm(right * weights))
+        p, last = r, 0.0
         for _ in range(3):
-            if not np.linalg.norm(r / np.sqrt(self._diagonal)) > wanted or not rz > 0.0:
+            if not float(np.linalg.norm(r * weights)) > wanted:
                 break
+            z = precondition(r)
+            rz = float(r @ z)
+            p = z + (rz / last) * p if last else z
             q = blas.dsymv(1.0, H, p, lower=1)
             step = rz / float(p @ q)
-            if not np.isfinite(step):
+            if not np.isfinite(step) or not rz > 0.0:
                 break
-            x = x + step * p
-            r = r - step * q
-            z = precondition(r)
-            before, rz = rz, float(r @ z)
-            p = z + (rz / before) * p
+            x, r, last = x + step * p, r - step * q, rz
         return x
 
     # -- ends ------------------------------------------------------------------------------------
@@ -336,7 +378,9 @@ class _Run:
         """End without having reached the tolerance."""
         Z = [F @ F.conj().T for F in self.Fz]
         if self.exact and self.gap < 1e3 * self.tolerance and self.doubt < 1e3 * self.tolerance:
-            return self._finish("almost optimal", iteration, f"relative gap {self.gap:.1e}, uncertainty {self.doubt:.1e}", Z)
+            return self._finish(
+                "almost optimal", iteration, f"relative gap {self.gap:.1e}, uncertainty {self.doubt:.1e}", Z
+            )
         return self._finish("failed", iteration, "no further progress", Z)
 
     def _finish(self, status: str, iterations: int, message: str, Z: list[Matrix] | None = None) -> Solution:

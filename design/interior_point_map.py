@@ -82,7 +82,11 @@ class AffineMap:
         self.is_complex = [
             any(
                 np.iscomplexobj(a) and np.any(np.imag(a))
-                for a in (block.constant, *(x for t in block.terms for x in (t.left, t.right)), *block.scalars.values())
+                for a in (
+                    block.constant,
+                    *(x for t in block.terms for x in (t.left, t.right)),
+                    *block.scalars.values(),
+                )
             )
             for block in problem.blocks
         ]
@@ -109,8 +113,13 @@ class AffineMap:
         for k, block in enumerate(problem.blocks):
             d, offset, width = self.sizes[k], int(self.starts[k]), 2 if self.is_complex[k] else 1
 
-            def add(entry: npt.NDArray[np.intp], coordinate: npt.NDArray[np.intp], value: Matrix,
-                    offset: int = offset, width: int = width) -> None:
+            def add(
+                entry: npt.NDArray[np.intp],
+                coordinate: npt.NDArray[np.intp],
+                value: Matrix,
+                offset: int = offset,
+                width: int = width,
+            ) -> None:
                 for part, number in enumerate((value.real, value.imag)[:width]):
                     rows.append(offset + width * entry + part)
                     cols.append(coordinate)

@@ -58,6 +58,22 @@ class Scaling:
             K -= cross * self._weights
         return K
 
+    def product(self, ds: Matrix, dz: Matrix) -> float:
+        """Return <D + ds, D + dz>."""
+        diagonal = float(self.D @ self.D + self.D @ (np.diagonal(ds) + np.diagonal(dz)).real)
+        return diagonal + inner(ds, dz)
+
+    def centring(self, ds: Matrix, dz: Matrix, centre: float) -> Matrix:
+        """Return D \\ T, with T moving the eigenvalues of sym((D + ds)(D + dz)) towards [.3, 3] centre."""
+        one, other = ds.copy(), dz.copy()
+        diagonal = np.diag_indices_from(one)
+        one[diagonal] += self.D
+        other[diagonal] += self.D
+        values, vectors = np.linalg.eigh(hermitian(one @ other))
+        moves = np.maximum(np.clip(values, 0.3 * centre, 3.0 * centre) - values, -3.0 * centre)
+        corrected: Matrix = ((vectors * moves) @ vectors.conj().T) * self._weights
+        return corrected
+
     def longest_step(self, direction: Matrix) -> float:
         """Return the largest a with D + a direction >= 0 (inf where there is no end)."""
         scaled = direction * self._inverse_roots[:, None] * self._inverse_roots[None, :]

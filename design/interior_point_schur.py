@@ -197,7 +197,10 @@ class SchurComplement:
             most = max(most, int(np.prod(pair.shape)))
         self._work = (np.empty(most), np.empty(most))
         self._scalars = [
-            (affine.scalar_index[name], [(k, np.asarray(b.scalars[name])) for k, b in enumerate(problem.blocks) if name in b.scalars])
+            (
+                affine.scalar_index[name],
+                [(k, np.asarray(b.scalars[name])) for k, b in enumerate(problem.blocks) if name in b.scalars],
+            )
             for name in problem.scalars
         ]
         self.H = np.zeros((affine.m, affine.m))
