@@ -116,6 +116,10 @@ class Case(BaseModel):
         """Return the case in the form of its file: tables keyed by row id, defaults written out."""
         raw = self.model_dump(mode="python", by_alias=True, exclude_none=True)
         sources = raw.pop("sources")
+        for row in raw["loads"]:
+            for letter in "PQ":
+                if f"{letter}_zip" in row:
+                    del row[f"{letter}_exponent"]
         if not raw["event"]:
             del raw["event"]
         for table, key in ROW_TABLES.items():
