@@ -11,25 +11,26 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import cache as forever
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import control
 import numpy as np
 
-from interarea.design import study_designs
-from interarea.design.controller import Controller
-from interarea.design.linearise import linearise, remove_reference
+from interarea.design.linearise import linearise
 from interarea.fmu_build.open import open_plant
 from interarea.fmu_build.package import build_fmu
 from interarea.models.case import Case
-from interarea.models.channel_block import channel_block
 from interarea.models.plant_block import plant_block
 from interarea.models.variables import Block
+
+if TYPE_CHECKING:
+    from interarea.design.controller import Controller
 
 ROOMS = Path(__file__).resolve().parent.parent
 
@@ -65,10 +66,10 @@ def file_hash(path: Path) -> str:
 
 
 @forever
-def source_hash(room: str, without: tuple[str, ...] = ()) -> str:
-    """Return the hash of one room's Python, C and TOML sources; `without` names stems left out."""
+def source_hash(room: str, pattern: str = "*.py") -> str:
+    """Return the hash of those files of a room (folders below included) that match `pattern`."""
     folder = ROOMS / room
-    files = sorted(p for p in folder.rglob("*") if p.suffix in (".py", ".c", ".h") and p.stem not in without)
+    files = sorted(folder.rglob(pattern))
     return content_hash(*(part for p in files for part in (p.relative_to(folder).as_posix(), p.read_bytes())))
 
 
@@ -98,7 +99,15 @@ def artefact(cache: Path, kind: str, key: str, suffix: str, make: Callable[[Path
     return path
 
 
-def block_fmu(block: Block, cache: Path, *, kind: str | None = None) -> Path:
+def place(artefact: Path, path: Path) -> Path:
+    """Copy an artefact to where the user wants it, as one finished file; return that path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.partial")
+    shutil.copyfile(artefact, partial)
+    return partial.replace(path)
+
+
+def block_fmu(block: Block, cache: Path) -> Path:
     """Build the FMU of a block once; the key is everything the block holds and the FMU builder's sources."""
     variables = [repr(v) for v in block.table]
     data = [part for name, value in block.data.items() for part in (name, _raw(value))]
@@ -112,23 +121,18 @@ def block_fmu(block: Block, cache: Path, *, kind: str | None = None) -> Path:
         variables,
         *data,
         *(p.read_bytes() for p in block.sources),
-        _headers(block.sources),
+        source_hash("models", "*.h"),
         source_hash("fmu_build"),
-        source_hash("models", ()),
+        source_hash("fmu_build", "*.[ch]"),
         os.environ.get("CC", ""),
     )
     return artefact(
-        cache, kind or block.kind, f"{block.name}-{key}", ".fmu", lambda p: build_fmu(block, p, cache=cache)
+        cache, block.kind, f"{block.name}-{key}", ".fmu", lambda p: build_fmu(block, p, cache=cache)
     )
 
 
 def _raw(value: object) -> bytes | np.ndarray[Any, Any]:
     return value if isinstance(value, bytes) else np.asarray(value)
-
-
-def _headers(sources: Iterable[Path]) -> str:
-    folders = sorted({p.parent for p in sources})
-    return content_hash(*(h.read_bytes() for folder in folders for h in sorted(folder.glob("*.h"))))
 
 
 def plant_fmu(case: Case, cache: Path) -> Path:
@@ -138,6 +142,8 @@ def plant_fmu(case: Case, cache: Path) -> Path:
 
 def channel_fmu(cache: Path) -> Path:
     """Return the FMU of one channel; latency, outages and the rule on loss are its parameters."""
+    from interarea.models.channel_block import channel_block
+
     return block_fmu(channel_block(), cache)
 
 
@@ -147,15 +153,18 @@ def controller_fmu(controller: Controller, omega_b: float, cache: Path) -> Path:
 
 
 def linear_plant(case: Case, cache: Path) -> control.StateSpace:
-    """Return the plant FMU linearised at its operating point, reference angle removed.
+    """Return the plant FMU linearised at its operating point, reference angle included.
 
     Inputs `G1_vs`.. in pu, outputs as the FMU gives them (speeds in pu); all states in s.
     """
     fmu = plant_fmu(case, cache)
-    key = content_hash(fmu.name, source_hash("design"), numerics_versions())
-    path = artefact(
-        cache, "linear", key, ".npz", lambda p: _save_linear(remove_reference(linearise(open_plant(fmu))), p)
-    )
+    key = content_hash(fmu.name, source_hash("design", "linearise.py"), numerics_versions())
+
+    def make(path: Path) -> None:
+        with open_plant(fmu) as plant:
+            _save_linear(linearise(plant), path)
+
+    path = artefact(cache, "linear", key, ".npz", make)
     with np.load(path) as z:
         return control.ss(
             *(z[m] for m in "ABCD"),
@@ -181,6 +190,9 @@ def design_controller(case: Case, name: str, cache: Path) -> Controller:
     ------
     ValueError : an unknown name. InfeasibleDesign, UncertifiedDesign : as the design says.
     """
+    from interarea.design import study_designs  # cvxpy loads with it: only who designs waits for that
+    from interarea.design.controller import Controller
+
     if name not in CONTROLLER_NAMES:
         raise ValueError(f"controller {name!r} is not known, allowed: {', '.join(CONTROLLER_NAMES)}")
     make = getattr(study_designs, f"design_{name}")

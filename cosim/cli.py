@@ -1,16 +1,16 @@
-"""The command `interarea`: results on stdout, progress and errors on stderr, one line for a user's mistake."""
+"""The command `interarea`: results on stdout, progress on stderr, a user's mistake in one line."""
 
 from __future__ import annotations
 
 import json
-import os
 import sys
-import traceback
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from .terminal import busy, complain, print_table, stage_progress
 
 if TYPE_CHECKING:
     import control
@@ -27,8 +27,12 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-CaseName = Annotated[str, typer.Argument(metavar="CASE", help="bundled case or TOML file", show_default=False)]
-OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)]
+CaseName = Annotated[
+    str, typer.Argument(metavar="CASE", help="bundled case or TOML file", show_default=False)
+]
+OutFolder = Annotated[
+    Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
+]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON instead of a table")]
 
 
@@ -43,7 +47,7 @@ def cases(json_: AsJson = False) -> None:
         rows[name] = {"title": case.title, "machines": len(case.machines), "buses": len(case.buses)}
     if json_:
         return _print_json(rows)
-    _print_table(
+    print_table(
         "bundled cases",
         ("case", "machines", "buses", "title"),
         [(n, str(r["machines"]), str(r["buses"]), str(r["title"])) for n, r in rows.items()],
@@ -65,7 +69,7 @@ def modes(case: CaseName, json_: AsJson = False) -> None:
                 "modes": rows,
             }
         )
-    _print_table(
+    print_table(
         f"{loaded.name}: {system.nstates} states, swing modes",
         ("mode", "frequency (Hz)", "damping ratio", "eigenvalue (1/s)", "takes part most"),
         [
@@ -91,7 +95,7 @@ def loops(case: CaseName, json_: AsJson = False) -> None:
     ranked = loop_rows(wide_area_loops(loaded, system, found))
     if json_:
         return _print_json({"case": loaded.name, **ranked})
-    _print_table(
+    print_table(
         f"{loaded.name}: loops for the inter-area mode",
         ("actuator", "signal", "index"),
         [(r["actuator"], r["signal"], f"{r['index']:.4f}") for r in ranked["ranking"]],
@@ -105,9 +109,9 @@ def build(case: CaseName, out: OutFolder) -> None:
     """Build the plant FMU of a case."""
     from interarea.models.case import load_case
 
-    from .artefacts import default_cache, plant_fmu, place
+    from .artefacts import default_cache, place, plant_fmu
 
-    with _busy("building the plant FMU"):
+    with busy("building the plant FMU"):
         loaded = load_case(case)
         made = plant_fmu(loaded, default_cache())
     typer.echo(place(made, out / f"{loaded.name}.fmu"))
@@ -115,7 +119,9 @@ def build(case: CaseName, out: OutFolder) -> None:
 
 @app.command()
 def run(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="scenario file", show_default=False)],
+    scenario: Annotated[
+        Path, typer.Argument(metavar="SCENARIO.toml", help="scenario file", show_default=False)
+    ],
     out: OutFolder,
     explain: Annotated[bool, typer.Option("--explain", help="print delays and stepping order")] = False,
 ) -> None:
@@ -126,7 +132,7 @@ def run(
     from .scenario import load_scenario
 
     loaded = load_scenario(scenario)
-    with _busy(f"running {scenario}"):
+    with busy(f"running {scenario}"):
         result = run_scenario(loaded, cache=default_cache())
         files = write_run(result, loaded, out)
     if explain:
@@ -148,7 +154,9 @@ def study(
     typer.echo(out / "study.json")
     typer.echo(out / "report.html")
     verdicts = summary["statements"]
-    counts = ", ".join(f"{sum(v == k for v in verdicts.values())} {k}" for k in ("agrees", "partly", "differs"))
+    counts = ", ".join(
+        f"{sum(v == k for v in verdicts.values())} {k}" for k in ("agrees", "partly", "differs")
+    )
     typer.echo(f"printed statements: {counts}", err=True)
 
 
@@ -170,7 +178,7 @@ def _modes(name: str) -> tuple[Case, control.StateSpace, Modes]:
 
     from .artefacts import default_cache, linear_plant
 
-    with _busy(f"linearising the plant FMU of {name}"):
+    with busy(f"linearising the plant FMU of {name}"):
         case = load_case(name)
         system = linear_plant(case, default_cache())
         return case, system, modes_of(system, case.areas)
@@ -178,3 +186,18 @@ def _modes(name: str) -> tuple[Case, control.StateSpace, Modes]:
 
 def _print_json(value: Mapping[str, Any]) -> None:
     typer.echo(json.dumps(value, indent=2, allow_nan=False))
+
+
+def main() -> None:
+    """Run the command line: exit code 0, 2 for a mistake of the user, 1 for a fault of ours."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        print("interarea: stopped", file=sys.stderr)
+        sys.exit(130)
+    except Exception as error:  # the one place where every error ends as one line
+        sys.exit(complain(error))
+
+
+if __name__ == "__main__":
+    main()
