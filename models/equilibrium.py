@@ -1,0 +1,214 @@
+"""The exact operating point: states and set-points for which every derivative is zero."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from .case import Case, CaseError
+from .case_schema import Machine
+from .network import admittance_matrix, bus_index, load_power, machine_bus_index, machine_norton_admittance
+from .plant_tables import Device, MachinePoint, State, exciter, governor, network_states, stabilizer
+from .powerflow import PowerFlow, solve_powerflow
+
+VOLTAGE_TOLERANCE_PU = 1e-8  #: most by which the dynamic network may differ from the power flow
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """Equilibrium of a case; arrays read-only.
+
+    States come quantity by quantity for the machines (all `delta`, all `slip`, ...), then device by device.
+    """
+
+    case: Case
+    power_flow: PowerFlow
+    machines: tuple[MachinePoint, ...]  #: per unit on each machine's base
+    exciters: tuple[Device, ...]
+    stabilizers: tuple[Device, ...]
+    governors: tuple[Device, ...]
+    states: tuple[State, ...]
+    x0: npt.NDArray[np.float64]  #: (states,)
+    u0: npt.NDArray[np.float64]  #: (inputs,) zero: the set-points are in the devices
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states in order."""
+        return tuple(s.name for s in self.states)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs: one per exciter."""
+        return tuple(f"{self.case.machines[e.machine].name}_vs" for e in self.exciters)
+
+
+def operating_point(case: Case, power_flow: PowerFlow | None = None) -> OperatingPoint:
+    r"""Return the equilibrium of `case` at its power flow (solved here when not given).
+
+    With terminal voltage V and current I of a machine, :math:`\delta = \arg(V + (R_a + jX_q) I)`; in the
+    rotor frame :math:`(v_q - j v_d) = V e^{-j\delta}`, :math:`(i_q - j i_d) = I e^{-j\delta}` and
+
+    .. math::
+        e''_q = v_q + R_a i_q + X''_d i_d, \quad e''_d = v_d + R_a i_d - X''_q i_q, \quad
+        e'_q = e''_q + (X'_d - X''_d) i_d, \quad e'_d = e''_d - (X'_q - X''_q) i_q, \quad
+        E_{fd} = e'_q + (X_d - X'_d) i_d .
+
+    The currents are then taken once more from the EMFs through the network as the plant solves it, so that the
+    set-points fit the plant to rounding.  [Kundur1994, sec. 13.3]
+
+    Raises
+    ------
+    CaseError : a device the plant does not model, a limit that excludes the operating point, or a power flow
+        that is not one of this case.
+
+    >>> from interarea.models.case import load_case
+    >>> point = operating_point(load_case("kundur-thyristor-z"))
+    >>> len(point.x0), point.input_names[0]
+    (32, 'G1_vs')
+    """
+    _supported(case)
+    if power_flow is None:
+        power_flow = solve_powerflow(case)
+    bus = machine_bus_index(case)
+    base = np.array([m.base_mva / case.base_mva for m in case.machines])
+    voltage = power_flow.voltages[bus]
+    current = np.conj(power_flow.generation / voltage)
+    emf = np.empty(len(base), dtype=complex)
+    delta = np.empty(len(base))
+    for k, m in enumerate(case.machines):
+        i = current[k] / base[k]
+        delta[k] = np.angle(voltage[k] + complex(m.Ra, m.Xq) * i)
+        emf[k] = voltage[k] + complex(m.Ra, m.Xd2) * i
+    solved, current = _network(case, power_flow, emf)
+    worst = int(np.argmax(np.abs(solved - power_flow.voltages)))
+    error = abs(solved[worst] - power_flow.voltages[worst])
+    if not error <= VOLTAGE_TOLERANCE_PU:
+        raise CaseError(
+            f"{case.name}: the network at rest differs from the power flow by {error:.3g} pu at bus "
+            f"{case.buses[worst].number}, allowed: {VOLTAGE_TOLERANCE_PU:g}; is it the power flow of this case?"
+        )
+    points = tuple(
+        _machine_point(m, float(delta[k]), complex(emf[k]), complex(current[k] / base[k]))
+        for k, m in enumerate(case.machines)
+    )
+    return _assemble(case, power_flow, points)
+
+
+def _network(
+    case: Case, power_flow: PowerFlow, emf: npt.NDArray[np.complex128]
+) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128]]:
+    """Bus voltages and machine currents (system base) from the EMFs, loads as admittances."""
+    Y = admittance_matrix(case)
+    index = bus_index(case)
+    for load in case.loads:
+        if load.in_service:
+            k = index[load.bus]
+            Y[k, k] += np.conj(load_power(case, load)) / abs(power_flow.voltages[k]) ** 2
+    bus, norton = machine_bus_index(case), machine_norton_admittance(case)
+    np.add.at(Y, (bus, bus), norton)
+    injected = np.zeros(len(Y), dtype=complex)
+    np.add.at(injected, bus, norton * emf)
+    voltages = np.linalg.solve(Y, injected)
+    voltages += np.linalg.solve(Y, injected - Y @ voltages)
+    return voltages, norton * (emf - voltages[bus])
+
+
+def _machine_point(m: Machine, delta: float, emf: complex, current: complex) -> MachinePoint:
+    turn = np.exp(-1j * delta)
+    e, i = emf * turn, current * turn
+    eq2, ed2, iq, id_ = e.real, -e.imag, i.real, -i.imag
+    eq1 = eq2 + (m.Xd1 - m.Xd2) * id_
+    return MachinePoint(
+        delta=delta,
+        eq1=eq1,
+        ed1=ed2 - (m.Xq1 - m.Xq2) * iq,
+        eq2=eq2,
+        ed2=ed2,
+        efd=eq1 + (m.Xd - m.Xd1) * id_,
+        pm=ed2 * id_ + eq2 * iq + (m.Xq2 - m.Xd2) * id_ * iq,
+        vt=float(np.hypot(ed2 - m.Ra * id_ + m.Xq2 * iq, eq2 - m.Ra * iq - m.Xd2 * id_)),
+    )
+
+
+def _assemble(case: Case, power_flow: PowerFlow, points: tuple[MachinePoint, ...]) -> OperatingPoint:
+    stabilizers, exciters, governors = [], [], []
+    field_voltage: list[frozenset[str]] = []
+    power: list[frozenset[str]] = []
+    for k, point in enumerate(points):
+        pss = stabilizer(case, k)
+        avr = exciter(case, k, point, pss.output if pss else frozenset())
+        gov = governor(case, k, point)
+        if pss and not avr:
+            name = case.machines[k].name
+            raise CaseError(
+                f"{case.name}: machines.{name} has a stabilizer but constant excitation; give it an exciter"
+            )
+        stabilizers += [pss] if pss else []
+        exciters += [avr] if avr else []
+        governors += [gov] if gov else []
+        field_voltage.append(avr.output if avr else frozenset())
+        power.append(gov.output if gov else frozenset())
+    states = _machine_states(case, points, field_voltage, power)
+    for device in (*exciters, *stabilizers, *governors):
+        states += device.states
+    x0 = np.array([s.start for s in states])
+    u0 = np.zeros(len(exciters))
+    x0.flags.writeable = u0.flags.writeable = False
+    return OperatingPoint(
+        case, power_flow, points, tuple(exciters), tuple(stabilizers), tuple(governors), tuple(states), x0, u0
+    )
+
+
+def _machine_states(
+    case: Case,
+    points: tuple[MachinePoint, ...],
+    field_voltage: list[frozenset[str]],
+    power: list[frozenset[str]],
+) -> list[State]:
+    network = network_states(case)
+    words = {
+        "delta": ("rad", "rotor angle to the synchronous frame"),
+        "slip": ("pu", "speed deviation"),
+        "eq1": ("pu", "transient EMF, q axis"),
+        "ed1": ("pu", "transient EMF, d axis"),
+        "eq2": ("pu", "subtransient EMF, q axis"),
+        "ed2": ("pu", "subtransient EMF, d axis"),
+    }
+    states = []
+    for key, (unit, description) in words.items():
+        for k, (m, point) in enumerate(zip(case.machines, points, strict=True)):
+            own = frozenset({f"{m.name}.{key}"})
+            depends = {
+                "delta": frozenset({f"{m.name}.slip"}),
+                "slip": network | power[k] | (own if m.D > 0.0 else frozenset()),
+                "eq1": network | own | field_voltage[k],
+                "ed1": network | own,
+                "eq2": network | {f"{m.name}.eq1"} | field_voltage[k],
+                "ed2": network | {f"{m.name}.ed1"},
+            }[key]
+            start = 0.0 if key == "slip" else float(getattr(point, key))
+            states.append(State(f"{m.name}.{key}", start, unit, description, depends))
+    return states
+
+
+def _supported(case: Case) -> None:
+    for m in case.machines:
+        if m.model != "round_rotor":
+            raise CaseError(
+                f"{case.name}: machines.{m.name}.model = {m.model!r} is not modelled by the plant yet"
+            )
+        if m.Xd2 != m.Xq2:
+            raise CaseError(
+                f"{case.name}: machines.{m.name}: Xd2 = {m.Xd2:g} and Xq2 = {m.Xq2:g} differ, allowed: Xd2 = Xq2"
+            )
+        if m.saturation is not None and m.saturation.use != "none":
+            raise CaseError(
+                f"{case.name}: machines.{m.name}.saturation.use = {m.saturation.use!r} is not modelled yet"
+            )
+    for load in case.loads:
+        if not load.is_constant_impedance:
+            raise CaseError(
+                f"{case.name}: loads.{load.name} is not constant impedance, which the plant does not model yet"
+            )

@@ -1,0 +1,179 @@
+/* Events: what the slots ask for at a time, put into memory. A slot is active
+ * from its start (included) to its end (excluded); the state after an event
+ * follows from the time alone, so nothing has to be remembered. */
+#include "plant.h"
+
+static const double *slot_reals(const Block *b, const Plan *plan, size_t k)
+{
+    return b->p + b->layout.n_p - (plan->n_slot - k) * (size_t)SLOT_REALS;
+}
+
+static const int *slot_integers(const Block *b, const Plan *plan, size_t k)
+{
+    return b->ip + b->layout.n_ip - (plan->n_slot - k) * (size_t)SLOT_INTEGERS;
+}
+
+static const char *kind_name(int kind)
+{
+    static const char *const names[EVENT_KINDS] = {
+        "none", "bus_fault", "branch_trip", "branch_reclose", "vref_pulse",
+        "load_step", "pm_pulse", "machine_trip", "shunt_switch"
+    };
+    return kind >= 0 && kind < (int)EVENT_KINDS ? names[kind] : "unknown";
+}
+
+static size_t target_count(const Plan *plan, const Network *net, int kind)
+{
+    switch (kind) {
+    case EVENT_BUS_FAULT: return plan->n_bus;
+    case EVENT_BRANCH_TRIP:
+    case EVENT_BRANCH_RECLOSE: return plan->n_branch;
+    case EVENT_LOAD_STEP: return plan->n_load;
+    case EVENT_SHUNT_SWITCH: return net->n_item;
+    default: return plan->n_machine;
+    }
+}
+
+BlockStatus event_check(const Block *b, const Plan *plan, const Network *net, BlockMessage *message)
+{
+    for (size_t k = 0; k < plan->n_slot; ++k) {
+        const double *p = slot_reals(b, plan, k);
+        const int *i = slot_integers(b, plan, k);
+        const int kind = i[SLOT_KIND], target = i[SLOT_TARGET];
+
+        if (kind == EVENT_NONE) continue;
+        if (kind < 0 || kind >= (int)EVENT_KINDS)
+            return plant_fail(message, BLOCK_ERROR, "event[%zu].kind = %d, allowed: 0 to %d",
+                              k + 1, kind, (int)EVENT_KINDS - 1);
+        const size_t count = target_count(plan, net, kind);
+        if (target < 1 || (size_t)target > count)
+            return plant_fail(message, BLOCK_ERROR, "event[%zu].target = %d for %s, allowed: 1 to %zu",
+                              k + 1, target, kind_name(kind), count);
+        for (size_t j = 0; j < SLOT_REALS; ++j)
+            if (!(fabs(p[j]) <= 1e300))
+                return plant_fail(message, BLOCK_ERROR, "event[%zu] (%s): a parameter is not a finite number",
+                                  k + 1, kind_name(kind));
+        if (!(p[SLOT_END] > p[SLOT_START]))
+            return plant_fail(message, BLOCK_ERROR,
+                              "event[%zu] (%s): end = %g s with start = %g s, allowed: end > start "
+                              "(1e30 for no end)",
+                              k + 1, kind_name(kind), p[SLOT_END], p[SLOT_START]);
+        if (kind == EVENT_BUS_FAULT
+            && (!(p[SLOT_R] >= 0.0) || !(p[SLOT_R] * p[SLOT_R] + p[SLOT_X] * p[SLOT_X] >= 1e-16)))
+            return plant_fail(message, BLOCK_ERROR,
+                              "event[%zu] (bus_fault): r = %g, x = %g, allowed: r >= 0 and |r + jx| >= 1e-8 pu",
+                              k + 1, p[SLOT_R], p[SLOT_X]);
+        if (kind == EVENT_VREF_PULSE) {
+            int found = 0;
+            for (size_t j = 0; j < plan->n_exciter; ++j)
+                found |= index_at(b->memory + plan->exciter_of, plan->n_exciter + j) == (size_t)target - 1;
+            if (!found) {
+                char name[64];
+                return plant_fail(message, BLOCK_ERROR,
+                                  "event[%zu] (vref_pulse): machine %s has no voltage regulator",
+                                  k + 1, plant_name(net->machine_names, (size_t)target - 1, name));
+            }
+        }
+    }
+    return BLOCK_OK;
+}
+
+double event_next(const Block *b, const Plan *plan, double t)
+{
+    double next = INFINITY;
+    for (size_t k = 0; k < plan->n_slot; ++k) {
+        const double *p = slot_reals(b, plan, k);
+        if (slot_integers(b, plan, k)[SLOT_KIND] == EVENT_NONE) continue;
+        if (p[SLOT_START] > t && p[SLOT_START] < next) next = p[SLOT_START];
+        if (p[SLOT_END] > t && p[SLOT_END] < next && p[SLOT_END] < 1e29) next = p[SLOT_END];
+    }
+    return next;
+}
+
+/* A branch follows the latest of its edges: trip opens at start and closes again
+ * at end; reclose closes at start and opens again at end. */
+static double branch_state(const Block *b, const Plan *plan, size_t branch, int initial, double t)
+{
+    double latest = -INFINITY, state = initial != 0 ? 1.0 : 0.0;
+    for (size_t k = 0; k < plan->n_slot; ++k) {
+        const double *p = slot_reals(b, plan, k);
+        const int *i = slot_integers(b, plan, k);
+        const int trip = i[SLOT_KIND] == EVENT_BRANCH_TRIP, close = i[SLOT_KIND] == EVENT_BRANCH_RECLOSE;
+        if ((!trip && !close) || (size_t)i[SLOT_TARGET] != branch + 1) continue;
+        if (p[SLOT_START] <= t && p[SLOT_START] >= latest) {
+            latest = p[SLOT_START];
+            state = close ? 1.0 : 0.0;
+        }
+        if (p[SLOT_END] <= t && p[SLOT_END] >= latest) {
+            latest = p[SLOT_END];
+            state = close ? 0.0 : 1.0;
+        }
+    }
+    return state;
+}
+
+static void centre_of_inertia(double *memory, const Plan *plan)
+{
+    const size_t n = plan->n_machine;
+    const double *H = memory + plan->machine + M_H * n, *ratio = memory + plan->machine + M_RATIO * n;
+    double total = 0.0;
+    for (size_t k = 0; k < n; ++k) total += H[k] * ratio[k] * memory[plan->running + k];
+    for (size_t k = 0; k < n; ++k)
+        memory[plan->coi + k] = H[k] * ratio[k] * memory[plan->running + k] / total;
+}
+
+BlockStatus event_apply(Block *b, const Plan *plan, const Network *net, double t, BlockMessage *message)
+{
+    double *memory = b->memory, *extra = b->scratch, *work = extra + 2 * plan->n_bus;
+    const size_t n_bus = plan->n_bus;
+    size_t running = plan->n_machine;
+
+    for (size_t k = 0; k < 2 * n_bus; ++k) extra[k] = 0.0;
+    for (size_t k = 0; k < plan->n_machine; ++k) {
+        memory[plan->running + k] = 1.0;
+        memory[plan->vref_step + k] = memory[plan->pm_step + k] = 0.0;
+    }
+    for (size_t k = 0; k < plan->n_branch; ++k)
+        memory[plan->in_service + k] = branch_state(b, plan, k, net->branch_status[k], t);
+
+    for (size_t k = 0; k < plan->n_slot; ++k) {
+        const double *p = slot_reals(b, plan, k);
+        const int *i = slot_integers(b, plan, k);
+        if (i[SLOT_KIND] == EVENT_NONE || !(p[SLOT_START] <= t) || !(t < p[SLOT_END])) continue;
+        const size_t target = (size_t)i[SLOT_TARGET] - 1;
+
+        switch (i[SLOT_KIND]) {
+        case EVENT_BUS_FAULT: {
+            const double z2 = p[SLOT_R] * p[SLOT_R] + p[SLOT_X] * p[SLOT_X];
+            extra[target] += p[SLOT_R] / z2;
+            extra[n_bus + target] -= p[SLOT_X] / z2;
+            break;
+        }
+        case EVENT_LOAD_STEP: {   /* size + j size_q at the load's operating voltage, as an impedance */
+            const size_t bus = (size_t)net->load_bus[target];
+            const double v = net->load[L_V0 * plan->n_load + target];
+            extra[bus] += p[SLOT_SIZE] / (v * v);
+            extra[n_bus + bus] -= p[SLOT_SIZE_Q] / (v * v);
+            break;
+        }
+        case EVENT_SHUNT_SWITCH: { /* size 1: in, 0: out */
+            const size_t bus = (size_t)net->item_bus[target];
+            const double sign = (p[SLOT_SIZE] > 0.5 ? 1.0 : 0.0) - (net->item_status[target] != 0 ? 1.0 : 0.0);
+            extra[bus] += sign * net->item[target];
+            extra[n_bus + bus] += sign * net->item[net->n_item + target];
+            break;
+        }
+        case EVENT_VREF_PULSE: memory[plan->vref_step + target] += p[SLOT_SIZE]; break;
+        case EVENT_PM_PULSE: memory[plan->pm_step + target] += p[SLOT_SIZE]; break;
+        case EVENT_MACHINE_TRIP:
+            if (memory[plan->running + target] > 0.5) --running;
+            memory[plan->running + target] = 0.0;
+            break;
+        default: break;
+        }
+    }
+    if (running == 0)
+        return plant_fail(message, BLOCK_ERROR, "t = %.9g s: the last machine was tripped", t);
+    centre_of_inertia(memory, plan);
+    return stage_build(memory, plan, net, extra, work, message);
+}

@@ -1,0 +1,2 @@
+/* The physics over double: the flow itself. */
+#include "flow.h"

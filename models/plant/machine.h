@@ -1,0 +1,101 @@
+#ifndef INTERAREA_MACHINE_H
+#define INTERAREA_MACHINE_H
+#include "plan.h"
+#include "scalar.h"
+/* Synchronous machines. Per unit on the machine base; q leads d by 90 degrees,
+ * delta is the angle of the q axis to the synchronous frame; current out is
+ * positive; stator transients and the speed terms in the stator and torque
+ * equations are neglected.             [Kundur1994, ch. 3-5; GENROU of PSS/E]
+ *
+ * Sixth order (field, one d damper, two q dampers, leakage Xl, no saturation).
+ * With a = (Xd2 - Xl)/(Xd1 - Xl) and b = (Xq2 - Xl)/(Xq1 - Xl):
+ *
+ *        d delta/dt = omega_b slip
+ *    2H  d slip/dt  = Tm - Te - D slip
+ *   Td01 d eq1/dt   = Efd - eq1 - (Xd - Xd1) [a id + (eq1 - eq2)/(Xd1 - Xl)]
+ *   Tq01 d ed1/dt   =     - ed1 + (Xq - Xq1) [b iq - (ed1 - ed2)/(Xq1 - Xl)]
+ *        d eq2/dt   = a d eq1/dt + [eq1 - eq2 - (Xd1 - Xd2) id]/Td02
+ *        d ed2/dt   = b d ed1/dt + [ed1 - ed2 + (Xq1 - Xq2) iq]/Tq02
+ *
+ * eq2, ed2 are the subtransient EMFs themselves: eq2 = a eq1 + (1-a) psi_kd,
+ * ed2 = b ed1 + (1-b) psi_kq, the flux linkages psi of the outer dampers obeying
+ * Td02 d psi_kd/dt = eq1 - psi_kd - (Xd1 - Xl) id, and alike in q. The bracket
+ * after (Xd - Xd1) plus eq1 is the field current Xad ifd.
+ *
+ * Stator:  vd = ed2 - Ra id + Xq2 iq,   vq = eq2 - Ra iq - Xd2 id
+ * Torque:  Te = ed2 id + eq2 iq + (Xq2 - Xd2) id iq                            */
+typedef struct { const num *delta, *slip, *eq1, *ed1, *eq2, *ed2; } MachineStates;
+typedef struct { num *delta, *slip, *eq1, *ed1, *eq2, *ed2; } MachineRates;
+
+/* States of n machines lie quantity by quantity at the start of x. */
+static inline MachineStates machine_states(const num *x, size_t n)
+{
+    return (MachineStates){ x, x + n, x + 2 * n, x + 3 * n, x + 4 * n, x + 5 * n };
+}
+
+static inline MachineRates machine_rates(num *dx, size_t n)
+{
+    return (MachineRates){ dx, dx + n, dx + 2 * n, dx + 3 * n, dx + 4 * n, dx + 5 * n };
+}
+
+/* Subtransient EMF in the network frame: E = (eq2 - j ed2) exp(j delta). */
+static inline void machine_emf(size_t n, MachineStates x, num *sine, num *cosine,
+                               num *e_re, num *e_im)
+{
+    for (size_t k = 0; k < n; ++k) {
+        num_sincos(x.delta[k], &sine[k], &cosine[k]);
+        e_re[k] = x.eq2[k] * cosine[k] + x.ed2[k] * sine[k];
+        e_im[k] = x.eq2[k] * sine[k] - x.ed2[k] * cosine[k];
+    }
+}
+
+/* Network current (system base) -> id, iq; terminal voltage vd, vq, |V|. */
+static inline void machine_terminal(const double *table, size_t n, MachineStates x,
+                                    const num *sine, const num *cosine,
+                                    const num *i_re, const num *i_im,
+                                    num *id, num *iq, num *vd, num *vq, num *vt)
+{
+    const double *ratio = table + M_RATIO * n, *Ra = table + M_RA * n;
+    const double *Xd2 = table + M_XD2 * n, *Xq2 = table + M_XQ2 * n;
+
+    for (size_t k = 0; k < n; ++k) {
+        const num iq_system = i_re[k] * cosine[k] + i_im[k] * sine[k];
+        const num id_system = i_re[k] * sine[k] - i_im[k] * cosine[k];
+        iq[k] = iq_system / ratio[k];
+        id[k] = id_system / ratio[k];
+        vd[k] = x.ed2[k] - Ra[k] * id[k] + Xq2[k] * iq[k];
+        vq[k] = x.eq2[k] - Ra[k] * iq[k] - Xd2[k] * id[k];
+        vt[k] = num_sqrt(vd[k] * vd[k] + vq[k] * vq[k]);
+    }
+}
+
+static inline void machine_derivatives(const double *table, size_t n, double omega_b,
+                                       MachineStates x, const num *id, const num *iq,
+                                       const num *efd, const num *pm, MachineRates dx)
+{
+    const double *Xl = table + M_XL * n;
+    const double *Xd = table + M_XD * n, *Xd1 = table + M_XD1 * n, *Xd2 = table + M_XD2 * n;
+    const double *Xq = table + M_XQ * n, *Xq1 = table + M_XQ1 * n, *Xq2 = table + M_XQ2 * n;
+    const double *Td01 = table + M_TD01 * n, *Td02 = table + M_TD02 * n;
+    const double *Tq01 = table + M_TQ01 * n, *Tq02 = table + M_TQ02 * n;
+    const double *H = table + M_H * n, *D = table + M_D * n;
+
+    for (size_t k = 0; k < n; ++k) {
+        const double leak_d = 1.0 / (Xd1[k] - Xl[k]), leak_q = 1.0 / (Xq1[k] - Xl[k]);
+        const double a = (Xd2[k] - Xl[k]) * leak_d, b = (Xq2[k] - Xl[k]) * leak_q;
+        const num Te = x.ed2[k] * id[k] + x.eq2[k] * iq[k] + (Xq2[k] - Xd2[k]) * id[k] * iq[k];
+        const num deq = x.eq1[k] - x.eq2[k], ded = x.ed1[k] - x.ed2[k];
+        const num eq1 = (efd[k] - x.eq1[k]
+                         - (Xd[k] - Xd1[k]) * (a * id[k] + deq * leak_d)) / Td01[k];
+        const num ed1 = (-x.ed1[k]
+                         + (Xq[k] - Xq1[k]) * (b * iq[k] - ded * leak_q)) / Tq01[k];
+
+        dx.delta[k] = omega_b * x.slip[k];
+        dx.slip[k] = (pm[k] - Te - D[k] * x.slip[k]) / (2.0 * H[k]);
+        dx.eq1[k] = eq1;
+        dx.ed1[k] = ed1;
+        dx.eq2[k] = a * eq1 + (deq - (Xd1[k] - Xd2[k]) * id[k]) / Td02[k];
+        dx.ed2[k] = b * ed1 + (ded + (Xq1[k] - Xq2[k]) * iq[k]) / Tq02[k];
+    }
+}
+#endif

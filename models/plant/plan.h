@@ -1,0 +1,116 @@
+#ifndef INTERAREA_PLAN_H
+#define INTERAREA_PLAN_H
+/* Where everything lies in `memory`. The record is read once, in block_start:
+ * its numbers (and the FMI parameters over them) are copied here, so that the
+ * right-hand side touches only memory, states and inputs. Tables are stored
+ * quantity by quantity ("row" r, device k: table[r * count + k]).            */
+#include <stddef.h>
+#include "../block/block.h"
+
+/* Rows of the device tables; models/plant_block.py writes them in this order. */
+enum {  /* machine, per unit on the machine base */
+    M_RATIO,            /* machine base / system base                   */
+    M_RA, M_XL, M_XD, M_XD1, M_XD2, M_XQ, M_XQ1, M_XQ2,
+    M_TD01, M_TD02, M_TQ01, M_TQ02,  /* s                               */
+    M_H,                /* s                                            */
+    M_D,                /* pu torque / pu speed                         */
+    M_EFD0, M_PM0, M_VT0,  /* at the operating point                    */
+    M_ROWS
+};
+enum {  /* exciter */
+    E_KA, E_TA, E_TR, E_TB, E_TC, E_MIN, E_MAX,
+    E_VREF,             /* follows from the operating point             */
+    E_ROWS
+};
+enum {  /* stabilizer */
+    S_K, S_TS, S_TW, S_T1, S_T2, S_T3, S_T4, S_T5, S_T6, S_MIN, S_MAX, S_ROWS
+};
+enum {  /* governor and turbine */
+    G_KP, G_RP, G_TSR, G_TSM, G_VMIN, G_VMAX, G_GMIN, G_GMAX,
+    G_T2, G_T3, G_T4, G_T5, G_F2, G_F3, G_F4, G_F5, G_DT, G_ROWS
+};
+enum {  /* branch: its 2 x 2 admittance, system base */
+    B_FF_RE, B_FF_IM, B_FT_RE, B_FT_IM, B_TF_RE, B_TF_IM, B_TT_RE, B_TT_IM, B_ROWS
+};
+enum {  /* load, drawn at voltage V0 */
+    L_P, L_Q, L_V0, L_ROWS
+};
+
+typedef enum { EXCITER_STATIC = 1 } ExciterKind;
+typedef enum { GOVERNOR_STEAM = 1 } GovernorKind;
+
+/* Header of memory. */
+enum {
+    H_READY, H_OMEGA_B, H_N_MACHINE, H_N_SIXTH, H_N_BUS, H_N_BRANCH, H_N_LOAD,
+    H_N_EXCITER, H_N_STABILIZER, H_N_GOVERNOR, H_N_TIE, H_N_SLOT, H_SIZE = 16
+};
+
+typedef struct {
+    size_t n_machine, n_sixth, n_bus, n_branch, n_load;
+    size_t n_exciter, n_stabilizer, n_governor, n_tie, n_slot;
+    /* offsets into memory, in doubles */
+    size_t machine;       /* M_ROWS x n_machine                                    */
+    size_t machine_bus;   /* n_machine                                             */
+    size_t coi;           /* n_machine: weight in the centre of inertia            */
+    size_t running;       /* n_machine: 1, or 0 after a trip                       */
+    size_t pm_step;       /* n_machine: added to the mechanical power, machine base */
+    size_t vref_step;     /* n_machine: added at the exciter's summing point       */
+    size_t exciter;       /* E_ROWS x n_exciter                                    */
+    size_t exciter_of;    /* 4 x n_exciter: kind, machine, input, first state      */
+    size_t stabilizer;    /* S_ROWS x n_stabilizer                                 */
+    size_t stabilizer_of; /* 2 x n_stabilizer: machine, first state                */
+    size_t governor;      /* G_ROWS x n_governor                                   */
+    size_t governor_of;   /* 3 x n_governor: kind, machine, first state            */
+    size_t tie;           /* 2 x n_tie: branch, end (0 from, 1 to)                 */
+    size_t in_service;    /* n_branch: 1 or 0                                      */
+    size_t y_re, y_im;    /* n_machine x n_machine: currents from EMFs             */
+    size_t v_re, v_im;    /* n_bus x n_machine: bus voltages from EMFs             */
+    size_t total;
+} Plan;
+
+/* Offsets from the counts. */
+static inline void plan_offsets(Plan *p)
+{
+    size_t at = H_SIZE;
+    const size_t n = p->n_machine;
+    p->machine = at;       at += (size_t)M_ROWS * n;
+    p->machine_bus = at;   at += n;
+    p->coi = at;           at += n;
+    p->running = at;       at += n;
+    p->pm_step = at;       at += n;
+    p->vref_step = at;     at += n;
+    p->exciter = at;       at += (size_t)E_ROWS * p->n_exciter;
+    p->exciter_of = at;    at += 4u * p->n_exciter;
+    p->stabilizer = at;    at += (size_t)S_ROWS * p->n_stabilizer;
+    p->stabilizer_of = at; at += 2u * p->n_stabilizer;
+    p->governor = at;      at += (size_t)G_ROWS * p->n_governor;
+    p->governor_of = at;   at += 3u * p->n_governor;
+    p->tie = at;           at += 2u * p->n_tie;
+    p->in_service = at;    at += p->n_branch;
+    p->y_re = at;          at += n * n;
+    p->y_im = at;          at += n * n;
+    p->v_re = at;          at += p->n_bus * n;
+    p->v_im = at;          at += p->n_bus * n;
+    p->total = at;
+}
+
+static inline size_t index_at(const double *memory, size_t at)
+{
+    return (size_t)(ptrdiff_t)memory[at];
+}
+
+static inline void plan_of(const double *memory, Plan *p)
+{
+    p->n_machine = index_at(memory, H_N_MACHINE);
+    p->n_sixth = index_at(memory, H_N_SIXTH);
+    p->n_bus = index_at(memory, H_N_BUS);
+    p->n_branch = index_at(memory, H_N_BRANCH);
+    p->n_load = index_at(memory, H_N_LOAD);
+    p->n_exciter = index_at(memory, H_N_EXCITER);
+    p->n_stabilizer = index_at(memory, H_N_STABILIZER);
+    p->n_governor = index_at(memory, H_N_GOVERNOR);
+    p->n_tie = index_at(memory, H_N_TIE);
+    p->n_slot = index_at(memory, H_N_SLOT);
+    plan_offsets(p);
+}
+#endif

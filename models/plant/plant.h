@@ -1,0 +1,63 @@
+#ifndef INTERAREA_PLANT_H
+#define INTERAREA_PLANT_H
+#include "plan.h"
+#include "scalar.h"
+
+/* The read-only network of the record; pointers live for one call only. */
+typedef struct {
+    const int32_t *machine_bus, *branch_from, *branch_to, *branch_status, *load_bus;
+    const double *branch, *shunt, *load;   /* B_ROWS x n_branch, 2 x n_bus, L_ROWS x n_load */
+    const int32_t *item_bus, *item_status; /* switchable shunts */
+    const double *item;                    /* 2 x n_item: conductance, susceptance */
+    size_t n_item;
+    const char *bus_names, *branch_names, *machine_names;  /* one a line */
+} Network;
+
+/* What the event slots ask for at one time. */
+typedef enum {
+    EVENT_NONE = 0, EVENT_BUS_FAULT, EVENT_BRANCH_TRIP, EVENT_BRANCH_RECLOSE, EVENT_VREF_PULSE,
+    EVENT_LOAD_STEP, EVENT_PM_PULSE, EVENT_MACHINE_TRIP, EVENT_SHUNT_SWITCH, EVENT_KINDS
+} EventKind;
+
+/* FMI parameters of a slot: Reals start, end, size, size_q, r, x; integers kind, target. */
+enum { SLOT_START, SLOT_END, SLOT_SIZE, SLOT_SIZE_Q, SLOT_R, SLOT_X, SLOT_REALS };
+enum { SLOT_KIND, SLOT_TARGET, SLOT_INTEGERS };
+
+#if defined(__GNUC__)
+__attribute__((format(printf, 3, 4)))
+#endif
+BlockStatus plant_fail(BlockMessage *message, BlockStatus status, const char *format, ...);
+/* Name number `k` (0-based) of a list with one name a line, into text. */
+const char *plant_name(const char *names, size_t k, char text[64]);
+
+/* event.c */
+BlockStatus event_check(const Block *b, const Plan *plan, const Network *network, BlockMessage *message);
+double event_next(const Block *b, const Plan *plan, double t);
+/* Puts what is active at t into memory (steps, switches) and rebuilds the stage. */
+BlockStatus event_apply(Block *b, const Plan *plan, const Network *network, double t,
+                        BlockMessage *message);
+
+/* stage.c: the reduced network for the switches in memory and `extra` (2 x n_bus:
+ * conductance and susceptance added by events). work: stage_work(...) doubles. */
+size_t stage_work(size_t n_bus);
+BlockStatus stage_build(double *memory, const Plan *plan, const Network *network,
+                        const double *extra, double *work, BlockMessage *message);
+
+/* flow.c */
+void plant_flow(const double *memory, const double *x, const double *u, double *dx, double *scratch);
+void plant_outputs(const double *memory, const Network *network, const double *x, double *y,
+                   double *scratch);
+void plant_locals(const double *memory, const double *x, const double *u, double *locals,
+                  double *scratch, double *dx);
+enum { WORK_ARRAYS = 14 };
+
+#ifdef PLANT_TANGENT
+void plant_flow_tangent(const double *memory, const num *x, const num *u, num *dx, num *scratch);
+void plant_outputs_tangent(const double *memory, const Network *network, const num *x, num *y,
+                           num *scratch);
+#endif
+/* The complex step itself; scratch as for the functions above, complex. */
+void plant_directional(const double *memory, const Network *network, const BlockLayout *layout,
+                       const double *x, const double *u, const double *vx, const double *vu,
+                       double *vdx, double *vy, double *scratch);
+#endif

@@ -1,0 +1,130 @@
+#ifndef INTERAREA_SCALAR_H
+#define INTERAREA_SCALAR_H
+/* The scalar `num` of the physics. The device equations are written once over
+ * `num` and compiled twice: as double (the flow) and, with PLANT_TANGENT, as
+ * double complex with an imaginary part of 1e-30 (the complex step), which
+ * carries exact directional derivatives: f(x + i h v) = f(x) + i h f'(x) v.
+ *
+ * Nothing here calls libm except sqrt, which IEEE 754 rounds correctly, so the
+ * same inputs give the same bits on every platform.                          */
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#ifdef PLANT_TANGENT
+#include <complex.h>
+typedef double complex num;
+#define NAME(f) f##_tangent
+#define PART(a) creal(a)     /* what comparisons look at */
+#define SLOPE(a) cimag(a)
+#else
+typedef double num;
+#define NAME(f) f
+#define PART(a) (a)
+#endif
+
+/* sin and cos to about 1 ulp for |x| < 1e6: x = k pi/2 + r, |r| <= pi/4, with
+ * pi/2 in three pieces of at most 33 bits (k times the first two is exact),
+ * then the Taylor polynomials, whose remainders are below 1e-18 on that range. */
+static inline void real_sincos(double x, double *s, double *c)
+{
+    const double magic = 6755399441055744.0; /* 1.5 2^52: adding it rounds to an integer */
+    const double shifted = x * 0.63661977236758138 + magic;
+    const double k = shifted - magic;
+    uint64_t quadrant;
+    memcpy(&quadrant, &shifted, sizeof quadrant);
+
+    double r = x - k * 1.57079632673412561417e+00;
+    r -= k * 6.07710050630396597660e-11;
+    r -= k * 2.02226624879595063154e-21;
+
+    const double q = r * r;
+    const double sr = r + r * q * (-1.0 / 6 + q * (1.0 / 120 + q * (-1.0 / 5040 + q * (1.0 / 362880
+        + q * (-1.0 / 39916800 + q * (1.0 / 6227020800.0 + q * (-1.0 / 1307674368000.0
+        + q * (1.0 / 355687428096000.0))))))));
+    const double cr = 1.0 - q * (0.5 - q * (1.0 / 24 - q * (1.0 / 720 - q * (1.0 / 40320
+        - q * (1.0 / 3628800 - q * (1.0 / 479001600.0 - q * (1.0 / 87178291200.0
+        - q * (1.0 / 20922789888000.0))))))));
+
+    const double a = (quadrant & 1u) != 0 ? cr : sr;
+    const double b = (quadrant & 1u) != 0 ? sr : cr;
+    *s = (quadrant & 2u) != 0 ? -a : a;
+    *c = ((quadrant + 1u) & 2u) != 0 ? -b : b;
+}
+
+#ifdef PLANT_TANGENT
+
+static inline num with_slope(double value, double slope)
+{
+    const double parts[2] = { value, slope };   /* C99 6.2.5: a complex is an array of two */
+    num z;
+    memcpy(&z, parts, sizeof z);
+    return z;
+}
+
+static inline void num_sincos(num x, num *s, num *c)
+{
+    double sv, cv;
+    real_sincos(creal(x), &sv, &cv);
+    *s = with_slope(sv, cv * cimag(x));
+    *c = with_slope(cv, -sv * cimag(x));
+}
+
+static inline num num_sqrt(num x)
+{
+    const double v = sqrt(creal(x));
+    return with_slope(v, v > 0.0 ? 0.5 * cimag(x) / v : 0.0);
+}
+
+static inline num num_ratio(num a, num b)
+{
+    const double v = creal(a) / creal(b);
+    return with_slope(v, (cimag(a) - v * cimag(b)) / creal(b));
+}
+
+#else
+
+static inline void num_sincos(num x, num *s, num *c) { real_sincos(x, s, c); }
+static inline num num_sqrt(num x) { return sqrt(x); }
+static inline num num_ratio(num a, num b) { return a / b; }
+
+#endif
+
+static inline num num_clamp(num a, double low, double high)
+{
+    return PART(a) < low ? (num)low : PART(a) > high ? (num)high : a;
+}
+
+/* T dx/dt = u - x. Returns the output: x, or u itself when T = 0 (no state). */
+static inline num num_lag(num u, double T, const num **x, num **dx)
+{
+    if (!(T > 0.0)) return u;
+    const num state = *(*x)++;
+    *(*dx)++ = (u - state) / T;
+    return state;
+}
+
+/* (1 + s T1)/(1 + s T2): T2 dx/dt = u - x, y = x + (u - x) T1/T2. T2 = 0: y = u. */
+static inline num num_lead_lag(num u, double T1, double T2, const num **x, num **dx)
+{
+    if (!(T2 > 0.0)) return u;
+    const num state = *(*x)++;
+    *(*dx)++ = (u - state) / T2;
+    return state + (u - state) * (T1 / T2);
+}
+
+/* Gain 1 first-order lag whose state stays within [low, high] (non-windup):
+ * at a limit it moves only inwards. T = 0: the clamped input. */
+static inline num num_limited_lag(num u, double T, double low, double high,
+                                  const num **x, num **dx)
+{
+    if (!(T > 0.0)) return num_clamp(u, low, high);
+    const num state = *(*x)++;
+    const num rate = (u - state) / T;
+    const int held = (PART(state) >= high && PART(rate) > 0.0)
+                  || (PART(state) <= low && PART(rate) < 0.0);
+    *(*dx)++ = held ? (num)0.0 : rate;
+    return num_clamp(state, low, high);
+}
+#endif

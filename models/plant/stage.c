@@ -1,0 +1,191 @@
+/* One network stage: the admittance matrix of the buses with what is switched
+ * now, reduced to the machines. Done at the start and at events only. */
+#include "plant.h"
+
+size_t stage_work(size_t n_bus) { return 2 * n_bus * n_bus + 3 * n_bus; }
+
+static void add(double *a, size_t n, size_t row, size_t col, double re, double im)
+{
+    a[2 * (row * n + col)] += re;
+    a[2 * (row * n + col) + 1] += im;
+}
+
+/* Norton admittance of machine k on the system base. Below equal X''d, X''q. */
+static void source_admittance(const double *memory, const Plan *plan, size_t k, double *g, double *b)
+{
+    const size_t n = plan->n_machine;
+    const double *table = memory + plan->machine;
+    const double ratio = table[M_RATIO * n + k] * memory[plan->running + k];
+    const double r = table[M_RA * n + k], x = table[M_XD2 * n + k];
+    *g = ratio * r / (r * r + x * x);
+    *b = -ratio * x / (r * r + x * x);
+}
+
+static void assemble(const double *memory, const Plan *plan, const Network *net,
+                     const double *extra, double *a)
+{
+    const size_t n = plan->n_bus, m = plan->n_branch, n_load = plan->n_load;
+
+    for (size_t k = 0; k < 2 * n * n; ++k) a[k] = 0.0;
+    for (size_t k = 0; k < n; ++k)
+        add(a, n, k, k, net->shunt[k] + extra[k], net->shunt[n + k] + extra[n + k]);
+    for (size_t k = 0; k < m; ++k) {
+        if (!(memory[plan->in_service + k] > 0.5)) continue;
+        const size_t f = (size_t)net->branch_from[k], t = (size_t)net->branch_to[k];
+        const double *y = net->branch + k;
+        add(a, n, f, f, y[B_FF_RE * m], y[B_FF_IM * m]);
+        add(a, n, f, t, y[B_FT_RE * m], y[B_FT_IM * m]);
+        add(a, n, t, f, y[B_TF_RE * m], y[B_TF_IM * m]);
+        add(a, n, t, t, y[B_TT_RE * m], y[B_TT_IM * m]);
+    }
+    for (size_t k = 0; k < n_load; ++k) {
+        const double v = net->load[L_V0 * n_load + k];
+        add(a, n, (size_t)net->load_bus[k], (size_t)net->load_bus[k],
+            net->load[L_P * n_load + k] / (v * v), -net->load[L_Q * n_load + k] / (v * v));
+    }
+    for (size_t k = 0; k < plan->n_machine; ++k) {
+        const size_t bus = index_at(memory + plan->machine_bus, k);
+        double g, b;
+        source_admittance(memory, plan, k, &g, &b);
+        add(a, n, bus, bus, g, b);
+    }
+}
+
+/* LU with partial pivoting, in place; order[k] is the row that stands at k.
+ * Returns n, or the column whose pivot vanishes. */
+static size_t factor(double *a, size_t n, double *order)
+{
+    for (size_t k = 0; k < n; ++k) order[k] = (double)k;
+    for (size_t k = 0; k < n; ++k) {
+        size_t best = k;
+        double size = 0.0, scale = 0.0;
+        for (size_t i = k; i < n; ++i) {
+            const double re = a[2 * (i * n + k)], im = a[2 * (i * n + k) + 1];
+            if (!(re * re + im * im <= size)) {
+                size = re * re + im * im;
+                best = i;
+            }
+        }
+        for (size_t j = 0; j < n; ++j) {
+            const double re = a[2 * (best * n + j)], im = a[2 * (best * n + j) + 1];
+            if (re * re + im * im > scale) scale = re * re + im * im;
+        }
+        if (!(size > 1e-24 * scale)) return k;
+        if (best != k) {
+            const double row = order[k];
+            order[k] = order[best];
+            order[best] = row;
+            for (size_t j = 0; j < 2 * n; ++j) {
+                const double v = a[2 * k * n + j];
+                a[2 * k * n + j] = a[2 * best * n + j];
+                a[2 * best * n + j] = v;
+            }
+        }
+        const double pr = a[2 * (k * n + k)] / size, pi = -a[2 * (k * n + k) + 1] / size;
+        for (size_t i = k + 1; i < n; ++i) {
+            double *row = a + 2 * i * n;
+            const double re = row[2 * k], im = row[2 * k + 1];
+            if (re == 0.0 && im == 0.0) continue;
+            const double fr = re * pr - im * pi, fi = re * pi + im * pr;
+            row[2 * k] = fr;
+            row[2 * k + 1] = fi;
+            for (size_t j = k + 1; j < n; ++j) {
+                const double ur = a[2 * (k * n + j)], ui = a[2 * (k * n + j) + 1];
+                row[2 * j] -= fr * ur - fi * ui;
+                row[2 * j + 1] -= fr * ui + fi * ur;
+            }
+        }
+    }
+    return n;
+}
+
+/* Solves for the right-hand side with (re, im) at `source` and zero elsewhere. */
+static void solve(const double *a, size_t n, const double *order, size_t source,
+                  double re, double im, double *v)
+{
+    for (size_t i = 0; i < n; ++i) {
+        const int here = (size_t)(ptrdiff_t)order[i] == source;
+        double vr = here ? re : 0.0, vi = here ? im : 0.0;
+        for (size_t j = 0; j < i; ++j) {
+            const double ar = a[2 * (i * n + j)], ai = a[2 * (i * n + j) + 1];
+            vr -= ar * v[2 * j] - ai * v[2 * j + 1];
+            vi -= ar * v[2 * j + 1] + ai * v[2 * j];
+        }
+        v[2 * i] = vr;
+        v[2 * i + 1] = vi;
+    }
+    for (size_t i = n; i-- > 0;) {
+        double vr = v[2 * i], vi = v[2 * i + 1];
+        for (size_t j = i + 1; j < n; ++j) {
+            const double ar = a[2 * (i * n + j)], ai = a[2 * (i * n + j) + 1];
+            vr -= ar * v[2 * j] - ai * v[2 * j + 1];
+            vi -= ar * v[2 * j + 1] + ai * v[2 * j];
+        }
+        const double ar = a[2 * (i * n + i)], ai = a[2 * (i * n + i) + 1];
+        const double size = ar * ar + ai * ai;
+        v[2 * i] = (vr * ar + vi * ai) / size;
+        v[2 * i + 1] = (vi * ar - vr * ai) / size;
+    }
+}
+
+/* Every bus must hang together with the first machine's: the model has one
+ * frequency reference and no isolated parts. Returns n, or a bus left alone. */
+static size_t unreached_bus(const double *memory, const Plan *plan, const Network *net, double *reached)
+{
+    for (size_t k = 0; k < plan->n_bus; ++k) reached[k] = 0.0;
+    reached[index_at(memory + plan->machine_bus, 0)] = 1.0;
+    for (size_t pass = 0; pass < plan->n_bus; ++pass) {
+        int grown = 0;
+        for (size_t k = 0; k < plan->n_branch; ++k) {
+            const size_t f = (size_t)net->branch_from[k], t = (size_t)net->branch_to[k];
+            if (!(memory[plan->in_service + k] > 0.5) || reached[f] == reached[t]) continue;
+            reached[f] = reached[t] = 1.0;
+            grown = 1;
+        }
+        if (!grown) break;
+    }
+    for (size_t k = 0; k < plan->n_bus; ++k)
+        if (!(reached[k] > 0.5)) return k;
+    return plan->n_bus;
+}
+
+BlockStatus stage_build(double *memory, const Plan *plan, const Network *net,
+                        const double *extra, double *work, BlockMessage *message)
+{
+    const size_t n = plan->n_bus, m = plan->n_machine;
+    double *a = work, *order = a + 2 * n * n, *v = order + n;
+    char name[64];
+
+    const size_t alone = unreached_bus(memory, plan, net, order);
+    if (alone < n)
+        return plant_fail(message, BLOCK_ERROR,
+                          "network: bus %s is cut off from the rest by the branches out of service; "
+                          "keep every bus connected",
+                          plant_name(net->bus_names, alone, name));
+    assemble(memory, plan, net, extra, a);
+    const size_t stuck = factor(a, n, order);
+    if (stuck < n)
+        return plant_fail(message, BLOCK_ERROR,
+                          "network: the admittance matrix is singular at bus %s; "
+                          "check branches, shunts and faults there",
+                          plant_name(net->bus_names, stuck, name));
+
+    for (size_t k = 0; k < m; ++k) {
+        double g, b;
+        source_admittance(memory, plan, k, &g, &b);
+        solve(a, n, order, index_at(memory + plan->machine_bus, k), g, b, v);
+        for (size_t i = 0; i < n; ++i) {
+            memory[plan->v_re + i * m + k] = v[2 * i];
+            memory[plan->v_im + i * m + k] = v[2 * i + 1];
+        }
+        for (size_t j = 0; j < m; ++j) {
+            const size_t bus = index_at(memory + plan->machine_bus, j);
+            double gj, bj;
+            source_admittance(memory, plan, j, &gj, &bj);
+            const double dr = (j == k ? 1.0 : 0.0) - v[2 * bus], di = -v[2 * bus + 1];
+            memory[plan->y_re + k * m + j] = gj * dr - bj * di;
+            memory[plan->y_im + k * m + j] = gj * di + bj * dr;
+        }
+    }
+    return BLOCK_OK;
+}

@@ -1,0 +1,313 @@
+"""The plant as a block: its variables and the numbers that the C sources read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .case import Case, CaseError
+from .equilibrium import OperatingPoint, operating_point
+from .events import check_events, target_index
+from .network import branch_stamp, bus_index, load_power, machine_bus_index, shunt_admittance
+from .plant_tables import NO_LIMIT, Device, Parameter, machine_table, network_states
+from .variables import Block, Enumeration, Variable, VariableTable
+
+_HERE = Path(__file__).parent
+SOURCES = tuple(
+    _HERE / name
+    for name in (
+        "plant/plant.c",
+        "plant/flow.c",
+        "plant/tangent.c",
+        "plant/event.c",
+        "plant/stage.c",
+        "block/record.c",
+    )
+)
+
+#: Value of each kind in the FMI enumeration; plant/plant.h counts alike.
+EVENT_CODES = {
+    "none": 0,
+    "bus_fault": 1,
+    "branch_trip": 2,
+    "branch_reclose": 3,
+    "vref_pulse": 4,
+    "load_step": 5,
+    "pm_pulse": 6,
+    "machine_trip": 7,
+    "shunt_switch": 8,
+}
+_EVENT_WORDS = {
+    "none": "slot not in use",
+    "bus_fault": "three-phase fault at a bus through r + jx",
+    "branch_trip": "branch opens at start, closes at end",
+    "branch_reclose": "branch closes at start",
+    "vref_pulse": "voltage set-point of a machine raised by size",
+    "load_step": "size + j size_q added to a load at its operating voltage",
+    "pm_pulse": "mechanical power of a machine raised by size (machine base)",
+    "machine_trip": "machine disconnected at start",
+    "shunt_switch": "shunt switched in (size = 1) or out (size = 0), back at end",
+}
+#: kinds of a scenario that are another one without an end
+_SAME_AS = {"vref_step": "vref_pulse", "pm_step": "pm_pulse"}
+EVENT_REALS = ("start", "end", "size", "size_q", "r", "x")
+
+
+def plant_block(case: Case, *, event_slots: int = 8) -> Block:
+    """Return the plant of `case` as a block with `event_slots` slots for events.
+
+    Inputs `G1_vs` .. (pu, at the exciter's summing point); outputs per machine `G1_dw` (pu speed deviation),
+    `G1_delta` (rad, against the centre of inertia), `G1_pe` (pu on the base of the case), `G1_vt` (pu), then
+    `tie_p`; locals: bus voltages, field voltages, mechanical powers; parameters: gains, times and limits
+    of the controls, which keep the equilibrium, and the event slots.
+
+    Raises
+    ------
+    CaseError : anything in the case that the plant does not model; see `operating_point`.
+    """
+    if not 0 <= event_slots <= 1000:
+        raise CaseError(f"{case.name}: event_slots = {event_slots}, allowed: 0 to 1000")
+    point = operating_point(case)
+    devices = ((1, point.exciters), (2, point.stabilizers), (3, point.governors))
+    parameters = [
+        (table, k, device, parameter)
+        for table, group in devices
+        for k, device in enumerate(group)
+        for parameter in device.parameters
+    ]
+    variables = _states(point) + _inputs(point) + _outputs(case) + _locals(case)
+    variables += [_parameter_variable(device, parameter) for _, _, device, parameter in parameters]
+    variables += _event_variables(event_slots)
+    return Block(
+        kind="plant",
+        name=_identifier(case.name),
+        description=case.title or case.name,
+        table=VariableTable(variables),
+        data=_data(case, point, parameters, event_slots),
+        sources=SOURCES,
+        provenance={"case": case.name, "case hash": case.hash, "source": case.source},
+    )
+
+
+def event_parameters(case: Case, events: Iterable[Any]) -> dict[str, float | int]:
+    """Return start values of the parameters `event[k].*` (k from 1) for `events` of models.events.
+
+    Raises
+    ------
+    CaseError : a target that does not exist (with the nearest names), trips that cut the network in pieces.
+    """
+    events = list(events)
+    check_events(case, events)
+    values: dict[str, float | int] = {}
+    for k, event in enumerate(events, start=1):
+        code = EVENT_CODES[_SAME_AS.get(event.kind, event.kind)]
+        end = getattr(event, "end_s", None)
+        size, size_q = _event_size(case, event)
+        values |= {
+            f"event[{k}].kind": code,
+            f"event[{k}].target": target_index(case, event) + 1,
+            f"event[{k}].start": event.start_s,
+            f"event[{k}].end": NO_LIMIT if end is None else end,
+            f"event[{k}].size": size,
+            f"event[{k}].size_q": size_q,
+            f"event[{k}].r": getattr(event, "r_pu", 0.0),
+            f"event[{k}].x": getattr(event, "x_pu", 0.0),
+        }
+    return values
+
+
+def _event_size(case: Case, event: Any) -> tuple[float, float]:
+    if event.kind == "shunt_switch":
+        return (1.0 if event.to == "in" else 0.0), 0.0
+    if event.kind != "load_step":
+        return float(getattr(event, "size_pu", 0.0)), 0.0
+    if event.size_pu is None:
+        return event.p_pu or 0.0, event.q_pu or 0.0
+    change = event.size_pu * load_power(case, case.loads[target_index(case, event)])
+    return change.real, change.imag
+
+
+def _identifier(name: str) -> str:
+    text = re.sub(r"\W", "_", name)
+    return text if text[:1].isalpha() else f"case_{text}"
+
+
+def _states(point: OperatingPoint) -> list[Variable]:
+    states = [
+        Variable(s.name, "state", s.description, unit=s.unit, start=s.start, nominal=1.0)
+        for s in point.states
+    ]
+    order = {name: k for k, name in enumerate((*point.state_names, *point.input_names))}
+    rate = {"rad": "rad/s", "pu": "pu/s"}
+    derivatives = [
+        Variable(
+            f"der({s.name})",
+            "derivative",
+            f"rate of {s.name}",
+            unit=rate[s.unit],
+            derivative_of=s.name,
+            depends_on=tuple(sorted(s.depends_on, key=order.__getitem__)),
+        )
+        for s in point.states
+    ]
+    return states + derivatives
+
+
+def _inputs(point: OperatingPoint) -> list[Variable]:
+    return [
+        Variable(name, "input", "added at the exciter's summing point", unit="pu", start=0.0)
+        for name in point.input_names
+    ]
+
+
+def _outputs(case: Case) -> list[Variable]:
+    network = tuple(sorted(network_states(case)))
+    angles = tuple(f"{m.name}.delta" for m in case.machines)
+    outputs = []
+    for m in case.machines:
+        outputs += [
+            _output(f"{m.name}_dw", "pu", "speed deviation", (f"{m.name}.slip",)),
+            _output(f"{m.name}_delta", "rad", "rotor angle to the centre of inertia", angles),
+            _output(f"{m.name}_pe", "pu", "active power at the terminals, base of the case", network),
+            _output(f"{m.name}_vt", "pu", "terminal voltage", network),
+        ]
+    if case.tie is not None:
+        text = (
+            f"active power from bus {case.tie.from_bus} over {', '.join(case.tie.branches)}, base of the case"
+        )
+        outputs.append(_output("tie_p", "pu", text, network))
+    return outputs
+
+
+def _output(name: str, unit: str, description: str, depends_on: tuple[str, ...]) -> Variable:
+    return Variable(name, "output", description, unit=unit, depends_on=depends_on)
+
+
+def _locals(case: Case) -> list[Variable]:
+    values = [
+        Variable(f"bus{bus.number}.v", "local", f"voltage magnitude of bus {bus.number}", unit="pu")
+        for bus in case.buses
+    ]
+    for m in case.machines:
+        values.append(Variable(f"{m.name}.Efd", "local", "field voltage", unit="pu"))
+        values.append(Variable(f"{m.name}.Pm", "local", "mechanical power, machine base", unit="pu"))
+    return values
+
+
+def _parameter_variable(device: Device, parameter: Parameter) -> Variable:
+    return Variable(
+        parameter.name,
+        "parameter",
+        parameter.description,
+        unit=parameter.unit,
+        start=device.column[parameter.row],
+        min=parameter.low,
+        max=parameter.high,
+    )
+
+
+def _event_variables(slots: int) -> list[Variable]:
+    items = tuple((name, code, _EVENT_WORDS[name]) for name, code in EVENT_CODES.items())
+    kind = Enumeration("EventKind", items)
+    texts = {
+        "start": ("s", "start time", 0.0),
+        "end": ("s", "end time; 1e30: no end", NO_LIMIT),
+        "size": ("pu", "size of the step", 0.0),
+        "size_q": ("pu", "reactive part of a load step", 0.0),
+        "r": ("pu", "fault resistance", 0.0),
+        "x": ("pu", "fault reactance", 1e-4),
+    }
+    variables = []
+    for k in range(1, slots + 1):
+        for key, (unit, text, start) in texts.items():
+            variables.append(Variable(f"event[{k}].{key}", "parameter", text, unit=unit, start=start))
+        name = f"event[{k}].kind"
+        variables.append(
+            Variable(name, "parameter", "what happens", type="Enumeration", start=0, enumeration=kind)
+        )
+        text = "number of the bus, branch, machine, load or shunt in the case, from 1"
+        variables.append(Variable(f"event[{k}].target", "parameter", text, type="Integer", start=1))
+    return variables
+
+
+def _data(
+    case: Case,
+    point: OperatingPoint,
+    parameters: list[tuple[int, int, Device, Parameter]],
+    slots: int,
+) -> dict[str, Any]:
+    index = bus_index(case)
+    branches = case.tie.branches if case.tie else ()
+    tie = [next(k for k, b in enumerate(case.branches) if b.name == name) for name in branches]
+    ends = [int(case.branches[k].from_bus != case.tie.from_bus) for k in tie] if case.tie else []
+    counts = [len(case.machines), len(case.machines), len(case.buses), len(case.branches), len(case.loads)]
+    counts += [len(point.exciters), len(point.stabilizers), len(point.governors), len(tie), slots]
+    counts += [len(case.shunts), len(parameters)]
+    shunts = np.array([shunt_admittance(case, s) for s in case.shunts], dtype=complex)
+    at_bus = np.zeros(len(case.buses), dtype=complex)
+    for shunt, value in zip(case.shunts, shunts, strict=True):
+        if shunt.in_service:
+            at_bus[index[shunt.bus]] += value
+    stamps = np.array([branch_stamp(b).ravel() for b in case.branches], dtype=complex).reshape(-1, 4)
+    loads = [load_power(case, row) * row.in_service for row in case.loads]
+    volts = [abs(point.power_flow.voltage(row.bus)) for row in case.loads]
+    arrays: dict[str, Any] = {
+        "plant.counts": _int(counts),
+        "plant.base": np.array([case.omega_b, case.base_mva]),
+        "machine.table": machine_table(case, point.machines),
+        "machine.bus": machine_bus_index(case),
+        "branch.from": _int(index[b.from_bus] for b in case.branches),
+        "branch.to": _int(index[b.to_bus] for b in case.branches),
+        "branch.status": _int(b.in_service for b in case.branches),
+        "branch.table": np.stack([stamps.real, stamps.imag], axis=2).reshape(len(stamps), 8).T,
+        "bus.shunt": np.array([at_bus.real, at_bus.imag]),
+        "shunt.bus": _int(index[s.bus] for s in case.shunts),
+        "shunt.status": _int(s.in_service for s in case.shunts),
+        "shunt.table": np.array([shunts.real, shunts.imag]),
+        "load.bus": _int(index[row.bus] for row in case.loads),
+        "load.table": np.array([np.real(loads), np.imag(loads), volts], dtype=float),
+        "bus.names": _lines(str(b.number) for b in case.buses),
+        "branch.names": _lines(b.name for b in case.branches),
+        "machine.names": _lines(m.name for m in case.machines),
+        "tie.branch": _int(tie),
+        "tie.end": _int(ends),
+        "parameter.table": _int(table for table, _, _, _ in parameters),
+        "parameter.device": _int(k for _, k, _, _ in parameters),
+        "parameter.row": _int(p.row for _, _, _, p in parameters),
+        "parameter.range": np.array(
+            [[p.low for *_, p in parameters], [p.high for *_, p in parameters]], dtype=float
+        ),
+        "parameter.names": _lines(p.name for *_, p in parameters),
+    }
+    for word, devices in (
+        ("exciter", point.exciters),
+        ("stabilizer", point.stabilizers),
+        ("governor", point.governors),
+    ):
+        arrays |= _device_arrays(word, devices, point.state_names)
+    arrays["exciter.input"] = _int(range(len(point.exciters)))
+    return arrays
+
+
+def _device_arrays(word: str, devices: tuple[Device, ...], names: tuple[str, ...]) -> dict[str, Any]:
+    first = [names.index(d.states[0].name) if d.states else 0 for d in devices]
+    return {
+        f"{word}.table": np.array([d.column for d in devices], dtype=float).T,
+        f"{word}.kind": _int(d.kind for d in devices),
+        f"{word}.machine": _int(d.machine for d in devices),
+        f"{word}.state": _int(first),
+    }
+
+
+def _int(values: Iterable[int]) -> npt.NDArray[np.int32]:
+    return np.array([int(v) for v in values], dtype=np.int32)
+
+
+def _lines(names: Iterable[str]) -> bytes:
+    """One name a line, zero at the end, as C reads it."""
+    return "\n".join(names).encode("ascii", "replace") + b"\0"

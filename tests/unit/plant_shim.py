@@ -1,0 +1,220 @@
+"""Drive the C of a block directly through block.h: compile its sources, no FMI in between."""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from interarea.models.record import pack_record
+from interarea.models.variables import Block
+
+FLAGS = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
+_Real = ctypes.POINTER(ctypes.c_double)
+_Integer = ctypes.POINTER(ctypes.c_int)
+
+
+class _Record(ctypes.Structure):
+    _fields_ = (("bytes", ctypes.c_void_p), ("size", ctypes.c_size_t), ("n_entries", ctypes.c_size_t))
+
+
+class _Layout(ctypes.Structure):
+    _fields_ = tuple((n, ctypes.c_size_t) for n in ("x", "u", "y", "w", "p", "iu", "iy", "iw", "ip"))
+
+
+class _Needs(ctypes.Structure):
+    _fields_ = (("n_memory", ctypes.c_size_t), ("n_scratch", ctypes.c_size_t))
+
+
+class _Block(ctypes.Structure):
+    _fields_ = (
+        ("record", ctypes.POINTER(_Record)),
+        ("layout", _Layout),
+        *((n, _Real) for n in ("x", "dx", "u", "y", "w", "p")),
+        *((n, _Integer) for n in ("iu", "iy", "iw", "ip", "u_order")),
+        ("memory", _Real),
+        ("scratch", _Real),
+    )
+
+
+class BlockFailure(RuntimeError):
+    """The block returned BLOCK_DISCARD (1) or BLOCK_ERROR (2) with this message."""
+
+    def __init__(self, status: int, text: str) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+def compiler() -> list[str]:
+    """Return $CC, gcc, or the zig that comes with ziglang."""
+    if os.environ.get("CC"):
+        return os.environ["CC"].split()
+    if shutil.which("gcc"):
+        return ["gcc"]
+    return [sys.executable, "-m", "ziglang", "cc"]
+
+
+@cache
+def _folder() -> Path:
+    folder = tempfile.mkdtemp(prefix="plant-shim-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
+
+
+@cache
+def compile_shared(sources: tuple[Path, ...], flags: tuple[str, ...] = tuple(FLAGS)) -> Path:
+    """Compile C sources into a shared library and return its path."""
+    key = hashlib.sha256(repr((sources, flags, compiler())).encode()).hexdigest()[:12]
+    path = _folder() / f"{key}.so"
+    command = [*compiler(), *flags, "-shared", "-fPIC", "-o", str(path), *map(str, sources), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command)}\n{done.stderr}")
+    return path
+
+
+class BlockShim:
+    """One instance of a block; arrays are numpy views that the C side shares."""
+
+    def __init__(self, block: Block, parameters: dict | None = None, *, start: bool = True) -> None:
+        self.table = block.table
+        self._c = ctypes.CDLL(str(compile_shared(tuple(block.sources))))
+        self._c.block_next_event.restype = ctypes.c_double
+        packed = pack_record(block.data)
+        self._bytes = np.frombuffer(packed, dtype=np.uint8).copy()
+        self._record = _Record()
+        why = ctypes.c_char_p()
+        if self._c.record_open(
+            ctypes.byref(self._record),
+            self._bytes.ctypes.data_as(ctypes.c_void_p),
+            ctypes.c_size_t(len(packed)),
+            ctypes.byref(why),
+        ):
+            raise BlockFailure(2, why.value.decode())
+        layout = _Layout(*(int(n) for n in self.table.layout()))
+        self.message = ctypes.create_string_buffer(256)
+        needs = _Needs()
+        self._check(
+            self._c.block_needs(
+                ctypes.byref(self._record), ctypes.byref(layout), ctypes.byref(needs), self.message
+            )
+        )
+        self._block = _Block(record=ctypes.pointer(self._record), layout=layout)
+        sizes = {"x": layout.x, "dx": layout.x, "u": layout.u, "y": layout.y, "w": layout.w, "p": layout.p}
+        sizes |= {"memory": needs.n_memory, "scratch": needs.n_scratch}
+        for name, size in sizes.items():
+            self._share(name, np.zeros(size))
+        for name in ("iu", "iy", "iw", "ip"):
+            self._share(name, np.zeros(getattr(layout, name), dtype=np.intc))
+        self._share("u_order", np.zeros(layout.u, dtype=np.intc))
+        self.state_names = tuple(v.name for v in self.table.of_role("state"))
+        self.input_names = tuple(v.name for v in self.table.of_role("input"))
+        self.output_names = tuple(v.name for v in self.table.of_role("output"))
+        self._fill("x", "state", parameters)
+        self._fill("u", "input", parameters)
+        self._fill("p", "parameter", parameters)
+        self._fill("ip", "parameter", parameters, integers=True)
+        if start:
+            self.start(0.0)
+
+    def _share(self, name: str, array: np.ndarray) -> None:
+        setattr(self, name, array)
+        kind = _Integer if array.dtype == np.intc else _Real
+        setattr(self._block, name, array.ctypes.data_as(kind))
+
+    def _fill(self, name: str, role: str, values: dict | None, *, integers: bool = False) -> None:
+        for k, v in enumerate(self.table.of_role(role, integers=integers)):
+            getattr(self, name)[k] = (values or {}).get(v.name, v.start)
+
+    def _check(self, status: int) -> None:
+        if status:
+            raise BlockFailure(status, self.message.value.decode())
+
+    def start(self, t: float) -> None:
+        """block_start."""
+        self._check(self._c.block_start(ctypes.byref(self._block), ctypes.c_double(t), self.message))
+
+    def operating_point(self) -> tuple[np.ndarray, np.ndarray]:
+        """Start values (x0, u0)."""
+        return self.x.copy(), self.u.copy()
+
+    def derivatives(
+        self, x: np.ndarray, u: np.ndarray | None = None, t: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return (dx, y)."""
+        x, u = np.ascontiguousarray(x, float), np.ascontiguousarray(self.u if u is None else u, float)
+        dx, y = np.full(len(self.x), np.nan), np.full(len(self.y), np.nan)
+        args = (ctypes.byref(self._block), ctypes.c_double(t), _p(x), _p(u))
+        self._check(self._c.block_derivatives(*args, _p(dx), self.message))
+        self._check(self._c.block_outputs(*args, _p(y), self.message))
+        return dx, y
+
+    def directional(
+        self, vx: np.ndarray, vu: np.ndarray, x: np.ndarray | None = None, u: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivative of (dx, y) in the direction (vx, vu)."""
+        x, u, vx, vu = (
+            np.ascontiguousarray(a, float)
+            for a in (self.x if x is None else x, self.u if u is None else u, vx, vu)
+        )
+        vdx, vy = np.full(len(self.x), np.nan), np.full(len(self.y), np.nan)
+        call = self._c.block_directional
+        args = (_p(x), _p(u), _p(vx), _p(vu), _p(vdx), _p(vy))
+        self._check(call(ctypes.byref(self._block), ctypes.c_double(0.0), *args, self.message))
+        return vdx, vy
+
+    def jacobians(
+        self, x: np.ndarray | None = None, u: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return exact (A, B, C, D)."""
+        n, m = len(self.x), len(self.u)
+        unit = np.eye(n + m)
+        columns = [self.directional(v[:n], v[n:], x, u) for v in unit]
+        whole = np.array([np.concatenate(c) for c in columns]).T
+        return whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
+
+    def next_event(self, t: float) -> float:
+        """block_next_event."""
+        return float(self._c.block_next_event(ctypes.byref(self._block), ctypes.c_double(t)))
+
+    def event(self, t: float, x: np.ndarray) -> None:
+        """block_event: `x` is changed in place."""
+        self._check(self._c.block_event(ctypes.byref(self._block), ctypes.c_double(t), _p(x), self.message))
+
+    def run(
+        self, stop_s: float, step_s: float, u: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Integrate with Runge-Kutta of order 4, steps cut at events; return (times, states, outputs)."""
+        t, x = 0.0, self.x.copy()
+        u = self.u if u is None else u
+        times, states, outputs = [t], [x.copy()], [self.derivatives(x, u)[1]]
+        while t < stop_s:
+            event = self.next_event(t)
+            target = min(t + step_s, stop_s, event)
+            if stop_s - target < 1e-9 * step_s:
+                target = stop_s
+            h = target - t
+            k1 = self.derivatives(x, u, t)[0]
+            k2 = self.derivatives(x + h / 2 * k1, u, t + h / 2)[0]
+            k3 = self.derivatives(x + h / 2 * k2, u, t + h / 2)[0]
+            k4 = self.derivatives(x + h * k3, u, t + h)[0]
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            t = target
+            if t == event:
+                self.event(t, x)
+            times.append(t)
+            states.append(x.copy())
+            outputs.append(self.derivatives(x, u, t)[1])
+        return np.array(times), np.array(states), np.array(outputs)
+
+
+def _p(array: np.ndarray) -> ctypes.c_void_p:
+    return array.ctypes.data_as(_Real)
