@@ -8,6 +8,7 @@ leaves no half-written artefact behind.
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import os
@@ -71,6 +72,30 @@ def source_hash(room: str, pattern: str = "*.py") -> str:
     folder = ROOMS / room
     files = sorted(folder.rglob(pattern))
     return content_hash(*(part for p in files for part in (p.relative_to(folder).as_posix(), p.read_bytes())))
+
+
+@forever
+def code_hash(module: str) -> str:
+    """Return the hash of the Python source of `room.module` and of all it imports from this package."""
+    sources: dict[str, bytes] = {}
+    todo = [module]
+    while todo:
+        name = todo.pop()
+        path = ROOMS / f"{name.replace('.', '/')}.py"
+        if name not in sources and path.exists():
+            sources[name] = path.read_bytes()
+            todo += _imports(name.partition(".")[0], sources[name])
+    return content_hash(*(part for name in sorted(sources) for part in (name, sources[name])))
+
+
+def _imports(room: str, source: bytes) -> list[str]:
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom):
+            parts = [room] if node.level == 1 else []
+            parts += (node.module or "").removeprefix("interarea.").split(".") if node.module else []
+            found += [".".join(parts), *(".".join([*parts, alias.name]) for alias in node.names)]
+    return found
 
 
 @forever
@@ -158,7 +183,7 @@ def linear_plant(case: Case, cache: Path) -> control.StateSpace:
     Inputs `G1_vs`.. in pu, outputs as the FMU gives them (speeds in pu); all states in s.
     """
     fmu = plant_fmu(case, cache)
-    key = content_hash(fmu.name, source_hash("design", "linearise.py"), numerics_versions())
+    key = content_hash(fmu.name, code_hash("design.linearise"), numerics_versions())
 
     def make(path: Path) -> None:
         with open_plant(fmu) as plant:
@@ -196,7 +221,9 @@ def design_controller(case: Case, name: str, cache: Path) -> Controller:
     if name not in CONTROLLER_NAMES:
         raise ValueError(f"controller {name!r} is not known, allowed: {', '.join(CONTROLLER_NAMES)}")
     make = getattr(study_designs, f"design_{name}")
-    key = content_hash(name, file_hash(plant_fmu(case, cache)), source_hash("design"), numerics_versions())
+    key = content_hash(
+        name, file_hash(plant_fmu(case, cache)), code_hash("design.study_designs"), numerics_versions()
+    )
     path = artefact(
         cache,
         "controllers",
