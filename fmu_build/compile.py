@@ -23,10 +23,8 @@ from pathlib import Path
 from .errors import BuildError
 
 _C = Path(__file__).resolve().parent / "c"
-_FLAGS = (
-    "-std=c99 -O2 -ffp-contract=off -fvisibility=hidden -fno-ident -g0 "
-    "-Wall -Wextra -Wpedantic -Wconversion -Werror"
-).split()
+_CODE = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-fno-ident", "-g0")
+_STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 
 
 @dataclass(frozen=True)
@@ -188,7 +186,7 @@ def default_cache() -> Path:
 
 def _compiled(kind: str, sources: tuple[tuple[str, bytes], ...], to: Platform, cache: Path) -> Path:
     command, version = _compiler()
-    flags = [*_FLAGS, *to.compile_flags, "-shared", *to.link_flags]
+    flags = [*_CODE, *_STRICT, *to.compile_flags, "-shared", *to.link_flags]
     if "ziglang" in command:
         flags += ["-target", to.target]
         if to.name.startswith("darwin"):
@@ -210,7 +208,7 @@ def _compiled(kind: str, sources: tuple[tuple[str, bytes], ...], to: Platform, c
         output = f"{kind}{to.suffix}"
         _run_compiler([*command, *flags, *c_files, "-I.", "-o", output], Path(folder), cache, kind, to.name)
         # A rename is atomic: another process building the same binary sees a whole file or none.
-        os.replace(Path(folder) / output, result)
+        (Path(folder) / output).replace(result)
     return result
 
 
@@ -235,9 +233,8 @@ def _run_compiler(command: list[str], folder: Path, cache: Path, kind: str, plat
     except OSError as error:
         raise BuildError(f"cannot run the C compiler {command[0]!r}: {error}") from error
     if done.returncode != 0:
-        raise BuildError(
-            f"compiling {kind} for {platform} failed with code {done.returncode}:\n{done.stderr.strip()[-4000:]}"
-        )
+        said = done.stderr.strip()[-4000:]
+        raise BuildError(f"compiling {kind} for {platform} failed with code {done.returncode}:\n{said}")
 
 
 def _compiler() -> tuple[list[str], str]:

@@ -31,7 +31,9 @@ def pack_record(arrays: Mapping[str, npt.ArrayLike | bytes]) -> bytes:
         kind, count, raw = _encode(name, value)
         key = name.encode("ascii")
         if len(key) >= _NAME:
-            raise ValueError(f"record: array name {name!r} has {len(key)} characters, at most {_NAME - 1} fit")
+            raise ValueError(
+                f"record: array name {name!r} has {len(key)} characters, at most {_NAME - 1} fit"
+            )
         body += b"\0" * (-(start + len(body)) % 8)
         entries.append(struct.pack("<40sIIQQ", key, kind, 0, count, start + len(body)))
         body += raw
