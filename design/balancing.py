@@ -204,6 +204,6 @@ def check_order(order: int, n: int, unstable: int, names: tuple[str, ...]) -> No
         )
     if order < unstable:
         raise ReductionError(
-            f"order = {order}: {unstable} states belong to modes that are never reduced ({', '.join(names)}); "
+            f"order = {order}: {unstable} states are in modes that are never reduced ({', '.join(names)}); "
             f"ask for at least {unstable}"
         )

@@ -155,8 +155,8 @@ def modes_of(
         found = [i for i in candidates if share[i] > 0.05]
         listed = ", ".join(f"{values[i].real:.4g}{values[i].imag:+.4g}j" for i in found) or "none"
         raise ModeError(
-            f"{len(machines)} machines have {len(machines) - 1} swing modes, but only {len(found)} were found "
-            f"between {band_hz[0]:g} and {band_hz[1]:g} Hz ({listed}); a machine that is missing from `areas`, "
+            f"{len(machines)} machines have {len(machines) - 1} swing modes, but {len(found)} were found "
+            f"between {band_hz[0]:g} and {band_hz[1]:g} Hz ({listed}); a machine missing from `areas`, "
             "an overdamped mode, or another band"
         )
     candidates.sort(key=lambda i: values[i].imag)

@@ -25,7 +25,7 @@ class UnstableSystem(ValueError):
 
 @dataclass(frozen=True)
 class PeakGain:
-    """Largest gain over frequency: `value`, reached at `frequency_rad` (rad/s), known to `tolerance` relative."""
+    """Largest gain over frequency, `value`, at `frequency_rad` (rad/s), to `tolerance` relative."""
 
     value: float
     frequency_rad: float
@@ -134,8 +134,9 @@ def frequency_response(
     if n == 0:
         out[:] = D
         return out
+    A, (scale, _) = matrix_balance(A, permute=False, separate=True)
     T, U = schur(A, output="complex")
-    left, right = C @ U, U.conj().T @ B
+    left, right = (C * scale) @ U, U.conj().T @ (B / scale[:, None])
     eye = np.eye(n)
     for k, w in enumerate(omega):
         out[k] = left @ solve_triangular(1j * w * eye - T, right) + D

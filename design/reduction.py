@@ -41,8 +41,8 @@ Matrix = NDArray[np.float64]
 def balanced_truncation(system: control.StateSpace, order: int) -> Reduction:
     r"""Reduce by balanced truncation (square-root method).
 
-    In balanced coordinates both Gramians are :math:`\mathrm{diag}(\sigma_1 \ge \sigma_2 \ge \dots)`; the states
-    of the smallest :math:`\sigma_i` are cut. The bound
+    In balanced coordinates both Gramians are :math:`\mathrm{diag}(\sigma_1 \ge \sigma_2 \ge \dots)`;
+    the states of the smallest :math:`\sigma_i` are cut. The bound
 
     .. math:: \|G - G_k\|_\infty \le 2 \sum_{i > k} \sigma_i
 

@@ -92,13 +92,13 @@ def _optimal(
     A: Matrix, B: Matrix, C: Matrix, D: Matrix, values: Matrix, k: int
 ) -> tuple[Realisation, Matrix]:
     """Stable part with k states of the all-pass extension of a balanced system, and Glover's D."""
-    big, multiplicity = _all_pass(A, B, C, D, values, k)
+    big, _ = _all_pass(A, B, C, D, values, k)
     # the rest of `big` grows: its mirror image is a stable system with the tail's singular values
     split = separate(*big, margin=0.0)
     if split.stable[0].shape[0] != k:
         raise ReductionError(
-            f"order {k} of the stable part cannot be separated: Hankel singular values {values[k - 1]:.6g} and "
-            f"{values[k]:.6g} are too close; ask for another order"
+            f"order {k} of the stable part cannot be separated: Hankel singular values {values[k - 1]:.6g} "
+            f"and {values[k]:.6g} are too close; ask for another order"
         )
     F, G, H = split.rest
     constant = split.stable[3]
@@ -143,7 +143,7 @@ def _orthogonal(B2: Matrix, C2: Matrix) -> Matrix:
 
 
 def _constant_for(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Matrix:
-    """Constant within the sum of the Hankel singular values of a stable system, taking them off one by one."""
+    """Constant within the sum of the Hankel singular values of a stable system."""
     while A.shape[0]:
         b = balance(A, B, C, D)
         if b.rank == 0:

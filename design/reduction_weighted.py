@@ -34,8 +34,8 @@ def weighted_reduction(
 ) -> Reduction:
     r"""Reduce so that :math:`W_o (G - G_k) W_i` stays small (Enns).
 
-    The controllability Gramian is the block of :math:`G W_i` that belongs to G, the observability Gramian that of
-    :math:`W_o G`; both are balanced and the weak states cut. There is no simple a-priori bound; the
+    The controllability Gramian is the block of :math:`G W_i` that belongs to G, the observability Gramian
+    that of :math:`W_o G`; both are balanced and the weak states cut. There is no simple a-priori bound; the
     weighted error is measured. With weights on both sides stability is not guaranteed and is checked.
 
     Parameters
@@ -120,8 +120,8 @@ def closed_loop_reduction(
     if not np.max(np.linalg.eigvals(full[0]).real) < 0.0:
         worst = max(np.linalg.eigvals(full[0]), key=lambda v: v.real)
         raise ReductionError(
-            f"the closed loop with the full controller is not stable ({mode_name(complex(worst))}): its Gramians do "
-            "not exist; remove the reference angle from the plant, or mend the controller first"
+            f"the loop with the full controller is not stable ({mode_name(complex(worst))}): its Gramians "
+            "do not exist; remove the reference angle from the plant, or mend the controller first"
         )
     if slowest_rad_s is not None:
         slow = separate_slow(*K, slowest_rad_s)
