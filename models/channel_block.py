@@ -109,8 +109,8 @@ def channel_block(
 
 
 _BEHAVIOUR = (
-    "<p>y(t) = u(t &minus; latency) at every communication point, whatever the step. Between the communication "
-    "points at which it was told u and its slope, the input is the cubic Hermite polynomial; without slopes the "
-    "straight line; before the start, its first value. During an outage (start included, end not) "
-    "<code>valid</code> is false and <code>on_loss</code> decides y.</p>"
+    "<p>y(t) = u(t &minus; latency) at every communication point, whatever the step. Between the "
+    "communication points at which it was told u and its slope, the input is the cubic Hermite polynomial; "
+    "without slopes the straight line; before the start, its first value. During an outage (start included, "
+    "end not) <code>valid</code> is false and <code>on_loss</code> decides y.</p>"
 )
