@@ -113,18 +113,15 @@ class Case(BaseModel):
         return _named(self.shunts, name, f"{self.name}: shunt")
 
     def document(self) -> dict[str, Any]:
-        """Return the case in the form of its file: tables keyed by row id, defaults written out."""
-        raw = self.model_dump(mode="python", by_alias=True, exclude_none=True)
-        sources = raw.pop("sources")
-        for row in raw["loads"]:
-            for letter in "PQ":
-                if f"{letter}_zip" in row:
-                    del row[f"{letter}_exponent"]
-        if not raw["event"]:
-            del raw["event"]
+        """Return the case in the form of its file: tables keyed by row id."""
+        words = {"by_alias": True, "exclude_none": True}
+        scalars = {"name", "title", "source", "frequency_hz", "base_mva", "tie", "event"}
+        raw = {k: v for k, v in self.model_dump(**words).items() if k in scalars and v not in ("", ())}
         for table, key in ROW_TABLES.items():
-            rows = {str(row.pop(key)): _without_empty(row) for row in raw.pop(table)}
-            raw[table] = ({"source": sources[table]} if table in sources else {}) | rows
+            full = table == "machines"
+            dumped = [row.model_dump(**words, exclude_defaults=not full) for row in getattr(self, table)]
+            rows = {str(row.pop(key)): _without_empty(row) for row in dumped}
+            raw[table] = ({"source": self.sources[table]} if table in self.sources else {}) | rows
         return raw
 
     def with_changes(self, change: Mapping[str, Any], *, name: str | None = None) -> Case:
@@ -197,7 +194,7 @@ def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
     for key, value in change.items():
         old = result.get(key)
         if isinstance(value, Mapping) and isinstance(old, Mapping):
-            other_kind = "kind" in value and value["kind"] != old.get("kind")
+            other_kind = "kind" in value and value["kind"] != old.get("kind", value["kind"])
             result[key] = dict(value) if other_kind else merge(old, value)
         else:
             result[key] = value

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from .case_errors import nearest
+from .case_errors import CaseError, nearest
 
 if TYPE_CHECKING:
     from .case import Case
@@ -89,6 +89,16 @@ def islands_of(case: Case, closed: Mapping[str, bool] | None = None) -> list[set
         seen |= island
         found.append(island)
     return found
+
+
+def require_dynamics(case: Case) -> None:
+    """Raise CaseError unless every machine of `case` has dynamic data."""
+    bare = [m.name for m in case.machines if m.model == "power_flow"]
+    if bare:
+        raise CaseError(
+            f"{case.name}: machines {', '.join(bare[:10])} have no dynamic data (model power_flow), "
+            "allowed: round_rotor or classical; a DYR file or the tables of the case give them"
+        )
 
 
 def _check_connection(case: Case) -> None:

@@ -128,22 +128,31 @@ class Saturation(Row):
     use: Literal["none", "total", "incremental"] = "total"
 
 
+#: what each machine model must be given
+NEEDED: dict[str, tuple[str, ...]] = {
+    "round_rotor": ("H", "Xd1", "Xd", "Xq", "Xl", "Xq1", "Xd2", "Xq2", "Td01", "Tq01", "Td02", "Tq02"),
+    "classical": ("H", "Xd1"),
+    "power_flow": (),
+}
+
+
 class Machine(Row):
     """A synchronous machine, its dispatch and its controls; per unit on `base_mva` of its own.
 
     round_rotor: sixth order, needs Xd, Xq, Xl, Xd1, Xq1, Xd2, Xq2, Td01, Tq01, Td02, Tq02 with
-    Xd > Xd1 >= Xd2 > Xl >= 0 and Xq >= Xq1 >= Xq2 > Xl. classical: constant EMF behind Ra + j Xd1.
+    Xd > Xd1 >= Xd2 > Xl >= 0 and Xq >= Xq1 >= Xq2 > Xl. classical: H and a constant EMF behind Ra + j Xd1.
+    power_flow: a dispatch without dynamic data, good for the power flow only.
     """
 
     name: Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
     bus: BusNumber
     area: Annotated[int, Field(strict=True, ge=1)] = 1
     base_mva: Positive
-    model: Literal["round_rotor", "classical"] = "round_rotor"
-    H: Positive  #: s
+    model: Literal["round_rotor", "classical", "power_flow"] = "round_rotor"
+    H: Positive | None = None  #: s
     D: NonNegative = 0.0  #: pu torque per pu speed
     Ra: NonNegative = 0.0
-    Xd1: Positive
+    Xd1: Positive | None = None
     Xd: Positive | None = None
     Xq: Positive | None = None
     Xl: NonNegative | None = None
@@ -167,14 +176,15 @@ class Machine(Row):
     def _consistent(self) -> Self:
         if "angle_deg" in self.model_fields_set and self.angle_deg and not self.slack:
             raise ValueError(f"angle_deg = {self.angle_deg:g} at a machine that is not the slack")
-        if self.model == "classical":
-            if self.exciter.kind != "constant" or self.stabilizer is not None:
-                raise ValueError("a classical machine has no field circuit: exciter constant, no stabilizer")
-            return self
-        needed = ("Xd", "Xq", "Xl", "Xq1", "Xd2", "Xq2", "Td01", "Tq01", "Td02", "Tq02")
-        missing = [key for key in needed if getattr(self, key) is None]
+        missing = [key for key in NEEDED[self.model] if getattr(self, key) is None]
         if missing:
-            raise ValueError(f"a round_rotor machine needs {', '.join(missing)} as well")
+            raise ValueError(f"a {self.model} machine needs {', '.join(missing)} as well")
+        if self.model != "round_rotor":
+            if self.exciter.kind != "constant" or self.stabilizer is not None:
+                raise ValueError(
+                    f"a {self.model} machine has no field circuit, allowed: constant exciter, no stabilizer"
+                )
+            return self
         for chain in (
             ("Xl", "<", "Xd2", "<=", "Xd1", "<", "Xd"),
             ("Xl", "<", "Xq2", "<=", "Xq1", "<=", "Xq"),
@@ -184,6 +194,13 @@ class Machine(Row):
                 if not (a < b or (sign == "<=" and a == b)):
                     raise ValueError(f"{high} = {b:g} with {low} = {a:g}, allowed: {' '.join(chain)}")
         return self
+
+    def number(self, key: str) -> float:
+        """Return the value `key` that the machine's model needs; ValueError when it is not given."""
+        value = getattr(self, key)
+        if value is None:
+            raise ValueError(f"machines.{self.name}.{key} is not given (model {self.model})")
+        return float(value)
 
 
 class Tie(Row):

@@ -1,0 +1,79 @@
+"""Write a case as a TOML file that loads back to the same case."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from .case import ROW_TABLES, Case
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def export_toml(case: Case, path: str | Path | None = None) -> str:
+    """Return `case` in the form of a case file, and write it to `path` when one is given.
+
+    Numbers keep every digit; r, x, b are on the base of the case. The text loads back to a case of the same hash.
+
+    >>> from interarea.models.case import load_case
+    >>> export_toml(load_case("kundur-manual")).splitlines()[0]
+    'name = "kundur-manual"'
+
+    Raises
+    ------
+    OSError : `path` cannot be written.
+    """
+    document = case.document()
+    lines = [
+        f"{key} = {_value(value)}"
+        for key, value in document.items()
+        if not isinstance(value, Mapping | tuple)
+    ]
+    for table in ROW_TABLES:
+        rows = dict(document[table])
+        if not rows:
+            continue
+        lines += ["", f"[{table}]"]
+        if "source" in rows:
+            lines.append(f"source = {_value(rows.pop('source'))}")
+        if table == "machines":
+            for name, row in rows.items():
+                lines += _section(f"machines.{_key(name)}", row)
+        else:
+            lines += [f"{_key(name)} = {_value(row)}" for name, row in rows.items()]
+    if "tie" in document:
+        lines += _section("tie", {k: v for k, v in document["tie"].items() if v != ""})
+    for event in document.get("event", ()):
+        lines += ["", "[[event]]", *(f"{key} = {_value(value)}" for key, value in event.items())]
+    text = "\n".join(lines) + "\n"
+    if path is not None:
+        Path(path).write_text(text, encoding="utf-8")
+    return text
+
+
+def _section(name: str, row: Mapping[str, Any]) -> list[str]:
+    lines = ["", f"[{name}]"]
+    lines += [f"{_key(k)} = {_value(v)}" for k, v in row.items() if not isinstance(v, Mapping)]
+    for key, value in row.items():
+        if isinstance(value, Mapping):
+            lines += _section(f"{name}.{_key(key)}", value)
+    return lines
+
+
+def _key(name: str) -> str:
+    return name if _BARE.fullmatch(name) else _value(name)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(_value(v) for v in value) + "]"
+    escaped = str(value).replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("\t", "\\t")
+    return f'"{escaped}"'
