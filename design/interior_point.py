@@ -24,7 +24,7 @@ from scipy.linalg import blas, lapack
 from threadpoolctl import ThreadpoolController
 
 from .interior_point_map import AffineMap, Matrix, Vector
-from .interior_point_scaling import Scaling, cholesky, inner
+from .interior_point_scaling import Scaling, cholesky, distance, inner
 from .interior_point_schur import SchurComplement
 from .problem import Problem, Solution
 
@@ -264,19 +264,21 @@ class _Run:
         """Move y, S and Z; shorten a step whose end is not numerically positive definite."""
         for _ in range(8):
             y = self.y + ap * dy
-            exact = self.exact or ap == 1.0
-            if exact:
+            full = self.exact or ap == 1.0
+            if full:
                 S = [C + F for C, F in zip(self.C, self.affine.apply(y), strict=True)]
             else:
                 S = [A + ap * B for A, B in zip(self.S, dS, strict=True)]
             Ls = [cholesky(M) for M in S]
             if all(L is not None for L in Ls):
-                self.y, self.S, self.exact = y, S, exact
+                self.y, self.S, self.exact = y, S, full
                 self.Ls = [L for L in Ls if L is not None]
                 break
             ap *= 0.8
         else:
             ap = 0.0
+        if not self.exact:
+            self._close_residual()
         for _ in range(8):
             Fz = [s.updated_factor(ad, d) for s, d in zip(scalings, dz, strict=True)]
             if all(F is not None for F in Fz):
@@ -286,6 +288,17 @@ class _Run:
         else:
             ad = 0.0
         return None if ap == 0.0 and ad == 0.0 else (ap, ad)
+
+    def _close_residual(self) -> None:
+        """Make S exact where C + F(y) lies so close to it that it is as good a point."""
+        S = [C + F for C, F in zip(self.C, self.affine.apply(self.y), strict=True)]
+        for L, old, new in zip(self.Ls, self.S, S, strict=True):
+            if not distance(L, new - old) < 0.1:
+                return
+        Ls = [cholesky(M) for M in S]
+        if all(L is not None for L in Ls):
+            self.S, self.exact = S, True
+            self.Ls = [L for L in Ls if L is not None]
 
     # -- the linear system -----------------------------------------------------------------------
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+import scipy.linalg
 from scipy.linalg import lapack
 
 from .interior_point_map import Matrix, Vector
@@ -29,6 +30,13 @@ def cholesky(M: Matrix) -> Matrix | None:
     potrf = lapack.zpotrf if M.dtype == np.complex128 else lapack.dpotrf
     L, info = potrf(M, lower=1, clean=1)
     return L if info == 0 and np.isfinite(L[-1, -1]) else None
+
+
+def distance(L: Matrix, change: Matrix) -> float:
+    """Return the Frobenius norm of L^-1 change L^-H: how far `change` moves L L^H, relative to it."""
+    half = scipy.linalg.solve_triangular(L, change, lower=True, check_finite=False)
+    whole = scipy.linalg.solve_triangular(L, half.conj().T, lower=True, check_finite=False)
+    return float(np.linalg.norm(whole))
 
 
 class Scaling:
