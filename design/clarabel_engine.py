@@ -1,4 +1,4 @@
-"""Solve an LMI problem with cvxpy and Clarabel: the generic engine, and the cross-check of the structured one.
+"""Solve an LMI problem with cvxpy and Clarabel: the generic engine, cross-check of the structured one.
 
 cvxpy receives every block in its real form (a complex Hermitian n x n block
 becomes a real symmetric 2n x 2n one) as ``constant + E + E' >> 0``.

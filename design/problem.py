@@ -32,9 +32,10 @@ class MatrixVariable:
 
     def __post_init__(self) -> None:
         if self.rows < 1 or self.cols < 1 or (self.symmetric and self.rows != self.cols):
+            kind = " symmetric" if self.symmetric else ""
             raise ValueError(
-                f"matrix variable {self.name!r}: {self.rows} x {self.cols}"
-                f"{' symmetric' if self.symmetric else ''} is not a matrix; give positive sizes, equal if symmetric"
+                f"matrix variable {self.name!r}: {self.rows} x {self.cols}{kind} is not a matrix; "
+                "give positive sizes, equal if symmetric"
             )
 
     @property

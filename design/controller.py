@@ -1,0 +1,196 @@
+"""A controller as it is designed, stored and turned into a block: u = +K y.
+
+Inside `design` speeds are in rad/s; the block for an FMU takes and gives per unit.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+
+from interarea.models.controller_block import controller_block
+from interarea.models.variables import Block
+
+SCHEMA = 1
+
+
+class ControllerError(ValueError):
+    """A controller file or its numbers cannot be used."""
+
+
+@dataclass(frozen=True)
+class Controller:
+    """A linear controller u = +K y with its provenance.
+
+    Attributes
+    ----------
+    name : a C identifier, e.g. "wdc".
+    system : inputs named by signal (``G2_dw`` ... in rad/s), outputs by actuator (``G4_vs`` in pu).
+    limit_pu : bound of the magnitude of every output.
+    design : how it was made: method, specification, orders, gamma ...: JSON values.
+    certificate : what was checked on the full plant; None before certification.
+    """
+
+    name: str
+    system: control.StateSpace
+    limit_pu: float = 0.15
+    design: Mapping[str, Any] = field(default_factory=dict)
+    certificate: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier():
+            raise ControllerError(f"controller: name is {self.name!r}, wanted letters, digits and _")
+        for matrix in ("A", "B", "C", "D"):
+            if not np.all(np.isfinite(getattr(self.system, matrix))):
+                raise ControllerError(f"controller {self.name}: {matrix} has numbers that are not finite")
+        if not (self.limit_pu > 0.0 and math.isfinite(self.limit_pu)):
+            raise ControllerError(
+                f"controller {self.name}: limit_pu is {self.limit_pu}, wanted a positive number"
+            )
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the signals."""
+        return tuple(self.system.input_labels)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the actuators."""
+        return tuple(self.system.output_labels)
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return int(self.system.nstates)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the controller as JSON; every number survives to the last bit."""
+        K = self.system
+        data = {
+            "schema": SCHEMA,
+            "name": self.name,
+            "convention": "u = +K y; speeds (*_dw) in rad/s, actuators in pu",
+            "inputs": list(self.inputs),
+            "outputs": list(self.outputs),
+            "limit_pu": self.limit_pu,
+            "A": K.A.tolist(),
+            "B": K.B.tolist(),
+            "C": K.C.tolist(),
+            "D": K.D.tolist(),
+            "design": plain(self.design),
+            "certificate": None if self.certificate is None else plain(self.certificate),
+        }
+        path = Path(path)
+        path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+        return path
+
+    @classmethod
+    def load(cls, path: str | Path) -> Controller:
+        """Read a controller written by `save`.
+
+        Raises
+        ------
+        ControllerError
+            Names the file and the key at fault.
+        """
+        path = Path(path)
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError as error:
+            raise ControllerError(f"controller file {path}: not found") from error
+        except (UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise ControllerError(f"controller file {path}: not JSON ({error})") from error
+        if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+            got = data.get("schema") if isinstance(data, dict) else type(data).__name__
+            raise ControllerError(f"controller file {path}: schema is {got!r}, allowed: {SCHEMA}")
+        missing = [k for k in ("name", "inputs", "outputs", "A", "B", "C", "D") if k not in data]
+        if missing:
+            raise ControllerError(f"controller file {path}: missing {', '.join(missing)}")
+        n, p, m = len(data["A"]), len(data["outputs"]), len(data["inputs"])
+        try:
+            shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
+            matrices = [np.array(data[k], dtype=float).reshape(shape) for k, shape in shapes.items()]
+            system = control.ss(*matrices, inputs=data["inputs"], outputs=data["outputs"], name=data["name"])
+            return cls(
+                name=data["name"],
+                system=system,
+                limit_pu=float(data.get("limit_pu", 0.15)),
+                design=data.get("design", {}),
+                certificate=data.get("certificate"),
+            )
+        except ControllerError as error:
+            raise ControllerError(f"controller file {path}: {error}") from error
+        except (TypeError, ValueError) as error:
+            raise ControllerError(
+                f"controller file {path}: A, B, C, D do not fit {m} inputs and {p} outputs ({error})"
+            ) from error
+
+    def block(self, omega_b: float) -> Block:
+        """Return the block for the FMU builder: speeds in pu (dw_rad = omega_b dw_pu), actuators in pu.
+
+        Parameters
+        ----------
+        omega_b : base speed of the case, rad/s.
+        """
+        if not (omega_b > 0.0 and math.isfinite(omega_b)):
+            raise ControllerError(
+                f"controller {self.name}: omega_b is {omega_b}, wanted a positive number, rad/s"
+            )
+        scale = np.array([omega_b if name.endswith("_dw") else 1.0 for name in self.inputs])
+        K = self.system
+        documentation = {"Design": _table(plain(self.design))}
+        if self.certificate is not None:
+            documentation["Certificate"] = _table(plain(self.certificate))
+        return controller_block(
+            self.name,
+            K.A,
+            K.B * scale,
+            K.C,
+            K.D * scale,
+            list(self.inputs),
+            list(self.outputs),
+            limit=self.limit_pu,
+            documentation=documentation,
+            provenance={"method": str(self.design.get("method", "given")), "order": str(self.order)},
+        )
+
+
+def plain(value: Any) -> Any:
+    """Return a value made of JSON types: arrays become lists, complex numbers [re, im]."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return [plain(v) for v in value]
+    if isinstance(value, list | tuple | set):
+        return [plain(v) for v in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, complex | np.complexfloating):
+        return [float(value.real), float(value.imag)]
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if value is None or isinstance(value, str):
+        return value
+    return str(value)
+
+
+def _table(value: Any) -> str:
+    """Return nested JSON values as an HTML fragment."""
+    if isinstance(value, dict):
+        rows = (f"<tr><th>{html.escape(k)}</th><td>{_table(v)}</td></tr>" for k, v in value.items())
+        return f"<table>{''.join(rows)}</table>"
+    if isinstance(value, list):
+        return ", ".join(_table(v) for v in value)
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return html.escape(str(value))
