@@ -45,10 +45,10 @@ typedef struct {
     double *w;              /* SAVED locals as last computed                   */
     double *p;              /* SAVED parameters                                */
     int *iu, *iy, *iw, *ip; /* SAVED integer variables                         */
-    double *memory;         /* SAVED discrete state of n_memory doubles        */
-    double *scratch;        /* n_scratch doubles; contents mean nothing between calls */
     int *u_order;           /* SAVED per input of a sampled block: the highest derivative
                              * that was handed over for the coming step, 0 = value only */
+    double *memory;         /* SAVED discrete state of n_memory doubles        */
+    double *scratch;        /* n_scratch doubles; contents mean nothing between calls */
 } Block;
 
 /* What the runner must provide besides the variables; read from the record,
