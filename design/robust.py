@@ -251,7 +251,7 @@ def _effort_grid(
 
 
 def _stable_start(objective: Objective, rng: np.random.Generator) -> Array:
-    """A random stable controller, its gain lowered until every model is stable and the effort near its cap."""
+    """A random stable controller, its gain lowered until every model is stable, the effort near its cap."""
     n, p, m = objective.order, objective.n_y, objective.n_u
     A = rng.normal(size=(n, n))
     A = A - A.T + np.diag(rng.normal(size=n))
