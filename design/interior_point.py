@@ -86,7 +86,8 @@ def solve_structured(
     """
     if not tolerance > 0.0 or not max_iterations > 0:
         raise ValueError(
-            f"structured engine: tolerance {tolerance!r} and max_iterations {max_iterations!r} must be positive"
+            f"structured engine: tolerance {tolerance!r} and max_iterations {max_iterations!r} "
+            "must be positive"
         )
     wanted = max(tolerance, stop_gap or 0.0)
     with _pools().limit(limits=1), np.errstate(all="ignore"):
@@ -111,7 +112,7 @@ class _Run:
         self.C, self.c = self.affine.constants, self.affine.cost
         self.degree = float(sum(self.affine.sizes))
         # Further centrality correctors pay where a factor costs much more than a solve.
-        self.correctors = int(self.affine.m > 400) + int(self.affine.m > 900)
+        self.correctors = 2 if self.affine.m > 800 else 1 if self.affine.m > 400 else 0
         self._start()
 
     def _start(self) -> None:
@@ -129,7 +130,7 @@ class _Run:
         self.Fz = self._start_multipliers(norms)
 
     def _start_multipliers(self, norms: list[Vector]) -> list[Matrix]:
-        """Return factors of F(w) + xi I, F(w) the least-norm solution of F*(Z) = c, xi well past its spectrum."""
+        """Return factors of F(w) + xi I: least-norm solution of F*(Z) = c, xi well past its spectrum."""
         identities: list[Matrix] = [
             np.eye(d, dtype=C.dtype) for d, C in zip(self.affine.sizes, self.C, strict=True)
         ]
@@ -236,7 +237,9 @@ class _Run:
         after = sum(s.product(ap * a, ad * b) for s, a, b in zip(scalings, ds, dz, strict=True))
         least = min(ap, ad)
         reached = max(after / self.degree / mu, 0.0)
-        sigma = 0.3 if least < 0.1 else min(1.0, max(1e-6, reached ** max(1.0, 3.0 * least**2)))
+        # Bold once y is strictly feasible; before, S must not reach its boundary ahead of C + F(y).
+        power = max(1.5, 8.0 * least**2) if self.exact else max(1.0, 3.0 * least**2)
+        sigma = 0.3 if least < 0.1 else min(1.0, max(1e-6, reached**power))
         crosses = [(a @ b + b @ a) / 2.0 for a, b in zip(ds, dz, strict=True)]
         targets = [s.target(sigma * mu, x) for s, x in zip(scalings, crosses, strict=True)]
         found = direction(targets)
@@ -329,7 +332,8 @@ class _Run:
         weights = 1.0 / np.sqrt(self._diagonal)
 
         def precondition(r: Vector) -> Vector:
-            x: Vector = lapack.dpotrs(factor, r, lower=1)[0]
+            half = blas.dtrsv(factor, r, lower=1)
+            x: Vector = blas.dtrsv(factor, half, lower=1, trans=1, overwrite_x=1)
             return x
 
         x = precondition(right)
@@ -383,7 +387,7 @@ class _Run:
             return None
         self._verdict = (
             "no point satisfies all inequalities: multipliers Z > 0 with <C, Z> = -1 and "
-            f"F*(Z) = 0 but for {1.0 / radius:.1e}, so a feasible point would need an entry above {radius:.1e}"
+            f"F*(Z) = 0 but for {1.0 / radius:.1e}; a feasible point would need an entry above {radius:.1e}"
         )
         return [W / -value for W in projected]
 

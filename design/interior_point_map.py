@@ -178,7 +178,7 @@ class AffineMap:
         return gradient
 
     def column_norms(self) -> list[Vector]:
-        """Return for every block the Frobenius norms (m,) of the coordinates' coefficient matrices (bounds)."""
+        """Return for every block the Frobenius norm of each coordinate's matrix (m,), bounds."""
         squares = []
         for k in range(len(self.sizes)):
             part = self._half[int(self.starts[k]) : int(self.starts[k + 1])]
