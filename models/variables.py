@@ -141,7 +141,7 @@ class Block:
     sources: tuple[Path, ...]  #: C files; headers are found beside them
     step_s: float = 0.01  #: communication step of the DefaultExperiment
     stop_s: float = 20.0
-    internal_step_s: float = 0.002  #: longest Runge-Kutta step inside a communication step
+    internal_step_s: float = 0.0015  #: longest Runge-Kutta step inside a communication step
     model_exchange: bool = True
     documentation: Mapping[str, str] = field(default_factory=dict)  #: heading -> HTML fragment
     provenance: Mapping[str, str] = field(default_factory=dict)  #: source, case hash, method
