@@ -51,7 +51,9 @@ class FmuFile:
         self.path = Path(path)
         self.model, self._root = _read(self.path)
         with zipfile.ZipFile(self.path) as archive:
-            folders = {n.split("/")[1] for n in archive.namelist() if n.startswith("binaries/") and n.count("/") > 1}
+            folders = {
+                n.split("/")[1] for n in archive.namelist() if n.startswith("binaries/") and n.count("/") > 1
+            }
         if fmpy.platform not in folders:
             raise GraphError(
                 f"{self.path.name}: has no binary for this platform ({fmpy.platform}); "
@@ -92,6 +94,11 @@ class FmuFile:
             for v in self.model.modelVariables
             if v.type == "Enumeration" and v.declaredType is not None
         }
+
+    @cached_property
+    def log_categories(self) -> tuple[str, ...]:
+        """Names of the log categories the FMU declares."""
+        return tuple(c.get("name", "") for c in self._root.findall("LogCategories/Category"))
 
     @cached_property
     def description(self) -> Description:
@@ -142,7 +149,9 @@ def _read(path: Path) -> tuple[Any, ET.Element]:
     try:
         model = fmpy.read_model_description(str(path))
     except md.ValidationError as error:
-        raise GraphError(f"{path.name}: its modelDescription.xml breaks the standard: {error.problems[0]}") from error
+        raise GraphError(
+            f"{path.name}: its modelDescription.xml breaks the standard: {error.problems[0]}"
+        ) from error
     if model.coSimulation is None:
         raise GraphError(f"{path.name}: has no co-simulation part; the master steps co-simulation FMUs")
     return model, root

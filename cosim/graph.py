@@ -88,7 +88,9 @@ def end_of(text: str, instances: Iterable[str]) -> End:
     fitting = [n for n in names if text.startswith(n + ".")]
     if not fitting:
         head = text.split(".", 1)[0]
-        raise GraphError(f"{text!r} is no connection end 'instance.variable': no instance {head!r}; {nearest(head, names)}")
+        raise GraphError(
+            f"{text!r} is no connection end 'instance.variable': no instance {head!r}; {nearest(head, names)}"
+        )
     instance = max(fitting, key=len)
     return End(instance, text[len(instance) + 1 :])
 
@@ -121,7 +123,9 @@ def build_graph(
         from_port = _port(descriptions, source, "output")
         to_port = _port(descriptions, target, "input")
         if target in source_of:
-            raise GraphError(f"{target} has two sources, {source_of[target]} and {source}; an input takes one")
+            raise GraphError(
+                f"{target} has two sources, {source_of[target]} and {source}; an input takes one"
+            )
         source_of[target] = source
         gain, offset = _conversion(source, from_port, target, to_port)
         cut = latency.get(target.instance, 0) >= step_ticks
@@ -241,7 +245,9 @@ def _port(descriptions: Mapping[str, Description], end: End, wanted: str) -> Por
 def _conversion(source: End, a: Port, target: End, b: Port) -> tuple[float, float]:
     """Return gain and offset from the source's unit to the target's."""
     if a.type != b.type:
-        raise GraphError(f"{source} -> {target}: {a.type} does not fit {b.type}; connect variables of one type")
+        raise GraphError(
+            f"{source} -> {target}: {a.type} does not fit {b.type}; connect variables of one type"
+        )
     ua, ub = a.unit, b.unit
     if a.type != "Real" or ua is None or ub is None or ua.name == ub.name:
         return 1.0, 0.0

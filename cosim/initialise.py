@@ -25,7 +25,7 @@ def initialise(graph: Graph, nodes: Mapping[str, Node], tick: int, tolerance: fl
     StepError : a loop that does not reach `tolerance`.
     """
     for node in nodes.values():
-        node.take_start(tick)
+        node.take_start(tick, slopes=False)
     worst = 0.0
     for group in graph.groups:
         if not group.torn:
@@ -44,7 +44,7 @@ def _signal(node: Node, variable: str) -> Signal:
 def _sweep(members: tuple[str, ...], nodes: Mapping[str, Node], tick: int) -> None:
     for name in members:
         nodes[name].send_start()
-        nodes[name].take_start(tick)
+        nodes[name].take_start(tick, slopes=False)
 
 
 def _solve(

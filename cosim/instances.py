@@ -14,6 +14,7 @@ from .fmu_file import FmuFile, FmuVariable
 from .participant import Description
 
 Value = float | int | bool | str
+_LOGGED = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 
 
@@ -72,7 +73,9 @@ class FmuParticipant:
         self._y_vr = self._references([outputs[j].name for j in self._y_reals])
         self._y_buffer = (c_double * max(1, self._n_y))()
         self._y_others = [
-            (j, p.type, self._references([p.name]), c_int()) for j, p in enumerate(outputs) if p.type != "Real"
+            (j, p.type, self._references([p.name]), c_int())
+            for j, p in enumerate(outputs)
+            if p.type != "Real"
         ]
         self._n_dy = len(slopes)
         self._dy_vr = self._references(list(slopes))
@@ -127,7 +130,10 @@ class FmuParticipant:
             raise StepError(str(error), instance=self.name, call="loading the FMU", time_s=None) from error
         self._callbacks = _callbacks(self._log)
         try:
-            self._fmu.instantiate(callbacks=self._callbacks, loggingOn=False)
+            self._fmu.instantiate(callbacks=self._callbacks, loggingOn=True)
+            known = [c for c in self.file.log_categories if c in _LOGGED]
+            if known:
+                self._fmu.setDebugLogging(True, known)
         except Exception as error:
             self._fmu.freeLibrary()
             self._fmu = None
@@ -283,7 +289,9 @@ class FmuParticipant:
         if variable.type == "Real":
             status = self._set_real(self._c, reference, 1, (c_double * 1)(float(encoded)))
         elif variable.type == "String":
-            status = self._raw.fmi2SetString(self._c, reference, 1, (fmi2.fmi2String * 1)(str(encoded).encode()))
+            status = self._raw.fmi2SetString(
+                self._c, reference, 1, (fmi2.fmi2String * 1)(str(encoded).encode())
+            )
         elif variable.type == "Boolean":
             status = self._raw.fmi2SetBoolean(self._c, reference, 1, (c_int * 1)(int(encoded)))
         else:
@@ -302,8 +310,6 @@ def _callbacks(lines: list[str]) -> Any:
     callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(log)
     callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
     callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
-    callbacks.stepFinished = None
-    callbacks.componentEnvironment = None
     try:
         from fmpy.logging import addLoggerProxy
 

@@ -26,7 +26,7 @@ import numpy as np
 
 from .clock import Clock, Step, seconds, to_ticks
 from .errors import GraphError, StepError
-from .graph import Connection, Graph, Group, build_graph
+from .graph import End, Graph, Group, build_graph
 from .initialise import initialise
 from .node import Feed, Node
 from .participant import Description, Participant
@@ -84,7 +84,7 @@ class Master:
         latency_s: Mapping[str, float] | None = None,
         inputs: Inputs = "hermite",
         loops: Loops = "auto",
-        tolerance: float = 1e-8,
+        tolerance: float = 1e-7,
         substeps: int = 4,
     ) -> None:
         _one_of("inputs", inputs, INPUTS)
@@ -100,10 +100,10 @@ class Master:
         self.step_s = choose_step(self.latency_s.values()) if step_s is None else step_s
         self.inputs, self.loops, self.tolerance, self.substeps = inputs, loops, tolerance, substeps
         self.clock = _clock(descriptions, start_s, stop_s, self.step_s, marks_s, ticks, holds=self._holds)
-        self.graph: Graph = build_graph(
-            descriptions, pairs, step_ticks=self.clock.step, latency_ticks=ticks
+        self.graph: Graph = build_graph(descriptions, pairs, step_ticks=self.clock.step, latency_ticks=ticks)
+        self._initial_graph = build_graph(
+            descriptions, pairs, step_ticks=self.clock.stop - self.clock.start + 1
         )
-        self._initial_graph = build_graph(descriptions, pairs, step_ticks=self.clock.stop - self.clock.start + 1)
         self.signals = self._make_signals()
         self.nodes = self._make_nodes()
         self.residual = 0.0  #: of the initial values, relative
@@ -139,7 +139,7 @@ class Master:
         for p in self.participants.values():
             p.ready()
         for node in self.nodes.values():
-            node.take_start(self.clock.start)
+            node.take_start(self.clock.start, slopes=True)
         self._index = 0
         self._record(self.clock.start)
 
@@ -217,7 +217,9 @@ class Master:
             self.start()
         for n, p in self.participants.items():
             if not p.description.saves_state:
-                raise GraphError(f"{n} cannot save its state (canGetAndSetFMUstate); a run with it cannot be forked")
+                raise GraphError(
+                    f"{n} cannot save its state (canGetAndSetFMUstate); a run with it cannot be forked"
+                )
         states = {n: p.save() for n, p in self.participants.items()}
         return Saved(self._index, states, tuple(s.copy() for s in self.signals), self._rows)
 
@@ -258,13 +260,28 @@ class Master:
             )
         return able
 
+    def how(self, group: Group) -> str:
+        """Return in words what is done with a loop."""
+        if self._holds:
+            return "inputs held, not iterated"
+        if self._iterates(group):
+            return f"iterated with saved states to {self.tolerance:g} of the largest value"
+        lame = [n for n in group.members if not self.participants[n].description.saves_state]
+        return "extrapolated" + (f": {', '.join(lame)} cannot save its state" if lame else "")
+
+    def start_of(self, end: End) -> float:
+        """Return the start value of an input."""
+        return self.participants[end.instance].description.input_of[end.variable].start
+
     def _make_signals(self) -> list[Signal]:
         found = []
         for end in sorted({c.source for c in self.graph.connections}):
             p = self.participants[end.instance]
             index = next(k for k, o in enumerate(p.description.outputs) if o.name == end.variable)
             port = p.description.outputs[index]
-            found.append(Signal(str(end), end.instance, index, -1, self._kind(p, port.discrete), port.nominal))
+            found.append(
+                Signal(str(end), end.instance, index, -1, self._kind(p, port.discrete), port.nominal)
+            )
         for name, p in self.participants.items():
             mine = [s for s in found if s.owner == name]
             sloped = [s for s in mine if s.kind == "hermite"]
@@ -399,6 +416,3 @@ def _clock(
 def _one_of(key: str, value: str, allowed: tuple[str, ...]) -> None:
     if value not in allowed:
         raise GraphError(f"{key} = {value!r}: allowed are {', '.join(allowed)}")
-
-
-__all__ = ["INPUTS", "LOOPS", "Connection", "Inputs", "Loops", "Master", "Saved", "choose_step"]

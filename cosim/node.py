@@ -70,13 +70,13 @@ class Node:
         if self.feeds:
             self.participant.send(0)
 
-    def take_start(self, tick: int) -> None:
-        """Read outputs and slopes at the start of the run."""
+    def take_start(self, tick: int, *, slopes: bool) -> None:
+        """Read outputs at the start of the run, and slopes (which FMI allows after initialisation only)."""
         p = self.participant
-        p.receive(self.has_slopes)
+        p.receive(slopes and self.has_slopes)
         self._check(tick)
         for s in self.signals:
-            s.start(tick, p.y[s.index], p.dy[s.slope_index] if s.slope_index >= 0 else 0.0)
+            s.start(tick, p.y[s.index], p.dy[s.slope_index] if slopes and s.slope_index >= 0 else 0.0)
 
     def _fill(self, order: int, at: float) -> None:
         u, du = self.participant.u, self.participant.du

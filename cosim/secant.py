@@ -15,7 +15,9 @@ class Secant:
 
     def __init__(self, n: int) -> None:
         self._n = n
-        self._inverse = [[1.0 if i == j else 0.0 for j in range(n)] for i in range(n)]  # of minus the Jacobian
+        self._inverse = [
+            [1.0 if i == j else 0.0 for j in range(n)] for i in range(n)
+        ]  # of minus the Jacobian
         self._residual: list[float] | None = None
         self._move: list[float] = []
 

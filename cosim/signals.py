@@ -32,7 +32,9 @@ class Signal:
         "ticks", "v0", "v1", "values",
     )  # fmt: skip
 
-    def __init__(self, name: str, owner: str, index: int, slope_index: int, kind: Kind, nominal: float) -> None:
+    def __init__(
+        self, name: str, owner: str, index: int, slope_index: int, kind: Kind, nominal: float
+    ) -> None:
         self.name, self.owner, self.index, self.slope_index = name, owner, index, slope_index
         self.kind: Kind = kind
         self.nominal = nominal

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from interarea.cosim.participant import Description, Port
 from scipy.linalg import expm
+
+from interarea.cosim.participant import Description, Port
 
 
 class _Numpy:
@@ -70,7 +71,9 @@ class Linear(_Numpy):
         output_order: int = 1,
         saves_state: bool = True,
     ) -> None:
-        direct = {y: frozenset(u for j, u in enumerate(inputs) if D[i, j] != 0.0) for i, y in enumerate(outputs)}
+        direct = {
+            y: frozenset(u for j, u in enumerate(inputs) if D[i, j] != 0.0) for i, y in enumerate(outputs)
+        }
         super().__init__(
             name,
             Description(
@@ -99,7 +102,9 @@ class Linear(_Numpy):
         return total
 
     def advance(self, time_s: float, length_s: float) -> None:
-        edges = sorted({e for s in self.push for e in s[:2] if time_s + 1e-12 < e < time_s + length_s - 1e-12})
+        edges = sorted(
+            {e for s in self.push for e in s[:2] if time_s + 1e-12 < e < time_s + length_s - 1e-12}
+        )
         now = time_s
         for end in [*edges, time_s + length_s]:
             self._move(now, end - now, now - time_s)
@@ -184,7 +189,12 @@ class Delay(_Numpy):
         (t0, v0, s0), (t1, v1, s1) = points[k], points[k + 1]
         h = t1 - t0
         s = (t - t0) / h
-        v = (1 + 2 * s) * (1 - s) ** 2 * v0 + s * (1 - s) ** 2 * h * s0 + s * s * (3 - 2 * s) * v1 - s * s * (1 - s) * h * s1
+        v = (
+            (1 + 2 * s) * (1 - s) ** 2 * v0
+            + s * (1 - s) ** 2 * h * s0
+            + s * s * (3 - 2 * s) * v1
+            - s * s * (1 - s) * h * s1
+        )
         w = 6 * s * (s - 1) * (v0 - v1) / h + (1 - 4 * s + 3 * s * s) * s0 + (3 * s * s - 2 * s) * s1
         return v, w
 
@@ -225,7 +235,13 @@ def delayed_reference(
         return pieces[-1][2](t)
 
     late = {b + k * latency for b in breaks for k in range(4)} if latency else set(breaks)
-    ends = sorted({min(stop, e) for e in late | {k * latency for k in range(1, int(stop / latency) + 2)}} - {0.0}) if latency else sorted({*breaks, stop})
+    ends = (
+        sorted(
+            {min(stop, e) for e in late | {k * latency for k in range(1, int(stop / latency) + 2)}} - {0.0}
+        )
+        if latency
+        else sorted({*breaks, stop})
+    )
     now, x = 0.0, x0
     for end in ends:
         if end - now < 1e-9:

@@ -1,0 +1,198 @@
+"""Numbers that say how a run went, each with the window and the method it was taken by.
+
+Ring-down damping: after the last disturbance the signals are sums of decaying
+oscillations. The matrix pencil (Hua and Sarkar 1990) finds their poles from
+uniformly sampled windows of several signals at once: the singular vectors of
+a Hankel matrix span the signal space, and shifting it by one sample gives the
+poles as eigenvalues. Modes are told apart by shape, not by position.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RingDownMode:
+    """One decaying oscillation: pole in rad/s, amplitude of each signal at the start of the window."""
+
+    pole: complex
+    amplitudes: tuple[complex, ...]
+
+    @property
+    def frequency_hz(self) -> float:
+        return abs(self.pole.imag) / (2.0 * np.pi)
+
+    @property
+    def damping_ratio(self) -> float:
+        return float(-self.pole.real / abs(self.pole))
+
+
+@dataclass(frozen=True)
+class RingDown:
+    """Modes found in a window, strongest first; `error` is the largest misfit over the largest signal."""
+
+    modes: tuple[RingDownMode, ...]
+    window_s: tuple[float, float]
+    error: float
+    method: str = "matrix pencil"
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """What a run reached. `methods` says for each number its window and method.
+
+    stable : no signal leaves the run larger than it was (see `is_stable`).
+    damping_ratio : mode -> damping ratio of the ring-down. frequency_hz : mode -> Hz.
+    settling_time_s : from the last event to where the signal stays within 2 % of its peak; None: it does not.
+    peak : largest |signal|, pu. energy : integral of its square, pu^2 s. effort : of the controls, pu^2 s.
+    """
+
+    signal: str
+    stable: bool
+    damping_ratio: Mapping[str, float]
+    frequency_hz: Mapping[str, float]
+    settling_time_s: float | None
+    peak: float
+    energy: float
+    effort: float
+    fit_error: float
+    methods: Mapping[str, str] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, object]:
+        """Return plain types, for JSON."""
+        plain = {k: dict(v) if isinstance(v, Mapping) else v for k, v in asdict(self).items()}
+        return plain | {f"peak_{self.signal}": self.peak}
+
+
+def uniform(
+    time_s: Array, values: Array, start_s: float, stop_s: float, step_s: float
+) -> tuple[Array, Array]:
+    """Return a window of `values` (points, signals) on a uniform grid.
+
+    Grid points of a run are on the grid already; extra points at events are left out, and only where a grid
+    point is missing is it interpolated (straight line).
+    """
+    n = int(np.floor((stop_s - start_s) / step_s + 1e-9)) + 1
+    grid = start_s + step_s * np.arange(n)
+    columns = [np.interp(grid, time_s, values[:, k]) for k in range(values.shape[1])]
+    return grid, np.column_stack(columns)
+
+
+def ring_down(
+    time_s: Array, values: Array, *, rank_tolerance: float = 1e-4, max_order: int = 24, pencil: float = 0.4
+) -> RingDown:
+    """Fit decaying oscillations to uniformly sampled signals by the matrix pencil.
+
+    Parameters
+    ----------
+    time_s : (points,) uniform. values : (points, signals), each in its own unit.
+    rank_tolerance : singular values below this times the largest are noise.
+    max_order : most poles. pencil : pencil parameter over the number of points.
+
+    Raises
+    ------
+    ValueError : fewer than 10 points, or no uniform grid.
+    """
+    values = np.asarray(values, dtype=np.float64).reshape(len(time_s), -1)
+    n, m = values.shape
+    if not n >= 10:
+        raise ValueError(f"ring_down: {n} points are too few; at least 10 are needed")
+    steps = np.diff(time_s)
+    step = (time_s[-1] - time_s[0]) / (n - 1)
+    if not np.allclose(steps, step, rtol=1e-6, atol=0.0):
+        raise ValueError("ring_down: the times are not uniform; use `uniform` first")
+    window = (float(time_s[0]), float(time_s[-1]))
+    scale = np.max(np.abs(values), axis=0)
+    used = scale > 0.0
+    if not np.any(used):
+        return RingDown((), window, 0.0)
+    data = values[:, used] / scale[used]
+    length = int(pencil * n)
+    rows = n - length
+    hankel = np.hstack(
+        [np.lib.stride_tricks.sliding_window_view(data[:, k], rows).T for k in range(data.shape[1])]
+    )
+    left, sigma, _ = np.linalg.svd(hankel, full_matrices=False)
+    order = max(1, min(int(np.sum(sigma > rank_tolerance * sigma[0])), max_order))
+    basis = left[:, :order]
+    shift = np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)[0]
+    discrete = np.linalg.eigvals(shift)
+    discrete = discrete[np.abs(discrete) > 1e-6]
+    poles = np.log(discrete.astype(complex)) / step
+    powers = np.exp(np.outer(time_s - time_s[0], poles))
+    amplitudes = np.linalg.lstsq(powers, values.astype(complex), rcond=None)[0]
+    misfit = float(np.max(np.abs(values - (powers @ amplitudes).real) / np.where(used, scale, 1.0)))
+    modes = [
+        RingDownMode(complex(p), tuple(2.0 * amplitudes[k]))
+        for k, p in enumerate(poles)
+        if p.imag > 1e-6 and p.imag < 0.9 * np.pi / step
+    ]
+    weight = {
+        id(mode): float(np.max(np.abs(np.array(mode.amplitudes)) / np.where(used, scale, np.inf)))
+        for mode in modes
+    }
+    modes.sort(key=lambda mode: -weight[id(mode)])
+    return RingDown(tuple(modes), window, misfit)
+
+
+def match_modes(
+    found: RingDown, shapes: Mapping[str, Sequence[complex]], *, least_agreement: float = 0.7
+) -> dict[str, RingDownMode]:
+    """Name ring-down modes by shape: the assurance criterion |phi^H psi|^2 / (|phi|^2 |psi|^2).
+
+    shapes : mode name -> expected complex amplitude of each signal, in the order of the fit.
+    Among fits that agree at least `least_agreement` the strongest is taken.
+    """
+    named: dict[str, RingDownMode] = {}
+    for name, shape in shapes.items():
+        psi = np.asarray(shape, dtype=complex)
+        for mode in found.modes:
+            phi = np.array(mode.amplitudes)
+            agreement = abs(np.vdot(phi, psi)) ** 2 / (np.vdot(phi, phi).real * np.vdot(psi, psi).real)
+            if agreement >= least_agreement and mode not in named.values():
+                named[name] = mode
+                break
+    return named
+
+
+def settling_time_s(time_s: Array, signal: Array, start_s: float, *, band: float = 0.02) -> float | None:
+    """Return how long after `start_s` |signal| last exceeds `band` of its peak; None if it still does at the end.
+
+    The last crossing is found on the straight line between samples.
+    """
+    after = time_s >= start_s
+    t, x = time_s[after], np.abs(signal[after])
+    limit = band * float(np.max(np.abs(signal)))
+    outside = np.flatnonzero(x > limit)
+    if len(outside) == 0:
+        return 0.0
+    k = int(outside[-1])
+    if k + 1 >= len(t):
+        return None
+    crossing = t[k] + (t[k + 1] - t[k]) * (x[k] - limit) / (x[k] - x[k + 1])
+    return float(crossing - start_s)
+
+
+def energy(time_s: Array, signal: Array, start_s: float = 0.0) -> float:
+    """Return the integral of signal^2 from `start_s` to the end (trapezoids)."""
+    after = time_s >= start_s
+    return float(np.trapezoid(signal[after] ** 2, time_s[after]))
+
+
+def is_stable(time_s: Array, signal: Array, start_s: float) -> bool:
+    """Whether |signal| decays after `start_s`: its largest value in the last quarter is below that of the
+    second quarter of what follows `start_s`, and below 1e-9 counts as decayed."""
+    span = time_s[-1] - start_s
+    second = (time_s >= start_s + 0.25 * span) & (time_s < start_s + 0.5 * span)
+    last = time_s >= start_s + 0.75 * span
+    if not np.any(second) or not np.any(last):
+        return True
+    early, late = float(np.max(np.abs(signal[second]))), float(np.max(np.abs(signal[last])))
+    return bool(late < early or late < 1e-9)

@@ -1,0 +1,256 @@
+"""Run a scenario: case and controller to FMUs, FMUs and channels to a closed loop, the loop to numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from interarea.models.case import load_case
+from interarea.models.plant_block import event_parameters, plant_block
+
+from .errors import ScenarioError, nearest
+from .fmu_file import FmuFile
+from .instances import FmuParticipant, Value
+from .ledger import PACKET_VARIABLES, DelayLedger, PacketLedger, delay_ledger, explain
+from .master import Master
+from .metrics import Metrics
+from .ringdown import fit_window, ring_down_of, run_metrics
+from .scenario import Scenario, load_scenario
+from .trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from interarea.design.controller import Controller
+    from interarea.models.case import Case
+
+Controllers = Callable[[str, Any], "Controller"]
+Array = npt.NDArray[np.float64]
+_PLANT, _CONTROLLER = "plant", "controller"
+_MAX_OUTAGES = 8
+_SLOTS = 8
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a scenario did: `trajectory`, `metrics`, `ledger` (delays), `packets`."""
+
+    scenario: Scenario
+    case: Case
+    trajectory: Trajectory
+    metrics: Metrics
+    ledger: DelayLedger
+    packets: PacketLedger
+    explanation: str
+
+    @property
+    def stable(self) -> bool:
+        """Whether the swing between the areas decays."""
+        return self.metrics.stable
+
+    def damping_ratio(
+        self, mode: str = "inter-area", *, start_s: float | None = None, stop_s: float | None = None
+    ) -> float:
+        """Return the damping ratio of a mode in the ring-down (window: `fit_window`, unless given).
+
+        Raises
+        ------
+        ValueError : the mode does not show in the window; the message names those that do.
+        """
+        if start_s is None and stop_s is None:
+            found = dict(self.metrics.damping_ratio)
+        else:
+            window = fit_window(self.scenario)
+            chosen = (window[0] if start_s is None else start_s, window[1] if stop_s is None else stop_s)
+            step = self.ledger.step_s
+            named, _ = ring_down_of(self.trajectory, self.case, chosen, step)
+            found = {name: m.damping_ratio for name, m in named.items()}
+        if mode not in found:
+            raise ValueError(f"mode {mode!r} does not show in this run; {nearest(mode, found)}")
+        return found[mode]
+
+    def settling_time_s(self, column: str | None = None, *, band: float = 0.02) -> float | None:
+        """Return the time from the last disturbance to where a signal stays within `band` of its peak.
+
+        column : a column of the trajectory; default the difference of speeds that the metrics use.
+        """
+        from . import metrics
+
+        if column is None and band == 0.02:
+            return self.metrics.settling_time_s
+        from .ringdown import disturbance_end_s, swing_signal
+
+        values = swing_signal(self.trajectory, self.case)[1] if column is None else self.trajectory[column]
+        return metrics.settling_time_s(
+            self.trajectory.time_s, values, disturbance_end_s(self.scenario), band=band
+        )
+
+    def explain(self) -> str:
+        """Return how the run was stepped: order, loops, unconnected inputs, delay and packet ledgers."""
+        return f"{self.explanation}\n\n{self.packets}"
+
+
+def run_scenario(
+    scenario: Scenario | str | Path | Mapping[str, Any],
+    *,
+    cache: Path | None = None,
+    progress: Callable[[float, float], object] | None = None,
+    controllers: Controllers | None = None,
+) -> Run:
+    """Run a scenario (a `Scenario`, a TOML file, a bundled name or a dict) and return what it did.
+
+    Parameters
+    ----------
+    cache : folder of FMUs and designs; default `default_cache()`.
+    progress : called with (present time, stop time), s.
+    controllers : (name, case) -> Controller for wdc, cc and ftc; default designs them once into `cache`.
+
+    Raises
+    ------
+    ScenarioError, CaseError : a mistake in the scenario. StepError : an FMU failed; it has the results so far.
+    """
+    loaded = load_scenario(scenario)
+    with assemble(loaded, cache=cache, controllers=controllers) as loop:
+        trajectory = loop.master.run(progress=progress)
+        return loop.result(trajectory)
+
+
+class Loop:
+    """A scenario's FMUs, connected and ready to step: `master`; keeps the case and the scenario with it."""
+
+    def __init__(self, scenario: Scenario, case: Case, master: Master, channels: Sequence[str]) -> None:
+        self.scenario, self.case, self.master, self.channels = scenario, case, master, tuple(channels)
+
+    def __enter__(self) -> Loop:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.master.close()
+
+    def result(self, trajectory: Trajectory | None = None) -> Run:
+        """Return the run so far as a `Run`."""
+        done = self.master.trajectory if trajectory is None else trajectory
+        packets = {n: c for n in self.channels if (c := _packets(self.master.participants[n]))}
+        return Run(
+            self.scenario,
+            self.case,
+            done,
+            run_metrics(done, self.case, self.scenario, self.master.step_s),
+            delay_ledger(self.master),
+            PacketLedger(packets),
+            explain(self.master),
+        )
+
+
+def assemble(
+    scenario: Scenario, *, cache: Path | None = None, controllers: Controllers | None = None
+) -> Loop:
+    """Build the FMUs of a scenario and connect them: signal -> channel -> controller -> plant.
+
+    Raises
+    ------
+    ScenarioError, CaseError : an unknown signal, a channel to an input that does not exist, too many outages.
+    """
+    from . import artefacts
+
+    folder = artefacts.default_cache() if cache is None else cache
+    case = load_case(scenario.case_path)
+    events = event_parameters(case, scenario.event)
+    slots = max(_SLOTS, len(scenario.event))
+    if slots == _SLOTS:
+        plant_file = artefacts.plant_fmu(case, folder)
+    else:
+        plant_file = artefacts.block_fmu(plant_block(case, event_slots=slots), folder)
+    plant = FmuParticipant(_PLANT, FmuFile(plant_file), dict(events))
+    signals = [p.name for p in plant.description.outputs]
+    participants: list[FmuParticipant] = [plant]
+    connections: list[tuple[str, str]] = []
+    controller = _controller(scenario, case, folder, controllers)
+    wanted: tuple[str, ...] = ()
+    if controller is not None:
+        fmu = FmuFile(artefacts.controller_fmu(controller, case.omega_b, folder))
+        participants.append(FmuParticipant(_CONTROLLER, fmu))
+        wanted = tuple(p.name for p in participants[-1].description.inputs)
+        inputs = plant.description.input_of
+        for port in participants[-1].description.outputs:
+            _known(
+                port.name,
+                inputs,
+                f"controller {controller.name}: output {port.name!r} is no input of the plant",
+            )
+            connections.append((f"{_CONTROLLER}.{port.name}", f"{_PLANT}.{port.name}"))
+    channel_file: FmuFile | None = None
+    for name, channel in scenario.channels.items():
+        where = f"{scenario.name}: channels.{name}.signal = {channel.signal!r}"
+        _known(channel.signal, signals, f"{where} is no output of the plant")
+        if controller is not None:
+            _known(channel.signal, wanted, f"{where} is no input of controller {controller.name}")
+        if len(channel.outages_s) > _MAX_OUTAGES:
+            raise ScenarioError(
+                f"{scenario.name}: channels.{name}.outages_s has {len(channel.outages_s)} windows, "
+                f"allowed: at most {_MAX_OUTAGES}"
+            )
+        channel_file = channel_file or FmuFile(artefacts.channel_fmu(folder))
+        start: dict[str, Value] = {"latency": channel.latency_s, "on_loss": channel.on_loss}
+        for k, (begin, end) in enumerate(channel.outages_s, start=1):
+            start |= {f"outage[{k}].start": begin, f"outage[{k}].end": end}
+        participants.append(FmuParticipant(name, channel_file, start))
+        connections.append((f"{_PLANT}.{channel.signal}", f"{name}.u"))
+        if controller is not None:
+            connections.append((f"{name}.y", f"{_CONTROLLER}.{channel.signal}"))
+    carried = {c.signal for c in scenario.channels.values()}
+    for signal in wanted:
+        if signal not in carried:
+            _known(
+                signal,
+                signals,
+                f"controller {scenario.controller}: input {signal!r} is no output of the plant",
+            )
+            connections.append((f"{_PLANT}.{signal}", f"{_CONTROLLER}.{signal}"))
+    master = Master(
+        participants,
+        connections,
+        stop_s=scenario.stop_s,
+        step_s=scenario.step_s,
+        marks_s=scenario.marks_s,
+        latency_s={n: c.latency_s for n, c in scenario.channels.items()},
+        inputs=scenario.master.inputs,
+        loops=scenario.master.loops,
+        tolerance=scenario.master.tolerance,
+    )
+    return Loop(scenario, case, master, list(scenario.channels))
+
+
+def _known(name: str, known: Iterable[str], what: str) -> None:
+    if name not in known:
+        raise ScenarioError(f"{what}; {nearest(name, known)}")
+
+
+def _controller(
+    scenario: Scenario, case: Case, cache: Path, controllers: Controllers | None
+) -> Controller | None:
+    """Return the controller a scenario names, or None."""
+    if scenario.controller == "none":
+        return None
+    path = scenario.controller_path
+    if path is not None:
+        from interarea.design.controller import Controller
+
+        return Controller.load(path)
+    if controllers is not None:
+        return controllers(scenario.controller, case)
+    if scenario.controller not in ("wdc", "cc", "ftc"):
+        raise ScenarioError(
+            f"{scenario.name}: controller = {scenario.controller!r}, allowed: none, wdc, cc, ftc or a controller file"
+        )
+    from . import artefacts
+
+    return artefacts.design_controller(case, scenario.controller, cache)
+
+
+def _packets(participant: Any) -> dict[str, float]:
+    known = participant.file.variables
+    return {name: participant.value_of(name) for name in PACKET_VARIABLES if name in known}
