@@ -15,7 +15,7 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 def export_toml(case: Case, path: str | Path | None = None) -> str:
     """Return `case` in the form of a case file, and write it to `path` when one is given.
 
-    Numbers keep every digit; r, x, b are on the base of the case. The text loads back to a case of the same hash.
+    Numbers keep every digit; r, x, b are on the base of the case. Loading the text gives the same hash.
 
     >>> from interarea.models.case import load_case
     >>> export_toml(load_case("kundur-manual")).splitlines()[0]

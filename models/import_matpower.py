@@ -55,9 +55,7 @@ def _table(path: Path, lines: list[str], table: str, *, needed: bool = True) -> 
     start = next((k for k, line in enumerate(lines) if re.match(rf"\s*mpc\.{table}\s*=\s*\[", line)), None)
     if start is None:
         if needed:
-            raise CaseError(
-                f"{path}: mpc.{table} is missing, allowed: a version 2 case with bus, gen and branch"
-            )
+            raise CaseError(f"{path}: mpc.{table} is missing, allowed: a case with bus, gen and branch")
         return []
     rows: list[_Row] = []
     for k in range(start, len(lines)):
@@ -70,7 +68,7 @@ def _table(path: Path, lines: list[str], table: str, *, needed: bool = True) -> 
             values = tuple(_number(word, f"{path}:{k + 1}: mpc.{table}") for word in words)
             if len(values) < _COLUMNS.get(table, 0):
                 raise CaseError(
-                    f"{path}:{k + 1}: mpc.{table} row has {len(values)} columns, allowed: {_COLUMNS[table]} or more"
+                    f"{path}:{k + 1}: mpc.{table}: {len(values)} columns, allowed: >= {_COLUMNS[table]}"
                 )
             rows.append(_Row(values, k + 1))
         if ends:
