@@ -29,8 +29,8 @@ def machine_dynamics(
 ) -> dict[str, dict[str, Any]]:
     """Return machine name -> keys to merge into its row, from the DYR file `path`.
 
-    `machine_of`: (bus, id) -> name. `lines`: name -> file:line of the RAW record, set to that of the DYR record
-    once it is read. `out`: machines out of service, whose records are passed over.
+    `machine_of`: (bus, id) -> name. `lines`: name -> file:line of the RAW record, set to that of the
+    DYR record once it is read. `out`: machines out of service, whose records are passed over.
 
     Raises
     ------
