@@ -55,8 +55,8 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
         e'_q = e''_q + (X'_d - X''_d) i_d, \quad e'_d = e''_d - (X'_q - X''_q) i_q, \quad
         E_{fd} = e'_q + (X_d - X'_d) i_d .
 
-    The currents are then taken once more from the EMFs through the network as the plant solves it, so that the
-    set-points fit the plant to rounding.  [Kundur1994, sec. 13.3]
+    The currents are then taken once more from the EMFs through the network as the plant solves it, so that
+    the set-points fit the plant to rounding.  [Kundur1994, sec. 13.3]
 
     Raises
     ------
@@ -87,7 +87,7 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
     if not error <= VOLTAGE_TOLERANCE_PU:
         raise CaseError(
             f"{case.name}: the network at rest differs from the power flow by {error:.3g} pu at bus "
-            f"{case.buses[worst].number}, allowed: {VOLTAGE_TOLERANCE_PU:g}; is it the power flow of this case?"
+            f"{case.buses[worst].number}, allowed: {VOLTAGE_TOLERANCE_PU:g}; give it its own power flow"
         )
     points = tuple(
         _machine_point(m, float(delta[k]), complex(emf[k]), complex(current[k] / base[k]))

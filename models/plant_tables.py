@@ -152,8 +152,8 @@ def exciter(case: Case, k: int, point: MachinePoint, vs: frozenset[str]) -> Devi
     low, high = _limits(e.Efd_min, e.Efd_max)
     if not low <= point.efd <= high:
         raise CaseError(
-            f"{case.name}: machines.{m.name}.exciter: Efd = {point.efd:.6g} at the operating point lies outside "
-            f"Efd_min = {low:g} .. Efd_max = {high:g}; widen the limits or change the dispatch"
+            f"{case.name}: machines.{m.name}.exciter: Efd = {point.efd:.6g} at the operating point lies "
+            f"outside Efd_min = {low:g} .. Efd_max = {high:g}; widen the limits or change the dispatch"
         )
     device = Device(1, k, [e.KA, e.TA, e.TR, TB, TC, low, high, point.vt + point.efd / e.KA])
     prefix = f"{m.name}.exciter"
@@ -193,8 +193,8 @@ def governor(case: Case, k: int, point: MachinePoint) -> Device | None:
     low, high = _limits(g.gate_min, g.gate_max)
     if not (low <= point.pm <= high and slowest <= 0.0 <= fastest):
         raise CaseError(
-            f"{case.name}: machines.{m.name}.governor: the gate is {point.pm:.6g} at the operating point and must lie "
-            f"within gate_min = {low:g} .. gate_max = {high:g}, with vg_min <= 0 <= vg_max"
+            f"{case.name}: machines.{m.name}.governor: the gate is {point.pm:.6g} at the operating point and "
+            f"must lie within gate_min = {low:g} .. gate_max = {high:g}, with vg_min <= 0 <= vg_max"
         )
     column = [g.Kp, g.Rp, g.Tsr, g.Tsm, slowest, fastest, low, high]
     device = Device(1, k, [*column, g.T2, g.T3, g.T4, g.T5, g.F2, g.F3, g.F4, g.F5, 0.0])
@@ -234,4 +234,5 @@ def _time(prefix: str, key: str, row: int, *, zero: bool) -> Parameter:
 
 
 def _missing(case: Case, machine: Machine, device: str, kind: str, known: str) -> str:
-    return f"{case.name}: machines.{machine.name}.{device}.kind = {kind!r} is not modelled by the plant, allowed: {known}"
+    where = f"{case.name}: machines.{machine.name}.{device}"
+    return f"{where}.kind = {kind!r} is not modelled by the plant, allowed: {known}"

@@ -6,6 +6,7 @@ import atexit
 import ctypes
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,6 +15,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+
+import interarea.models.record
 from interarea.models.record import pack_record
 from interarea.models.variables import Block
 
@@ -34,15 +37,23 @@ class _Needs(ctypes.Structure):
     _fields_ = (("n_memory", ctypes.c_size_t), ("n_scratch", ctypes.c_size_t))
 
 
+def _fields_of_block() -> list[tuple[str, type]]:
+    """Members of `Block` in the order of block.h, so that the header stays the only place that says it."""
+    text = (Path(interarea.models.record.__file__).parent / "block" / "block.h").read_text()
+    body = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+    body = re.search(r"typedef struct \{([^}]*)\} Block;", body).group(1)
+    kinds = {
+        "double": _Real,
+        "int": _Integer,
+        "const Record": ctypes.POINTER(_Record),
+        "BlockLayout": _Layout,
+    }
+    members = re.findall(r"(const Record|BlockLayout|double|int)\s+([^;]+);", body)
+    return [(name.strip(" *"), kinds[kind]) for kind, names in members for name in names.split(",")]
+
+
 class _Block(ctypes.Structure):
-    _fields_ = (
-        ("record", ctypes.POINTER(_Record)),
-        ("layout", _Layout),
-        *((n, _Real) for n in ("x", "dx", "u", "y", "w", "p")),
-        *((n, _Integer) for n in ("iu", "iy", "iw", "ip", "u_order")),
-        ("memory", _Real),
-        ("scratch", _Real),
-    )
+    _fields_ = _fields_of_block()
 
 
 class BlockFailure(RuntimeError):
