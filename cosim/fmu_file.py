@@ -123,7 +123,7 @@ class FmuFile:
         return [v for v in self.model.modelVariables if v.causality == causality and v.type in _TYPE_OF]
 
     def _dependencies(self, section: str) -> dict[str, frozenset[str]]:
-        """Output -> inputs it depends on; a missing `dependencies` means all, an empty one none (FMI2, 2.2.8)."""
+        """Output -> inputs it depends on; missing `dependencies` means all, empty ones none (FMI2, 2.2.8)."""
         names = [v.name for v in self.model.modelVariables]
         inputs = frozenset(v.name for v in self._of("input"))
         found: dict[str, frozenset[str]] = {v.name: inputs for v in self._of("output")}

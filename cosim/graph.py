@@ -182,7 +182,7 @@ def strongly_connected(waits: Mapping[str, Iterable[str]]) -> list[tuple[str, ..
     for name in sorted(waits):
         if name not in number:
             visit(name)
-    # Kahn over the parts, always the ready part with the smallest name: one order, whatever was declared first
+    # always the ready part with the smallest name: one order, whatever was declared first (Kahn)
     needs = [{part_of[o] for m in part for o in waits[m]} - {k} for k, part in enumerate(parts)]
     done: list[int] = []
     while len(done) < len(parts):
@@ -259,7 +259,8 @@ def _conversion(source: End, a: Port, target: End, b: Port) -> tuple[float, floa
         )
     if ua.exponents != ub.exponents:
         raise GraphError(
-            f"{source} -> {target}: unit {ua.name!r} ({_dimension(ua)}) does not fit {ub.name!r} ({_dimension(ub)})"
+            f"{source} -> {target}: unit {ua.name!r} ({_dimension(ua)}) "
+            f"does not fit {ub.name!r} ({_dimension(ub)})"
         )
     return ua.factor / ub.factor, (ua.offset - ub.offset) / ub.factor
 

@@ -262,7 +262,8 @@ class FmuParticipant:
             return self.file.variables[name]
         except KeyError:
             raise GraphError(
-                f"{self.name} ({self.file.path.name}) has no variable {name!r}; {nearest(name, self.file.variables)}"
+                f"{self.name} ({self.file.path.name}) has no variable {name!r}; "
+                f"{nearest(name, self.file.variables)}"
             ) from None
 
     def _encode(self, variable: FmuVariable, value: Value) -> Value:

@@ -59,7 +59,8 @@ class DelayLedger:
 
     def __str__(self) -> str:
         width = max([len(str(r.connection)) for r in self.rows], default=10)
-        head = f"{'connection':<{width}}  {'requested':>10} {'network':>10} {'sampling':>10} {'master':>10}  (ms)"
+        titles = " ".join(f"{t:>10}" for t in ("requested", "network", "sampling", "master"))
+        head = f"{'connection':<{width}}  {titles}  (ms)"
         lines = [head]
         for r in self.rows:
             numbers = (r.requested_s, r.network_s, r.sampling_s, r.master_s)

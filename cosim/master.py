@@ -24,22 +24,21 @@ from typing import Literal
 
 import numpy as np
 
-from .clock import Clock, Step, seconds, to_ticks
+from .clock import seconds, to_ticks
 from .errors import GraphError, StepError
 from .graph import End, Graph, Group, build_graph
 from .initialise import initialise
+from .loops import iterate_loop
 from .node import Feed, Node
-from .participant import Description, Participant
-from .secant import Secant
+from .participant import Participant
 from .signals import Kind, Signal
+from .timing import choose_step, clock_of
 from .trajectory import Trajectory
 
 Inputs = Literal["hermite", "linear", "hold-jacobi", "hold-gauss-seidel"]
 Loops = Literal["auto", "iterate", "extrapolate"]
 INPUTS: tuple[Inputs, ...] = ("hermite", "linear", "hold-jacobi", "hold-gauss-seidel")
 LOOPS: tuple[Loops, ...] = ("auto", "iterate", "extrapolate")
-_MAX_SWEEPS = 50
-_DEFAULT_STEP_S, _LEAST_CHOSEN_STEP_S = 0.01, 0.001
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,15 @@ class Master:
         ticks = {n: to_ticks(v, f"latency of {n}") for n, v in self.latency_s.items()}
         self.step_s = choose_step(self.latency_s.values()) if step_s is None else step_s
         self.inputs, self.loops, self.tolerance, self.substeps = inputs, loops, tolerance, substeps
-        self.clock = _clock(descriptions, start_s, stop_s, self.step_s, marks_s, ticks, holds=self._holds)
+        self.clock = clock_of(
+            descriptions,
+            start_s=start_s,
+            stop_s=stop_s,
+            step_s=self.step_s,
+            marks_s=marks_s,
+            latency_ticks=ticks,
+            edges=not self._holds,
+        )
         self.graph: Graph = build_graph(descriptions, pairs, step_ticks=self.clock.step, latency_ticks=ticks)
         self._initial_graph = build_graph(
             descriptions, pairs, step_ticks=self.clock.stop - self.clock.start + 1
@@ -109,6 +116,7 @@ class Master:
         self.residual = 0.0  #: of the initial values, relative
         self.repeated = 0  #: loop steps done again since the start
         self._order: list[Group] = self._groups()
+        self._iterated = {g.members for g in self._order if g.torn and self._iterates(g)}
         self._index = -1
         outputs = [(n, p) for n, d in descriptions.items() for p in d.outputs]
         self._columns = [f"{n}.{p.name}" for n, p in outputs]
@@ -148,7 +156,7 @@ class Master:
 
         Raises
         ------
-        StepError : an FMU failed or an output is not finite; `trajectory` of the error has the results so far.
+        StepError : an FMU failed or an output is not finite; its `trajectory` has the results so far.
         """
         if self._index < 0:
             self.start()
@@ -159,8 +167,10 @@ class Master:
             for s in self.signals:
                 s.begin(step.start, step.edge)
             for group in self._order:
-                if group.torn and self._iterates(group):
-                    self._solve_loop(group, step)
+                if group.members in self._iterated:
+                    self.repeated += iterate_loop(
+                        group, self.nodes, self._torn_signals(group), step, self.tolerance
+                    )
                 else:
                     for name in group.members:
                         self.nodes[name].advance(step)
@@ -218,7 +228,7 @@ class Master:
         for n, p in self.participants.items():
             if not p.description.saves_state:
                 raise GraphError(
-                    f"{n} cannot save its state (canGetAndSetFMUstate); a run with it cannot be forked"
+                    f"{n} cannot save its state (canGetAndSetFMUstate): a run with it cannot be forked"
                 )
         states = {n: p.save() for n, p in self.participants.items()}
         return Saved(self._index, states, tuple(s.copy() for s in self.signals), self._rows)
@@ -246,6 +256,11 @@ class Master:
         if self.inputs == "hold-jacobi":  # nobody waits for anybody
             return [Group((name,)) for name in self.participants]
         return list(self.graph.groups)
+
+    def _torn_signals(self, group: Group) -> list[Signal]:
+        """The signals of a loop that run against its order and are not held."""
+        torn = {str(c.source) for c in group.torn}
+        return [s for s in self.signals if s.name in torn and s.kind != "held"]
 
     def _iterates(self, group: Group) -> bool:
         """Whether a loop is iterated: not with held inputs, not when told to extrapolate."""
@@ -316,47 +331,6 @@ class Master:
             nodes[name] = Node(p, feeds, mine, order=order, substeps=parts)
         return nodes
 
-    def _solve_loop(self, group: Group, step: Step) -> None:
-        """Repeat the step of a loop until what comes out is what was supposed."""
-        h = step.length_s
-        torn = {str(c.source) for c in group.torn}
-        signals = [s for s in self.signals if s.name in torn and s.kind != "held"]
-        members = [self.participants[n] for n in group.members]
-        states = [p.save() for p in members]
-        solver = Secant(2 * len(signals))
-        try:
-            for sweep in range(_MAX_SWEEPS):
-                x = [v for s in signals for v in _end_of(s, h)] if sweep == 0 else x
-                if sweep:
-                    for p, state in zip(members, states, strict=True):
-                        p.restore(state)
-                    for k, s in enumerate(signals):
-                        s.know(step.start, step.end, step.edge, x[2 * k], x[2 * k + 1] / h)
-                for name in group.members:
-                    self.nodes[name].advance(step)
-                residual = []
-                error = 0.0
-                for k, s in enumerate(signals):
-                    dv = s.v1 - x[2 * k]
-                    ds = h * s.s1 - x[2 * k + 1] if s.kind == "hermite" and not step.edge else 0.0
-                    residual += [dv, ds]
-                    allowed = max(s.peak, abs(s.v1), 1e-4 * s.nominal)
-                    error = max(error, abs(dv) / allowed, abs(ds) / allowed / 8.0)
-                if error <= self.tolerance:
-                    return
-                self.repeated += 1
-                x = solver.correct(x, residual)
-        finally:
-            for p, state in zip(members, states, strict=True):
-                p.release(state)
-        raise StepError(
-            f"the loop does not settle in {_MAX_SWEEPS} sweeps: relative change {error:.3g}, allowed {self.tolerance:g}",
-            instance=" -> ".join(group.members),
-            call="iterating the step",
-            time_s=step.start_s,
-            advice="take a shorter step_s or a larger tolerance",
-        )
-
     def _record(self, tick: int) -> None:
         row = self._records[self._rows]
         k = 0
@@ -367,50 +341,6 @@ class Master:
             k += n
         self._times[self._rows] = seconds(tick)
         self._rows += 1
-
-
-def _end_of(s: Signal, h: float) -> tuple[float, float]:
-    """Return value and h times slope at the end of the step, as predicted."""
-    d0, d1, d2, d3 = s.d
-    value = d0 + h * (d1 + h * (d2 / 2.0 + h * (d3 / 6.0)))
-    return value, h * (d1 + h * (d2 + h * (d3 / 2.0)))
-
-
-def choose_step(latencies_s: Iterable[float]) -> float:
-    """Return H: 10 ms, or the shortest positive latency when that is less, but at least 1 ms.
-
-    >>> choose_step([0.1, 0.004, 0.0])
-    0.004
-    """
-    positive = [v for v in latencies_s if v > 0.0]
-    return max(_LEAST_CHOSEN_STEP_S, min([_DEFAULT_STEP_S, *positive]))
-
-
-def _clock(
-    descriptions: Mapping[str, Description],
-    start_s: float,
-    stop_s: float,
-    step_s: float,
-    marks_s: Iterable[float],
-    latency_ticks: Mapping[str, int],
-    *,
-    holds: bool,
-) -> Clock:
-    """Return the clock: marks, and marks again as they come out of each channel."""
-    plain = Clock.of_seconds(stop_s, step_s, start_s=start_s, marks_s=marks_s)
-    rigid = sorted(n for n, d in descriptions.items() if not d.variable_step)
-    if rigid:
-        for mark in (*plain.marks, plain.stop):
-            off = (mark - plain.start) % plain.step
-            if off:
-                raise GraphError(
-                    f"{rigid[0]} takes steps of one length only (canHandleVariableCommunicationStepSize = false), "
-                    f"but t = {seconds(mark)} s is no multiple of step_s = {step_s:g}; "
-                    f"use {seconds(mark - off)} or {seconds(mark - off + plain.step)}"
-                )
-    late = {m + d for m in plain.marks for d in latency_ticks.values()} if not rigid else set()
-    marks = tuple(sorted({*plain.marks, *(m for m in late if m < plain.stop)}))
-    return Clock(plain.start, plain.stop, plain.step, marks, edges=not (rigid or holds))
 
 
 def _one_of(key: str, value: str, allowed: tuple[str, ...]) -> None:

@@ -101,7 +101,7 @@ def ring_down(
     ValueError : fewer than 10 points, or no uniform grid.
     """
     values = np.asarray(values, dtype=np.float64).reshape(len(time_s), -1)
-    n, m = values.shape
+    n = len(values)
     if not n >= 10:
         raise ValueError(f"ring_down: {n} points are too few; at least 10 are needed")
     steps = np.diff(time_s)
@@ -163,7 +163,7 @@ def match_modes(
 
 
 def settling_time_s(time_s: Array, signal: Array, start_s: float, *, band: float = 0.02) -> float | None:
-    """Return how long after `start_s` |signal| last exceeds `band` of its peak; None if it still does at the end.
+    """Return how long after `start_s` |signal| last exceeds `band` of its peak; None: it still does.
 
     The last crossing is found on the straight line between samples.
     """

@@ -44,7 +44,7 @@ def disturbance_end_s(scenario: Scenario) -> float:
 
 
 def fit_window(scenario: Scenario) -> tuple[float, float]:
-    """Return the window of the ring-down: from just after the last disturbance to the next change of a channel.
+    """Return the window of the ring-down: from just after the last disturbance to a change of a channel.
 
     An outage that starts later than 4 s after the disturbance ends the window; one that starts sooner starts
     it anew, since the system then still swings.

@@ -110,7 +110,7 @@ def run_scenario(
 
     Raises
     ------
-    ScenarioError, CaseError : a mistake in the scenario. StepError : an FMU failed; it has the results so far.
+    ScenarioError, CaseError : a mistake in the scenario. StepError : an FMU failed, with the results so far.
     """
     loaded = load_scenario(scenario)
     with assemble(loaded, cache=cache, controllers=controllers) as loop:
@@ -244,7 +244,8 @@ def _controller(
         return controllers(scenario.controller, case)
     if scenario.controller not in ("wdc", "cc", "ftc"):
         raise ScenarioError(
-            f"{scenario.name}: controller = {scenario.controller!r}, allowed: none, wdc, cc, ftc or a controller file"
+            f"{scenario.name}: controller = {scenario.controller!r}, "
+            "allowed: none, wdc, cc, ftc or a controller file"
         )
     from . import artefacts
 

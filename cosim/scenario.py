@@ -126,7 +126,8 @@ class Scenario(_Table):
                 to_ticks(at, f"event {k} ({e.kind}): {key}")
                 if key == "start_s" and not at < self.stop_s:
                     raise ValueError(
-                        f"event {k} ({e.kind}): start_s = {at:g} lies outside the run, allowed: 0 to {self.stop_s:g}"
+                        f"event {k} ({e.kind}): start_s = {at:g} lies outside the run, "
+                        f"allowed: 0 to {self.stop_s:g}"
                     )
         signals: dict[str, str] = {}
         for name, channel in self.channels.items():
@@ -143,7 +144,8 @@ class Scenario(_Table):
             for start, _ in channel.outages_s:
                 if not start < self.stop_s:
                     raise ValueError(
-                        f"channels.{name}: an outage starts at {start:g} s, outside the run, allowed: 0 to {self.stop_s:g}"
+                        f"channels.{name}: an outage starts at {start:g} s, outside the run, "
+                        f"allowed: 0 to {self.stop_s:g}"
                     )
         return self
 
@@ -189,7 +191,8 @@ def load_scenario(source: str | Path | Mapping[str, Any] | Scenario) -> Scenario
         path = BUNDLED / f"{path.name}.toml"
         if not path.is_file():
             raise ScenarioError(
-                f"scenario {str(source)!r} is neither a file nor bundled; {nearest(str(source), scenario_names())}"
+                f"scenario {str(source)!r} is neither a file nor bundled; "
+                f"{nearest(str(source), scenario_names())}"
             )
     if not path.is_file():
         raise ScenarioError(f"{path}: no such scenario file")
