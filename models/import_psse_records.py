@@ -30,7 +30,7 @@ SECTIONS = (
     "GNE",
     "induction machine",
 )
-_WORD = re.compile(r"'[^']*'|[^,\s']+")
+_WORD = re.compile(r"'[^']*'|,|/|[^,/\s']+")
 
 
 @dataclass(frozen=True)
@@ -77,23 +77,17 @@ class Record:
 
 def split_fields(text: str) -> tuple[str, ...]:
     """Return the words of a record line: commas or blanks part them, quotes bind them, `/` ends it."""
-    body, quoted = "", False
-    for letter in text:
-        quoted ^= letter == "'"
-        if letter == "/" and not quoted:
+    fields: list[str] = []
+    after_comma = True
+    for word in _WORD.findall(text):
+        if word == "/":
             break
-        body += letter
-    if "," not in re.sub(r"'[^']*'", "", body):
-        return tuple(word.strip("'").strip() for word in _WORD.findall(body))
-    fields, current, quoted = [], "", False
-    for letter in body:
-        quoted ^= letter == "'"
-        if letter == "," and not quoted:
-            fields.append(current)
-            current = ""
-        else:
-            current += letter
-    return tuple(word.strip().strip("'").strip() for word in [*fields, current])
+        if word != ",":
+            fields.append(word.strip("'").strip())
+        elif after_comma:
+            fields.append("")
+        after_comma = word == ","
+    return tuple(fields)
 
 
 def read_raw(path: Path) -> tuple[Record, dict[str, list[Record]]]:

@@ -1,0 +1,85 @@
+"""Events: kinds, times and targets."""
+
+from __future__ import annotations
+
+import pytest
+
+from interarea.models.case import CaseError, load_case
+from interarea.models.events import EVENT_KINDS, check_events, event_of, events_of, target_index
+
+GOOD = [
+    {"kind": "bus_fault", "bus": 8, "start_s": 1.0, "end_s": 1.1333333, "x_pu": 1e-4},
+    {"kind": "branch_trip", "branch": "8-9 a", "start_s": 1.0},
+    {"kind": "branch_reclose", "branch": "8-9 a", "start_s": 2.0},
+    {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.0, "end_s": 1.2},
+    {"kind": "vref_step", "machine": "G2", "size_pu": -0.01, "start_s": 1.0},
+    {"kind": "pm_pulse", "machine": "G3", "size_pu": 0.05, "start_s": 1.0, "end_s": 1.2},
+    {"kind": "pm_step", "machine": "G4", "size_pu": 0.05, "start_s": 0},
+    {"kind": "load_step", "bus": 9, "size_pu": 0.1, "start_s": 1.0},
+    {"kind": "machine_trip", "machine": "G2", "start_s": 1.0},
+    {"kind": "shunt_switch", "shunt": "C9", "start_s": 1.0, "end_s": 3.0},
+]
+
+
+def test_every_kind_has_its_target() -> None:
+    case = load_case("two-area-thesis")
+    events = events_of(GOOD, where="here")
+    assert {e.kind for e in events} == set(EVENT_KINDS)
+    assert [target_index(case, e) for e in events] == [7, 8, 8, 0, 1, 2, 3, 1, 1, 1]
+    check_events(case, events)
+
+
+BAD = [
+    ({"kind": "bus_foult"}, r"here: kind = 'bus_foult'; did you mean bus_fault\?"),
+    ({"kind": "bus_fault", "bus": 8, "start_s": 1.0}, "end_s is missing"),
+    ({"kind": "bus_fault", "bus": 8, "start_s": 1.0, "end_s": 1.0}, "allowed: end_s > start_s"),
+    ({"kind": "bus_fault", "bus": 8, "start_s": 1.0, "end_s": 2.0, "x_pu": 0.0}, "a fault impedance above 0"),
+    (
+        {"kind": "branch_trip", "branch": "8-9 a", "start_s": -1.0},
+        "start_s = -1.0, allowed: greater than or equal",
+    ),
+    ({"kind": "branch_trip", "branch": "8-9 a", "start_s": float("nan")}, "start_s = nan"),
+    ({"kind": "branch_trip", "line": "8-9 a", "start_s": 1.0}, "branch is missing|no such key"),
+    ({"kind": "vref_step", "machine": "G1", "size_pu": "0.1", "start_s": 1.0}, "size_pu = '0.1'"),
+    ({"kind": "load_step", "bus": 7, "start_s": 1.0}, "exactly one of these forms"),
+    ({"kind": "load_step", "bus": 7, "load": "L7", "size_pu": 0.1, "start_s": 1.0}, "by load or by bus"),
+]
+
+
+@pytest.mark.parametrize(("table", "message"), BAD)
+def test_a_wrong_event_is_refused_in_one_line(table: dict, message: str) -> None:
+    with pytest.raises(CaseError, match=message) as caught:
+        event_of(table, where="here")
+    assert "\n" not in str(caught.value)
+
+
+TARGETS = [
+    ({"kind": "bus_fault", "bus": 88, "start_s": 1.0, "end_s": 1.1}, "bus 88 does not exist; did you mean 8"),
+    ({"kind": "branch_trip", "branch": "8-9a", "start_s": 1.0}, "did you mean 8-9 a or 8-9 b"),
+    ({"kind": "machine_trip", "machine": "G9", "start_s": 1.0}, "machine 'G9' does not exist"),
+    (
+        {"kind": "load_step", "bus": 5, "size_pu": 0.1, "start_s": 1.0},
+        r"bus 5 has 0 loads, allowed: one load",
+    ),
+]
+
+
+@pytest.mark.parametrize(("table", "message"), TARGETS)
+def test_an_unknown_target_names_the_nearest(table: dict, message: str) -> None:
+    with pytest.raises(CaseError, match=message):
+        target_index(load_case("two-area-thesis"), event_of(table, where="here"))
+
+
+def test_constant_excitation_has_no_set_point() -> None:
+    event = event_of(GOOD[4], where="here")
+    with pytest.raises(CaseError, match="constant excitation"):
+        target_index(load_case("kundur-manual"), event)
+
+
+def test_trips_may_not_cut_the_network() -> None:
+    case = load_case("two-area-thesis")
+    both = [{"kind": "branch_trip", "branch": f"8-9 {c}", "start_s": t} for c, t in (("a", 1.0), ("b", 2.0))]
+    with pytest.raises(CaseError, match=r"event 2 \('8-9 b'\) at 2 s cuts buses 1, 2, 5, 6, 7, 8 off"):
+        check_events(case, events_of(both, where="here"))
+    both[0]["end_s"] = 2.0  # the first circuit is back when the second opens
+    check_events(case, events_of(both, where="here"))

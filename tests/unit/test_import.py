@@ -1,0 +1,277 @@
+"""Import from PSS/E and MATPOWER: the same grid in another form, and refusals with file and line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interarea.models.case import Case, CaseError, load_case
+from interarea.models.case_checks import require_dynamics
+from interarea.models.import_matpower import import_matpower
+from interarea.models.import_psse import import_psse
+from interarea.models.import_psse_records import split_fields
+from interarea.models.network import admittance_matrix
+from interarea.models.powerflow import solve_powerflow
+
+
+def raw_text(case: Case) -> str:
+    """Write the network of `case` as a RAW file: transformers with the ratio split over both windings."""
+    machines = {m.bus: m for m in case.machines}
+    ide = {bus: 3 if m.slack else 2 for bus, m in machines.items()}
+    lines = [f"0, {case.base_mva}, 33, 0, 1, {case.frequency_hz} / made by a test", "one", "two"]
+    for bus in case.buses:
+        angle = case.slack.angle_deg if ide.get(bus.number) == 3 else 0.0
+        lines.append(
+            f"{bus.number},'a/b, {bus.number}',0.0,{ide.get(bus.number, 1)},{bus.area},1,1,1.0,{angle}"
+        )
+    lines.append("0 / END OF BUS DATA")
+    lines += [f"{q.bus},'1 ',1,1,1,{q.P_mw},{q.Q_mvar},0,0,0,0,1,1" for q in case.loads]
+    lines.append("0 / END OF LOAD DATA")
+    lines += [f"{s.bus},'1 ',1,{s.P_mw},{s.Q_mvar}" for s in case.shunts]
+    lines.append("0 / END OF FIXED SHUNT DATA")
+    for m in case.machines:
+        lines.append(
+            f"{m.bus},'1 ',{m.P_mw},0,99,-99,{m.V_pu},0,{m.base_mva},{m.Ra},{m.Xd1},0,0,1,1,100,999,0"
+        )
+    lines.append("0 / END OF GENERATOR DATA")
+    circuits = {b.name: f"{k}" for k, b in enumerate(case.branches)}
+    for b in case.branches:
+        if b.kind == "line":
+            zeros = "0,0,0,0,0,0,0"
+            row = f"{b.from_bus},{-b.to_bus},'{circuits[b.name]}',{b.r!r},{b.x!r},{b.b!r},{zeros}"
+            lines.append(f"{row},{int(b.in_service)},1,0")
+    lines.append("0 / END OF BRANCH DATA")
+    turns = 1.25
+    for b in case.branches:
+        if b.kind == "transformer":
+            head = f"{b.from_bus},{b.to_bus},0,'{circuits[b.name]}',1,2,1,0,0,1,'T',1"
+            scale = 5.0 / turns**2  # own base of 500 MVA, ratio of the second winding 1.25
+            lines += [head, f"{b.r * scale!r},{b.x * scale!r},{5.0 * case.base_mva}"]
+            lines += [f"{b.tap * turns!r},0.0,{b.shift_deg}", f"{turns},0.0"]
+    lines += ["0 / END OF TRANSFORMER DATA", "0", "0", "Q"]
+    return "\n".join(lines) + "\n"
+
+
+def dyr_text(case: Case) -> str:
+    """Write machines, static exciters and stabilizers of `case` as a DYR file."""
+    lines = ["// made by a test"]
+    for m in case.machines:
+        lines.append(f"{m.bus} 'GENROU' 1 {m.Td01} {m.Td02} {m.Tq01} {m.Tq02} {m.H} {m.D} {m.Xd}")
+        lines.append(f"   {m.Xq} {m.Xd1} {m.Xq1} {m.Xd2} {m.Xl} 0.0 0.0 /")
+        e = m.exciter
+        if e.kind == "static":
+            lines.append(f"{m.bus} 'EXST1' 1 {e.TR} 9 -9 0 0 {e.KA} {e.TA} 5 -5 0 0 1 /")
+        s = m.stabilizer
+        if s is not None:
+            stages = f"{s.T1} {s.T2} {s.T3} {s.T4} {s.Tw} {s.Tw} {s.K}"
+            lines.append(f"{m.bus} 'IEEEST' 1 1 0 0 0 0 0 0 0 {stages} {s.Vs_max} {s.Vs_min} 0 0 /")
+    return "\n".join(lines) + "\n"
+
+
+Write = Callable[[str, str], Path]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def write_file(name: str, text: str) -> Path:
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return write_file
+
+
+@pytest.mark.parametrize("name", ["kundur-pss", "new-england", "nets-nyps"])
+def test_raw_gives_the_same_admittances_and_the_same_power_flow(write: Write, name: str) -> None:
+    case = load_case(name)
+    copy = import_psse(write("grid.raw", raw_text(case)))
+    assert admittance_matrix(copy) == pytest.approx(admittance_matrix(case), rel=1e-12, abs=1e-9)
+    assert solve_powerflow(copy).voltages == pytest.approx(solve_powerflow(case).voltages, abs=1e-10)
+    with pytest.raises(CaseError, match="no dynamic data"):
+        require_dynamics(copy)
+
+
+def test_dyr_gives_the_same_machines_and_controls(write: Write) -> None:
+    case = load_case("kundur-pss")
+    copy = import_psse(write("grid.raw", raw_text(case)), write("grid.dyr", dyr_text(case)), P_exponent=1.0)
+    for ours, theirs in zip(copy.machines, case.machines, strict=True):
+        keys = ("H", "D", "Xd", "Xq", "Xl", "Xd1", "Xq1", "Xd2", "Xq2", "Td01", "Tq01", "Td02", "Tq02", "Ra")
+        assert [getattr(ours, k) for k in keys] == [getattr(theirs, k) for k in keys]
+        assert (ours.exciter.KA, ours.exciter.TR, ours.exciter.kind) == (200.0, 0.01, "st1a")
+        assert ours.stabilizer.lead_lags == theirs.stabilizer.lead_lags
+        assert (ours.stabilizer.K, ours.stabilizer.Tw, ours.stabilizer.Vs_max) == (20.0, 10.0, 0.05)
+        assert ours.saturation is None
+    assert [(q.P_exponent, q.Q_exponent) for q in copy.loads] == [(1.0, 2.0)] * 2
+    require_dynamics(copy)
+
+
+def test_saturation_goes_through_both_points(write: Write) -> None:
+    case = load_case("kundur-pss")
+    text = dyr_text(case).replace(" 0.0 0.0 /", " 0.04 0.3 /")
+    s = import_psse(write("grid.raw", raw_text(case)), write("grid.dyr", text)).machines[0].saturation
+    assert s.Asat * np.exp(s.Bsat * (1.0 - s.psiT1)) == pytest.approx(0.04, rel=1e-12)
+    assert s.Asat * np.exp(s.Bsat * (1.2 - s.psiT1)) == pytest.approx(1.2 * 0.3, rel=1e-12)
+
+
+MAPPED = [
+    (
+        "'SEXS' 1 0.1 10.0 100 0.05 -4 5 /",
+        {"kind": "static_tgr", "KA": 100.0, "TC": 1.0, "TB": 10.0, "TA": 0.05},
+    ),
+    ("'SEXS' 1 1.0 10.0 100 0.05 -4 5 /", {"kind": "static", "KA": 100.0, "Efd_min": -4.0, "Efd_max": 5.0}),
+    (
+        "'IEEEX1' 1 0.02 40 0.05 0 0 5 -5 1 0.5 0.03 1 0 3 0.08 4 0.3 /",
+        {"kind": "dc1", "TR": 0.02, "KA": 40.0, "KE": 1.0, "TE": 0.5, "KF": 0.03, "VRmin": -5.0},
+    ),
+    (
+        "'ESST1A' 1 1 1 0.01 99 -99 1 10 1 1 200 0 4 -4 4 -4 0 0 1 0 3 /",
+        {"kind": "st1a", "TC": 1.0, "TB": 10.0, "VRmax": 4.0},
+    ),
+]
+
+
+@pytest.mark.parametrize(("record", "expected"), MAPPED)
+def test_exciter_records_map(write: Write, record: str, expected: dict) -> None:
+    case = load_case("kundur-manual")
+    text = dyr_text(case) + f"2, {record}\n2 'TGOV1' 1 0.05 0.1 1.0 0.0 0.2 7.0 0.01 /\n"
+    machine = import_psse(write("grid.raw", raw_text(case)), write("grid.dyr", text)).machine("G2")
+    assert {k: getattr(machine.exciter, k) for k in expected} == expected
+    assert (machine.governor.kind, machine.governor.R, machine.governor.T3) == ("tgov1", 0.05, 7.0)
+    if expected["kind"] == "dc1":
+        for volts, factor in ((3.0, 0.08), (4.0, 0.3)):
+            assert machine.exciter.Aex * np.exp(machine.exciter.Bex * volts) == pytest.approx(
+                factor, rel=1e-12
+            )
+
+
+RAW_REFUSED = [
+    (", 33,", ", 32,", r"grid\.raw:1: RAW version 32, allowed: 33"),
+    ("7,'1 ',1,1,1,967.0", "7,'1 ',1,1,1,9x7", r"grid\.raw:16: PL \(field 6\) = '9x7', allowed: a number"),
+    ("7,'1 ',1,1,1,967.0,100.0,0,", "7,'1 ',1,1,1,967.0,100.0,5,", r"grid\.raw:16: IP = 5"),
+    ("7,'1 ',1,1,1", "77,'1 ',1,1,1", r"grid\.raw:16: bus = 77, allowed: a bus of this file"),
+    ("0.0025,0.025,", "0.0025,-0.025,", r"grid\.raw:\d+: x = -0.025 between buses 5 and 6, allowed: above 0"),
+    ("1,5,0,'0'", "1,5,6,'0'", r"grid\.raw:\d+: three-winding transformer"),
+    ("1,1.0,0.0\n2,", "1,1.0,0.0\n1,", r"grid\.raw:5: bus 1 is given twice"),
+    (
+        "1.25,0.0\n0 / END OF TR",
+        "0 / END OF TR",
+        r"grid\.raw:\d+: the transformer of .* has 3 lines, allowed: 4",
+    ),
+    ("0\n0\nQ", "0\n1,'dc'\n0\nQ", r"grid\.raw:\d+: two-terminal dc data has no counterpart"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), RAW_REFUSED)
+def test_a_wrong_raw_file_is_named_with_its_line(write: Write, old: str, new: str, message: str) -> None:
+    text = raw_text(load_case("kundur-manual"))
+    assert old in text
+    with pytest.raises(CaseError, match=message):
+        import_psse(write("grid.raw", text.replace(old, new, 1)))
+
+
+def test_a_raw_file_cut_short_is_named(write: Write) -> None:
+    text = raw_text(load_case("kundur-manual"))
+    with pytest.raises(
+        CaseError, match=r"grid\.raw:\d+: the file ends inside the generator data \(truncated\?\)"
+    ):
+        import_psse(write("grid.raw", text[: text.index("0 / END OF GENERATOR")]))
+
+
+DYR_REFUSED = [
+    ("'EXST1'", "'AC4A'", r"grid\.dyr:4: model 'AC4A' at bus 1 is not supported, allowed: GENROU, "),
+    (" 0.0 0.0 /", " 0.0 /", r"grid\.dyr:2: GENROU parameter 14 .* is missing"),
+    (
+        " 0.0 0.0 /",
+        " 0.0 0.0",
+        r"grid\.dyr:2: GENROU has \d+ parameters, allowed: 14 \(is the / of the record",
+    ),
+    ("1 'GENROU' 1", "9 'GENROU' 1", r"grid\.dyr:2: GENROU for machine '1' at bus 9: no such machine"),
+    ("'IEEEST' 1 1 0", "'IEEEST' 1 3 0", r"grid\.dyr:5: IEEEST input code 3, allowed: 1"),
+    ("1.7 0.3 0.55", "1.7 1.9 0.55", r"Xd = 1.8 with Xd1 = 1.9.*\(given at .*grid\.dyr:2\)"),
+    ("1 'EXST1'", "1 'GENROU'", r"grid\.dyr:4: GENROU parameter 13"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), DYR_REFUSED)
+def test_a_wrong_dyr_file_is_named_with_its_line(write: Write, old: str, new: str, message: str) -> None:
+    case = load_case("kundur-pss")
+    text = dyr_text(case)
+    assert old in text
+    raw = write("grid.raw", raw_text(case))
+    with pytest.raises(CaseError, match=message):
+        import_psse(raw, write("grid.dyr", text.replace(old, new, 1)))
+
+
+def test_a_dyr_file_cut_short_or_without_a_machine_is_named(write: Write) -> None:
+    case = load_case("kundur-pss")
+    raw, text = write("grid.raw", raw_text(case)), dyr_text(case)
+    with pytest.raises(CaseError, match=r"grid\.dyr:17: the record does not end with /"):
+        import_psse(raw, write("grid.dyr", text.rstrip()[:-1]))
+    text_without = text.replace(text[text.index("2 'GENROU'") : text.index("2 'EXST1'")], "")
+    with pytest.raises(CaseError, match=r"grid\.raw:\d+: machine G2 has no machine model in .*grid\.dyr"):
+        import_psse(raw, write("grid.dyr", text_without))
+
+
+def test_words_of_a_record() -> None:
+    assert split_fields("1,'a/b, c ',,2.0 / rest") == ("1", "a/b, c", "", "2.0")
+    assert split_fields("1, 'a' 2 3,4") == ("1", "a", "2", "3", "4")
+    assert split_fields(" 1 'GEN ROU' 1  8.0 /") == ("1", "GEN ROU", "1", "8.0")
+
+
+def matpower_text(case: Case) -> str:
+    """Write the network of `case` as a MATPOWER case."""
+    machines = {m.bus: m for m in case.machines}
+    loads, shunts = {q.bus: q for q in case.loads}, {s.bus: s for s in case.shunts}
+    lines = [
+        "function mpc = grid",
+        "mpc.version = '2'; % text",
+        f"mpc.baseMVA = {case.base_mva};",
+        "mpc.bus = [",
+    ]
+    for bus in case.buses:
+        k = bus.number
+        kind = 1 if k not in machines else 3 if machines[k].slack else 2
+        load, shunt = loads.get(k), shunts.get(k)
+        p, q = (load.P_mw, load.Q_mvar) if load else (0, 0)
+        b = shunt.Q_mvar if shunt else 0
+        angle = case.slack.angle_deg if kind == 3 else 0
+        lines.append(f"\t{k} {kind} {p} {q} 0 {b} {bus.area} 1 {angle} 230 1 1.1 0.9;")
+    lines += ["];", "mpc.gen = ["]
+    lines += [f"\t{m.bus}, {m.P_mw}, 0, 99, -99, {m.V_pu}, {m.base_mva}, 1, 999, 0;" for m in case.machines]
+    lines += ["];", "mpc.branch = ["]
+    for b in case.branches:
+        tap = b.tap if b.kind == "transformer" else 0
+        lines.append(
+            f"\t{b.from_bus} {b.to_bus} {b.r!r} {b.x!r} {b.b!r} 0 0 0 {tap!r} {b.shift_deg} 1 -360 360;"
+        )
+    return "\n".join([*lines, "];"]) + "\n"
+
+
+@pytest.mark.parametrize("name", ["kundur-manual", "new-england", "nets-nyps"])
+def test_matpower_gives_the_same_power_flow(write: Write, name: str) -> None:
+    case = load_case(name)
+    copy = import_matpower(write("grid.m", matpower_text(case)))
+    assert solve_powerflow(copy).voltages == pytest.approx(solve_powerflow(case).voltages, abs=1e-10)
+    assert len(copy.branches) == len(case.branches)
+
+
+MATPOWER_REFUSED = [
+    ("'2'", "'1'", r"grid\.m: MATPOWER case version 1, allowed: 2"),
+    ("mpc.branch = [", "mpc.lines = [", r"grid\.m: mpc\.branch is missing"),
+    ("0.0025 0.025 ", "0.0025 -0.025 ", r"grid\.m:\d+: branch 5-6 has x = -0.025, allowed: above 0"),
+    ("\t1, 700.0, 0,", "\t7, 700.0, 0,", r"grid\.m:18: generator at bus 7 of type 1"),
+    (" 230 1 1.1 0.9;", ";", r"grid\.m:5: mpc\.bus: 9 columns, allowed: >= 13"),
+    ("\t1 2 0 0", "\t1 2 0 zero", r"grid\.m:5: mpc\.bus: 'zero' is not a number"),
+    ("1 -360 360;\n];", "1 -360 360;", r"grid\.m:\d+: mpc\.branch begins in line \d+ and does not end"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), MATPOWER_REFUSED)
+def test_a_wrong_matpower_file_is_named_with_its_line(write: Write, old: str, new: str, message: str) -> None:
+    text = matpower_text(load_case("kundur-manual"))
+    assert old in text
+    with pytest.raises(CaseError, match=message):
+        import_matpower(write("grid.m", text.replace(old, new, 1)))
