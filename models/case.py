@@ -27,7 +27,7 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -35,6 +35,8 @@ from .case_errors import CaseError, nearest, one_line
 from .case_schema import Branch, Bus, Load, Machine, Shunt, Tie
 from .case_schema_controls import Positive
 from .events import Event, check_events, events_of
+
+Named = TypeVar("Named", Branch, Load, Machine, Shunt)
 
 __all__ = ["Case", "CaseError", "apply_change", "case_names", "case_of", "load_case", "merge", "nearest"]
 
@@ -114,12 +116,18 @@ class Case(BaseModel):
 
     def document(self) -> dict[str, Any]:
         """Return the case in the form of its file: tables keyed by row id."""
-        words = {"by_alias": True, "exclude_none": True}
         scalars = {"name", "title", "source", "frequency_hz", "base_mva", "tie", "event"}
-        raw = {k: v for k, v in self.model_dump(**words).items() if k in scalars and v not in ("", ())}
+        raw = {
+            k: v
+            for k, v in self.model_dump(by_alias=True, exclude_none=True).items()
+            if k in scalars and v not in ("", ())
+        }
         for table, key in ROW_TABLES.items():
-            full = table == "machines"
-            dumped = [row.model_dump(**words, exclude_defaults=not full) for row in getattr(self, table)]
+            short = table != "machines"
+            dumped = [
+                row.model_dump(by_alias=True, exclude_none=True, exclude_defaults=short)
+                for row in getattr(self, table)
+            ]
             rows = {str(row.pop(key)): _without_empty(row) for row in dumped}
             raw[table] = ({"source": self.sources[table]} if table in self.sources else {}) | rows
         return raw
@@ -206,7 +214,9 @@ def apply_change(document: Mapping[str, Any], change: Mapping[str, Any]) -> dict
     result = merge(document, change)
     for table in ROW_TABLES:
         part = change.get(table)
-        every = part.get("defaults") if isinstance(part, Mapping) else None
+        if not isinstance(part, Mapping):
+            continue
+        every = part.get("defaults")
         if not isinstance(every, Mapping) or not isinstance(document.get(table), Mapping):
             continue
         for key, row in document[table].items():
@@ -216,7 +226,7 @@ def apply_change(document: Mapping[str, Any], change: Mapping[str, Any]) -> dict
     return result
 
 
-def _named(rows: Iterable[Any], name: str, what: str) -> Any:
+def _named(rows: Iterable[Named], name: str, what: str) -> Named:
     table = {row.name: row for row in rows}
     if name not in table:
         raise CaseError(f"{what} {name!r} does not exist; {nearest(name, table)}")

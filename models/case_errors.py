@@ -15,8 +15,8 @@ class CaseError(ValueError):
 def nearest(name: object, known: Iterable[object]) -> str:
     """Return the part of an error that names what is close to `name`, else all that is known.
 
-    >>> nearest("8-9a", ["7-8 a", "8-9 a"])
-    'did you mean 8-9 a or 7-8 a?'
+    >>> nearest("kundur", ["kundur-manual", "new-england"])
+    'did you mean kundur-manual?'
     """
     names = [str(k) for k in known]
     close = difflib.get_close_matches(str(name), names, n=3, cutoff=0.5)

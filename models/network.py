@@ -102,10 +102,14 @@ def kron_reduction(Y: npt.ArrayLike, keep: Sequence[int]) -> ComplexArray:
             f"network: the admittance of the eliminated buses is singular (without any: {dead}); "
             "every bus needs a branch, a load or a shunt"
         ) from None
-    return Y[np.ix_(kept, kept)] - Y[np.ix_(kept, rest)] @ inner
+    reduced: ComplexArray = Y[np.ix_(kept, kept)] - Y[np.ix_(kept, rest)] @ inner
+    return reduced
 
 
 def machine_norton_admittance(case: Case) -> ComplexArray:
     """Return 1/(Ra + j X) of each machine on the base of the case, X = Xd2 (classical: Xd1), (machines,)."""
-    impedances = [complex(m.Ra, m.Xd2 or m.Xd1) * case.base_mva / m.base_mva for m in case.machines]
-    return 1.0 / np.array(impedances)
+    impedances = [
+        complex(m.Ra, m.number("Xd1") if m.Xd2 is None else m.Xd2) * case.base_mva / m.base_mva
+        for m in case.machines
+    ]
+    return np.array([1.0 / z for z in impedances], dtype=complex)

@@ -101,7 +101,7 @@ def solve_powerflow(case: Case) -> PowerFlow:
 
     best: tuple[float, ComplexArray, int] | None = None
     for iteration in range(_MOST_ITERATIONS):
-        V = magnitude * np.exp(1j * angle)
+        V: ComplexArray = np.asarray(magnitude * np.exp(1j * angle), dtype=complex)
         off = V * np.conj(Y @ V) - scheduled
         residual = np.concatenate([off.real[free_angle], off.imag[free_magnitude]])
         worst = float(np.max(np.abs(residual), initial=0.0))
