@@ -79,8 +79,8 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
     delta = np.empty(len(base))
     for k, m in enumerate(case.machines):
         i = current[k] / base[k]
-        delta[k] = np.angle(voltage[k] + complex(m.Ra, m.Xq) * i)
-        emf[k] = voltage[k] + complex(m.Ra, m.Xd2) * i
+        delta[k] = np.angle(voltage[k] + complex(m.Ra, _reactance(m, "Xq")) * i)
+        emf[k] = voltage[k] + complex(m.Ra, _reactance(m, "Xd2")) * i
     solved, current = _network(case, power_flow, emf)
     worst = int(np.argmax(np.abs(solved - power_flow.voltages)))
     error = abs(solved[worst] - power_flow.voltages[worst])
@@ -111,24 +111,30 @@ def _network(
     injected = np.zeros(len(Y), dtype=complex)
     np.add.at(injected, bus, norton * emf)
     voltages = np.linalg.solve(Y, injected)
-    voltages += np.linalg.solve(Y, injected - Y @ voltages)
-    return voltages, norton * (emf - voltages[bus])
+    voltages = voltages + np.linalg.solve(Y, injected - Y @ voltages)  # once refined
+    return np.asarray(voltages, dtype=complex), np.asarray(norton * (emf - voltages[bus]), dtype=complex)
+
+
+def _reactance(m: Machine, key: str) -> float:
+    """One reactance of a sixth-order machine, which the case has checked to be there."""
+    return float(getattr(m, key))
 
 
 def _machine_point(m: Machine, delta: float, emf: complex, current: complex) -> MachinePoint:
+    Xd, Xd1, Xd2, Xq1, Xq2 = (_reactance(m, key) for key in ("Xd", "Xd1", "Xd2", "Xq1", "Xq2"))
     turn = np.exp(-1j * delta)
     e, i = emf * turn, current * turn
     eq2, ed2, iq, id_ = e.real, -e.imag, i.real, -i.imag
-    eq1 = eq2 + (m.Xd1 - m.Xd2) * id_
+    eq1 = eq2 + (Xd1 - Xd2) * id_
     return MachinePoint(
         delta=delta,
         eq1=eq1,
-        ed1=ed2 - (m.Xq1 - m.Xq2) * iq,
+        ed1=ed2 - (Xq1 - Xq2) * iq,
         eq2=eq2,
         ed2=ed2,
-        efd=eq1 + (m.Xd - m.Xd1) * id_,
-        pm=ed2 * id_ + eq2 * iq + (m.Xq2 - m.Xd2) * id_ * iq,
-        vt=float(np.hypot(ed2 - m.Ra * id_ + m.Xq2 * iq, eq2 - m.Ra * iq - m.Xd2 * id_)),
+        efd=eq1 + (Xd - Xd1) * id_,
+        pm=ed2 * id_ + eq2 * iq + (Xq2 - Xd2) * id_ * iq,
+        vt=float(np.hypot(ed2 - m.Ra * id_ + Xq2 * iq, eq2 - m.Ra * iq - Xd2 * id_)),
     )
 
 
@@ -201,7 +207,7 @@ def _supported(case: Case) -> None:
             )
         if m.Xd2 != m.Xq2:
             raise CaseError(
-                f"{case.name}: machines.{m.name}: Xd2 = {m.Xd2:g} and Xq2 = {m.Xq2:g} differ, allowed: Xd2 = Xq2"
+                f"{case.name}: machines.{m.name}: Xd2 = {m.Xd2:g} and Xq2 = {m.Xq2:g}, allowed: Xd2 = Xq2"
             )
         if m.saturation is not None and m.saturation.use != "none":
             raise CaseError(
@@ -210,5 +216,5 @@ def _supported(case: Case) -> None:
     for load in case.loads:
         if not load.is_constant_impedance:
             raise CaseError(
-                f"{case.name}: loads.{load.name} is not constant impedance, which the plant does not model yet"
+                f"{case.name}: loads.{load.name} is not constant impedance, not modelled by the plant yet"
             )

@@ -58,19 +58,19 @@ void NAME(plant_flow)(const double *memory, const num *x, const num *u, num *dx,
     solve_devices(memory, &plan, x, u, dx, &w);
     machine_derivatives(memory + plan.machine, n, memory[H_OMEGA_B], machine_states(x, n),
                         w.id, w.iq, w.efd, w.pm, machine_rates(dx, n));
+    machine_hold(memory + plan.running, n, machine_rates(dx, n));
 }
 
 /* y: dw, delta to the centre of inertia, pe, vt of each machine; then the tie's
  * power if the case has one. */
-void NAME(plant_outputs)(const double *memory, const Network *network, const num *x,
-                         num *y, num *scratch)
+void NAME(plant_outputs)(const double *memory, const num *x, num *y, num *scratch)
 {
     Plan plan;
     plan_of(memory, &plan);
     const size_t n = plan.n_machine;
     const MachineStates states = machine_states(x, n);
     Work w = work_arrays(scratch, n);
-    num centre = 0.0, tie = 0.0;
+    num centre = 0.0;
 
     solve_network(memory, &plan, x, &w);
     for (size_t k = 0; k < n; ++k) centre += memory[plan.coi + k] * states.delta[k];
@@ -80,16 +80,7 @@ void NAME(plant_outputs)(const double *memory, const Network *network, const num
         y[4 * k + 2] = (w.vd[k] * w.id[k] + w.vq[k] * w.iq[k]) * memory[plan.machine + M_RATIO * n + k];
         y[4 * k + 3] = w.vt[k];
     }
-    for (size_t k = 0; k < plan.n_tie; ++k) {
-        const size_t line = index_at(memory + plan.tie, k);
-        const int end = memory[plan.tie + plan.n_tie + k] > 0.5;
-        const size_t from = (size_t)network->branch_from[line], to = (size_t)network->branch_to[line];
-        num va[2], vb[2];
-        network_voltage(memory, &plan, end ? to : from, w.e_re, w.e_im, &va[0], &va[1]);
-        network_voltage(memory, &plan, end ? from : to, w.e_re, w.e_im, &vb[0], &vb[1]);
-        tie += network_branch_power(memory, &plan, network->branch, line, end, va, vb);
-    }
-    if (plan.n_tie > 0) y[4 * n] = tie;
+    if (plan.n_tie > 0) y[4 * n] = network_tie_power(memory, &plan, w.e_re, w.e_im);
 }
 
 #ifndef PLANT_TANGENT

@@ -45,18 +45,26 @@ static inline void network_voltage(const double *memory, const Plan *plan, size_
     }
 }
 
-/* Active power into branch `line` at its end 0 (from) or 1 (to):
- * P = Re V_a conj(Y_aa V_a + Y_ab V_b). Zero when the branch is out. */
-static inline num network_branch_power(const double *memory, const Plan *plan, const double *admittance,
-                                       size_t line, int end, const num *va, const num *vb)
+/* Active power into the tie branches at their measured ends, in service only:
+ * P = Re V_a conj(Y_aa V_a + Y_ab V_b). */
+static inline num network_tie_power(const double *memory, const Plan *plan,
+                                    const num *e_re, const num *e_im)
 {
-    const size_t n = plan->n_branch;
-    const size_t own = (end == 0 ? B_FF_RE : B_TT_RE) * n + line;
-    const size_t other = (end == 0 ? B_FT_RE : B_TF_RE) * n + line;
-    const num re = admittance[own] * va[0] - admittance[own + n] * va[1]
-                 + admittance[other] * vb[0] - admittance[other + n] * vb[1];
-    const num im = admittance[own] * va[1] + admittance[own + n] * va[0]
-                 + admittance[other] * vb[1] + admittance[other + n] * vb[0];
-    return memory[plan->in_service + line] * (va[0] * re + va[1] * im);
+    const size_t n = plan->n_tie;
+    const double *tie = memory + plan->tie;
+    num total = 0.0;
+
+    for (size_t k = 0; k < n; ++k) {
+        const double *row = tie + k;
+        const double g_own = row[T_OWN_RE * n], b_own = row[T_OWN_IM * n];
+        const double g_mutual = row[T_MUTUAL_RE * n], b_mutual = row[T_MUTUAL_IM * n];
+        num ar, ai, br, bi;
+        network_voltage(memory, plan, index_at(tie, T_OWN * n + k), e_re, e_im, &ar, &ai);
+        network_voltage(memory, plan, index_at(tie, T_OTHER * n + k), e_re, e_im, &br, &bi);
+        const num re = g_own * ar - b_own * ai + g_mutual * br - b_mutual * bi;
+        const num im = g_own * ai + b_own * ar + g_mutual * bi + b_mutual * br;
+        total += memory[plan->in_service + index_at(tie, T_BRANCH * n + k)] * (ar * re + ai * im);
+    }
+    return total;
 }
 #endif

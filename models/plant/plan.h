@@ -36,6 +36,10 @@ enum {  /* load, drawn at voltage V0 */
     L_P, L_Q, L_V0, L_ROWS
 };
 
+enum {  /* tie branch: buses of its measured and its other end, admittances seen from there */
+    T_BRANCH, T_OWN, T_OTHER, T_OWN_RE, T_OWN_IM, T_MUTUAL_RE, T_MUTUAL_IM, T_ROWS
+};
+
 typedef enum { EXCITER_STATIC = 1 } ExciterKind;
 typedef enum { GOVERNOR_STEAM = 1 } GovernorKind;
 
@@ -61,7 +65,7 @@ typedef struct {
     size_t stabilizer_of; /* 2 x n_stabilizer: machine, first state                */
     size_t governor;      /* G_ROWS x n_governor                                   */
     size_t governor_of;   /* 3 x n_governor: kind, machine, first state            */
-    size_t tie;           /* 2 x n_tie: branch, end (0 from, 1 to)                 */
+    size_t tie;           /* T_ROWS x n_tie: branches whose power is the output tie_p */
     size_t in_service;    /* n_branch: 1 or 0                                      */
     size_t y_re, y_im;    /* n_machine x n_machine: currents from EMFs             */
     size_t v_re, v_im;    /* n_bus x n_machine: bus voltages from EMFs             */
@@ -85,7 +89,7 @@ static inline void plan_offsets(Plan *p)
     p->stabilizer_of = at; at += 2u * p->n_stabilizer;
     p->governor = at;      at += (size_t)G_ROWS * p->n_governor;
     p->governor_of = at;   at += 3u * p->n_governor;
-    p->tie = at;           at += 2u * p->n_tie;
+    p->tie = at;           at += (size_t)T_ROWS * p->n_tie;
     p->in_service = at;    at += p->n_branch;
     p->y_re = at;          at += n * n;
     p->y_im = at;          at += n * n;

@@ -202,8 +202,27 @@ static void read_tables(const Record *record, const Plan *plan, const Network *n
     copy_integers(memory + plan->governor_of, integers(&r, "governor.kind", g, 100), g);
     copy_integers(memory + plan->governor_of + g, integers(&r, "governor.machine", g, n), g);
     copy_integers(memory + plan->governor_of + 2 * g, integers(&r, "governor.state", g, SIZE_MAX), g);
-    copy_integers(memory + plan->tie, integers(&r, "tie.branch", plan->n_tie, SIZE_MAX), plan->n_tie);
-    copy_integers(memory + plan->tie + plan->n_tie, integers(&r, "tie.end", plan->n_tie, 2), plan->n_tie);
+}
+
+static void read_tie(const Record *record, const Plan *plan, const Network *net, double *memory)
+{
+    Reader r = { record, NULL };
+    const size_t n = plan->n_tie, m = plan->n_branch;
+    const int32_t *branch = integers(&r, "tie.branch", n, m), *end = integers(&r, "tie.end", n, 2);
+
+    for (size_t k = 0; k < n; ++k) {
+        const size_t line = (size_t)branch[k];
+        const int far = end[k] != 0;
+        const double *y = net->branch + line;
+        double *row = memory + plan->tie + k;
+        row[T_BRANCH * n] = (double)line;
+        row[T_OWN * n] = (double)(far ? net->branch_to[line] : net->branch_from[line]);
+        row[T_OTHER * n] = (double)(far ? net->branch_from[line] : net->branch_to[line]);
+        row[T_OWN_RE * n] = y[(far ? B_TT_RE : B_FF_RE) * m];
+        row[T_OWN_IM * n] = y[(far ? B_TT_IM : B_FF_IM) * m];
+        row[T_MUTUAL_RE * n] = y[(far ? B_TF_RE : B_FT_RE) * m];
+        row[T_MUTUAL_IM * n] = y[(far ? B_TF_IM : B_FT_IM) * m];
+    }
 }
 
 /* FMI parameters over the tables, each checked against its range. */
@@ -291,6 +310,7 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     memory[H_N_TIE] = (double)plan.n_tie;
     memory[H_N_SLOT] = (double)plan.n_slot;
     read_tables(b->record, &plan, &net, memory);
+    read_tie(b->record, &plan, &net, memory);
     status = read_parameters(b, &plan, memory, message);
     if (status == BLOCK_OK) status = set_references(b, &plan, &net, message);
     if (status == BLOCK_OK) status = event_check(b, &plan, &net, message);
@@ -317,11 +337,11 @@ BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, 
                           BlockMessage *message)
 {
     Plan plan;
-    Network net;
 
     (void)t;
-    if (!prepared(b, &plan, &net)) return not_started(message);
-    plant_outputs(b->memory, &net, x, y, b->scratch);
+    if (!(b->memory[H_READY] == READY)) return not_started(message);
+    plan_of(b->memory, &plan);
+    plant_outputs(b->memory, x, y, b->scratch);
     if (b->w != NULL)
         plant_locals(b->memory, x, u, b->w, b->scratch, b->scratch + WORK_ARRAYS * plan.n_machine);
     return BLOCK_OK;
@@ -330,12 +350,9 @@ BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, 
 BlockStatus block_directional(Block *b, double t, const double *x, const double *u, const double *vx,
                               const double *vu, double *vdx, double *vy, BlockMessage *message)
 {
-    Plan plan;
-    Network net;
-
     (void)t;
-    if (!prepared(b, &plan, &net)) return not_started(message);
-    plant_directional(b->memory, &net, &b->layout, x, u, vx, vu, vdx, vy, b->scratch);
+    if (!(b->memory[H_READY] == READY)) return not_started(message);
+    plant_directional(b->memory, &b->layout, x, u, vx, vu, vdx, vy, b->scratch);
     return BLOCK_OK;
 }
 

@@ -45,19 +45,16 @@ BlockStatus stage_build(double *memory, const Plan *plan, const Network *network
 
 /* flow.c */
 void plant_flow(const double *memory, const double *x, const double *u, double *dx, double *scratch);
-void plant_outputs(const double *memory, const Network *network, const double *x, double *y,
-                   double *scratch);
+void plant_outputs(const double *memory, const double *x, double *y, double *scratch);
 void plant_locals(const double *memory, const double *x, const double *u, double *locals,
                   double *scratch, double *dx);
 enum { WORK_ARRAYS = 14 };
 
 #ifdef PLANT_TANGENT
 void plant_flow_tangent(const double *memory, const num *x, const num *u, num *dx, num *scratch);
-void plant_outputs_tangent(const double *memory, const Network *network, const num *x, num *y,
-                           num *scratch);
+void plant_outputs_tangent(const double *memory, const num *x, num *y, num *scratch);
 #endif
 /* The complex step itself; scratch as for the functions above, complex. */
-void plant_directional(const double *memory, const Network *network, const BlockLayout *layout,
-                       const double *x, const double *u, const double *vx, const double *vu,
+void plant_directional(const double *memory, const BlockLayout *layout, const double *x, const double *u, const double *vx, const double *vu,
                        double *vdx, double *vy, double *scratch);
 #endif

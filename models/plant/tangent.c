@@ -4,7 +4,7 @@
 #define PLANT_TANGENT
 #include "flow.h"
 
-void plant_directional(const double *memory, const Network *network, const BlockLayout *layout,
+void plant_directional(const double *memory, const BlockLayout *layout,
                        const double *x, const double *u, const double *vx, const double *vu,
                        double *vdx, double *vy, double *scratch)
 {
@@ -20,7 +20,7 @@ void plant_directional(const double *memory, const Network *network, const Block
         for (size_t k = 0; k < layout->n_x; ++k) vdx[k] = cimag(rates[k]) / h;
     }
     if (vy != NULL) {
-        plant_outputs_tangent(memory, network, z, outputs, work);
+        plant_outputs_tangent(memory, z, outputs, work);
         for (size_t k = 0; k < layout->n_y; ++k) vy[k] = cimag(outputs[k]) / h;
     }
 }

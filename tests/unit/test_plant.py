@@ -257,3 +257,14 @@ def test_use_before_start_is_refused():
     plant = BlockShim(plant_block(load_case("two-area-thesis")), start=False)
     with pytest.raises(BlockFailure, match="before block_start"):
         plant.derivatives(plant.x)
+
+
+def test_a_tripped_machine_gives_no_power_and_stands_still():
+    plant = started("two-area-thesis", {"kind": "machine_trip", "machine": "G2", "start_s": 0.0})
+    dx, y = plant.derivatives(plant.x)
+    values = dict(zip(plant.output_names, y, strict=True))
+    assert values["G2_pe"] == 0.0
+    assert dx[plant.state_names.index("G2.slip")] == 0.0
+    assert dx[plant.state_names.index("G1.slip")] < 0.0  # the others take its load
+    inertia = {m.name: m.H * m.base_mva for m in load_case("two-area-thesis").machines if m.name != "G2"}
+    assert sum(h * values[f"{name}_delta"] for name, h in inertia.items()) == pytest.approx(0.0, abs=1e-9)
