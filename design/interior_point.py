@@ -20,16 +20,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import blas, lapack
 from threadpoolctl import ThreadpoolController
 
 from .interior_point_map import AffineMap, Matrix, Vector
+from .interior_point_normal import NormalEquations
 from .interior_point_scaling import Scaling, cholesky, distance, inner
-from .interior_point_schur import SchurComplement
 from .problem import Problem, Solution
-
-#: Added to the diagonal of H, relative, until its Cholesky factor exists.
-_SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9, 1e-7)
 
 #: An infeasibility certificate must exclude every y whose entries stay below this size.
 _LEAST_RADIUS = 1e8
@@ -108,7 +104,7 @@ class _Run:
         self.problem, self.tolerance, self.max_iterations = problem, tolerance, max_iterations
         self.callback = callback
         self.affine = AffineMap(problem)
-        self.schur = SchurComplement(problem, self.affine)
+        self.normal = NormalEquations(problem, self.affine)
         self.C, self.c = self.affine.constants, self.affine.cost
         self.degree = float(sum(self.affine.sizes))
         # Further centrality correctors pay where a factor costs much more than a solve.
@@ -118,7 +114,7 @@ class _Run:
     def _start(self) -> None:
         """Start at y = 0, S = eta I, and Z next to the least multipliers with F*(Z) = c."""
         norms = self.affine.column_norms()
-        self.used = sum((n > 0.0 for n in norms), np.zeros(self.affine.m, bool))
+        self.used = self.normal.used = sum((n > 0.0 for n in norms), np.zeros(self.affine.m, bool))
         self.y = np.zeros(self.affine.m)
         self.S: list[Matrix] = []
         self.Ls: list[Matrix] = []
@@ -126,6 +122,7 @@ class _Run:
             eta = max(10.0, np.sqrt(size), float(column.max(initial=0.0)), float(np.linalg.norm(C)))
             self.S.append(eta * np.eye(size, dtype=C.dtype))
             self.Ls.append(np.sqrt(eta) * np.eye(size, dtype=C.dtype))
+        self.bound = -np.inf  # best lower bound of the objective by the multipliers so far
         self.exact = False  # S is C + F(y) to the last digit
         self.Fz = self._start_multipliers(norms)
 
@@ -134,8 +131,8 @@ class _Run:
         identities: list[Matrix] = [
             np.eye(d, dtype=C.dtype) for d, C in zip(self.affine.sizes, self.C, strict=True)
         ]
-        if np.any(self.c) and self._factor(identities, identities):
-            least = self.affine.apply(self._solve(self.c, 1e-8))
+        if np.any(self.c) and self.normal.factor(identities, identities):
+            least = self.affine.apply(self.normal.solve(self.c, 1e-8))
             spectra = [np.linalg.eigvalsh(M) for M in least]
             lowest = min(float(w[0]) for w in spectra)
             largest = max(float(np.abs(w).max()) for w in spectra)
@@ -160,7 +157,7 @@ class _Run:
                 "failed", 0, "the objective is unbounded: it moves coordinates that no block contains"
             )
         start_residual = 1.0 + sum(float(np.linalg.norm(R)) for R in self._primal_residual())
-        short = 0
+        short = stale = 0
         for iteration in range(1, self.max_iterations + 1):
             Z = [F @ F.conj().T for F in self.Fz]
             gradient = self.affine.adjoint(Z)
@@ -171,12 +168,20 @@ class _Run:
             complementarity = sum(inner(S, W) for S, W in zip(self.S, Z, strict=True))
             self.gap = complementarity / scale
             self.doubt = float(np.abs(rp) @ np.abs(self.y)) / scale
-            if self.exact and self.gap < self.tolerance and self.doubt < 10.0 * self.tolerance:
-                return self._finish("optimal", iteration - 1, "", Z)
-            if self.exact and self.gap < 1e-3 * self.tolerance:
-                break
+            if self.exact:
+                # <C, Z> < 0 here; the bound holds in as far as the optimal |y| is not beyond this one
+                bound = objective - (self.gap + self.doubt) * scale
+                stale = 0 if bound > self.bound + 0.1 * self.tolerance * scale else stale + 1
+                self.bound = max(self.bound, bound)
+                if self.gap < self.tolerance and (
+                    self.doubt < 10.0 * self.tolerance
+                    or objective - self.bound < 11.0 * self.tolerance * scale
+                ):
+                    return self._finish("optimal", iteration - 1, "", Z)
+                if self.gap < self.tolerance and stale >= 3:
+                    break
             scalings = [Scaling(Ls, Fz) for Ls, Fz in zip(self.Ls, self.Fz, strict=True)]
-            if not self._factor([s.Ri for s in scalings], [s.G for s in scalings]):
+            if not self.normal.factor([s.Ri for s in scalings], [s.G for s in scalings]):
                 break
             if not self.exact:
                 certificate = self._certificate(scalings, Z, gradient)
@@ -220,7 +225,7 @@ class _Run:
             right = self.affine.adjoint([s.unscale(K) for s, K in zip(scalings, targets, strict=True)]) - rp
             if residual is not None:
                 right -= residual
-            dy = self._solve(right, accuracy)
+            dy = self.normal.solve(right, accuracy)
             dS = self.affine.apply(dy)
             if residual is not None:
                 dS = [F + R for F, R in zip(dS, Rd, strict=True)]
@@ -303,56 +308,6 @@ class _Run:
             self.S, self.exact = S, True
             self.Ls = [L for L in Ls if L is not None]
 
-    # -- the linear system -----------------------------------------------------------------------
-
-    def _factor(self, roots: list[Matrix], metrics: list[Matrix]) -> bool:
-        """Form and factor H; False where it has no factor even with the largest shift."""
-        H = self.schur.form(roots, metrics)
-        diagonal = H.ravel()[:: self.affine.m + 1]
-        diagonal[~self.used] = 1.0
-        if not np.all(np.isfinite(diagonal)) or np.any(diagonal <= 0.0):
-            return False
-        self._diagonal = diagonal.copy()
-        if not hasattr(self, "_factored"):
-            self._factored = np.empty_like(H)
-        for shift in _SHIFTS:
-            np.copyto(self._factored, H)
-            self._factored.ravel()[:: self.affine.m + 1] *= 1.0 + shift
-            _, info = lapack.dpotrf(self._factored.T, lower=1, clean=0, overwrite_a=1)
-            if info == 0:
-                return True
-        return False
-
-    def _solve(self, right: Vector, accuracy: float = 1e-12) -> Vector:
-        """Solve H dy = right by at most three conjugate-gradient steps, preconditioned by the factor.
-
-        `accuracy` is relative, in the norm that scales H to a unit diagonal.
-        """
-        H, factor = self.schur.H.T, self._factored.T
-        weights = 1.0 / np.sqrt(self._diagonal)
-
-        def precondition(r: Vector) -> Vector:
-            half = blas.dtrsv(factor, r, lower=1)
-            x: Vector = blas.dtrsv(factor, half, lower=1, trans=1, overwrite_x=1)
-            return x
-
-        x = precondition(right)
-        r = right - blas.dsymv(1.0, H, x, lower=1)
-        wanted = accuracy * float(np.linalg.norm(right * weights))
-        p, last = r, 0.0
-        for _ in range(3):
-            if not float(np.linalg.norm(r * weights)) > wanted:
-                break
-            z = precondition(r)
-            rz = float(r @ z)
-            p = z + (rz / last) * p if last else z
-            q = blas.dsymv(1.0, H, p, lower=1)
-            step = rz / float(p @ q)
-            if not np.isfinite(step) or not rz > 0.0:
-                break
-            x, r, last = x + step * p, r - step * q, rz
-        return x
-
     # -- ends ------------------------------------------------------------------------------------
 
     def _certificate(self, scalings: list[Scaling], Z: list[Matrix], gradient: Vector) -> list[Matrix] | None:
@@ -368,7 +323,7 @@ class _Run:
         scaled: list[Matrix] = [np.diag(s.D).astype(C.dtype) for s, C in zip(scalings, self.C, strict=True)]
         projected = Z
         for _ in range(2):
-            w = self._solve(gradient)
+            w = self.normal.solve(gradient)
             if not np.all(np.isfinite(w)):
                 return None
             moved = [s.scale(F) for s, F in zip(scalings, self.affine.apply(w), strict=True)]
@@ -394,11 +349,19 @@ class _Run:
     def _give_up(self, iteration: int) -> Solution:
         """End without having reached the tolerance."""
         Z = [F @ F.conj().T for F in self.Fz]
-        if self.exact and self.gap < 1e3 * self.tolerance and self.doubt < 1e3 * self.tolerance:
-            return self._finish(
-                "almost optimal", iteration, f"relative gap {self.gap:.1e}, uncertainty {self.doubt:.1e}", Z
+        objective = float(self.c @ self.y)
+        if not self.exact:
+            return self._finish("failed", iteration, "no strictly feasible point and no certificate found", Z)
+        uncertainty = (objective - self.bound) / (1.0 + abs(objective))
+        if uncertainty < max(1e-3, 10.0 * self.tolerance):
+            text = (
+                f"strictly feasible, objective within {uncertainty:.1e} relative of a lower bound; "
+                "the optimum is approached only by growing variables"
             )
-        return self._finish("failed", iteration, "no further progress", Z)
+            return self._finish("almost optimal", iteration, text, Z)
+        return self._finish(
+            "failed", iteration, f"strictly feasible, optimum only within {uncertainty:.1e}", Z
+        )
 
     def _finish(self, status: str, iterations: int, message: str, Z: list[Matrix] | None = None) -> Solution:
         values, scalars = self.affine.unpack(self.y)
