@@ -15,6 +15,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache as forever
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -23,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import control
 import numpy as np
 
-from interarea.design.linearise import linearise
+from interarea.design.linearise import linearise, remove_reference
 from interarea.fmu_build.open import open_plant
 from interarea.fmu_build.package import build_fmu
 from interarea.models.case import Case
@@ -208,27 +209,42 @@ def _save_linear(system: control.StateSpace, path: Path) -> None:
         )
 
 
-def design_controller(case: Case, name: str, cache: Path) -> Controller:
+def design_controller(case: Case, name: str, cache: Path, *, reduce: bool = True) -> Controller:
     """Return controller `name` (wdc | cc | ftc) of a case, designed and certified when it is new.
+
+    The conventional controller (cc) is the one with the normal damping of the fault-tolerant one (ftc), so
+    that the two compare. reduce : False keeps the order that synthesis gave.
 
     Raises
     ------
     ValueError : an unknown name. InfeasibleDesign, UncertifiedDesign : as the design says.
     """
-    from interarea.design import study_designs  # cvxpy loads with it: only who designs waits for that
-    from interarea.design.controller import Controller
-
     if name not in CONTROLLER_NAMES:
         raise ValueError(f"controller {name!r} is not known, allowed: {', '.join(CONTROLLER_NAMES)}")
-    make = getattr(study_designs, f"design_{name}")
     key = content_hash(
-        name, file_hash(plant_fmu(case, cache)), code_hash("design.study_designs"), numerics_versions()
+        [name, reduce],
+        file_hash(plant_fmu(case, cache)),
+        code_hash("design.study_designs"),
+        numerics_versions(),
     )
     path = artefact(
-        cache,
-        "controllers",
-        f"{name}-{key}",
-        ".json",
-        lambda p: make(linear_plant(case, cache), case).save(p),
+        cache, "controllers", f"{name}-{key}", ".json", lambda p: _design(case, name, cache, reduce).save(p)
     )
+    from interarea.design.controller import Controller
+
     return Controller.load(path)
+
+
+def _design(case: Case, name: str, cache: Path, reduce: bool) -> Controller:
+    from interarea.design import (
+        study_designs as designs,  # cvxpy loads with it: only who designs waits for that
+    )
+
+    plant = remove_reference(linear_plant(case, cache))
+    order = {} if reduce else {"order": plant.nstates}
+    if name == "wdc":
+        return designs.design_wdc(plant, replace(designs.WdcSpec(), **order), omega_b=case.omega_b)
+    if name == "ftc":
+        return designs.design_ftc(plant, replace(designs.FtcSpec(), **order), omega_b=case.omega_b)
+    reference = design_controller(case, "ftc", cache)
+    return designs.design_cc_like(reference, plant, replace(designs.CcSpec(), **order), omega_b=case.omega_b)

@@ -59,6 +59,7 @@ def judge_modes(study: Study) -> list[dict[str, Any]]:
 def judge_loops(study: Study) -> list[dict[str, Any]]:
     """Return Table 5.2 beside ours, in the order of the print's index, with both ranks."""
     ours = {(r["actuator"], r["signal"]): r["index"] for r in study["loops"]["ranking"]}
+    geometric = {(r["actuator"], r["signal"]): r["geometric"] for r in study["loops"]["ranking"]}
     printed = published()["loops"]
     value = {(r["actuator"], r["signal"]): float(r.get("meant", r["index"])) for r in printed}
     shared = [k for k in value if k in ours]
@@ -72,7 +73,8 @@ def judge_loops(study: Study) -> list[dict[str, Any]]:
                 "actuator": key[0],
                 "signal": key[1],
                 "printed": row["index"],
-                "ours": ours.get(key),
+                "ours": geometric.get(key),
+                "index": ours.get(key),
                 "rank_printed": rank_printed.get(key),
                 "rank_ours": rank_ours.get(key),
                 "note": row.get("note", ""),

@@ -58,6 +58,8 @@ def cases(json_: AsJson = False) -> None:
 @app.command()
 def modes(case: CaseName, json_: AsJson = False) -> None:
     """Linearise the plant FMU of a case and name its swing modes."""
+    from .study_rows import mode_rows
+
     loaded, system, found = _modes(case)
     rows = mode_rows(found)
     if json_:
@@ -89,10 +91,16 @@ def modes(case: CaseName, json_: AsJson = False) -> None:
 @app.command()
 def loops(case: CaseName, json_: AsJson = False) -> None:
     """Rank actuators and signals for the inter-area mode of a case."""
-    from .study import loop_rows, wide_area_loops
+    from interarea.design.linearise import remove_reference
+    from interarea.design.loops import rank_loops
+    from interarea.design.modes import modes_of
 
-    loaded, system, found = _modes(case)
-    ranked = loop_rows(wide_area_loops(loaded, system, found))
+    from .study_rows import loop_rows
+
+    loaded, system, _ = _modes(case)
+    relative = remove_reference(system)
+    mode = modes_of(relative, loaded.areas).inter_area
+    ranked = loop_rows(rank_loops(relative, mode, areas=loaded.areas))
     if json_:
         return _print_json({"case": loaded.name, **ranked})
     print_table(
@@ -158,18 +166,6 @@ def study(
         f"{sum(v == k for v in verdicts.values())} {k}" for k in ("agrees", "partly", "differs")
     )
     typer.echo(f"printed statements: {counts}", err=True)
-
-
-def mode_rows(found: Modes) -> dict[str, dict[str, Any]]:
-    """Return modes as JSON holds them: name -> frequency_hz, damping_ratio, eigenvalue [re, im]."""
-    return {
-        name: {
-            "frequency_hz": mode.frequency_hz,
-            "damping_ratio": mode.damping_ratio,
-            "eigenvalue": [mode.eigenvalue.real, mode.eigenvalue.imag],
-        }
-        for name, mode in found.items()
-    }
 
 
 def _modes(name: str) -> tuple[Case, control.StateSpace, Modes]:

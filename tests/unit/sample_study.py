@@ -15,8 +15,7 @@ def sample_study() -> dict[str, Any]:
         "schema": 1,
         "case": "two-area-thesis",
         "title": "The two-area study",
-        "plant": {"states": 55, "reference_removed": True},
-        "sector_note": "Pole sector: half-angle 75.5 degrees, least damping ratio .25.",
+        "plant": {"states": 56, "relative_states": 55},
         "modes": {
             "inter-area": _mode(0.62272, 0.08059),
             "local area 1": _mode(1.1393, 0.2466),
@@ -24,9 +23,9 @@ def sample_study() -> dict[str, Any]:
         },
         "loops": {
             "ranking": [
-                {"actuator": "G4", "signal": "dw24", "index": 0.19},
-                {"actuator": "G4", "signal": "dw14", "index": 0.18},
-                {"actuator": "G2", "signal": "dw24", "index": 0.15},
+                {"actuator": "G4", "signal": "dw24", "index": 0.19, "geometric": 0.17},
+                {"actuator": "G4", "signal": "dw14", "index": 0.18, "geometric": 0.16},
+                {"actuator": "G2", "signal": "dw24", "index": 0.15, "geometric": 0.14},
             ],
             "selected": {"actuator": "G4", "signal": "dw24"},
             "coordinates": "balanced coordinates of a 6-state reduction",
@@ -98,8 +97,11 @@ def _controller(full: int, order: int, normal: float, lost: float, effort: float
             "remote_lost": dict(zip(NAMES, (lost, 0.247, 0.22), strict=True)),
         },
         "stable": {"normal": True, "remote_lost": lost > 0},
-        "slowest_pole": [-0.05, 0.0],
-        "fastest_pole": [-101.0, 9.0],
+        "slowest_pole": -0.05,
+        "fastest_pole": 1000.0,
+        "controller_fastest_pole": 45.0,
+        "method": "made up",
+        "region": {"normal": "damping ratio >= 0.3"},
         "effort": effort,
         "remote_utilisation": 0.4,
         "conditions": [

@@ -1,0 +1,186 @@
+"""The whole study in one page: case -> plant FMU -> linear plant -> controllers -> co-simulation -> report.
+
+Every step is one call into the file that does it; every artefact is made once
+and found again by the hash of what it came from (`artefacts.py`).
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from interarea.design.linearise import remove_reference, select, speeds_in_rad
+from interarea.design.loops import rank_loops
+from interarea.design.modes import modes_of
+from interarea.design.reduction import balanced_truncation
+from interarea.models.case import load_case
+from interarea.models.powerflow import solve_powerflow
+
+from . import study_rows as rows
+from .artefacts import (
+    CONTROLLER_NAMES,
+    channel_fmu,
+    controller_fmu,
+    default_cache,
+    design_controller,
+    linear_plant,
+    numerics_versions,
+    place,
+    plant_fmu,
+)
+from .claims import judge_statements
+from .errors import ScenarioError, nearest
+from .report import write_report
+from .study_delay import latency_analysis
+from .study_figures import DW24, StudyParts, save_figures
+from .study_runs import run_all, scenario_documents
+from .terminal import StageProgress
+
+TEMPLATES = Path(__file__).resolve().parent / "templates"
+PREFIX = "study_"
+STAGES = (
+    "plant",
+    "modes and loops",
+    "reduction",
+    "controllers",
+    "latency",
+    "co-simulation",
+    "figures",
+    "report",
+)
+KEYS = ("title", "case", "published", "stop_s", "step_s", "remote", "local")
+KEYS += ("disturbance", "latency", "margin", "scenario")
+
+
+def run_study(name: str, out: Path, progress: StageProgress | None = None) -> dict[str, Any]:
+    """Run study `name` (bundled, or a TOML file) into the folder `out`; return what study.json holds.
+
+    Writes fmus/*.fmu, figures/*.svg, results/*.parquet, report.html and study.json.
+
+    Raises
+    ------
+    ScenarioError : no such study, or a key of it is wrong. CaseError, BuildError, FmuError,
+    InfeasibleDesign, UncertifiedDesign, StepError : as the step that failed says.
+    """
+    spec = load_study(name)
+    cache = default_cache()
+    told = progress or (lambda _stage, _done: None)
+
+    def stage(label: str) -> Callable[[float], None]:
+        told(label, 0.0)
+        return lambda done: told(label, done)
+
+    with threadpool_limits(1):
+        done = stage("plant")
+        case = load_case(spec["case"])
+        flow = solve_powerflow(case)
+        fmus = {"plant": plant_fmu(case, cache), "channel": channel_fmu(cache)}
+        done(0.5)
+        full = linear_plant(case, cache)
+        done(1.0)
+
+        done = stage("modes and loops")
+        relative = remove_reference(full)
+        relative_modes = modes_of(relative, case.areas)
+        loops = rank_loops(relative, relative_modes.inter_area, areas=case.areas)
+        plant = speeds_in_rad(relative, case.omega_b)
+        done(1.0)
+
+        done = stage("reduction")
+        actuator = [loops.selected.actuator]
+        reductions = {
+            "6": balanced_truncation(select(plant, actuator, DW24), 6),
+            "8": balanced_truncation(select(plant, actuator, [spec["remote"], spec["local"]]), 8),
+        }
+        done(1.0)
+
+        done = stage("controllers")
+        controllers, unreduced = {}, {}
+        for k, label in enumerate(CONTROLLER_NAMES):
+            controllers[label] = design_controller(case, label, cache)
+            unreduced[label] = design_controller(case, label, cache, reduce=False).system
+            fmus[label] = controller_fmu(controllers[label], case.omega_b, cache)
+            done((k + 1) / len(CONTROLLER_NAMES))
+
+        done = stage("latency")
+        delay = latency_analysis(
+            plant, controllers[spec["latency"]["controller"]], spec, relative_modes, done
+        )
+
+        done = stage("co-simulation")
+        runs = run_all(scenario_documents(spec, delay["synchronous"]["margin_s"]), cache, done)
+
+        done = stage("figures")
+        parts = StudyParts(
+            spec,
+            case,
+            flow,
+            modes_of(full, case.areas),
+            plant,
+            reductions,
+            controllers,
+            unreduced,
+            delay,
+            runs,
+        )
+        figures = save_figures(parts, out / "figures", done)
+
+    done = stage("report")
+    study = rows.study_rows(parts, loops, full.nstates)
+    study["figures"] = {key: path.relative_to(out).as_posix() for key, path in figures.items()}
+    study["provenance"] = {
+        "command": f"interarea study {name} --out DIR",
+        "case_hash": case.hash,
+        "case_source": case.source,
+        "published": spec["published"],
+        "fmus": {f"{label}.fmu": rows.sha256(path) for label, path in fmus.items()},
+        "versions": {"interarea": version("interarea"), **numerics_versions()},
+    }
+    study["statements"] = {f"{k.where}: {k.says}": k.verdict for k in judge_statements(study)}
+    for label, path in fmus.items():
+        place(path, out / "fmus" / f"{label}.fmu")
+    for label, run in runs.items():
+        place(run.trajectory, out / "results" / f"{label}.parquet")
+    write_report(study, figures, out / "report.html")
+    done(0.9)
+    text = json.dumps(study, indent=1, allow_nan=False)
+    partial = out / ".study.json.partial"
+    partial.write_text(text + "\n", encoding="utf-8")
+    partial.replace(out / "study.json")
+    done(1.0)
+    return study
+
+
+def study_names() -> list[str]:
+    """Return the names of the bundled studies."""
+    return sorted(p.stem.removeprefix(PREFIX) for p in TEMPLATES.glob(f"{PREFIX}*.toml"))
+
+
+def load_study(name: str) -> Mapping[str, Any]:
+    """Return the TOML of a bundled study or of a file.
+
+    Raises
+    ------
+    ScenarioError : neither bundled nor a file, no TOML, or a table is missing.
+    """
+    path = Path(name) if name.endswith(".toml") else TEMPLATES / f"{PREFIX}{name}.toml"
+    if not path.is_file():
+        raise ScenarioError(
+            f"study {name!r} is neither bundled nor a TOML file; {nearest(name, study_names())}"
+        )
+    try:
+        spec = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path.name}: is no TOML: {error}") from None
+    missing = [key for key in KEYS if key not in spec]
+    if missing:
+        raise ScenarioError(
+            f"{path.name}: {', '.join(missing)} missing; study_thesis.toml shows a whole study"
+        )
+    return spec

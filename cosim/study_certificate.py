@@ -1,0 +1,169 @@
+"""What each controller of a study does on the full linear plant: normal, signal lost, with exact latency.
+
+Swing modes of the closed loop keep the name of the open-loop mode that they come from: the eigenvalues are
+followed while the loop's gain rises from 0 to 1, so that a controller's own poles are never taken for one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import control
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
+
+from interarea.design.controller import Controller
+from interarea.design.delay import DelayError, delayed_loop, rightmost_roots, track_roots
+from interarea.design.linearise import select
+from interarea.design.modes import Modes, damping_ratio
+from interarea.design.norms import hinf_of
+
+ComplexArray = npt.NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One condition of operation: signals lost, and latency (s) of signals."""
+
+    name: str
+    lost: tuple[str, ...] = ()
+    latency_s_of: Mapping[str, float] = field(default_factory=dict)
+
+
+def study_conditions(remote: str, local: str) -> tuple[Condition, ...]:
+    """Return the conditions that every controller is judged by; remote and local name its signals."""
+    both = (remote, local)
+    return (
+        Condition("normal"),
+        Condition("remote lost", (remote,)),
+        *(Condition(f"non-synchronous {d} ms", (), {remote: d / 1e3}) for d in (100, 200, 300)),
+        *(Condition(f"synchronous {d} ms", (), dict.fromkeys(both, d / 1e3)) for d in (50, 100, 200)),
+        Condition("remote lost, local 100 ms", (remote,), {local: 0.1}),
+    )
+
+
+def closed_loop_matrix(
+    plant: control.StateSpace, K: control.StateSpace, *, lost: Sequence[str] = (), gain: float = 1.0
+) -> npt.NDArray[np.float64]:
+    """Return the state matrix of the plant (speeds in rad/s, D = 0) with u = gain K y, lost signals zero."""
+    G = select(plant, list(K.output_labels), list(K.input_labels))
+    keep = np.array([gain * (name not in lost) for name in K.input_labels])
+    return np.block([[G.A + G.B @ (K.D * keep) @ G.C, G.B @ K.C], [(K.B * keep) @ G.C, np.asarray(K.A)]])
+
+
+def swing_poles(
+    plant: control.StateSpace,
+    K: control.StateSpace,
+    modes: Modes,
+    *,
+    lost: Sequence[str] = (),
+    steps: int = 60,
+) -> dict[str, complex]:
+    """Return mode name -> closed-loop pole, followed from the open loop as the gain rises.
+
+    modes : of the open loop. At each step poles are paired by distance and by overlap of eigenvectors.
+    """
+    names = list(modes)
+    values, vectors = np.linalg.eig(closed_loop_matrix(plant, K, lost=lost, gain=0.0))
+    start = [int(np.argmin(np.abs(values - modes[name].eigenvalue))) for name in names]
+    poles, shapes, slope = values[start], vectors[:, start], np.zeros(len(names), complex)
+    for k in range(1, steps + 1):
+        values, vectors = np.linalg.eig(closed_loop_matrix(plant, K, lost=lost, gain=(k / steps) ** 2))
+        overlap = np.abs(shapes.conj().T @ vectors)
+        distance = np.abs(values[None, :] - (poles + slope)[:, None])
+        rows, columns = linear_sum_assignment(distance + 2.0 * (1.0 - overlap))
+        columns = columns[np.argsort(rows)]
+        slope = values[columns] - poles
+        poles, shapes = values[columns], vectors[:, columns]
+    return {name: complex(p) for name, p in zip(names, poles, strict=True)}
+
+
+def controller_row(
+    plant: control.StateSpace, controller: Controller, modes: Modes, remote: str, local: str
+) -> dict[str, Any]:
+    """Return what study.json says of a controller, and the table of its conditions.
+
+    plant : full plant without reference angle, speeds in rad/s. modes : its open-loop swing modes.
+    """
+    K = controller.system
+    rows = [_condition_row(plant, K, modes, c) for c in study_conditions(remote, local)]
+    normal, lost = rows[0], rows[1]
+    poles = np.linalg.eigvals(closed_loop_matrix(plant, K))
+    own = np.linalg.eigvals(np.asarray(K.A))
+    return {
+        "order": controller.order,
+        "order_full": controller.design.get("order_full", controller.order),
+        "method": controller.design.get("method", "given"),
+        "region": controller.design.get("region", {}),
+        "damping_ratio": {"normal": normal["damping_ratio"], "remote_lost": lost["damping_ratio"]},
+        "stable": {"normal": normal["stable"], "remote_lost": lost["stable"]},
+        "slowest_pole": float(np.max(poles.real)),
+        "fastest_pole": float(np.max(np.abs(poles))),
+        "controller_fastest_pole": float(np.max(np.abs(own))) if own.size else 0.0,
+        "effort": effort(plant, K),
+        "remote_utilisation": remote_utilisation(K, remote, abs(modes.inter_area.eigenvalue.imag)),
+        "conditions": rows,
+    }
+
+
+def _condition_row(
+    plant: control.StateSpace, K: control.StateSpace, modes: Modes, condition: Condition
+) -> dict[str, Any]:
+    poles = swing_poles(plant, K, modes, lost=condition.lost)
+    if not condition.latency_s_of:
+        values = np.linalg.eigvals(closed_loop_matrix(plant, K, lost=condition.lost))
+        rightmost = complex(values[np.argmax(values.real)])
+    else:
+        loop = delayed_loop(plant, K, dict(condition.latency_s_of), lost=condition.lost)
+        rightmost = complex(rightmost_roots(loop, right_of=0.0)[0])
+        latency = max(condition.latency_s_of.values())
+        poles = _delayed_poles(plant, K, poles, condition, latency)
+    return {
+        "condition": condition.name,
+        "stable": bool(rightmost.real < 0.0),
+        "damping_ratio": {name: damping_ratio(p) for name, p in poles.items()},
+        "rightmost": [rightmost.real, rightmost.imag],
+    }
+
+
+def _delayed_poles(
+    plant: control.StateSpace,
+    K: control.StateSpace,
+    poles: Mapping[str, complex],
+    condition: Condition,
+    latency_s: float,
+) -> dict[str, complex]:
+    """Follow the swing poles of the loop to its latency; a pole that gets lost on the way is left out."""
+    loop = delayed_loop(plant, K, lost=condition.lost)
+    followed = {}
+    for name, pole in poles.items():
+        try:
+            followed[name] = complex(track_roots(loop, tuple(condition.latency_s_of), [latency_s], pole)[-1])
+        except DelayError:
+            continue
+    return followed
+
+
+def effort(plant: control.StateSpace, K: control.StateSpace) -> float:
+    """Return the H-infinity norm of K (I - G K)^-1 on the full plant, pu per rad/s."""
+    G = select(plant, list(K.output_labels), list(K.input_labels))
+    A = closed_loop_matrix(plant, K)
+    return float(
+        hinf_of(
+            A,
+            np.vstack([G.B @ K.D, np.asarray(K.B)]),
+            np.hstack([K.D @ G.C, np.asarray(K.C)]),
+            np.asarray(K.D),
+        ).value
+    )
+
+
+def remote_utilisation(K: control.StateSpace, remote: str, omega: float) -> float:
+    """Return the remote signal's part |k_r| / sqrt(sum |k_i|^2) of the controller's gain at `omega` rad/s."""
+    gains = np.abs(K.C @ np.linalg.solve(1j * omega * np.eye(K.nstates) - K.A, K.B) + K.D)
+    total = float(np.linalg.norm(gains))
+    part = float(np.linalg.norm(gains[:, list(K.input_labels).index(remote)]))
+    return part / total if total > 0.0 else 0.0
