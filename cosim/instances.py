@@ -215,11 +215,11 @@ class FmuParticipant:
         self._call("fmi2GetFMUstate", self._raw.fmi2GetFMUstate(self._c, byref(state)), self._time)
         return state
 
-    def restore(self, state: object) -> None:
+    def restore(self, state: c_void_p) -> None:
         """Go back to a saved FMU state."""
         self._call("fmi2SetFMUstate", self._raw.fmi2SetFMUstate(self._c, state), self._time)
 
-    def release(self, state: object) -> None:
+    def release(self, state: c_void_p) -> None:
         """Free a saved FMU state."""
         self._call("fmi2FreeFMUstate", self._raw.fmi2FreeFMUstate(self._c, byref(state)), self._time)
 

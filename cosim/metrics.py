@@ -80,9 +80,11 @@ def uniform(
     point is missing is it interpolated (straight line).
     """
     n = int(np.floor((stop_s - start_s) / step_s + 1e-9)) + 1
-    grid = start_s + step_s * np.arange(n)
-    columns = [np.interp(grid, time_s, values[:, k]) for k in range(values.shape[1])]
-    return grid, np.column_stack(columns)
+    grid: Array = start_s + step_s * np.arange(n, dtype=np.float64)
+    window = np.empty((n, values.shape[1]))
+    for k in range(values.shape[1]):
+        window[:, k] = np.interp(grid, time_s, values[:, k])
+    return grid, window
 
 
 def ring_down(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, MutableSequence, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 Type = Literal["Real", "Integer", "Boolean"]
 
@@ -71,10 +71,10 @@ class Participant(Protocol):
 
     name: str
     description: Description
-    u: MutableSequence[float]
-    du: MutableSequence[float]
-    y: MutableSequence[float]
-    dy: MutableSequence[float]
+    u: Any
+    du: Any
+    y: Any
+    dy: Any
 
     def bind(self, inputs: Sequence[str], slopes: Sequence[str]) -> None:
         """Fix which inputs will be sent and of which outputs slopes will be asked; makes the buffers."""
@@ -94,13 +94,13 @@ class Participant(Protocol):
     def receive(self, slopes: bool) -> None:
         """Fill `y`, and `dy` if `slopes`."""
 
-    def save(self) -> object:
+    def save(self) -> Any:
         """Return a copy of the state."""
 
-    def restore(self, state: object) -> None:
+    def restore(self, state: Any) -> None:
         """Go back to a saved state."""
 
-    def release(self, state: object) -> None:
+    def release(self, state: Any) -> None:
         """Free a saved state."""
 
     def last_log(self) -> str:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -38,15 +39,16 @@ class Trajectory:
         ports: Sequence[Port],
     ) -> Trajectory:
         """Return the trajectory of recorded outputs; integers and Booleans get their own types."""
-        series: dict[str, npt.NDArray[np.generic]] = {TIME: times_s.copy()}
+        series: dict[str, npt.NDArray[Any]] = {TIME: times_s.copy()}
         units = {TIME: "s"}
         for k, (name, port) in enumerate(zip(columns, ports, strict=True)):
             column = records[:, k]
-            series[name] = {
-                "Real": column.copy,
-                "Integer": lambda c=column: c.astype(np.int64),
-                "Boolean": lambda c=column: c != 0.0,
-            }[port.type]()
+            if port.type == "Integer":
+                series[name] = column.astype(np.int64)
+            elif port.type == "Boolean":
+                series[name] = column != 0.0
+            else:
+                series[name] = column.copy()
             units[name] = port.unit.name if port.unit is not None else "1"
         data = pd.DataFrame(series)
         data.attrs["units"] = dict(units)

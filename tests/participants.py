@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.linalg import expm
@@ -258,6 +258,3 @@ def delayed_reference(
         return np.array([past(float(t)) for t in times])
 
     return at
-
-
-def _unused(_: Mapping[str, float]) -> None: ...

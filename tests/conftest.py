@@ -1,0 +1,52 @@
+"""Session fixtures: one folder of FMUs and designs for the whole run, small controllers and loops."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+
+from interarea.cosim.run import Controllers
+from interarea.design.controller import Controller
+from interarea.models.case import Case, load_case
+
+
+@pytest.fixture(scope="session")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the artefact folder: ``$INTERAREA_CACHE`` when set, else one for this session."""
+    named = os.environ.get("INTERAREA_CACHE")
+    if named:
+        return Path(named)
+    folder = tmp_path_factory.mktemp("cache")
+    os.environ["INTERAREA_CACHE"] = str(folder)
+    return folder
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _one_cache(cache: Path) -> None:
+    """Every test, and what it starts, finds the same artefacts."""
+
+
+@pytest.fixture(scope="session")
+def two_area() -> Case:
+    """Return the case of the thesis."""
+    return load_case("two-area-thesis")
+
+
+@pytest.fixture(scope="session")
+def hand_controller() -> Controller:
+    """Return a strictly proper controller written by hand: two lags on the difference of the speeds."""
+    A = np.array([[-6.0, 0.0], [6.0, -20.0]])
+    B = np.array([[6.0, -6.0], [0.0, 0.0]])
+    C = np.array([[0.0, 0.05]])
+    system = control.ss(A, B, C, np.zeros((1, 2)), inputs=["G2_dw", "G4_dw"], outputs=["G4_vs"])
+    return Controller("by_hand", system)
+
+
+@pytest.fixture(scope="session")
+def by_hand(hand_controller: Controller) -> Controllers:
+    """Return a provider that answers every name with the controller written by hand."""
+    return lambda name, case: hand_controller
