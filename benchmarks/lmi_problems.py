@@ -9,10 +9,11 @@ with output feedback in the variables X, Y (symmetric), Ah, Bh, Ch of Scherer, G
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+import scipy.linalg
 
 from interarea.design.problem import BlockLMI, MatrixVariable, Problem, Term
 
@@ -166,3 +167,95 @@ def output_feedback_problem(
         objective_matrices={"X": weight / n * np.eye(n), "Y": weight / n * np.eye(n)},
         objective_scalars={"gamma": 1.0},
     )
+
+
+def random_plant(seed: int) -> GeneralizedPlant:
+    """Return a random plant of 3 to 12 states, every third one possibly far from stable.
+
+    One or two inputs and outputs, D12 and D21 of full rank; every second plant has states scaled
+    by up to 1e2 either way.
+    """
+    rng = np.random.default_rng(seed)
+    n, n_u, n_y = (int(rng.integers(low, high)) for low, high in ((3, 13), (1, 3), (1, 3)))
+    n_w, n_z = n_y + int(rng.integers(0, 2)), n_u + int(rng.integers(0, 2))
+    A = rng.standard_normal((n, n))
+    if seed % 3:
+        A = A - (np.linalg.eigvals(A).real.max() + rng.uniform(-0.3, 0.5)) * np.eye(n)
+    B1, B2 = rng.standard_normal((n, n_w)), rng.standard_normal((n, n_u))
+    C1, C2 = rng.standard_normal((n_z, n)), rng.standard_normal((n_y, n))
+    D12 = np.vstack([rng.standard_normal((n_z - n_u, n_u)), np.eye(n_u)])
+    D21 = np.hstack([rng.standard_normal((n_y, n_w - n_y)), np.eye(n_y)])
+    if seed % 2:
+        t = 10.0 ** rng.uniform(-2, 2, n)
+        A, B1, B2 = A * t[:, None] / t, B1 * t[:, None], B2 * t[:, None]
+        C1, C2 = C1 / t, C2 / t
+    return GeneralizedPlant(A, B1, B2, C1, C2, np.zeros((n_z, n_w)), D12, D21)
+
+
+def osborne(plant: GeneralizedPlant) -> GeneralizedPlant:
+    """Return the plant in states scaled by powers of two so that rows and columns of [A B; C 0] balance."""
+    B, C = np.hstack([plant.B1, plant.B2]), np.vstack([plant.C1, plant.C2])
+    s = np.ones(plant.order)
+    for _ in range(30):
+        for i in range(plant.order):
+            A = plant.A * s / s[:, None]
+            row = np.hypot(np.linalg.norm(np.delete(A[i], i)), np.linalg.norm(B[i] / s[i]))
+            column = np.hypot(np.linalg.norm(np.delete(A[:, i], i)), np.linalg.norm(C[:, i] * s[i]))
+            if row > 0.0 and column > 0.0:
+                s[i] *= 2.0 ** np.round(0.5 * np.log2(row / column))
+    return replace(
+        plant,
+        A=plant.A * s / s[:, None],
+        B1=plant.B1 / s[:, None],
+        B2=plant.B2 / s[:, None],
+        C1=plant.C1 * s,
+        C2=plant.C2 * s,
+    )
+
+
+def _stabilizing(A: Matrix, W: Matrix, Q: Matrix) -> Matrix | None:
+    """Return X with A'X + XA + XWX + Q = 0 and A + WX stable, or None."""
+    n = len(A)
+    H = np.block([[A, W], [-Q, -A.T]])
+    H, factors = scipy.linalg.matrix_balance(H, permute=False, separate=True)
+    poles = np.linalg.eigvals(H)
+    if not np.all(np.isfinite(poles)) or np.abs(poles.real).min() < 1e-11 * np.abs(poles).max():
+        return None
+    try:
+        _, U, stable = scipy.linalg.schur(H, sort="lhp")
+    except np.linalg.LinAlgError:
+        return None
+    U = factors[0][:, None] * U
+    if stable != n or np.linalg.cond(U[:n, :n]) > 1e15:
+        return None
+    X = np.linalg.solve(U[:n, :n].T, U[n:, :n].T)
+    return (X + X.T) / 2
+
+
+def riccati_level(plant: GeneralizedPlant, tolerance: float = 1e-8) -> float:
+    """Return the optimal H-infinity norm by bisection on the two Riccati equations (D11 = 0)."""
+    A, B1, B2, C1, C2 = plant.A, plant.B1, plant.B2, plant.C1, plant.C2
+    R, Rt = np.linalg.inv(plant.D12.T @ plant.D12), np.linalg.inv(plant.D21 @ plant.D21.T)
+    Ax, Ay = A - B2 @ R @ plant.D12.T @ C1, A - B1 @ plant.D21.T @ Rt @ C2
+    Qx = C1.T @ (np.eye(len(C1)) - plant.D12 @ R @ plant.D12.T) @ C1
+    Qy = B1 @ (np.eye(B1.shape[1]) - plant.D21.T @ Rt @ plant.D21) @ B1.T
+
+    def reached(gamma: float) -> bool:
+        X = _stabilizing(Ax, B1 @ B1.T / gamma**2 - B2 @ R @ B2.T, Qx)
+        Y = _stabilizing(Ay.T, C1.T @ C1 / gamma**2 - C2.T @ Rt @ C2, Qy)
+        if X is None or Y is None:
+            return False
+        least = min(
+            np.linalg.eigvalsh(X)[0] / (1 + abs(X).max()), np.linalg.eigvalsh(Y)[0] / (1 + abs(Y).max())
+        )
+        return bool(least > -1e-9 and np.abs(np.linalg.eigvals(X @ Y)).max() < gamma**2)
+
+    low, high = 1e-6, 1.0
+    while not reached(high):
+        low, high = high, 2.0 * high
+        if high > 1e9:
+            raise ValueError("Riccati level: no level below 1e9 is reached; the plant is not stabilizable")
+    while high - low > tolerance * high:
+        middle = (low + high) / 2.0
+        low, high = (low, middle) if reached(middle) else (middle, high)
+    return high
