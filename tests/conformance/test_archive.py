@@ -11,8 +11,8 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from conftest import blocks
 from fmpy.validation import validate_fmu
+from fmu_blocks import blocks
 from fmu_runner import Runner
 from lxml import etree
 

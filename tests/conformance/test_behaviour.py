@@ -140,7 +140,7 @@ def test_outputs_depend_on_what_they_declare(fmu: Path) -> None:
 
 def test_controller_agrees_with_the_matrix_exponential(built: dict[str, Path]) -> None:
     """CS, ME and exp(A t) for a constant input."""
-    from conftest import A, B, C
+    from fmu_blocks import A, B, C
 
     values = {"G2_dw": 0.3, "G4_dw": -0.2, "limit": 10.0}
     t = np.linspace(0.0, 4.0, 41)

@@ -1,0 +1,27 @@
+"""One block of every kind, for the conformance tests."""
+
+from __future__ import annotations
+
+import numpy as np
+from fmu_runner import decay_block
+
+from interarea.models.case import load_case
+from interarea.models.channel_block import channel_block
+from interarea.models.controller_block import controller_block
+from interarea.models.plant_block import plant_block
+from interarea.models.variables import Block
+
+A = np.array([[-1.0, 4.0, 0.0], [-4.0, -1.0, 0.5], [0.0, 0.0, -3.0]])
+B = np.array([[0.0, 1.0], [1.0, 0.0], [0.5, -0.5]])
+C = np.array([[0.5, 0.0, 1.0]])
+
+
+def blocks() -> dict[str, Block]:
+    """Return one block of every kind."""
+    controller = controller_block("controller", A, B, C, np.zeros((1, 2)), ["G2_dw", "G4_dw"], ["G4_vs"])
+    return {
+        "decay": decay_block(),
+        "controller": controller,
+        "channel": channel_block(),
+        "plant": plant_block(load_case("two-area-thesis")),
+    }

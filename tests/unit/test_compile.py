@@ -1,0 +1,124 @@
+"""Compiling generic binaries: exports, needed libraries, cache, and errors that say what to do."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import struct
+from pathlib import Path
+
+import pytest
+from fmu_runner import DECAY_C
+
+from interarea.fmu_build import BuildError
+from interarea.fmu_build import compile as compiling
+from interarea.fmu_build.compile import compile_binary, source_files
+
+
+class Elf:
+    """Just enough of ELF 64 to list dynamic symbols and needed libraries."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        table, size, count = struct.unpack_from("<Q", data, 40)[0], *struct.unpack_from("<HH", data, 58)
+        self.sections = [struct.unpack_from("<IIQQQQIIQQ", data, table + size * k) for k in range(count)]
+
+    def _of_type(self, kind: int) -> tuple[bytes, bytes]:
+        s = next(s for s in self.sections if s[1] == kind)
+        strings = self.sections[s[6]]
+        return self.data[s[4] : s[4] + s[5]], self.data[strings[4] : strings[4] + strings[5]]
+
+    @staticmethod
+    def _text(strings: bytes, at: int) -> str:
+        return strings[at : strings.index(b"\0", at)].decode()
+
+    def exported(self) -> set[str]:
+        symbols, strings = self._of_type(11)
+        entries = [struct.unpack_from("<IBBHQQ", symbols, k) for k in range(0, len(symbols), 24)]
+        return {self._text(strings, e[0]) for e in entries if e[3] != 0}
+
+    def needed(self) -> set[str]:
+        dynamic, strings = self._of_type(6)
+        entries = [struct.unpack_from("<qQ", dynamic, k) for k in range(0, len(dynamic), 16)]
+        return {self._text(strings, value) for tag, value in entries if tag == 1}
+
+
+@pytest.fixture(scope="module")
+def binaries(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("binaries")
+
+
+def test_binary_exports_the_standard_and_nothing_else(binaries: Path) -> None:
+    elf = Elf(compile_binary("decay", (DECAY_C,), "linux64", cache=binaries).read_bytes())
+    header = (compiling.fmi_headers() / "fmi2Functions.h").read_text()
+    declared = set(re.findall(r"FMI2_Export\s+fmi2\w+TYPE\s+(fmi2\w+);", header))
+    assert elf.exported() == declared
+    assert elf.needed() <= {"libc.so.6", "libm.so.6"}
+
+
+def test_second_time_needs_no_compiler(binaries: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = compile_binary("decay", (DECAY_C,), "linux64", cache=binaries)
+
+    def forbidden(*_: object, **__: object) -> None:
+        raise AssertionError("the compiler ran")
+
+    monkeypatch.setattr(compiling, "_run_compiler", forbidden)
+    assert compile_binary("decay", (DECAY_C,), "linux64", cache=binaries) == first
+
+
+def test_a_changed_source_is_another_binary(binaries: Path, tmp_path: Path) -> None:
+    changed = tmp_path / "decay.c"
+    text = DECAY_C.read_text().replace("../../../models/block/block.h", "block.h")
+    changed.write_text(text + "/* changed */\n")
+    names = {compile_binary("decay", (c,), "linux64", cache=binaries).name for c in (DECAY_C, changed)}
+    assert len(names) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("platform", ["linux64", "win64", "darwin64", "linux-arm64"])
+def test_two_machines_make_the_same_bytes(platform: str, tmp_path: Path) -> None:
+    """Two empty caches in two folders stand for two machines."""
+    made = [
+        compile_binary("decay", (DECAY_C,), platform, cache=tmp_path / name) for name in ("one", "another")
+    ]
+    assert made[0].read_bytes() == made[1].read_bytes()
+
+
+def test_compiler_errors_are_passed_on(binaries: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.c"
+    broken.write_text("int f(void) { return undeclared; }\n")
+    with pytest.raises(BuildError, match="(?s)compiling broken for linux64 failed.*undeclared"):
+        compile_binary("broken", (broken,), "linux64", cache=binaries)
+
+
+def test_missing_compilers(binaries: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiling._compiler_of.cache_clear()
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(BuildError, match="no-such-compiler.*unset CC"):
+        compile_binary("decay", (DECAY_C,), "linux64", cache=binaries)
+    monkeypatch.delenv("CC")
+    real = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *a: None if name == "ziglang" else real(name, *a)
+    )
+    compiling._compiler_of.cache_clear()
+    with pytest.raises(BuildError, match="pip install ziglang"):
+        compile_binary("decay", (DECAY_C,), "linux64", cache=binaries)
+    monkeypatch.undo()
+    compiling._compiler_of.cache_clear()
+
+
+def test_unknown_platform_and_missing_include(binaries: Path, tmp_path: Path) -> None:
+    with pytest.raises(BuildError, match="unknown platform 'amiga'; allowed: linux64"):
+        compile_binary("decay", (DECAY_C,), "amiga", cache=binaries)
+    lonely = tmp_path / "lonely.c"
+    lonely.write_text('#include "nowhere.h"\n')
+    with pytest.raises(BuildError, match="nowhere.h"):
+        source_files((lonely,))
+
+
+def test_two_files_of_one_name_are_refused(tmp_path: Path) -> None:
+    other = tmp_path / "solver.c"
+    other.write_text("int x;\n")
+    with pytest.raises(BuildError, match=r"two C files are called solver\.c"):
+        source_files((other,))
