@@ -24,12 +24,15 @@ from typing import TYPE_CHECKING, Any
 import control
 import numpy as np
 
-from interarea.design.linearise import linearise, remove_reference
+from interarea.design.linearise import linearise, remove_reference, speeds_in_rad
+from interarea.design.modes import modes_of
 from interarea.fmu_build.open import open_plant
 from interarea.fmu_build.package import build_fmu
 from interarea.models.case import Case
 from interarea.models.plant_block import plant_block
 from interarea.models.variables import Block
+
+from .study_certificate import certificate
 
 if TYPE_CHECKING:
     from interarea.design.controller import Controller
@@ -123,6 +126,15 @@ def artefact(cache: Path, kind: str, key: str, suffix: str, make: Callable[[Path
         make(made)
         made.replace(path)
     return path
+
+
+def cached_json(cache: Path, kind: str, key: str, make: Callable[[], Any]) -> Any:
+    """Return the JSON value `cache/KIND/KEY.json`, calling `make()` when it is not there yet."""
+
+    def write(path: Path) -> None:
+        path.write_text(json.dumps(make(), allow_nan=False), encoding="utf-8")
+
+    return json.loads(artefact(cache, kind, key, ".json", write).read_text(encoding="utf-8"))
 
 
 def place(artefact: Path, path: Path) -> Path:
@@ -225,6 +237,7 @@ def design_controller(case: Case, name: str, cache: Path, *, reduce: bool = True
         [name, reduce],
         file_hash(plant_fmu(case, cache)),
         code_hash("design.study_designs"),
+        code_hash("cosim.study_certificate"),
         numerics_versions(),
     )
     path = artefact(
@@ -240,11 +253,17 @@ def _design(case: Case, name: str, cache: Path, reduce: bool) -> Controller:
         study_designs as designs,  # cvxpy loads with it: only who designs waits for that
     )
 
-    plant = remove_reference(linear_plant(case, cache))
-    order = {} if reduce else {"order": plant.nstates}
+    relative = remove_reference(linear_plant(case, cache))
+    order = {} if reduce else {"order": relative.nstates}
     if name == "wdc":
-        return designs.design_wdc(plant, replace(designs.WdcSpec(), **order), omega_b=case.omega_b)
-    if name == "ftc":
-        return designs.design_ftc(plant, replace(designs.FtcSpec(), **order), omega_b=case.omega_b)
-    reference = design_controller(case, "ftc", cache)
-    return designs.design_cc_like(reference, plant, replace(designs.CcSpec(), **order), omega_b=case.omega_b)
+        made = designs.design_wdc(relative, replace(designs.WdcSpec(), **order), omega_b=case.omega_b)
+    elif name == "ftc":
+        made = designs.design_ftc(relative, replace(designs.FtcSpec(), **order), omega_b=case.omega_b)
+    else:
+        spec = replace(designs.CcSpec(), **order)
+        reference = design_controller(case, "ftc", cache)
+        made = designs.design_cc_like(reference, relative, spec, omega_b=case.omega_b)
+    if not reduce:
+        return made
+    plant = speeds_in_rad(relative, case.omega_b)
+    return replace(made, certificate=certificate(plant, made, modes_of(relative, case.areas)))

@@ -107,7 +107,7 @@ def _plant_order(s: Study) -> Result:
 
 def _best_loop(s: Study) -> Result:
     best = s["loops"]["selected"]
-    ours = f"{best['actuator']} with {best['signal']}; coordinates: {s['loops']['coordinates']}."
+    ours = f"{best['actuator']} with {best['signal']}."
     if (best["actuator"], best["signal"]) != ("G4", "dw24"):
         return (
             "differs",
@@ -205,11 +205,7 @@ def _non_synchronous_delay(s: Study) -> Result:
     least = min(z for _, z in non["damping"])
     if non["margin_s"] is None:
         ours = f"No crossing at any latency; least swing damping up to 500 ms is {least:.3f}."
-        why = (
-            "With the local signal undelayed the loop gain at the crossing frequencies stays too small to "
-            "destabilise."
-        )
-        return "differs", ours, why
+        return "differs", ours, "The loop gain through the remote channel stays below one at every frequency."
     ours = f"Exact margin {1e3 * non['margin_s']:.1f} ms; least swing damping up to 500 ms is {least:.3f}."
     more = sync["margin_s"] is not None and non["margin_s"] > sync["margin_s"]
     return ("agrees" if more else "partly"), ours, "" if more else "Its margin is not the larger one here."
@@ -222,15 +218,17 @@ def _hundred_milliseconds(s: Study) -> Result:
         f"Inter-area damping {exact[0]} synchronous, {exact[1]} non-synchronous; settling "
         f"{_seconds(sync['settling_time_s'])} against {_seconds(non['settling_time_s'])}."
     )
-    a = _at(s["delay"]["synchronous"]["damping"], 0.1)
-    b = _at(s["delay"]["non_synchronous"]["damping"], 0.1)
-    better = b > a and non["stable"]
-    why = (
-        ""
-        if better
-        else f"The least damped swing mode has {b:.3f} non-synchronous against {a:.3f} synchronous."
-    )
-    return ("agrees" if better else "differs"), ours, why
+    rows = s["delay"]["synchronous"]["damping"], s["delay"]["non_synchronous"]["damping"]
+    a, b = _at(rows[0], 0.1), _at(rows[1], 0.1)
+    times = [r["settling_time_s"] if r["settling_time_s"] is not None else float("inf") for r in (sync, non)]
+    better = b > a - 0.001 and times[1] <= times[0]
+    if better:
+        return "agrees", ours, ""
+    from_s = next((d for (d, x), (_, y) in zip(*rows, strict=True) if x < y - 0.01), None)
+    why = f"Least damped swing: {a:.3f} synchronous, {b:.3f} non-synchronous."
+    if from_s is not None:
+        why += f" Synchronous latency is the worse one from {1e3 * from_s:.0f} ms on."
+    return ("partly" if b > a else "differs"), ours, why
 
 
 def _at(rows: list[list[float]], delay: float) -> float:

@@ -74,9 +74,10 @@ def save_figure(figure: Figure, path: Path) -> Path:
     """Write a figure: SVG with outlines for text and no date, PNG at 160 dpi, by the path's suffix."""
     path.parent.mkdir(parents=True, exist_ok=True)
     metadata = {"Date": None, "Creator": "interarea"} if path.suffix == ".svg" else None
+    partial = path.with_name(f".partial-{path.name}")
     with mpl.rc_context(STYLE):
-        figure.savefig(path, transparent=path.suffix == ".svg", metadata=metadata, dpi=160)
-    return path
+        figure.savefig(partial, transparent=path.suffix == ".svg", metadata=metadata, dpi=160)
+    return partial.replace(path)
 
 
 def frequency_response(system: control.StateSpace, omega: Array) -> npt.NDArray[np.complex128]:
@@ -264,14 +265,14 @@ def _time_axis(
         axes.axvline(at, color=MUTED, linewidth=0.9, linestyle=(0, (2, 2)))
         axes.annotate(
             label,
-            (at, 0.02),
+            (at, 0.98),
             xycoords=("data", "axes fraction"),
-            xytext=(3, 2),
+            xytext=(3, -8),
             textcoords="offset points",
             fontsize=7.5,
             color=MUTED,
         )
-    axes.xaxis.set_major_locator(MaxNLocator(10, integer=end - start > 8))
+    axes.xaxis.set_major_locator(MaxNLocator(10, integer=end - start >= 5))
     axes.set_xlabel("time (s)")
 
 

@@ -25,7 +25,10 @@ from interarea.models.powerflow import solve_powerflow
 from . import study_rows as rows
 from .artefacts import (
     CONTROLLER_NAMES,
+    cached_json,
     channel_fmu,
+    code_hash,
+    content_hash,
     controller_fmu,
     default_cache,
     design_controller,
@@ -109,9 +112,17 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
             done((k + 1) / len(CONTROLLER_NAMES))
 
         done = stage("latency")
-        delay = latency_analysis(
-            plant, controllers[spec["latency"]["controller"]], spec, relative_modes, done
+        delayed = spec["latency"]["controller"]
+        key = content_hash(
+            fmus["plant"].name, fmus[delayed].name, dict(spec["latency"]), code_hash("cosim.study_delay")
         )
+        delay = cached_json(
+            cache,
+            "latency",
+            key,
+            lambda: latency_analysis(plant, controllers[delayed], spec, relative_modes, done),
+        )
+        done(1.0)
 
         done = stage("co-simulation")
         runs = run_all(scenario_documents(spec, delay["synchronous"]["margin_s"]), cache, done)
@@ -129,7 +140,8 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
             delay,
             runs,
         )
-        figures = save_figures(parts, out / "figures", done)
+        drawn = save_figures(parts, cache / "figures" / _figure_key(parts), done)
+        figures = {key: place(path, out / "figures" / path.name) for key, path in drawn.items()}
 
     done = stage("report")
     study = rows.study_rows(parts, loops, full.nstates)
@@ -155,6 +167,17 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
     partial.replace(out / "study.json")
     done(1.0)
     return study
+
+
+def _figure_key(parts: StudyParts) -> str:
+    """Return the hash of all that the figures show and of the code that draws them."""
+    systems = [*parts.full_controllers.values(), *(c.system for c in parts.controllers.values()), parts.plant]
+    matrices = [getattr(system, m) for system in systems for m in "ABCD"]
+    runs = [str(run.trajectory) for run in parts.runs.values()]
+    code = code_hash("cosim.study_figures")
+    return content_hash(
+        parts.spec, parts.case.hash, runs, parts.delay, code, version("matplotlib"), *matrices
+    )
 
 
 def study_names() -> list[str]:

@@ -81,14 +81,16 @@ def swing_poles(
     return {name: complex(p) for name, p in zip(names, poles, strict=True)}
 
 
-def controller_row(
-    plant: control.StateSpace, controller: Controller, modes: Modes, remote: str, local: str
-) -> dict[str, Any]:
-    """Return what study.json says of a controller, and the table of its conditions.
+def certificate(plant: control.StateSpace, controller: Controller, modes: Modes) -> dict[str, Any]:
+    """Return what a controller does on the full plant: damping, poles, effort, and the table of conditions.
+
+    Its local signal is the speed of the machine that it acts on, the remote one any other.
 
     plant : full plant without reference angle, speeds in rad/s. modes : its open-loop swing modes.
     """
     K = controller.system
+    local = f"{controller.outputs[0].removesuffix('_vs')}_dw"
+    remote = next((name for name in controller.inputs if name != local), local)
     rows = [_condition_row(plant, K, modes, c) for c in study_conditions(remote, local)]
     normal, lost = rows[0], rows[1]
     poles = np.linalg.eigvals(closed_loop_matrix(plant, K))

@@ -63,12 +63,13 @@ class StudyParts:
 
 
 def save_figures(parts: StudyParts, folder: Path, progress: Callable[[float], None]) -> dict[str, Path]:
-    """Draw every figure into `folder` as SVG; return number or name -> file."""
+    """Draw every figure into `folder` as SVG that is not there yet; return number or name -> file."""
     recipes = dict(_recipes(parts))
     files = {}
     for k, (key, draw) in enumerate(recipes.items()):
         prefix = "figure-" if key[0].isdigit() else ""
-        files[key] = save_figure(draw(), folder / f"{prefix}{key.replace('.', '-')}.svg")
+        path = folder / f"{prefix}{key.replace('.', '-')}.svg"
+        files[key] = path if path.exists() else save_figure(draw(), path)
         progress((k + 1) / len(recipes))
     return files
 
@@ -203,12 +204,10 @@ def _control(p: StudyParts, run: str) -> tuple[Array, Array]:
 
 
 def measured_damping(p: StudyParts, wiring: str) -> list[list[float]]:
-    """Return rows (latency, least damping ratio of the swing modes found) of the co-simulated ring-downs."""
+    """Return rows (latency, damping ratio of what swings longest) of the co-simulated runs."""
     rows = []
     for value in p.spec["latency"]["values_s"]:
-        found = p.runs[f"{p.spec['latency']['controller']}-{wiring}-{round(1e3 * value)}ms"].metrics[
-            "damping_ratio"
-        ]
-        if found:
-            rows.append([value, min(found.values())])
+        run = p.runs[f"{p.spec['latency']['controller']}-{wiring}-{round(1e3 * value)}ms"]
+        if run.metrics["late_damping"] is not None:
+            rows.append([value, run.metrics["late_damping"]])
     return rows

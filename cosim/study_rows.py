@@ -12,7 +12,6 @@ from interarea.design.loops import Loops
 from interarea.design.modes import Modes
 from interarea.design.norms import hinf_of
 
-from .study_certificate import controller_row
 from .study_figures import OMEGA, StudyParts, loop_functions
 from .study_runs import WIRINGS, StudyRun
 
@@ -21,7 +20,6 @@ SCHEMA = 1
 
 def study_rows(parts: StudyParts, loops: Loops, states: int) -> dict[str, Any]:
     """Return study.json without its figures and provenance; `states` counts the reference angle."""
-    remote, local = parts.spec["remote"], parts.spec["local"]
     return {
         "schema": SCHEMA,
         "title": parts.spec["title"],
@@ -30,10 +28,7 @@ def study_rows(parts: StudyParts, loops: Loops, states: int) -> dict[str, Any]:
         "modes": mode_rows(parts.modes),
         "loops": loop_rows(loops),
         "reduction": reduction_rows(parts),
-        "controllers": {
-            name: controller_row(parts.plant, c, parts.modes, remote, local)
-            for name, c in parts.controllers.items()
-        },
+        "controllers": {name: dict(c.certificate or {}) for name, c in parts.controllers.items()},
         "sensitivity": sensitivity_row(parts),
         "delay": {wiring: dict(row) for wiring, row in parts.delay.items()},
         "delay_table": delay_table(parts),
@@ -98,7 +93,7 @@ def scenario_row(run: StudyRun) -> dict[str, Any]:
     m = run.metrics
     return {
         "title": run.title,
-        "stable": bool(m["stable"]),
+        "stable": bool(m["stable"]) and not m["at_limit"],
         "damping_ratio": m["damping_ratio"].get("inter-area"),
         "modes": m["damping_ratio"],
         "settling_time_s": m["settling_time_s"],
@@ -118,7 +113,7 @@ def delay_table(parts: StudyParts) -> list[dict[str, Any]]:
             row[key] = {
                 "least": _at(parts.delay[key]["damping"], value),
                 "inter_area": _at(parts.delay[key]["inter_area"], value),
-                "measured": run.metrics["damping_ratio"].get("inter-area"),
+                "measured": run.metrics["late_damping"],
                 "settling_time_s": run.metrics["settling_time_s"],
             }
         table.append(row)

@@ -28,7 +28,9 @@ from .artefacts import (
     source_hash,
 )
 from .errors import ScenarioError
-from .run import run_scenario
+from .metrics import ring_down, uniform
+from .ringdown import disturbance_end_s, swing_signal
+from .run import Run, run_scenario
 from .scenario import load_scenario
 from .trajectory import Trajectory
 
@@ -37,6 +39,8 @@ Document = dict[str, Any]
 
 #: study.json's names of the two wirings -> how scenario names spell them.
 WIRINGS = {"synchronous": "synchronous", "non_synchronous": "non-synchronous"}
+LATE_S = 4.0  #: after the last disturbance, when only what swings longest is left
+DEFAULT_LIMIT = 0.15  #: of the controllers' output, pu
 MARGIN_GRID_S = 1e-4  #: latencies beside the margin are rounded to this
 
 
@@ -163,7 +167,7 @@ def _folder(document: Document, cache: Path) -> Path:
     if document["controller"] in CONTROLLER_NAMES:
         controller = design_controller(case, document["controller"], cache)
         parts += [file_hash(controller_fmu(controller, case.omega_b, cache)), file_hash(channel_fmu(cache))]
-    parts += [code_hash("cosim.run"), source_hash("cosim", "*.[ch]")]
+    parts += [code_hash("cosim.study_runs"), source_hash("cosim", "*.[ch]")]
     return cache / "runs" / content_hash(*parts)
 
 
@@ -171,5 +175,28 @@ def _run_into(document: Document, folder: Path, cache: Path) -> None:
     with threadpool_limits(1):
         run = run_scenario(load_scenario(document), cache=cache)
     artefact(folder.parent, folder.name, "trajectory", ".parquet", run.trajectory.write_parquet)
-    text = json.dumps(run.metrics.as_dict(), indent=1, default=str)
+    numbers = run.metrics.as_dict()
+    numbers["late_damping"], numbers["at_limit"] = _late(run)
+    text = json.dumps(numbers, indent=1, default=str)
     artefact(folder.parent, folder.name, "metrics", ".json", lambda p: p.write_text(text, encoding="utf-8"))
+
+
+def _late(run: Run) -> tuple[float | None, bool]:
+    """Return the damping ratio of what swings longest, and whether the control still reaches its limit late.
+
+    The first: strongest mode of dw24 from 4 s after the last disturbance on; None when the control is at its
+    limit, or nothing is left. Late: the last quarter of the run.
+    """
+    curves, scenario = run.trajectory, run.scenario
+    time = curves.time_s
+    controls = [c for c in curves.data if c.startswith("controller.") and c.endswith("_vs")]
+    last = time >= 0.75 * time[-1]
+    limit = max((float(np.max(np.abs(curves[c]))) for c in controls), default=0.0)
+    at_limit = any(float(np.max(np.abs(curves[c][last]))) >= 0.999 * DEFAULT_LIMIT for c in controls)
+    _, signal = swing_signal(curves, run.case)
+    start = round(disturbance_end_s(scenario) + LATE_S, 6)
+    if limit >= 0.999 * DEFAULT_LIMIT or start + 3.0 > scenario.stop_s:
+        return None, at_limit
+    grid, values = uniform(time, signal[:, None], start, min(start + 8.0, scenario.stop_s), 0.05)
+    swings = [m for m in ring_down(grid, values).modes if 0.1 <= m.frequency_hz <= 2.5]
+    return (swings[0].damping_ratio if swings else None), at_limit
