@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 _BAND_HZ = (0.1, 3.0)  # electromechanical modes
 _SAMPLE_S = 0.05  # spacing of the fit: 20 samples a second carry modes up to 3 Hz well
-_LEAST_STRENGTH = 1e-3  # of the strongest mode's amplitude
+_LEAST_STRENGTH = 1e-2  # of the strongest mode's amplitude: below, harmonics and noise begin
+_LEAST_PURITY = 0.8  # share of the motion in the one shape that gives the name; a harmonic is a mixture
 _LEAST_WINDOW_S = 4.0
 _SKIP_S = 0.25  # after the last disturbance: fast, well damped modes die out
 
@@ -64,7 +65,8 @@ def ring_down_of(
     """Fit the machines' speeds (their common motion taken out) in a window; return named modes and the fit.
 
     Names by shape: a mode whose motion is mostly between the means of the areas is ``inter-area``, one mostly
-    inside area k is ``local area k``; of each the strongest.
+    inside area k is ``local area k``; of each the strongest. Mixtures, as harmonics of a large swing, have
+    no name.
     """
     speeds = np.column_stack([trajectory[f"plant.{g.name}_dw"] for g in case.machines])
     speeds = speeds - speeds.mean(axis=1, keepdims=True)
@@ -82,12 +84,14 @@ def ring_down_of(
         if not _BAND_HZ[0] <= mode.frequency_hz <= _BAND_HZ[1]:
             continue
         strongest = max(strongest, size)
-        if size >= _LEAST_STRENGTH * strongest:
-            named.setdefault(_name(np.array(mode.amplitudes), areas), mode)
+        name, purity = _name(np.array(mode.amplitudes), areas)
+        if size >= _LEAST_STRENGTH * strongest and purity >= _LEAST_PURITY:
+            named.setdefault(name, mode)
     return named, fit
 
 
-def _name(amplitudes: npt.NDArray[np.complex128], areas: npt.NDArray[np.int_]) -> str:
+def _name(amplitudes: npt.NDArray[np.complex128], areas: npt.NDArray[np.int_]) -> tuple[str, float]:
+    """Return the name of a shape and the share of the motion that the name covers."""
     between = 0.0
     inside = {}
     mean = amplitudes.mean()
@@ -96,7 +100,10 @@ def _name(amplitudes: npt.NDArray[np.complex128], areas: npt.NDArray[np.int_]) -
         between += len(part) * abs(part.mean() - mean) ** 2
         inside[area] = float(np.sum(np.abs(part - part.mean()) ** 2))
     largest = max(inside, key=lambda a: inside[a])
-    return "inter-area" if between >= inside[largest] else f"local area {largest}"
+    total = between + sum(inside.values())
+    if between >= inside[largest]:
+        return "inter-area", float(between / total)
+    return f"local area {largest}", inside[largest] / total
 
 
 def run_metrics(trajectory: Trajectory, case: Case, scenario: Scenario, step_s: float) -> m.Metrics:

@@ -239,14 +239,14 @@ def _controller(
     if path is not None:
         from interarea.design.controller import Controller
 
+        if not path.is_file():
+            raise ScenarioError(
+                f"{scenario.name}: controller = {scenario.controller!r} is neither a name nor a file, "
+                "allowed: none, wdc, cc, ftc or a controller file"
+            )
         return Controller.load(path)
     if controllers is not None:
         return controllers(scenario.controller, case)
-    if scenario.controller not in ("wdc", "cc", "ftc"):
-        raise ScenarioError(
-            f"{scenario.name}: controller = {scenario.controller!r}, "
-            "allowed: none, wdc, cc, ftc or a controller file"
-        )
     from . import artefacts
 
     return artefacts.design_controller(case, scenario.controller, cache)

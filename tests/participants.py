@@ -220,8 +220,9 @@ def delayed_reference(
     latency: float,
     breaks: Sequence[float],
     stop: float,
+    **solver: object,
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Solve dx/dt = rate(t, x, past) with past(t - latency) by the method of steps, DOP853 at 1e-12."""
+    """Solve dx/dt = rate(t, x, past) with past(t - latency) by the method of steps (DOP853 at 1e-12)."""
     from scipy.integrate import solve_ivp
 
     pieces: list[tuple[float, float, Callable[[float], np.ndarray]]] = []
@@ -246,11 +247,15 @@ def delayed_reference(
     for end in ends:
         if end - now < 1e-9:
             continue
-        middle = 0.5 * (now + end)
+        options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-16, **solver}
+        # events at a break belong to the piece after it: ask at times inside the piece only
         found = solve_ivp(
-            lambda t, x, m=middle: rate(t, x, past), (now, end), x, method="DOP853", rtol=1e-12, atol=1e-16,
-            dense_output=True, args=(),
-        )  # fmt: skip
+            lambda t, x, a=now, b=end: rate(min(max(t, a + 1e-12), b - 1e-12), x, past),
+            (now, end),
+            x,
+            dense_output=True,
+            **options,
+        )
         pieces.append((now, end, found.sol))
         now, x = end, found.y[:, -1]
 

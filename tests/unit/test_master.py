@@ -1,4 +1,4 @@
-"""The master against the delay differential equation, and what it promises: order, sameness, honest failure."""
+"""The master against the delay differential equation; what it promises and what it refuses."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def test_straight_lines_are_second_order_and_held_inputs_first() -> None:
 
 @pytest.mark.parametrize("inputs", ["hold-jacobi", "hold-gauss-seidel"])
 def test_held_inputs_add_the_latency_that_the_ledger_states(inputs: Any) -> None:
-    """To first order in H the run is the delay equation with the loop's stated latency added (error O(H^2))."""
+    """The run is the delay equation with the loop's stated latency added, up to an error of O(H^2)."""
     rows = []
     for h in (0.01, 0.005):
         master = loop(h, synchronous=True, inputs=inputs)

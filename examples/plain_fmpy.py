@@ -1,0 +1,90 @@
+"""A closed loop by hand: plant, channel and controller stepped in plain fmpy, no master of ours.
+
+The channel is 100 ms late and the step 10 ms, so at each step it goes first: what comes out of it
+depends on the past only. Then the controller, then the plant. Inputs are simply held here, which adds
+half a step of delay at each of the two inputs; the master of interarea hands over cubics instead.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import fmpy
+import numpy as np
+from fmpy.fmi2 import FMU2Slave
+
+from interarea.cosim.artefacts import channel_fmu, controller_fmu, default_cache, plant_fmu
+from interarea.design.controller import Controller
+from interarea.models.case import load_case
+from interarea.models.events import event_of
+from interarea.models.plant_block import event_parameters
+
+STEP_S, STOP_S = 0.01, 5.0
+
+
+class Instance:
+    """An FMU with its variables by name."""
+
+    def __init__(self, path: Path, name: str, start: dict[str, float] | None = None) -> None:
+        model = fmpy.read_model_description(str(path))
+        self.reference = {v.name: v.valueReference for v in model.modelVariables}
+        self.type = {v.name: v.type for v in model.modelVariables}
+        self.folder = fmpy.extract(str(path))
+        self.fmu = FMU2Slave(
+            instanceName=name,
+            guid=model.guid,
+            modelIdentifier=model.coSimulation.modelIdentifier,
+            unzipDirectory=self.folder,
+        )
+        self.fmu.instantiate()
+        self.fmu.setupExperiment(startTime=0.0, stopTime=STOP_S)
+        for variable, value in (start or {}).items():
+            self[variable] = value
+        self.fmu.enterInitializationMode()
+        self.fmu.exitInitializationMode()
+
+    def __setitem__(self, name: str, value: float) -> None:
+        if self.type[name] == "Real":
+            self.fmu.setReal([self.reference[name]], [value])
+        else:
+            self.fmu.setInteger([self.reference[name]], [int(value)])
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.fmu.getReal([self.reference[name]])[0])
+
+    def close(self) -> None:
+        self.fmu.terminate()
+        self.fmu.freeInstance()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def run(controller: Controller) -> np.ndarray:
+    """Return rows (time in s, speed of G2 less speed of G4 in pu)."""
+    case, cache = load_case("two-area-thesis"), default_cache()
+    pulse = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.0, "end_s": 1.2}
+    events = event_parameters(case, [event_of(pulse, where="example")])
+    plant = Instance(plant_fmu(case, cache), "plant", events)
+    channels = {s: Instance(channel_fmu(cache), s, {"latency": 0.1}) for s in controller.inputs}
+    control = Instance(controller_fmu(controller, case.omega_b, cache), "controller")
+    rows = []
+    for k in range(round(STOP_S / STEP_S)):
+        t = k * STEP_S
+        rows.append((t, plant["G2_dw"] - plant["G4_dw"]))
+        for signal, channel in channels.items():
+            channel["u"] = plant[signal]
+            channel.fmu.doStep(t, STEP_S)
+            control[signal] = channel["y"]
+        control.fmu.doStep(t, STEP_S)
+        for actuator in controller.outputs:
+            plant[actuator] = control[actuator]
+        plant.fmu.doStep(t, STEP_S)
+    for instance in (plant, control, *channels.values()):
+        instance.close()
+    return np.array(rows)
+
+
+if __name__ == "__main__":
+    for time_s, dw24 in run(Controller.load(sys.argv[1]))[::50]:
+        print(f"{time_s:5.2f} s  {dw24:+.3e} pu")

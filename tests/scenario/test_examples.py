@@ -1,0 +1,59 @@
+"""The examples run, and by hand and by master they agree as far as held inputs allow."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from interarea.cosim.run import Controllers, run_scenario
+from interarea.design.controller import Controller
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+def _output(*command: str) -> str:
+    done = subprocess.run(
+        [sys.executable, *command], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_ten_lines() -> None:
+    assert "inter-area damping 0.08" in _output(str(EXAMPLES / "ten_lines.py"))
+
+
+def test_a_new_controller_moves_the_damping() -> None:
+    found = re.search(r"damping ([\d.]+) -> ([\d.]+)", _output(str(EXAMPLES / "own_controller.py")))
+    assert found is not None
+    assert float(found[2]) > float(found[1]) + 0.02
+
+
+def test_the_pytest_file() -> None:
+    assert "1 passed" in _output(
+        "-m", "pytest", "-q", "-p", "no:cacheprovider", str(EXAMPLES / "test_my_scenario.py")
+    )
+
+
+def test_by_hand_and_by_master_agree_but_for_the_delay_of_held_inputs(
+    hand_controller: Controller, by_hand: Controllers, tmp_path: Path
+) -> None:
+    path = hand_controller.save(tmp_path / "k.json")
+    spec = importlib.util.spec_from_file_location("plain_fmpy", EXAMPLES / "plain_fmpy.py")
+    assert spec is not None and spec.loader is not None
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    rows = example.run(Controller.load(path))
+    late = {"remote": {"signal": "G2_dw", "latency_s": 0.1}, "local": {"signal": "G4_dw", "latency_s": 0.1}}
+    pulse = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.0, "end_s": 1.2}
+    document = {"case": "two-area-thesis", "controller": "wdc", "stop_s": 5.0, "step_s": 0.01}
+    run = run_scenario(document | {"channels": late, "event": [pulse]}, controllers=by_hand)
+    at = np.searchsorted(run.trajectory.time_s, rows[:, 0] - 1e-9)
+    dw24 = (run.trajectory["plant.G2_dw"] - run.trajectory["plant.G4_dw"])[at]
+    # one or two steps of delay in a loop of 0.6 Hz: a few per cent
+    assert np.max(np.abs(dw24 - rows[:, 1])) <= 0.05 * np.max(np.abs(dw24))

@@ -1,0 +1,80 @@
+"""Metrics against signals whose answer is known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from interarea.cosim import metrics as m
+
+T = 0.05 * np.arange(300)
+
+
+def swing(zeta: float, frequency_hz: float, phase: float = 0.0) -> np.ndarray:
+    """Free oscillation of damping ratio zeta; frequency_hz is the damped one, Im / 2 pi."""
+    w = 2 * np.pi * frequency_hz
+    return np.exp(-zeta / np.sqrt(1 - zeta**2) * w * T) * np.cos(w * T + phase)
+
+
+def test_three_modes_in_four_signals_are_told_apart() -> None:
+    shapes = np.array([[1.0, 0.9, -0.8, -1.0], [0.5, -0.6, 0.0, 0.01], [0.0, 0.02, 0.4, -0.4]])
+    wanted = [(0.08, 0.62), (0.25, 1.14), (0.20, 1.21)]
+    values = sum(np.outer(swing(z, f), s) for (z, f), s in zip(wanted, shapes, strict=True))
+    fit = m.ring_down(T, values, rank_tolerance=1e-8)
+    found = sorted((mode.frequency_hz, mode.damping_ratio) for mode in fit.modes)
+    np.testing.assert_allclose(found, [(f, z) for z, f in wanted], rtol=1e-6)
+    assert fit.error <= 1e-9
+    named = m.match_modes(fit, {"inter-area": shapes[0], "local": shapes[2]})
+    assert named["inter-area"].frequency_hz == pytest.approx(0.62)
+    assert named["local"].frequency_hz == pytest.approx(1.21)
+
+
+@given(st.floats(-0.02, 0.5), st.floats(0.2, 2.5), st.floats(0.0, 6.0))
+def test_one_mode_is_found_whatever_its_damping_frequency_and_phase(z: float, f: float, phase: float) -> None:
+    (mode,) = m.ring_down(T, swing(z, f, phase)[:, None], rank_tolerance=1e-9).modes[:1]
+    assert mode.damping_ratio == pytest.approx(z, abs=1e-6)
+    assert mode.frequency_hz == pytest.approx(f, rel=1e-6)
+
+
+def test_noise_moves_the_damping_by_its_own_size() -> None:
+    noisy = swing(0.1, 0.6) + 1e-4 * np.random.default_rng(3).standard_normal(len(T))
+    assert m.ring_down(T, noisy[:, None], rank_tolerance=1e-2).modes[0].damping_ratio == pytest.approx(
+        0.1, abs=1e-3
+    )
+
+
+def test_silence_has_no_modes() -> None:
+    assert m.ring_down(T, np.zeros((len(T), 2))).modes == ()
+
+
+@pytest.mark.parametrize("times", [T[:5], np.sort(np.random.default_rng(0).uniform(0, 1, 50))])
+def test_windows_that_cannot_be_fitted_are_refused(times: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="ring_down"):
+        m.ring_down(times, np.ones((len(times), 1)))
+
+
+def test_settling_time_of_an_exponential() -> None:
+    t = np.linspace(0.0, 10.0, 100_001)
+    assert m.settling_time_s(t, np.exp(-t), 0.0) == pytest.approx(np.log(50.0), abs=1e-6)
+    assert m.settling_time_s(t, np.exp(-t), 1.0) == pytest.approx(np.log(50.0) - 1.0, abs=1e-6)
+    assert m.settling_time_s(t, np.cos(t), 0.0) is None
+
+
+def test_energy_of_a_sine() -> None:
+    t = np.linspace(0.0, 2.0, 20_001)
+    assert m.energy(t, np.sin(np.pi * t)) == pytest.approx(1.0, abs=1e-8)
+    assert m.energy(t, np.sin(np.pi * t), 1.0) == pytest.approx(0.5, abs=1e-8)
+
+
+@pytest.mark.parametrize(("zeta", "stable"), [(0.01, True), (-0.01, False), (0.3, True)])
+def test_stability_is_decay(zeta: float, stable: bool) -> None:
+    assert m.is_stable(T, swing(zeta, 0.6), 1.0) is stable
+
+
+def test_a_uniform_window_drops_extra_points_only() -> None:
+    time = np.sort(np.append(T, [1.2345, 3.3333]))
+    grid, values = m.uniform(time, np.column_stack([np.sin(time)]), 1.0, 5.0, 0.1)
+    assert grid[0] == 1.0 and grid[-1] == pytest.approx(5.0)
+    np.testing.assert_allclose(values[:, 0], np.sin(grid), atol=1e-13)

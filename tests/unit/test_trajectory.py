@@ -1,0 +1,53 @@
+"""Trajectories: units and numbers survive the way through files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+from interarea.cosim.participant import Port, UnitOf
+from interarea.cosim.trajectory import Trajectory
+
+
+@pytest.fixture
+def trajectory() -> Trajectory:
+    times = np.array([0.0, 0.1, 0.2])
+    records = np.array([[1 / 3, 1.0, 0.0], [2 / 3, 2.0, 1.0], [np.pi, 3.0, 1.0]])
+    ports = [
+        Port("v", unit=UnitOf("pu"), description="Voltage"),
+        Port("n", type="Integer"),
+        Port("ok", type="Boolean"),
+    ]
+    return Trajectory.of_records(times, records, ["a.v", "a.n", "a.ok"], ports)
+
+
+def test_columns_units_and_types(trajectory: Trajectory) -> None:
+    assert list(trajectory.data) == ["time_s", "a.v", "a.n", "a.ok"]
+    assert trajectory.units == {"time_s": "s", "a.v": "pu", "a.n": "1", "a.ok": "1"}
+    assert trajectory.data.attrs["units"] == trajectory.units
+    assert trajectory.data["a.ok"].dtype == np.bool_
+    assert trajectory.data["a.n"].dtype == np.int64
+
+
+def test_parquet_keeps_bits_units_and_descriptions(trajectory: Trajectory, tmp_path: Path) -> None:
+    path = tmp_path / "t.parquet"
+    trajectory.write_parquet(path)
+    again = Trajectory.read_parquet(path)
+    pd.testing.assert_frame_equal(again.data, trajectory.data, check_exact=True)
+    assert again.units == trajectory.units
+    assert pq.read_schema(path).field("a.v").metadata == {b"unit": b"pu", b"description": b"Voltage"}
+
+
+def test_csv_keeps_bits(trajectory: Trajectory, tmp_path: Path) -> None:
+    trajectory.write_csv(tmp_path / "t.csv")
+    again = pd.read_csv(tmp_path / "t.csv")
+    assert (again["a.v"] == trajectory.data["a.v"]).all()
+
+
+def test_an_unknown_column_names_those_there_are(trajectory: Trajectory) -> None:
+    with pytest.raises(KeyError, match=r"a\.v"):
+        trajectory["a.w"]
