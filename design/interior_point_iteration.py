@@ -65,7 +65,7 @@ class Iteration:
             eta = max(10.0, np.sqrt(size), float(column.max(initial=0.0)), float(np.linalg.norm(C)))
             self.S.append(eta * np.eye(size, dtype=C.dtype))
             self.Ls.append(np.sqrt(eta) * np.eye(size, dtype=C.dtype))
-        self.stopped, self.verdict = False, ""
+        self.stopped, self.verdict, self.radius = False, "", 0.0
         self.bound = -np.inf  # best lower bound of the objective by the multipliers so far
         self.exact = False  # S is C + F(y) to the last digit
         self.Fz = self._start_multipliers(norms)
@@ -102,6 +102,7 @@ class Iteration:
             )
         start_residual = 1.0 + sum(float(np.linalg.norm(R)) for R in self._primal_residual())
         short = stale = 0
+        expected = self.c
         for iteration in range(1, self.max_iterations + 1):
             Z = [F @ F.conj().T for F in self.Fz]
             gradient = self.affine.adjoint(Z)
@@ -112,11 +113,13 @@ class Iteration:
             complementarity = sum(inner(S, W) for S, W in zip(self.S, Z, strict=True))
             self.gap = complementarity / scale
             self.doubt = float(np.abs(rp) @ np.abs(self.y)) / scale
+            if float(np.abs(rp - expected) @ np.abs(self.y)) > 0.1 * self.tolerance * scale and iteration > 1:
+                self.normal.careful = True
             if self.exact:
                 # <C, Z> < 0 here; the bound holds in as far as the optimal |y| is not beyond this one
                 bound = objective - (self.gap + self.doubt) * scale
                 stale = 0 if bound > self.bound + 0.1 * self.tolerance * scale else stale + 1
-                self.bound = max(self.bound, bound)
+                self.bound = bound if objective < self.bound else max(self.bound, bound)
                 if self.gap < self.tolerance and (
                     self.doubt < 10.0 * self.tolerance
                     or objective - self.bound < 11.0 * self.tolerance * scale
@@ -128,12 +131,14 @@ class Iteration:
             if not self.normal.factor([s.Ri for s in scalings], [s.G for s in scalings]):
                 break
             if not self.exact:
+                self.radius = max(self.radius, self.excluded_radius(Z))
                 certificate = self._certificate(scalings, Z, gradient)
                 if certificate is not None:
                     return self._finish("infeasible", iteration, self.verdict, certificate)
             step = self._step(scalings, rp, Rd, complementarity / self.degree)
             if step is None:
                 break
+            expected = (1.0 - step[1]) * rp
             short = short + 1 if max(step) < 1e-4 or min(step) < 1e-7 else 0
             if short >= 3 and iteration >= 12:
                 break
@@ -288,29 +293,37 @@ class Iteration:
         """Return Z scaled to <C, Z> = -1 where it proves that no y is feasible; `verdict` says how far."""
         if len(Z) != len(self.C) or any(cholesky(W) is None for W in Z):
             return None
-        value = sum(inner(C, W) for C, W in zip(self.C, Z, strict=True))
-        magnitude = sum(inner(np.abs(C), np.abs(W)) for C, W in zip(self.C, Z, strict=True))
-        if not value < -1e-9 * magnitude:
-            return None
-        residual = float(np.abs(self.affine.adjoint(Z)).sum())
-        radius = -value / residual if residual > 0.0 else float("inf")
+        radius = self.excluded_radius(Z)
         if not radius > _LEAST_RADIUS:
             return None
+        value = sum(inner(C, W) for C, W in zip(self.C, Z, strict=True))
         self.verdict = (
             "no point satisfies all inequalities: multipliers Z > 0 with <C, Z> = -1 and "
             f"F*(Z) = 0 but for {1.0 / radius:.1e}; a feasible point would need an entry above {radius:.1e}"
         )
         return [W / -value for W in Z]
 
+    def excluded_radius(self, Z: list[Matrix]) -> float:
+        """Return R such that Z > 0 excludes a feasible y with all entries below R (0: nothing excluded)."""
+        value = sum(inner(C, W) for C, W in zip(self.C, Z, strict=True))
+        magnitude = sum(inner(np.abs(C), np.abs(W)) for C, W in zip(self.C, Z, strict=True))
+        if not value < -1e-9 * magnitude:
+            return 0.0
+        residual = float(np.abs(self.affine.adjoint(Z)).sum())
+        return -value / residual if residual > 0.0 else float("inf")
+
     def _give_up(self, iteration: int) -> Solution:
         """End without having reached the tolerance."""
         Z = [F @ F.conj().T for F in self.Fz]
         objective = float(self.c @ self.y)
         if not self.exact:
-            return self._finish("failed", iteration, "no strictly feasible point and no certificate found", Z)
+            text = "no strictly feasible point found, no certificate that there is none"
+            if self.radius > 1.0:
+                text += f"; a feasible point would need an entry above {self.radius:.1e}"
+            return self._finish("failed", iteration, text, Z)
         uncertainty = (objective - self.bound) / (1.0 + abs(objective))
         text = f"strictly feasible, objective within {uncertainty:.1e} relative of a lower bound"
-        if self.gap < 1e3 * self.tolerance:
+        if self.gap < 1e3 * self.tolerance and uncertainty < 0.1:
             if uncertainty > 10.0 * self.tolerance:
                 text += "; the optimum is approached only by growing variables"
             return self._finish("almost optimal", iteration, text, Z)

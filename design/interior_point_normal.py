@@ -18,18 +18,21 @@ _SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9, 1e-7)
 class NormalEquations:
     """H = F*(G F(.) G) with its Cholesky factor.
 
-    Refining on H does as well as on the operator F*(G F(.) G) itself: the rounding that ends
-    an iteration is in G, not in H.
+    Solutions are refined by conjugate gradients: on H, and once `careful` on the operator
+    F*(G F(.) G) itself. On regular problems both end alike; where the optimum is approached only by
+    growing variables, the rounding in forming H would keep F*(Z) away from c.
     """
 
     def __init__(self, problem: Problem, affine: AffineMap) -> None:
         self._affine = affine
         self._schur = SchurComplement(problem, affine)
         self._factored = np.empty_like(self._schur.H)
+        self.careful = False
         self.used = np.ones(affine.m, bool)  #: coordinates that some block contains
 
     def factor(self, roots: Sequence[Matrix], metrics: Sequence[Matrix]) -> bool:
         """Form and factor H for Ri_k and G_k; False where it has no factor even with the largest shift."""
+        self._roots = roots
         H = self._schur.form(roots, metrics)
         diagonal = H.ravel()[:: self._affine.m + 1]
         diagonal[~self.used] = 1.0
@@ -45,7 +48,13 @@ class NormalEquations:
         return False
 
     def _apply(self, x: Vector) -> Vector:
-        product: Vector = blas.dsymv(1.0, self._schur.H.T, x, lower=1)
+        product: Vector
+        if not self.careful:
+            product = blas.dsymv(1.0, self._schur.H.T, x, lower=1)
+            return product
+        moved = zip(self._roots, self._affine.apply(x), strict=True)
+        product = self._affine.adjoint([R.conj().T @ (R @ F @ R.conj().T) @ R for R, F in moved])
+        product[~self.used] = x[~self.used]
         return product
 
     def _precondition(self, r: Vector) -> Vector:
@@ -54,7 +63,7 @@ class NormalEquations:
         return x
 
     def solve(self, right: Vector, accuracy: float = 1e-12) -> Vector:
-        """Solve H dy = right by at most three conjugate-gradient steps, preconditioned by the factor.
+        """Solve H dy = right by a few conjugate-gradient steps, preconditioned by the factor.
 
         `accuracy` is relative, in the norm that scales H to a unit diagonal.
         """
@@ -62,7 +71,7 @@ class NormalEquations:
         r = right - self._apply(x)
         wanted = accuracy * float(np.linalg.norm(right * self._weights))
         p, last = r, 0.0
-        for _ in range(3):
+        for _ in range(15 if self.careful else 3):
             if not float(np.linalg.norm(r * self._weights)) > wanted:
                 break
             z = self._precondition(r)
