@@ -18,7 +18,9 @@ Array = npt.NDArray[np.float64]
 _BAND_HZ = (0.1, 3.0)  # electromechanical modes
 _SAMPLE_S = 0.05  # spacing of the fit: 20 samples a second carry modes up to 3 Hz well
 _LEAST_STRENGTH = 1e-2  # of the strongest mode's amplitude: below, harmonics and noise begin
-_LEAST_PURITY = 0.8  # share of the motion in the one shape that gives the name; a harmonic is a mixture
+_LEAST_PURITY = (
+    0.6  # share of the motion in the shape that gives the name: harmonics are mixtures near a half
+)
 _LEAST_WINDOW_S = 4.0
 _SKIP_S = 0.25  # after the last disturbance: fast, well damped modes die out
 
