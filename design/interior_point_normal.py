@@ -78,8 +78,9 @@ class NormalEquations:
             rz = float(r @ z)
             p = z + (rz / last) * p if last else z
             q = self._apply(p)
-            step = rz / float(p @ q)
-            if not np.isfinite(step) or not rz > 0.0:
+            curvature = float(p @ q)
+            if not (rz > 0.0 and curvature > 0.0 and np.isfinite(rz) and np.isfinite(curvature)):
                 break
+            step = rz / curvature
             x, r, last = x + step * p, r - step * q, rz
         return x
