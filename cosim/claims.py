@@ -193,6 +193,11 @@ def _synchronous_delay(s: Study) -> Result:
     ours = (
         f"Inter-area damping {_delay_text(d['inter_area'], 0.1)}; exact margin {1e3 * margin:.1f} ms.{seen}"
     )
+    again = next((at for at, zeta in d["damping"] if at > margin and zeta > 0.0), None)
+    if again is not None:
+        ours += f" Not unstable throughout beyond it: at {1e3 * again:.0f} ms it decays again."
+    if below and above and not (below["stable"] and not above["stable"]):
+        return "partly", ours, "The co-simulation does not confirm the exact margin."
     return "agrees", ours, ""
 
 

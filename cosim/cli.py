@@ -142,7 +142,7 @@ def run(
     loaded = load_scenario(scenario)
     with busy(f"running {scenario}"):
         result = run_scenario(loaded, cache=default_cache())
-        files = write_run(result, loaded, out)
+        files = write_run(result, out)
     if explain:
         typer.echo(result.explain())
     for file in files:

@@ -1,0 +1,153 @@
+"""The command line: JSON on stdout, one line and exit code 2 for a user's mistake."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from interarea.cosim.cli import main
+from interarea.cosim.terminal import DEBUG_VARIABLE, complain
+
+SCENARIO = """
+case = "two-area-thesis"
+stop_s = 2.0
+step_s = 0.02
+[[event]]
+kind = "vref_pulse"
+machine = "G1"
+size_pu = 0.05
+start_s = 0.5
+end_s = 0.7
+"""
+
+
+@pytest.fixture
+def interarea(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):  # type: ignore[no-untyped-def]
+    """Return a call of the command: arguments -> (exit code, stdout, stderr)."""
+    monkeypatch.delenv(DEBUG_VARIABLE, raising=False)
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["interarea", *(str(a) for a in arguments)])
+        code = 0
+        try:
+            main()
+        except SystemExit as stopped:
+            code = int(stopped.code or 0)
+        out, err = capfd.readouterr()
+        return code, out, err
+
+    return call
+
+
+def test_cases_lists_the_bundled_cases(interarea) -> None:  # type: ignore[no-untyped-def]
+    code, out, _ = interarea("cases", "--json")
+    assert code == 0
+    assert json.loads(out)["two-area-thesis"]["machines"] == 4
+    assert "kundur-thyristor-z" in interarea("cases")[1]
+
+
+def test_modes_prints_what_an_independent_code_has(interarea) -> None:  # type: ignore[no-untyped-def]
+    """Eigenvalues of kundur-thyristor-z by another program, to 3 digits (issue 2)."""
+    code, out, _ = interarea("modes", "kundur-thyristor-z", "--json")
+    found = json.loads(out)
+    assert code == 0 and found["case"] == "kundur-thyristor-z"
+    assert found["states"] == len(found["eigenvalues"])
+    for name, (real, imaginary) in {
+        "inter-area": (0.0141, 3.829),
+        "local area 1": (-0.6604, 7.180),
+        "local area 2": (-0.6586, 7.403),
+    }.items():
+        assert found["modes"][name]["eigenvalue"] == [
+            pytest.approx(real, abs=5e-5),
+            pytest.approx(imaginary, abs=5e-4),
+        ]
+
+
+def test_loops_puts_g4_with_dw24_first(interarea) -> None:  # type: ignore[no-untyped-def]
+    found = json.loads(interarea("loops", "two-area-thesis", "--json")[1])
+    assert found["selected"] == {"actuator": "G4", "signal": "dw24"}
+    indices = [row["index"] for row in found["ranking"]]
+    assert indices == sorted(indices, reverse=True)
+    assert "coordinates" in found
+
+
+def test_build_writes_the_plant(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    code, out, _ = interarea("build", "two-area-thesis", "--out", tmp_path)
+    assert code == 0
+    assert Path(out.strip()) == tmp_path / "two-area-thesis.fmu"
+    assert Path(out.strip()).read_bytes()[:2] == b"PK"
+
+
+def test_run_writes_its_four_files(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    file = tmp_path / "pulse.toml"
+    file.write_text(SCENARIO, encoding="utf-8")
+    code, out, _ = interarea("run", file, "--out", tmp_path / "out", "--explain")
+    assert code == 0
+    names = {"trajectory.csv", "trajectory.parquet", "metrics.json", "run.svg"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == names
+    assert (tmp_path / "out" / "trajectory.csv").read_text().startswith("time_s,plant.G1_dw")
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["stable"] in (True, False)
+    assert "step 20 ms" in out
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (('"two-area-thesis"', '"two-area-thesys"'), ("two-area-thesys", "two-area-thesis")),
+        (("vref_pulse", "vref_pulses"), ("vref_pulses", "vref_pulse")),
+        (('"G1"', '"G9"'), ("G9",)),
+        (("start_s = 0.5", "start_s = 5.0"), ("start_s",)),
+        (("stop_s", "stop"), ("stop",)),
+        (("stop_s = 2.0", "stop_s = "), ("TOML",)),
+    ],
+)
+def test_a_mistake_in_a_scenario_is_one_line(  # type: ignore[no-untyped-def]
+    interarea, tmp_path: Path, change: tuple[str, str], words: tuple[str, ...]
+) -> None:
+    file = tmp_path / "wrong.toml"
+    file.write_text(SCENARIO.replace(*change), encoding="utf-8")
+    code, out, err = interarea("run", file, "--out", tmp_path / "out")
+    assert code == 2 and out == ""
+    assert err.count("\n") == 1 and "Traceback" not in err
+    assert all(word in err for word in words)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("modes", "nowhere"),
+        ("modes", "missing.toml"),
+        ("study", "nothing", "--out", "x"),
+        ("run", "missing.toml", "--out", "x"),
+    ],
+)
+def test_what_does_not_exist_is_one_line(interarea, tmp_path: Path, monkeypatch, arguments) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.chdir(tmp_path)
+    code, out, err = interarea(*arguments)
+    assert code == 2 and out == "" and err.count("\n") == 1
+    assert arguments[1] in err and not (tmp_path / "x").exists()
+
+
+def test_a_missing_compiler_is_one_line(interarea, tmp_path: Path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.setenv("INTERAREA_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("CC", str(tmp_path / "no-such-compiler"))
+    code, _, err = interarea("build", "two-area-thesis", "--out", tmp_path / "out")
+    assert code == 2 and err.count("\n") == 1 and "no-such-compiler" in err
+
+
+def test_an_unknown_command_or_option_ends_with_2(interarea) -> None:  # type: ignore[no-untyped-def]
+    assert interarea("nonsense")[0] == 2
+    assert interarea("modes", "two-area-thesis", "--nonsense")[0] == 2
+
+
+def test_a_fault_of_ours_says_so_and_ends_with_1(capsys: pytest.CaptureFixture[str], monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.delenv(DEBUG_VARIABLE, raising=False)
+    assert complain(ZeroDivisionError("division by zero")) == 1
+    assert DEBUG_VARIABLE in capsys.readouterr().err
+    monkeypatch.setenv(DEBUG_VARIABLE, "1")
+    complain(ZeroDivisionError("division by zero"))
+    assert "ZeroDivisionError" in capsys.readouterr().err

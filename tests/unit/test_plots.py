@@ -1,0 +1,79 @@
+"""Figures: the numbers drawn are those given, the bytes depend on nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+
+from interarea.cosim import plots
+from interarea.cosim.diagrams import generalised_plant_diagram, one_line_diagram
+from interarea.models.case import load_case
+from interarea.models.powerflow import solve_powerflow
+
+
+def test_frequency_response_of_a_lag_is_its_closed_form() -> None:
+    lag = control.ss([[-2.0]], [[2.0]], [[1.0]], [[0.5]])
+    omega = np.array([0.0, 2.0, 20.0])
+    got = plots.frequency_response(lag, omega)[:, 0, 0]
+    assert got == pytest.approx(2.0 / (1j * omega + 2.0) + 0.5, abs=1e-14)
+
+
+def test_frequency_response_without_states_is_the_gain() -> None:
+    got = plots.frequency_response(control.ss([], [], [], [[3.0]]), np.array([1.0, 10.0]))
+    assert np.array_equal(got, np.full((2, 1, 1), 3.0 + 0j))
+
+
+def test_the_same_data_give_the_same_bytes(tmp_path: Path) -> None:
+    t = np.linspace(0.0, 5.0, 501)
+    files = [
+        plots.save_figure(plots.time_plot({"a": (t, np.sin(t)), "b": (t, np.cos(t))}), tmp_path / f"{k}.svg")
+        for k in range(2)
+    ]
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert b"<text" not in files[0].read_bytes()  # text is outlines: no font is needed to look alike
+
+
+def test_time_plot_draws_the_values_in_thousandths() -> None:
+    t = np.array([0.0, 1.0, 2.0])
+    axes = plots.time_plot({"dw24": (t, np.array([0.0, 1e-3, -2e-3]))}).axes[0]
+    assert axes.lines[0].get_ydata() == pytest.approx([0.0, 1.0, -2.0])
+
+
+def test_participation_plot_shows_the_largest_first() -> None:
+    figure = plots.participation_plot({"G1.slip": 0.2, "G2.slip": 0.5, "G1.eq1": 0.1}, ["G1", "G2"], count=2)
+    labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    assert labels == ["G2.slip", "G1.slip"]
+
+
+def test_latency_panels_has_one_panel_for_each_latency() -> None:
+    t = np.linspace(0.0, 1.0, 11)
+    curves = {f"{k} ms": (t, t * k) for k in (1, 2, 3)}
+    figure = plots.latency_panels(curves, ("none", (t, t)))
+    assert [a.get_title() for a in figure.axes if a.get_visible()] == ["", "", ""]
+    assert [a.get_title(loc="left") for a in figure.axes if a.get_visible()] == list(curves)
+
+
+def test_curves_are_told_apart_without_colour() -> None:
+    t = np.array([0.0, 1.0])
+    figure = plots.time_plot(dict.fromkeys("abcd", (t, t)))
+    assert (
+        len({(line.get_linestyle(), str(line._unscaled_dash_pattern)) for line in figure.axes[0].lines}) == 4
+    )
+
+
+def test_one_line_diagram_names_every_bus_and_machine() -> None:
+    case = load_case("two-area-thesis")
+    places = {bus.number: (float(k), float(k % 2)) for k, bus in enumerate(case.buses)}
+    figure = one_line_diagram(solve_powerflow(case), places)
+    words = {text.get_text() for text in figure.axes[0].texts}
+    assert {str(bus.number) for bus in case.buses} <= words
+    assert {m.name for m in case.machines} <= words
+    assert "700 MW" in words  # dispatch of G1, Kundur1994 Ex. 12.6
+
+
+def test_generalised_plant_diagram_has_its_four_boxes() -> None:
+    words = {text.get_text() for text in generalised_plant_diagram().axes[0].texts}
+    assert {"K(s)", "G(s)", "W$_1$(s)", "W$_2$(s)"} <= words

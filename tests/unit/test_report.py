@@ -1,0 +1,135 @@
+"""The report: self-contained, complete, and its verdicts follow the numbers."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sample_study import sample_study
+
+from interarea.cosim.claims import CHECKS, judge_loops, judge_modes, judge_statements
+from interarea.cosim.plots import SERIES, save_figure, time_plot
+from interarea.cosim.published import PrintedNumber, published
+from interarea.cosim.report import inline_svg, render_report, write_report
+
+
+@pytest.fixture
+def figure(tmp_path: Path) -> Path:
+    t = np.linspace(0.0, 5.0, 51)
+    return save_figure(time_plot({"a": (t, np.sin(t))}), tmp_path / "figure.svg")
+
+
+def verdict_of(study: dict[str, object], check: str) -> str:
+    says = next(row["says"] for row in published()["statement"] if row["check"] == check)
+    return next(j.verdict for j in judge_statements(study) if j.says == says)
+
+
+class Page(HTMLParser):
+    """Collects ids, references and unclosed tags."""
+
+    VOID = frozenset({"meta", "br", "img", "link", "hr", "input"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.addresses: list[str] = []
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            if name == "id" and value is not None:
+                self.ids.append(value)
+            if name in ("src", "href", "xlink:href") and value is not None:
+                self.addresses.append(value)
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in self.VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-3:]}"
+        self.open.pop()
+
+
+def test_page_is_well_formed_and_loads_nothing(figure: Path) -> None:
+    text = render_report(sample_study(), {"5.10": figure, "5.15": figure, "delay": figure})
+    page = Page()
+    page.feed(text)
+    assert page.open == []
+    assert len(page.ids) == len(set(page.ids))  # two figures share no id
+    local = {f"#{name}" for name in page.ids}
+    assert [a for a in page.addresses if a not in local] == []
+    assert "http" not in re.sub(r'xmlns(:\w+)?="[^"]*"', "", text)
+
+
+def test_page_shows_printed_beside_ours(figure: Path) -> None:
+    text = render_report(sample_study(), {"5.10": figure})
+    for word in ("0.6227", "0.08055", "0.08059", "0.1996", "430.1 ms", "0.296"):
+        assert word in text
+
+
+def test_the_same_study_gives_the_same_page(tmp_path: Path, figure: Path) -> None:
+    pages = [write_report(sample_study(), {"5.10": figure}, tmp_path / f"{k}.html") for k in range(2)]
+    assert pages[0].read_bytes() == pages[1].read_bytes()
+    assert not list(tmp_path.glob("*.partial"))
+
+
+def test_colours_of_an_inlined_figure_follow_the_theme(figure: Path) -> None:
+    text = inline_svg(figure, "5.10")
+    assert "var(--s0)" in text
+    assert not any(colour in text.lower() for colour in SERIES)
+
+
+def test_names_from_a_study_file_cannot_break_the_page(figure: Path) -> None:
+    study = sample_study() | {"title": "<script>alert(1)</script>"}
+    assert "<script>" not in render_report(study, {"5.10": figure})
+
+
+def test_every_statement_has_its_check_and_every_check_its_statement() -> None:
+    assert {row["check"] for row in published()["statement"]} == set(CHECKS)
+
+
+@pytest.mark.parametrize(
+    ("text", "ours", "agrees"), [("0.6227", 0.62274, True), ("0.6227", 0.62276, False), ("8", 8.4, True)]
+)
+def test_printed_digits_are_the_tolerance(text: str, ours: float, agrees: bool) -> None:
+    assert PrintedNumber(text).agrees(ours) is agrees
+
+
+def test_modes_are_judged_as_printed_and_exchanged() -> None:
+    verdicts = {(r["mode"], r["reading"]): r["frequency_hz"]["verdict"] for r in judge_modes(sample_study())}
+    assert verdicts["inter-area", "as printed"] == "agrees"
+    assert verdicts["local area 1", "as printed"] == "differs"
+    assert verdicts["local area 2", "rows exchanged"] == "agrees"
+
+
+def test_loops_are_ranked_among_those_that_both_have() -> None:
+    rows = {
+        (r["actuator"], r["signal"]): (r["rank_printed"], r["rank_ours"]) for r in judge_loops(sample_study())
+    }
+    assert rows["G4", "dw24"] == (1, 1)
+    assert rows["G1", "dw13"] == (None, None)  # not in the sample
+
+
+def test_verdicts_follow_the_numbers() -> None:
+    study = sample_study()
+    assert verdict_of(study, "cc_lost") == "differs"
+    study["controllers"]["cc"]["stable"]["remote_lost"] = False
+    assert verdict_of(study, "cc_lost") == "agrees"
+    assert verdict_of(study, "effort") == "agrees"
+    study["controllers"]["ftc"]["effort"] = 0.01
+    assert verdict_of(study, "effort") == "differs"
+    assert verdict_of(study, "non_synchronous_delay") == "differs"
+    study["delay"]["non_synchronous"]["margin_s"] = 0.9
+    assert verdict_of(study, "non_synchronous_delay") == "agrees"
+    assert verdict_of(study, "synchronous_delay") == "agrees"
+    study["scenarios"]["wdc-margin-above"]["stable"] = True
+    assert verdict_of(study, "synchronous_delay") == "partly"
+    study["controllers"]["wdc"]["damping_ratio"]["normal"]["inter-area"] = 0.2
+    assert verdict_of(study, "wdc_damping") == "differs"

@@ -1,0 +1,236 @@
+"""The study: its scenarios, its certificates against independent paths, and the whole of it end to end."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from interarea.cosim import study_certificate as certificates
+from interarea.cosim.artefacts import artefact, code_hash, content_hash, linear_plant, place
+from interarea.cosim.errors import ScenarioError
+from interarea.cosim.ringdown import swing_signal
+from interarea.cosim.run import Controllers, run_scenario
+from interarea.cosim.scenario import load_scenario
+from interarea.cosim.study import STAGES, load_study, run_study, study_names
+from interarea.cosim.study_delay import least_damping
+from interarea.cosim.study_runs import scenario_documents
+from interarea.design.controller import Controller
+from interarea.design.linearise import remove_reference, select, speeds_in_rad
+from interarea.design.modes import Modes, modes_of
+from interarea.models.case import Case
+
+
+@pytest.fixture(scope="module")
+def plant(two_area: Case, cache: Path) -> control.StateSpace:
+    return speeds_in_rad(remove_reference(linear_plant(two_area, cache)), two_area.omega_b)
+
+
+@pytest.fixture(scope="module")
+def modes(plant: control.StateSpace, two_area: Case) -> Modes:
+    return modes_of(plant, two_area.areas)
+
+
+def test_every_scenario_of_the_study_is_a_valid_scenario() -> None:
+    documents = scenario_documents(load_study("thesis"), 0.43)
+    for name, document in documents.items():
+        assert load_scenario(document).stop_s > 0.0, name
+    wanted = {"none-pulse", "wdc-pulse", "cc-lost-10s", "ftc-lost-1s", "wdc-fault", "wdc-synchronous-500ms"}
+    assert wanted <= set(documents)
+
+
+def test_wirings_differ_in_the_local_latency_only() -> None:
+    documents = scenario_documents(load_study("thesis"), None)
+    both = documents["wdc-synchronous-100ms"]["channels"]
+    remote = documents["wdc-non-synchronous-100ms"]["channels"]
+    assert both["remote"] == remote["remote"] == {"signal": "G2_dw", "latency_s": 0.1}
+    assert both["local"]["latency_s"] == 0.1 and "latency_s" not in remote["local"]
+
+
+def test_runs_beside_the_margin_lie_on_either_side_of_it() -> None:
+    documents = scenario_documents(load_study("thesis"), 0.24660430246624196)
+    below, above = (
+        documents[f"wdc-margin-{s}"]["channels"]["remote"]["latency_s"] for s in ("below", "above")
+    )
+    assert below < 0.2466043 < above
+    assert "wdc-margin-below" not in scenario_documents(load_study("thesis"), None)
+
+
+def test_unknown_and_incomplete_studies_are_refused(tmp_path: Path) -> None:
+    assert study_names() == ["thesis"]
+    with pytest.raises(ScenarioError, match=r"thesis"):
+        load_study("thesys")
+    short = tmp_path / "short.toml"
+    short.write_text('title = "x"\n')
+    with pytest.raises(ScenarioError, match=r"short\.toml: case, "):
+        load_study(str(short))
+
+
+def test_swing_poles_are_poles_of_the_closed_loop(
+    plant: control.StateSpace, modes: Modes, hand_controller: Controller
+) -> None:
+    K = hand_controller.system
+    G = select(plant, ["G4_vs"], ["G2_dw", "G4_dw"])
+    poles = np.linalg.eigvals(np.block([[G.A, G.B @ K.C], [K.B @ G.C, K.A]]))
+    found = certificates.swing_poles(plant, K, modes)
+    assert list(found) == list(modes)
+    for pole in found.values():
+        assert np.min(np.abs(poles - pole)) < 1e-9
+    assert len({complex(np.round(p, 6)) for p in found.values()}) == 3
+
+
+def test_with_every_signal_lost_the_modes_are_those_of_the_plant(
+    plant: control.StateSpace, modes: Modes, hand_controller: Controller
+) -> None:
+    found = certificates.swing_poles(plant, hand_controller.system, modes, lost=("G2_dw", "G4_dw"))
+    for name, mode in modes.items():
+        assert found[name] == pytest.approx(mode.eigenvalue, abs=1e-8)
+
+
+def test_certificate_says_lost_where_the_signal_is_lost(
+    plant: control.StateSpace, modes: Modes, hand_controller: Controller
+) -> None:
+    row = certificates.certificate(plant, hand_controller, modes)
+    lost = certificates.swing_poles(plant, hand_controller.system, modes, lost=("G2_dw",))
+    z = -lost["inter-area"].real / abs(lost["inter-area"])
+    assert row["damping_ratio"]["remote_lost"]["inter-area"] == pytest.approx(z, abs=1e-12)
+    assert row["remote_utilisation"] == pytest.approx(np.sqrt(0.5), abs=1e-12)  # acts on the difference
+    json.dumps(row, allow_nan=False)
+
+
+def test_effort_is_the_peak_of_the_gain(plant: control.StateSpace, hand_controller: Controller) -> None:
+    K = hand_controller.system
+    G = select(plant, ["G4_vs"], ["G2_dw", "G4_dw"])
+    peak = 0.0
+    for w in np.logspace(-2, 2, 4000):
+        g, k = G(1j * w).reshape(2, 1), K(1j * w).reshape(1, 2)
+        peak = max(peak, float(np.linalg.norm(k @ np.linalg.inv(np.eye(2) - g @ k), 2)))
+    found = certificates.effort(plant, K)
+    assert peak <= found * (1.0 + 1e-9)
+    assert found == pytest.approx(peak, rel=1e-3)
+
+
+def test_least_damping_without_latency_is_that_of_the_eigenvalues(
+    plant: control.StateSpace, hand_controller: Controller
+) -> None:
+    K = hand_controller.system
+    poles = np.linalg.eigvals(certificates.closed_loop_matrix(plant, K))
+    hertz = np.abs(poles.imag) / (2.0 * np.pi)
+    swings = poles[(hertz >= 0.1) & (hertz <= 2.5)]
+    expected = float(np.min(-swings.real / np.abs(swings)))
+    assert least_damping(plant, K, {"G2_dw": 0.0, "G4_dw": 0.0}) == pytest.approx(expected, abs=1e-8)
+
+
+def test_an_artefact_is_made_once_and_never_half(tmp_path: Path) -> None:
+    made = []
+
+    def make(path: Path) -> None:
+        made.append(path)
+        path.write_text("whole")
+
+    def fail(path: Path) -> None:
+        path.write_text("half")
+        raise RuntimeError("stopped")
+
+    with pytest.raises(RuntimeError, match="stopped"):
+        artefact(tmp_path, "kind", "key", ".txt", fail)
+    assert not (tmp_path / "kind" / "key.txt").exists()
+    first = artefact(tmp_path, "kind", "key", ".txt", make)
+    assert artefact(tmp_path, "kind", "key", ".txt", make) == first and len(made) == 1
+    assert place(first, tmp_path / "out" / "copy.txt").read_text() == "whole"
+    assert sorted(p.name for p in (tmp_path / "kind").iterdir()) == ["key.txt"]
+
+
+def test_keys_tell_apart_what_differs() -> None:
+    a = np.array([1.0, 2.0])
+    assert content_hash(a) != content_hash(a.astype(np.float32))
+    assert content_hash(a.reshape(1, 2)) != content_hash(a)
+    assert content_hash("ab", "c") != content_hash("a", "bc")
+    assert content_hash({"x": 1, "y": 2}) == content_hash({"y": 2, "x": 1})
+    assert code_hash("design.linearise") != code_hash("design.modes")
+
+
+def test_a_small_pulse_through_the_nonlinear_loop_is_the_linear_response(
+    plant: control.StateSpace, hand_controller: Controller, by_hand: Controllers, two_area: Case, cache: Path
+) -> None:
+    """Linear side: zero-order hold of the closed loop by the matrix exponential; 1 % of the peak."""
+    size, step, stop = 0.002, 0.01, 8.0
+    event = {"kind": "vref_pulse", "machine": "G1", "size_pu": size, "start_s": 1.0, "end_s": 1.2}
+    scenario = {
+        "case": "two-area-thesis",
+        "controller": "ftc",
+        "stop_s": stop,
+        "step_s": step,
+        "event": [event],
+    }
+    run = run_scenario(scenario, cache=cache, controllers=by_hand)
+    time, (_, nonlinear) = run.trajectory.time_s, swing_signal(run.trajectory, two_area)
+
+    K = hand_controller.system
+    A = certificates.closed_loop_matrix(plant, K)
+    b = np.concatenate([select(plant, ["G1_vs"], ["G2_dw"]).B[:, 0], np.zeros(K.nstates)])
+    C = select(plant, ["G1_vs"], {"dw24": {"G2_dw": 1.0, "G4_dw": -1.0}}).C[0] / two_area.omega_b
+    n = A.shape[0]
+    F = expm(np.block([[A, b[:, None]], [np.zeros((1, n + 1))]]) * step)
+    x, linear = np.zeros(n), []
+    for k in range(round(stop / step) + 1):
+        linear.append(C @ x[: C.size])
+        x = F[:n, :n] @ x + F[:n, n] * (size if 100 <= k < 120 else 0.0)
+    expected = np.interp(time, step * np.arange(len(linear)), linear)
+    assert np.max(np.abs(nonlinear - expected)) <= 0.01 * np.max(np.abs(expected))
+
+
+@pytest.mark.slow
+def test_the_whole_study(tmp_path: Path, cache: Path) -> None:
+    """What issue 2 asks of the result, on real FMUs."""
+    stages: dict[str, float] = {}
+    study = run_study("thesis", tmp_path, lambda stage, done: stages.__setitem__(stage, done))
+    assert stages == dict.fromkeys(STAGES, 1.0)
+    assert json.loads((tmp_path / "study.json").read_text()) == study
+    assert study["schema"] == 1 and study["case"] == "two-area-thesis"
+
+    inter = study["modes"]["inter-area"]
+    assert inter["frequency_hz"] == pytest.approx(0.6227, rel=0.005)
+    assert inter["damping_ratio"] == pytest.approx(0.0806, abs=0.002)
+    assert study["loops"]["selected"] == {"actuator": "G4", "signal": "dw24"}
+
+    open_loop = {name: row["damping_ratio"] for name, row in study["modes"].items()}
+    wdc, ftc = study["controllers"]["wdc"], study["controllers"]["ftc"]
+    assert wdc["order"] == 4 and wdc["damping_ratio"]["normal"]["inter-area"] >= 0.291
+    for name, zeta in wdc["damping_ratio"]["normal"].items():
+        assert zeta >= open_loop[name] - 0.02
+    assert ftc["order"] == 5
+    for condition in ("normal", "remote_lost"):
+        assert ftc["stable"][condition]
+        assert ftc["damping_ratio"][condition]["inter-area"] >= 0.30
+        for name, zeta in ftc["damping_ratio"][condition].items():
+            assert zeta >= open_loop[name] - 1e-3
+
+    margin = study["delay"]["synchronous"]["margin_s"]
+    assert study["scenarios"]["wdc-margin-below"]["stable"]
+    assert not study["scenarios"]["wdc-margin-above"]["stable"]
+    rows = study["delay"]["synchronous"]["damping"]
+    assert all((zeta > 0.0) for delay, zeta in rows if delay < margin)
+    assert min(zeta for _, zeta in study["delay"]["non_synchronous"]["damping"]) > 0.1
+
+    for folder, suffix in (("fmus", ".fmu"), ("figures", ".svg"), ("results", ".parquet")):
+        assert {p.suffix for p in (tmp_path / folder).iterdir()} == {suffix}
+    for path in study["figures"].values():
+        assert (tmp_path / path).is_file()
+    assert {f"5.{k}" for k in range(1, 27) if k != 18} <= set(study["figures"])
+    assert len(list((tmp_path / "results").iterdir())) == len(study["scenarios"])
+
+    # the co-simulated nonlinear plant rings down as the linear one does
+    assert study["scenarios"]["none-pulse"]["damping_ratio"] == pytest.approx(
+        inter["damping_ratio"], abs=0.002
+    )
+
+    before = {p.name: p.stat().st_mtime_ns for p in (cache / "runs").iterdir()}
+    again = run_study("thesis", tmp_path / "again")
+    assert again == study
+    assert (tmp_path / "again" / "report.html").read_bytes() == (tmp_path / "report.html").read_bytes()
+    assert before == {p.name: p.stat().st_mtime_ns for p in (cache / "runs").iterdir()}
