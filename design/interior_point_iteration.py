@@ -111,6 +111,8 @@ class Iteration:
             objective = float(self.c @ self.y)
             scale = 1.0 + abs(objective)
             complementarity = sum(inner(S, W) for S, W in zip(self.S, Z, strict=True))
+            if not 0.0 < complementarity < np.inf:
+                break
             self.gap = complementarity / scale
             self.doubt = float(np.abs(rp) @ np.abs(self.y)) / scale
             if float(np.abs(rp - expected) @ np.abs(self.y)) > 0.1 * self.tolerance * scale and iteration > 1:
@@ -323,11 +325,21 @@ class Iteration:
             return self._finish("failed", iteration, text, Z)
         uncertainty = (objective - self.bound) / (1.0 + abs(objective))
         text = f"strictly feasible, objective within {uncertainty:.1e} relative of a lower bound"
-        if self.gap < 1e3 * self.tolerance and uncertainty < 0.1:
+        if self._unbounded(objective):
+            return self._finish(
+                "failed", iteration, "the objective is unbounded below along the point returned", Z
+            )
+        if self.gap < 1e3 * self.tolerance:
             if uncertainty > 10.0 * self.tolerance:
-                text += "; the optimum is approached only by growing variables"
+                text += f" (gap {self.gap:.1e}); the optimum is approached only by growing variables"
             return self._finish("almost optimal", iteration, text, Z)
         return self._finish("failed", iteration, text, Z)
+
+    def _unbounded(self, objective: float) -> bool:
+        """Tell whether y is, next to its size, a direction that stays feasible and lowers the objective."""
+        if not objective < -1e6:
+            return False
+        return all(np.linalg.eigvalsh(F)[0] > 1e-6 * objective for F in self.affine.apply(self.y))
 
     def _finish(self, status: str, iterations: int, message: str, Z: list[Matrix] | None = None) -> Solution:
         values, scalars = self.affine.unpack(self.y)
