@@ -214,11 +214,10 @@ def linear_plant(case: Case, cache: Path) -> control.StateSpace:
 
 
 def _save_linear(system: control.StateSpace, path: Path) -> None:
-    names = {"states": system.state_labels, "inputs": system.input_labels, "outputs": system.output_labels}
+    arrays: dict[str, Any] = {m: getattr(system, m) for m in "ABCD"}
+    arrays |= {"states": system.state_labels, "inputs": system.input_labels, "outputs": system.output_labels}
     with path.open("wb") as out:
-        np.savez(
-            out, A=system.A, B=system.B, C=system.C, D=system.D, **{k: np.array(v) for k, v in names.items()}
-        )
+        np.savez(out, **arrays)
 
 
 def design_controller(case: Case, name: str, cache: Path, *, reduce: bool = True) -> Controller:

@@ -27,7 +27,7 @@ INK, MUTED, GRID = "#1f2328", "#6e7781", "#d0d7de"
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)), "-", (0, (5, 1.5)))
 
-STYLE: dict[str, Any] = {
+STYLE: Any = {
     "svg.fonttype": "path",
     "svg.hashsalt": "interarea",
     "font.family": "DejaVu Sans",
@@ -174,7 +174,7 @@ def singular_value_plot(
     figure, axes = new_figure()
     with mpl.rc_context(STYLE):
         for k, (label, system) in enumerate(systems.items()):
-            top = np.linalg.svd(frequency_response(system, omega), compute_uv=False)[:, 0]
+            top: Array = np.linalg.svd(frequency_response(system, omega), compute_uv=False)[:, 0]
             _magnitude(axes, omega, top, label, k)
         _frequency_axis(axes, omega)
         axes.set_ylabel(f"largest singular value ({ylabel})")

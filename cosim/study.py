@@ -57,8 +57,19 @@ STAGES = (
     "figures",
     "report",
 )
-KEYS = ("title", "case", "published", "stop_s", "step_s", "remote", "local")
-KEYS += ("disturbance", "latency", "margin", "scenario")
+KEYS = (
+    "title",
+    "case",
+    "published",
+    "stop_s",
+    "step_s",
+    "remote",
+    "local",
+    "disturbance",
+    "latency",
+    "margin",
+    "scenario",
+)
 
 
 def run_study(name: str, out: Path, progress: StageProgress | None = None) -> dict[str, Any]:

@@ -48,7 +48,8 @@ def latency_analysis(
     """
     K = controller.system
     roots = swing_poles(plant, K, modes)
-    grid = np.round(np.arange(0.0, max(spec["latency"]["values_s"]) + GRID_S / 2, GRID_S), 6)
+    count = round(max(spec["latency"]["values_s"]) / GRID_S)
+    grid = np.array([round(GRID_S * k, 6) for k in range(count + 1)])
     wirings = {"synchronous": list(K.input_labels), "non_synchronous": [spec["remote"]]}
     found = {}
     for k, (wiring, signals) in enumerate(wirings.items()):

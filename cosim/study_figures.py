@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -82,8 +83,8 @@ def _recipes(p: StudyParts) -> Iterator[tuple[str, Callable[[], Figure]]]:
     numbers = zip(("5.2", "5.3", "5.4"), ("5.5", "5.6", "5.7"), p.modes.items(), strict=False)
     for first, second, (name, mode) in numbers:
         title = f"{name}: {mode.frequency_hz:.3f} Hz, ζ = {mode.damping_ratio:.3f}"
-        yield first, lambda m=mode: participation_plot(m.participation, machines)
-        yield second, lambda m=mode, t=title: mode_shape_plot(m.shape, p.case.areas, t)
+        yield first, partial(participation_plot, mode.participation, machines)
+        yield second, partial(mode_shape_plot, mode.shape, p.case.areas, title)
     yield "5.8", lambda: singular_value_plot(_against(p, "6", True), OMEGA)
     yield "5.17", generalised_plant_diagram
     yield "5.19", lambda: singular_value_plot(_against(p, "8", False), OMEGA)
@@ -95,7 +96,7 @@ def _recipes(p: StudyParts) -> Iterator[tuple[str, Callable[[], Figure]]]:
         ),
     )
     for number, name in (("5.9", "wdc"), ("5.20", "cc"), ("5.22", "ftc")):
-        yield number, lambda n=name: bode_plot(_orders(p, n), OMEGA)
+        yield number, partial(bode_plot, _orders(p, name), OMEGA)
     yield from _sensitivities(p)
     yield from _time_figures(p)
     yield (
@@ -160,12 +161,7 @@ def _time_figures(p: StudyParts) -> Iterator[tuple[str, Callable[[], Figure]]]:
         names = {
             f"{round(1e3 * v)} ms": f"wdc-{wiring}-{round(1e3 * v)}ms" for v in p.spec["latency"]["values_s"]
         }
-        yield (
-            number,
-            lambda n=names: latency_panels(
-                {label: dw24(p, run) for label, run in n.items()}, ("no latency", dw24(p, "wdc-pulse"))
-            ),
-        )
+        yield number, partial(_panels, p, names)
     for number, wiring in (("5.15", "synchronous"), ("5.16", "non-synchronous")):
         yield number, compare({"without WDC": "none-pulse", f"{wiring}, 100 ms": f"wdc-{wiring}-100ms"})
     lost = {"remote lost": 10.0}
@@ -195,6 +191,11 @@ def _time_figures(p: StudyParts) -> Iterator[tuple[str, Callable[[], Figure]]]:
             scale=1.0,
         ),
     )
+
+
+def _panels(p: StudyParts, names: Mapping[str, str]) -> Figure:
+    curves = {label: dw24(p, run) for label, run in names.items()}
+    return latency_panels(curves, ("no latency", dw24(p, "wdc-pulse")))
 
 
 def _control(p: StudyParts, run: str) -> tuple[Array, Array]:

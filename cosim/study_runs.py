@@ -189,7 +189,7 @@ def _late(run: Run) -> tuple[float | None, bool]:
     """
     curves, scenario = run.trajectory, run.scenario
     time = curves.time_s
-    controls = [c for c in curves.data if c.startswith("controller.") and c.endswith("_vs")]
+    controls = [c for c in map(str, curves.data) if c.startswith("controller.") and c.endswith("_vs")]
     last = time >= 0.75 * time[-1]
     limit = max((float(np.max(np.abs(curves[c]))) for c in controls), default=0.0)
     at_limit = any(float(np.max(np.abs(curves[c][last]))) >= 0.999 * DEFAULT_LIMIT for c in controls)
