@@ -174,7 +174,7 @@ def singular_value_plot(
     figure, axes = new_figure()
     with mpl.rc_context(STYLE):
         for k, (label, system) in enumerate(systems.items()):
-            top: Array = np.linalg.svd(frequency_response(system, omega), compute_uv=False)[:, 0]
+            top = np.linalg.norm(frequency_response(system, omega), 2, axis=(1, 2)).astype(np.float64)
             _magnitude(axes, omega, top, label, k)
         _frequency_axis(axes, omega)
         axes.set_ylabel(f"largest singular value ({ylabel})")
