@@ -48,7 +48,7 @@ class Iteration:
         self.C, self.c = self.affine.constants, self.affine.cost
         self.degree = float(sum(self.affine.sizes))
         # Further centrality correctors pay where a factor costs much more than a solve.
-        self.correctors = 2 if self.affine.m > 800 else 1 if self.affine.m > 400 else 0
+        self.correctors = 2 if self.affine.m > 1000 else 0
         self._start()
         if start is not None:
             self.y = start
@@ -115,7 +115,7 @@ class Iteration:
                 break
             self.gap = complementarity / scale
             self.doubt = float(np.abs(rp) @ np.abs(self.y)) / scale
-            if float(np.abs(rp - expected) @ np.abs(self.y)) > 0.1 * self.tolerance * scale and iteration > 1:
+            if float(np.abs(rp - expected) @ np.abs(self.y)) > self.tolerance * scale and iteration > 1:
                 self.normal.careful = True
             if self.exact:
                 # <C, Z> < 0 here; the bound holds in as far as the optimal |y| is not beyond this one
@@ -199,7 +199,8 @@ class Iteration:
         sigma = 0.3 if least < 0.1 else min(1.0, max(1e-6, reached**power))
         crosses = [(a @ b + b @ a) / 2.0 for a, b in zip(ds, dz, strict=True)]
         targets = [s.target(sigma * mu, x) for s, x in zip(scalings, crosses, strict=True)]
-        found = direction(targets)
+        accuracy = 1e-12 if self.exact else 1e-8
+        found = direction(targets, accuracy)
         share = min(0.98, 0.9 + 0.09 * least)
         ap, ad = lengths(found[2], found[3], share)
         for _ in range(self.correctors):
@@ -208,7 +209,7 @@ class Iteration:
                 K + s.centring(longer[0] * a, longer[1] * b, sigma * mu)
                 for K, s, a, b in zip(targets, scalings, found[2], found[3], strict=True)
             ]
-            other = direction(targets)
+            other = direction(targets, accuracy)
             bp, bd = lengths(other[2], other[3], share)
             if not (bp * bd > 1.02 * ap * ad and min(bp, bd) >= 0.9 * min(ap, ad)):
                 break
