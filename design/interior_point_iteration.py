@@ -101,7 +101,7 @@ class Iteration:
                 "failed", 0, "the objective is unbounded: it moves coordinates that no block contains"
             )
         start_residual = 1.0 + sum(float(np.linalg.norm(R)) for R in self._primal_residual())
-        short = stale = 0
+        short = stale = stuck = 0
         expected = self.c
         for iteration in range(1, self.max_iterations + 1):
             Z = [F @ F.conj().T for F in self.Fz]
@@ -134,7 +134,7 @@ class Iteration:
                 break
             if not self.exact:
                 self.radius = max(self.radius, self.excluded_radius(Z))
-                certificate = self._certificate(scalings, Z, gradient)
+                certificate = self.farkas(Z) or self._certificate(scalings, Z, gradient)
                 if certificate is not None:
                     return self._finish("infeasible", iteration, self.verdict, certificate)
             step = self._step(scalings, rp, Rd, complementarity / self.degree)
@@ -142,7 +142,8 @@ class Iteration:
                 break
             expected = (1.0 - step[1]) * rp
             short = short + 1 if max(step) < 1e-4 or min(step) < 1e-7 else 0
-            if short >= 3 and iteration >= 12:
+            stuck = stuck + 1 if not self.exact and step[0] < 2e-3 else 0
+            if (short >= 3 and iteration >= 12) or stuck >= 8:
                 break
             if self.callback is not None:
                 residual = (
