@@ -68,13 +68,13 @@ def check_design_plant(G: control.StateSpace) -> None:
         raise ValueError("design plant: it has no states, nothing can be damped")
     if np.any(G.D != 0.0):
         raise ValueError(
-            f"design plant: D is not zero (largest {np.abs(G.D).max():.3g}), the change of variables forbids it; "
-            "reduce by balanced truncation, or design on D = 0 and give the controller to loop_shift(K, D)"
+            f"design plant: D is not zero (largest {np.abs(G.D).max():.3g}), the change of variables forbids "
+            "it; reduce by balanced truncation, or design on D = 0 and give K to loop_shift(K, D)"
         )
 
 
 def loop_shift(K: control.StateSpace, D22: Matrix) -> control.StateSpace:
-    """Return the controller for the plant G + D22 from one designed for G: ``K (I + D22 K)^-1`` (u = +K y)."""
+    """Return the controller for G + D22 from one designed for G: ``K (I + D22 K)^-1`` (u = +K y)."""
     E = np.linalg.inv(np.eye(K.noutputs) + K.D @ D22)  # u = C x + D (y - D22 u)
     C, D = E @ K.C, E @ K.D
     A, B = K.A - K.B @ D22 @ C, K.B - K.B @ D22 @ D
@@ -171,7 +171,7 @@ def scaled(P: GeneralizedPlant, sweeps: int = 20) -> GeneralizedPlant:
 
 
 def balanced_states(P: GeneralizedPlant) -> GeneralizedPlant:
-    """Return the plant in the balanced coordinates of (A, [B1 B2], [C1; C2]) where A is stable, else as it is.
+    """Return the plant in balanced coordinates of (A, [B1 B2], [C1; C2]) where A is stable, else as it is.
 
     Nearly uncontrollable or unobservable states would make the transformation
     singular; then the states are left and Osborne's scaling alone must do.

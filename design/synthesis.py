@@ -5,8 +5,8 @@ recovered, closed and checked (`Synthesis`); none trusts the solver's status.
 
 Conditioning. The bare minimum of gamma has controllers with poles of 1e4 rad/s.
 Every problem therefore minimises ``gamma + eps trace(X + Y) / n``, keeps the
-poles inside a disk, and, where asked, solves a second time for the smallest trace
-at a slightly larger gamma.
+poles inside a disk, and, where asked or needed, solves a second time at a slightly
+larger gamma for well-conditioned X, Y.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from . import regions
 from .errors import InfeasibleDesign, SolverError, UncertifiedDesign
 from .generalized import GeneralizedPlant, balanced_states, effort_plant, mixed_sensitivity, scaled
-from .lmi import Program, trace
+from .lmi import Program, bmat, linear, trace
 from .problem import Matrix, Problem, Solution
 from .recover import recover
 from .solve import infeasibility, solve, strictly_feasible
@@ -40,6 +40,10 @@ __all__ = [
 ]
 
 
+#: Slacks of gamma tried in turn where the controller at a smaller one cannot be recovered and certified.
+_SLACKS = (1e-3, 1e-2, 0.05, 0.2)
+
+
 @dataclass(frozen=True)
 class Conditioning:
     """How well-conditioned a controller is preferred to the last digit of gamma.
@@ -47,7 +51,8 @@ class Conditioning:
     Attributes
     ----------
     trace_weight : eps in ``gamma + eps trace(X + Y) / n``.
-    gamma_slack : None, or r: a second solve minimises the trace with gamma <= (1 + r) of the first.
+    gamma_slack : None: the first solution is used, and a second solve (`conditioned_problem`) only
+        where its controller does not pass the check. r: the second solve at (1 + r) times the optimum.
     """
 
     trace_weight: float = 1e-3
@@ -157,54 +162,90 @@ def hinf_region(
     problem = region_problem(P, region, conditioning.trace_weight)
     solution = solve(problem, engine)
     solves = 1
-    if not strictly_feasible(problem, solution):
+    if solution.status not in ("optimal", "almost optimal"):
         _explain(P, region, problem, solution, weak, engine, what)
-    gamma = solution.scalars["gamma"]
-    if gamma_cap is not None and not gamma <= gamma_cap:
+    optimum = solution.scalars["gamma"]
+    if gamma_cap is not None and not optimum <= gamma_cap:
         raise InfeasibleDesign(
-            f"{what}: the least norm in the region ({region.describe()}) is {gamma:.4g}, allowed is "
-            f"{gamma_cap:.4g}; raise the cap to {1.01 * gamma:.4g} or loosen the region{weak_words(weak)}",
+            f"{what}: the least norm in the region ({region.describe()}) is {optimum:.4g}, allowed is "
+            f"{gamma_cap:.4g}; raise the cap to {1.01 * optimum:.4g} or loosen the region{weak_words(weak)}",
             constraint="gamma",
             asked=gamma_cap,
-            reachable=gamma,
+            reachable=optimum,
         )
-    if conditioning.gamma_slack is not None:
-        level = (1.0 + conditioning.gamma_slack) * gamma
-        second = region_problem(P, region, 1.0, gamma=level)
-        again = solve(second, engine)
-        solves += 1
-        if strictly_feasible(second, again):
-            solution, gamma = again, level
-    K = _recover(P, solution, what)
-    pattern = {"normal": (P.C2, P.D21)}
-    poles_of, norm_of = checked(P, K, pattern, {"normal": region}, gamma, what=what)
-    return Synthesis(
-        controller=control.ss(*K, np.zeros((P.B2.shape[1], P.C2.shape[0])), **_names(P)),
-        gamma=gamma,
-        norm_of=norm_of,
-        poles_of=poles_of,
-        region_of={"normal": region},
-        solves=solves,
-        seconds=time.perf_counter() - started,
-        engine=engine,
-        facts={"gap": solution.gap, "iterations": solution.iterations, "status": solution.status},
-    )
+    slack = conditioning.gamma_slack
+    refusal: UncertifiedDesign | None = None
+    for r in (0.0, *_SLACKS) if slack is None else (slack, *(x for x in _SLACKS if x > slack)):
+        gamma, trial, found = optimum, problem, solution
+        if r > 0.0:
+            gamma = (1.0 + r) * optimum
+            trial = conditioned_problem(P, region, gamma)
+            found = solve(trial, engine)
+            solves += 1
+        if not strictly_feasible(trial, found):
+            continue
+        try:
+            K = _recover(P, found, what)
+            pattern = {"normal": (P.C2, P.D21)}
+            poles_of, norm_of = checked(P, K, pattern, {"normal": region}, gamma, what=what)
+        except UncertifiedDesign as error:
+            refusal = error if refusal is None else refusal
+            continue
+        return Synthesis(
+            controller=control.ss(*K, np.zeros((P.B2.shape[1], P.C2.shape[0])), **_names(P)),
+            gamma=gamma,
+            norm_of=norm_of,
+            poles_of=poles_of,
+            region_of={"normal": region},
+            solves=solves,
+            seconds=time.perf_counter() - started,
+            engine=engine,
+            facts={
+                "gamma_optimum": optimum,
+                "gamma_slack": r,
+                "gap": found.gap,
+                "iterations": found.iterations,
+                "status": found.status,
+            },
+        )
+    if refusal is not None:
+        raise refusal
+    _explain(P, region, problem, solution, weak, engine, what)
+    raise AssertionError("unreachable")
 
 
-def region_problem(
-    P: GeneralizedPlant, region: PoleRegion, trace_weight: float, *, gamma: float | None = None
-) -> Problem:
-    """Return ``min gamma + eps trace(X + Y) / n`` in the region or, with `gamma` given, the least trace."""
+def region_problem(P: GeneralizedPlant, region: PoleRegion, trace_weight: float) -> Problem:
+    """Return ``min gamma + eps trace(X + Y) / n`` with the poles in the region."""
     program = Program()
     u = Unknowns.of(program, P)
     loop = closed_loop(P, u)
-    level = program.scalar("gamma") if gamma is None else gamma
+    gamma = program.scalar("gamma")
     program.require("Lyapunov matrix", loop.N)
-    program.require("norm", regions.hinf(loop.M, loop.Bw, loop.Cz, loop.D, level))
+    program.require("norm", regions.hinf(loop.M, loop.Bw, loop.Cz, loop.D, gamma))
     require_region(program, loop, region)
-    if not isinstance(level, float):
-        program.minimise(level)
+    program.minimise(gamma)
     program.minimise(trace(u.X + u.Y) * (trace_weight / P.order))
+    return program.problem()
+
+
+def conditioned_problem(P: GeneralizedPlant, region: PoleRegion, gamma: float) -> Problem:
+    """Return the second solve: at the norm `gamma`, keep I - X Y away from singular and X, Y small.
+
+    Minimises ``-t + eps trace(X + Y) / n`` with ``[[X, t I], [t I, Y]] >= 0`` and t <= 2: the
+    eigenvalues of X Y are at least t^2.
+    """
+    program = Program()
+    u = Unknowns.of(program, P)
+    loop = closed_loop(P, u)
+    t = program.scalar("t")
+    identity = np.eye(P.order)
+    program.require("Lyapunov matrix", loop.N)
+    program.require("apart", bmat([[u.X, t * identity], [t * identity, u.Y]]))
+    program.require("t <= 2", 2.0 * np.eye(1) - t * np.eye(1))
+    program.require("norm", regions.hinf(loop.M, loop.Bw, loop.Cz, loop.D, gamma))
+    require_region(program, loop, region)
+    program.minimise(linear(t) * -1.0)
+    program.minimise(trace(u.X + u.Y) * (1e-3 / P.order))
     return program.problem()
 
 
@@ -244,8 +285,8 @@ def _explain(
             asked = getattr(region, name)
             nearest = _nearest(P, region, name, asked, engine)
             raise InfeasibleDesign(
-                f"{what}: no controller meets {name} = {asked:.4g} ({region.describe()}); without it the design "
-                f"is feasible, the nearest feasible value is {nearest:.4g}{weak_words(weak)}",
+                f"{what}: no controller meets {name} = {asked:.4g} ({region.describe()}); without it the "
+                f"design is feasible, the nearest feasible value is {nearest:.4g}{weak_words(weak)}",
                 constraint=name,
                 asked=asked,
                 reachable=nearest,
@@ -261,13 +302,13 @@ def _explain(
             constraint="stability",
         )
     raise UncertifiedDesign(
-        f"{what}: {solution.engine} stopped with {solution.status!r} ({solution.message}) and no strictly feasible "
-        "point, while the problem is not proven infeasible; try the other engine or a milder region"
+        f"{what}: {solution.engine} stopped with {solution.status!r} ({solution.message}) and no strictly "
+        "feasible point, while the problem is not proven infeasible; try the other engine or a milder region"
     )
 
 
 def _nearest(P: GeneralizedPlant, region: PoleRegion, name: str, asked: float, engine: str) -> float:
-    """Bisect (in logarithm for the radius) for the feasible decay rate or radius nearest to the one asked for."""
+    """Bisect for the feasible decay rate or radius nearest to the one asked for."""
 
     def feasible(x: float) -> bool:
         r = (

@@ -95,8 +95,8 @@ def require_reachable(
     if fixed:
         v, s = fixed[0]
         raise InfeasibleDesign(
-            f"{what}: mode {describe_mode(v)} lies outside the region ({region.describe()}) and cannot be moved: "
-            f"controllability x observability is {s:.1e} of the strongest mode's; "
+            f"{what}: mode {describe_mode(v)} lies outside the region ({region.describe()}) and cannot be "
+            f"moved: controllability x observability is {s:.1e} of the strongest mode's; "
             f"ask at most {max(-v.real / abs(v), 0.0):.4f} or choose another actuator or signal",
             constraint="controllability",
             asked=region.damping_ratio,
@@ -175,8 +175,8 @@ def checked(
         if bad.size:
             worst = bad[np.argmax(bad.real)]
             raise UncertifiedDesign(
-                f"{what}, {name}: pole {describe_mode(complex(worst))} of the closed loop lies outside the region "
-                f"({region_of[name].describe()}) that the solver claims; loosen the region or the conditioning"
+                f"{what}, {name}: closed-loop pole {describe_mode(complex(worst))} lies outside the region "
+                f"the solver claims ({region_of[name].describe()}); loosen the region or the conditioning"
             )
         poles_of[name] = poles
         norm_of[name] = hinf_of(A, B, C, D, tolerance=1e-7).value

@@ -46,8 +46,8 @@ class PoleRegion:
             raise ValueError(f"pole region: radius is {self.radius}, allowed: > 0 (rad/s)")
         if self.radius is not None and self.decay_rate is not None and not self.radius > self.decay_rate:
             raise ValueError(
-                f"pole region: poles left of -{self.decay_rate:g} and inside radius {self.radius:g} contradict "
-                "each other; raise the radius or lower the decay rate"
+                f"pole region: poles left of -{self.decay_rate:g} and inside radius {self.radius:g} "
+                "contradict each other; raise the radius or lower the decay rate"
             )
 
     def contains(self, poles: Matrix, tolerance: float = 1e-6) -> bool:

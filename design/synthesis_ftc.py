@@ -133,8 +133,9 @@ def fault_tolerant(
     assert last is not None
     if effort_cap is not None and not last.gamma <= effort_cap:
         raise InfeasibleDesign(
-            f"{what}: the least effort found at damping ratios {_words(damping_ratio_of)} is {last.gamma:.4g}, "
-            f"allowed is {effort_cap:.4g}; raise the cap to {1.01 * last.gamma:.4g} or lower the targets",
+            f"{what}: the least effort found at damping ratios {_words(damping_ratio_of)} is "
+            f"{last.gamma:.4g}, allowed is {effort_cap:.4g}; raise the cap to "
+            f"{1.01 * last.gamma:.4g} or lower the targets",
             constraint="effort",
             asked=effort_cap,
             reachable=last.gamma,
