@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 import control
 import numpy as np
 
+from interarea.design.certificate import certificate
 from interarea.design.linearise import linearise, remove_reference, speeds_in_rad
 from interarea.design.modes import modes_of
 from interarea.fmu_build.open import open_plant
@@ -31,8 +32,6 @@ from interarea.fmu_build.package import build_fmu
 from interarea.models.case import Case
 from interarea.models.plant_block import plant_block
 from interarea.models.variables import Block
-
-from .study_certificate import certificate
 
 if TYPE_CHECKING:
     from interarea.design.controller import Controller
@@ -236,7 +235,7 @@ def design_controller(case: Case, name: str, cache: Path, *, reduce: bool = True
         [name, reduce],
         file_hash(plant_fmu(case, cache)),
         code_hash("design.study_designs"),
-        code_hash("cosim.study_certificate"),
+        code_hash("design.certificate"),
         numerics_versions(),
     )
     path = artefact(

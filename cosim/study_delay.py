@@ -8,11 +8,10 @@ from typing import Any
 import control
 import numpy as np
 
+from interarea.design.certificate import swing_poles
 from interarea.design.controller import Controller
 from interarea.design.delay import damping_over_latency, delay_margin, delayed_loop, rightmost_roots
 from interarea.design.modes import Modes
-
-from .study_certificate import swing_poles
 
 #: step of the curve, s
 GRID_S = 0.02

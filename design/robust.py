@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
 
+from .conditions import Condition
 from .delay import pade
 from .errors import InfeasibleDesign
 from .linearise import select, speeds_in_rad
@@ -24,39 +25,6 @@ from .norms import frequency_response
 from .reduction import balanced_truncation
 from .smoothed import Array, Complex, DesignModel, EffortGrid, Objective
 from .solve import one_blas_thread
-
-
-@dataclass(frozen=True)
-class Condition:
-    """What the signals suffer: names of lost signals, latency (s) of the others (0 where not named)."""
-
-    name: str
-    lost: tuple[str, ...] = ()
-    latency_s: Mapping[str, float] = field(default_factory=dict)
-
-
-def condition_of(code: str, local: str, remote: str) -> Condition:
-    """Return the condition of a short code, for one local and one remote signal.
-
-    ``N`` normal, ``L`` remote lost, ``ns150`` non-synchronous (remote late by 150 ms),
-    ``s100`` synchronous (both late by 100 ms), ``L+s100`` remote lost and local late.
-
-    Raises ValueError for any other code.
-    """
-    lost: tuple[str, ...] = ()
-    latency: dict[str, float] = {}
-    for part in code.split("+"):
-        digits = part.lstrip("ns")
-        if part == "N":
-            continue
-        if part == "L":
-            lost = (remote,)
-        elif digits.isdigit() and part[: -len(digits)] in ("s", "ns"):
-            late = (remote,) if part.startswith("ns") else (local, remote)
-            latency = {name: int(digits) / 1000.0 for name in late}
-        else:
-            raise ValueError(f"condition {code!r}: parts are N, L, s<ms> or ns<ms> joined by +, got {part!r}")
-    return Condition(code, lost, {k: v for k, v in latency.items() if k not in lost})
 
 
 @dataclass(frozen=True)
@@ -88,7 +56,7 @@ class RobustSpec:
         if not self.order >= 1:
             raise ValueError(f"robust design: order is {self.order}, at least 1 is needed")
         for condition in self.conditions:
-            unknown = {*condition.lost, *condition.latency_s} - set(self.signals)
+            unknown = {*condition.lost, *condition.latency_s_of} - set(self.signals)
             if unknown:
                 raise ValueError(
                     f"condition {condition.name!r} names {sorted(unknown)}; the controller's signals are "
@@ -212,7 +180,7 @@ def _design_model(
     rows = []
     for k, signal in enumerate(spec.signals):
         row = np.zeros((1, A.shape[0]))
-        latency = condition.latency_s.get(signal, 0.0)
+        latency = condition.latency_s_of.get(signal, 0.0)
         if signal in condition.lost:
             pass
         elif latency > 0.0:
@@ -239,7 +207,7 @@ def _effort_grid(
     cap = np.exp(np.interp(np.log(omega), np.log(nodes[:, 0]), np.log(nodes[:, 1])))
     seen = response.copy()
     for k, signal in enumerate(spec.signals):
-        late = np.exp(-1j * omega * condition.latency_s.get(signal, 0.0))
+        late = np.exp(-1j * omega * condition.latency_s_of.get(signal, 0.0))
         seen[:, k, :] *= 0.0 if signal in condition.lost else late[:, None]
     if spec.washout_s > 0.0:
         s = 1j * omega * spec.washout_s

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from interarea.cosim import study_certificate as certificates
 from interarea.cosim.artefacts import artefact, code_hash, content_hash, linear_plant, place
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.ringdown import swing_signal
@@ -19,6 +18,7 @@ from interarea.cosim.scenario import load_scenario
 from interarea.cosim.study import STAGES, load_study, run_study, study_names
 from interarea.cosim.study_delay import least_damping
 from interarea.cosim.study_runs import scenario_documents
+from interarea.design import certificate as certificates
 from interarea.design.controller import Controller
 from interarea.design.linearise import remove_reference, select, speeds_in_rad
 from interarea.design.modes import Modes, modes_of

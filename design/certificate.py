@@ -1,4 +1,4 @@
-"""What each controller of a study does on the full linear plant: normal, signal lost, with exact latency.
+"""What a controller does on the full linear plant: normal, signals lost, with exact latency.
 
 Swing modes of the closed loop keep the name of the open-loop mode that they come from: the eigenvalues are
 followed while the loop's gain rises from 0 to 1, so that a controller's own poles are never taken for one.
@@ -7,38 +7,27 @@ followed while the loop's gain rises from 0 to 1, so that a controller's own pol
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import control
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import linear_sum_assignment
+from scipy.optimize import linear_sum_assignment, minimize_scalar
 
-from interarea.design.controller import Controller
-from interarea.design.delay import DelayError, delayed_loop, rightmost_roots, track_roots
-from interarea.design.linearise import select
-from interarea.design.modes import Modes, damping_ratio
-from interarea.design.norms import hinf_of
+from .conditions import Condition
+from .controller import Controller
+from .delay import DelayError, delayed_loop, rightmost_roots, track_roots
+from .linearise import select
+from .modes import Modes, damping_ratio
+from .norms import hinf_of
 
 ComplexArray = npt.NDArray[np.complex128]
 
 
-@dataclass(frozen=True)
-class Condition:
-    """One condition of operation: signals lost, and latency (s) of signals."""
-
-    name: str
-    lost: tuple[str, ...] = ()
-    latency_s_of: Mapping[str, float] = field(default_factory=dict)
-
-
 def study_conditions(remote: str, local: str) -> tuple[Condition, ...]:
-    """Return the conditions that every controller is judged by; remote and local name its signals."""
+    """Return the latencies every controller of the study is judged at; remote and local name its signals."""
     both = (remote, local)
     return (
-        Condition("normal"),
-        Condition("remote lost", (remote,)),
         *(Condition(f"non-synchronous {d} ms", (), {remote: d / 1e3}) for d in (100, 200, 300)),
         *(Condition(f"synchronous {d} ms", (), dict.fromkeys(both, d / 1e3)) for d in (50, 100, 200)),
         Condition("remote lost, local 100 ms", (remote,), {local: 0.1}),
@@ -81,17 +70,28 @@ def swing_poles(
     return {name: complex(p) for name, p in zip(names, poles, strict=True)}
 
 
-def certificate(plant: control.StateSpace, controller: Controller, modes: Modes) -> dict[str, Any]:
+def certificate(
+    plant: control.StateSpace,
+    controller: Controller,
+    modes: Modes,
+    conditions: Sequence[Condition] | None = None,
+) -> dict[str, Any]:
     """Return what a controller does on the full plant: damping, poles, effort, and the table of conditions.
 
     Its local signal is the speed of the machine that it acts on, the remote one any other.
 
-    plant : full plant without reference angle, speeds in rad/s. modes : its open-loop swing modes.
+    Parameters
+    ----------
+    plant : full plant without reference angle, speeds in rad/s.
+    modes : its open-loop swing modes.
+    conditions : besides normal and remote lost; None = those of the study.
     """
     K = controller.system
     local = f"{controller.outputs[0].removesuffix('_vs')}_dw"
     remote = next((name for name in controller.inputs if name != local), local)
-    rows = [_condition_row(plant, K, modes, c) for c in study_conditions(remote, local)]
+    always = (Condition("normal"), Condition("remote lost", (remote,)))
+    others = study_conditions(remote, local) if conditions is None else conditions
+    rows = [_condition_row(plant, K, modes, c) for c in (*always, *others)]
     normal, lost = rows[0], rows[1]
     poles = np.linalg.eigvals(closed_loop_matrix(plant, K))
     own = np.linalg.eigvals(np.asarray(K.A))
@@ -107,6 +107,7 @@ def certificate(plant: control.StateSpace, controller: Controller, modes: Modes)
         "controller_fastest_pole": float(np.max(np.abs(own))) if own.size else 0.0,
         "effort": effort(plant, K),
         "remote_utilisation": remote_utilisation(K, remote, abs(modes.inter_area.eigenvalue.imag)),
+        "loss_criterion": loss_criterion(plant, K, local),
         "conditions": rows,
     }
 
@@ -169,3 +170,28 @@ def remote_utilisation(K: control.StateSpace, remote: str, omega: float) -> floa
     total = float(np.linalg.norm(gains))
     part = float(np.linalg.norm(gains[:, list(K.input_labels).index(remote)]))
     return part / total if total > 0.0 else 0.0
+
+
+def loss_criterion(plant: control.StateSpace, K: control.StateSpace, local: str) -> float:
+    """Return the largest K_local(s) G_local(s) over real s >= 0.
+
+    Above 1 the loop with the remote signal lost is unstable. The loop gain of the local signal alone, at real s: where it passes 1 there is a real closed-loop pole at
+    that s. Searched on 400 points from 1e-3 to 1e3 rad/s and at s = 0, with a golden-section polish.
+
+    plant : full plant without reference angle, speeds in rad/s, stable in open loop. local : its name.
+    """
+    G = select(plant, list(K.output_labels), [local])
+    b = np.asarray(K.B)[:, [list(K.input_labels).index(local)]]
+    d = np.asarray(K.D)[:, [list(K.input_labels).index(local)]]
+
+    def gain(s: float) -> float:
+        k = K.C @ np.linalg.solve(s * np.eye(K.nstates) - K.A, b) + d
+        g = G.C @ np.linalg.solve(s * np.eye(G.nstates) - G.A, G.B) + G.D
+        return float(np.real(g @ k).max())
+
+    grid = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 400)])
+    values = np.array([gain(s) for s in grid])
+    k = int(np.argmax(values))
+    low, high = grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]
+    best = minimize_scalar(lambda s: -gain(s), bounds=(low, high), method="bounded")
+    return max(float(values[k]), -float(best.fun))
