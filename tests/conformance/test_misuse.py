@@ -14,7 +14,7 @@ from fmu_runner import Runner
 NAN, INF = math.nan, math.inf
 
 
-def refused(run: Runner, text: str, call: object, *arguments: object) -> None:
+def check_refused(run: Runner, text: str, call: object, *arguments: object) -> None:
     """The call fails with fmi2Error and says `text`."""
     run.log.clear()
     with pytest.raises(FMICallException) as error:
@@ -39,8 +39,8 @@ def refused(run: Runner, text: str, call: object, *arguments: object) -> None:
 def test_absurd_steps(fmu: Path, point: float, step: float, text: str) -> None:
     with Runner(fmu) as run:
         run.start(stopTime=2.0)
-        refused(run, text, run.step, point, step)
-        refused(run, 'not allowed in state "error"', run.step, 0.0, 0.1)
+        check_refused(run, text, run.step, point, step)
+        check_refused(run, 'not allowed in state "error"', run.step, 0.0, 0.1)
         run.fmu.reset()
         run.start().step(0.0, 0.1)
 
@@ -50,17 +50,17 @@ def test_steps_of_one_ulp_and_lost_in_rounding(decay: Path) -> None:
         run.start()
         run.step(0.0, 0.1)
         run.step(0.1, math.ulp(0.1))
-        refused(run, "lost in rounding", run.step, 0.1, 1e-18)
+        check_refused(run, "lost in rounding", run.step, 0.1, 1e-18)
 
 
 def test_values_that_are_not_finite(fmu: Path) -> None:
     with Runner(fmu) as run:
         run.start()
         name = next(v.name for v in run.variables.values() if v.causality == "input")
-        refused(run, f"{name} was set to", run.set_of, {name: NAN})
+        check_refused(run, f"{name} was set to", run.set_of, {name: NAN})
     with Runner(fmu) as run:
         run.start()
-        refused(run, f"derivative 1 of {name}", run.slopes, name, INF)
+        check_refused(run, f"derivative 1 of {name}", run.slopes, name, INF)
 
 
 def test_calls_in_the_wrong_state(decay: Path) -> None:
@@ -76,18 +76,18 @@ def test_calls_in_the_wrong_state(decay: Path) -> None:
     ]
     for state, call in cases:
         with Runner(decay) as run:
-            refused(run, f'not allowed in state "{state}"', call, run)
+            check_refused(run, f'not allowed in state "{state}"', call, run)
 
 
 def test_model_exchange_states(decay: Path) -> None:
     with Runner(decay, "me") as run:
         run.start()
-        refused(run, 'in state "event mode"', run.fmu.completedIntegratorStep)
+        check_refused(run, 'in state "event mode"', run.fmu.completedIntegratorStep)
     with Runner(decay, "me") as run:
         run.start()
         run.fmu.newDiscreteStates()
         run.fmu.enterContinuousTimeMode()
-        refused(run, "rate cannot be set in this state", run.set_of, {"rate": 2.0})
+        check_refused(run, "rate cannot be set in this state", run.set_of, {"rate": 2.0})
 
 
 def test_what_cannot_be_set(decay: Path) -> None:
@@ -101,7 +101,7 @@ def test_what_cannot_be_set(decay: Path) -> None:
     ]:
         with Runner(decay) as run:
             run.start()
-            refused(run, text, run.set_of, {name: value})
+            check_refused(run, text, run.set_of, {name: value})
 
 
 def test_unknown_value_references(decay: Path) -> None:
@@ -116,12 +116,12 @@ def test_unknown_value_references(decay: Path) -> None:
     for call in calls:
         with Runner(decay) as run:
             run.start()
-            refused(run, "there is no", call, run)
+            check_refused(run, "there is no", call, run)
 
 
 def test_parameters_that_the_block_refuses(decay: Path) -> None:
     with Runner(decay) as run:
-        refused(run, "rate is -1, must not be negative", run.start, {"rate": -1.0})
+        check_refused(run, "rate is -1, must not be negative", run.start, {"rate": -1.0})
 
 
 def test_discarded_step_leaves_the_state_intact(decay: Path) -> None:
@@ -142,7 +142,7 @@ def test_discarded_step_leaves_the_state_intact(decay: Path) -> None:
 def test_diverging_state_is_named(decay: Path) -> None:
     with Runner(decay) as run:
         run.start({"rate": 0.0, "x": -1e308, "u": -1e308})
-        refused(run, "state x became", run.step, 0.0, 2.0)
+        check_refused(run, "state x became", run.step, 0.0, 2.0)
 
 
 def test_damaged_states_are_refused(fmu: Path) -> None:
@@ -156,14 +156,14 @@ def test_damaged_states_are_refused(fmu: Path) -> None:
             b"\0" * len(kept),
         ):
             run.fmu.reset()
-            refused(run, "fmi2DeSerializeFMUstate", run.fmu.deSerializeFMUstate, damaged)
+            check_refused(run, "fmi2DeSerializeFMUstate", run.fmu.deSerializeFMUstate, damaged)
 
 
 def test_a_state_of_another_fmu_is_refused(built: dict[str, Path]) -> None:
     with Runner(built["decay"]) as a, Runner(built["controller"]) as b:
         state = a.start().fmu.getFMUstate()
         b.start()
-        refused(b, "not saved by an instance of this FMU", b.fmu.setFMUstate, state)
+        check_refused(b, "not saved by an instance of this FMU", b.fmu.setFMUstate, state)
 
 
 def test_wrong_guid(decay: Path) -> None:
@@ -217,4 +217,4 @@ def test_free_of_null_and_categories(decay: Path) -> None:
         for k in range(10):
             run.step(0.1 * k, 0.1)
         assert any("event at time 0.55" in line for line in run.log)
-        refused(run, "there is no log category", run.fmu.setDebugLogging, True, ["logNothing"])
+        check_refused(run, "there is no log category", run.fmu.setDebugLogging, True, ["logNothing"])
