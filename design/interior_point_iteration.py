@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .interior_point_map import AffineMap, Matrix, Vector
+from .interior_point_map import AffineMap, Vector
 from .interior_point_normal import NormalEquations
 from .interior_point_scaling import Scaling, cholesky, distance, inner
-from .problem import Problem, Solution
+from .problem import Matrix, Problem, Solution
 
 #: An infeasibility certificate must exclude every y whose entries stay below this size.
 _LEAST_RADIUS = 1e8

@@ -16,10 +16,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-from .problem import MatrixVariable, Problem
+from .problem import Matrix, MatrixVariable, Problem
 
 Vector = npt.NDArray[np.float64]
-Matrix = npt.NDArray[np.float64] | npt.NDArray[np.complex128]
 
 #: Seconds, roughly: a stored entry in a sparse product, a call to BLAS, a flop in a small product.
 _ENTRY_S, _CALL_S, _FLOP_S = 1.2e-9, 8e-6, 5e-11
@@ -163,7 +162,7 @@ class AffineMap:
 
     def apply(self, y: Vector) -> list[Matrix]:
         """Return F_k(y), Hermitian, for every block."""
-        half = self.views(self._half @ y)
+        half = self.views(np.asarray(self._half @ y))
         for k, place, left, right in self._products:
             half[k] += left @ place.matrix(y) @ right
         return [Q + Q.conj().T if Q.dtype == np.complex128 else Q + Q.T for Q in half]

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from .interior_point_map import AffineMap, Matrix, Vector
+from .interior_point_map import AffineMap, Vector
 from .interior_point_schur import SchurComplement
-from .problem import Problem
+from .problem import Matrix, Problem
 
 #: Added to the diagonal of H, relative, until its Cholesky factor exists.
 _SHIFTS = (0.0, 1e-15, 1e-13, 1e-11, 1e-9, 1e-7)

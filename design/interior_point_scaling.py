@@ -15,7 +15,8 @@ import numpy.typing as npt
 import scipy.linalg
 from scipy.linalg import lapack
 
-from .interior_point_map import Matrix, Vector
+from .interior_point_map import Vector
+from .problem import Matrix
 
 
 def hermitian(M: Matrix) -> Matrix:

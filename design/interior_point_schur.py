@@ -19,8 +19,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from .interior_point_map import AffineMap, Coordinates, Matrix, Vector
-from .problem import Problem
+from .interior_point_map import AffineMap, Coordinates, Vector
+from .problem import Matrix, Problem
 
 Index = npt.NDArray[np.intp]
 
@@ -187,9 +187,9 @@ class SchurComplement:
                     continue
                 pair = self._pairs.setdefault((i, j), _Pair(place[i], place[j]))
                 p, q, r, s = pair.shape
-                for part in range(2 if affine.is_complex[k] else 1):
-                    pair.direct.add(corner(k, l1, p, l2, r, part), corner(k, r1, q, r2, s, part), 2 * a * b)
-                    pair.add_crossed(corner(k, l1, p, r2, s, part), corner(k, r1, q, l2, r, part), 2 * a * b)
+                for half in range(2 if affine.is_complex[k] else 1):
+                    pair.direct.add(corner(k, l1, p, l2, r, half), corner(k, r1, q, r2, s, half), 2 * a * b)
+                    pair.add_crossed(corner(k, l1, p, r2, s, half), corner(k, r1, q, l2, r, half), 2 * a * b)
         most = 1
         for pair in self._pairs.values():
             pair.direct.close()
