@@ -175,8 +175,9 @@ def remote_utilisation(K: control.StateSpace, remote: str, omega: float) -> floa
 def loss_criterion(plant: control.StateSpace, K: control.StateSpace, local: str) -> float:
     """Return the largest K_local(s) G_local(s) over real s >= 0.
 
-    Above 1 the loop with the remote signal lost is unstable. The loop gain of the local signal alone, at real s: where it passes 1 there is a real closed-loop pole at
-    that s. Searched on 400 points from 1e-3 to 1e3 rad/s and at s = 0, with a golden-section polish.
+    Above 1 the loop with the remote signal lost is unstable: this is the loop gain of the local signal
+    alone, and where it passes 1 at a real s there is a real closed-loop pole. Searched at s = 0 and on 400
+    points from 1e-3 to 1e3 rad/s, then polished between neighbours.
 
     plant : full plant without reference angle, speeds in rad/s, stable in open loop. local : its name.
     """

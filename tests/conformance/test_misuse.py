@@ -207,6 +207,7 @@ def test_folder_names_that_need_encoding(decay: Path, tmp_path: Path, name: str)
     fmpy.extract(str(decay), str(folder))
     with Runner(decay, folder=str(folder)) as run:
         run.start().step(0.0, 0.1)
+        assert run.get("x") == pytest.approx(math.exp(-0.1), rel=1e-6)  # fourth order, one substep
 
 
 def test_free_of_null_and_categories(decay: Path) -> None:
