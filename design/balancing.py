@@ -107,7 +107,8 @@ def separate_slow(A: Matrix, B: Matrix, C: Matrix, D: Matrix, slowest_rad_s: flo
 
 def scaled(A: Matrix, B: Matrix, C: Matrix) -> tuple[Matrix, Matrix, Matrix]:
     """Scale the states by powers of two so that A has rows and columns of like size."""
-    A, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    A = np.asarray(balanced, dtype=float)
     return A, B / scale[:, None], C * scale
 
 

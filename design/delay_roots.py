@@ -265,7 +265,7 @@ def newton(
         except np.linalg.LinAlgError:
             break
         # M(s) v+ + dM v ds = 0 with v^H v+ = 1
-        s, v = s + z[n], z[:n] / np.linalg.norm(z[:n])
+        s, v = complex(s + z[n]), z[:n] / np.linalg.norm(z[:n])
         error = _backward_error(loop, s, v)
         if error < best[2]:
             best = (s, v, error)
@@ -356,7 +356,7 @@ def delay_margin_of(loop: DelayedLoop, signals: tuple[str, ...], *, upto_s: floa
     Bs, Cs = np.column_stack([ch.b for ch in moving]), np.vstack([ch.c for ch in moving])
 
     def sizes(omega: float) -> tuple[Matrix, ComplexMatrix]:
-        mu = np.linalg.eigvals(Cs @ np.linalg.solve(others.characteristic(1j * omega)[0], Bs))
+        mu = np.linalg.eigvals(Cs @ np.linalg.solve(others.characteristic(1j * omega)[0], Bs)).astype(complex)
         order = np.argsort(-np.abs(mu))
         return np.abs(mu)[order], mu[order]
 

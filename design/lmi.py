@@ -61,7 +61,7 @@ class Affine:
         products = [(L.conj(), v, t, R.conj()) for L, v, t, R in self.products]
         return Affine(self.constant.conj(), products, {g: D.conj() for g, D in self.scalars.items()})
 
-    def __matmul__(self, other: Matrix) -> Affine:
+    def __matmul__(self, other: Affine | Matrix) -> Affine:
         if isinstance(other, Affine):
             return _product(self, other)
         other = np.atleast_2d(np.asarray(other))
@@ -135,7 +135,7 @@ def _product(left: Affine, right: Affine) -> Affine:
     if not right.products and not right.scalars:
         return left @ right.constant
     if not left.products and not left.scalars:
-        return left.constant @ right
+        return right.__rmatmul__(left.constant)
     unknowns = sorted({v.name for _, v, _, _ in (*left.products, *right.products)})
     raise ValueError(
         f"LMI expression: product of two unknowns (among {unknowns}) is bilinear; "

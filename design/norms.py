@@ -69,7 +69,8 @@ def gramian_factor(A: Matrix, B: Matrix) -> Matrix:
     if n == 0:
         return np.zeros((0, 0))
     # states of like size first: rounding in the Schur form is relative to the largest entry
-    A, scaling = matrix_balance(A, permute=False, separate=True)
+    balanced, scaling = matrix_balance(A, permute=False, separate=True)
+    A = np.asarray(balanced, dtype=float)
     scale = scaling[0]
     T, U = schur(A, output="complex")
     R = np.zeros((n, n), dtype=complex)
@@ -134,7 +135,8 @@ def frequency_response(
     if n == 0:
         out[:] = D
         return out
-    A, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    A = np.asarray(balanced, dtype=float)
     T, U = schur(A, output="complex")
     left, right = (C * scale) @ U, U.conj().T @ (B / scale[:, None])
     eye = np.eye(n)
@@ -171,7 +173,8 @@ def hinf_of(A: Matrix, B: Matrix, C: Matrix, D: Matrix, *, tolerance: float = 1e
         return PeakGain(at_infinity, float("inf"), tolerance)
     require_stable(A, "the H-infinity norm")
     poles = np.linalg.eigvals(A)
-    A, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    A = np.asarray(balanced, dtype=float)
     B, C = B / scale[:, None], C * scale
 
     def gain(omega: Matrix) -> Matrix:

@@ -82,7 +82,7 @@ class BlockLMI:
             S += P + P.conj().T
         for name, D in self.scalars.items():
             S += scalars[name] * D
-        return (S + S.conj().T) / 2
+        return np.asarray((S + S.conj().T) / 2)
 
 
 @dataclass(frozen=True)

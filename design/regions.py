@@ -113,7 +113,7 @@ def output_peak(N: Affine, Cz: Affine, bound: float) -> Affine:
 def initial_state(X: Affine, x0: Matrix) -> Affine:
     """Plant state x0 (n,), controller at rest, lies in x' P x <= 1: ``1 - x0' X x0 >= 0``."""
     x = np.atleast_2d(np.asarray(x0, dtype=float))
-    return np.eye(1) - x @ X @ x.T
+    return affine(np.eye(1)) - affine(x) @ X @ x.T
 
 
 def below(V: Affine, bound: float) -> Affine:

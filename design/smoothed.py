@@ -81,11 +81,11 @@ class Objective:
 
     @property
     def n_y(self) -> int:
-        return self.models[0].C.shape[0]
+        return int(self.models[0].C.shape[0])
 
     @property
     def n_u(self) -> int:
-        return self.models[0].B.shape[1]
+        return int(self.models[0].B.shape[1])
 
     def unpack(self, theta: Array) -> tuple[Array, Array, Array]:
         """Return (A_K, B_K, C_K) of the parameter vector."""
@@ -149,7 +149,7 @@ class Objective:
         for (group, size, right), v, dv in zip(spectra, v_all, dv_all, strict=True):
             weight = np.exp(self.rho * (v - top)) / total
             # a model whose weight is below rounding adds nothing to the gradient
-            for k in np.flatnonzero(weight.sum(axis=1) > 1e-14):
+            for k in map(int, np.flatnonzero(weight.sum(axis=1) > 1e-14)):
                 try:
                     left = np.linalg.inv(right[k])
                 except np.linalg.LinAlgError:  # a defective matrix: its neighbours carry the gradient
