@@ -94,13 +94,15 @@ def require_reachable(
     fixed = [(v, s) for v, s in weak if s < UNREACHABLE_MODE]
     if fixed:
         v, s = fixed[0]
+        zeta = -v.real / abs(v)
         raise InfeasibleDesign(
             f"{what}: mode {describe_mode(v)} lies outside the region ({region.describe()}) and cannot be "
-            f"moved: controllability x observability is {s:.1e} of the strongest mode's; "
-            f"ask at most {max(-v.real / abs(v), 0.0):.4f} or choose another actuator or signal",
+            f"moved: controllability x observability is {s:.1e} of the strongest mode's; the region must "
+            f"hold it (damping ratio <= {zeta:.4f}, decay rate <= {-v.real:.4g} 1/s, radius >= {abs(v):.4g} "
+            "rad/s), or choose another actuator or signal",
             constraint="controllability",
             asked=region.damping_ratio,
-            reachable=max(-v.real / abs(v), 0.0),
+            reachable=max(zeta, 0.0) if zeta < region.damping_ratio else region.damping_ratio,
         )
     return weak
 
