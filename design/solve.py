@@ -81,14 +81,14 @@ def solve(problem: Problem, engine: str = "structured", *, tolerance: float = 1e
 
 
 def violation(problem: Problem, solution: Solution) -> float:
-    """Return the largest of -lambda_min(S_k) / |S_k| over the blocks: <= 0 if all hold, NaN counts as inf."""
+    """Return the largest -lambda_min(S_k) / max(1, |S_k|) of the blocks: <= 0 if all hold, NaN is inf."""
     worst = -np.inf
     for block in problem.blocks:
         S = block.value(solution.values, solution.scalars)
         if not np.all(np.isfinite(S)):
             return float("inf")
         lam = np.linalg.eigvalsh(S)
-        worst = max(worst, float(-lam[0] / max(abs(lam[0]), abs(lam[-1]), 1e-300)))
+        worst = max(worst, float(-lam[0] / max(abs(lam[0]), abs(lam[-1]), 1.0)))
     return float(worst)
 
 
@@ -103,6 +103,16 @@ def strictly_feasible(problem: Problem, solution: Solution) -> bool:
         except np.linalg.LinAlgError:
             return False
     return bool(np.isfinite(solution.objective))
+
+
+def usable(problem: Problem, solution: Solution, *, rounding: float = 1e-7) -> bool:
+    """Return whether a controller may be recovered from the solution: its blocks hold to rounding.
+
+    Generic engines end a hair outside the cone. Whoever uses this closes the loop and checks it.
+    """
+    if solution.status not in ("optimal", "almost optimal") or not np.isfinite(solution.objective):
+        return False
+    return violation(problem, solution) <= rounding
 
 
 def elastic(problem: Problem, *, bound: float = 1.0) -> Problem:

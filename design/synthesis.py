@@ -23,7 +23,7 @@ from .generalized import GeneralizedPlant, balanced_states, effort_plant, mixed_
 from .lmi import Program, bmat, linear, trace
 from .problem import Matrix, Problem, Solution
 from .recover import recover
-from .solve import infeasibility, solve, strictly_feasible
+from .solve import infeasibility, solve, usable
 from .synthesis_check import Synthesis, checked, largest_feasible, require_reachable, weak_words
 from .synthesis_form import PoleRegion, Unknowns, closed_loop, require_region
 from .synthesis_ftc import fault_tolerant
@@ -182,7 +182,7 @@ def hinf_region(
             trial = conditioned_problem(P, region, gamma)
             found = solve(trial, engine)
             solves += 1
-        if not strictly_feasible(trial, found):
+        if not usable(trial, found):
             continue
         try:
             K = _recover(P, found, what)
@@ -263,7 +263,7 @@ def _explain(
     def feasible(zeta: float) -> bool:
         trial = region_problem(P, PoleRegion(zeta, region.decay_rate, region.radius), 1e-3)
         found = solve(trial, engine)
-        return strictly_feasible(trial, found)
+        return usable(trial, found)
 
     reachable = largest_feasible(feasible, 0.0, region.damping_ratio) if region.damping_ratio > 0.0 else None
     if reachable is not None:
@@ -281,7 +281,7 @@ def _explain(
         if getattr(region, name) is None:
             continue
         trial = region_problem(P, loosened, 1e-3)
-        if strictly_feasible(trial, solve(trial, engine)):
+        if usable(trial, solve(trial, engine)):
             asked = getattr(region, name)
             nearest = _nearest(P, region, name, asked, engine)
             raise InfeasibleDesign(
@@ -317,7 +317,7 @@ def _nearest(P: GeneralizedPlant, region: PoleRegion, name: str, asked: float, e
             else PoleRegion(0.0, region.decay_rate, 1 / x)
         )
         trial = region_problem(P, r, 1e-3)
-        return strictly_feasible(trial, solve(trial, engine))
+        return usable(trial, solve(trial, engine))
 
     if name == "decay_rate":
         return largest_feasible(feasible, 0.0, asked) or 0.0

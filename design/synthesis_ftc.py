@@ -32,7 +32,7 @@ from .generalized import GeneralizedPlant, balanced_states, effort_plant, scaled
 from .lmi import Program, linear, trace
 from .problem import Matrix, Solution
 from .recover import recover
-from .solve import solve, strictly_feasible
+from .solve import solve, usable
 from .synthesis_check import (
     Synthesis,
     checked,
@@ -212,11 +212,12 @@ class _Run:
         self.radius, self.decay_rate = radius, decay_rate
         self.solves = 0
         self.history: list[tuple[float, float]] = []
+        self.refusal: Solution | None = None  #: the last LMI without a usable point
 
     def to(self, damping_ratio_of: Mapping[str, float], *, stop_when_met: bool = False) -> _Iterate | None:
         """Alternate until the targets are met and the effort settles; None if the first LMI fails."""
         n, p = self.P.order, self.P.C2.shape[0]
-        self.history = []
+        self.history, self.refusal = [], None
         last = self.half_step(damping_ratio_of, Bh=np.zeros((n, p)))
         earlier: _Iterate | None = None
         for k in range(1, self.options.half_steps):
@@ -265,7 +266,8 @@ class _Run:
         problem = program.problem()
         solution: Solution = solve(problem, self.engine)
         self.solves += 1
-        if not strictly_feasible(problem, solution):
+        if not usable(problem, solution):
+            self.refusal = solution
             return None
         v, s = solution.values, solution.scalars
         self.history.append((s["margin"], s["gamma"]))
@@ -288,6 +290,11 @@ def _explain(
     what: str,
 ) -> None:
     """Raise InfeasibleDesign with the largest fraction of the targets that is reached."""
+    if run.refusal is not None and run.refusal.status != "infeasible":
+        raise UncertifiedDesign(
+            f"{what}: after {len(run.history)} half-steps {run.refusal.engine} stopped with "
+            f"{run.refusal.status!r} ({run.refusal.message}); try the other engine or a larger radius"
+        )
 
     def targets(fraction: float) -> dict[str, float]:
         return {
