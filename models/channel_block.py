@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.special import gammaincc, gammaincinv
 
 from .variables import Block, Enumeration, Variable, VariableTable
 
 _FOLDER = Path(__file__).resolve().parent / "channel"
 
 OUTAGES = 8  #: outage windows of a channel; as in channel.h
+QUANTILES = 33  #: points of a latency distribution, at probabilities 0, 1/32, ..., 1; as in channel.h
 
 ON_LOSS = Enumeration(
     "OnLoss",
@@ -35,7 +37,12 @@ def channel_block(
 
     Everything else is an FMI parameter: ``latency`` (s), ``on_loss`` (`ON_LOSS`),
     ``hold_time`` (s), ``outage[k].start`` and ``outage[k].end`` (s, k = 1..8; a
-    window with start = end is off). Outputs ``y`` and the Boolean ``valid``.
+    window with start = end is off), ``reporting_interval`` (s; 0: continuous),
+    ``jitter`` (s, uniform), ``quantile[j]`` (s, j = 1..33, see `quantiles_of`),
+    ``quantum``, ``pdc_wait`` (s), ``loss_good``, ``loss_bad``, ``good_to_bad``,
+    ``bad_to_good`` (probabilities per packet) and ``seed``. Outputs ``y``, the age
+    of its information ``age`` (s), the Boolean ``valid`` and the packet counts
+    ``sent``, ``delivered``, ``dropped``, ``late``.
 
     Parameters
     ----------
@@ -55,6 +62,9 @@ def channel_block(
     variables = [
         Variable("u", "input", "Signal sent", unit=unit, start=0.0),
         Variable("y", "output", "Signal received", unit=unit, depends_on=("u",)),
+        Variable(
+            "age", "output", "Time since the newest received value was sampled", unit="s", depends_on=()
+        ),
         Variable("valid", "output", "Whether the signal arrives", type="Boolean", depends_on=()),
         Variable(
             "latency",
@@ -77,6 +87,15 @@ def channel_block(
             tunable=True,
         ),
     ]
+    variables[4:4] = [
+        Variable(name, "output", f"Packets {what} so far", type="Integer", depends_on=())
+        for name, what in (
+            ("sent", "sent"),
+            ("delivered", "delivered with the newest time stamp"),
+            ("dropped", "lost on the way or in an outage"),
+            ("late", "that came after a newer one or after the concentrator's wait"),
+        )
+    ]
     for k in range(1, OUTAGES + 1):
         variables += [
             Variable(f"outage[{k}].start", "parameter", f"Start of outage {k}", unit="s", start=1e30),
@@ -84,6 +103,23 @@ def channel_block(
                 f"outage[{k}].end", "parameter", f"End of outage {k}, itself outside", unit="s", start=1e30
             ),
         ]
+    variables += [
+        Variable(name, "parameter", text, unit=in_unit, start=0.0, min=0.0, max=most)
+        for name, text, in_unit, most in (
+            ("reporting_interval", "Interval between packets; 0: continuous", "s", 1e6),
+            ("jitter", "Width of a uniform random part of the latency", "s", 1e6),
+            ("quantum", "Step of the rounding of what is sent; 0: none", unit, 1e6),
+            ("pdc_wait", "Wait of the concentrator after the time stamp; 0: none", "s", 1e6),
+            ("loss_good", "Probability of loss in the good state", "1", 1.0),
+            ("loss_bad", "Probability of loss in the bad state", "1", 1.0),
+            ("good_to_bad", "Probability per packet of going from good to bad", "1", 1.0),
+            ("bad_to_good", "Probability per packet of going from bad to good", "1", 1.0),
+            *(
+                (f"quantile[{j + 1}]", f"Random part of the latency at probability {j}/32", "s", 1e6)
+                for j in range(QUANTILES)
+            ),
+        )
+    ]
     variables.append(
         Variable(
             "on_loss",
@@ -95,17 +131,49 @@ def channel_block(
             tunable=True,
         )
     )
+    variables.append(
+        Variable("seed", "parameter", "Which random packets", type="Integer", start=0, min=0, max=2147483647)
+    )
     return Block(
         kind="channel",
         name=name,
-        description="Communication channel: exact latency, outages, rule on loss",
+        description="Communication channel: exact latency, packets, loss, outages, rule on loss",
         table=VariableTable(variables),
         data={"capacity": np.array([capacity], dtype=np.int32)},
-        sources=(_FOLDER / "channel.c", _FOLDER / "history.c"),
+        sources=(_FOLDER / "channel.c", _FOLDER / "history.c", _FOLDER / "packets.c"),
         step_s=step_s,
         model_exchange=False,
         documentation={"Behaviour": _BEHAVIOUR, **(documentation or {})},
     )
+
+
+def quantiles_of(points_s: Sequence[float]) -> dict[str, float]:
+    """Return ``quantile[j]`` parameters from quantiles at equally spaced probabilities 0 to 1, s.
+
+    Raises
+    ------
+    ValueError : fewer than two points, a negative one, or a descending one.
+    """
+    points = np.asarray(points_s, dtype=float)
+    if not (points.size >= 2 and points[0] >= 0.0 and np.all(np.diff(points) >= 0.0)):
+        raise ValueError("quantiles of a latency: allowed are two or more, not negative, not descending")
+    at = np.linspace(0.0, 1.0, QUANTILES)
+    table = np.interp(at, np.linspace(0.0, 1.0, points.size), points)
+    return {f"quantile[{j}]": float(q) for j, q in enumerate(table, start=1)}
+
+
+def gamma_quantiles(shape: float, scale_s: float) -> dict[str, float]:
+    """Return ``quantile[j]`` parameters of a gamma distribution (mean shape * scale_s, s).
+
+    Between its quantiles the table is linear; its last point stands for the tail
+    beyond probability 31/32 and is placed so that the tail's mean is right.
+    """
+    if not (shape > 0.0 and scale_s > 0.0):
+        raise ValueError(f"gamma latency: shape {shape:g} and scale {scale_s:g} s, allowed: positive")
+    at = np.linspace(0.0, 1.0, QUANTILES)[:-1]
+    inner = gammaincinv(shape, at) * scale_s
+    tail_mean = shape * scale_s * gammaincc(shape + 1.0, inner[-1] / scale_s) * (QUANTILES - 1)
+    return quantiles_of([*inner, 2.0 * tail_mean - inner[-1]])
 
 
 _BEHAVIOUR = (
@@ -113,4 +181,7 @@ _BEHAVIOUR = (
     "communication points at which it was told u and its slope, the input is the cubic Hermite polynomial; "
     "without slopes the straight line; before the start, its first value. During an outage (start included, "
     "end not) <code>valid</code> is false and <code>on_loss</code> decides y.</p>"
+    "<p>With <code>reporting_interval</code> T &gt; 0 the signal travels in packets stamped k T, with random "
+    "latency and loss from <code>seed</code>; y is the value with the newest stamp that has arrived. "
+    "sent = delivered + dropped + late + on their way.</p>"
 )

@@ -4,6 +4,7 @@
 #include <stdio.h>
 
 #include "history.h"
+#include "packets.h"
 
 const int block_is_sampled = 1;
 
@@ -24,7 +25,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *n, BlockNeeds *
 {
     const size_t capacity = capacity_of(record);
 
-    if (n->n_x != 0 || n->n_u != 1 || n->n_y != 1 || n->n_w != 0 || n->n_p != P_COUNT || n->n_iu != 0
+    if (n->n_x != 0 || n->n_u != 1 || n->n_y != 2 || n->n_w != 0 || n->n_p != P_COUNT || n->n_iu != 0
         || n->n_iy != IY_COUNT || n->n_iw != 0 || n->n_ip != IP_COUNT || capacity == 0) {
         snprintf(message->text, sizeof message->text, "channel: the variables or `capacity` of the record do "
                  "not fit this binary");
@@ -35,9 +36,16 @@ BlockStatus block_needs(const Record *record, const BlockLayout *n, BlockNeeds *
     return BLOCK_OK;
 }
 
+double channel_quantised(const Block *b, double value)
+{
+    const double quantum = b->p[P_QUANTUM];
+    return quantum > 0.0 ? quantum * floor(value / quantum + 0.5) : value;
+}
+
 BlockStatus block_start(Block *b, double t, BlockMessage *message)
 {
-    (void)t;
+    BlockStatus status;
+
     if (!(b->p[P_LATENCY] >= 0.0) || !(b->p[P_HOLD_TIME] >= 0.0)) {
         snprintf(message->text, sizeof message->text,
                  "channel: latency %g s and hold_time %g s must not be negative", b->p[P_LATENCY],
@@ -51,12 +59,13 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
                      b->p[P_OUTAGES + 2 * k + 1], b->p[P_OUTAGES + 2 * k]);
             return BLOCK_ERROR;
         }
+    if ((status = packets_check(b, message)) != BLOCK_OK) return status;
+    for (int k = 0; k < IY_COUNT; ++k) b->iy[k] = 0;
+    packets_start(b, t);
     return BLOCK_OK;
 }
 
-/* Start of the outage that holds at time t, over touching windows; returns 0
- * when there is none. */
-static int outage_at(const Block *b, double t, double *since)
+int outage_at(const Block *b, double t, double *since)
 {
     const double *window = b->p + P_OUTAGES;
     double at = t;
@@ -81,7 +90,11 @@ static BlockStatus delayed(Block *b, double t, double *value, double *slope, Blo
 {
     const History history = history_of(b);
 
-    if (history_at(&history, t - b->p[P_LATENCY], value, slope) == 0) return BLOCK_OK;
+    if (history_at(&history, t - b->p[P_LATENCY], value, slope) == 0) {
+        *value = channel_quantised(b, *value);
+        if (b->p[P_QUANTUM] > 0.0) *slope = 0.0;
+        return BLOCK_OK;
+    }
     snprintf(message->text, sizeof message->text,
              "channel: at time %.9g s the input of %g s ago is no longer among the last %zu communication "
              "points; take longer steps or build the channel with a larger capacity", t, b->p[P_LATENCY],
@@ -113,9 +126,16 @@ BlockStatus block_step(Block *b, double t, double h, const double *u_poly, doubl
     double since;
 
     history_add(&history, t, u_poly, b->u_order[0]);
-    dy[0] = 0.0;
+    dy[0] = dy[1] = 0.0;
+    if (b->p[P_REPORTING] > 0.0) {
+        dy[1] = 1.0;
+        return packets_step(b, &history, t, end, message);
+    }
+    b->y[1] = b->p[P_LATENCY];
     b->iy[IY_VALID] = !outage_at(b, end, &since);
     if (b->iy[IY_VALID]) return delayed(b, end, &b->y[0], &dy[0], message);
+    b->y[1] += end - since;
+    dy[1] = 1.0;
     return lost(b, end, since, &b->y[0], message);
 }
 
@@ -125,7 +145,11 @@ BlockStatus block_directional(Block *b, double t, const double *x, const double 
     double since;
 
     (void)x, (void)u, (void)vx, (void)vdx, (void)message;
-    if (vy != NULL) vy[0] = b->p[P_LATENCY] == 0.0 && !outage_at(b, t, &since) ? vu[0] : 0.0;
+    if (vy == NULL) return BLOCK_OK;
+    vy[0] = b->p[P_LATENCY] == 0.0 && b->p[P_REPORTING] == 0.0 && b->p[P_QUANTUM] == 0.0
+                    && !outage_at(b, t, &since)
+                ? vu[0] : 0.0;
+    vy[1] = 0.0;
     return BLOCK_OK;
 }
 

@@ -21,24 +21,60 @@
  *   on_loss = hold_then_zero  the same for `hold_time`, then 0
  * Windows that touch or overlap are one outage. start = end switches one off.
  *
- * Slopes. dy/dt is u'(t - latency), and 0 in an outage.                      */
+ * Slopes. dy/dt is u'(t - latency), and 0 in an outage.
+ *
+ * Packets. With reporting_interval = T > 0 the signal travels in packets:
+ * packet k takes the value of u at its time stamp k T exactly (by the same
+ * polynomials) and arrives latency + jitter * U1 + Q(U2) later, U uniform in
+ * [0, 1), Q linear between quantile[1..33] at probabilities 0, 1/32, ..., 1.
+ * y is the value with the newest stamp that has arrived. Older ones that arrive
+ * afterwards count as late. pdc_wait > 0: a concentrator releases packet k at
+ * k T + pdc_wait; whatever took longer it throws away, which counts as late.
+ * A packet is lost with probability loss_good or loss_bad, in the good or bad
+ * state of a Markov chain that moves once per packet (good_to_bad = 0: plain
+ * Bernoulli loss), or when it comes out inside an outage. `valid` is false from
+ * the instant at which a packet is missed, or an outage begins, until the next
+ * one is delivered; on_loss rules in between. Until the first one arrives y is
+ * u(start), stamped with the start.
+ *   sent = delivered + dropped + late + on their way;  age = t - newest stamp
+ * (continuous: the latency, growing in an outage). Packets are counted when due.
+ *
+ * Random numbers are a hash of (seed, packet number, purpose): the same packets
+ * in every tool, for every step, after restoring a state too.
+ *
+ * y jumps at arrivals. A master sees the value at communication points only:
+ * an arrival inside a step shows at its end. With steps that divide reporting
+ * interval and latency nothing is lost by that.
+ *
+ * quantum > 0 rounds what is sent to its nearest multiple (slopes are then 0). */
 #include "../block/block.h"
 
-enum { CHANNEL_OUTAGES = 8 };
+enum { CHANNEL_OUTAGES = 8, CHANNEL_QUANTILES = 33, CHANNEL_IN_FLIGHT = 512 };
 enum { ON_LOSS_ZERO = 0, ON_LOSS_HOLD = 1, ON_LOSS_HOLD_THEN_ZERO = 2 };
 
 /* Real parameters, in order. */
 enum {
     P_LATENCY, P_HOLD_TIME, P_OUTAGES, /* start, end, start, end, ... */
-    P_COUNT = P_OUTAGES + 2 * CHANNEL_OUTAGES
+    P_REPORTING = P_OUTAGES + 2 * CHANNEL_OUTAGES, P_JITTER, P_QUANTUM, P_PDC_WAIT,
+    P_LOSS_GOOD, P_LOSS_BAD, P_GOOD_TO_BAD, P_BAD_TO_GOOD,
+    P_QUANTILES,
+    P_COUNT = P_QUANTILES + CHANNEL_QUANTILES
 };
 /* Integer parameters and outputs. */
-enum { IP_ON_LOSS, IP_COUNT };
-enum { IY_VALID, IY_COUNT };
+enum { IP_ON_LOSS, IP_SEED, IP_COUNT };
+enum { IY_VALID, IY_SENT, IY_DELIVERED, IY_DROPPED, IY_LATE, IY_COUNT };
 
-/* Discrete state: a head, then the ring of samples. */
-enum { M_SAMPLES, M_HELD, M_HELD_SINCE, M_HAS_HELD, M_RING };
+/* Discrete state: a head, packets on their way, then the ring of samples. */
+enum {
+    M_SAMPLES, M_HELD, M_HELD_SINCE, M_HAS_HELD,
+    M_FIRST, M_NEXT, M_BAD, M_NEWEST, M_RECEIVED, M_LOST, M_LOST_SINCE, M_IN_FLIGHT,
+    M_PENDING, /* due time, stamp, fate, due time, ... */
+    M_RING = M_PENDING + 3 * CHANNEL_IN_FLIGHT
+};
 
 static const double TIME_SLACK = 1e-10; /* s */
+
+/* What is sent of a value. */
+double channel_quantised(const Block *b, double value);
 
 #endif

@@ -1,0 +1,202 @@
+#include "packets.h"
+
+#include <math.h>
+#include <stdint.h>
+#include <stdio.h>
+
+enum { STREAM_JITTER = 1, STREAM_TABLE, STREAM_STATE, STREAM_LOSS };
+enum { DUE = 0, STAMP = 1, FATE = 2, PACKET_SIZE = 3 };
+enum { FATE_ARRIVES = 0, FATE_LOST = 1, FATE_TOO_LATE = 2 };
+
+/* The finaliser of SplitMix64. */
+static uint64_t mixed(uint64_t z)
+{
+    z = (z ^ (z >> 30)) * UINT64_C(0xbf58476d1ce4e5b9);
+    z = (z ^ (z >> 27)) * UINT64_C(0x94d049bb133111eb);
+    return z ^ (z >> 31);
+}
+
+double packet_random(int seed, double packet, unsigned stream)
+{
+    const uint64_t golden = UINT64_C(0x9e3779b97f4a7c15);
+    uint64_t z = mixed((uint64_t)(uint32_t)seed + golden);
+
+    z = mixed(z + golden * (uint64_t)stream);
+    z = mixed(z + golden * (uint64_t)(int64_t)packet);
+    return (double)(z >> 11) * (1.0 / 9007199254740992.0);
+}
+
+BlockStatus packets_check(const Block *b, BlockMessage *message)
+{
+    const double *p = b->p, *q = p + P_QUANTILES;
+    const char *bad = NULL;
+    int extras = p[P_JITTER] > 0.0 || p[P_PDC_WAIT] > 0.0 || p[P_LOSS_GOOD] > 0.0 || p[P_GOOD_TO_BAD] > 0.0;
+
+    for (int k = P_LOSS_GOOD; k <= P_BAD_TO_GOOD; ++k)
+        if (!(p[k] >= 0.0 && p[k] <= 1.0)) bad = "probabilities of loss and transition must lie in 0 to 1";
+    for (int k = P_REPORTING; k <= P_PDC_WAIT; ++k)
+        if (!(p[k] >= 0.0 && p[k] <= 1e6))
+            bad = "reporting_interval, jitter, quantum and pdc_wait must lie in 0 to 1e6";
+    if (p[P_REPORTING] > 0.0 && !(p[P_REPORTING] >= 1e-4)) bad = "reporting_interval must be 0 or at least 1e-4 s";
+    if (p[P_GOOD_TO_BAD] > 0.0 && !(p[P_BAD_TO_GOOD] > 0.0)) bad = "bad_to_good must be positive";
+    for (int k = 0; k < CHANNEL_QUANTILES; ++k) {
+        if (!(q[k] >= (k > 0 ? q[k - 1] : 0.0) && q[k] <= 1e6))
+            bad = "quantile[1], quantile[2], ... must not be negative nor descend";
+        else if (q[k] > 0.0)
+            extras = 1;
+    }
+    if (p[P_REPORTING] == 0.0 && extras)
+        bad = "jitter, quantile, loss and pdc_wait act on packets: set reporting_interval";
+    if (bad == NULL) return BLOCK_OK;
+    snprintf(message->text, sizeof message->text, "channel: %s", bad);
+    return BLOCK_ERROR;
+}
+
+void packets_start(Block *b, double t)
+{
+    double *m = b->memory;
+    const double a = b->p[P_GOOD_TO_BAD], z = b->p[P_BAD_TO_GOOD];
+
+    if (!(b->p[P_REPORTING] > 0.0)) return;
+    m[M_FIRST] = m[M_NEXT] = ceil((t - TIME_SLACK) / b->p[P_REPORTING]);
+    m[M_NEWEST] = t;
+    /* the state before the first packet, from the stationary distribution */
+    m[M_BAD] = a > 0.0 && packet_random(b->ip[IP_SEED], m[M_FIRST] - 1.0, STREAM_STATE) * (a + z) < a;
+}
+
+static double latency_of(const Block *b, double number)
+{
+    const double *q = b->p + P_QUANTILES;
+    const int seed = b->ip[IP_SEED];
+    const double at = packet_random(seed, number, STREAM_TABLE) * (CHANNEL_QUANTILES - 1);
+    const int k = (int)at;
+
+    return b->p[P_LATENCY] + b->p[P_JITTER] * packet_random(seed, number, STREAM_JITTER)
+           + (q[k] + (at - k) * (q[k + 1] - q[k]));
+}
+
+/* Sends packet M_NEXT. */
+static BlockStatus post(Block *b, BlockMessage *message)
+{
+    double *m = b->memory, *packet = m + M_PENDING + PACKET_SIZE * (size_t)m[M_IN_FLIGHT];
+    const double number = m[M_NEXT], wait = b->p[P_PDC_WAIT], latency = latency_of(b, number);
+    const double move = packet_random(b->ip[IP_SEED], number, STREAM_STATE);
+
+    if ((int)m[M_IN_FLIGHT] >= CHANNEL_IN_FLIGHT) {
+        snprintf(message->text, sizeof message->text, "channel: at time %.9g s more than %d packets are on "
+                 "their way; shorten the latency or lengthen reporting_interval",
+                 number * b->p[P_REPORTING], CHANNEL_IN_FLIGHT);
+        return BLOCK_ERROR;
+    }
+    m[M_BAD] = m[M_BAD] != 0.0 ? !(move < b->p[P_BAD_TO_GOOD]) : move < b->p[P_GOOD_TO_BAD];
+    packet[STAMP] = number * b->p[P_REPORTING];
+    packet[DUE] = packet[STAMP] + (wait > 0.0 ? wait : latency);
+    packet[FATE] = FATE_ARRIVES;
+    if (wait > 0.0 && latency > wait + TIME_SLACK) packet[FATE] = FATE_TOO_LATE;
+    if (packet_random(b->ip[IP_SEED], number, STREAM_LOSS) < b->p[m[M_BAD] != 0.0 ? P_LOSS_BAD : P_LOSS_GOOD])
+        packet[FATE] = FATE_LOST;
+    m[M_IN_FLIGHT] += 1.0;
+    m[M_NEXT] += 1.0;
+    return BLOCK_OK;
+}
+
+static void lose(double *m, double since)
+{
+    if (m[M_LOST] != 0.0) return;
+    m[M_LOST] = 1.0;
+    m[M_LOST_SINCE] = since;
+}
+
+static BlockStatus value_at(const Block *b, const History *history, double stamp, double *value,
+                            BlockMessage *message)
+{
+    double slope;
+
+    if (history_at(history, stamp, value, &slope) != 0) {
+        snprintf(message->text, sizeof message->text, "channel: the input at time %.9g s is no longer among the "
+                 "last %zu communication points; build the channel with a larger capacity", stamp,
+                 history->capacity);
+        return BLOCK_ERROR;
+    }
+    *value = channel_quantised(b, *value);
+    return BLOCK_OK;
+}
+
+/* The packet at place k is due. */
+static BlockStatus receive(Block *b, const History *history, size_t k, BlockMessage *message)
+{
+    double *m = b->memory, *list = m + M_PENDING;
+    const double due = list[PACKET_SIZE * k + DUE], stamp = list[PACKET_SIZE * k + STAMP];
+    const int fate = (int)list[PACKET_SIZE * k + FATE];
+    double since;
+
+    m[M_IN_FLIGHT] -= 1.0;
+    for (size_t i = PACKET_SIZE * k; i < PACKET_SIZE * (size_t)m[M_IN_FLIGHT]; ++i) list[i] = list[i + PACKET_SIZE];
+    if (fate == FATE_LOST || outage_at(b, due, &since)) {
+        b->iy[IY_DROPPED] += 1;
+        if (stamp > m[M_NEWEST]) lose(m, fate == FATE_LOST ? due : since);
+        return BLOCK_OK;
+    }
+    if (fate == FATE_TOO_LATE || (m[M_RECEIVED] != 0.0 && stamp < m[M_NEWEST])) {
+        b->iy[IY_LATE] += 1;
+        if (fate == FATE_TOO_LATE) lose(m, due);
+        return BLOCK_OK;
+    }
+    b->iy[IY_DELIVERED] += 1;
+    m[M_RECEIVED] = 1.0;
+    m[M_NEWEST] = stamp;
+    m[M_LOST] = 0.0;
+    return value_at(b, history, stamp, &m[M_HELD], message);
+}
+
+/* The first packet due by `end`, or `count`. */
+static size_t first_due(const double *list, size_t count, double end)
+{
+    size_t best = count;
+
+    for (size_t k = 0; k < count; ++k) {
+        const double due = list[PACKET_SIZE * k + DUE];
+        if (due <= end + TIME_SLACK && (best == count || due < list[PACKET_SIZE * best + DUE])) best = k;
+    }
+    return best;
+}
+
+BlockStatus packets_step(Block *b, const History *history, double now, double end, BlockMessage *message)
+{
+    double *m = b->memory, since;
+    const double interval = b->p[P_REPORTING];
+    BlockStatus status;
+
+    if ((end - m[M_NEXT] * interval) / interval > 1e5) {
+        snprintf(message->text, sizeof message->text, "channel: the step to time %.9g s spans more than 100000 "
+                 "packets; take shorter steps", end);
+        return BLOCK_ERROR;
+    }
+    /* the input may have been set anew since the newest packet took its value */
+    if ((m[M_RECEIVED] == 0.0 || m[M_NEWEST] >= now - TIME_SLACK)
+        && (status = value_at(b, history, m[M_NEWEST], &m[M_HELD], message)) != BLOCK_OK)
+        return status;
+    for (;;) {
+        const double stamp = m[M_NEXT] * interval;
+        const int more = stamp <= end + TIME_SLACK;
+        /* before a packet is sent, all that is due until then arrives */
+        const double until = more && stamp < end ? stamp : end;
+        size_t k;
+
+        while ((k = first_due(m + M_PENDING, (size_t)m[M_IN_FLIGHT], until)) < (size_t)m[M_IN_FLIGHT])
+            if ((status = receive(b, history, k, message)) != BLOCK_OK) return status;
+        if (!more) break;
+        if ((status = post(b, message)) != BLOCK_OK) return status;
+    }
+    if (outage_at(b, end, &since)) lose(m, since);
+    b->iy[IY_SENT] = (int)(m[M_NEXT] - m[M_FIRST]);
+    b->iy[IY_VALID] = m[M_LOST] == 0.0;
+    b->y[1] = end - m[M_NEWEST];
+    b->y[0] = m[M_HELD];
+    if (m[M_LOST] != 0.0
+        && (b->ip[IP_ON_LOSS] == ON_LOSS_ZERO
+            || (b->ip[IP_ON_LOSS] == ON_LOSS_HOLD_THEN_ZERO
+                && end >= m[M_LOST_SINCE] + b->p[P_HOLD_TIME] - TIME_SLACK)))
+        b->y[0] = 0.0;
+    return BLOCK_OK;
+}

@@ -1,0 +1,20 @@
+#ifndef INTERAREA_PACKETS_H
+#define INTERAREA_PACKETS_H
+/* Packets of a channel with a reporting interval (semantics: channel.h). */
+#include "channel.h"
+#include "history.h"
+
+/* Start of the outage that holds at time t, over touching windows; returns 0
+ * when there is none. */
+int outage_at(const Block *b, double t, double *since);
+
+/* A number in [0, 1) that depends on nothing but seed, packet and stream. */
+double packet_random(int seed, double packet, unsigned stream);
+
+BlockStatus packets_check(const Block *b, BlockMessage *message);
+void packets_start(Block *b, double t);
+/* Sends and receives everything up to time `end`; `now` is the last instant at
+ * which the input was set. Sets outputs and integer outputs. */
+BlockStatus packets_step(Block *b, const History *history, double now, double end, BlockMessage *message);
+
+#endif
