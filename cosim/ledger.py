@@ -137,7 +137,7 @@ class PacketLedger:
 
 
 #: variables a channel may offer, by what the ledger calls them
-PACKET_VARIABLES = ("sent", "delivered", "dropped", "late", "age_mean", "age_max")
+PACKET_VARIABLES = ("sent", "delivered", "dropped", "late", "age")
 
 
 def explain(master: Master) -> str:

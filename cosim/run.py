@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from interarea.models.case import load_case
+from interarea.models.channel_block import gamma_quantiles, quantiles_of
 from interarea.models.plant_block import event_parameters, plant_block
 
 from .errors import ScenarioError, nearest
@@ -20,7 +21,7 @@ from .ledger import PACKET_VARIABLES, DelayLedger, PacketLedger, delay_ledger, e
 from .master import Master
 from .metrics import Metrics
 from .ringdown import fit_window, ring_down_of, run_metrics
-from .scenario import Scenario, load_scenario
+from .scenario import BernoulliLoss, ChannelTable, GammaLatency, Scenario, load_scenario
 from .trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -194,7 +195,7 @@ def assemble(
                 f"allowed: at most {_MAX_OUTAGES}"
             )
         channel_file = channel_file or FmuFile(artefacts.channel_fmu(folder))
-        start: dict[str, Value] = {"latency": channel.latency_s, "on_loss": channel.on_loss}
+        start = _channel_start(channel)
         for k, (begin, end) in enumerate(channel.outages_s, start=1):
             start |= {f"outage[{k}].start": begin, f"outage[{k}].end": end}
         participants.append(FmuParticipant(name, channel_file, start))
@@ -216,12 +217,36 @@ def assemble(
         stop_s=scenario.stop_s,
         step_s=scenario.step_s,
         marks_s=scenario.marks_s,
-        latency_s={n: c.latency_s for n, c in scenario.channels.items()},
+        latency_s={n: max(c.latency_s, c.pdc_wait_s) for n, c in scenario.channels.items()},
         inputs=scenario.master.inputs,
         loops=scenario.master.loops,
         tolerance=scenario.master.tolerance,
     )
     return Loop(scenario, case, master, list(scenario.channels))
+
+
+def _channel_start(channel: ChannelTable) -> dict[str, Value]:
+    """Return the parameters of a channel's FMU, outages apart."""
+    start: dict[str, Value] = {
+        "latency": channel.latency_s,
+        "on_loss": channel.on_loss,
+        "hold_time": channel.hold_s,
+        "reporting_interval": channel.reporting_interval_s,
+        "jitter": channel.jitter_s,
+        "quantum": channel.quantum,
+        "pdc_wait": channel.pdc_wait_s,
+        "seed": channel.seed,
+    }
+    if isinstance(channel.latency, GammaLatency):
+        start |= gamma_quantiles(channel.latency.shape, channel.latency.scale_s)
+    elif channel.latency is not None:
+        start |= quantiles_of(channel.latency.quantiles_s)
+    if isinstance(channel.loss, BernoulliLoss):
+        start["loss_good"] = channel.loss.rate
+    elif channel.loss is not None:
+        chances = ("loss_good", "loss_bad", "good_to_bad", "bad_to_good")
+        start |= {key: getattr(channel.loss, key) for key in chances}
+    return start
 
 
 def _known(name: str, known: Iterable[str], what: str) -> None:

@@ -9,7 +9,7 @@ A scenario file is TOML:
     [channels.remote]
     signal = "G2_dw"                   # plant output -> controller input of the same name
     latency_s = 0.1
-    on_loss = "zero"                   # zero | hold
+    on_loss = "zero"                   # zero | hold | hold_then_zero (for hold_s)
     outages_s = [[10.0, 20.0]]
     [[event]]                          # interarea.models.events
     kind = "vref_pulse"
@@ -17,6 +17,11 @@ A scenario file is TOML:
     size_pu = 0.05
     start_s = 1.0
     end_s = 1.2
+
+A channel takes besides: reporting_interval_s (packets; needed by what follows), jitter_s (uniform),
+latency = {kind = "gamma", shape, scale_s} | {kind = "empirical", quantiles_s} on top of latency_s,
+loss = {kind = "bernoulli", rate} | {kind = "gilbert_elliott", good_to_bad, bad_to_good, loss_good, loss_bad},
+pdc_wait_s, seed; and, with or without packets, quantum.
 
 Optional besides: `title`, `source`, `[master]` (inputs, loops, tolerance) and `[expect]`, the outcome that
 the gallery states and the tests assert. A signal without a channel reaches the controller undelayed.
@@ -42,18 +47,66 @@ BUNDLED = Path(__file__).parent / "scenarios"
 NAMED_CONTROLLERS = ("none", "wdc", "cc", "ftc")
 _RESERVED = ("plant", "controller")
 Seconds = Annotated[float, Field(ge=0.0)]
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class _Table(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+class GammaLatency(_Table):
+    """A random latency on top of `latency_s`, gamma distributed with mean shape * scale_s."""
+
+    kind: Literal["gamma"]
+    shape: Annotated[float, Field(gt=0.0)]
+    scale_s: Annotated[float, Field(gt=0.0)]
+
+
+class EmpiricalLatency(_Table):
+    """A random latency on top of `latency_s`: quantiles at equally spaced probabilities 0 to 1."""
+
+    kind: Literal["empirical"]
+    quantiles_s: Annotated[tuple[Seconds, ...], Field(min_length=2)]
+
+    @field_validator("quantiles_s")
+    @classmethod
+    def _ascending(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if list(value) != sorted(value):
+            raise ValueError(f"quantiles_s = {list(value)}, allowed: not descending")
+        return value
+
+
+class BernoulliLoss(_Table):
+    """Each packet is lost with probability `rate`."""
+
+    kind: Literal["bernoulli"]
+    rate: Probability
+
+
+class GilbertElliottLoss(_Table):
+    """Loss in a good and a bad state; moves between them once per packet."""
+
+    kind: Literal["gilbert_elliott"]
+    good_to_bad: Probability
+    bad_to_good: Annotated[float, Field(gt=0.0, le=1.0)]
+    loss_good: Probability = 0.0
+    loss_bad: Probability = 1.0
+
+
 class ChannelTable(_Table):
-    """One scalar signal on its way from the plant to the controller."""
+    """One scalar signal on its way from the plant to the controller (semantics: models/channel/channel.h)."""
 
     signal: Annotated[str, Field(min_length=1)]
     latency_s: Seconds = 0.0
-    on_loss: Literal["zero", "hold"] = "zero"
+    on_loss: Literal["zero", "hold", "hold_then_zero"] = "zero"
+    hold_s: Seconds = 1.0
+    reporting_interval_s: Seconds = 0.0
+    jitter_s: Seconds = 0.0
+    latency: Annotated[GammaLatency | EmpiricalLatency, Field(discriminator="kind")] | None = None
+    loss: Annotated[BernoulliLoss | GilbertElliottLoss, Field(discriminator="kind")] | None = None
+    quantum: Seconds = 0.0
+    pdc_wait_s: Seconds = 0.0
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     outages_s: tuple[tuple[Seconds, Seconds], ...] = ()
 
     @field_validator("latency_s")
@@ -61,6 +114,22 @@ class ChannelTable(_Table):
     def _on_the_clock(cls, value: float) -> float:
         to_ticks(value, "latency_s")
         return value
+
+    @field_validator("reporting_interval_s")
+    @classmethod
+    def _frame(cls, value: float) -> float:
+        if value and not value >= 1e-4:
+            raise ValueError(f"reporting_interval_s = {value:g}, allowed: 0 (continuous) or at least 1e-4")
+        to_ticks(value, "reporting_interval_s")
+        return value
+
+    @model_validator(mode="after")
+    def _packets(self) -> Self:
+        if not self.reporting_interval_s:
+            for key in ("jitter_s", "latency", "loss", "pdc_wait_s"):
+                if getattr(self, key):
+                    raise ValueError(f"{key} acts on packets: set reporting_interval_s")
+        return self
 
     @model_validator(mode="after")
     def _outages(self) -> Self:
