@@ -67,7 +67,10 @@ def test_the_documented_file_loads(tmp_path: Path) -> None:
         ({"step_s": 1e-12}, r"between two ticks"),
         ({"channels": {"a": {"signal": "G2_dw", "latency_s": -1.0}}}, r"channels.a.latency_s = -1"),
         ({"channels": {"a": {"signal": "G2_dw", "latncy_s": 1.0}}}, r"did you mean 'latency_s'"),
-        ({"channels": {"a": {"signal": "G2_dw", "on_loss": "keep"}}}, r"allowed: 'zero', 'hold' or 'hold_then_zero'"),
+        (
+            {"channels": {"a": {"signal": "G2_dw", "on_loss": "keep"}}},
+            r"allowed: 'zero', 'hold' or 'hold_then_zero'",
+        ),
         ({"channels": {"a": {"signal": "G2_dw", "outages_s": [[3.0, 2.0]]}}}, r"allowed: end > start"),
         ({"channels": {"a": {"signal": "G2_dw", "outages_s": [[30.0, 40.0]]}}}, r"outside the run"),
         ({"channels": {"plant": {"signal": "G2_dw"}}}, r"an identifier other than plant"),
