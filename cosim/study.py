@@ -40,7 +40,7 @@ from .artefacts import (
 from .claims import judge_statements
 from .errors import ScenarioError, nearest
 from .report import write_report
-from .study_delay import latency_analysis
+from .study_delay import latency_analysis, redesigned
 from .study_figures import DW24, StudyParts, save_figures
 from .study_runs import run_all, scenario_documents
 from .terminal import StageProgress
@@ -132,6 +132,14 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
             "latency",
             key,
             lambda: latency_analysis(plant, controllers[delayed], spec, relative_modes, done),
+        )
+        delay["synchronous"]["redesigned"] = cached_json(
+            cache,
+            "latency",
+            f"redesigned-{key}",
+            lambda: redesigned(
+                relative, controllers["wdc"], case.omega_b, spec["latency"]["redesigned_for_s"]
+            ),
         )
         done(1.0)
 

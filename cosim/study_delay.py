@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import control
@@ -11,7 +12,9 @@ import numpy as np
 from interarea.design.certificate import swing_poles
 from interarea.design.controller import Controller
 from interarea.design.delay import damping_over_latency, delay_margin, delayed_loop, rightmost_roots
+from interarea.design.linearise import speeds_in_rad
 from interarea.design.modes import Modes
+from interarea.design.study_designs import WdcSpec, design_wdc
 
 #: step of the curve, s
 GRID_S = 0.02
@@ -64,6 +67,39 @@ def latency_analysis(
         }
         progress((k + 1) / len(wirings))
     return found
+
+
+def redesigned(
+    relative: control.StateSpace, controller: Controller, omega_b: float, latencies_s: Sequence[float]
+) -> list[dict[str, float | int | None]]:
+    """Design the WDC again with each latency as a Padé model in its design plant; judge both exactly.
+
+    relative : full plant without reference angle, speeds in pu. controller : the one designed without.
+
+    Returns
+    -------
+    one row per latency (s): order, margin_s (None: stable at every latency searched), and the least
+    damping ratio of all swings at that synchronous latency, redesigned and as designed without.
+    """
+    plant = speeds_in_rad(relative, omega_b)
+    rows: list[dict[str, float | int | None]] = []
+    for latency in latencies_s:
+        # the design plant has the Padé states too, and the controller may keep as many
+        spec = WdcSpec(latency_s=latency)
+        spec = replace(spec, order=spec.plant_order + spec.pade_order)
+        made = design_wdc(relative, spec, omega_b=omega_b).system
+        both = dict.fromkeys(made.input_labels, latency)
+        margin = delay_margin(plant, made).margin_s
+        rows.append(
+            {
+                "latency_s": latency,
+                "order": made.nstates,
+                "margin_s": float(margin) if np.isfinite(margin) else None,
+                "least_damping": least_damping(plant, made, both),
+                "least_damping_without": least_damping(plant, controller.system, both),
+            }
+        )
+    return rows
 
 
 def _rows(latency_s: Any, values: Any) -> list[list[float]]:

@@ -18,6 +18,7 @@ import control
 import numpy as np
 
 from .controller import Controller
+from .delay import delayed_plant
 from .errors import InfeasibleDesign, UncertifiedDesign
 from .linearise import select, speeds_in_rad
 from .norms import hinf_of
@@ -51,6 +52,8 @@ class WdcSpec:
     gamma_cap: float = 10.0
     trace_weight: float = 1e-3
     limit_pu: float = 0.15
+    latency_s: float = 0.0  #: of both signals (synchronous feedback), as a Padé model in the design plant
+    pade_order: int = 2  #: the study's
 
 
 @dataclass(frozen=True)
@@ -120,13 +123,18 @@ def design_wdc(
     loop = select(plant, [spec.actuator], {"difference": difference})
     require_target_modes(loop, "wide-area damping")
     reduction = balanced_truncation(loop, _plant_order(spec.plant_order, loop, "wide-area damping"))
+    design_plant = reduction.system
+    if spec.latency_s != 0.0:
+        late = {"difference": spec.latency_s}
+        design_plant = delayed_plant(design_plant, late, spec.pade_order)
+        loop = delayed_plant(loop, late, spec.pade_order)
     gain, corner = spec.high_pass
     weights = (
         control.ss([[-spec.low_pass]], [[1.0]], [[spec.low_pass]], [[0.0]]),
         control.ss([[-corner]], [[1.0]], [[-gain * corner]], [[gain]]),
     )
     synthesis = wide_area_damping(
-        reduction.system,
+        design_plant,
         PoleRegion(spec.damping_ratio, spec.decay_rate, spec.radius),
         weights=weights,
         gamma_cap=spec.gamma_cap,
