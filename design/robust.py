@@ -49,7 +49,8 @@ class RobustSpec:
     pade_order: int = 3
     starts: int = 6
     evaluations: int = 600
-    polish: int = 1500
+    polish: int = 1500  #: evaluations of a polish
+    polishes: int = 8  #: at most; ends when one gains less than 1e-5
     seed: int = 1
 
     def __post_init__(self) -> None:
@@ -111,9 +112,19 @@ def design_robust(
             if progress is not None:
                 progress(f"start {k + 1} of {spec.starts}", value)
         assert best is not None
-        theta, used = _descend(objective, best[1], spec.polish)
-        count += used
-        value = objective(theta)[0]
+        value, theta = best
+        # the objective is nearly non-smooth: dropping the Hessian's memory frees a stalled search
+        for k in range(spec.polishes):
+            better, used = _descend(objective, theta, spec.polish)
+            count += used
+            reached_now = objective(better)[0]
+            gained = value - reached_now
+            if gained > 0.0:
+                value, theta = reached_now, better
+            if progress is not None:
+                progress(f"polish {k + 1} of {spec.polishes}", value)
+            if not gained > 1e-5:
+                break
     rightmost, worst = objective.worst(theta)
     if not rightmost < 0.0:
         raise InfeasibleDesign(
