@@ -27,6 +27,7 @@ import numpy as np
 from interarea.design.certificate import certificate
 from interarea.design.linearise import linearise, remove_reference, speeds_in_rad
 from interarea.design.modes import modes_of
+from interarea.design.shipped import shipped_controller, shipped_names
 from interarea.fmu_build.open import open_plant
 from interarea.fmu_build.package import build_fmu
 from interarea.models.case import Case
@@ -229,8 +230,11 @@ def design_controller(case: Case, name: str, cache: Path, *, reduce: bool = True
     ------
     ValueError : an unknown name. InfeasibleDesign, UncertifiedDesign : as the design says.
     """
+    if name in shipped_names():
+        return shipped_controller(name)
     if name not in CONTROLLER_NAMES:
-        raise ValueError(f"controller {name!r} is not known, allowed: {', '.join(CONTROLLER_NAMES)}")
+        known = (*CONTROLLER_NAMES, *shipped_names())
+        raise ValueError(f"controller {name!r} is not known, allowed: {', '.join(known)}")
     key = content_hash(
         [name, reduce],
         file_hash(plant_fmu(case, cache)),

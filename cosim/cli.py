@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .cli_design import certify, design
 from .terminal import busy, complain, print_table, stage_progress
 
 if TYPE_CHECKING:
@@ -166,6 +167,10 @@ def study(
         f"{sum(v == k for v in verdicts.values())} {k}" for k in ("agrees", "partly", "differs")
     )
     typer.echo(f"printed statements: {counts}", err=True)
+
+
+app.command()(design)
+app.command()(certify)
 
 
 def _modes(name: str) -> tuple[Case, control.StateSpace, Modes]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from interarea.design.shipped import shipped_names
 from interarea.models.case import load_case
 from interarea.models.channel_block import gamma_quantiles, quantiles_of
 from interarea.models.plant_block import event_parameters, plant_block
@@ -267,7 +268,7 @@ def _controller(
         if not path.is_file():
             raise ScenarioError(
                 f"{scenario.name}: controller = {scenario.controller!r} is neither a name nor a file, "
-                "allowed: none, wdc, cc, ftc or a controller file"
+                f"allowed: none, wdc, cc, ftc or a controller file, or shipped: {', '.join(shipped_names())}"
             )
         return Controller.load(path)
     if controllers is not None:

@@ -36,6 +36,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from interarea.design.shipped import shipped_names
 from interarea.models.case_errors import CaseError
 from interarea.models.events import events_of
 
@@ -44,7 +45,7 @@ from .errors import ScenarioError, nearest
 from .master import Inputs, Loops
 
 BUNDLED = Path(__file__).parent / "scenarios"
-NAMED_CONTROLLERS = ("none", "wdc", "cc", "ftc")
+NAMED_CONTROLLERS = ("none", "wdc", "cc", "ftc", *shipped_names())
 _RESERVED = ("plant", "controller")
 Seconds = Annotated[float, Field(ge=0.0)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]

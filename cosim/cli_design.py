@@ -1,0 +1,96 @@
+"""Commands `design` and `certify`: controllers for a family of operating points, losses, latencies."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .terminal import busy, print_table
+
+if TYPE_CHECKING:
+    from interarea.design.family import FamilyCertificate
+
+DesignFile = Annotated[
+    str,
+    typer.Option("--spec", metavar="SPEC.toml", help="design (file or bundled name) whose family judges"),
+]
+
+
+def design(
+    spec: Annotated[str, typer.Argument(metavar="SPEC.toml", help="design file, or a bundled name")],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.json", show_default=False)],
+) -> None:
+    """Design a fixed-order controller for a family; exit code 1 if it misses what was asked."""
+    from interarea.design.family import FamilyCertificate, FamilyRow
+
+    from .artefacts import default_cache
+    from .robust_design import load_design, run_design
+
+    table = load_design(spec)
+    made = run_design(
+        table, default_cache(), progress=lambda what, value: typer.echo(f"{what}: {value:.4f}", err=True)
+    )
+    made.save(out)
+    record = dict(made.certificate or {})
+    del record["passed"]
+    rows = tuple(FamilyRow(**row) for row in record.pop("rows"))
+    _show(made.name, FamilyCertificate(rows=rows, **record))
+    typer.echo(out)
+
+
+def certify(
+    controller: Annotated[
+        str,
+        typer.Argument(metavar="CONTROLLER", help="shipped name, JSON file, or controller FMU"),
+    ],
+    spec: DesignFile = "robust_linear",
+    case: Annotated[str | None, typer.Option("--case", help="another case than the design's")] = None,
+    json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
+) -> None:
+    """Recompute a controller's certificate on full plants with exact latency; exit code 1 if it fails."""
+    from interarea.models.case import load_case
+
+    from .artefacts import default_cache
+    from .robust_design import any_controller, load_design
+    from .robust_design import certify as recompute
+
+    table = load_design(spec)
+    if case is not None:
+        table = table.model_copy(update={"case": case})
+    made = any_controller(controller, load_case(table.case).omega_b)
+    with busy(f"certifying {controller}"):
+        found = recompute(table, made.system, default_cache())
+    if json_:
+        typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
+    else:
+        _show(made.name, found)
+    if not found.passed:
+        raise typer.Exit(1)
+
+
+def _show(name: str, found: FamilyCertificate) -> None:
+    print_table(
+        f"{name}: full plants, exact latency",
+        ("operating point", "condition", "stable", "worst swing", "inter-area", "rightmost (1/s)"),
+        [
+            (
+                row.point,
+                row.condition,
+                "yes" if row.stable else "NO",
+                f"{row.worst_swing:.3f}",
+                f"{row.inter_area:.3f}",
+                f"{row.rightmost:.3f}",
+            )
+            for row in found.rows
+        ],
+    )
+    typer.echo(
+        f"worst swing {found.worst_swing:.4f}, inter-area {found.inter_area:.4f}, effort {found.effort:.4f}, "
+        f"fastest pole {found.fastest_pole:.1f} rad/s"
+    )
+    for violation in found.violations:
+        typer.echo(f"violated: {violation}")
+    typer.echo("passed" if found.passed else "does not pass")

@@ -1,0 +1,141 @@
+"""Shipped robust controllers hold their figures on full plants with exact latency."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+from independent.two_area import LOADS, OMEGA_B, VARIANTS, TwoArea
+from typer.testing import CliRunner
+
+from interarea.cosim.artefacts import controller_fmu
+from interarea.cosim.cli import app
+from interarea.cosim.errors import ScenarioError
+from interarea.cosim.robust_design import any_controller, load_design
+from interarea.design.conditions import condition_of
+from interarea.design.family import judge_family
+from interarea.design.linearise import remove_reference, speeds_in_rad
+from interarea.design.robust import RobustSpec, build_objective, design_robust
+from interarea.design.shipped import shipped_controller
+
+
+def independent_plant(tie_pu: float = 0.0, out: tuple[str, ...] = ()) -> control.StateSpace:
+    """The independent model with load moved from bus 7 to 9, pu speeds, no reference mode."""
+    loads = dict(LOADS)
+    loads[7] -= tie_pu
+    loads[9] += tie_pu
+    model = TwoArea(VARIANTS["two-area-thesis"], loads, out)
+    names = {"states": model.state_names, "inputs": model.input_names, "outputs": model.output_names}
+    return remove_reference(control.ss(*model.jacobians(), **{k: list(v) for k, v in names.items()}))
+
+
+def independent_family() -> dict[str, control.StateSpace]:
+    return {
+        "base": independent_plant(),
+        "circuit out": independent_plant(0.0, ("8-9 a",)),
+        "tie +100": independent_plant(1.0),
+        "tie -200": independent_plant(-2.0),
+        "tie reversed": independent_plant(-5.0),
+    }
+
+
+def test_robust_linear_holds_its_figures_on_the_independent_model() -> None:
+    plants = {name: speeds_in_rad(p, OMEGA_B) for name, p in independent_family().items()}
+    codes = ("N", "L", "ns150", "s100", "L+s100")
+    found = judge_family(
+        plants,
+        shipped_controller("robust_linear").system,
+        [condition_of(code, "G4_dw", "G2_dw") for code in codes],
+        worst_swing=0.24,
+        inter_area=0.28,
+        effort_cap=0.16,
+        fastest_pole=300.0,
+    )
+    assert found.violations == ()
+    assert len(found.rows) == 25
+
+
+def test_what_is_missed_is_named() -> None:
+    plants = {"base": speeds_in_rad(independent_plant(), OMEGA_B)}
+    K = shipped_controller("robust_linear").system
+    normal = [condition_of("N", "G4_dw", "G2_dw")]
+    found = judge_family(plants, K, normal, worst_swing=0.9, effort_cap=1e-3)
+    assert not found.passed
+    assert [v.split(" is ")[0] for v in found.violations] == ["worst swing damping", "effort"]
+    turned = control.ss(K.A, K.B, -5.0 * K.C, K.D, inputs=K.input_labels, outputs=K.output_labels)
+    assert "base, N: unstable" in judge_family(plants, turned, normal).violations
+
+
+def test_a_small_design_raises_the_damping_of_every_model() -> None:
+    plants = {"base": independent_plant()}
+    conditions = tuple(condition_of(code, "G4_dw", "G2_dw") for code in ("N", "L"))
+    spec = RobustSpec(
+        ("G2_dw", "G4_dw"), ("G4_vs",), conditions, order=4, starts=1, evaluations=150, polish=100, polishes=1
+    )
+    made = design_robust(plants, spec, OMEGA_B)
+    found = judge_family({"base": speeds_in_rad(plants["base"], OMEGA_B)}, made.system, conditions)
+    assert found.passed
+    assert found.inter_area >= 0.15  # open loop 0.081
+    assert found.effort <= 0.17  # the cap of 0.15 is a penalty, not a wall
+    # the washout blocks a constant speed deviation
+    at_rest = made.system.D - made.system.C @ np.linalg.solve(made.system.A, made.system.B)
+    assert np.abs(at_rest).max() < 1e-12
+
+
+def test_design_models_carry_loss_and_latency() -> None:
+    conditions = tuple(condition_of(code, "G4_dw", "G2_dw") for code in ("N", "L", "s100"))
+    spec = RobustSpec(("G2_dw", "G4_dw"), ("G4_vs",), conditions, washout_s=0.0)
+    normal, lost, late = build_objective({"base": independent_plant()}, spec, OMEGA_B).models
+    s = 4.0j
+
+    def response(m: object) -> np.ndarray:
+        return m.C @ np.linalg.solve(s * np.eye(m.A.shape[0]) - m.A, m.B)  # type: ignore[attr-defined]
+
+    assert response(lost)[0] == pytest.approx(0.0)
+    assert response(lost)[1] == pytest.approx(response(normal)[1])
+    # Pade of order 3 at omega tau = 0.4 is exact to (0.4)^7
+    assert response(late) == pytest.approx(response(normal) * np.exp(-0.1 * s), rel=1e-5)
+
+
+def test_certificate_from_the_fmu_alone(tmp_path: Path) -> None:
+    shipped = shipped_controller("robust_linear")
+    again = any_controller(str(controller_fmu(shipped, OMEGA_B, tmp_path)), OMEGA_B)
+    for letter in "ABCD":
+        assert getattr(again.system, letter) == pytest.approx(getattr(shipped.system, letter), rel=1e-12)
+    assert again.inputs == shipped.inputs
+    assert again.limit_pu == shipped.limit_pu
+
+
+def test_certify_on_the_command_line() -> None:
+    passed = CliRunner().invoke(app, ["certify", "robust_linear", "--json"])
+    assert passed.exit_code == 0
+    assert json.loads(passed.stdout)["passed"] is True
+    failed = CliRunner().invoke(app, ["certify", "wdc_that_is_not_there.json"])
+    assert failed.exit_code != 0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name = 1\n", r"name = 1"),
+        ('order = "x"\n', r"order"),
+        ("washout_s = -1.0\n", r"washout_s = -1"),
+        ('conditions = ["q7"]\n', r"parts are N, L"),
+    ],
+)
+def test_design_files_are_refused_by_key(tmp_path: Path, text: str, message: str) -> None:
+    good = (Path(load_design.__code__.co_filename).parent / "templates/design_robust_linear.toml").read_text()
+    key = text.split(" = ")[0]
+    lines = [text if line.startswith(f"{key} =") and "[[" not in line else line for line in good.splitlines()]
+    path = tmp_path / "bad.toml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=message):
+        load_design(path)
+
+
+def test_an_unknown_design_names_the_bundled_ones() -> None:
+    with pytest.raises(ScenarioError, match="bundled: robust_linear"):
+        load_design("nothing")
