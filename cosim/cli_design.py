@@ -46,7 +46,7 @@ def certify(
         str,
         typer.Argument(metavar="CONTROLLER", help="shipped name, JSON file, or controller FMU"),
     ],
-    spec: DesignFile = "robust_linear",
+    spec: DesignFile = "robust",
     case: Annotated[str | None, typer.Option("--case", help="another case than the design's")] = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:

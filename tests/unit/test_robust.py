@@ -42,15 +42,18 @@ def independent_family() -> dict[str, control.StateSpace]:
     }
 
 
-def test_robust_linear_holds_its_figures_on_the_independent_model() -> None:
+@pytest.mark.parametrize(("name", "worst", "inter"), [("robust_linear", 0.24, 0.28), ("robust", 0.22, 0.22)])
+def test_shipped_controllers_hold_their_figures_on_the_independent_model(
+    name: str, worst: float, inter: float
+) -> None:
     plants = {name: speeds_in_rad(p, OMEGA_B) for name, p in independent_family().items()}
     codes = ("N", "L", "ns150", "s100", "L+s100")
     found = judge_family(
         plants,
-        shipped_controller("robust_linear").system,
+        shipped_controller(name).system,
         [condition_of(code, "G4_dw", "G2_dw") for code in codes],
-        worst_swing=0.24,
-        inter_area=0.28,
+        worst_swing=worst,
+        inter_area=inter,
         effort_cap=0.16,
         fastest_pole=300.0,
     )
@@ -137,5 +140,5 @@ def test_design_files_are_refused_by_key(tmp_path: Path, text: str, message: str
 
 
 def test_an_unknown_design_names_the_bundled_ones() -> None:
-    with pytest.raises(ScenarioError, match="bundled: robust_linear"):
+    with pytest.raises(ScenarioError, match="bundled: robust, robust_linear"):
         load_design("nothing")
