@@ -209,7 +209,7 @@ def linear_plant(case: Case, cache: Path) -> control.StateSpace:
             states=[str(s) for s in z["states"]],
             inputs=[str(s) for s in z["inputs"]],
             outputs=[str(s) for s in z["outputs"]],
-            name=case.name,
+            name=case.name.replace(".", "_"),  # python-control refuses a dot
         )
 
 
