@@ -47,7 +47,18 @@ def sample_study() -> dict[str, Any]:
         },
         "sensitivity": {"s_at_zero": 1.0, "w1_s": 1.31, "w2_ks": 0.21},
         "delay": {
-            "synchronous": _delay(0.6, 0.4301),
+            "synchronous": {
+                **_delay(0.6, 0.4301),
+                "redesigned": [
+                    {
+                        "latency_s": 0.2,
+                        "order": 8,
+                        "margin_s": None,
+                        "least_damping": 0.2267,
+                        "least_damping_without": 0.0631,
+                    }
+                ],
+            },
             "non_synchronous": _delay(0.2, None),
         },
         "delay_table": [
