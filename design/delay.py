@@ -1,7 +1,7 @@
 """Latency in the loop: Padé models to design with, and the exact delayed loop to judge by.
 
 Exact: y_i(t - tau_i) enters the controller as it is. Roots, margins and damping of the exact loop
-are in `delay_roots` and offered from here as well.
+are in `delay_roots` and `delay_crossing`, and offered from here as well.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .balancing import balance
+from .delay_crossing import DelayMargin, delay_margin_of
 from .delay_roots import (
     DelayedChannel,
     DelayedLoop,
     DelayError,
-    DelayMargin,
     LatencySweep,
-    delay_margin_of,
     rightmost_roots,
     stability_map_of,
     sweep_latency,

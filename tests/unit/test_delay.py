@@ -5,10 +5,26 @@ from __future__ import annotations
 import control
 import numpy as np
 import pytest
+from independent.two_area import AREAS, OMEGA_B, linear_plant
+from scipy.linalg import matrix_balance
+from scipy.optimize import brentq
 from scipy.special import lambertw
 
-from interarea.design.delay import DelayError, delay_margin, delayed_loop, delayed_plant, pade, stability_map
-from interarea.design.delay_roots import DelayedChannel, DelayedLoop, delay_margin_of, rightmost_roots
+from interarea.design.certificate import swing_poles
+from interarea.design.delay import (
+    DelayError,
+    damping_over_latency,
+    delay_margin,
+    delayed_loop,
+    delayed_plant,
+    pade,
+    stability_map,
+)
+from interarea.design.delay_crossing import delay_margin_of
+from interarea.design.delay_roots import DelayedChannel, DelayedLoop, rightmost_roots
+from interarea.design.linearise import remove_reference, select, speeds_in_rad
+from interarea.design.modes import modes_of
+from interarea.design.study_designs import design_ftc, design_wdc
 
 INTEGRATOR = control.ss(0.0, 1.0, 1.0, 0.0, inputs=["u"], outputs=["y"])
 
@@ -91,3 +107,80 @@ def test_stability_map_is_the_abscissa_of_each_pair() -> None:
         for j, second in enumerate([0.0, 0.4]):
             roots = rightmost_roots(delayed_loop(plant, K, {"a": first, "b": second}))
             assert table[i, j] == pytest.approx(roots[0].real, abs=1e-8)
+
+
+@pytest.fixture(scope="module")
+def plant() -> control.StateSpace:
+    """Full plant of the study, 55 states, speeds in rad/s."""
+    return speeds_in_rad(remove_reference(linear_plant("two-area-thesis")), OMEGA_B)
+
+
+@pytest.fixture(scope="module")
+def wdc() -> control.StateSpace:
+    return design_wdc(remove_reference(linear_plant("two-area-thesis")), omega_b=OMEGA_B).system
+
+
+@pytest.fixture(scope="module")
+def ftc() -> control.StateSpace:
+    return design_ftc(remove_reference(linear_plant("two-area-thesis")), omega_b=OMEGA_B).system
+
+
+def test_synchronous_margin_is_the_phase_at_the_algebraic_unit_gain(
+    plant: control.StateSpace, wdc: control.StateSpace
+) -> None:
+    # one loop L = k g: |L(jw)| = 1 where jw is an eigenvalue of the Hamiltonian matrix, no sweep needed
+    G = select(plant, ["G4_vs"], {"dw24": {"G2_dw": 1.0, "G4_dw": -1.0}})
+    n = wdc.nstates
+    A = np.block([[G.A, G.B @ wdc.C], [np.zeros((n, G.nstates)), wdc.A]])
+    B = np.vstack([G.B @ wdc.D[:, :1], wdc.B[:, :1]])
+    C = np.hstack([G.C, np.zeros((1, n))])
+    H = matrix_balance(np.block([[A, B @ B.T], [-C.T @ C, -A.T]]))[0]
+    values = np.linalg.eigvals(H)
+    latencies = [
+        float(np.angle((C @ np.linalg.solve(1j * w * np.eye(A.shape[0]) - A, B))[0, 0]) % (2 * np.pi) / w)
+        for w in values.imag[(np.abs(values.real) < 1e-6 * np.abs(values)) & (values.imag > 0)]
+    ]
+    assert delay_margin(plant, wdc).margin_s == pytest.approx(min(latencies), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["wdc", "ftc"])
+def test_margin_is_where_the_rightmost_root_crosses(
+    plant: control.StateSpace, name: str, request: pytest.FixtureRequest
+) -> None:
+    K = request.getfixturevalue(name)
+    margin = delay_margin(plant, K)
+    loop = delayed_loop(plant, K)
+
+    def abscissa(latency_s: float) -> float:
+        return float(rightmost_roots(loop.at(dict.fromkeys(K.input_labels, latency_s)), right_of=0.0)[0].real)
+
+    assert margin.margin_s == pytest.approx(
+        brentq(abscissa, margin.margin_s - 2e-3, margin.margin_s + 2e-3, xtol=1e-12), abs=1e-6
+    )
+    # below it the loop is stable everywhere, not only next to it
+    assert all(abscissa(t) < 0.0 for t in np.linspace(0.0, 0.999, 12) * margin.margin_s)
+
+
+def test_late_remote_signal_alone_never_destabilizes(
+    plant: control.StateSpace, wdc: control.StateSpace
+) -> None:
+    assert delay_margin(plant, wdc, ["G2_dw"]).margin_s == np.inf
+    loop = delayed_loop(plant, wdc)
+    for latency in (0.1, 0.5, 2.0):
+        assert rightmost_roots(loop.at({"G2_dw": latency}), right_of=0.0)[0].real < 0.0
+
+
+def test_followed_roots_solve_the_exact_equation(plant: control.StateSpace, wdc: control.StateSpace) -> None:
+    start = swing_poles(plant, wdc, modes_of(plant, AREAS))
+    sweep = damping_over_latency(plant, wdc, [0.0, 0.1, 0.2, 0.3], roots=start)
+    assert sweep.damping("inter-area")[0] == pytest.approx(
+        -start["inter-area"].real / abs(start["inter-area"]), abs=1e-9
+    )
+    for k, latency in enumerate(sweep.latencies_s):
+        late = {name: float(latency) for name in wdc.input_labels}
+        # Padé of order 8: another model of the delay, exact to rounding at these frequencies
+        design = delayed_plant(select(plant, ["G4_vs"], list(wdc.input_labels)), late, 8)
+        A = np.block([[design.A + design.B @ wdc.D @ design.C, design.B @ wdc.C], [wdc.B @ design.C, wdc.A]])
+        values = np.linalg.eigvals(A)
+        for name in start:
+            assert np.min(np.abs(values - sweep.roots[name][k])) < 1e-7
