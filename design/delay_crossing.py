@@ -68,9 +68,11 @@ def delay_margin_of(loop: DelayedLoop, signals: tuple[str, ...], *, upto_s: floa
     table = np.array([sizes(w)[0] for w in grid])
     found: set[tuple[float, float]] = set()
     for branch in range(table.shape[1]):
-        for w in _unit_crossings(
-            lambda w, b=branch: float(sizes(w)[0][b]) - 1.0, grid, table[:, branch] - 1.0
-        ):
+
+        def excess(omega: float, branch: int = branch) -> float:
+            return float(sizes(omega)[0][branch]) - 1.0
+
+        for w in _unit_crossings(excess, grid, table[:, branch] - 1.0):
             angle = float(np.angle(sizes(w)[1][branch])) % (2.0 * np.pi)
             found.add((angle / w, w))
     crossings = tuple(sorted(c for c in found if c[0] <= upto_s))
