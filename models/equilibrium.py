@@ -10,7 +10,8 @@ import numpy.typing as npt
 from .case import Case, CaseError
 from .case_schema import Machine
 from .network import admittance_matrix, bus_index, load_power, machine_bus_index, machine_norton_admittance
-from .plant_tables import Device, MachinePoint, State, exciter, governor, network_states, stabilizer
+from .plant_controls import exciter, governor, stabilizer
+from .plant_tables import Device, MachinePoint, State, network_states
 from .powerflow import PowerFlow, solve_powerflow
 
 VOLTAGE_TOLERANCE_PU = 1e-8  #: most by which the dynamic network may differ from the power flow
