@@ -53,6 +53,50 @@ static inline void real_sincos(double x, double *s, double *c)
     *c = ((quadrant + 1u) & 2u) != 0 ? -b : b;
 }
 
+/* exp to about 1 ulp: x = k ln 2 + r, |r| <= 0.35, ln 2 in two pieces (k times the
+ * first is exact), then the Taylor polynomial (remainder below 1e-18). Beyond
+ * +-700 it stays at exp(+-700); a NaN stays a NaN. */
+static inline double real_exp(double x)
+{
+    const double magic = 6755399441055744.0;
+    const double bounded = x > 700.0 ? 700.0 : x < -700.0 ? -700.0 : x;
+    const double shifted = bounded * 1.4426950408889634 + magic, k = shifted - magic;
+    double r = bounded - k * 6.93147180369123816490e-01;
+    r -= k * 1.90821492927058770002e-10;
+    const double tail = r * (1.0 + r * (1.0 / 2 + r * (1.0 / 6 + r * (1.0 / 24 + r * (1.0 / 120
+        + r * (1.0 / 720 + r * (1.0 / 5040 + r * (1.0 / 40320 + r * (1.0 / 362880
+        + r * (1.0 / 3628800 + r * (1.0 / 39916800 + r * (1.0 / 479001600.0
+        + r * (1.0 / 6227020800.0)))))))))))));
+    uint64_t bits;
+    double power;
+    memcpy(&bits, &shifted, sizeof bits);
+    bits = ((bits + 1023u) & 2047u) << 52;   /* 2^k */
+    memcpy(&power, &bits, sizeof power);
+    return power + power * tail;
+}
+
+/* ln x to about 2 ulp for normal x > 0 (else NaN): x = 2^k m, m near 1, and the
+ * series of artanh((m - 1)/(m + 1)). */
+static inline double real_log(double x)
+{
+    uint64_t bits;
+    double m;
+    if (!(x >= 2.3e-308 && x <= 1.7e308)) return NAN;
+    memcpy(&bits, &x, sizeof bits);
+    double k = (double)(int)(bits >> 52) - 1023.0;
+    bits = (bits & 0xFFFFFFFFFFFFFu) | 0x3FF0000000000000u;
+    memcpy(&m, &bits, sizeof m);
+    if (m > 1.4142135623730951) {
+        m *= 0.5;
+        k += 1.0;
+    }
+    const double s = (m - 1.0) / (m + 1.0), q = s * s;
+    const double tail = q * (1.0 / 3 + q * (1.0 / 5 + q * (1.0 / 7 + q * (1.0 / 9 + q * (1.0 / 11
+        + q * (1.0 / 13 + q * (1.0 / 15 + q * (1.0 / 17 + q * (1.0 / 19 + q * (1.0 / 21
+        + q * (1.0 / 23)))))))))));
+    return k * 6.93147180369123816490e-01 + (2.0 * s + (2.0 * s * tail + k * 1.90821492927058770002e-10));
+}
+
 #ifdef PLANT_TANGENT
 
 static inline num with_slope(double value, double slope)
@@ -77,6 +121,14 @@ static inline num num_sqrt(num x)
     return with_slope(v, v > 0.0 ? 0.5 * cimag(x) / v : 0.0);
 }
 
+static inline num num_exp(num x)
+{
+    const double v = real_exp(creal(x));
+    return with_slope(v, v * cimag(x));
+}
+
+static inline num num_log(num x) { return with_slope(real_log(creal(x)), cimag(x) / creal(x)); }
+
 static inline num num_ratio(num a, num b)
 {
     const double v = creal(a) / creal(b);
@@ -87,6 +139,8 @@ static inline num num_ratio(num a, num b)
 
 static inline void num_sincos(num x, num *s, num *c) { real_sincos(x, s, c); }
 static inline num num_sqrt(num x) { return sqrt(x); }
+static inline num num_exp(num x) { return real_exp(x); }
+static inline num num_log(num x) { return real_log(x); }
 static inline num num_ratio(num a, num b) { return a / b; }
 
 #endif
