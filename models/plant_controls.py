@@ -6,8 +6,10 @@ the order in which its C function meets them.
 
 from __future__ import annotations
 
+import numpy as np
+
 from .case import Case, CaseError
-from .case_schema import Machine
+from .case_schema_controls import Tgov1Governor
 from .plant_tables import NO_LIMIT, Device, MachinePoint, Parameter, State, network_states
 
 SHORTEST_S = 1e-6  #: least value a time constant may be set to
@@ -61,6 +63,28 @@ def stabilizer(case: Case, k: int) -> Device | None:
     return device
 
 
+EXCITER_ROWS = (
+    "KA",
+    "TA",
+    "TR",
+    "TB",
+    "TC",
+    "low",
+    "high",
+    "Vref",
+    "KE",
+    "TE",
+    "KF",
+    "TF",
+    "Aex",
+    "Bex",
+    "KC",
+)
+EXCITER_KINDS = {"static": 1, "static_tgr": 1, "st1a": 2, "dc1": 3}
+#: keys of the limits in the case: rows "low" and "high"
+_LIMIT_KEYS = {"static": ("Efd_min", "Efd_max"), "static_tgr": ("Efd_min", "Efd_max")}
+
+
 def exciter(case: Case, k: int, point: MachinePoint, vs: frozenset[str]) -> Device | None:
     """Return the exciter of machine `k`, None when its field voltage is constant.
 
@@ -68,40 +92,90 @@ def exciter(case: Case, k: int, point: MachinePoint, vs: frozenset[str]) -> Devi
 
     Raises
     ------
-    CaseError : an exciter the C plant does not have.
+    CaseError : limits that exclude the operating point.
     """
     m = case.machines[k]
     e = m.exciter
     if e.kind == "constant":
         return None
-    if e.kind not in ("static", "static_tgr"):
-        raise CaseError(_missing(case, m, "exciter", e.kind, "constant, static, static_tgr"))
-    TB, TC = (e.TB, e.TC) if e.kind == "static_tgr" else (0.0, 0.0)
-    low, high = _limits(e.Efd_min, e.Efd_max)
-    if not low <= point.efd <= high:
+    low_key, high_key = _LIMIT_KEYS.get(e.kind, ("VRmin", "VRmax"))
+    low, high = _limits(getattr(e, low_key), getattr(e, high_key))
+    loss = 1.0
+    value = dict.fromkeys(EXCITER_ROWS, 0.0) | {"KA": e.KA, "TA": e.TA, "TR": e.TR, "low": low, "high": high}
+    if e.kind != "static":
+        value |= {"TB": e.TB, "TC": e.TC}
+    if e.kind == "st1a":
+        value["KC"] = e.KC
+    if e.kind == "dc1":
+        saturation = e.Aex * np.exp(e.Bex * point.efd)
+        KE = -saturation if e.KE == "self-excited" else e.KE
+        loss = 0.0 if e.KE == "self-excited" else KE + saturation
+        value |= {"KE": KE, "TE": e.TE, "KF": e.KF, "TF": e.TF, "Aex": e.Aex, "Bex": e.Bex}
+    regulator = loss * point.efd  #: what stands behind the gain: the field voltage itself unless it is dc1
+    value["Vref"] = point.vt + regulator / e.KA
+    least = low * point.vt if e.kind == "st1a" else low
+    most = high * point.vt - e.KC * point.efd if e.kind == "st1a" else high
+    if not least <= regulator <= most:
+        what = f"regulator output {regulator:.6g}" if e.kind == "dc1" else f"Efd = {regulator:.6g}"
         raise CaseError(
-            f"{case.name}: machines.{m.name}.exciter: Efd = {point.efd:.6g} at the operating point lies "
-            f"outside Efd_min = {low:g} .. Efd_max = {high:g}; widen the limits or change the dispatch"
+            f"{case.name}: machines.{m.name}.exciter: {what} at the operating point lies outside "
+            f"{low_key} = {least:g} .. {high_key} = {most:g}; widen the limits or change the dispatch"
         )
-    device = Device(1, k, [e.KA, e.TA, e.TR, TB, TC, low, high, point.vt + point.efd / e.KA])
+    device = Device(EXCITER_KINDS[e.kind], k, [float(value[row]) for row in EXCITER_ROWS])
     prefix = f"{m.name}.exciter"
     chain = _Chain(device, prefix, network_states(case))
     chain.lag("v", e.TR, point.vt, "sensed terminal voltage")
     chain.signal |= vs | {f"{m.name}_vs"}
-    chain.lead_lag("lead_lag", TB, point.efd / e.KA, "transient gain reduction")
-    chain.lag("efd", e.TA, point.efd, "field voltage")
+    if e.kind == "dc1" and e.KF > 0.0:
+        chain.signal |= {f"{prefix}.efd", f"{prefix}.feedback"}
+    chain.lead_lag("lead_lag", value["TB"], regulator / e.KA, "slow part of the error signal")
+    if e.kind == "dc1":
+        chain.lag("regulator", e.TA, regulator, "regulator output")
+        chain.lag("efd", e.TE, point.efd, "field voltage")
+        chain.lag("feedback", e.TF, point.efd, "slow part of the rate feedback")
+        chain.signal = frozenset({f"{prefix}.efd"})
+    else:
+        limits = _st1a_limits(case, k, value["KC"]) if e.kind == "st1a" else frozenset()
+        chain.signal |= limits
+        chain.lag("efd", e.TA, point.efd, "field voltage")
+        chain.signal |= limits
     device.output = chain.signal
-    device.parameters = [Parameter(f"{prefix}.KA", 0, "1", "regulator gain (Vref follows)", 1e-3, 1e6)]
-    for row, key, value in ((1, "TA", e.TA), (2, "TR", e.TR), (3, "TB", TB), (4, "TC", TC)):
-        if value > 0.0 or (key == "TC" and TB > 0.0):
-            device.parameters.append(_time(prefix, key, row, zero=key == "TC"))
-    device.parameters.append(
-        Parameter(f"{prefix}.Efd_min", 5, "pu", "least field voltage", -NO_LIMIT, NO_LIMIT)
-    )
-    device.parameters.append(
-        Parameter(f"{prefix}.Efd_max", 6, "pu", "largest field voltage", -NO_LIMIT, NO_LIMIT)
-    )
+    device.parameters = _exciter_parameters(prefix, value, low_key, high_key, rotating=e.kind == "dc1")
     return device
+
+
+def _st1a_limits(case: Case, k: int, KC: float) -> frozenset[str]:
+    """States that the limits of an st1a exciter follow: terminal voltage and field current."""
+    name = case.machines[k].name
+    return network_states(case) | ({f"{name}.eq1"} if KC > 0.0 else frozenset())
+
+
+def _exciter_parameters(
+    prefix: str, value: dict[str, float], low_key: str, high_key: str, *, rotating: bool
+) -> list[Parameter]:
+    row = {key: k for k, key in enumerate(EXCITER_ROWS)}
+    found = [Parameter(f"{prefix}.KA", row["KA"], "1", "regulator gain (Vref follows)", 1e-3, 1e6)]
+    for key in ("TA", "TR", "TB", "TC", "TE", "TF"):
+        if value[key] > 0.0 or (key == "TC" and value["TB"] > 0.0):
+            found.append(_time(prefix, key, row[key], zero=key == "TC"))
+    limited = "regulator output" if rotating else "field voltage"
+    found.append(Parameter(f"{prefix}.{low_key}", row["low"], "pu", f"least {limited}", -NO_LIMIT, NO_LIMIT))
+    found.append(
+        Parameter(f"{prefix}.{high_key}", row["high"], "pu", f"largest {limited}", -NO_LIMIT, NO_LIMIT)
+    )
+    if rotating:
+        for key, text in _ROTATING.items():
+            low = -1e6 if key == "KE" else 0.0
+            found.append(Parameter(f"{prefix}.{key}", row[key], "1", text, low, 1e6))
+    return found
+
+
+_ROTATING = {
+    "KE": "loss of the exciter per pu field voltage",
+    "KF": "gain of the rate feedback",
+    "Aex": "saturation SE = Aex exp(Bex Efd), factor",
+    "Bex": "saturation SE = Aex exp(Bex Efd), exponent",
+}
 
 
 def governor(case: Case, k: int, point: MachinePoint) -> Device | None:
@@ -109,14 +183,14 @@ def governor(case: Case, k: int, point: MachinePoint) -> Device | None:
 
     Raises
     ------
-    CaseError : a governor the C plant does not have, or gate limits that exclude the operating point.
+    CaseError : limits that exclude the operating point.
     """
     m = case.machines[k]
     g = m.governor
     if g.kind == "none":
         return None
-    if g.kind != "steam":
-        raise CaseError(_missing(case, m, "governor", g.kind, "none, steam"))
+    if g.kind == "tgov1":
+        return _tgov1(case, k, g, point)
     slowest, fastest = _limits(g.vg_min, g.vg_max)
     low, high = _limits(g.gate_min, g.gate_max)
     if not (low <= point.pm <= high and slowest <= 0.0 <= fastest):
@@ -150,6 +224,28 @@ def governor(case: Case, k: int, point: MachinePoint) -> Device | None:
     return device
 
 
+def _tgov1(case: Case, k: int, g: Tgov1Governor, point: MachinePoint) -> Device:
+    name = case.machines[k].name
+    low, high = _limits(g.Vmin, g.Vmax)
+    if not low <= point.pm <= high:
+        raise CaseError(
+            f"{case.name}: machines.{name}.governor: the valve is {point.pm:.6g} at the operating point, "
+            f"outside Vmin = {low:g} .. Vmax = {high:g}; widen the limits or change the dispatch"
+        )
+    column = [1.0, g.R, 0.0, g.T1, -NO_LIMIT, NO_LIMIT, low, high, g.T2, g.T3, *[0.0] * 6, g.Dt]
+    device = Device(2, k, column)
+    prefix = f"{name}.governor"
+    slip = frozenset({f"{name}.slip"})
+    chain = _Chain(device, prefix, slip)
+    chain.lag("valve", g.T1, point.pm, "valve position")
+    chain.lead_lag("reheat", g.T3, point.pm, "slow part of the power")
+    device.output = chain.signal | (slip if g.Dt > 0.0 else frozenset())
+    device.parameters = [Parameter(f"{prefix}.R", 1, "1", "droop, pu speed per pu power", 1e-6, 1e6)]
+    for row, key in ((3, "T1"), (8, "T2"), (9, "T3")):
+        device.parameters.append(_time(prefix, key, row, zero=key == "T2"))
+    return device
+
+
 _TEXT = {"Kp": "regulator gain", "Rp": "permanent droop, pu speed per pu power"}
 
 
@@ -159,8 +255,3 @@ def _limits(low: float | None, high: float | None) -> tuple[float, float]:
 
 def _time(prefix: str, key: str, row: int, *, zero: bool) -> Parameter:
     return Parameter(f"{prefix}.{key}", row, "s", f"time constant {key}", 0.0 if zero else SHORTEST_S, 1e6)
-
-
-def _missing(case: Case, machine: Machine, device: str, kind: str, known: str) -> str:
-    where = f"{case.name}: machines.{machine.name}.{device}"
-    return f"{where}.kind = {kind!r} is not modelled by the plant, allowed: {known}"

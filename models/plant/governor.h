@@ -1,38 +1,7 @@
 #ifndef INTERAREA_GOVERNOR_H
 #define INTERAREA_GOVERNOR_H
-#include "plan.h"
-#include "scalar.h"
-/* Governors and turbines: mechanical power on the machine base.
- *
- * Steam: speed relay, servomotor with rate and gate limits, a steam chest and up
- * to three reheat volumes (four-section turbine, fractions F2..F5 of the power).
- *
- *     T_SR dc/dt = Pref - (K_P/R_P) slip - c
- *          dg/dt = clamp((c - g)/T_SM, vmin, vmax),  gmin <= g <= gmax, non-windup
- *     T5 dp5/dt = g - p5,  T4 dp4/dt = p5 - p4,  T3 dp3/dt = p4 - p3,  T2 dp2/dt = p3 - p2
- *     Pm = F5 p5 + F4 p4 + F3 p3 + F2 p2
- *
- * A volume with time constant 0 is absent (its pressure is that before it). The
- * fractions add to 1, so Pref = Pm at rest. The torque is Pm (speed = 1). */
-static inline num governor_steam(const double *p, size_t n, num pref, num slip,
-                                 const num *x, num *dx)
-{
-    const double low = p[G_GMIN * n], high = p[G_GMAX * n];
-    const num relay = num_lag(pref - (p[G_KP * n] / p[G_RP * n]) * slip, p[G_TSR * n], &x, &dx);
-
-    const num state = *x++;
-    const num gate = num_clamp(state, low, high);
-    const num rate = num_clamp((relay - state) / p[G_TSM * n], p[G_VMIN * n], p[G_VMAX * n]);
-    const int held = (PART(state) >= high && PART(rate) > 0.0)
-                  || (PART(state) <= low && PART(rate) < 0.0);
-    *dx++ = held ? (num)0.0 : rate;
-
-    const num p5 = num_lag(gate, p[G_T5 * n], &x, &dx);
-    const num p4 = num_lag(p5, p[G_T4 * n], &x, &dx);
-    const num p3 = num_lag(p4, p[G_T3 * n], &x, &dx);
-    const num p2 = num_lag(p3, p[G_T2 * n], &x, &dx);
-    return p[G_F5 * n] * p5 + p[G_F4 * n] * p4 + p[G_F3 * n] * p3 + p[G_F2 * n] * p2;
-}
+#include "governor_steam.h"
+#include "governor_tgov1.h"
 
 /* Mechanical power of all machines; constant where there is no governor. A step
  * of Pm acts on the load reference of a governed machine. */
@@ -45,9 +14,11 @@ static inline void governor_all(const double *memory, const Plan *plan, const nu
     for (size_t k = 0; k < plan->n_machine; ++k)
         pm[k] = memory[plan->machine + M_PM0 * plan->n_machine + k] + memory[plan->pm_step + k];
     for (size_t k = 0; k < n; ++k) {
+        const double *p = memory + plan->governor + k;
         const size_t machine = index_at(of, n + k), state = index_at(of, 2 * n + k);
-        pm[machine] = governor_steam(memory + plan->governor + k, n, pm[machine],
-                                     slip[machine], x + state, dx + state);
+        pm[machine] = index_at(of, k) == GOVERNOR_TGOV1
+            ? governor_tgov1(p, n, pm[machine], slip[machine], x + state, dx + state)
+            : governor_steam(p, n, pm[machine], slip[machine], x + state, dx + state);
     }
 }
 #endif

@@ -69,6 +69,15 @@ static inline void machine_terminal(const double *table, size_t n, MachineStates
     }
 }
 
+/* Field current of machine k in per unit of the field voltage that holds it, Xad ifd. */
+static inline num machine_field_current(const double *table, size_t n, size_t k, MachineStates x, num id)
+{
+    const double Xl = table[M_XL * n + k], Xd1 = table[M_XD1 * n + k], Xd2 = table[M_XD2 * n + k];
+    const double leak = 1.0 / (Xd1 - Xl);
+    return x.eq1[k] + (table[M_XD * n + k] - Xd1)
+        * ((Xd2 - Xl) * leak * id + (x.eq1[k] - x.eq2[k]) * leak);
+}
+
 static inline void machine_derivatives(const double *table, size_t n, double omega_b,
                                        MachineStates x, const num *id, const num *iq,
                                        const num *efd, const num *pm, MachineRates dx)

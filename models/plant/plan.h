@@ -20,6 +20,8 @@ enum {  /* machine, per unit on the machine base */
 enum {  /* exciter */
     E_KA, E_TA, E_TR, E_TB, E_TC, E_MIN, E_MAX,
     E_VREF,             /* follows from the operating point             */
+    E_KE, E_TE, E_KF, E_TF, E_AEX, E_BEX,  /* dc type 1                 */
+    E_KC,               /* st1a: commutation drop per pu field current  */
     E_ROWS
 };
 enum {  /* stabilizer */
@@ -40,8 +42,8 @@ enum {  /* tie branch: buses of its measured and its other end, admittances seen
     T_BRANCH, T_OWN, T_OTHER, T_OWN_RE, T_OWN_IM, T_MUTUAL_RE, T_MUTUAL_IM, T_ROWS
 };
 
-typedef enum { EXCITER_STATIC = 1 } ExciterKind;
-typedef enum { GOVERNOR_STEAM = 1 } GovernorKind;
+typedef enum { EXCITER_STATIC = 1, EXCITER_ST1A, EXCITER_DC1 } ExciterKind;
+typedef enum { GOVERNOR_STEAM = 1, GOVERNOR_TGOV1 } GovernorKind;
 
 /* Header of memory. */
 enum {

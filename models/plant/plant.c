@@ -2,6 +2,8 @@
  * in memory, hands the work to flow.c, tangent.c, event.c and stage.c. */
 #include "plant.h"
 
+#include "exciter.h"
+
 #include <stdarg.h>
 #include <stdio.h>
 
@@ -256,8 +258,8 @@ static BlockStatus read_parameters(const Block *b, const Plan *plan, double *mem
     return BLOCK_OK;
 }
 
-/* Vref such that the operating point stays an equilibrium for the gains in use;
- * the lead-lag state of a transient gain reduction moves with it. */
+/* Vref such that the operating point stays an equilibrium for the parameters in
+ * use; the exciter's states at rest move with them. */
 static BlockStatus set_references(Block *b, const Plan *plan, const Network *net, BlockMessage *message)
 {
     const size_t n = plan->n_exciter, m = plan->n_machine;
@@ -268,17 +270,19 @@ static BlockStatus set_references(Block *b, const Plan *plan, const Network *net
 
     for (size_t k = 0; k < n; ++k) {
         double *p = b->memory + plan->exciter + k;
-        const size_t at = index_at(of, n + k), state = index_at(of, 3 * n + k);
+        const size_t kind = index_at(of, k), at = index_at(of, n + k), state = index_at(of, 3 * n + k);
         const double efd = machine[M_EFD0 * m + at], vt = machine[M_VT0 * m + at];
-        if (!(efd >= p[E_MIN * n] && efd <= p[E_MAX * n]))
+        double before[EXCITER_STATES], after[EXCITER_STATES], low, high;
+        const double limited = exciter_limited(p, n, kind, efd, vt, &low, &high);
+        if (!(limited >= low && limited <= high))
             return plant_fail(message, BLOCK_ERROR,
-                              "%s.exciter: the field voltage at the operating point is %g, outside the "
-                              "limits %g to %g", plant_name(net->machine_names, at, name), efd,
-                              p[E_MIN * n], p[E_MAX * n]);
-        p[E_VREF * n] = vt + efd / p[E_KA * n];
-        if (p[E_TB * n] > 0.0)
-            b->x[state + (p[E_TR * n] > 0.0 ? 1u : 0u)] +=
-                efd / p[E_KA * n] - efd / original[(size_t)E_KA * n + k];
+                              "%s.exciter: the %s at the operating point is %g, outside the limits %g to %g",
+                              plant_name(net->machine_names, at, name),
+                              kind == EXCITER_DC1 ? "regulator's output" : "field voltage", limited, low, high);
+        p[E_VREF * n] = exciter_rest(p, n, kind, efd, vt, after);
+        (void)exciter_rest(original + k, n, kind, efd, vt, before);
+        for (size_t j = 0; j < EXCITER_STATES; ++j)
+            if (after[j] != before[j]) b->x[state + j] += after[j] - before[j];
     }
     return BLOCK_OK;
 }

@@ -181,4 +181,15 @@ static inline num num_limited_lag(num u, double T, double low, double high,
     *(*dx)++ = held ? (num)0.0 : rate;
     return num_clamp(state, low, high);
 }
+
+/* The same with limits that move (low <= high): a state that a limit has passed
+ * follows that limit with T, or leaves it at the lag's own pace if that is inwards. */
+static inline num num_tracking_lag(num u, double T, num low, num high, const num **x, num **dx)
+{
+    const num state = T > 0.0 ? *(*x)++ : u;
+    const num bounded = PART(state) >= PART(high) && PART(u) > PART(high) ? high
+                      : PART(state) <= PART(low) && PART(u) < PART(low) ? low : u;
+    if (T > 0.0) *(*dx)++ = (bounded - state) / T;
+    return PART(state) < PART(low) ? low : PART(state) > PART(high) ? high : state;
+}
 #endif
