@@ -11,8 +11,8 @@
  *     T_A dEfd/dt = K_A y - Efd,  Vt VRmin <= Efd <= Vt VRmax - K_C Ifd
  *
  * Ifd is the field current in per unit of the field voltage that holds it. The
- * limits follow the voltage at once, also in a fault; the lag does not wind up:
- * outside the limits it follows the nearer one with T_A. States as exciter_static. */
+ * limits follow the voltage at once, also in a fault; the lag does not wind up: a
+ * state that a limit has passed follows it with T_A. States as exciter_static. */
 static inline num exciter_st1a(const double *p, size_t n, num vt, num ifd, num signal,
                                const num *x, num *dx)
 {
@@ -21,6 +21,6 @@ static inline num exciter_st1a(const double *p, size_t n, num vt, num ifd, num s
     const num y = num_lead_lag(e, p[E_TC * n], p[E_TB * n], &x, &dx);
     const num low = vt * p[E_MIN * n], drooped = vt * p[E_MAX * n] - p[E_KC * n] * ifd;
     const num high = PART(drooped) < PART(low) ? low : drooped;
-    return num_tracking_lag(p[E_KA * n] * y, p[E_TA * n], low, high, &x, &dx);
+    return num_limited_lag(p[E_KA * n] * y, p[E_TA * n], low, high, &x, &dx);
 }
 #endif

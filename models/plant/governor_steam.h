@@ -23,9 +23,9 @@ static inline num governor_steam(const double *p, size_t n, num pref, num slip,
     const num state = *x++;
     const num gate = num_clamp(state, low, high);
     const num rate = num_clamp((relay - state) / p[G_TSM * n], p[G_VMIN * n], p[G_VMAX * n]);
-    const int held = (PART(state) >= high && PART(rate) > 0.0)
-                  || (PART(state) <= low && PART(rate) < 0.0);
-    *dx++ = held ? (num)0.0 : rate;
+    const int above = PART(state) >= high && PART(rate) > 0.0;
+    const int below = PART(state) <= low && PART(rate) < 0.0;
+    *dx++ = above || below ? (gate - state) / p[G_TSM * n] : rate;   /* back to the limit a step passed */
 
     const num p5 = num_lag(gate, p[G_T5 * n], &x, &dx);
     const num p4 = num_lag(p5, p[G_T4 * n], &x, &dx);

@@ -168,28 +168,16 @@ static inline num num_lead_lag(num u, double T1, double T2, const num **x, num *
     return state + (u - state) * (T1 / T2);
 }
 
-/* Gain 1 first-order lag whose state stays within [low, high] (non-windup):
- * at a limit it moves only inwards. T = 0: the clamped input. */
-static inline num num_limited_lag(num u, double T, double low, double high,
-                                  const num **x, num **dx)
-{
-    if (!(T > 0.0)) return num_clamp(u, low, high);
-    const num state = *(*x)++;
-    const num rate = (u - state) / T;
-    const int held = (PART(state) >= high && PART(rate) > 0.0)
-                  || (PART(state) <= low && PART(rate) < 0.0);
-    *(*dx)++ = held ? (num)0.0 : rate;
-    return num_clamp(state, low, high);
-}
-
-/* The same with limits that move (low <= high): a state that a limit has passed
- * follows that limit with T, or leaves it at the lag's own pace if that is inwards. */
-static inline num num_tracking_lag(num u, double T, num low, num high, const num **x, num **dx)
+/* Gain 1 first-order lag whose state stays within [low, high] (non-windup); the
+ * limits may move. At a limit the state moves only inwards; what a step of the
+ * solver carried beyond a limit goes back to it with T, and the output never shows
+ * it. T = 0: the clamped input. */
+static inline num num_limited_lag(num u, double T, num low, num high, const num **x, num **dx)
 {
     const num state = T > 0.0 ? *(*x)++ : u;
-    const num bounded = PART(state) >= PART(high) && PART(u) > PART(high) ? high
-                      : PART(state) <= PART(low) && PART(u) < PART(low) ? low : u;
-    if (T > 0.0) *(*dx)++ = (bounded - state) / T;
+    const num aim = PART(state) >= PART(high) && PART(u) > PART(high) ? high
+                  : PART(state) <= PART(low) && PART(u) < PART(low) ? low : u;
+    if (T > 0.0) *(*dx)++ = (aim - state) / T;
     return PART(state) < PART(low) ? low : PART(state) > PART(high) ? high : state;
 }
 #endif
