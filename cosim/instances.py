@@ -33,13 +33,17 @@ class FmuParticipant:
         self.name = name
         self.file = file
         self.description: Description = file.description
-        self._start = {k: (self._variable(k), v) for k, v in (start or {}).items()}
-        for variable, value in self._start.values():
-            self._encode(variable, value)
+        self.set_start(start or {})
         self._fmu: Any = None
         self._log: list[str] = []
         self._initialised = False
         self.bind((), ())
+
+    def set_start(self, start: Mapping[str, Value]) -> None:
+        """Take other start values; they hold from the next `begin`, which resets the instance."""
+        self._start = {k: (self._variable(k), v) for k, v in start.items()}
+        for variable, value in self._start.values():
+            self._encode(variable, value)
 
     # -- wiring ---------------------------------------------------------------------------
 

@@ -147,6 +147,28 @@ class Loop:
         )
 
 
+@dataclass(frozen=True)
+class Wiring:
+    """FMU and start values of each instance, and the connections between them."""
+
+    instances: Mapping[str, tuple[FmuFile, dict[str, Value]]]
+    connections: tuple[tuple[str, str], ...]
+
+    def master(self, scenario: Scenario, participants: Iterable[FmuParticipant]) -> Master:
+        """Return the master that steps `participants` (one for each instance) as `scenario` says."""
+        return Master(
+            participants,
+            self.connections,
+            stop_s=scenario.stop_s,
+            step_s=scenario.step_s,
+            marks_s=scenario.marks_s,
+            latency_s={n: max(c.latency_s, c.pdc_wait_s) for n, c in scenario.channels.items()},
+            inputs=scenario.master.inputs,
+            loops=scenario.master.loops,
+            tolerance=scenario.master.tolerance,
+        )
+
+
 def assemble(
     scenario: Scenario, *, cache: Path | None = None, controllers: Controllers | None = None
 ) -> Loop:
@@ -160,49 +182,70 @@ def assemble(
 
     folder = artefacts.default_cache() if cache is None else cache
     case = load_case(scenario.case_path)
-    events = event_parameters(case, scenario.event)
     slots = max(_SLOTS, len(scenario.event))
     if slots == _SLOTS:
         plant_file = artefacts.plant_fmu(case, folder)
     else:
         plant_file = artefacts.block_fmu(plant_block(case, event_slots=slots), folder)
-    plant = FmuParticipant(_PLANT, FmuFile(plant_file), dict(events))
-    signals = [p.name for p in plant.description.outputs]
-    participants: list[FmuParticipant] = [plant]
-    connections: list[tuple[str, str]] = []
     controller = _controller(scenario, case, folder, controllers)
+    wiring = wire(
+        scenario,
+        case,
+        plant=FmuFile(plant_file),
+        controller=None
+        if controller is None
+        else FmuFile(artefacts.controller_fmu(controller, case.omega_b, folder)),
+        channel=FmuFile(artefacts.channel_fmu(folder)) if scenario.channels else None,
+    )
+    participants = [FmuParticipant(n, file, start) for n, (file, start) in wiring.instances.items()]
+    return Loop(scenario, case, wiring.master(scenario, participants), list(scenario.channels))
+
+
+def wire(
+    scenario: Scenario, case: Case, *, plant: FmuFile, controller: FmuFile | None, channel: FmuFile | None
+) -> Wiring:
+    """Return which instances of the three FMUs a scenario needs, with which start values, connected how.
+
+    Raises
+    ------
+    ScenarioError, CaseError : as `assemble`.
+    """
+    instances: dict[str, tuple[FmuFile, dict[str, Value]]] = {
+        _PLANT: (plant, dict(event_parameters(case, scenario.event)))
+    }
+    signals = [p.name for p in plant.description.outputs]
+    connections: list[tuple[str, str]] = []
     wanted: tuple[str, ...] = ()
     if controller is not None:
-        fmu = FmuFile(artefacts.controller_fmu(controller, case.omega_b, folder))
-        participants.append(FmuParticipant(_CONTROLLER, fmu))
-        wanted = tuple(p.name for p in participants[-1].description.inputs)
+        instances[_CONTROLLER] = (controller, {})
+        wanted = tuple(p.name for p in controller.description.inputs)
         inputs = plant.description.input_of
-        for port in participants[-1].description.outputs:
+        for port in controller.description.outputs:
             _known(
                 port.name,
                 inputs,
-                f"controller {controller.name}: output {port.name!r} is no input of the plant",
+                f"controller {controller.description.title}: output {port.name!r} is no input of the plant",
             )
             connections.append((f"{_CONTROLLER}.{port.name}", f"{_PLANT}.{port.name}"))
-    channel_file: FmuFile | None = None
-    for name, channel in scenario.channels.items():
-        where = f"{scenario.name}: channels.{name}.signal = {channel.signal!r}"
-        _known(channel.signal, signals, f"{where} is no output of the plant")
+    for name, table in scenario.channels.items():
+        where = f"{scenario.name}: channels.{name}.signal = {table.signal!r}"
+        _known(table.signal, signals, f"{where} is no output of the plant")
         if controller is not None:
-            _known(channel.signal, wanted, f"{where} is no input of controller {controller.name}")
-        if len(channel.outages_s) > _MAX_OUTAGES:
+            _known(table.signal, wanted, f"{where} is no input of controller {controller.description.title}")
+        if len(table.outages_s) > _MAX_OUTAGES:
             raise ScenarioError(
-                f"{scenario.name}: channels.{name}.outages_s has {len(channel.outages_s)} windows, "
+                f"{scenario.name}: channels.{name}.outages_s has {len(table.outages_s)} windows, "
                 f"allowed: at most {_MAX_OUTAGES}"
             )
-        channel_file = channel_file or FmuFile(artefacts.channel_fmu(folder))
-        start = _channel_start(channel)
-        for k, (begin, end) in enumerate(channel.outages_s, start=1):
+        if channel is None:
+            raise ScenarioError(f"{scenario.name}: channels.{name} needs the FMU of a channel, got none")
+        start = _channel_start(table)
+        for k, (begin, end) in enumerate(table.outages_s, start=1):
             start |= {f"outage[{k}].start": begin, f"outage[{k}].end": end}
-        participants.append(FmuParticipant(name, channel_file, start))
-        connections.append((f"{_PLANT}.{channel.signal}", f"{name}.u"))
+        instances[name] = (channel, start)
+        connections.append((f"{_PLANT}.{table.signal}", f"{name}.u"))
         if controller is not None:
-            connections.append((f"{name}.y", f"{_CONTROLLER}.{channel.signal}"))
+            connections.append((f"{name}.y", f"{_CONTROLLER}.{table.signal}"))
     carried = {c.signal for c in scenario.channels.values()}
     for signal in wanted:
         if signal not in carried:
@@ -212,18 +255,7 @@ def assemble(
                 f"controller {scenario.controller}: input {signal!r} is no output of the plant",
             )
             connections.append((f"{_PLANT}.{signal}", f"{_CONTROLLER}.{signal}"))
-    master = Master(
-        participants,
-        connections,
-        stop_s=scenario.stop_s,
-        step_s=scenario.step_s,
-        marks_s=scenario.marks_s,
-        latency_s={n: max(c.latency_s, c.pdc_wait_s) for n, c in scenario.channels.items()},
-        inputs=scenario.master.inputs,
-        loops=scenario.master.loops,
-        tolerance=scenario.master.tolerance,
-    )
-    return Loop(scenario, case, master, list(scenario.channels))
+    return Wiring(instances, tuple(connections))
 
 
 def _channel_start(channel: ChannelTable) -> dict[str, Value]:
