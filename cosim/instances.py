@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from ctypes import byref, c_double, c_int, c_size_t, c_uint, c_void_p
-from typing import Any
+from ctypes import byref, c_double, c_int, c_size_t, c_uint, c_void_p, cast
+from typing import Any, NoReturn
 
 import fmpy.fmi2 as fmi2
 from fmpy import calloc, free
@@ -37,6 +37,7 @@ class FmuParticipant:
         self._fmu: Any = None
         self._log: list[str] = []
         self._initialised = False
+        self.time_s: float | None = None  #: where the last step ended
         self.bind((), ())
 
     def set_start(self, start: Mapping[str, Value]) -> None:
@@ -49,6 +50,7 @@ class FmuParticipant:
 
     def bind(self, inputs: Sequence[str], slopes: Sequence[str]) -> None:
         """Fix the inputs that will be sent and the outputs whose slopes will be asked."""
+        self.bound_inputs, self.bound_slopes = tuple(inputs), tuple(slopes)
         ports = self.description.input_of
         reals = [(i, n) for i, n in enumerate(inputs) if ports[n].type == "Real"]
         self._real_inputs = [i for i, _ in reals]
@@ -103,12 +105,12 @@ class FmuParticipant:
         for variable, value in self._start.values():
             self._set(variable, value, start_s)
         self._call("fmi2EnterInitializationMode", self._raw.fmi2EnterInitializationMode(self._c), start_s)
-        self._time = start_s
+        self.time_s = start_s
 
     def ready(self) -> None:
         """Leave initialisation."""
         status = self._raw.fmi2ExitInitializationMode(self._c)
-        self._call("fmi2ExitInitializationMode", status, self._time)
+        self._call("fmi2ExitInitializationMode", status, self.time_s)
         self._initialised = True
 
     def close(self) -> None:
@@ -154,6 +156,16 @@ class FmuParticipant:
         self._set_real = self._raw.fmi2SetReal
         self._get_real = self._raw.fmi2GetReal
 
+    @property
+    def component(self) -> int:
+        """Address of the FMU instance; 0 when there is none."""
+        return 0 if self._fmu is None else int(self._c.value or 0)
+
+    def address(self, function: str) -> int | None:
+        """Return the address of one of the FMU's functions, None when it has no such function."""
+        found = getattr(self._raw, function, None)
+        return None if found is None else cast(found, c_void_p).value
+
     # -- one step -------------------------------------------------------------------------
 
     def send(self, order: int) -> None:
@@ -166,7 +178,7 @@ class FmuParticipant:
                     u[k] = self.u[i]
             status = self._set_real(self._c, self._u_vr, self._n_u, u)
             if status > 1:
-                self._fail("fmi2SetReal", status)
+                self.fail("fmi2SetReal", status)
             if order:
                 du = self._du_buffer[order]
                 k = 0
@@ -178,19 +190,19 @@ class FmuParticipant:
                     self._c, self._du_vr[order], k, self._du_order[order], du
                 )
                 if status > 1:
-                    self._fail("fmi2SetRealInputDerivatives", status)
+                    self.fail("fmi2SetRealInputDerivatives", status)
         for i, kind, reference in self._other_inputs:
             value = c_int(int(self.u[i]))
             setter = self._raw.fmi2SetBoolean if kind == "Boolean" else self._raw.fmi2SetInteger
-            self._call("fmi2SetInteger", setter(self._c, reference, c_size_t(1), byref(value)), self._time)
+            self._call("fmi2SetInteger", setter(self._c, reference, c_size_t(1), byref(value)), self.time_s)
 
     def advance(self, time_s: float, length_s: float) -> None:
         """Step from `time_s` over `length_s`."""
         status = self._do_step(self._c, time_s, length_s, 1)
         if status > 1:
-            self._time = time_s
-            self._fail("fmi2DoStep", status)
-        self._time = time_s + length_s
+            self.time_s = time_s
+            self.fail("fmi2DoStep", status)
+        self.time_s = time_s + length_s
 
     def receive(self, slopes: bool) -> None:
         """Read every output, and the bound slopes if `slopes`."""
@@ -198,34 +210,34 @@ class FmuParticipant:
             y: Any = self.y if self._y_all_real else self._y_buffer
             status = self._get_real(self._c, self._y_vr, self._n_y, y)
             if status > 1:
-                self._fail("fmi2GetReal", status)
+                self.fail("fmi2GetReal", status)
             if not self._y_all_real:
                 for k, j in enumerate(self._y_reals):
                     self.y[j] = y[k]
         for j, kind, reference, box in self._y_others:
             getter = self._raw.fmi2GetBoolean if kind == "Boolean" else self._raw.fmi2GetInteger
-            self._call("fmi2GetInteger", getter(self._c, reference, c_size_t(1), byref(box)), self._time)
+            self._call("fmi2GetInteger", getter(self._c, reference, c_size_t(1), byref(box)), self.time_s)
             self.y[j] = float(box.value)
         if slopes and self._n_dy:
             status = self._raw.fmi2GetRealOutputDerivatives(
                 self._c, self._dy_vr, self._n_dy, self._dy_order, self.dy
             )
             if status > 1:
-                self._fail("fmi2GetRealOutputDerivatives", status)
+                self.fail("fmi2GetRealOutputDerivatives", status)
 
     def save(self) -> c_void_p:
         """Copy the FMU state."""
         state = c_void_p()
-        self._call("fmi2GetFMUstate", self._raw.fmi2GetFMUstate(self._c, byref(state)), self._time)
+        self._call("fmi2GetFMUstate", self._raw.fmi2GetFMUstate(self._c, byref(state)), self.time_s)
         return state
 
     def restore(self, state: c_void_p) -> None:
         """Go back to a saved FMU state."""
-        self._call("fmi2SetFMUstate", self._raw.fmi2SetFMUstate(self._c, state), self._time)
+        self._call("fmi2SetFMUstate", self._raw.fmi2SetFMUstate(self._c, state), self.time_s)
 
     def release(self, state: c_void_p) -> None:
         """Free a saved FMU state."""
-        self._call("fmi2FreeFMUstate", self._raw.fmi2FreeFMUstate(self._c, byref(state)), self._time)
+        self._call("fmi2FreeFMUstate", self._raw.fmi2FreeFMUstate(self._c, byref(state)), self.time_s)
 
     def value_of(self, name: str) -> float:
         """Return the present value of any Real, Integer, Boolean or Enumeration variable."""
@@ -233,11 +245,11 @@ class FmuParticipant:
         reference = self._references([name])
         if variable.type == "Real":
             real = c_double()
-            self._call("fmi2GetReal", self._get_real(self._c, reference, 1, byref(real)), self._time)
+            self._call("fmi2GetReal", self._get_real(self._c, reference, 1, byref(real)), self.time_s)
             return real.value
         box = c_int()
         getter = self._raw.fmi2GetBoolean if variable.type == "Boolean" else self._raw.fmi2GetInteger
-        self._call("fmi2GetInteger", getter(self._c, reference, c_size_t(1), byref(box)), self._time)
+        self._call("fmi2GetInteger", getter(self._c, reference, c_size_t(1), byref(box)), self.time_s)
         return float(box.value)
 
     def last_log(self) -> str:
@@ -249,15 +261,16 @@ class FmuParticipant:
     def _call(self, call: str, status: int, time_s: float | None) -> None:
         """Raise unless `status` is ok or warning."""
         if status > 1:
-            self._fail(call, status, time_s)
+            self.fail(call, status, time_s)
 
-    def _fail(self, call: str, status: int, time_s: float | None = None) -> None:
+    def fail(self, call: str, status: int, time_s: float | None = None) -> NoReturn:
+        """Raise the error of an FMI call that returned `status`."""
         label = _STATUS[status] if 0 <= status < len(_STATUS) else str(status)
         raise StepError(
             f"returned {label}",
             instance=self.name,
             call=call,
-            time_s=self._time if time_s is None and hasattr(self, "_time") else time_s,
+            time_s=self.time_s if time_s is None else time_s,
             last_log=self.last_log(),
         )
 

@@ -22,7 +22,8 @@ enum {
     KERNEL_STOPPED,         /* `stop` was set by another thread                 */
     KERNEL_CALL_FAILED,     /* node, call, status                               */
     KERNEL_NOT_FINITE,      /* node has an output that is not finite            */
-    KERNEL_NOT_SETTLED      /* group does not settle; value = relative change   */
+    KERNEL_NOT_SETTLED,     /* group does not settle; value = relative change   */
+    KERNEL_PAUSED           /* `budget` is used up: look around and call again  */
 };
 enum {
     CALL_SET_REAL = 0, CALL_SET_DERIVATIVES, CALL_SET_INTEGER, CALL_DO_STEP, CALL_GET_REAL, CALL_GET_INTEGER,
@@ -105,6 +106,7 @@ typedef struct {
     double *work;                   /* kernel_loop.h says how much              */
     int64_t index, row, repeated;   /* next step, next row, loop steps done again */
     double tolerance;
+    double budget;                  /* s of computing until KERNEL_PAUSED       */
     double value;                   /* with KERNEL_NOT_SETTLED                  */
     volatile int32_t stop;
     int32_t n_nodes, n_signals, n_groups, n_columns;

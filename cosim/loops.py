@@ -57,7 +57,12 @@ def iterate_loop(
     finally:
         for p, state in zip(members, states, strict=True):
             p.release(state)
-    raise StepError(
+    raise not_settled(group, error, tolerance, step)
+
+
+def not_settled(group: Group, error: float, tolerance: float, step: Step) -> StepError:
+    """Return the error of a loop whose last relative change `error` exceeds `tolerance`."""
+    return StepError(
         f"the loop does not settle in {_MAX_SWEEPS} sweeps: relative change {error:.3g}, "
         f"{tolerance:g} is allowed",
         instance=" -> ".join(group.members),

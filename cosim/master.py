@@ -14,20 +14,29 @@ One step from t to t + H, all times whole ticks (`clock`), every known event a c
 
 Modes ``hold-jacobi`` and ``hold-gauss-seidel`` hold inputs instead, as most masters do; the delay that
 adds is in the ledger (`ledger`).
+
+`Master.step` is the reference, in Python. `Master.run` does the same in compiled code (`kernel`) where it
+can, with the same bits.
 """
 
 from __future__ import annotations
 
+import logging
+from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from interarea.fmu_build.errors import BuildError
+
 from .clock import seconds, to_ticks
 from .errors import GraphError, StepError
 from .graph import End, Graph, Group, build_graph
 from .initialise import initialise
+from .kernel import Kernel, why_not
+from .kernel_build import load_kernel
 from .loops import iterate_loop
 from .node import Feed, Node
 from .participant import Participant
@@ -39,6 +48,9 @@ Inputs = Literal["hermite", "linear", "hold-jacobi", "hold-gauss-seidel"]
 Loops = Literal["auto", "iterate", "extrapolate"]
 INPUTS: tuple[Inputs, ...] = ("hermite", "linear", "hold-jacobi", "hold-gauss-seidel")
 LOOPS: tuple[Loops, ...] = ("auto", "iterate", "extrapolate")
+Engine = Literal["auto", "kernel", "python"]
+ENGINES: tuple[Engine, ...] = ("auto", "kernel", "python")
+_log = logging.getLogger("interarea")
 
 
 @dataclass(frozen=True)
@@ -65,6 +77,8 @@ class Master:
         ``auto`` iterates where all their FMUs can save their state.
     tolerance : of loops, relative to the largest value a signal has had.
     substeps : parts of a step for FMUs that take no input derivatives.
+    engine : who steps in `run`: ``kernel`` compiled code, for FMUs in this process; ``python`` the reference;
+        ``auto`` the kernel where it can, else Python. `ran` says which it was, and why.
 
     Raises
     ------
@@ -85,9 +99,11 @@ class Master:
         loops: Loops = "auto",
         tolerance: float = 1e-7,
         substeps: int = 4,
+        engine: Engine = "auto",
     ) -> None:
         _one_of("inputs", inputs, INPUTS)
         _one_of("loops", loops, LOOPS)
+        _one_of("engine", engine, ENGINES)
         self.participants = {p.name: p for p in sorted(participants, key=lambda p: p.name)}
         descriptions = {n: p.description for n, p in self.participants.items()}
         pairs = sorted(connections)
@@ -125,6 +141,12 @@ class Master:
         self._times = np.full(points, np.nan)
         self._records = np.full((points, len(outputs)), np.nan)
         self._rows = 0
+        self.engine = engine
+        self.ran = ""  #: who did the steps since the start: kernel | python | python (why not the kernel)
+        self._kernel: Kernel | None = None
+        self._why_python = ""
+        self._cancelled = False
+        self._ends = [s.end for s in self.clock.steps]
 
     # -- running --------------------------------------------------------------------------
 
@@ -141,6 +163,7 @@ class Master:
         """Initialise all participants (again, if they ran before) and record the start."""
         start_s, stop_s = seconds(self.clock.start), seconds(self.clock.stop)
         self._rows = self.repeated = 0
+        self.ran = ""
         for p in self.participants.values():
             p.begin(start_s, stop_s)
         self.residual = initialise(self._initial_graph, self.nodes, self.clock.start, 1e-12)
@@ -152,7 +175,7 @@ class Master:
         self._record(self.clock.start)
 
     def step(self) -> bool:
-        """Do the next communication step; return whether there was one.
+        """Do the next communication step, in Python; return whether there was one.
 
         Raises
         ------
@@ -162,6 +185,7 @@ class Master:
             self.start()
         if self.finished:
             return False
+        self._note("python")
         step = self.clock.steps[self._index]
         try:
             for s in self.signals:
@@ -189,20 +213,40 @@ class Master:
     ) -> Trajectory:
         """Step to `until_s` (default: the end) and return the trajectory.
 
-        progress : called with (present time, stop time) after each recorded step.
+        progress : called with (present time, stop time) after each step in Python, and at least every 20 ms
+            of computing (or after a longer step) with the kernel. It may raise, or call `cancel`.
+
+        Raises
+        ------
+        StepError : as `step`. GraphError : engine = "kernel" where it cannot be had.
         """
         until = self.clock.stop if until_s is None else to_ticks(until_s, "until_s")
         stop_s = seconds(self.clock.stop)
+        self._cancelled = False
         if self._index < 0:
             self.start()
-        while not self.finished and self.clock.steps[self._index].end <= until:
-            self.step()
+        kernel = self._compiled()
+        last = bisect_right(self._ends, until)
+        while self._index < last and not self._cancelled:
+            if kernel is None:
+                self.step()
+            else:
+                self._stretch(kernel, last)
             if progress is not None:
                 progress(self.time_s, stop_s)
         return self.trajectory
 
+    def cancel(self) -> None:
+        """Make `run` return after the step it is in; to be called by `progress` or from another thread."""
+        self._cancelled = True
+        if self._kernel is not None:
+            self._kernel.cancel()
+
     def close(self) -> None:
         """End all participants."""
+        if self._kernel is not None:
+            self._kernel.close()
+            self._kernel = None
         for p in self.participants.values():
             p.close()
 
@@ -216,7 +260,7 @@ class Master:
     def trajectory(self) -> Trajectory:
         """Results up to now: every output of every participant."""
         return Trajectory.of_records(
-            self._times[: self._rows], self._records[: self._rows], self._columns, self._ports
+            self._times[: self._rows], self._records[: self._rows], self._columns, self._ports, engine=self.ran
         )
 
     # -- saving ---------------------------------------------------------------------------
@@ -247,6 +291,61 @@ class Master:
             p.release(saved.states[n])
 
     # -- private --------------------------------------------------------------------------
+
+    def _compiled(self) -> Kernel | None:
+        """Return the kernel for the present instances, or None where Python has to step them."""
+        if self.engine == "python" or self._why_python:
+            return None
+        if self._kernel is not None:
+            if self._kernel.fits():
+                self._kernel.cancel(False)
+                return self._kernel
+            self._kernel = None
+        reason = why_not(self.nodes)
+        try:
+            library = None if reason else load_kernel()
+        except BuildError as error:
+            reason = str(error).partition("\n")[0]
+            _log.warning("stepping in Python, which gives the same results but is slower: %s", reason)
+            library = None
+        if library is None:
+            if self.engine == "kernel":
+                raise GraphError(f'engine = "kernel" cannot step this: {reason}; use engine = "auto"')
+            self._why_python = reason
+            return None
+        self._kernel = Kernel(
+            library,
+            self.nodes,
+            self.signals,
+            self._order,
+            self._torn_signals,
+            self._iterated,
+            self.clock.steps,
+            tolerance=self.tolerance,
+            times=self._times,
+            records=self._records,
+        )
+        return self._kernel
+
+    def _stretch(self, kernel: Kernel, last: int) -> None:
+        """Let the kernel step for a while."""
+        self._note("kernel")
+        try:
+            kernel.run(self._index, self._rows, last)
+        except StepError as error:
+            self._index, self._rows = kernel.index, kernel.row
+            error.trajectory = self.trajectory
+            raise
+        finally:
+            self._index, self._rows = kernel.index, kernel.row
+            self.repeated += kernel.repeated
+
+    def _note(self, engine: str) -> None:
+        """Remember who steps."""
+        if engine == "python" and self._why_python:
+            engine = f"python ({self._why_python})"
+        if engine not in self.ran:
+            self.ran = f"{self.ran}, then {engine}" if self.ran else engine
 
     @property
     def _holds(self) -> bool:

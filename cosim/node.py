@@ -57,7 +57,7 @@ class Node:
             p.send(self.order)
             p.advance(t, step.length_s)
         p.receive(self.has_slopes)
-        self._check(step.end)
+        self.check(step.end)
         y, dy = p.y, p.dy
         for s in self.signals:
             slope = dy[s.slope_index] if s.slope_index >= 0 else 0.0
@@ -74,7 +74,7 @@ class Node:
         """Read outputs at the start of the run, and slopes (which FMI allows after initialisation only)."""
         p = self.participant
         p.receive(slopes and self.has_slopes)
-        self._check(tick)
+        self.check(tick)
         for s in self.signals:
             s.start(tick, p.y[s.index], p.dy[s.slope_index] if slopes and s.slope_index >= 0 else 0.0)
 
@@ -106,7 +106,8 @@ class Node:
         self._fill(0, step.length_s)
         p.send(0)
 
-    def _check(self, tick: int) -> None:
+    def check(self, tick: int) -> None:
+        """Raise StepError when an output is not finite."""
         p = self.participant
         for j, name in enumerate(self._names):
             if not math.isfinite(p.y[j]):

@@ -23,12 +23,13 @@ TIME = "time_s"
 class Trajectory:
     """`data`: column ``time_s``, then ``INSTANCE.VARIABLE``; `units` and `descriptions` by column.
 
-    `units` are also in ``data.attrs["units"]``.
+    `units` are also in ``data.attrs["units"]``; `engine` says what stepped: kernel or python (`Master.ran`).
     """
 
     data: pd.DataFrame
     units: Mapping[str, str]
     descriptions: Mapping[str, str] = field(default_factory=dict)
+    engine: str = ""
 
     @classmethod
     def of_records(
@@ -37,6 +38,8 @@ class Trajectory:
         records: npt.NDArray[np.float64],
         columns: Sequence[str],
         ports: Sequence[Port],
+        *,
+        engine: str = "",
     ) -> Trajectory:
         """Return the trajectory of recorded outputs; integers and Booleans get their own types."""
         series: dict[str, npt.NDArray[Any]] = {TIME: times_s.copy()}
@@ -52,7 +55,7 @@ class Trajectory:
             units[name] = port.unit.name if port.unit is not None else "1"
         data = pd.DataFrame(series)
         data.attrs["units"] = dict(units)
-        return cls(data, units, {n: p.description for n, p in zip(columns, ports, strict=True)})
+        return cls(data, units, {n: p.description for n, p in zip(columns, ports, strict=True)}, engine)
 
     def __getitem__(self, column: str) -> npt.NDArray[np.float64]:
         """Return one column as an array; the error names the columns there are."""

@@ -107,9 +107,14 @@ def source_files(block_sources: tuple[Path, ...]) -> dict[str, bytes]:
     ------
     BuildError : an include that is not there, or two different files of one name.
     """
+    return gather_sources((*fmi_sources(), *block_sources))
+
+
+def gather_sources(c_files: tuple[Path, ...]) -> dict[str, bytes]:
+    """Return `c_files` and the headers they include, flat, by file name: as `source_files`, for any library."""
     files: dict[str, bytes] = {}
     origin: dict[str, Path] = {}
-    to_do = [p.resolve() for p in (*fmi_sources(), *block_sources)]
+    to_do = [p.resolve() for p in c_files]
     folders = (_C, fmi_headers(), _block_folder())
     while to_do:
         path = to_do.pop()
@@ -168,11 +173,21 @@ def compile_binary(
     ------
     BuildError : unknown platform, no compiler, or the compiler's own message.
     """
+    return compile_library(kind, source_files((*block_sources, record_source())), platform, cache=cache)
+
+
+def compile_library(
+    kind: str, sources: dict[str, bytes], platform: str, *, cache: Path | None = None
+) -> Path:
+    """Return the cached shared library of `sources` (`gather_sources`), compiled with an FMU's flags.
+
+    Raises
+    ------
+    BuildError : unknown platform, no compiler, or the compiler's own message.
+    """
     if platform not in PLATFORMS:
         raise BuildError(f"unknown platform {platform!r}; allowed: {', '.join(PLATFORMS)}")
-    to = PLATFORMS[platform]
-    sources = source_files((*block_sources, record_source()))
-    return _compiled(kind, tuple(sources.items()), to, cache or default_cache())
+    return _compiled(kind, tuple(sources.items()), PLATFORMS[platform], cache or default_cache())
 
 
 def default_cache() -> Path:
