@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from ctypes import byref, c_double, c_int, c_size_t, c_uint, c_void_p, cast
 from typing import Any, NoReturn
@@ -121,6 +122,7 @@ class FmuParticipant:
             self._raw.fmi2Terminate(self._c)
         self._fmu.freeInstance()
         self._fmu = None
+        _logs.pop(self._callbacks.componentEnvironment, None)
 
     def _instantiate(self) -> None:
         model = self.file.model
@@ -317,17 +319,30 @@ class FmuParticipant:
         self._call(what, status, time_s)
 
 
-def _callbacks(lines: list[str]) -> Any:
-    """Return FMI callbacks whose logger keeps the last hundred lines."""
+_logs: dict[int, list[str]] = {}  # by componentEnvironment
+_next_log = itertools.count(1)
 
-    def log(_env: object, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
+
+@fmi2.fmi2CallbackLoggerTYPE  # type: ignore[untyped-decorator]
+def _logger(environment: int | None, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
+    """Keep the last hundred lines of each instance.
+
+    One logger for all instances: fmpy's proxy, which fills in the placeholders, knows only one.
+    """
+    lines = _logs.get(environment or 0)
+    if lines is not None:
         lines.append(message.decode("utf-8", "replace").strip() if message else "")
         del lines[:-100]
 
+
+def _callbacks(lines: list[str]) -> Any:
+    """Return FMI callbacks whose logger adds to `lines`."""
     callbacks = fmi2.fmi2CallbackFunctions()
-    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(log)
+    callbacks.logger = _logger
     callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
     callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
+    callbacks.componentEnvironment = next(_next_log)
+    _logs[callbacks.componentEnvironment] = lines
     try:
         from fmpy.logging import addLoggerProxy
 

@@ -1,4 +1,4 @@
-"""Run the master's steps in compiled code: the algorithm of `master`, the arithmetic of `signals`, the same bits.
+"""The master's steps in compiled code: the algorithm of `master`, the arithmetic of `signals`, the same bits.
 
 The kernel works on the same FMU instances, the same output buffers and the
 same records as the Python reference. What the master remembers of each signal

@@ -260,7 +260,11 @@ class Master:
     def trajectory(self) -> Trajectory:
         """Results up to now: every output of every participant."""
         return Trajectory.of_records(
-            self._times[: self._rows], self._records[: self._rows], self._columns, self._ports, engine=self.ran
+            self._times[: self._rows],
+            self._records[: self._rows],
+            self._columns,
+            self._ports,
+            engine=self.ran,
         )
 
     # -- saving ---------------------------------------------------------------------------

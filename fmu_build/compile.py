@@ -111,7 +111,7 @@ def source_files(block_sources: tuple[Path, ...]) -> dict[str, bytes]:
 
 
 def gather_sources(c_files: tuple[Path, ...]) -> dict[str, bytes]:
-    """Return `c_files` and the headers they include, flat, by file name: as `source_files`, for any library."""
+    """Return `c_files` and the headers they include, flat, by file name (see `source_files`)."""
     files: dict[str, bytes] = {}
     origin: dict[str, Path] = {}
     to_do = [p.resolve() for p in c_files]
