@@ -38,13 +38,12 @@ from .initialise import initialise
 from .kernel import Kernel, why_not
 from .kernel_build import load_kernel
 from .loops import iterate_loop
-from .node import Feed, Node
 from .participant import Participant
-from .signals import Kind, Signal
+from .signals import Signal
 from .timing import choose_step, clock_of
 from .trajectory import Trajectory
+from .wiring import Inputs, make_nodes, make_signals
 
-Inputs = Literal["hermite", "linear", "hold-jacobi", "hold-gauss-seidel"]
 Loops = Literal["auto", "iterate", "extrapolate"]
 INPUTS: tuple[Inputs, ...] = ("hermite", "linear", "hold-jacobi", "hold-gauss-seidel")
 LOOPS: tuple[Loops, ...] = ("auto", "iterate", "extrapolate")
@@ -127,8 +126,8 @@ class Master:
         self._initial_graph = build_graph(
             descriptions, pairs, step_ticks=self.clock.stop - self.clock.start + 1
         )
-        self.signals = self._make_signals()
-        self.nodes = self._make_nodes()
+        self.signals = make_signals(self.participants, self.graph, inputs)
+        self.nodes = make_nodes(self.participants, self.graph, self.signals, inputs, substeps)
         self.residual = 0.0  #: of the initial values, relative
         self.repeated = 0  #: loop steps done again since the start
         self._order: list[Group] = self._groups()
@@ -390,49 +389,6 @@ class Master:
     def start_of(self, end: End) -> float:
         """Return the start value of an input."""
         return self.participants[end.instance].description.input_of[end.variable].start
-
-    def _make_signals(self) -> list[Signal]:
-        found = []
-        for end in sorted({c.source for c in self.graph.connections}):
-            p = self.participants[end.instance]
-            index = next(k for k, o in enumerate(p.description.outputs) if o.name == end.variable)
-            port = p.description.outputs[index]
-            found.append(
-                Signal(str(end), end.instance, index, -1, self._kind(p, port.discrete), port.nominal)
-            )
-        for name, p in self.participants.items():
-            mine = [s for s in found if s.owner == name]
-            sloped = [s for s in mine if s.kind == "hermite"]
-            for k, s in enumerate(sloped):
-                s.slope_index = k
-            p.bind(
-                [c.target.variable for c in self.graph.into(name)],
-                [p.description.outputs[s.index].name for s in sloped],
-            )
-        return found
-
-    def _kind(self, p: Participant, discrete: bool) -> Kind:
-        if discrete or self.inputs == "hold-jacobi":
-            return "held"
-        if self.inputs == "hold-gauss-seidel":
-            return "newest"
-        if self.inputs == "linear":
-            return "linear"
-        return "hermite" if p.description.output_order >= 1 else "points"
-
-    def _make_nodes(self) -> dict[str, Node]:
-        by_name = {s.name: s for s in self.signals}
-        nodes = {}
-        for name, p in self.participants.items():
-            d = p.description
-            into = self.graph.into(name)
-            feeds = [Feed(k, by_name[str(c.source)], c.gain, c.offset) for k, c in enumerate(into)]
-            order = 0 if self._holds else min(3, d.input_order)
-            held = all(f.signal.kind == "held" for f in feeds)
-            parts = 1 if self._holds or order or held or not d.variable_step else self.substeps
-            mine = [s for s in self.signals if s.owner == name]
-            nodes[name] = Node(p, feeds, mine, order=order, substeps=parts)
-        return nodes
 
     def _record(self, tick: int) -> None:
         row = self._records[self._rows]
