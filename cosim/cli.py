@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .cli_check import check
 from .cli_design import certify, design
 from .terminal import busy, complain, print_table, stage_progress
 
@@ -171,6 +172,7 @@ def study(
 
 app.command()(design)
 app.command()(certify)
+app.command()(check)
 
 
 def _modes(name: str) -> tuple[Case, control.StateSpace, Modes]:

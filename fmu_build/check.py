@@ -1,0 +1,89 @@
+"""Check an FMU: archive, schema, semantic rules, binaries, and behaviour of the binary."""
+
+from __future__ import annotations
+
+import tempfile
+import zipfile
+from pathlib import Path
+
+from .check_archive import unpack_checked
+from .check_binary import check_binaries
+from .check_delegated import fmpy_rules, toolbox_rules
+from .check_description import read_description
+from .check_finding import CheckError, Finding, Report
+from .check_load import TIMEOUT_S, check_running
+from .check_semantics import check_semantics
+from .check_xml import obeys_schema, read_xml
+
+__all__ = ["CheckError", "Finding", "Report", "check_file"]
+
+_DESCRIPTION = "modelDescription.xml"
+_SCHEMAS = {
+    "1": "schema/fmi1/fmiModelDescription.xsd",
+    "2": "schema/fmi2/fmi2ModelDescription.xsd",
+    "3": "schema/fmi3/fmi3ModelDescription.xsd",
+}
+
+
+def check_file(path: Path | str, *, run: bool = True, timeout_s: float = TIMEOUT_S) -> Report:
+    """Check the FMU at `path` and return what was found.
+
+    Parameters
+    ----------
+    run : load the binary for this machine (in a process of its own) and check how it behaves;
+        False for archives whose code must not run.
+    timeout_s : a binary that takes longer for all its topics hangs, seconds.
+
+    Raises
+    ------
+    CheckError : no such file, or no zip archive.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise CheckError(f"{path}: there is no such file")
+    if not zipfile.is_zipfile(path):
+        raise CheckError(f"{path}: is no zip archive, so neither an FMU nor an SSP")
+    report = Report(str(path))
+    with tempfile.TemporaryDirectory(prefix="interarea-check-") as scratch:
+        folder = Path(scratch) / "fmu"
+        folder.mkdir()
+        if unpack_checked(path, folder, report):
+            check_fmu(path, folder, report, run=run, timeout_s=timeout_s)
+    return report
+
+
+def check_fmu(path: Path, folder: Path, report: Report, *, run: bool, timeout_s: float) -> None:
+    """Check an unpacked FMU; `path` is its archive."""
+    file = folder / _DESCRIPTION
+    if not file.is_file():
+        found = sorted(p.relative_to(folder).as_posix() for p in folder.rglob(_DESCRIPTION))
+        where = f"; there is {found[0]}" if found else ""
+        report.add("FMI2 2.1 archive", _DESCRIPTION, f"is not at the root{where}", "pack it there")
+        return
+    root = read_xml(file, _DESCRIPTION, report)
+    if root is None:
+        return
+    version = str(root.get("fmiVersion", ""))
+    schema = _SCHEMAS.get(version[:1])
+    if schema is None:
+        report.add("FMI version", _DESCRIPTION, f"fmiVersion is {version!r}", "write 1.0, 2.0 or 3.0")
+        return
+    valid = obeys_schema(root, schema, _DESCRIPTION, report)
+    if not version.startswith("1"):
+        toolbox_rules(path, _DESCRIPTION, report)
+    if valid:
+        fmpy_rules(folder, _DESCRIPTION, report)
+    if version != "2.0":
+        report.notes.append(
+            f"FMI {version}: only archive and description were checked; the rest is for FMI 2.0"
+        )
+        return
+    description = read_description(root)
+    report.facts["guid"] = description.guid
+    report.facts["interfaces"] = sorted(description.interfaces)
+    check_semantics(description, folder, report)
+    check_binaries(description, folder, report)
+    if run:
+        check_running(description, folder, report, timeout_s=timeout_s)
+    else:
+        report.notes.append("the binary was not run")

@@ -1,0 +1,60 @@
+"""One finding of `interarea check`: where, which rule, what is wrong, how to put it right."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong; `rule` names the clause or the topic of the check that it breaks."""
+
+    rule: str
+    where: str
+    message: str
+    fix: str
+
+    def line(self) -> str:
+        """Return the finding in one line."""
+        text = f"{self.where}: {self.message} [{self.rule}] -> {self.fix}"
+        return " ".join(text.split())
+
+
+@dataclass
+class Report:
+    """What a check found, what it could not look at (notes), and facts about the binaries."""
+
+    file: str
+    findings: list[Finding] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    def add(self, rule: str, where: str, message: str, fix: str) -> None:
+        """Add a finding; the same rule is told once per place."""
+        found = Finding(rule, where, message, fix)
+        if all((f.rule, f.where) != (rule, where) or f.message != message for f in self.findings):
+            self.findings.append(found)
+
+    def has(self, rule: str, where: str) -> bool:
+        """Return whether `rule` was already found broken at `where`."""
+        return any(f.rule == rule and f.where == where for f in self.findings)
+
+    @property
+    def clean(self) -> bool:
+        """Whether nothing was found."""
+        return not self.findings
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as JSON types."""
+        return {
+            "file": self.file,
+            "clean": self.clean,
+            "findings": [asdict(f) for f in self.findings],
+            "notes": list(self.notes),
+            "facts": self.facts,
+        }
+
+
+class CheckError(ValueError):
+    """The file given to the check is not there or is neither an FMU nor an SSP."""

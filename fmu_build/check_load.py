@@ -1,0 +1,121 @@
+"""Load and run an FMU's binary in a process of its own: one that crashes or hangs is a finding."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from .check_binary import FOLDERS
+from .check_description import ModelDescription
+from .check_finding import Report
+from .compile import PLATFORMS, host_platform
+from .errors import BuildError
+
+TIMEOUT_S = 120.0  #: for the topics of one process
+_TOPICS = (
+    "load",
+    "start values",
+    "reset",
+    "two instances",
+    "saved states",
+    "step splitting",
+    "dependencies",
+    "directional derivatives",
+    "illegal calls",
+)
+
+
+def check_running(d: ModelDescription, folder: Path, report: Report, *, timeout_s: float = TIMEOUT_S) -> None:
+    """Run every topic of the check on the binary for this machine, if there is one."""
+    todo: list[list[str]] = []
+    for interface, attributes in d.interfaces.items():
+        binary = _binary(folder, attributes.get("modelIdentifier", ""))
+        if attributes.get("needsExecutionTool", "false") in ("true", "1"):
+            report.notes.append(f"{interface} needs an execution tool: it was not run")
+        elif binary is None:
+            report.notes.append(f"{interface}: no binary for this machine: it was not run")
+        else:
+            todo += [[interface, str(binary), topic] for topic in _TOPICS]
+    ran = report.facts.setdefault("topics", [])
+    while todo:
+        done = _run(todo, folder, report, timeout_s)
+        ran += [f"{interface}: {topic}" for interface, _, topic in todo[:done]]
+        last, todo = todo[done - 1], todo[done:]
+        if _hopeless(report):
+            # what cannot be loaded cannot be run, and what hung once will hang again
+            todo = [t for t in todo if t[0] != last[0]]
+
+
+def _binary(folder: Path, identifier: str) -> Path | None:
+    try:
+        host = PLATFORMS[host_platform()]
+    except BuildError:
+        return None
+    format_, machine, suffix = FOLDERS[host.folder]
+    for name, (f, m, _) in FOLDERS.items():
+        file = folder / "binaries" / name / (identifier + suffix)
+        if (f, m) == (format_, machine) and file.is_file():
+            return file
+    return None
+
+
+def _hopeless(report: Report) -> bool:
+    last = report.findings[-1] if report.findings else None
+    return last is not None and (last.rule == "run: load" or "hangs" in last.message)
+
+
+def _run(todo: list[list[str]], folder: Path, report: Report, timeout_s: float) -> int:
+    """Run topics in one process; return how many of them are over (at least one)."""
+    with tempfile.TemporaryDirectory(prefix="interarea-check-") as scratch:
+        request, result = Path(scratch) / "request.json", Path(scratch) / "result.jsonl"
+        request.write_text(json.dumps({"folder": str(folder.resolve()), "todo": todo}), encoding="utf-8")
+        result.touch()
+        command = [sys.executable, "-m", "interarea.fmu_build.check_probe", str(request), str(result)]
+        try:
+            process = subprocess.run(
+                command,
+                cwd=scratch,
+                env={**os.environ, "PYTHONFAULTHANDLER": ""},
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                timeout=timeout_s,
+                check=False,
+            )
+            code, said = process.returncode, process.stderr.decode("utf-8", "replace").strip()
+        except subprocess.TimeoutExpired:
+            code, said = None, ""
+        over = 0
+        for line in result.read_text(encoding="utf-8").splitlines():
+            entry = json.loads(line)
+            if "done" in entry:
+                over += 1
+                for rule, where, message, fix in entry["findings"]:
+                    report.add(rule, _in(where, entry["done"][0]), message, fix)
+    if over == len(todo):
+        return over
+    interface, _, topic = todo[over]
+    report.add(
+        f"run: {topic}", interface, _ending(code, said, timeout_s), "debug the binary at this call sequence"
+    )
+    return over + 1
+
+
+def _in(where: str, interface: str) -> str:
+    return where if where == interface else f"{interface} {where}"
+
+
+def _ending(code: int | None, said: str, timeout_s: float) -> str:
+    if code is None:
+        return f"the binary hangs: no answer after {timeout_s:g} s"
+    if code < 0:
+        try:
+            return f"the binary crashes ({signal.Signals(-code).name})"
+        except ValueError:
+            return f"the binary crashes (signal {-code})"
+    last = said.splitlines()[-1] if said else ""
+    return f"the process ended with code {code}" + (f": {last}" if last else "")

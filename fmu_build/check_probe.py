@@ -1,0 +1,81 @@
+"""The process in which an FMU's binary is loaded: `python -m interarea.fmu_build.check_probe REQUEST RESULT`.
+
+Each topic writes a line when it begins and one when it is done, so that the
+process that started this one knows where it died or hung.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TextIO
+
+from . import check_runs, check_sensitivity
+from .check_description import read_description
+from .check_finding import Report
+from .check_fmi2 import CallFailed, Library
+from .check_xml import read_xml
+
+TOPICS: dict[str, Callable[[Library, check_runs.Tell], None]] = {
+    "load": check_runs.load,
+    "start values": check_runs.start_values,
+    "reset": check_runs.reset,
+    "two instances": check_runs.interleaved,
+    "saved states": check_runs.replay,
+    "step splitting": check_runs.split_steps,
+    "dependencies": check_sensitivity.dependencies,
+    "directional derivatives": check_sensitivity.directional,
+    "illegal calls": check_runs.illegal_calls,
+}
+
+
+def main(request_file: str, result_file: str) -> None:
+    """Run the topics of the request: {folder, todo: [[interface, binary, topic], ...]}."""
+    request = json.loads(Path(request_file).read_text(encoding="utf-8"))
+    folder = Path(request["folder"])
+    _no_core_dumps()
+    root = read_xml(folder / "modelDescription.xml", "modelDescription.xml", Report(""))
+    description = read_description(root)
+    libraries: dict[str, Library] = {}
+    with Path(result_file).open("a", encoding="utf-8") as result:
+        for interface, binary, topic in request["todo"]:
+            _write(result, {"begin": [interface, topic]})
+            told: list[tuple[str, str, str, str]] = []
+            try:
+                if interface not in libraries:
+                    libraries[interface] = Library(description, interface, folder, Path(binary))
+                TOPICS[topic](libraries[interface], lambda *f, told=told: told.append(f))  # type: ignore[misc]
+            except CallFailed as error:
+                told.append(
+                    (
+                        f"run: {topic}",
+                        interface,
+                        str(error),
+                        "make this legal call work, or take back what the description declares",
+                    )
+                )
+            except (OSError, AttributeError) as error:
+                told.append(
+                    (f"run: {topic}", interface, f"cannot be loaded: {error}", "link it for this platform")
+                )
+            _write(result, {"done": [interface, topic], "findings": told})
+
+
+def _write(result: TextIO, line: dict[str, Any]) -> None:
+    result.write(json.dumps(line) + "\n")
+    result.flush()
+
+
+def _no_core_dumps() -> None:
+    try:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    except (ImportError, OSError, ValueError):
+        return
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:3])

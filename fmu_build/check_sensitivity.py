@@ -1,0 +1,154 @@
+"""Run-time topics of the check: declared dependencies and directional derivatives against differences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from .check_description import ModelDescription, ScalarVariable, Unknown
+from .check_fmi2 import WARNING, Instance, Library
+from .check_runs import Drive, Tell
+
+_Vector = npt.NDArray[np.float64]
+_MOST_KNOWNS = 200  #: larger FMUs are sampled evenly
+_EPS = float(np.finfo(float).eps)
+
+
+@dataclass
+class _Point:
+    """An initialised instance whose knowns can be moved one at a time."""
+
+    instance: Instance
+    unknowns: list[ScalarVariable]
+    declared: list[Unknown]
+    knowns: list[ScalarVariable]
+    states: list[ScalarVariable]
+    x: _Vector
+    u: dict[int, float]
+
+    def at(self, known: ScalarVariable, change: float) -> _Vector | None:
+        """Return the unknowns with one known moved from the point; None if the FMU takes no such value."""
+        if known in self.states:
+            x = self.x.copy()
+            x[self.states.index(known)] += change
+            self.instance.set_states(x)
+            values = self.instance.get(self.unknowns)
+            self.instance.set_states(self.x)
+            return values
+        if self.instance.set(known, self.u[known.index] + change) > WARNING:
+            return None
+        values = self.instance.get(self.unknowns)
+        self.instance.set(known, self.u[known.index])
+        return values
+
+    def scale(self, known: ScalarVariable) -> float:
+        """Usual size of a known."""
+        here = self.x[self.states.index(known)] if known in self.states else self.u[known.index]
+        return float(abs(known.number("nominal") or 0.0) or max(abs(here), 1.0))
+
+
+def _point(library: Library) -> _Point:
+    d = library.d
+    instance = library.fresh()
+    drive = Drive(d)
+    drive.start(instance)
+    by_index = {v.index: v for v in d.variables}
+    declared = [u for u in d.outputs if u.index in by_index and by_index[u.index].type == "Real"]
+    states: list[ScalarVariable] = []
+    x = np.empty(0)
+    if library.interface == "ModelExchange":
+        declared = [*(u for u in d.derivatives if u.index in by_index), *declared]
+        states = _states(d, by_index)
+        x = instance.states(len(d.derivatives))
+        if len(states) != len(d.derivatives):
+            states, x = [], np.empty(0)
+    inputs = [
+        v
+        for v in d.variables
+        if v.causality == "input" and v.type == "Real" and v.variability == "continuous"
+    ]
+    knowns = [*states, *inputs]
+    if len(knowns) > _MOST_KNOWNS:
+        knowns = [knowns[round(k)] for k in np.linspace(0, len(knowns) - 1, _MOST_KNOWNS)]
+    u = dict(zip([v.index for v in inputs], instance.get(inputs), strict=True)) if inputs else {}
+    return _Point(instance, [by_index[k.index] for k in declared], declared, knowns, states, x, u)
+
+
+def _states(d: ModelDescription, by_index: dict[int, ScalarVariable]) -> list[ScalarVariable]:
+    found = []
+    for unknown in d.derivatives:
+        of = by_index[unknown.index].typed.get("derivative", "") if unknown.index in by_index else ""
+        if of.isdigit() and int(of) in by_index:
+            found.append(by_index[int(of)])
+    return found
+
+
+def dependencies(library: Library, tell: Tell) -> None:
+    """No output or derivative moves with a state or input that its dependencies leave out."""
+    point = _point(library)
+    if not point.unknowns:
+        return
+    moved_by: dict[int, list[str]] = {}
+    rest = point.instance.get(point.unknowns)
+    for known in point.knowns:
+        for sign in (1.0, -1.0):
+            values = point.at(known, sign * 1e-3 * point.scale(known))
+            if values is None:
+                continue
+            for k, unknown in enumerate(point.declared):
+                if unknown.dependencies is None or known.index in unknown.dependencies:
+                    continue
+                names = moved_by.setdefault(k, [])
+                if values[k] != rest[k] and known.name not in names:
+                    names.append(known.name)
+    for k, names in moved_by.items():
+        if names:
+            tell(
+                "FMI2 2.2.8 dependencies",
+                point.unknowns[k].name,
+                f"moves with {', '.join(names[:5])}{' and others' if len(names) > 5 else ''}, "
+                "which its dependencies leave out",
+                "add them, or leave the attribute dependencies away (= depends on everything)",
+            )
+    point.instance.free()
+
+
+def directional(library: Library, tell: Tell) -> None:
+    """fmi2GetDirectionalDerivative is the limit of differences."""
+    if not library.d.flag(library.interface, "providesDirectionalDerivative"):
+        return
+    point = _point(library)
+    if not point.unknowns:
+        return
+    for known in point.knowns:
+        said = point.instance.directional(point.unknowns, known)
+        found = _differences(lambda change, known=known: point.at(known, change), point.scale(known))  # type: ignore[misc]
+        if found is None:
+            continue
+        slope, doubt = found
+        apart = np.abs(said - slope)
+        wrong = ~(apart <= 1e-4 * np.maximum(np.abs(said), np.abs(slope)) + doubt)
+        if np.any(wrong):
+            k = int(np.argmax(np.where(wrong, np.nan_to_num(apart - doubt, nan=np.inf), -1.0)))
+            tell(
+                "FMI2 2.1.9 directional derivative",
+                f"d {point.unknowns[k].name} / d {known.name}",
+                f"is {said[k]:.9g}, differences give {slope[k]:.9g}; {int(np.sum(wrong))} unknowns differ",
+                "correct the derivative, or do not declare providesDirectionalDerivative",
+            )
+    point.instance.free()
+
+
+def _differences(at: Callable[[float], _Vector | None], scale: float) -> tuple[_Vector, _Vector] | None:
+    """Central differences with two steps: the finer one, and how far it may be off."""
+    slopes, rounding = [], np.empty(0)
+    for h in (1e-4 * scale, 5e-5 * scale):
+        up, down = at(h), at(-h)
+        if up is None or down is None:
+            return None
+        slopes.append((up - down) / (2.0 * h))
+        rounding = 1e3 * _EPS * (np.abs(up) + np.abs(down) + 1e-3) / h
+    return slopes[1], 10.0 * np.abs(slopes[0] - slopes[1]) + rounding

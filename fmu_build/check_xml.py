@@ -1,0 +1,79 @@
+"""Read XML that may be hostile, and hold it against a schema.
+
+A file with a DOCTYPE is refused before any tree is built: no FMI or SSP file
+needs one, and every entity expansion and external reference begins with it.
+"""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+from .check_finding import Report
+
+MOST_BYTES = 256 << 20
+
+
+class _Refused(Exception):
+    pass
+
+
+def read_xml(file: Path, where: str, report: Report) -> Any | None:
+    """Return the root element of `file`, or None with a finding that says why not."""
+    from lxml import etree
+
+    size = file.stat().st_size
+    if size > MOST_BYTES:
+        report.add("XML", where, f"has {size} bytes, at most {MOST_BYTES} are read", "write a smaller file")
+        return None
+    content = file.read_bytes()
+    try:
+        _refuse_doctype(content)
+    except _Refused:
+        report.add("XML", where, "has a DOCTYPE (entities could expand without bound)", "remove the DOCTYPE")
+        return None
+    except expat.ExpatError as error:
+        report.add("XML", where, f"is not well-formed: {error}", "correct the XML")
+        return None
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
+    try:
+        return etree.fromstring(content, parser)
+    except etree.XMLSyntaxError as error:
+        report.add("XML", where, f"is not well-formed: {error}", "correct the XML")
+        return None
+
+
+def _refuse_doctype(content: bytes) -> None:
+    def refuse(*_: object) -> None:
+        raise _Refused
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    parser.EntityDeclHandler = refuse
+    parser.Parse(content, True)
+
+
+@functools.cache
+def _schema(name: str) -> Any:
+    """Schema `name`, a path below fmpy's package folder; fmpy ships the standards' files."""
+    import fmpy
+    from lxml import etree
+
+    return etree.XMLSchema(etree.parse(str(Path(fmpy.__file__).parent / name)))
+
+
+def obeys_schema(root: Any, schema: str, where: str, report: Report) -> bool:
+    """Return whether `root` is valid; each violation becomes a finding with its line."""
+    checked = _schema(schema)
+    if checked.validate(root):
+        return True
+    for entry in checked.error_log:
+        report.add(
+            f"XSD {Path(schema).name}",
+            f"{where}:{entry.line}",
+            entry.message,
+            "write what the schema allows at this place",
+        )
+    return False
