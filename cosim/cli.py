@@ -12,6 +12,7 @@ import typer
 
 from .cli_check import check
 from .cli_design import certify, design
+from .cli_ssp import ssp
 from .terminal import busy, complain, print_table, stage_progress
 
 if TYPE_CHECKING:
@@ -173,6 +174,7 @@ def study(
 app.command()(design)
 app.command()(certify)
 app.command()(check)
+app.command()(ssp)
 
 
 def _modes(name: str) -> tuple[Case, control.StateSpace, Modes]:

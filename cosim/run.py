@@ -187,7 +187,7 @@ def assemble(
         plant_file = artefacts.plant_fmu(case, folder)
     else:
         plant_file = artefacts.block_fmu(plant_block(case, event_slots=slots), folder)
-    controller = _controller(scenario, case, folder, controllers)
+    controller = controller_of(scenario, case, folder, controllers)
     wiring = wire(
         scenario,
         case,
@@ -287,7 +287,7 @@ def _known(name: str, known: Iterable[str], what: str) -> None:
         raise ScenarioError(f"{what}; {nearest(name, known)}")
 
 
-def _controller(
+def controller_of(
     scenario: Scenario, case: Case, cache: Path, controllers: Controllers | None
 ) -> Controller | None:
     """Return the controller a scenario names, or None."""

@@ -10,7 +10,7 @@ import struct
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import jinja2
@@ -83,12 +83,22 @@ def _archive(block: Block, binaries: dict[str, bytes]) -> bytes:
     for name, content in binaries.items():
         platform = PLATFORMS[name]
         entries[f"binaries/{platform.folder}/{block.name}{platform.suffix}"] = content
+    return archive_bytes(entries, first="modelDescription.xml")
+
+
+def archive_bytes(entries: Mapping[str, bytes], *, first: str, stored: tuple[str, ...] = ()) -> bytes:
+    """Return a zip of `entries` whose bytes depend on nothing but them.
+
+    first : the entry to put first, so that tools that stream find it at once.
+    stored : endings of names that are compressed already.
+    """
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
-        # modelDescription.xml first: tools that stream find it at once.
-        for name in sorted(entries, key=lambda n: (n != "modelDescription.xml", n)):
+        for name in sorted(entries, key=lambda n: (n != first, n)):
             info = zipfile.ZipInfo(name, date_time=_EPOCH)
-            info.compress_type = zipfile.ZIP_DEFLATED
+            info.compress_type = (
+                zipfile.ZIP_STORED if stored and name.endswith(stored) else zipfile.ZIP_DEFLATED
+            )
             info.create_system = 3
             info.external_attr = 0o100644 << 16
             archive.writestr(info, entries[name])

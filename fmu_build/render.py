@@ -20,7 +20,7 @@ _SET_NEVER, _SET_START, _SET_ANY_TIME = 0, 1, 2
 _INTEGER_TYPES = {"Integer": 0, "Boolean": 1, "Enumeration": 2}
 
 #: unit -> (SI base unit attributes, display units as name -> factor)
-_UNITS: dict[str, tuple[dict[str, str], dict[str, float]]] = {
+SI_UNITS: dict[str, tuple[dict[str, str], dict[str, float]]] = {
     "1": ({}, {}),
     "pu": ({}, {}),
     "pu/s": ({"s": "-1"}, {}),
@@ -188,7 +188,7 @@ def _description(block: Block, guid: str, c_files: list[str]) -> str:
 def _units(block: Block) -> list[str]:
     used = {v.unit for v in block.table.reals}
     lines = ["  <UnitDefinitions>"]
-    for unit, (base, display) in _UNITS.items():
+    for unit, (base, display) in SI_UNITS.items():
         if unit not in used:
             continue
         lines.append(f"    <Unit{_attributes({'name': unit})}>")
