@@ -93,11 +93,14 @@ def _ecos_run(simulation, step: float, stop: float, names: list[str]) -> dict[st
 
 
 def cofmupy_fmu(file: str, step: float, stop: float, names: list[str]) -> dict[str, list[float]]:
-    """cofmupy labels a row with the start of the step it ends: moved to the end here."""
+    """cofmupy sets inputs that nothing feeds to zero unless its own configuration has their start values."""
+    import fmpy
     from cofmupy.coordinator import Coordinator
 
+    model = fmpy.read_model_description(file)
+    inputs = {v.name: float(v.start) for v in model.modelVariables if v.causality == "input"}
     config = {
-        "fmus": [{"id": "it", "path": file, "initialization": {}}],
+        "fmus": [{"id": "it", "path": file, "initialization": inputs}],
         "connections": [],
         "cosim_method": "jacobi",
         "iterative": False,
