@@ -51,7 +51,7 @@ class Member:
 
 @dataclass(frozen=True)
 class Members:
-    """Instances and connections ("instance.output", "instance.input") of a scenario; `step_s` to run it with."""
+    """Instances of a scenario, connections ("instance.output", "instance.input"), step to run it with."""
 
     scenario: Scenario
     case: Case

@@ -13,9 +13,9 @@ import numpy.typing as npt
 import pytest
 from tools.conftest import RunTool, require
 
+from interarea.cosim.members import Member, members_of
 from interarea.cosim.run import Controllers, run_scenario
 from interarea.cosim.scenario import load_scenario
-from interarea.cosim.wiring import Member, wire
 from interarea.design.controller import Controller
 from interarea.fmu_build import build_fmu
 from interarea.models.case import Case
@@ -138,8 +138,8 @@ def test_fmucontainer_gives_the_trajectory_of_held_inputs(
 ) -> None:
     """Parallel order is our "hold-jacobi"; sequential hands new values on within a step."""
     require("fmu_manipulation_toolbox")
-    wiring = wire(load_scenario(SCENARIO), cache=cache, controllers=by_hand)
-    for member in wiring.members:
+    loop = members_of(load_scenario(SCENARIO), cache=cache, controllers=by_hand)
+    for member in loop.all:
         build_fmu(member.baked(), tmp_path / f"{member.name}.fmu", cache=cache)
 
     def port(end: str) -> list[str]:
@@ -148,14 +148,14 @@ def test_fmucontainer_gives_the_trajectory_of_held_inputs(
 
     table = {
         "name": "loop.fmu",
-        "fmu": [f"{m.name}.fmu" for m in wiring.members],
+        "fmu": [f"{m.name}.fmu" for m in loop.all],
         "step_size": STEP,
         "sequential": sequential,
         "auto_link": False,
         "auto_input": False,
         "auto_output": False,
         "output": [["plant.fmu", "G2_dw", "G2_dw"], ["controller.fmu", "G4_vs", "G4_vs"]],
-        "link": [[*port(a), *port(b)] for a, b in wiring.connections],
+        "link": [[*port(a), *port(b)] for a, b in loop.connections],
     }
     (tmp_path / "loop.json").write_text(json.dumps(table), encoding="utf-8")
     tool = Path(sys.executable).with_name("fmucontainer")
