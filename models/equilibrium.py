@@ -8,13 +8,16 @@ import numpy as np
 import numpy.typing as npt
 
 from .case import Case, CaseError
+from .case_checks import require_dynamics
 from .case_schema import Machine
 from .network import admittance_matrix, bus_index, load_power, machine_bus_index, machine_norton_admittance
 from .plant_controls import exciter, governor, stabilizer
+from .plant_ports import AirGap, air_gap, has_port, port_loads, saturation_factor, saturation_of
 from .plant_tables import Device, MachinePoint, State, network_states
 from .powerflow import PowerFlow, solve_powerflow
 
 VOLTAGE_TOLERANCE_PU = 1e-8  #: most by which the dynamic network may differ from the power flow
+_REPETITIONS = 20  #: of the linear network; each brings the loads' volts about a digit closer
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,8 @@ class OperatingPoint:
     stabilizers: tuple[Device, ...]
     governors: tuple[Device, ...]
     states: tuple[State, ...]
+    load_volts: npt.NDArray[np.float64]  #: (loads,) voltage magnitude at each load, as the plant solves it
+    gaps: tuple[AirGap | None, ...]  #: of machines that saturate or have X''d != X''q
     x0: npt.NDArray[np.float64]  #: (states,)
     u0: npt.NDArray[np.float64]  #: (inputs,) zero: the set-points are in the devices
 
@@ -56,6 +61,9 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
         e'_q = e''_q + (X'_d - X''_d) i_d, \quad e'_d = e''_d - (X'_q - X''_q) i_q, \quad
         E_{fd} = e'_q + (X_d - X'_d) i_d .
 
+    With saturation, X_q in the angle becomes :math:`X_l + K_s (X_q - X_l)` and the rotor circuits see
+    :math:`i_d + i_{sd}`, :math:`i_q + i_{sq}` (plant/saturation.h).
+
     The currents are then taken once more from the EMFs through the network as the plant solves it, so that
     the set-points fit the plant to rounding.  [Kundur1994, sec. 13.3]
 
@@ -69,6 +77,7 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
     >>> len(point.x0), point.input_names[0]
     (32, 'G1_vs')
     """
+    require_dynamics(case)
     _supported(case)
     if power_flow is None:
         power_flow = solve_powerflow(case)
@@ -80,9 +89,9 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
     delta = np.empty(len(base))
     for k, m in enumerate(case.machines):
         i = current[k] / base[k]
-        delta[k] = np.angle(voltage[k] + complex(m.Ra, _reactance(m, "Xq")) * i)
+        delta[k] = rotor_angle(m, complex(voltage[k]), complex(i))
         emf[k] = voltage[k] + complex(m.Ra, _reactance(m, "Xd2")) * i
-    solved, current = _network(case, power_flow, emf)
+    solved, current, load_volts = _network(case, power_flow, emf)
     worst = int(np.argmax(np.abs(solved - power_flow.voltages)))
     error = abs(solved[worst] - power_flow.voltages[worst])
     if not error <= VOLTAGE_TOLERANCE_PU:
@@ -90,23 +99,57 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
             f"{case.name}: the network at rest differs from the power flow by {error:.3g} pu at bus "
             f"{case.buses[worst].number}, allowed: {VOLTAGE_TOLERANCE_PU:g}; give it its own power flow"
         )
-    points = tuple(
-        _machine_point(m, float(delta[k]), complex(emf[k]), complex(current[k] / base[k]))
-        for k, m in enumerate(case.machines)
-    )
-    return _assemble(case, power_flow, points)
+    points, gaps = [], []
+    for k, m in enumerate(case.machines):
+        i, gap = complex(current[k] / base[k]), None
+        if has_port(m):
+            terminal = complex(emf[k]) - complex(m.Ra, _reactance(m, "Xd2")) * i
+            delta[k] = rotor_angle(m, terminal, i)
+            gap = air_gap(m, terminal, i, float(delta[k]))
+        points.append(_machine_point(m, float(delta[k]), complex(emf[k]), i, gap))
+        gaps.append(gap)
+    return _assemble(case, power_flow, tuple(points), load_volts, tuple(gaps))
+
+
+def rotor_angle(m: Machine, voltage: complex, current: complex) -> float:
+    """Return the angle of the q axis of `m` at a terminal phasor, machine base, rad."""
+    Xq, Xl = _reactance(m, "Xq"), _reactance(m, "Xl")
+    if saturation_of(m) is not None:
+        factor = saturation_factor(m, abs(voltage + complex(m.Ra, Xl) * current))
+        Xq = Xl + (Xq - Xl) / (1.0 + factor)
+    return float(np.angle(voltage + complex(m.Ra, Xq) * current))
 
 
 def _network(
     case: Case, power_flow: PowerFlow, emf: npt.NDArray[np.complex128]
+) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128], npt.NDArray[np.float64]]:
+    """Bus voltages, machine currents (system base) and the loads' volts, from the EMFs.
+
+    Loads are admittances that draw their power at those volts. Loads with a port must draw it at the
+    voltages found, or the port would not be at rest: their volts are found by repetition.
+    """
+    index = bus_index(case)
+    at = np.array([index[load.bus] for load in case.loads], dtype=int)
+    volts = np.abs(power_flow.voltages[at])
+    ports = port_loads(case)
+    for _ in range(_REPETITIONS if ports else 1):
+        voltages, current = _linear_network(case, volts, emf)
+        moved = float(np.max(np.abs(np.abs(voltages[at[ports]]) - volts[ports]), initial=0.0))
+        volts[ports] = np.abs(voltages[at[ports]])
+        if moved < 1e-15:
+            break
+    return voltages, current, volts
+
+
+def _linear_network(
+    case: Case, volts: npt.NDArray[np.float64], emf: npt.NDArray[np.complex128]
 ) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128]]:
-    """Bus voltages and machine currents (system base) from the EMFs, loads as admittances."""
     Y = admittance_matrix(case)
     index = bus_index(case)
-    for load in case.loads:
+    for load, volt in zip(case.loads, volts, strict=True):
         if load.in_service:
             k = index[load.bus]
-            Y[k, k] += np.conj(load_power(case, load)) / abs(power_flow.voltages[k]) ** 2
+            Y[k, k] += np.conj(load_power(case, load)) / volt**2
     bus, norton = machine_bus_index(case), machine_norton_admittance(case)
     np.add.at(Y, (bus, bus), norton)
     injected = np.zeros(len(Y), dtype=complex)
@@ -121,25 +164,39 @@ def _reactance(m: Machine, key: str) -> float:
     return float(getattr(m, key))
 
 
-def _machine_point(m: Machine, delta: float, emf: complex, current: complex) -> MachinePoint:
+def _machine_point(
+    m: Machine, delta: float, emf: complex, current: complex, gap: AirGap | None
+) -> MachinePoint:
+    """The machine at rest; `emf` is that behind Ra + j Xd2, which with a port is not eq2 - j ed2."""
     Xd, Xd1, Xd2, Xq1, Xq2 = (_reactance(m, key) for key in ("Xd", "Xd1", "Xd2", "Xq1", "Xq2"))
     turn = np.exp(-1j * delta)
     e, i = emf * turn, current * turn
     eq2, ed2, iq, id_ = e.real, -e.imag, i.real, -i.imag
-    eq1 = eq2 + (Xd1 - Xd2) * id_
+    if gap is not None:
+        ed2 -= (Xq2 - Xd2) * iq
+    isd, isq = (0.0, 0.0) if gap is None else (gap.isd, gap.isq)
+    Xl = _reactance(m, "Xl")
+    eq2_rotor, ed2_rotor = eq2 + (Xd2 - Xl) * isd, ed2 - (Xq2 - Xl) * isq
+    eq1 = eq2_rotor + (Xd1 - Xd2) * (id_ + isd)
     return MachinePoint(
         delta=delta,
         eq1=eq1,
-        ed1=ed2 - (Xq1 - Xq2) * iq,
-        eq2=eq2,
-        ed2=ed2,
-        efd=eq1 + (Xd - Xd1) * id_,
+        ed1=ed2_rotor - (Xq1 - Xq2) * (iq + isq),
+        eq2=eq2_rotor,
+        ed2=ed2_rotor,
+        efd=eq1 + (Xd - Xd1) * (id_ + isd),
         pm=ed2 * id_ + eq2 * iq + (Xq2 - Xd2) * id_ * iq,
         vt=float(np.hypot(ed2 - m.Ra * id_ + Xq2 * iq, eq2 - m.Ra * iq - Xd2 * id_)),
     )
 
 
-def _assemble(case: Case, power_flow: PowerFlow, points: tuple[MachinePoint, ...]) -> OperatingPoint:
+def _assemble(
+    case: Case,
+    power_flow: PowerFlow,
+    points: tuple[MachinePoint, ...],
+    load_volts: npt.NDArray[np.float64],
+    gaps: tuple[AirGap | None, ...],
+) -> OperatingPoint:
     stabilizers, exciters, governors = [], [], []
     field_voltage: list[frozenset[str]] = []
     power: list[frozenset[str]] = []
@@ -162,9 +219,20 @@ def _assemble(case: Case, power_flow: PowerFlow, points: tuple[MachinePoint, ...
         states += device.states
     x0 = np.array([s.start for s in states])
     u0 = np.zeros(len(exciters))
-    x0.flags.writeable = u0.flags.writeable = False
+    for array in (x0, u0, load_volts):
+        array.flags.writeable = False
     return OperatingPoint(
-        case, power_flow, points, tuple(exciters), tuple(stabilizers), tuple(governors), tuple(states), x0, u0
+        case,
+        power_flow,
+        points,
+        tuple(exciters),
+        tuple(stabilizers),
+        tuple(governors),
+        tuple(states),
+        load_volts,
+        gaps,
+        x0,
+        u0,
     )
 
 
@@ -205,17 +273,4 @@ def _supported(case: Case) -> None:
         if m.model != "round_rotor":
             raise CaseError(
                 f"{case.name}: machines.{m.name}.model = {m.model!r} is not modelled by the plant yet"
-            )
-        if m.Xd2 != m.Xq2:
-            raise CaseError(
-                f"{case.name}: machines.{m.name}: Xd2 = {m.Xd2:g} and Xq2 = {m.Xq2:g}, allowed: Xd2 = Xq2"
-            )
-        if m.saturation is not None and m.saturation.use != "none":
-            raise CaseError(
-                f"{case.name}: machines.{m.name}.saturation.use = {m.saturation.use!r} is not modelled yet"
-            )
-    for load in case.loads:
-        if not load.is_constant_impedance:
-            raise CaseError(
-                f"{case.name}: loads.{load.name} is not constant impedance, not modelled by the plant yet"
             )

@@ -14,6 +14,7 @@ from .case import Case, CaseError
 from .equilibrium import OperatingPoint, operating_point
 from .events import check_events, target_index
 from .network import branch_stamp, bus_index, load_power, machine_bus_index, shunt_admittance
+from .plant_ports import port_table
 from .plant_tables import NO_LIMIT, Device, Parameter, machine_table, network_states
 from .variables import Block, Enumeration, Variable, VariableTable
 
@@ -26,6 +27,7 @@ SOURCES = tuple(
         "plant/tangent.c",
         "plant/event.c",
         "plant/stage.c",
+        "plant/port.c",
         "block/record.c",
     )
 )
@@ -247,7 +249,8 @@ def _data(
     ends = [int(case.branches[k].from_bus != case.tie.from_bus) for k in tie] if case.tie else []
     counts = [len(case.machines), len(case.machines), len(case.buses), len(case.branches), len(case.loads)]
     counts += [len(point.exciters), len(point.stabilizers), len(point.governors), len(tie), slots]
-    counts += [len(case.shunts), len(parameters)]
+    ports = port_table(case, point.load_volts, list(range(len(case.machines))), list(point.gaps))
+    counts += [len(case.shunts), len(parameters), len(ports)]
     shunts = np.array([shunt_admittance(case, s) for s in case.shunts], dtype=complex)
     at_bus = np.zeros(len(case.buses), dtype=complex)
     for shunt, value in zip(case.shunts, shunts, strict=True):
@@ -255,7 +258,6 @@ def _data(
             at_bus[index[shunt.bus]] += value
     stamps = np.array([branch_stamp(b).ravel() for b in case.branches], dtype=complex).reshape(-1, 4)
     loads = [load_power(case, row) * row.in_service for row in case.loads]
-    volts = [abs(point.power_flow.voltage(row.bus)) for row in case.loads]
     arrays: dict[str, Any] = {
         "plant.counts": _int(counts),
         "plant.base": np.array([case.omega_b, case.base_mva]),
@@ -270,10 +272,12 @@ def _data(
         "shunt.status": _int(s.in_service for s in case.shunts),
         "shunt.table": np.array([shunts.real, shunts.imag]),
         "load.bus": _int(index[row.bus] for row in case.loads),
-        "load.table": np.array([np.real(loads), np.imag(loads), volts], dtype=float),
+        "load.table": np.array([np.real(loads), np.imag(loads), point.load_volts], dtype=float),
         "bus.names": _lines(str(b.number) for b in case.buses),
         "branch.names": _lines(b.name for b in case.branches),
         "machine.names": _lines(m.name for m in case.machines),
+        "port.table": ports,
+        "state.machine": _int(_machine_of_states(case, point)),
         "tie.branch": _int(tie),
         "tie.end": _int(ends),
         "parameter.table": _int(table for table, _, _, _ in parameters),
@@ -292,6 +296,11 @@ def _data(
         arrays |= _device_arrays(word, devices, point.state_names)
     arrays["exciter.input"] = _int(range(len(point.exciters)))
     return arrays
+
+
+def _machine_of_states(case: Case, point: OperatingPoint) -> list[int]:
+    position = {m.name: k for k, m in enumerate(case.machines)}
+    return [position[name.split(".")[0]] for name in point.state_names]
 
 
 def _device_arrays(word: str, devices: tuple[Device, ...], names: tuple[str, ...]) -> dict[str, Any]:

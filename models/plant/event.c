@@ -122,6 +122,28 @@ static void centre_of_inertia(double *memory, const Plan *plan)
         memory[plan->coi + k] = H[k] * ratio[k] * memory[plan->running + k] / total;
 }
 
+/* Ports of loads draw what the case says, before load steps. */
+static void reset_ports(double *memory, const Plan *plan, const Network *net)
+{
+    for (size_t k = 0; k < plan->n_port; ++k) {
+        double *row = memory + plan->port + P_ROWS * k;
+        const size_t load = index_at(row, P_DEVICE);
+        if (row[P_KIND] != PORT_LOAD) continue;
+        row[P_P] = net->load[L_P * plan->n_load + load];
+        row[P_Q] = net->load[L_Q * plan->n_load + load];
+    }
+}
+
+static void step_load_port(double *memory, const Plan *plan, size_t load, double size, double size_q)
+{
+    for (size_t k = 0; k < plan->n_port; ++k) {
+        double *row = memory + plan->port + P_ROWS * k;
+        if (row[P_KIND] != PORT_LOAD || index_at(row, P_DEVICE) != load) continue;
+        row[P_P] += size;
+        row[P_Q] += size_q;
+    }
+}
+
 BlockStatus event_apply(Block *b, const Plan *plan, const Network *net, double t, BlockMessage *message)
 {
     double *memory = b->memory, *extra = b->scratch, *work = extra + 2 * plan->n_bus;
@@ -135,6 +157,7 @@ BlockStatus event_apply(Block *b, const Plan *plan, const Network *net, double t
     }
     for (size_t k = 0; k < plan->n_branch; ++k)
         memory[plan->in_service + k] = branch_state(b, plan, k, net->branch_status[k], t);
+    reset_ports(memory, plan, net);
 
     for (size_t k = 0; k < plan->n_slot; ++k) {
         const double *p = slot_reals(b, plan, k);
@@ -149,11 +172,12 @@ BlockStatus event_apply(Block *b, const Plan *plan, const Network *net, double t
             extra[n_bus + target] -= p[SLOT_X] / z2;
             break;
         }
-        case EVENT_LOAD_STEP: {   /* size + j size_q at the load's operating voltage, as an impedance */
+        case EVENT_LOAD_STEP: {   /* size + j size_q at the load's operating voltage, of its characteristic */
             const size_t bus = (size_t)net->load_bus[target];
             const double v = net->load[L_V0 * plan->n_load + target];
             extra[bus] += p[SLOT_SIZE] / (v * v);
             extra[n_bus + bus] -= p[SLOT_SIZE_Q] / (v * v);
+            step_load_port(memory, plan, target, p[SLOT_SIZE], p[SLOT_SIZE_Q]);
             break;
         }
         case EVENT_SHUNT_SWITCH: { /* size 1: in, 0: out */
@@ -172,8 +196,13 @@ BlockStatus event_apply(Block *b, const Plan *plan, const Network *net, double t
         default: break;
         }
     }
+    memory[H_TRIPPED] = (double)(plan->n_machine - running);
     if (running == 0)
         return plant_fail(message, BLOCK_ERROR, "t = %.9g s: the last machine was tripped", t);
+    for (size_t k = 0; k < plan->n_port; ++k) {
+        double *row = memory + plan->port + P_ROWS * k;
+        if (row[P_KIND] == PORT_MACHINE) row[P_ON] = memory[plan->running + index_at(row, P_DEVICE)];
+    }
     centre_of_inertia(memory, plan);
     return stage_build(memory, plan, net, extra, work, message);
 }

@@ -9,31 +9,87 @@
 #include "machine.h"
 #include "network.h"
 #include "plant.h"
+#include "port.h"
 #include "stabilizer.h"
 
-/* Work arrays, one entry per machine. */
+/* Work arrays, one entry per machine; e also one per port. id_rotor is what the
+ * rotor circuits see: id, or id + isd. */
 typedef struct {
-    num *sine, *cosine, *e_re, *e_im, *i_re, *i_im, *id, *iq, *vd, *vq, *vt, *vs, *efd, *pm;
+    num *sine, *cosine, *i_re, *i_im, *id, *iq, *vd, *vq, *vt, *vs, *efd, *pm, *id_rotor;
+    num *e_re, *e_im;
+    PortWork port;
+    num *newton;
 } Work;
 
-static Work work_arrays(num *scratch, size_t n)
+static Work work_arrays(num *scratch, const Plan *plan)
 {
+    const size_t n = plan->n_machine;
+    num *e = scratch + 13 * n, *port = e + 2 * plan->n_source;
     return (Work){ scratch, scratch + n, scratch + 2 * n, scratch + 3 * n, scratch + 4 * n,
                    scratch + 5 * n, scratch + 6 * n, scratch + 7 * n, scratch + 8 * n,
                    scratch + 9 * n, scratch + 10 * n, scratch + 11 * n, scratch + 12 * n,
-                   scratch + 13 * n };
+                   e, e + plan->n_source, port_arrays(port, plan->n_port),
+                   port + PORT_ARRAYS * plan->n_port };
 }
 
-static void solve_network(const double *memory, const Plan *plan, const num *x, Work *w)
+/* tangent.c: one exact Newton step; port.c: Newton's method. */
+#ifdef PLANT_TANGENT
+static size_t port_solve_tangent(const double *memory, const Plan *plan, const num *x, Work *w);
+#endif
+
+/* Returns 0, or 1 + the port where Newton's method fails. */
+static size_t solve_network(double *memory, const Plan *plan, const num *x, Work *w)
 {
-    const size_t n = plan->n_machine;
+    const size_t n = plan->n_machine, n_port = plan->n_port;
     const double *table = memory + plan->machine;
     const MachineStates states = machine_states(x, n);
 
     machine_emf(n, states, w->sine, w->cosine, w->e_re, w->e_im);
+    if (n_port > 0) {
+#ifdef PLANT_TANGENT
+        const size_t stuck = port_solve_tangent(memory, plan, x, w);
+#else
+        double *const at[4] = { w->port.v_re, w->port.v_im, w->port.isd, w->port.isq };
+        const size_t stuck = port_solve(memory, plan, states.ed2, w->sine, w->cosine, w->e_re, w->e_im,
+                                        at, w->newton);
+#endif
+        if (stuck < n_port) return stuck + 1;
+    }
     network_currents(memory, plan, w->e_re, w->e_im, w->i_re, w->i_im);
     machine_terminal(table, n, states, w->sine, w->cosine, w->i_re, w->i_im,
                      w->id, w->iq, w->vd, w->vq, w->vt);
+    if (n_port == 0) {
+        w->id_rotor = w->id;
+        return 0;
+    }
+    for (size_t k = 0; k < n; ++k) w->id_rotor[k] = w->id[k];
+    for (size_t p = 0; p < n_port; ++p) {
+        const double *row = memory + plan->port + P_ROWS * p;
+        const size_t k = index_at(row, P_DEVICE);
+        if (row[P_KIND] != PORT_MACHINE) continue;
+        saturation_terminal(row, k, w->port.isd[p], w->port.isq[p], w->vd, w->vq, w->vt);
+        w->id_rotor[k] += w->port.isd[p];
+    }
+    return 0;
+}
+
+static void saturate_rates(const double *memory, const Plan *plan, const Work *w, num *dx)
+{
+    const size_t n = plan->n_machine;
+    for (size_t p = 0; p < plan->n_port; ++p) {
+        const double *row = memory + plan->port + P_ROWS * p;
+        const size_t k = index_at(row, P_DEVICE);
+        if (row[P_KIND] != PORT_MACHINE) continue;
+        saturation_rates(memory + plan->machine, n, k, w->id[k], w->iq[k], w->port.isd[p], w->port.isq[p],
+                         machine_rates(dx, n));
+    }
+}
+
+/* A tripped machine and its controls stand still where they were: they no longer count. */
+static void hold_tripped(const double *memory, const Plan *plan, num *dx)
+{
+    for (size_t k = 0; k < plan->n_state; ++k)
+        if (!(memory[plan->running + index_at(memory + plan->state_machine, k)] > 0.5)) dx[k] = 0.0;
 }
 
 static void solve_devices(const double *memory, const Plan *plan, const num *x, const num *u,
@@ -47,32 +103,36 @@ static void solve_devices(const double *memory, const Plan *plan, const num *x, 
     governor_all(memory, plan, states.slip, x, dx, w->pm);
 }
 
-void NAME(plant_flow)(const double *memory, const num *x, const num *u, num *dx, num *scratch)
+size_t NAME(plant_flow)(double *memory, const num *x, const num *u, num *dx, num *scratch)
 {
     Plan plan;
     plan_of(memory, &plan);
     const size_t n = plan.n_machine;
-    Work w = work_arrays(scratch, n);
+    Work w = work_arrays(scratch, &plan);
 
-    solve_network(memory, &plan, x, &w);
+    const size_t stuck = solve_network(memory, &plan, x, &w);
+    if (stuck > 0) return stuck;
     solve_devices(memory, &plan, x, u, dx, &w);
     machine_derivatives(memory + plan.machine, n, memory[H_OMEGA_B], machine_states(x, n),
                         w.id, w.iq, w.efd, w.pm, machine_rates(dx, n));
-    machine_hold(memory + plan.running, n, machine_rates(dx, n));
+    if (plan.n_port > 0) saturate_rates(memory, &plan, &w, dx);
+    if (memory[H_TRIPPED] > 0.0) hold_tripped(memory, &plan, dx);
+    return 0;
 }
 
 /* y: dw, delta to the centre of inertia, pe, vt of each machine; then the tie's
  * power if the case has one. */
-void NAME(plant_outputs)(const double *memory, const num *x, num *y, num *scratch)
+size_t NAME(plant_outputs)(double *memory, const num *x, num *y, num *scratch)
 {
     Plan plan;
     plan_of(memory, &plan);
     const size_t n = plan.n_machine;
     const MachineStates states = machine_states(x, n);
-    Work w = work_arrays(scratch, n);
+    Work w = work_arrays(scratch, &plan);
     num centre = 0.0;
 
-    solve_network(memory, &plan, x, &w);
+    const size_t stuck = solve_network(memory, &plan, x, &w);
+    if (stuck > 0) return stuck;
     for (size_t k = 0; k < n; ++k) centre += memory[plan.coi + k] * states.delta[k];
     for (size_t k = 0; k < n; ++k) {
         y[4 * k] = states.slip[k];
@@ -81,19 +141,21 @@ void NAME(plant_outputs)(const double *memory, const num *x, num *y, num *scratc
         y[4 * k + 3] = w.vt[k];
     }
     if (plan.n_tie > 0) y[4 * n] = network_tie_power(memory, &plan, w.e_re, w.e_im);
+    return 0;
 }
 
 #ifndef PLANT_TANGENT
 /* Locals: every bus voltage, then Efd and Pm of each machine. */
-void plant_locals(const double *memory, const double *x, const double *u, double *locals,
-                  double *scratch, double *dx)
+size_t plant_locals(double *memory, const double *x, const double *u, double *locals,
+                    double *scratch, double *dx)
 {
     Plan plan;
     plan_of(memory, &plan);
     const size_t n = plan.n_machine;
-    Work w = work_arrays(scratch, n);
+    Work w = work_arrays(scratch, &plan);
 
-    solve_network(memory, &plan, x, &w);
+    const size_t stuck = solve_network(memory, &plan, x, &w);
+    if (stuck > 0) return stuck;
     solve_devices(memory, &plan, x, u, dx, &w);
     for (size_t k = 0; k < plan.n_bus; ++k) {
         double re, im;
@@ -104,6 +166,16 @@ void plant_locals(const double *memory, const double *x, const double *u, double
         locals[plan.n_bus + 2 * k] = w.efd[k];
         locals[plan.n_bus + 2 * k + 1] = w.pm[k];
     }
+    return 0;
+}
+
+/* Solves the ports at x, so that memory holds their voltages there. */
+size_t plant_settle(double *memory, const double *x, double *scratch)
+{
+    Plan plan;
+    plan_of(memory, &plan);
+    Work w = work_arrays(scratch, &plan);
+    return plan.n_port > 0 ? solve_network(memory, &plan, x, &w) : 0;
 }
 #endif
 #endif

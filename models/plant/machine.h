@@ -107,13 +107,4 @@ static inline void machine_derivatives(const double *table, size_t n, double ome
         dx.ed2[k] = b * ed1 + (ded + (Xq1[k] - Xq2[k]) * iq[k]) / Tq02[k];
     }
 }
-
-/* A tripped machine is shown at rest where it stood: it no longer counts. */
-static inline void machine_hold(const double *running, size_t n, MachineRates dx)
-{
-    for (size_t k = 0; k < n; ++k) {
-        if (running[k] > 0.5) continue;
-        dx.delta[k] = dx.slip[k] = dx.eq1[k] = dx.ed1[k] = dx.eq2[k] = dx.ed2[k] = 0.0;
-    }
-}
 #endif

@@ -9,7 +9,8 @@
  *     I_j = y_j (E_j - V_j) = sum_k Y_jk E_k,   Y_jk = y_j (d_jk - Z_jk y_k).
  * Y (machines) and V/E (every bus) come from stage.c, once per network stage. */
 
-/* I = Y E, one dense complex product. */
+/* I = Y E, one dense complex product. Sources beyond the machines' EMFs are what
+ * the ports inject (port.h); without ports there are none. */
 static inline void network_currents(const double *memory, const Plan *plan,
                                     const num *e_re, const num *e_im, num *i_re, num *i_im)
 {
@@ -20,7 +21,7 @@ static inline void network_currents(const double *memory, const Plan *plan,
         i_re[j] = 0.0;
         i_im[j] = 0.0;
     }
-    for (size_t k = 0; k < n; ++k) {   /* Y is stored by columns: the inner loop has stride 1 */
+    for (size_t k = 0; k < plan->n_source; ++k) {   /* Y by columns: the inner loop has stride 1 */
         const double *g = y_re + k * n, *b = y_im + k * n;
         const num er = e_re[k], ei = e_im[k];
         for (size_t j = 0; j < n; ++j) {
@@ -34,7 +35,7 @@ static inline void network_currents(const double *memory, const Plan *plan,
 static inline void network_voltage(const double *memory, const Plan *plan, size_t bus,
                                    const num *e_re, const num *e_im, num *v_re, num *v_im)
 {
-    const size_t n = plan->n_machine;
+    const size_t n = plan->n_source;
     const double *g = memory + plan->v_re + bus * n, *b = memory + plan->v_im + bus * n;
 
     *v_re = 0.0;

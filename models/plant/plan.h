@@ -37,6 +37,31 @@ enum {  /* branch: its 2 x 2 admittance, system base */
 enum {  /* load, drawn at voltage V0 */
     L_P, L_Q, L_V0, L_ROWS
 };
+/* Port: where a nonlinear element meets the linear network (port.h). Ports lie
+ * one after the other, P_ROWS numbers each. A load's voltages are relative to V0. */
+enum {
+    P_KIND, P_DEVICE,   /* load or machine number                       */
+    P_ON,               /* 0 when its machine is tripped                */
+    P_LOAD,             /* first row of what only a load has            */
+    P_P = P_LOAD, P_Q,  /* drawn at V0 now, load steps included         */
+    P_V0,
+    P_LOW_I, P_LOW_P,   /* below: constant impedance in place of constant current, power */
+    P_P_MIX,            /* constant-current share, constant-power share, share that    */
+    P_Q_MIX = P_P_MIX + 5, /* follows an exponent, the exponent, voltage below which it
+                           does not any more; the rest is constant impedance        */
+    P_ROWS = P_Q_MIX + 5
+};
+enum {  /* the same rows at a machine's port */
+    P_SATURATION = P_LOAD, /* SaturationKind                            */
+    P_X2,               /* Xd2 - Xl                                     */
+    P_XQ2,              /* Xq2 - Xl                                     */
+    P_LD, P_LQ,         /* Xd - Xl, Xq - Xl                             */
+    P_ASAT, P_BSAT, P_PSIT1,
+    P_PSID0, P_PSIQ0, P_ISD0, P_ISQ0, /* at the operating point         */
+    P_SLOPE             /* incremental: Bsat psi_I there                */
+};
+typedef enum { PORT_LOAD = 1, PORT_MACHINE } PortKind;
+typedef enum { SATURATION_NONE, SATURATION_TOTAL, SATURATION_INCREMENTAL } SaturationKind;
 
 enum {  /* tie branch: buses of its measured and its other end, admittances seen from there */
     T_BRANCH, T_OWN, T_OTHER, T_OWN_RE, T_OWN_IM, T_MUTUAL_RE, T_MUTUAL_IM, T_ROWS
@@ -48,12 +73,16 @@ typedef enum { GOVERNOR_STEAM = 1, GOVERNOR_TGOV1 } GovernorKind;
 /* Header of memory. */
 enum {
     H_READY, H_OMEGA_B, H_N_MACHINE, H_N_SIXTH, H_N_BUS, H_N_BRANCH, H_N_LOAD,
-    H_N_EXCITER, H_N_STABILIZER, H_N_GOVERNOR, H_N_TIE, H_N_SLOT, H_SIZE = 16
+    H_N_EXCITER, H_N_STABILIZER, H_N_GOVERNOR, H_N_TIE, H_N_SLOT, H_N_PORT, H_N_STATE,
+    H_TRIPPED,          /* machines that are tripped                    */
+    H_PORT_READY,       /* 1: port_inverse belongs to this stage        */
+    H_SIZE = 20
 };
 
 typedef struct {
     size_t n_machine, n_sixth, n_bus, n_branch, n_load;
-    size_t n_exciter, n_stabilizer, n_governor, n_tie, n_slot;
+    size_t n_exciter, n_stabilizer, n_governor, n_tie, n_slot, n_port, n_state;
+    size_t n_source;      /* n_machine + n_port: EMFs, then what the ports inject  */
     /* offsets into memory, in doubles */
     size_t machine;       /* M_ROWS x n_machine                                    */
     size_t machine_bus;   /* n_machine                                             */
@@ -69,8 +98,13 @@ typedef struct {
     size_t governor_of;   /* 3 x n_governor: kind, machine, first state            */
     size_t tie;           /* T_ROWS x n_tie: branches whose power is the output tie_p */
     size_t in_service;    /* n_branch: 1 or 0                                      */
-    size_t y_re, y_im;    /* n_machine x n_machine: currents from EMFs             */
-    size_t v_re, v_im;    /* n_bus x n_machine: bus voltages from EMFs             */
+    size_t state_machine; /* n_state: the machine a state belongs to               */
+    size_t y_re, y_im;    /* n_source x n_machine: machine currents from sources   */
+    size_t v_re, v_im;    /* n_bus x n_source: bus voltages from sources           */
+    size_t port;          /* P_ROWS for each port                                  */
+    size_t port_w_re, port_w_im; /* n_source x n_port: port voltages from sources  */
+    size_t port_v;        /* 2 x n_port: port voltages as last solved              */
+    size_t port_inverse;  /* (2 n_port) x (2 n_port): for the next Newton steps    */
     size_t total;
 } Plan;
 
@@ -78,7 +112,8 @@ typedef struct {
 static inline void plan_offsets(Plan *p)
 {
     size_t at = H_SIZE;
-    const size_t n = p->n_machine;
+    const size_t n = p->n_machine, ports = p->n_port, sources = n + ports;
+    p->n_source = sources;
     p->machine = at;       at += (size_t)M_ROWS * n;
     p->machine_bus = at;   at += n;
     p->coi = at;           at += n;
@@ -93,10 +128,16 @@ static inline void plan_offsets(Plan *p)
     p->governor_of = at;   at += 3u * p->n_governor;
     p->tie = at;           at += (size_t)T_ROWS * p->n_tie;
     p->in_service = at;    at += p->n_branch;
-    p->y_re = at;          at += n * n;
-    p->y_im = at;          at += n * n;
-    p->v_re = at;          at += p->n_bus * n;
-    p->v_im = at;          at += p->n_bus * n;
+    p->state_machine = at; at += p->n_state;
+    p->y_re = at;          at += n * sources;
+    p->y_im = at;          at += n * sources;
+    p->v_re = at;          at += p->n_bus * sources;
+    p->v_im = at;          at += p->n_bus * sources;
+    p->port = at;          at += (size_t)P_ROWS * ports;
+    p->port_w_re = at;     at += ports * sources;
+    p->port_w_im = at;     at += ports * sources;
+    p->port_v = at;        at += 2u * ports;
+    p->port_inverse = at;  at += 4u * ports * ports;
     p->total = at;
 }
 
@@ -117,6 +158,8 @@ static inline void plan_of(const double *memory, Plan *p)
     p->n_governor = index_at(memory, H_N_GOVERNOR);
     p->n_tie = index_at(memory, H_N_TIE);
     p->n_slot = index_at(memory, H_N_SLOT);
+    p->n_port = index_at(memory, H_N_PORT);
+    p->n_state = index_at(memory, H_N_STATE);
     plan_offsets(p);
 }
 #endif

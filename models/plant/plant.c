@@ -13,7 +13,7 @@ static const double READY = 20250101.0;
 
 enum {
     C_MACHINE, C_SIXTH, C_BUS, C_BRANCH, C_LOAD, C_EXCITER, C_STABILIZER, C_GOVERNOR,
-    C_TIE, C_SLOT, C_ITEM, C_PARAMETER, C_COUNTS
+    C_TIE, C_SLOT, C_ITEM, C_PARAMETER, C_PORT, C_COUNTS
 };
 enum { TABLE_EXCITER = 1, TABLE_STABILIZER, TABLE_GOVERNOR };
 
@@ -68,7 +68,7 @@ static const char *text_of(Reader *r, const char *name)
     return data;
 }
 
-static const int32_t *read_plan(const Record *record, Plan *plan)
+static const int32_t *read_plan(const Record *record, const BlockLayout *layout, Plan *plan)
 {
     size_t count;
     const int32_t *c = record_i32(record, "plant.counts", &count);
@@ -86,6 +86,8 @@ static const int32_t *read_plan(const Record *record, Plan *plan)
     plan->n_governor = (size_t)c[C_GOVERNOR];
     plan->n_tie = (size_t)c[C_TIE];
     plan->n_slot = (size_t)c[C_SLOT];
+    plan->n_port = (size_t)c[C_PORT];
+    plan->n_state = layout->n_x;
     plan_offsets(plan);
     return c;
 }
@@ -117,15 +119,30 @@ static int prepared(const Block *b, Plan *plan, Network *net)
     Reader r = { b->record, NULL };
     const int32_t *counts;
     if (!(b->memory[H_READY] == READY)) return 0;
-    counts = read_plan(b->record, plan);
+    counts = read_plan(b->record, &b->layout, plan);
     if (counts == NULL) return 0;
     read_network(&r, plan, counts, net);
     return r.bad == NULL;
 }
 
+/* The ports' table, its references checked. */
+static const double *read_ports(Reader *r, const Plan *plan)
+{
+    const double *table = reals(r, "port.table", P_ROWS * plan->n_port);
+    for (size_t k = 0; r->bad == NULL && k < plan->n_port; ++k) {
+        const double *row = table + P_ROWS * k;
+        const double below = (double)(row[P_KIND] == PORT_LOAD ? plan->n_load : plan->n_machine);
+        if (!((row[P_KIND] == PORT_LOAD || row[P_KIND] == PORT_MACHINE)
+              && row[P_DEVICE] >= 0.0 && row[P_DEVICE] < below))
+            r->bad = "port.table";
+    }
+    return table;
+}
+
 static size_t scratch_of(const Plan *plan, const BlockLayout *l)
 {
-    const size_t tangent = 2 * (2 * l->n_x + l->n_u + l->n_y + WORK_ARRAYS * plan->n_machine);
+    const size_t tangent = 2 * (2 * l->n_x + l->n_u + l->n_y + flow_work(plan))
+        + 2 * plan->n_machine + 4 * plan->n_port * (plan->n_port + 1);
     const size_t stage = 2 * plan->n_bus + stage_work(plan->n_bus);
     return tangent > stage ? tangent : stage;
 }
@@ -136,7 +153,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
     Plan plan;
     Network net;
     Reader r = { record, NULL };
-    const int32_t *counts = read_plan(record, &plan);
+    const int32_t *counts = read_plan(record, layout, &plan);
 
     if (counts == NULL)
         return plant_fail(message, BLOCK_ERROR, "record: plant.counts is missing or of another format");
@@ -156,6 +173,8 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
     (void)integers(&r, "governor.kind", plan.n_governor, 100);
     (void)integers(&r, "governor.machine", plan.n_governor, n);
     (void)integers(&r, "governor.state", plan.n_governor, layout->n_x);
+    read_ports(&r, &plan);
+    (void)integers(&r, "state.machine", layout->n_x, n);
     (void)integers(&r, "tie.branch", plan.n_tie, plan.n_branch);
     (void)integers(&r, "tie.end", plan.n_tie, 2);
     (void)integers(&r, "parameter.table", n_parameter, 4);
@@ -204,6 +223,8 @@ static void read_tables(const Record *record, const Plan *plan, const Network *n
     copy_integers(memory + plan->governor_of, integers(&r, "governor.kind", g, 100), g);
     copy_integers(memory + plan->governor_of + g, integers(&r, "governor.machine", g, n), g);
     copy_integers(memory + plan->governor_of + 2 * g, integers(&r, "governor.state", g, SIZE_MAX), g);
+    copy_integers(memory + plan->state_machine, integers(&r, "state.machine", plan->n_state, n), plan->n_state);
+    copy_reals(memory + plan->port, read_ports(&r, plan), P_ROWS * plan->n_port);
 }
 
 static void read_tie(const Record *record, const Plan *plan, const Network *net, double *memory)
@@ -292,7 +313,7 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     Plan plan;
     Network net;
     Reader r = { b->record, NULL };
-    const int32_t *counts = read_plan(b->record, &plan);
+    const int32_t *counts = read_plan(b->record, &b->layout, &plan);
     BlockStatus status;
     size_t count;
 
@@ -313,6 +334,8 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     memory[H_N_GOVERNOR] = (double)plan.n_governor;
     memory[H_N_TIE] = (double)plan.n_tie;
     memory[H_N_SLOT] = (double)plan.n_slot;
+    memory[H_N_PORT] = (double)plan.n_port;
+    memory[H_N_STATE] = (double)plan.n_state;
     read_tables(b->record, &plan, &net, memory);
     read_tie(b->record, &plan, &net, memory);
     status = read_parameters(b, &plan, memory, message);
@@ -323,6 +346,25 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     return status;
 }
 
+/* Newton's method failed at port `stuck` - 1. */
+static BlockStatus unsolved(const Block *b, size_t stuck, double t, BlockMessage *message)
+{
+    Plan plan;
+    Network net;
+    char name[64];
+
+    if (!prepared(b, &plan, &net))
+        return plant_fail(message, BLOCK_ERROR, "plant: the network has no solution at t = %.9g s", t);
+    const double *row = b->memory + plan.port + P_ROWS * (stuck - 1);
+    const size_t k = index_at(row, P_DEVICE);
+    const int load = row[P_KIND] == PORT_LOAD;
+    return plant_fail(message, BLOCK_DISCARD,
+                      "network: no voltage found at bus %s for %s at t = %.9g s (Newton's method, residual "
+                      "still above 1e-11 pu); the voltage there has collapsed or a state is not finite",
+                      plant_name(net.bus_names, (size_t)(load ? net.load_bus[k] : net.machine_bus[k]), name),
+                      load ? "a load that is not constant impedance" : "the saturation of a machine", t);
+}
+
 static BlockStatus not_started(BlockMessage *message)
 {
     return plant_fail(message, BLOCK_ERROR, "plant: used before block_start");
@@ -331,10 +373,9 @@ static BlockStatus not_started(BlockMessage *message)
 BlockStatus block_derivatives(Block *b, double t, const double *x, const double *u, double *dx,
                               BlockMessage *message)
 {
-    (void)t;
     if (!(b->memory[H_READY] == READY)) return not_started(message);
-    plant_flow(b->memory, x, u, dx, b->scratch);
-    return BLOCK_OK;
+    const size_t stuck = plant_flow(b->memory, x, u, dx, b->scratch);
+    return stuck == 0 ? BLOCK_OK : unsolved(b, stuck, t, message);
 }
 
 BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, double *y,
@@ -342,22 +383,20 @@ BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, 
 {
     Plan plan;
 
-    (void)t;
     if (!(b->memory[H_READY] == READY)) return not_started(message);
     plan_of(b->memory, &plan);
-    plant_outputs(b->memory, x, y, b->scratch);
-    if (b->w != NULL)
-        plant_locals(b->memory, x, u, b->w, b->scratch, b->scratch + WORK_ARRAYS * plan.n_machine);
-    return BLOCK_OK;
+    size_t stuck = plant_outputs(b->memory, x, y, b->scratch);
+    if (b->w != NULL && stuck == 0)
+        stuck = plant_locals(b->memory, x, u, b->w, b->scratch, b->scratch + flow_work(&plan));
+    return stuck == 0 ? BLOCK_OK : unsolved(b, stuck, t, message);
 }
 
 BlockStatus block_directional(Block *b, double t, const double *x, const double *u, const double *vx,
                               const double *vu, double *vdx, double *vy, BlockMessage *message)
 {
-    (void)t;
     if (!(b->memory[H_READY] == READY)) return not_started(message);
-    plant_directional(b->memory, &b->layout, x, u, vx, vu, vdx, vy, b->scratch);
-    return BLOCK_OK;
+    const size_t stuck = plant_directional(b->memory, &b->layout, x, u, vx, vu, vdx, vy, b->scratch);
+    return stuck == 0 ? BLOCK_OK : unsolved(b, stuck, t, message);
 }
 
 double block_next_event(const Block *b, double t)

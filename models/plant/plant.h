@@ -43,18 +43,24 @@ size_t stage_work(size_t n_bus);
 BlockStatus stage_build(double *memory, const Plan *plan, const Network *network,
                         const double *extra, double *work, BlockMessage *message);
 
-/* flow.c */
-void plant_flow(const double *memory, const double *x, const double *u, double *dx, double *scratch);
-void plant_outputs(const double *memory, const double *x, double *y, double *scratch);
-void plant_locals(const double *memory, const double *x, const double *u, double *locals,
-                  double *scratch, double *dx);
-enum { WORK_ARRAYS = 14 };
+/* flow.c. Each returns 0, or 1 + the port where Newton's method fails. Of memory
+ * they change only the ports' warm start. scratch: flow_work(plan) numbers. */
+size_t plant_flow(double *memory, const double *x, const double *u, double *dx, double *scratch);
+size_t plant_outputs(double *memory, const double *x, double *y, double *scratch);
+size_t plant_locals(double *memory, const double *x, const double *u, double *locals,
+                    double *scratch, double *dx);
+size_t plant_settle(double *memory, const double *x, double *scratch);
 
 #ifdef PLANT_TANGENT
-void plant_flow_tangent(const double *memory, const num *x, const num *u, num *dx, num *scratch);
-void plant_outputs_tangent(const double *memory, const num *x, num *y, num *scratch);
+size_t plant_flow_tangent(double *memory, const num *x, const num *u, num *dx, num *scratch);
+size_t plant_outputs_tangent(double *memory, const num *x, num *y, num *scratch);
 #endif
 /* The complex step itself; scratch as for the functions above, complex. */
-void plant_directional(const double *memory, const BlockLayout *layout, const double *x, const double *u, const double *vx, const double *vu,
-                       double *vdx, double *vy, double *scratch);
+size_t plant_directional(double *memory, const BlockLayout *layout, const double *x, const double *u,
+                         const double *vx, const double *vu, double *vdx, double *vy, double *scratch);
+
+static inline size_t flow_work(const Plan *plan)
+{
+    return 15 * plan->n_machine + 16 * plan->n_port;
+}
 #endif

@@ -21,6 +21,66 @@ static void source_admittance(const double *memory, const Plan *plan, size_t k, 
     *b = -ratio * x / (r * r + x * x);
 }
 
+/* Voltages of all buses for each source, by column of `v`: an EMF of 1, a current
+ * of 1 at a load's port, or at a machine's port an EMF of j (Xd2 - Xl). */
+static size_t source_at(const double *memory, const Plan *plan, const Network *net, size_t source,
+                        double *re, double *im, size_t *machine)
+{
+    double g, b;
+    const double *row = memory + plan->port + P_ROWS * (source < plan->n_machine ? 0 : source - plan->n_machine);
+
+    *machine = source < plan->n_machine ? source : plan->n_machine;
+    if (source >= plan->n_machine && row[P_KIND] == PORT_LOAD) {
+        *re = 1.0;
+        *im = 0.0;
+        return (size_t)net->load_bus[index_at(row, P_DEVICE)];
+    }
+    if (source >= plan->n_machine) *machine = index_at(row, P_DEVICE);
+    source_admittance(memory, plan, *machine, &g, &b);
+    *re = source < plan->n_machine ? g : -b * row[P_X2];
+    *im = source < plan->n_machine ? b : g * row[P_X2];
+    return index_at(memory + plan->machine_bus, *machine);
+}
+
+/* EMF of machine k per unit of a source: 1 for its own, j (Xd2 - Xl) for its port. */
+static void own_emf(const double *memory, const Plan *plan, size_t source, size_t machine, size_t k,
+                    double *re, double *im)
+{
+    *re = *im = 0.0;
+    if (machine != k) return;
+    if (source < plan->n_machine) *re = 1.0;
+    else *im = memory[plan->port + P_ROWS * (source - plan->n_machine) + P_X2];
+}
+
+/* Voltage of port p from a source that gives the bus voltages v: the bus itself, or
+ * the air-gap node V + (Ra + j Xl)/(Ra + j Xd2) (E - V). */
+static void port_row(double *memory, const Plan *plan, const Network *net, size_t source, size_t machine,
+                     const double *v)
+{
+    const size_t n = plan->n_machine;
+    const double *table = memory + plan->machine;
+
+    for (size_t p = 0; p < plan->n_port; ++p) {
+        const double *row = memory + plan->port + P_ROWS * p;
+        const size_t k = index_at(row, P_DEVICE), at = source * plan->n_port + p;
+        const int load = row[P_KIND] == PORT_LOAD;
+        const size_t bus = load ? (size_t)net->load_bus[k] : index_at(memory + plan->machine_bus, k);
+        double re = v[2 * bus], im = v[2 * bus + 1];
+        if (!load) {
+            const double r = table[M_RA * n + k], xl = table[M_XL * n + k], x = table[M_XD2 * n + k];
+            const double size = r * r + x * x, kr = (r * r + xl * x) / size, ki = (xl - x) * r / size;
+            double er, ei;
+            own_emf(memory, plan, source, machine, k, &er, &ei);
+            er -= v[2 * bus];
+            ei -= v[2 * bus + 1];
+            re += kr * er - ki * ei;
+            im += kr * ei + ki * er;
+        }
+        memory[plan->port_w_re + at] = re;
+        memory[plan->port_w_im + at] = im;
+    }
+}
+
 static void assemble(const double *memory, const Plan *plan, const Network *net,
                      const double *extra, double *a)
 {
@@ -170,22 +230,26 @@ BlockStatus stage_build(double *memory, const Plan *plan, const Network *net,
                           "check branches, shunts and faults there",
                           plant_name(net->bus_names, stuck, name));
 
-    for (size_t k = 0; k < m; ++k) {
-        double g, b;
-        source_admittance(memory, plan, k, &g, &b);
-        solve(a, n, order, index_at(memory + plan->machine_bus, k), g, b, v);
+    memory[H_PORT_READY] = 0.0;
+    for (size_t k = 0; k < plan->n_source; ++k) {
+        double re, im;
+        size_t machine;
+        const size_t at = source_at(memory, plan, net, k, &re, &im, &machine);
+        solve(a, n, order, at, re, im, v);
         for (size_t i = 0; i < n; ++i) {
-            memory[plan->v_re + i * m + k] = v[2 * i];
-            memory[plan->v_im + i * m + k] = v[2 * i + 1];
+            memory[plan->v_re + i * plan->n_source + k] = v[2 * i];
+            memory[plan->v_im + i * plan->n_source + k] = v[2 * i + 1];
         }
         for (size_t j = 0; j < m; ++j) {
             const size_t bus = index_at(memory + plan->machine_bus, j);
-            double gj, bj;
+            double gj, bj, er, ei;
             source_admittance(memory, plan, j, &gj, &bj);
-            const double dr = (j == k ? 1.0 : 0.0) - v[2 * bus], di = -v[2 * bus + 1];
+            own_emf(memory, plan, k, machine, j, &er, &ei);
+            const double dr = er - v[2 * bus], di = ei - v[2 * bus + 1];
             memory[plan->y_re + k * m + j] = gj * dr - bj * di;
             memory[plan->y_im + k * m + j] = gj * di + bj * dr;
         }
+        port_row(memory, plan, net, k, machine, v);
     }
     return BLOCK_OK;
 }

@@ -1,0 +1,196 @@
+/* Newton's method at the ports. Unknowns lie port by port, real then imaginary. */
+#include "port.h"
+
+static const size_t MOST_STEPS = 40;
+static const double ACCURACY = 1e-13;     /* residual, relative to the largest voltage */
+static const double STALLED = 1e-11;      /* a residual that rounding keeps from falling */
+static const double WORTH_KEEPING = 0.03; /* contraction above which the inverse is renewed */
+
+static double larger(double a, double b) { return a > b ? a : b; }
+
+/* In place, Gauss-Jordan with partial pivoting; order: n doubles. */
+static int invert(double *a, size_t n, double *order)
+{
+    for (size_t k = 0; k < n; ++k) {
+        size_t best = k;
+        for (size_t i = k + 1; i < n; ++i)
+            if (fabs(a[i * n + k]) > fabs(a[best * n + k])) best = i;
+        order[k] = (double)best;
+        if (best != k)
+            for (size_t j = 0; j < n; ++j) {
+                const double v = a[k * n + j];
+                a[k * n + j] = a[best * n + j];
+                a[best * n + j] = v;
+            }
+        const double pivot = a[k * n + k];
+        if (!(fabs(pivot) > 1e-14)) return 0;
+        a[k * n + k] = 1.0;
+        for (size_t j = 0; j < n; ++j) a[k * n + j] /= pivot;
+        for (size_t i = 0; i < n; ++i) {
+            const double f = a[i * n + k];
+            if (i == k || f == 0.0) continue;
+            a[i * n + k] = 0.0;
+            for (size_t j = 0; j < n; ++j) a[i * n + j] -= f * a[k * n + j];
+        }
+    }
+    for (size_t k = n; k-- > 0;) {   /* row swaps become column swaps, backwards */
+        const size_t other = (size_t)(ptrdiff_t)order[k];
+        if (other == k) continue;
+        for (size_t i = 0; i < n; ++i) {
+            const double v = a[i * n + k];
+            a[i * n + k] = a[i * n + other];
+            a[i * n + other] = v;
+        }
+    }
+    return 1;
+}
+
+int port_inverse(const double *memory, const Plan *plan, const double *v_re, const double *v_im,
+                 const double *sine, const double *cosine, double *inverse, double *work)
+{
+    const size_t n = plan->n_port;
+
+    for (size_t k = 0; k < 4 * n * n; ++k) inverse[k] = 0.0;
+    for (size_t q = 0; q < n; ++q) {
+        const double *row = memory + plan->port + P_ROWS * q;
+        const double *g = memory + plan->port_w_re + (plan->n_machine + q) * n;
+        const double *b = memory + plan->port_w_im + (plan->n_machine + q) * n;
+        double d[4] = { 0.0, 0.0, 0.0, 0.0 };
+        if (row[P_KIND] == PORT_LOAD) {
+            load_slope(row, v_re[q], v_im[q], d);
+        } else if (row[P_ON] > 0.5) {
+            const size_t k = index_at(row, P_DEVICE);
+            saturation_slope(row, v_re[q], v_im[q], sine[k], cosine[k], d);
+        }
+        for (size_t p = 0; p < n; ++p) {
+            double *real = inverse + 4 * n * p + 2 * q, *imaginary = real + 2 * n;
+            real[0] = -(g[p] * d[0] - b[p] * d[2]);
+            real[1] = -(g[p] * d[1] - b[p] * d[3]);
+            imaginary[0] = -(g[p] * d[2] + b[p] * d[0]);
+            imaginary[1] = -(g[p] * d[3] + b[p] * d[1]);
+        }
+    }
+    for (size_t k = 0; k < 2 * n; ++k) inverse[2 * n * k + k] += 1.0;
+    return invert(inverse, 2 * n, work);
+}
+
+/* One Newton problem: everything that stays the same over its steps. */
+typedef struct {
+    double *memory;
+    const Plan *plan;
+    const double *ed2, *sine, *cosine, *linear;
+    double *e_re, *e_im;
+    PortWork at;
+} Problem;
+
+/* r = v - W E - Z J(v); returns its largest part, -1 when it is not finite. */
+static double residual(const Problem *s, double *r)
+{
+    const size_t n = s->plan->n_port;
+    double *re = r, *im = r + n, worst = 0.0;
+
+    port_inject(s->memory, s->plan, s->ed2, s->sine, s->cosine, s->at, s->e_re, s->e_im);
+    for (size_t p = 0; p < 2 * n; ++p) r[p] = s->linear[p];
+    port_voltages(s->memory, s->plan, s->plan->n_machine, s->plan->n_source, s->e_re, s->e_im, re, im);
+    for (size_t p = 0; p < n; ++p) {
+        re[p] = s->at.v_re[p] - re[p];
+        im[p] = s->at.v_im[p] - im[p];
+        if (!(fabs(re[p]) < 1e6 && fabs(im[p]) < 1e6)) return -1.0;
+        worst = larger(worst, larger(fabs(re[p]), fabs(im[p])));
+    }
+    return worst;
+}
+
+static size_t newton(const Problem *s, double *work)
+{
+    const size_t n = s->plan->n_port;
+    double *inverse = s->memory + s->plan->port_inverse, *ready = s->memory + H_PORT_READY;
+    double *r = work, *r_next = work + 2 * n, *from = work + 4 * n, *order = work + 6 * n;
+    double scale = 1.0, size;
+    int fresh = 0;
+
+    for (size_t p = 0; p < 2 * n; ++p) scale = larger(scale, fabs(s->linear[p]));
+    size = residual(s, r);
+    for (size_t count = 0; count < MOST_STEPS && size >= 0.0; ++count) {
+        double share = 1.0, next = -1.0;
+        if (size <= ACCURACY * scale) return n;
+        if (!(*ready > 0.5)) {
+            if (!port_inverse(s->memory, s->plan, s->at.v_re, s->at.v_im, s->sine, s->cosine, inverse, order))
+                break;
+            *ready = fresh = 1;
+        }
+        for (size_t p = 0; p < n; ++p) {
+            from[p] = s->at.v_re[p];
+            from[n + p] = s->at.v_im[p];
+        }
+        for (int tries = 0; tries < 12; ++tries, share *= 0.5) {
+            for (size_t p = 0; p < n; ++p) {
+                const double *a = inverse + 4 * n * p, *b = a + 2 * n;
+                double re = 0.0, im = 0.0;
+                for (size_t q = 0; q < n; ++q) {
+                    re += a[2 * q] * r[q] + a[2 * q + 1] * r[n + q];
+                    im += b[2 * q] * r[q] + b[2 * q + 1] * r[n + q];
+                }
+                s->at.v_re[p] = from[p] - share * re;
+                s->at.v_im[p] = from[n + p] - share * im;
+            }
+            next = residual(s, r_next);
+            if (next >= 0.0 && next < (1.0 - 0.1 * share) * size) break;
+            if (!fresh || size <= STALLED * scale) break;
+        }
+        const int better = next >= 0.0 && next < size;
+        if (!better) {   /* back to the best voltages so far */
+            for (size_t p = 0; p < n; ++p) {
+                s->at.v_re[p] = from[p];
+                s->at.v_im[p] = from[n + p];
+            }
+            (void)residual(s, r);
+            if (size <= STALLED * scale) return n;
+            if (fresh) break;
+        }
+        if (!better || next > WORTH_KEEPING * size || share < 1.0) {
+            *ready = 0.0;
+            fresh = 0;
+        }
+        if (better) {
+            double *t = r;
+            r = r_next;
+            r_next = t;
+            size = next;
+        }
+    }
+    size_t worst = 0;   /* not solved: the port that is farthest off */
+    for (size_t p = 1; p < n; ++p)
+        if (!(fabs(r[p]) + fabs(r[n + p]) <= fabs(r[worst]) + fabs(r[n + worst]))) worst = p;
+    *ready = 0.0;
+    return worst;
+}
+
+size_t port_solve(double *memory, const Plan *plan, const double *ed2, const double *sine,
+                  const double *cosine, double *e_re, double *e_im, double *const w[4], double *work)
+{
+    const size_t n = plan->n_port;
+    double *linear = work, *last = memory + plan->port_v;
+    const PortWork at = { w[0], w[1], w[2], w[3] };
+    const Problem problem = { memory, plan, ed2, sine, cosine, linear, e_re, e_im, at };
+    size_t stuck = n;
+
+    for (size_t p = 0; p < 2 * n; ++p) linear[p] = 0.0;
+    port_voltages(memory, plan, 0, plan->n_machine, e_re, e_im, linear, linear + n);
+    for (int tries = 0; tries < 2; ++tries) {   /* from the last voltages, then from the linear network's */
+        const double *start = tries == 0 ? last : linear;
+        if (tries > 0) memory[H_PORT_READY] = 0.0;
+        for (size_t p = 0; p < n; ++p) {
+            at.v_re[p] = start[p];
+            at.v_im[p] = start[n + p];
+        }
+        stuck = newton(&problem, work + 2 * n);
+        if (stuck == n) break;
+    }
+    if (stuck < n) return stuck;
+    for (size_t p = 0; p < n; ++p) {
+        last[p] = at.v_re[p];
+        last[n + p] = at.v_im[p];
+    }
+    return n;
+}
