@@ -34,7 +34,9 @@ class AirGap:
 
 def has_port(machine: Machine) -> bool:
     """Return whether `machine` saturates or differs in X''d and X''q."""
-    return machine.model == "round_rotor" and (saturation_of(machine) is not None or machine.Xd2 != machine.Xq2)
+    return machine.model == "round_rotor" and (
+        saturation_of(machine) is not None or machine.Xd2 != machine.Xq2
+    )
 
 
 def saturation_of(machine: Machine) -> Saturation | None:

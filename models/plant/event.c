@@ -128,7 +128,7 @@ static void reset_ports(double *memory, const Plan *plan, const Network *net)
     for (size_t k = 0; k < plan->n_port; ++k) {
         double *row = memory + plan->port + P_ROWS * k;
         const size_t load = index_at(row, P_DEVICE);
-        if (row[P_KIND] != PORT_LOAD) continue;
+        if (!port_is_load(row)) continue;
         row[P_P] = net->load[L_P * plan->n_load + load];
         row[P_Q] = net->load[L_Q * plan->n_load + load];
     }
@@ -138,7 +138,7 @@ static void step_load_port(double *memory, const Plan *plan, size_t load, double
 {
     for (size_t k = 0; k < plan->n_port; ++k) {
         double *row = memory + plan->port + P_ROWS * k;
-        if (row[P_KIND] != PORT_LOAD || index_at(row, P_DEVICE) != load) continue;
+        if (!port_is_load(row) || index_at(row, P_DEVICE) != load) continue;
         row[P_P] += size;
         row[P_Q] += size_q;
     }
@@ -201,7 +201,7 @@ BlockStatus event_apply(Block *b, const Plan *plan, const Network *net, double t
         return plant_fail(message, BLOCK_ERROR, "t = %.9g s: the last machine was tripped", t);
     for (size_t k = 0; k < plan->n_port; ++k) {
         double *row = memory + plan->port + P_ROWS * k;
-        if (row[P_KIND] == PORT_MACHINE) row[P_ON] = memory[plan->running + index_at(row, P_DEVICE)];
+        if (!port_is_load(row)) row[P_ON] = memory[plan->running + index_at(row, P_DEVICE)];
     }
     centre_of_inertia(memory, plan);
     return stage_build(memory, plan, net, extra, work, message);

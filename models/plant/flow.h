@@ -66,7 +66,7 @@ static size_t solve_network(double *memory, const Plan *plan, const num *x, Work
     for (size_t p = 0; p < n_port; ++p) {
         const double *row = memory + plan->port + P_ROWS * p;
         const size_t k = index_at(row, P_DEVICE);
-        if (row[P_KIND] != PORT_MACHINE) continue;
+        if (port_is_load(row)) continue;
         saturation_terminal(row, k, w->port.isd[p], w->port.isq[p], w->vd, w->vq, w->vt);
         w->id_rotor[k] += w->port.isd[p];
     }
@@ -79,7 +79,7 @@ static void saturate_rates(const double *memory, const Plan *plan, const Work *w
     for (size_t p = 0; p < plan->n_port; ++p) {
         const double *row = memory + plan->port + P_ROWS * p;
         const size_t k = index_at(row, P_DEVICE);
-        if (row[P_KIND] != PORT_MACHINE) continue;
+        if (port_is_load(row)) continue;
         saturation_rates(memory + plan->machine, n, k, w->id[k], w->iq[k], w->port.isd[p], w->port.isq[p],
                          machine_rates(dx, n));
     }

@@ -146,6 +146,8 @@ static inline size_t index_at(const double *memory, size_t at)
     return (size_t)(ptrdiff_t)memory[at];
 }
 
+static inline int port_is_load(const double *row) { return index_at(row, P_KIND) == PORT_LOAD; }
+
 static inline void plan_of(const double *memory, Plan *p)
 {
     p->n_machine = index_at(memory, H_N_MACHINE);

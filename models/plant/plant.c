@@ -131,8 +131,8 @@ static const double *read_ports(Reader *r, const Plan *plan)
     const double *table = reals(r, "port.table", P_ROWS * plan->n_port);
     for (size_t k = 0; r->bad == NULL && k < plan->n_port; ++k) {
         const double *row = table + P_ROWS * k;
-        const double below = (double)(row[P_KIND] == PORT_LOAD ? plan->n_load : plan->n_machine);
-        if (!((row[P_KIND] == PORT_LOAD || row[P_KIND] == PORT_MACHINE)
+        const double below = (double)(port_is_load(row) ? plan->n_load : plan->n_machine);
+        if (!(row[P_KIND] >= 1.0 && row[P_KIND] < 3.0
               && row[P_DEVICE] >= 0.0 && row[P_DEVICE] < below))
             r->bad = "port.table";
     }
@@ -357,7 +357,7 @@ static BlockStatus unsolved(const Block *b, size_t stuck, double t, BlockMessage
         return plant_fail(message, BLOCK_ERROR, "plant: the network has no solution at t = %.9g s", t);
     const double *row = b->memory + plan.port + P_ROWS * (stuck - 1);
     const size_t k = index_at(row, P_DEVICE);
-    const int load = row[P_KIND] == PORT_LOAD;
+    const int load = port_is_load(row);
     return plant_fail(message, BLOCK_DISCARD,
                       "network: no voltage found at bus %s for %s at t = %.9g s (Newton's method, residual "
                       "still above 1e-11 pu); the voltage there has collapsed or a state is not finite",

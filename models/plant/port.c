@@ -56,7 +56,7 @@ int port_inverse(const double *memory, const Plan *plan, const double *v_re, con
         const double *g = memory + plan->port_w_re + (plan->n_machine + q) * n;
         const double *b = memory + plan->port_w_im + (plan->n_machine + q) * n;
         double d[4] = { 0.0, 0.0, 0.0, 0.0 };
-        if (row[P_KIND] == PORT_LOAD) {
+        if (port_is_load(row)) {
             load_slope(row, v_re[q], v_im[q], d);
         } else if (row[P_ON] > 0.5) {
             const size_t k = index_at(row, P_DEVICE);
@@ -177,12 +177,15 @@ size_t port_solve(double *memory, const Plan *plan, const double *ed2, const dou
 
     for (size_t p = 0; p < 2 * n; ++p) linear[p] = 0.0;
     port_voltages(memory, plan, 0, plan->n_machine, e_re, e_im, linear, linear + n);
-    for (int tries = 0; tries < 2; ++tries) {   /* from the last voltages, then from the linear network's */
+    /* From the last voltages, then from those of the linear network, then from low
+     * ones: near collapse the solution lies among the impedances of low voltage. */
+    for (int tries = 0; tries < 4; ++tries) {
         const double *start = tries == 0 ? last : linear;
+        const double share = tries < 2 ? 1.0 : tries == 2 ? 0.6 : 0.2;
         if (tries > 0) memory[H_PORT_READY] = 0.0;
         for (size_t p = 0; p < n; ++p) {
-            at.v_re[p] = start[p];
-            at.v_im[p] = start[n + p];
+            at.v_re[p] = share * start[p];
+            at.v_im[p] = share * start[n + p];
         }
         stuck = newton(&problem, work + 2 * n);
         if (stuck == n) break;

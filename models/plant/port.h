@@ -31,7 +31,7 @@ static inline void port_inject(const double *memory, const Plan *plan, const num
 
     for (size_t p = 0; p < plan->n_port; ++p) {
         const double *row = memory + plan->port + P_ROWS * p;
-        if (row[P_KIND] == PORT_LOAD) {
+        if (port_is_load(row)) {
             load_injection(row, w.v_re[p], w.v_im[p], &e_re[n + p], &e_im[n + p]);
         } else if (row[P_ON] > 0.5) {
             const size_t k = index_at(row, P_DEVICE);

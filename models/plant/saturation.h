@@ -25,7 +25,7 @@
 /* isd, isq at the air-gap flux; the four derivatives unless d is null. */
 static inline void saturation_currents(const double *row, num psi_d, num psi_q, num *isd, num *isq, double *d)
 {
-    if (row[P_SATURATION] == SATURATION_TOTAL) {
+    if (index_at(row, P_SATURATION) == SATURATION_TOTAL) {
         const num flux = num_sqrt(psi_d * psi_d + psi_q * psi_q);
         const num part = num_exp(row[P_BSAT] * (flux - row[P_PSIT1]));
         const num bounded = PART(flux) > 1e-3 ? flux : (num)1e-3;
@@ -41,7 +41,7 @@ static inline void saturation_currents(const double *row, num psi_d, num psi_q, 
             d[3] = (PART(s) + rate * mq * mq) / row[P_LQ];
         }
     } else {
-        const double slope = row[P_SATURATION] == SATURATION_INCREMENTAL ? row[P_SLOPE] : 0.0;
+        const double slope = index_at(row, P_SATURATION) == SATURATION_INCREMENTAL ? row[P_SLOPE] : 0.0;
         *isd = row[P_ISD0] + slope * (psi_d - row[P_PSID0]) / row[P_LD];
         *isq = row[P_ISQ0] + slope * (psi_q - row[P_PSIQ0]) / row[P_LQ];
         if (d != NULL) {

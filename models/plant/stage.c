@@ -30,7 +30,7 @@ static size_t source_at(const double *memory, const Plan *plan, const Network *n
     const double *row = memory + plan->port + P_ROWS * (source < plan->n_machine ? 0 : source - plan->n_machine);
 
     *machine = source < plan->n_machine ? source : plan->n_machine;
-    if (source >= plan->n_machine && row[P_KIND] == PORT_LOAD) {
+    if (source >= plan->n_machine && port_is_load(row)) {
         *re = 1.0;
         *im = 0.0;
         return (size_t)net->load_bus[index_at(row, P_DEVICE)];
@@ -63,7 +63,7 @@ static void port_row(double *memory, const Plan *plan, const Network *net, size_
     for (size_t p = 0; p < plan->n_port; ++p) {
         const double *row = memory + plan->port + P_ROWS * p;
         const size_t k = index_at(row, P_DEVICE), at = source * plan->n_port + p;
-        const int load = row[P_KIND] == PORT_LOAD;
+        const int load = port_is_load(row);
         const size_t bus = load ? (size_t)net->load_bus[k] : index_at(memory + plan->machine_bus, k);
         double re = v[2 * bus], im = v[2 * bus + 1];
         if (!load) {
