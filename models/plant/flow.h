@@ -99,7 +99,7 @@ static void solve_devices(const double *memory, const Plan *plan, const num *x, 
     const MachineStates states = machine_states(x, n);
 
     stabilizer_all(memory, plan, states.slip, x, dx, w->vs);
-    exciter_all(memory, plan, w->vt, w->id, w->vs, u, x, dx, w->efd);
+    exciter_all(memory, plan, w->vt, w->id_rotor, w->vs, u, x, dx, w->efd);
     governor_all(memory, plan, states.slip, x, dx, w->pm);
 }
 
