@@ -1,0 +1,150 @@
+"""Power flow, eigenvalues and trajectories of the plant FMU against ANDES on the same data.
+
+    python benchmarks/compare_andes.py [--andes-python PYTHON] [--step 0.0020833] [--json FILE]
+
+ANDES comes with the extra `bench`; it may live in another environment, whose interpreter
+`--andes-python` names. Exit code 1 when a difference passes what the issue allows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+from andes_rows import load_mix, rows_of
+from fmu_run import PlantSlave
+
+from interarea.cosim.artefacts import default_cache, linear_plant
+from interarea.models.case import Case, load_case
+from interarea.models.events import events_of
+from interarea.models.powerflow import solve_powerflow
+
+CLEARING_S = 1.0 + 8.0 / 60.0
+FAULT = [
+    {"kind": "bus_fault", "bus": 8, "start_s": 1.0, "end_s": CLEARING_S, "x_pu": 1e-4},
+    {"kind": "branch_trip", "branch": "8-9 a", "start_s": CLEARING_S},
+]
+TRIP = [{"kind": "branch_trip", "branch": "8-9 a", "start_s": 1.0}]
+WIDE = {"Efd_min": -1e4, "Efd_max": 1e4}
+LIMITED = {"kind": "static", "KA": 200.0, "TA": 0.02, "TR": 0.0, "Efd_min": -5.0, "Efd_max": 5.0}
+TGR = {"kind": "static_tgr", "KA": 200.0, "TA": 0.02, "TR": 0.01, "TC": 1.0, "TB": 10.0} | WIDE
+PSS = {"K": 20.0, "Tw": 10.0, "T1": 0.05, "T2": 0.02, "T3": 3.0, "T4": 5.4, "Vs_min": -0.05, "Vs_max": 0.05}
+TGOV1 = {"kind": "tgov1", "R": 0.05, "T1": 0.5, "T2": 3.0, "T3": 10.0, "Dt": 0.0, "Vmin": 0.0, "Vmax": 1.2}
+DC1 = {"kind": "dc1", "KA": 20.0, "TA": 0.055, "TR": 0.05, "KE": 1.0, "TE": 0.36, "KF": 0.125, "TF": 1.8}
+DC1 |= {"Aex": 0.0056, "Bex": 1.075, "VRmin": -10.0, "VRmax": 10.0}
+THYRISTOR = {"kind": "static", "KA": 200.0, "TA": 0.02, "TR": 0.01} | WIDE
+
+#: name -> (controls of all machines, events)
+RUNS: dict[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {
+    "constant Efd, bus fault + trip": ({"exciter": {"kind": "constant"}}, FAULT),
+    "thyristor, line trip": ({"exciter": THYRISTOR}, TRIP),
+    "thyristor + PSS, bus fault + trip": ({"exciter": THYRISTOR, "stabilizer": PSS}, FAULT),
+    "TGR + PSS, line trip": ({"exciter": TGR, "stabilizer": PSS}, TRIP),
+    "Efd limits + PSS + TGOV1, bus fault + trip": (
+        {"exciter": LIMITED, "stabilizer": PSS, "governor": TGOV1},
+        FAULT,
+    ),
+    "dc type 1, line trip": ({"exciter": DC1}, TRIP),
+    "dc type 1, bus fault + trip": ({"exciter": DC1}, FAULT),
+}
+ALLOWED = 1e-3  #: of the peak of dw24
+ALLOWED_EIGENVALUE = 1e-4  #: 1/s, swing modes
+ALLOWED_VOLTAGE_PU = 1e-8
+
+
+def two_area(controls: Mapping[str, Any]) -> Case:
+    """The two-area system with constant-impedance loads and these controls on every machine."""
+    return load_case("kundur-thyristor-z").with_changes({"machines": {"defaults": dict(controls)}})
+
+
+def ask_andes(python: str, case: Case, events: Sequence[Any] = (), **how: Any) -> dict[str, Any]:
+    """Run ANDES in the interpreter `python` and return what it found; RuntimeError with its words."""
+    problem = {"rows": rows_of(case, events), "loads": load_mix(case)} | how
+    problem |= {"frequency_hz": case.frequency_hz, "base_mva": case.base_mva}
+    script = str(Path(__file__).with_name("andes_run.py"))
+    done = subprocess.run(
+        [python, script], input=json.dumps(problem), capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        last = done.stderr.strip().splitlines()[-1:] or ["no message"]
+        raise RuntimeError(
+            f"ANDES in {python}: {last[0]} (install the extra `bench`, or name --andes-python)"
+        )
+    return dict(json.loads(done.stdout))
+
+
+def voltage_difference(case: Case, found: Mapping[str, Any]) -> float:
+    """Largest difference of a complex bus voltage, pu."""
+    flow = solve_powerflow(case)
+    theirs = np.array(found["v"]) * np.exp(1j * np.array(found["a"]))
+    ours = np.array([flow.voltage(bus) for bus in found["buses"]])
+    return float(np.abs(theirs - ours).max())
+
+
+def eigenvalue_difference(case: Case, found: Mapping[str, Any]) -> float:
+    """Largest distance from a swing mode of ours (1 < Im < 12 rad/s) to their nearest eigenvalue, 1/s."""
+    theirs = np.array([complex(*z) for z in found["eigenvalues"]])
+    ours = np.linalg.eigvals(linear_plant(case, default_cache()).A)
+    swing = [z for z in ours if 1.0 < z.imag < 12.0]
+    return float(max(np.abs(theirs - z).min() for z in swing))
+
+
+def trajectory_difference(
+    python: str, case: Case, table: list[dict[str, Any]], stop_s: float, step_s: float
+) -> tuple[float, float]:
+    """Largest difference of dw24 over the run, and the peak of dw24; pu."""
+    events = events_of(table, where="compare_andes")
+    found = ask_andes(python, case, events, stop_s=stop_s, step_s=step_s, tolerance=1e-8)
+    plant = PlantSlave(case, events, substep_s=0.0005)
+    ours = plant.record(found["t"], ["G2_dw", "G4_dw"])
+    plant.close()
+    speed = dict(zip(found["machines"], np.array(found["dw"]), strict=True))
+    dw24 = ours[:, 0] - ours[:, 1]
+    return float(np.abs(speed["G2"] - speed["G4"] - dw24).max()), float(np.abs(dw24).max())
+
+
+def main() -> int:
+    """Print one line per run; return 1 when something differs by more than allowed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--andes-python", default=sys.executable)
+    parser.add_argument("--step", type=float, default=1 / 480, help="ANDES's step, s")
+    parser.add_argument("--stop", type=float, default=10.0, help="length of the runs, s")
+    parser.add_argument("--json", type=Path, help="write the numbers there")
+    parser.add_argument("runs", nargs="*", help="names of runs (default: all)")
+    options = parser.parse_args()
+    results, worst = {}, 0
+    print(f"{'run':44} {'power flow':>10} {'swing modes':>11} {'dw24 differs':>12} {'of peak':>9}")
+    for name in options.runs or RUNS:
+        controls, table = RUNS[name]
+        case = two_area(controls)
+        rest = ask_andes(options.andes_python, case)
+        row = {
+            "power_flow_pu": voltage_difference(case, rest),
+            "swing_modes": eigenvalue_difference(case, rest),
+        }
+        differs, peak = trajectory_difference(options.andes_python, case, table, options.stop, options.step)
+        row |= {"dw24_pu": differs, "of_peak": differs / peak}
+        passed = row["power_flow_pu"] <= ALLOWED_VOLTAGE_PU and row["swing_modes"] <= ALLOWED_EIGENVALUE
+        passed = passed and row["of_peak"] <= ALLOWED
+        worst |= not passed
+        results[name] = row | {"passed": passed}
+        print(
+            f"{name:44} {row['power_flow_pu']:10.1e} {row['swing_modes']:11.1e} {differs:12.1e} "
+            f"{100 * row['of_peak']:8.4f}% {'' if passed else 'DIFFERS'}",
+            flush=True,
+        )
+    if options.json:
+        options.json.write_text(json.dumps({"andes_step_s": options.step, "runs": results}, indent=1))
+    return int(worst)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
