@@ -2,10 +2,10 @@
 
 How a case maps, and what does not:
 
-round_rotor     -> GENROU (Xd2 = Xq2; saturation refused: GENROU saturates the subtransient flux quadratically)
+round_rotor     -> GENROU (Xd2 = Xq2; saturation refused: GENROU has a quadratic one)
 static, _tgr    -> SEXS when TR = 0 (limits on the state, as here), else EXST1 (limits refused: ANDES 2.0
                    compares the rate feedback with them instead of the field voltage)
-dc1             -> IEEEX1 with its saturation through two points
+dc1             -> IEEET1 without saturation (ANDES has a quadratic one)
 stabilizer      -> IEEEST, two lead-lags, no transducer;   tgov1 -> TGOV1
 loads           -> PQ; constant impedance, or one mix of P and one of Q for the whole grid
 events          -> Fault, Toggle
@@ -22,6 +22,7 @@ from interarea.models.case_schema import Load, Machine
 from interarea.models.powerflow import solve_powerflow
 
 Row = tuple[str, dict[str, Any]]
+_SHORT_S = 1e-6  #: filter times of IEEEST: with 0 the eigenvalue analysis of ANDES loses the stabilizer
 FAR = 1e4  #: stands for no limit
 KV = 100.0  #: one nominal voltage for everything: per unit is per unit
 
@@ -138,11 +139,16 @@ def _exciter(m: Machine) -> Row:
         return "EXST1", row | {"TR": e.TR, "TC": TC, "TB": TB, "KA": e.KA, "TA": e.TA} | wide
     if e.kind != "dc1" or e.KE == "self-excited":
         raise ValueError(f"machines.{m.name}.exciter: {e.kind} is not represented")
-    points = {f"E{k}": volts for k, volts in ((1, 3.0), (2, 4.0))}
-    saturation = {f"SE{k}": e.Aex * math.exp(e.Bex * points[f"E{k}"]) for k in (1, 2)}
+    if e.Aex:
+        raise ValueError(
+            f"machines.{m.name}.exciter.Aex = {e.Aex:g}: ANDES saturates quadratically, allowed: 0"
+        )
+    if e.TB:
+        raise ValueError(f"machines.{m.name}.exciter.TB = {e.TB:g}: IEEET1 has no lead-lag, allowed: 0")
     limits = {"VRMAX": _or(e.VRmax, FAR), "VRMIN": _or(e.VRmin, -FAR)}
-    times = {"TR": e.TR, "TA": e.TA, "TB": e.TB, "TC": e.TC, "TE": e.TE, "TF1": e.TF}
-    return "IEEEX1", row | {"KA": e.KA, "KE": e.KE, "KF1": e.KF} | times | limits | points | saturation
+    times = {"TR": e.TR, "TA": e.TA, "TE": e.TE, "TF": e.TF}
+    linear = {"E1": 0.0, "SE1": 0.0, "E2": 0.0, "SE2": 0.0}
+    return "IEEET1", row | {"KA": e.KA, "KE": e.KE, "KF": e.KF} | times | limits | linear
 
 
 def _stabilizer(m: Machine) -> Row:
@@ -158,8 +164,14 @@ def _stabilizer(m: Machine) -> Row:
         "T5": s.Tw,
         "T6": s.Tw,
     }
-    row |= {f"A{k}": 0.0 for k in range(1, 7)} | {"T1": s.T1, "T2": s.T2, "T3": s.T3, "T4": s.T4}
-    return "IEEEST", row | {"LSMAX": _or(s.Vs_max, FAR), "LSMIN": _or(s.Vs_min, -FAR), "VCU": 0.0, "VCL": 0.0}
+    row |= {f"A{k}": _SHORT_S if k in (1, 3, 5) else 0.0 for k in range(1, 7)}
+    row |= {"T1": s.T1, "T2": s.T2, "T3": s.T3, "T4": s.T4}
+    return "IEEEST", row | {
+        "LSMAX": _or(s.Vs_max, FAR),
+        "LSMIN": _or(s.Vs_min, -FAR),
+        "VCU": 999.0,
+        "VCL": -999.0,
+    }
 
 
 def _event(event: Any) -> list[Row]:

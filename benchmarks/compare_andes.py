@@ -39,7 +39,7 @@ TGR = {"kind": "static_tgr", "KA": 200.0, "TA": 0.02, "TR": 0.01, "TC": 1.0, "TB
 PSS = {"K": 20.0, "Tw": 10.0, "T1": 0.05, "T2": 0.02, "T3": 3.0, "T4": 5.4, "Vs_min": -0.05, "Vs_max": 0.05}
 TGOV1 = {"kind": "tgov1", "R": 0.05, "T1": 0.5, "T2": 3.0, "T3": 10.0, "Dt": 0.0, "Vmin": 0.0, "Vmax": 1.2}
 DC1 = {"kind": "dc1", "KA": 20.0, "TA": 0.055, "TR": 0.05, "KE": 1.0, "TE": 0.36, "KF": 0.125, "TF": 1.8}
-DC1 |= {"Aex": 0.0056, "Bex": 1.075, "VRmin": -10.0, "VRmax": 10.0}
+DC1 |= {"Aex": 0.0, "Bex": 0.0, "VRmin": -3.0, "VRmax": 5.0}
 THYRISTOR = {"kind": "static", "KA": 200.0, "TA": 0.02, "TR": 0.01} | WIDE
 
 #: name -> (controls of all machines, events)
@@ -57,7 +57,7 @@ RUNS: dict[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {
 }
 ALLOWED = 1e-3  #: of the peak of dw24
 ALLOWED_EIGENVALUE = 1e-4  #: 1/s, swing modes
-ALLOWED_VOLTAGE_PU = 1e-8
+ALLOWED_VOLTAGE_PU = 1e-6  #: ANDES adds 1e-8 pu to the impedance of every branch
 
 
 def two_area(controls: Mapping[str, Any]) -> Case:
