@@ -1,0 +1,69 @@
+/* The plant without FMI: a classical Runge-Kutta loop of order 4 straight over
+ * its right-hand side, for bench_plant.py. Compiled together with the sources of
+ * the plant, with the flags of the FMU. */
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "block.h"
+#include "plant.h"
+
+typedef struct {
+    Record record;
+    Block block;
+    BlockMessage message;
+    double *k;               /* 5 n_x */
+} Plain;
+
+static double *zeros(size_t n) { return calloc(n + 1, sizeof(double)); }
+
+/* A started plant from its record, the counts of its variables and start values; NULL if refused. */
+void *plain_open(const void *bytes, size_t size, const size_t counts[9], const double *x0,
+                 const double *parameters, const int *integers)
+{
+    Plain *c = calloc(1, sizeof *c);
+    BlockNeeds needs;
+    const char *why;
+    if (c == NULL || record_open(&c->record, bytes, size, &why) != 0) return NULL;
+    Block *b = &c->block;
+    b->record = &c->record;
+    memcpy(&b->layout, counts, sizeof b->layout);
+    if (block_needs(b->record, &b->layout, &needs, &c->message) != BLOCK_OK) return NULL;
+    b->x = zeros(b->layout.n_x);
+    b->dx = zeros(b->layout.n_x);
+    b->u = zeros(b->layout.n_u);
+    b->y = zeros(b->layout.n_y);
+    b->w = zeros(b->layout.n_w);
+    b->p = zeros(b->layout.n_p);
+    b->ip = calloc(b->layout.n_ip + 1, sizeof(int));
+    b->memory = zeros(needs.n_memory);
+    b->scratch = zeros(needs.n_scratch);
+    c->k = zeros(5 * b->layout.n_x);
+    if (b->ip == NULL) return NULL;
+    memcpy(b->x, x0, b->layout.n_x * sizeof(double));
+    memcpy(b->p, parameters, b->layout.n_p * sizeof(double));
+    memcpy(b->ip, integers, b->layout.n_ip * sizeof(int));
+    return block_start(b, 0.0, &c->message) == BLOCK_OK ? c : NULL;
+}
+
+/* CPU seconds of `steps` steps of length h. */
+double plain_run(void *plant, long steps, double h)
+{
+    Plain *c = plant;
+    Block *b = &c->block;
+    const size_t n = b->layout.n_x;
+    double *k1 = c->k, *k2 = k1 + n, *k3 = k2 + n, *k4 = k3 + n, *x = k4 + n;
+    const clock_t begin = clock();
+
+    for (long step = 0; step < steps; ++step) {
+        plant_flow(b->memory, b->x, b->u, k1, b->scratch);
+        for (size_t i = 0; i < n; ++i) x[i] = b->x[i] + h / 2.0 * k1[i];
+        plant_flow(b->memory, x, b->u, k2, b->scratch);
+        for (size_t i = 0; i < n; ++i) x[i] = b->x[i] + h / 2.0 * k2[i];
+        plant_flow(b->memory, x, b->u, k3, b->scratch);
+        for (size_t i = 0; i < n; ++i) x[i] = b->x[i] + h * k3[i];
+        plant_flow(b->memory, x, b->u, k4, b->scratch);
+        for (size_t i = 0; i < n; ++i) b->x[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
+    }
+    return (double)(clock() - begin) / CLOCKS_PER_SEC;
+}

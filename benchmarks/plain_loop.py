@@ -1,0 +1,67 @@
+"""The plant of a case in a plain C loop: the yardstick for what the FMU's interface costs."""
+
+from __future__ import annotations
+
+import ctypes
+import shlex
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import interarea.models.record
+from interarea.models.plant_block import plant_block
+from interarea.models.record import pack_record
+from interarea.models.variables import Block
+
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
+
+
+def compiled(block: Block, folder: Path) -> ctypes.CDLL:
+    """Compile the loop with the sources of the block, by the compiler of the FMUs."""
+    import os
+
+    compiler = shlex.split(os.environ.get("CC", "")) or [sys.executable, "-m", "ziglang", "cc"]
+    models = Path(interarea.models.record.__file__).parent
+    includes = [f"-I{models / name}" for name in ("plant", "block")]
+    library = folder / "plain_loop.so"
+    sources = [str(Path(__file__).with_name("plain_loop.c")), *map(str, block.sources)]
+    command = [*compiler, *FLAGS, *includes, "-shared", "-fPIC", "-o", str(library), *sources, "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command)}\n{done.stderr}")
+    return ctypes.CDLL(str(library))
+
+
+class PlainPlant:
+    """One plant at its operating point, stepped by `plain_loop.c`."""
+
+    def __init__(self, case: object) -> None:
+        block = plant_block(case)  # type: ignore[arg-type]
+        with tempfile.TemporaryDirectory() as folder:
+            self._c = compiled(block, Path(folder))
+        self._c.plain_open.restype = ctypes.c_void_p
+        self._c.plain_run.restype = ctypes.c_double
+        table = block.table
+        values = [
+            np.array([v.start for v in table.of_role(role, integers=integers)], dtype=kind)
+            for role, integers, kind in (
+                ("state", False, np.float64),
+                ("parameter", False, np.float64),
+                ("parameter", True, np.intc),
+            )
+        ]
+        packed = pack_record(block.data)
+        self._keep = [np.frombuffer(packed, dtype=np.uint8).copy(), *values]
+        counts = (ctypes.c_size_t * 9)(*(int(n) for n in table.layout()))
+        pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in self._keep]
+        self._plant = self._c.plain_open(pointers[0], ctypes.c_size_t(len(packed)), counts, *pointers[1:])
+        if not self._plant:
+            raise RuntimeError(f"{block.name}: the plant refuses to start")
+
+    def cpu_s(self, stop_s: float, step_s: float) -> float:
+        """Return the CPU seconds of a run of `stop_s` in steps of `step_s`."""
+        plant, steps = ctypes.c_void_p(self._plant), ctypes.c_long(round(stop_s / step_s))
+        return float(self._c.plain_run(plant, steps, ctypes.c_double(step_s)))
