@@ -90,7 +90,7 @@ def voltage_difference(case: Case, found: Mapping[str, Any]) -> float:
 
 
 def eigenvalue_difference(case: Case, found: Mapping[str, Any]) -> float:
-    """Largest distance from a swing mode of ours (1 < Im < 12 rad/s, Re > -5) to their nearest eigenvalue, 1/s."""
+    """Largest distance from our swing modes (1 < Im < 12, Re > -5) to their nearest eigenvalues, 1/s."""
     theirs = np.array([complex(*z) for z in found["eigenvalues"]])
     ours = np.linalg.eigvals(linear_plant(case, default_cache()).A)
     swing = [z for z in ours if 1.0 < z.imag < 12.0 and z.real > -5.0]
