@@ -18,6 +18,10 @@ class GraphError(ValueError):
     """Connections that do not fit the participants they name."""
 
 
+class SweepError(ValueError):
+    """A sweep that cannot run as written, or results that do not belong to it."""
+
+
 class StepError(RuntimeError):
     """A run that stopped: which instance, in which call, at what time, and its last log line.
 

@@ -33,7 +33,7 @@ Controllers = Callable[[str, Any], "Controller"]
 Array = npt.NDArray[np.float64]
 _PLANT, _CONTROLLER = "plant", "controller"
 _MAX_OUTAGES = 8
-_SLOTS = 8
+EVENT_SLOTS = 8  #: of the plant FMU; a scenario with more events gets one of its own
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class Loop:
     def result(self, trajectory: Trajectory | None = None) -> Run:
         """Return the run so far as a `Run`."""
         done = self.master.trajectory if trajectory is None else trajectory
-        packets = {n: c for n in self.channels if (c := _packets(self.master.participants[n]))}
+        packets = {n: c for n in self.channels if (c := packet_counts(self.master.participants[n]))}
         return Run(
             self.scenario,
             self.case,
@@ -182,8 +182,8 @@ def assemble(
 
     folder = artefacts.default_cache() if cache is None else cache
     case = load_case(scenario.case_path)
-    slots = max(_SLOTS, len(scenario.event))
-    if slots == _SLOTS:
+    slots = max(EVENT_SLOTS, len(scenario.event))
+    if slots == EVENT_SLOTS:
         plant_file = artefacts.plant_fmu(case, folder)
     else:
         plant_file = artefacts.block_fmu(plant_block(case, event_slots=slots), folder)
@@ -310,6 +310,7 @@ def controller_of(
     return artefacts.design_controller(case, scenario.controller, cache)
 
 
-def _packets(participant: Any) -> dict[str, float]:
+def packet_counts(participant: FmuParticipant) -> dict[str, float]:
+    """Return what a channel counted; empty for an instance that counts nothing."""
     known = participant.file.variables
     return {name: participant.value_of(name) for name in PACKET_VARIABLES if name in known}

@@ -1,0 +1,276 @@
+"""Runs of a sweep in one process, on FMU instances that stay alive and are reset from run to run."""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from interarea.fmu_build.package import build_fmu
+from interarea.models.case import Case
+from interarea.models.plant_block import plant_block
+
+from .artefacts import channel_fmu, controller_fmu, plant_fmu
+from .errors import StepError
+from .fmu_file import FmuFile
+from .instances import FmuParticipant
+from .instances import Value as Start
+from .run import EVENT_SLOTS, Loop, Wiring, wire
+from .sweep_plan import SweepPlan
+from .sweep_point import CaseChange, Point, point_of
+from .sweep_rows import Outcome, Row, failed_row, measure, start_row, trajectory_table
+from .sweep_values import Value
+from .trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from interarea.design.controller import Controller
+
+_KEPT = 4  # sets of instances that stay alive
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+class TimeUpError(RuntimeError):
+    """A run computes longer than the sweep allows."""
+
+
+@dataclass
+class _Plant:
+    """A case of the sweep as an FMU; `own` files go when it is no longer needed."""
+
+    case: Case
+    file: FmuFile
+    own: bool
+
+    def close(self) -> None:
+        self.file.close()
+        if self.own:
+            self.file.path.unlink(missing_ok=True)
+
+
+@dataclass
+class _Kept:
+    """Live instances for one structure (case, controller, channels), and the loop made of them last."""
+
+    participants: dict[str, FmuParticipant] = field(default_factory=dict)
+    key: Any = None
+    loop: Loop | None = None
+
+    def close(self) -> None:
+        for p in self.participants.values():
+            p.close()
+
+
+class Runner:
+    """Makes outcomes of runs, one after the other; the same run gives the same outcome whatever ran before.
+
+    cache : artefacts that stay (FMUs of unchanged cases, binaries). scratch : folder for what goes again.
+    """
+
+    def __init__(self, plan: SweepPlan, cache: Path, scratch: Path) -> None:
+        self.plan, self.cache, self.scratch = plan, cache, scratch
+        self._plants: OrderedDict[tuple[CaseChange, int], _Plant] = OrderedDict()
+        self._kept: OrderedDict[Any, _Kept] = OrderedDict()
+        self._controllers: dict[tuple[str, str], tuple[Controller | None, FmuFile | None]] = {}
+        self._cases: dict[str, Case] = {}
+        self._channel: FmuFile | None = None
+
+    def __enter__(self) -> Runner:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def outcome(self, run: int) -> Outcome:
+        """Return what run number `run` gives; a failure is an outcome, only a full disk is raised."""
+        sweep = self.plan.sweep
+        try:
+            values = sweep.values(run)
+            if sweep.searched is not None:
+                return Outcome(self._search(run, values))
+            loop, curves = self.simulate(values)
+            row = start_row(run, values) | measure(loop, curves, sweep.metrics, self.plan.modes)
+            return Outcome(row, self._wanted(run, curves, loop))
+        except TimeUpError as error:
+            return self._failed(run, "time limit", error)
+        except StepError as error:
+            kind = "not finite" if any(f" is {v}" in str(error) for v in ("nan", "inf", "-inf")) else "fmu"
+            self._free_instances()  # after an FMU's error its instance is not to be trusted
+            return self._failed(run, kind, error)
+        except MemoryError:
+            raise
+        except OSError as error:
+            if error.errno in _FULL:
+                raise
+            return self._failed(run, "internal", error)
+        except Exception as error:  # a failing run is a row, never the end of a sweep
+            ours = type(error).__module__.startswith("interarea")
+            return self._failed(run, "invalid" if ours else "internal", error)
+
+    def simulate(self, values: Mapping[str, Value], *, seed: int | None = None) -> tuple[Loop, Trajectory]:
+        """Run the point where the sweep's parameters have `values`, all channels seeded from `seed` if given.
+
+        Raises
+        ------
+        TimeUpError, StepError, ScenarioError, CaseError, PowerFlowError
+        """
+        point = point_of(self.plan.sweep, values, seed=seed)
+        loop = self._loop(point)
+        limit = self.plan.sweep.time_limit_s
+        end = time.monotonic() + limit
+
+        def watch(now_s: float, stop_s: float) -> None:
+            if time.monotonic() > end:
+                raise TimeUpError(f"more than {limit:g} s of computing, at t = {now_s:g} of {stop_s:g} s")
+
+        loop.master.start()
+        return loop, loop.master.run(progress=watch)
+
+    def close(self) -> None:
+        """Free all instances and remove what is in the scratch folder."""
+        self._free_instances()
+        for plant in self._plants.values():
+            plant.close()
+        self._plants.clear()
+
+    # -- private --------------------------------------------------------------------------
+
+    def _free_instances(self) -> None:
+        for kept in self._kept.values():
+            kept.close()
+        self._kept.clear()
+
+    def _failed(self, run: int, failure: str, error: BaseException) -> Outcome:
+        reason = str(error) if failure != "internal" else f"{type(error).__name__}: {error}"
+        return Outcome(failed_row(self.plan.sweep, run, failure, reason))
+
+    def _wanted(self, run: int, curves: Trajectory, loop: Loop) -> Any:
+        keep = self.plan.sweep.trajectories.keep
+        if keep == "none":
+            return None
+        if keep == "unstable" and measure(loop, curves, ("stable",), ())["stable"]:
+            return None
+        return trajectory_table(self.plan.sweep, run, curves)
+
+    def _search(self, run: int, values: dict[str, Value]) -> Row:
+        """Bisection for the edge of stability in the searched parameter."""
+        sweep = self.plan.sweep
+        assert sweep.searched is not None
+        name, search = sweep.searched
+        counted = 0
+
+        def stable(at: float) -> bool:
+            nonlocal counted
+            for seed in range(search.seeds):
+                loop, curves = self.simulate({**values, name: at}, seed=seed if search.seeds > 1 else None)
+                counted += 1
+                if not measure(loop, curves, ("stable",), ())["stable"]:
+                    return False
+            return True
+
+        row = start_row(run, values)
+        span = search.high - search.low
+        good: float | None = None
+        bad: float | None = None
+        for k in range(search.scan):
+            at = round(search.low + span * k / (search.scan - 1), 9)
+            if not stable(at):
+                bad = at
+                break
+            good = at
+        while good is not None and bad is not None and bad - good > search.tolerance:
+            middle = round(0.5 * (good + bad), 9)
+            if middle in (good, bad):
+                break
+            if stable(middle):
+                good = middle
+            else:
+                bad = middle
+        return row | {name: good, f"{name}_unstable": bad, "evaluations": counted}
+
+    def _loop(self, point: Point) -> Loop:
+        scenario = point.scenario
+        slots = max(EVENT_SLOTS, len(scenario.event))
+        plant = self._plant(point.change, slots)
+        controller = self._controller(point.change.case, scenario.controller)
+        channel = self._channel_file() if scenario.channels else None
+        wiring = wire(scenario, plant.case, plant=plant.file, controller=controller, channel=channel)
+        if controller is not None:
+            wiring.instances["controller"][1].update(_controller_start(controller, point))
+        kept = self._instances((point.change, slots, scenario.controller, tuple(wiring.instances)), wiring)
+        delays = tuple(max(c.latency_s, c.pdc_wait_s) for c in scenario.channels.values())
+        key = (
+            scenario.stop_s,
+            scenario.step_s,
+            scenario.marks_s,
+            delays,
+            scenario.master,
+            wiring.connections,
+        )
+        if kept.loop is None or kept.key != key:
+            master = wiring.master(scenario, kept.participants.values())
+            kept.loop, kept.key = Loop(scenario, plant.case, master, list(scenario.channels)), key
+        kept.loop.scenario = scenario
+        return kept.loop
+
+    def _instances(self, structure: Any, wiring: Wiring) -> _Kept:
+        kept = self._kept.pop(structure, None) or _Kept()
+        for name, (file, start) in wiring.instances.items():
+            if name in kept.participants:
+                kept.participants[name].set_start(start)
+            else:
+                kept.participants[name] = FmuParticipant(name, file, start)
+        self._kept[structure] = kept
+        while len(self._kept) > _KEPT:
+            self._kept.popitem(last=False)[1].close()
+        return kept
+
+    def _plant(self, change: CaseChange, slots: int) -> _Plant:
+        key = (change, slots)
+        found = self._plants.pop(key, None)
+        if found is None:
+            base = self._cases.setdefault(change.case, self.plan.case(change.case))
+            case = change.apply(base)
+            own = case is not base or slots != EVENT_SLOTS
+            if own:
+                block = plant_block(case, event_slots=slots)
+                path = self.scratch / f"plant-{case.hash}-{slots}.fmu"
+                build_fmu(block, path, cache=self.cache)
+            else:
+                path = plant_fmu(case, self.cache)
+            found = _Plant(case, FmuFile(path), own)
+        self._plants[key] = found
+        while len(self._plants) > _KEPT:
+            old, plant = self._plants.popitem(last=False)
+            for structure in [s for s in self._kept if s[:2] == old]:
+                self._kept.pop(structure).close()
+            plant.close()
+        return found
+
+    def _controller(self, case: str, name: str) -> FmuFile | None:
+        if name == "none":
+            return None
+        key = (case, name)
+        if key not in self._controllers:
+            made = self.plan.controller(case, name)
+            assert made is not None
+            base = self._cases.setdefault(case, self.plan.case(case))
+            self._controllers[key] = (made, FmuFile(controller_fmu(made, base.omega_b, self.cache)))
+        return self._controllers[key][1]
+
+    def _channel_file(self) -> FmuFile:
+        if self._channel is None:
+            self._channel = FmuFile(channel_fmu(self.cache))
+        return self._channel
+
+
+def _controller_start(file: FmuFile, point: Point) -> dict[str, Start]:
+    start: dict[str, Start] = {}
+    if point.gain != 1.0:
+        for v in file.model.modelVariables:
+            if v.causality == "parameter" and v.name[:2] in ("C[", "D[") and float(v.start) != 0.0:
+                start[v.name] = point.gain * float(v.start)
+    return start | dict(point.controller_start)

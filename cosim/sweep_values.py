@@ -1,0 +1,273 @@
+"""The values one parameter of a sweep takes: listed, in a range, sampled, or searched for.
+
+Draws depend on the seed, the parameter's name and the number of the sample only (a counter-based generator),
+so every run knows its values without the runs before it, and every cell of a grid sees the same samples.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.special import ndtri
+
+Value = float | int | bool | str | tuple[Any, ...]
+_MOST_LISTED = 10_000_000
+TIME_DIGITS = 9  # the clock's tick is 1 ns: sampled times are rounded to it
+
+
+class Table(BaseModel):
+    """A table of a sweep file: no unknown keys, nothing infinite."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Range(Table):
+    """From `start` to `stop`: by `step`, or `count` values evenly spaced on a linear or logarithmic scale."""
+
+    start: float
+    stop: float
+    step: float | None = None
+    count: Annotated[int, Field(ge=1)] | None = None
+    scale: Literal["linear", "log"] = "linear"
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if (self.step is None) == (self.count is None):
+            raise ValueError("a range has step or count, allowed: exactly one of them")
+        if self.step is not None:
+            if self.scale == "log":
+                raise ValueError("a range by step is linear, allowed: count with scale = 'log'")
+            if not self.step * (self.stop - self.start) >= 0.0 or self.step == 0.0:
+                raise ValueError(
+                    f"step = {self.step:g} never leads from {self.start:g} to {self.stop:g}, "
+                    "allowed: a step towards stop"
+                )
+        _check_scale(self.scale, self.start, self.stop)
+        return self
+
+    @property
+    def size(self) -> int:
+        """Number of values."""
+        if self.count is not None:
+            return self.count
+        assert self.step is not None
+        steps = (self.stop - self.start) / self.step
+        return math.floor(steps * (1.0 + 1e-12) + 1e-9) + 1
+
+    def value(self, k: int) -> float:
+        """Return value number `k`; decimal steps stay decimal (0.3, not 0.30000000000000004)."""
+        if self.step is not None:
+            return _decimal(self.start + k * self.step)
+        assert self.count is not None
+        return _decimal(_between(self.start, self.stop, k / max(1, self.count - 1), self.scale))
+
+
+class Interval(Table):
+    """Between `low` and `high`, uniform on a linear or log scale; `digits` rounds (decimal places)."""
+
+    low: float
+    high: float
+    scale: Literal["linear", "log"] = "linear"
+    digits: Annotated[int, Field(ge=0, le=15)] | None = None
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if not self.low < self.high:
+            raise ValueError(f"low = {self.low:g}, high = {self.high:g}, allowed: low < high")
+        _check_scale(self.scale, self.low, self.high)
+        return self
+
+
+class Draw(Table):
+    """A random draw: uniform (`low`, `high`), normal (`mean`, `deviation`, cut to these), or `choose`."""
+
+    low: float | None = None
+    high: float | None = None
+    scale: Literal["linear", "log"] = "linear"
+    mean: float | None = None
+    deviation: Annotated[float, Field(gt=0.0)] | None = None
+    choose: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None
+    digits: Annotated[int, Field(ge=0, le=15)] | None = None
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        normal = self.mean is not None or self.deviation is not None
+        bounds = self.low is not None and self.high is not None
+        if self.choose is not None:
+            if normal or self.low is not None or self.high is not None:
+                raise ValueError(
+                    "a draw has choose, or low and high, or mean and deviation: one of these forms"
+                )
+            return self
+        if normal and (self.mean is None or self.deviation is None):
+            raise ValueError("a normal draw has both mean and deviation")
+        if not normal and not bounds:
+            raise ValueError("a draw has choose, or low and high, or mean and deviation: none is complete")
+        if self.low is not None and self.high is not None:
+            if not self.low < self.high:
+                raise ValueError(f"low = {self.low:g}, high = {self.high:g}, allowed: low < high")
+            _check_scale(self.scale, self.low, self.high)
+        return self
+
+    def at(self, u: float) -> Any:
+        """Return the value at probability `u`, 0 < u < 1."""
+        if self.choose is not None:
+            return self.choose[min(int(u * len(self.choose)), len(self.choose) - 1)]
+        if self.mean is None or self.deviation is None:
+            assert self.low is not None and self.high is not None
+            return _between(self.low, self.high, u, self.scale)
+        value = self.mean + self.deviation * float(ndtri(u))
+        low = -math.inf if self.low is None else self.low
+        high = math.inf if self.high is None else self.high
+        return min(max(value, low), high)
+
+
+class Search(Table):
+    """Where stability ends, by simulation: `scan` points from `low` to `high`, then halving to `tolerance`.
+
+    The first unstable point of the scan ends the bracket. With `seeds` above 1 a point counts as stable
+    when the runs with all of these seeds are.
+    """
+
+    low: float
+    high: float
+    tolerance: Annotated[float, Field(gt=0.0)]
+    scan: Annotated[int, Field(ge=2, le=1000)] = 9
+    seeds: Annotated[int, Field(ge=1, le=1000)] = 1
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if not self.low < self.high:
+            raise ValueError(f"low = {self.low:g}, high = {self.high:g}, allowed: low < high")
+        return self
+
+
+_FORMS = ("values", "range", "latin_hypercube", "random", "bisect")
+
+
+class Parameter(Table):
+    """One `[parameters.NAME]` table: where the value goes (`path`, default: the name) and which values."""
+
+    path: str | tuple[str, ...] | None = None
+    values: tuple[Any, ...] | None = None
+    range: Range | None = None
+    latin_hypercube: Interval | None = None
+    random: Draw | None = None
+    bisect: Search | None = None
+    unit: str = ""
+    label: str = ""
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        given = [f for f in _FORMS if getattr(self, f) is not None]
+        if len(given) != 1:
+            raise ValueError(
+                f"has {' and '.join(given) or 'no values'}, allowed: exactly one of {', '.join(_FORMS)}"
+            )
+        if self.values is not None:
+            seen: list[str] = []
+            for value in self.values:
+                if isinstance(value, float) and not math.isfinite(value):
+                    raise ValueError(f"values has {value}, allowed: finite numbers")
+                if isinstance(value, Mapping):
+                    raise ValueError(
+                        f"values has the table {value}, allowed: numbers, words, true/false, lists"
+                    )
+                if repr(value) in seen[-1000:]:
+                    raise ValueError(f"values has {value!r} twice: every run once")
+                seen.append(repr(value))
+        return self
+
+    @property
+    def sampled(self) -> bool:
+        """Whether the values are drawn for each sample instead of forming a grid."""
+        return self.latin_hypercube is not None or self.random is not None
+
+    @property
+    def size(self) -> int:
+        """Number of grid values; 1 for what is sampled or searched for."""
+        if self.values is not None:
+            return len(self.values)
+        return self.range.size if self.range is not None else 1
+
+    def grid_value(self, k: int) -> Value:
+        """Return grid value number `k`."""
+        if self.values is not None:
+            value = self.values[k]
+            return tuple(value) if isinstance(value, list) else value  # type: ignore[no-any-return]
+        assert self.range is not None
+        return self.range.value(k)
+
+    def drawn_value(self, name: str, seed: int, k: int, samples: int, *, is_time: bool) -> Value:
+        """Return the value of sample `k` of `samples`; a time is rounded to the clock's tick of 1 ns."""
+        if self.latin_hypercube is not None:
+            spread = self.latin_hypercube
+            cell = int(_permutation(seed, name, samples)[k])
+            u = (cell + unit_draw(seed, name, k)) / samples
+            value: Any = _between(spread.low, spread.high, u, spread.scale)
+            digits = spread.digits
+        else:
+            assert self.random is not None
+            value = self.random.at(unit_draw(seed, name, k))
+            digits = self.random.digits
+            if isinstance(value, list):
+                value = tuple(value)
+        if isinstance(value, float):
+            if digits is None and is_time:
+                digits = TIME_DIGITS
+            value = value if digits is None else round(value, digits)
+        return value  # type: ignore[no-any-return]
+
+    def probes(self) -> Sequence[Value]:
+        """Return values that show whether the parameter fits: all of a short grid, ends of the others."""
+        if self.latin_hypercube is not None:
+            return (self.latin_hypercube.low, self.latin_hypercube.high)
+        if self.bisect is not None:
+            return (self.bisect.low, self.bisect.high)
+        if self.random is not None:
+            if self.random.choose is not None:
+                return tuple(tuple(v) if isinstance(v, list) else v for v in self.random.choose[:200])
+            ends = [v for v in (self.random.low, self.random.high, self.random.mean) if v is not None]
+            return tuple(ends)
+        n = self.size
+        chosen = range(n) if n <= 200 else [*range(100), *range(n - 100, n)]
+        return tuple(self.grid_value(k) for k in chosen)
+
+
+def unit_draw(seed: int, name: str, k: int) -> float:
+    """Return draw number `k` of a parameter, uniform in (0, 1)."""
+    digest = hashlib.sha256(f"{seed}/{name}/{k}".encode()).digest()
+    return (int.from_bytes(digest[:7], "little") % 2**53 + 0.5) / 2**53
+
+
+def derived_seed(seed: int, name: str) -> int:
+    """Return the seed of channel `name` in a run with `seed`: 31 bits, different for each channel."""
+    return int.from_bytes(hashlib.sha256(f"{seed}/{name}".encode()).digest()[:4], "little") % 2**31
+
+
+@lru_cache(maxsize=64)
+def _permutation(seed: int, name: str, n: int) -> npt.NDArray[np.int64]:
+    key = int.from_bytes(hashlib.sha256(f"{seed}/{name}/cells".encode()).digest()[:16], "little")
+    return np.random.Generator(np.random.Philox(key=key)).permutation(n)
+
+
+def _between(low: float, high: float, u: float, scale: str) -> float:
+    if scale == "log":
+        return math.exp(math.log(low) + u * (math.log(high) - math.log(low)))
+    return low + u * (high - low)
+
+
+def _check_scale(scale: str, low: float, high: float) -> None:
+    if scale == "log" and not (low > 0.0 and high > 0.0):
+        raise ValueError(f"scale = 'log' from {low:g} to {high:g}, allowed: both above 0")
+
+
+def _decimal(value: float) -> float:
+    return float(f"{value:.12g}")
