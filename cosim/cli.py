@@ -13,6 +13,7 @@ import typer
 from .cli_check import check
 from .cli_design import certify, design
 from .cli_ssp import ssp
+from .cli_sweep import sweep
 from .terminal import busy, complain, print_table, stage_progress
 
 if TYPE_CHECKING:
@@ -175,6 +176,7 @@ app.command()(design)
 app.command()(certify)
 app.command()(check)
 app.command()(ssp)
+app.command()(sweep)
 
 
 def _modes(name: str) -> tuple[Case, control.StateSpace, Modes]:

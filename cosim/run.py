@@ -310,7 +310,7 @@ def controller_of(
     return artefacts.design_controller(case, scenario.controller, cache)
 
 
-def packet_counts(participant: FmuParticipant) -> dict[str, float]:
+def packet_counts(participant: Any) -> dict[str, float]:
     """Return what a channel counted; empty for an instance that counts nothing."""
     known = participant.file.variables
     return {name: participant.value_of(name) for name in PACKET_VARIABLES if name in known}

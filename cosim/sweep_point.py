@@ -93,7 +93,7 @@ def point_of(sweep: Sweep, values: Mapping[str, Value], *, seed: int | None = No
         for words in sweep.paths(name):
             root = words[0]
             if root == "case" and len(words) == 1:
-                case = table["case"] = value
+                case = table["case"] = str(value)
             elif root == "case" and len(words) == 2:
                 operating[words[1]] = value
             elif root == "case":

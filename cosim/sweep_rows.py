@@ -13,6 +13,7 @@ from typing import Any
 import pyarrow as pa
 
 from . import metrics as m
+from .instances import FmuParticipant
 from .ringdown import disturbance_end_s, fit_window, ring_down_of, swing_signal
 from .run import Loop, packet_counts
 from .sweep_plan import SweepPlan
@@ -69,7 +70,14 @@ def schema_of(plan: SweepPlan) -> pa.Schema:
             _field("evaluations", pa.int64(), "", "runs the search took"),
         ]
     if "stable" in wanted:
-        fields.append(_field("stable", pa.bool_(), "", "the swing between the areas decays"))
+        fields.append(
+            _field(
+                "stable",
+                pa.bool_(),
+                "",
+                "the swing between the areas decays and no control ends at its limit",
+            )
+        )
     for kind, unit in (("damping", "1"), ("frequency", "Hz")):
         if kind in wanted:
             text = f"{kind} of the mode in the ring-down; null: it does not show"
@@ -113,7 +121,7 @@ def measure(loop: Loop, curves: Trajectory, wanted: Sequence[str], modes: Sequen
     end = disturbance_end_s(scenario)
     row: Row = {}
     if "stable" in wanted:
-        row["stable"] = m.is_stable(time, signal, end)
+        row["stable"] = m.is_stable(time, signal, end) and not _saturated(loop, curves, end)
     if {"damping", "frequency", "fit_error"} & set(wanted):
         window = fit_window(scenario)
         window = (window[0], min(window[1], float(time[-1])))
@@ -135,7 +143,7 @@ def measure(loop: Loop, curves: Trajectory, wanted: Sequence[str], modes: Sequen
     if "energy" in wanted:
         row["energy"] = m.energy(time, signal)
     if "effort" in wanted:
-        controls = [c for c in curves.data if c.startswith("controller.")]
+        controls = [c for c in map(str, curves.data) if c.startswith("controller.")]
         row["effort"] = float(sum(m.energy(time, curves[c]) for c in controls))
     if "packets" in wanted:
         counts = [packet_counts(loop.master.participants[n]) for n in loop.channels]
@@ -144,11 +152,22 @@ def measure(loop: Loop, curves: Trajectory, wanted: Sequence[str], modes: Sequen
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
 
 
+def _saturated(loop: Loop, curves: Trajectory, end_s: float) -> bool:
+    """Whether a control is at its limit in the last quarter: a swing that neither grows nor decays."""
+    controller = loop.master.participants.get("controller")
+    if not isinstance(controller, FmuParticipant) or "limit" not in controller.file.variables:
+        return False
+    limit = controller.value_of("limit") * (1.0 - 1e-9)
+    late = curves.time_s >= end_s + 0.75 * (curves.time_s[-1] - end_s)
+    controls = [curves[c][late] for c in map(str, curves.data) if c.startswith("controller.")]
+    return any(len(u) > 0 and float(abs(u).max()) >= limit for u in controls)
+
+
 def trajectory_table(sweep: Sweep, run: int, curves: Trajectory) -> pa.Table:
     """Return a trajectory as a table with the run's number in front."""
     data = curves.data
     wanted = sweep.trajectories.columns
-    chosen = [c for c in data if c == "time_s" or not wanted or c in wanted]
+    chosen = [c for c in map(str, data) if c == "time_s" or not wanted or c in wanted]
     every = slice(None, None, sweep.trajectories.every)
     arrays = {c: pa.array(data[c].to_numpy()[every]) for c in chosen}
     return pa.table({"run": pa.array([run] * len(arrays["time_s"]), pa.int64()), **arrays})

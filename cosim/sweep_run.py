@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import time
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,6 +77,7 @@ class Runner:
         self._controllers: dict[tuple[str, str], tuple[Controller | None, FmuFile | None]] = {}
         self._cases: dict[str, Case] = {}
         self._channel: FmuFile | None = None
+        self.on_start: Callable[[], object] = _nothing  #: called when FMUs are ready and computing begins
 
     def __enter__(self) -> Runner:
         return self
@@ -119,6 +120,7 @@ class Runner:
         """
         point = point_of(self.plan.sweep, values, seed=seed)
         loop = self._loop(point)
+        self.on_start()
         limit = self.plan.sweep.time_limit_s
         end = time.monotonic() + limit
 
@@ -265,6 +267,23 @@ class Runner:
         if self._channel is None:
             self._channel = FmuFile(channel_fmu(self.cache))
         return self._channel
+
+
+def _nothing() -> None:
+    pass
+
+
+def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
+    """Build the FMUs of the unchanged cases and of the controllers; return the files."""
+    files = [channel_fmu(cache)]
+    cases = {name: plan.case(name) for name in plan.cases}
+    files += [plant_fmu(case, cache) for case in cases.values()]
+    for key in plan.controllers:
+        case, _, name = key.rpartition("/") if key.partition("/")[0] not in cases else key.partition("/")
+        made = plan.controller(case, name)
+        if made is not None:
+            files.append(controller_fmu(made, cases[case].omega_b, cache))
+    return files
 
 
 def _controller_start(file: FmuFile, point: Point) -> dict[str, Start]:

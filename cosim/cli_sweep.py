@@ -1,0 +1,89 @@
+"""Command `sweep`: many runs of one scenario."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .errors import SweepError
+
+if TYPE_CHECKING:
+    from .sweep_engine import Progress
+
+_EVERY_S = 10.0  # a line of progress where there is no terminal
+
+
+def sweep(
+    spec: Annotated[Path, typer.Argument(metavar="SWEEP.toml", help="sweep file", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
+    ],
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers", metavar="N", help="processes; default: one for each core", show_default=False
+        ),
+    ] = None,
+    large: Annotated[bool, typer.Option("--large", help="confirm a very large number of runs")] = False,
+) -> None:
+    """Run a scenario over many parameters; a sweep that was stopped goes on where it was."""
+    from .sweep_engine import run_sweep
+
+    if workers is not None and not workers >= 1:
+        raise SweepError(f"--workers = {workers}, allowed: at least 1")
+    show = _Display()
+    try:
+        summary = run_sweep(spec, out, workers=workers, large=large, progress=show)
+    except KeyboardInterrupt:
+        show.end()
+        print(f"interarea: stopped; the same command goes on with what is in {out}", file=sys.stderr)
+        raise typer.Exit(130) from None
+    show.end()
+    failures = ", ".join(f"{count} {kind}" for kind, count in summary["failures"].items())
+    typer.echo(
+        f"{summary['runs']} runs: {summary['ok']} ok ({summary['stable']} stable, "
+        f"{summary['unstable']} not), {summary['failed']} failed{f' ({failures})' if failures else ''}"
+    )
+    typer.echo(out)
+
+
+class _Display:
+    """Progress on stderr: one changing line on a terminal, else a line every ten seconds."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stderr.isatty()
+        self._last = 0.0 if self._terminal else time.monotonic()
+        self._width = 0
+
+    def __call__(self, p: Progress) -> None:
+        now = time.monotonic()
+        if now - self._last < (0.2 if self._terminal else _EVERY_S):
+            return
+        self._last = now
+        left = "" if p.left_s is None else f", {_duration(p.left_s)} left"
+        failed = f", {p.failed} failed" if p.failed else ""
+        text = (
+            f"{p.done} of {p.size} runs ({100.0 * p.done / p.size:.0f} %){failed}, {p.rate:.1f} runs/s{left}"
+        )
+        if self._terminal:
+            print(f"\r{text:<{self._width}}", end="", file=sys.stderr, flush=True)
+            self._width = len(text)
+        else:
+            print(text, file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        if self._terminal and self._width:
+            print(file=sys.stderr)
+            self._width = 0
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    if seconds < 5400.0:
+        return f"{seconds / 60.0:.0f} min"
+    return f"{seconds / 3600.0:.1f} h"

@@ -1,0 +1,202 @@
+"""Worker processes on this machine: they may die at any moment, no run is lost and none is done twice."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import shutil
+import signal
+import time
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+from .errors import SweepError
+from .sweep_plan import SweepPlan
+from .sweep_rows import Outcome, failed_row
+from .sweep_worker import work
+
+_KILLED, _CRASHED = 5, 2  # deaths with the same run under way before it counts as the cause
+_USELESS = 3  # workers that end before their first run
+_GRACE_S = 5.0  # beyond the time limit, for an FMU that does not come back from a call
+
+
+class _Worker:
+    """One process with what it was given and has not sent back."""
+
+    def __init__(self, number: int, plan: dict[str, Any], cache: Path, scratch: Path) -> None:
+        self.scratch = scratch / f"worker-{number}"
+        context = multiprocessing.get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        their_end, self._lifeline = context.Pipe(duplex=False)
+        self.process: BaseProcess = context.Process(
+            target=work, args=(theirs, their_end, plan, cache, self.scratch), daemon=True
+        )
+        self.process.start()
+        theirs.close()
+        their_end.close()
+        self.todo: dict[int, None] = {}
+        self.run: int | None = None
+        self.since: float | None = None  #: when the present run began to compute
+        self.served = False
+
+    def give(self, runs: list[int]) -> None:
+        self.todo = dict.fromkeys(runs)
+        with suppress(OSError):  # it died just now: noticed below
+            self.pipe.send(runs)
+
+    def kill(self) -> None:
+        self.process.kill()
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.join()
+        self.pipe.close()
+        self._lifeline.close()
+        shutil.rmtree(self.scratch, ignore_errors=True)
+
+
+def local_outcomes(
+    plan: SweepPlan, runs: Iterable[int], *, cache: Path, scratch: Path, workers: int, task: int
+) -> Iterator[list[Outcome]]:
+    """Yield outcomes of all `runs` as they come (an empty list now and then).
+
+    task : runs given to a worker at a time.
+
+    Raises
+    ------
+    SweepError : workers that cannot start. OSError : a worker's disk is full.
+    """
+    pool = _Pool(plan, iter(runs), cache, scratch, task)
+    try:
+        pool.start(workers)
+        while pool.workers:
+            yield pool.turn()
+    finally:
+        pool.close()
+
+
+class _Pool:
+    def __init__(self, plan: SweepPlan, runs: Iterator[int], cache: Path, scratch: Path, task: int) -> None:
+        self.plan, self.runs, self.cache, self.scratch, self.task = plan, runs, cache, scratch, task
+        self.document = plan.document()
+        self.workers: list[_Worker] = []
+        self.again: deque[int] = deque()  # of workers that died
+        self.deaths: Counter[tuple[int, bool]] = Counter()
+        self.started = self.useless = 0
+        self.limit_s = plan.sweep.time_limit_s + max(_GRACE_S, 0.5 * plan.sweep.time_limit_s)
+
+    def start(self, count: int) -> None:
+        for _ in range(count):
+            if (runs := self._next()) is None:
+                break
+            self._hire(runs)
+
+    def close(self) -> None:
+        for worker in self.workers:
+            worker.kill()
+        for worker in self.workers:
+            worker.close()
+
+    def turn(self) -> list[Outcome]:
+        """Wait a moment for messages; return the outcomes among them."""
+        found: list[Outcome] = []
+        pipes: dict[Any, _Worker] = {w.pipe: w for w in self.workers}
+        for pipe in wait(list(pipes), timeout=0.5):
+            self._listen(pipes[pipe], found)
+        now = time.monotonic()
+        for worker in self.workers:
+            if worker.since is not None and now - worker.since > self.limit_s and worker.run is not None:
+                found.append(self._failed(worker.run, "time limit", "did not come back from an FMU's call"))
+                worker.todo.pop(worker.run, None)
+                worker.run = worker.since = None
+                worker.kill()
+        return found
+
+    def _listen(self, worker: _Worker, found: list[Outcome]) -> None:
+        pipe: Connection = worker.pipe
+        try:
+            while pipe.poll():
+                message = pipe.recv()
+                if message[0] in ("build", "start"):
+                    worker.run = message[1]
+                    worker.since = time.monotonic() if message[0] == "start" else None
+                elif message[0] == "rows":
+                    worker.served = True
+                    for outcome in message[1]:
+                        if outcome.row["run"] in worker.todo:
+                            del worker.todo[outcome.row["run"]]
+                            found.append(outcome)
+                elif message[0] == "error":
+                    raise OSError(
+                        message[1], os.strerror(message[1]) if message[1] else message[2], message[2]
+                    )
+                else:
+                    worker.run = worker.since = None
+                    if (runs := self._next()) is None:
+                        self._dismiss(worker)
+                        return
+                    worker.give(runs)
+        except (EOFError, ConnectionError):
+            self._bury(worker, found)
+
+    def _bury(self, worker: _Worker, found: list[Outcome]) -> None:
+        """A worker died: its runs are done again, but for one that keeps killing workers."""
+        worker.process.join()
+        code = worker.process.exitcode
+        run = worker.run
+        if run is not None and run in worker.todo:
+            killed = code == -signal.SIGKILL if hasattr(signal, "SIGKILL") else False
+            self.deaths[run, killed] += 1
+            if self.deaths[run, killed] >= (_KILLED if killed else _CRASHED):
+                del worker.todo[run]
+                found.append(
+                    self._failed(run, "worker died", f"the process ended each time: {_ending(code)}")
+                )
+        elif not worker.served:
+            self.useless += 1
+            if self.useless >= _USELESS:
+                raise SweepError(
+                    f"{self.plan.sweep.name}: worker processes end before any run: {_ending(code)}"
+                )
+        self.again.extendleft(reversed(worker.todo))
+        self._dismiss(worker)
+        if (runs := self._next()) is not None:
+            self._hire(runs)
+
+    def _dismiss(self, worker: _Worker) -> None:
+        with suppress(OSError):
+            worker.pipe.send(None)
+        self.workers.remove(worker)
+        worker.close()
+
+    def _hire(self, runs: list[int]) -> None:
+        worker = _Worker(self.started, self.document, self.cache, self.scratch)
+        self.started += 1
+        self.workers.append(worker)
+        worker.give(runs)
+
+    def _next(self) -> list[int] | None:
+        runs: list[int] = []
+        while len(runs) < self.task:
+            run = self.again.popleft() if self.again else next(self.runs, None)
+            if run is None:
+                break
+            runs.append(run)
+        return runs or None
+
+    def _failed(self, run: int, kind: str, reason: str) -> Outcome:
+        return Outcome(failed_row(self.plan.sweep, run, kind, reason))
+
+
+def _ending(code: int | None) -> str:
+    if code is None or code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"signal {signal.Signals(-code).name}"
+    except ValueError:
+        return f"signal {-code}"
