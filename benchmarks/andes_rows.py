@@ -5,7 +5,7 @@ How a case maps, and what does not:
 round_rotor     -> GENROU (Xd2 = Xq2; saturation refused: GENROU has a quadratic one)
 static, _tgr    -> SEXS when TR = 0 (limits on the state, as here), else EXST1 (limits refused: ANDES 2.0
                    compares the rate feedback with them instead of the field voltage)
-dc1             -> IEEET1 without saturation (ANDES has a quadratic one)
+dc1             -> IEEET1, its quadratic saturation fitted to the exponential one at the operating point
 stabilizer      -> IEEEST, two lead-lags, no transducer;   tgov1 -> TGOV1
 loads           -> PQ; constant impedance, or one mix of P and one of Q for the whole grid
 events          -> Fault, Toggle
@@ -19,6 +19,7 @@ from typing import Any
 
 from interarea.models.case import Case
 from interarea.models.case_schema import Load, Machine
+from interarea.models.equilibrium import operating_point
 from interarea.models.powerflow import solve_powerflow
 
 Row = tuple[str, dict[str, Any]]
@@ -63,8 +64,10 @@ def rows_of(case: Case, events: Iterable[Any] = ()) -> list[Row]:
     for q in case.loads:
         power = {"p0": q.P_mw / case.base_mva, "q0": q.Q_mvar / case.base_mva}
         rows.append(("PQ", {"idx": q.name, "bus": q.bus, "Vn": KV, "u": int(q.in_service)} | power))
-    for m in case.machines:
-        rows += _machine(case, m, flow.generation[case.machines.index(m)])
+    for m, power, point in zip(
+        case.machines, flow.generation, operating_point(case, flow).machines, strict=True
+    ):
+        rows += _machine(case, m, power, point.efd)
     return rows + [row for event in events for row in _event(event)]
 
 
@@ -96,7 +99,7 @@ def _shares(load: Load, letter: str) -> tuple[float, float, float]:
     return tuple(1.0 if exponent == wanted else 0.0 for wanted in (2.0, 1.0, 0.0))
 
 
-def _machine(case: Case, m: Machine, power: complex) -> list[Row]:
+def _machine(case: Case, m: Machine, power: complex, efd: float) -> list[Row]:
     if m.model != "round_rotor" or m.Xd2 != m.Xq2 or (m.saturation and m.saturation.use != "none"):
         raise ValueError(f"machines.{m.name}: only round_rotor with Xd2 = Xq2 and no saturation is GENROU")
     here = {"bus": m.bus, "Vn": KV, "Sn": m.base_mva}
@@ -110,7 +113,7 @@ def _machine(case: Case, m: Machine, power: complex) -> list[Row]:
     machine |= {"Td10": m.Td01, "Td20": m.Td02, "Tq10": m.Tq01, "Tq20": m.Tq02}
     rows.append(("GENROU", machine))
     if m.exciter.kind != "constant":
-        rows.append(_exciter(m))
+        rows.append(_exciter(m, efd))
     if m.stabilizer is not None:
         rows.append(_stabilizer(m))
     if m.governor.kind == "tgov1":
@@ -123,7 +126,7 @@ def _machine(case: Case, m: Machine, power: complex) -> list[Row]:
     return rows
 
 
-def _exciter(m: Machine) -> Row:
+def _exciter(m: Machine, efd: float) -> Row:
     e = m.exciter
     row: dict[str, Any] = {"idx": f"{m.name} exciter", "syn": f"{m.name} machine"}
     if e.kind in ("static", "static_tgr"):
@@ -139,16 +142,14 @@ def _exciter(m: Machine) -> Row:
         return "EXST1", row | {"TR": e.TR, "TC": TC, "TB": TB, "KA": e.KA, "TA": e.TA} | wide
     if e.kind != "dc1" or e.KE == "self-excited":
         raise ValueError(f"machines.{m.name}.exciter: {e.kind} is not represented")
-    if e.Aex:
-        raise ValueError(
-            f"machines.{m.name}.exciter.Aex = {e.Aex:g}: ANDES saturates quadratically, allowed: 0"
-        )
     if e.TB:
         raise ValueError(f"machines.{m.name}.exciter.TB = {e.TB:g}: IEEET1 has no lead-lag, allowed: 0")
     limits = {"VRMAX": _or(e.VRmax, FAR), "VRMIN": _or(e.VRmin, -FAR)}
     times = {"TR": e.TR, "TA": e.TA, "TE": e.TE, "TF": e.TF}
-    linear = {"E1": 0.0, "SE1": 0.0, "E2": 0.0, "SE2": 0.0}
-    return "IEEET1", row | {"KA": e.KA, "KE": e.KE, "KF": e.KF} | times | limits | linear
+    saturation = {"E1": 0.0, "SE1": 0.0, "E2": 0.0, "SE2": 0.0}
+    for number, volts in ((1, 0.99 * efd), (2, 1.01 * efd)) if e.Aex else ():
+        saturation |= {f"E{number}": volts, f"SE{number}": e.Aex * math.exp(e.Bex * volts)}
+    return "IEEET1", row | {"KA": e.KA, "KE": e.KE, "KF": e.KF} | times | limits | saturation
 
 
 def _stabilizer(m: Machine) -> Row:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-from compare_andes import THYRISTOR, TRIP, ask_andes, two_area
+from compare_andes import THYRISTOR, TRIP, ask_andes, impedance_loads, two_area
 from fmu_run import PlantSlave
 from plain_loop import PlainPlant
 
@@ -31,17 +31,6 @@ STOP_S = 10.0
 COMMUNICATION_S = 0.04
 SUBSTEPS_S = (0.001, 0.004, 0.02)
 CURRENT = {"loads": {"L7": {"P_exponent": 1.0}, "L9": {"P_exponent": 1.0}}}
-
-
-def impedance_loads(case: Case) -> Case:
-    """The case with every load as an impedance."""
-    rows = {}
-    for load in case.loads:
-        keys = [(letter, getattr(load, f"{letter}_zip") is not None) for letter in "PQ"]
-        rows[load.name] = {
-            f"{c}_zip" if mix else f"{c}_exponent": [1.0, 0.0, 0.0] if mix else 2.0 for c, mix in keys
-        }
-    return case.with_changes({"loads": rows}, name=f"{case.name}-z")
 
 
 def against_andes(case: Case, python: str, repeat: int) -> dict[str, Any]:

@@ -11,19 +11,31 @@ from interarea.cosim.artefacts import plant_fmu
 from interarea.design.linearise import linearise
 from interarea.design.modes import Modes, modes_of
 from interarea.fmu_build.open import open_plant
-from interarea.models.case import load_case
+from interarea.models.case import Case, load_case
+
+
+def with_impedance_loads(case: Case) -> Case:
+    rows = {}
+    for load in case.loads:
+        rows[load.name] = {
+            f"{letter}_zip" if getattr(load, f"{letter}_zip") else f"{letter}_exponent": value
+            for letter in "PQ"
+            for value in [[1.0, 0.0, 0.0] if getattr(load, f"{letter}_zip") else 2.0]
+        }
+    return case.with_changes({"loads": rows})
 
 
 @pytest.fixture(scope="module")
 def linear(cache):
     """Linear models of the FMUs by case, made once."""
-    made: dict[str, control.StateSpace] = {}
+    made: dict[tuple[str, bool], control.StateSpace] = {}
 
-    def make(name: str) -> control.StateSpace:
-        if name not in made:
-            with open_plant(plant_fmu(load_case(name), cache)) as plant:
-                made[name] = linearise(plant)
-        return made[name]
+    def make(name: str, *, impedance: bool = False) -> control.StateSpace:
+        if (name, impedance) not in made:
+            case = with_impedance_loads(load_case(name)) if impedance else load_case(name)
+            with open_plant(plant_fmu(case, cache)) as plant:
+                made[name, impedance] = linearise(plant)
+        return made[name, impedance]
 
     return make
 
@@ -65,3 +77,26 @@ def test_swing_modes_of_kundur(modes, row):
         if quantity in row:
             wanted = printed.approx_printed(row[quantity], row.get("gap", {}).get(quantity))
             assert value == wanted, (quantity, row[quantity], value)
+
+
+@pytest.mark.parametrize("name", ["new-england", "nets-nyps"])
+def test_every_swing_mode_of_another_tool(name, linear):
+    """ANDES on the same rows: 9 and 15 modes of 10 and 16 machines, each found once."""
+    wanted = [r for r in printed.rows("modes_andes") if r["case"] == name]
+    found = [
+        e for e in np.linalg.eigvals(linear(name, impedance=True).A) if 2.0 < e.imag < 12.0 and e.real > -3.2
+    ]
+    assert len(found) == len(wanted) == len(load_case(name).machines) - 1
+    for row in wanted:
+        real, imag = (printed.approx_printed(row[key], CLOSE) for key in ("real", "imag"))
+        assert len([e for e in found if e.real == real and e.imag == imag]) == 1, row
+
+
+CLOSE = {"allow": 6e-4, "because": "half a unit of the last digit, and 3e-5 between the tools"}
+
+
+def test_nets_nyps_has_four_inter_area_modes(modes):
+    """Five areas: four modes below 1 Hz in which areas swing against each other."""
+    found = modes("nets-nyps")
+    slow = [name for name in found if found[name].frequency_hz < 0.9]
+    assert sorted(slow) == [f"inter-area {k}" for k in (1, 2, 3, 4)]
