@@ -69,7 +69,7 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
 
     Raises
     ------
-    CaseError : a device the plant does not model, a limit that excludes the operating point, or a power flow
+    CaseError : a machine without dynamic data, a limit that excludes the operating point, or a power flow
         that is not one of this case.
 
     >>> from interarea.models.case import load_case
@@ -78,7 +78,6 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
     (32, 'G1_vs')
     """
     require_dynamics(case)
-    _supported(case)
     if power_flow is None:
         power_flow = solve_powerflow(case)
     bus = machine_bus_index(case)
@@ -90,7 +89,7 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
     for k, m in enumerate(case.machines):
         i = current[k] / base[k]
         delta[k] = rotor_angle(m, complex(voltage[k]), complex(i))
-        emf[k] = voltage[k] + complex(m.Ra, _reactance(m, "Xd2")) * i
+        emf[k] = voltage[k] + complex(m.Ra, m.number("Xd1" if m.model == "classical" else "Xd2")) * i
     solved, current, load_volts = _network(case, power_flow, emf)
     worst = int(np.argmax(np.abs(solved - power_flow.voltages)))
     error = abs(solved[worst] - power_flow.voltages[worst])
@@ -103,7 +102,7 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
     for k, m in enumerate(case.machines):
         i, gap = complex(current[k] / base[k]), None
         if has_port(m):
-            terminal = complex(emf[k]) - complex(m.Ra, _reactance(m, "Xd2")) * i
+            terminal = complex(emf[k]) - complex(m.Ra, m.number("Xd2")) * i
             delta[k] = rotor_angle(m, terminal, i)
             gap = air_gap(m, terminal, i, float(delta[k]))
         points.append(_machine_point(m, float(delta[k]), complex(emf[k]), i, gap))
@@ -112,8 +111,10 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
 
 
 def rotor_angle(m: Machine, voltage: complex, current: complex) -> float:
-    """Return the angle of the q axis of `m` at a terminal phasor, machine base, rad."""
-    Xq, Xl = _reactance(m, "Xq"), _reactance(m, "Xl")
+    """Return the angle of the q axis (classical: of the EMF) at a terminal phasor, machine base, rad."""
+    if m.model == "classical":
+        return float(np.angle(voltage + complex(m.Ra, m.number("Xd1")) * current))
+    Xq, Xl = m.number("Xq"), m.number("Xl")
     if saturation_of(m) is not None:
         factor = saturation_factor(m, abs(voltage + complex(m.Ra, Xl) * current))
         Xq = Xl + (Xq - Xl) / (1.0 + factor)
@@ -159,23 +160,22 @@ def _linear_network(
     return np.asarray(voltages, dtype=complex), np.asarray(norton * (emf - voltages[bus]), dtype=complex)
 
 
-def _reactance(m: Machine, key: str) -> float:
-    """One reactance of a sixth-order machine, which the case has checked to be there."""
-    return float(getattr(m, key))
-
-
 def _machine_point(
     m: Machine, delta: float, emf: complex, current: complex, gap: AirGap | None
 ) -> MachinePoint:
     """The machine at rest; `emf` is that behind Ra + j Xd2, which with a port is not eq2 - j ed2."""
-    Xd, Xd1, Xd2, Xq1, Xq2 = (_reactance(m, key) for key in ("Xd", "Xd1", "Xd2", "Xq1", "Xq2"))
+    if m.model == "classical":
+        drop = complex(m.Ra, m.number("Xd1")) * current
+        power = float((emf * np.conj(current)).real)
+        return MachinePoint(delta, 0.0, 0.0, abs(emf), 0.0, abs(emf), power, abs(emf - drop))
+    Xd, Xd1, Xd2, Xq1, Xq2 = (m.number(key) for key in ("Xd", "Xd1", "Xd2", "Xq1", "Xq2"))
     turn = np.exp(-1j * delta)
     e, i = emf * turn, current * turn
     eq2, ed2, iq, id_ = e.real, -e.imag, i.real, -i.imag
     if gap is not None:
         ed2 -= (Xq2 - Xd2) * iq
     isd, isq = (0.0, 0.0) if gap is None else (gap.isd, gap.isq)
-    Xl = _reactance(m, "Xl")
+    Xl = m.number("Xl")
     eq2_rotor, ed2_rotor = eq2 + (Xd2 - Xl) * isd, ed2 - (Xq2 - Xl) * isq
     eq1 = eq2_rotor + (Xd1 - Xd2) * (id_ + isd)
     return MachinePoint(
@@ -254,6 +254,8 @@ def _machine_states(
     states = []
     for key, (unit, description) in words.items():
         for k, (m, point) in enumerate(zip(case.machines, points, strict=True)):
+            if m.model == "classical" and key not in ("delta", "slip"):
+                continue
             own = frozenset({f"{m.name}.{key}"})
             depends = {
                 "delta": frozenset({f"{m.name}.slip"}),
@@ -266,11 +268,3 @@ def _machine_states(
             start = 0.0 if key == "slip" else float(getattr(point, key))
             states.append(State(f"{m.name}.{key}", start, unit, description, depends))
     return states
-
-
-def _supported(case: Case) -> None:
-    for m in case.machines:
-        if m.model != "round_rotor":
-            raise CaseError(
-                f"{case.name}: machines.{m.name}.model = {m.model!r} is not modelled by the plant yet"
-            )

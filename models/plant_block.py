@@ -15,7 +15,7 @@ from .equilibrium import OperatingPoint, operating_point
 from .events import check_events, target_index
 from .network import branch_stamp, bus_index, load_power, machine_bus_index, shunt_admittance
 from .plant_ports import port_table
-from .plant_tables import NO_LIMIT, Device, Parameter, machine_table, network_states
+from .plant_tables import NO_LIMIT, Device, Parameter, in_plant_order, machine_table, network_states
 from .variables import Block, Enumeration, Variable, VariableTable
 
 _HERE = Path(__file__).parent
@@ -74,6 +74,7 @@ def plant_block(case: Case, *, event_slots: int = 8) -> Block:
     """
     if not 0 <= event_slots <= 1000:
         raise CaseError(f"{case.name}: event_slots = {event_slots}, allowed: 0 to 1000")
+    original, case = case, in_plant_order(case)
     point = operating_point(case)
     devices = ((1, point.exciters), (2, point.stabilizers), (3, point.governors))
     parameters = [
@@ -92,7 +93,7 @@ def plant_block(case: Case, *, event_slots: int = 8) -> Block:
         table=VariableTable(variables),
         data=_data(case, point, parameters, event_slots),
         sources=SOURCES,
-        provenance={"case": case.name, "case hash": case.hash, "source": case.source},
+        provenance={"case": case.name, "case hash": original.hash, "source": case.source},
     )
 
 
@@ -103,7 +104,7 @@ def event_parameters(case: Case, events: Iterable[Any]) -> dict[str, float | int
     ------
     CaseError : a target that does not exist (with the nearest names), trips that cut the network in pieces.
     """
-    events = list(events)
+    events, case = list(events), in_plant_order(case)
     check_events(case, events)
     values: dict[str, float | int] = {}
     for k, event in enumerate(events, start=1):
@@ -232,7 +233,9 @@ def _event_variables(slots: int) -> list[Variable]:
         variables.append(
             Variable(name, "parameter", "what happens", type="Enumeration", start=0, enumeration=kind)
         )
-        text = "number of the bus, branch, machine, load or shunt in the case, from 1"
+        text = (
+            "number of the bus, branch, machine, load or shunt in the case, from 1; classical machines last"
+        )
         variables.append(Variable(f"event[{k}].target", "parameter", text, type="Integer", start=1))
     return variables
 
@@ -247,7 +250,8 @@ def _data(
     branches = case.tie.branches if case.tie else ()
     tie = [next(k for k, b in enumerate(case.branches) if b.name == name) for name in branches]
     ends = [int(case.branches[k].from_bus != case.tie.from_bus) for k in tie] if case.tie else []
-    counts = [len(case.machines), len(case.machines), len(case.buses), len(case.branches), len(case.loads)]
+    sixth = sum(m.model == "round_rotor" for m in case.machines)
+    counts = [len(case.machines), sixth, len(case.buses), len(case.branches), len(case.loads)]
     counts += [len(point.exciters), len(point.stabilizers), len(point.governors), len(tie), slots]
     ports = port_table(case, point.load_volts, list(range(len(case.machines))), list(point.gaps))
     counts += [len(case.shunts), len(parameters), len(ports)]

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .case import Case
+from .case_schema import Machine
 
 NO_LIMIT = 1e30  #: stands for an absent limit
 
@@ -66,18 +67,34 @@ class MachinePoint:
     vt: float
 
 
+#: states through which a machine acts on the network
+NETWORK_KEYS = {"round_rotor": ("delta", "eq2", "ed2"), "classical": ("delta",)}
 MACHINE_KEYS = ("Ra", "Xl", "Xd", "Xd1", "Xd2", "Xq", "Xq1", "Xq2", "Td01", "Td02", "Tq01", "Tq02", "H", "D")
 
 
 def machine_table(case: Case, points: Sequence[MachinePoint]) -> npt.NDArray[np.float64]:
     """Return the machine table of the C plant, (rows, machines)."""
     columns = [
-        [m.base_mva / case.base_mva, *(float(getattr(m, key)) for key in MACHINE_KEYS), p.efd, p.pm, p.vt]
+        [m.base_mva / case.base_mva, *(_number(m, key) for key in MACHINE_KEYS), p.efd, p.pm, p.vt]
         for m, p in zip(case.machines, points, strict=True)
     ]
     return np.array(columns).T
 
 
+def _number(m: Machine, key: str) -> float:
+    """A classical machine has its Xd1 on both axes and nothing else but what moves it."""
+    if m.model == "classical":
+        key = {"Xd2": "Xd1", "Xq2": "Xd1"}.get(key, key)
+        return m.number(key) if key in ("Ra", "H", "D", "Xd1") else 0.0
+    return m.number(key)
+
+
 def network_states(case: Case) -> frozenset[str]:
     """Return the states that fix every current and voltage of the network."""
-    return frozenset(f"{m.name}.{key}" for m in case.machines for key in ("delta", "eq2", "ed2"))
+    return frozenset(f"{m.name}.{key}" for m in case.machines for key in NETWORK_KEYS[m.model])
+
+
+def in_plant_order(case: Case) -> Case:
+    """Return `case` with the machines as the plant has them: classical ones after all others."""
+    machines = tuple(sorted(case.machines, key=lambda m: m.model == "classical"))
+    return case if machines == case.machines else case.model_copy(update={"machines": machines})

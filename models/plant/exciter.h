@@ -23,7 +23,7 @@ static inline void exciter_all(const double *memory, const Plan *plan, const num
             efd[machine] = exciter_dc1(p, n, vt[machine], signal, x + state, dx + state);
         } else if (kind == EXCITER_ST1A) {
             const num ifd = p[E_KC * n] > 0.0
-                ? machine_field_current(table, m, machine, machine_states(x, m), id[machine]) : 0.0;
+                ? machine_field_current(table, m, machine, machine_states(x, m, plan->n_sixth), id[machine]) : 0.0;
             efd[machine] = exciter_st1a(p, n, vt[machine], ifd, signal, x + state, dx + state);
         } else {
             efd[machine] = exciter_static(p, n, vt[machine], signal, x + state, dx + state);

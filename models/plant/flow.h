@@ -42,9 +42,9 @@ static size_t solve_network(double *memory, const Plan *plan, const num *x, Work
 {
     const size_t n = plan->n_machine, n_port = plan->n_port;
     const double *table = memory + plan->machine;
-    const MachineStates states = machine_states(x, n);
+    const MachineStates states = machine_states(x, n, plan->n_sixth);
 
-    machine_emf(n, states, w->sine, w->cosine, w->e_re, w->e_im);
+    machine_emf(table, n, plan->n_sixth, states, w->sine, w->cosine, w->e_re, w->e_im);
     if (n_port > 0) {
 #ifdef PLANT_TANGENT
         const size_t stuck = port_solve_tangent(memory, plan, x, w);
@@ -56,7 +56,7 @@ static size_t solve_network(double *memory, const Plan *plan, const num *x, Work
         if (stuck < n_port) return stuck + 1;
     }
     network_currents(memory, plan, w->e_re, w->e_im, w->i_re, w->i_im);
-    machine_terminal(table, n, states, w->sine, w->cosine, w->i_re, w->i_im,
+    machine_terminal(table, n, plan->n_sixth, states, w->sine, w->cosine, w->i_re, w->i_im,
                      w->id, w->iq, w->vd, w->vq, w->vt);
     if (n_port == 0) {
         w->id_rotor = w->id;
@@ -81,7 +81,7 @@ static void saturate_rates(const double *memory, const Plan *plan, const Work *w
         const size_t k = index_at(row, P_DEVICE);
         if (port_is_load(row)) continue;
         saturation_rates(memory + plan->machine, n, k, w->id[k], w->iq[k], w->port.isd[p], w->port.isq[p],
-                         machine_rates(dx, n));
+                         machine_rates(dx, n, plan->n_sixth));
     }
 }
 
@@ -96,7 +96,7 @@ static void solve_devices(const double *memory, const Plan *plan, const num *x, 
                           num *dx, Work *w)
 {
     const size_t n = plan->n_machine;
-    const MachineStates states = machine_states(x, n);
+    const MachineStates states = machine_states(x, n, plan->n_sixth);
 
     stabilizer_all(memory, plan, states.slip, x, dx, w->vs);
     exciter_all(memory, plan, w->vt, w->id_rotor, w->vs, u, x, dx, w->efd);
@@ -113,8 +113,8 @@ size_t NAME(plant_flow)(double *memory, const num *x, const num *u, num *dx, num
     const size_t stuck = solve_network(memory, &plan, x, &w);
     if (stuck > 0) return stuck;
     solve_devices(memory, &plan, x, u, dx, &w);
-    machine_derivatives(memory + plan.machine, n, memory[H_OMEGA_B], machine_states(x, n),
-                        w.id, w.iq, w.efd, w.pm, machine_rates(dx, n));
+    machine_derivatives(memory + plan.machine, n, plan.n_sixth, memory[H_OMEGA_B], machine_states(x, n, plan.n_sixth),
+                        w.id, w.iq, w.efd, w.pm, machine_rates(dx, n, plan.n_sixth));
     if (plan.n_port > 0) saturate_rates(memory, &plan, &w, dx);
     if (memory[H_TRIPPED] > 0.0) hold_tripped(memory, &plan, dx);
     return 0;
@@ -127,7 +127,7 @@ size_t NAME(plant_outputs)(double *memory, const num *x, num *y, num *scratch)
     Plan plan;
     plan_of(memory, &plan);
     const size_t n = plan.n_machine;
-    const MachineStates states = machine_states(x, n);
+    const MachineStates states = machine_states(x, n, plan.n_sixth);
     Work w = work_arrays(scratch, &plan);
     num centre = 0.0;
 

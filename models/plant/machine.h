@@ -23,34 +23,45 @@
  * after (Xd - Xd1) plus eq1 is the field current Xad ifd.
  *
  * Stator:  vd = ed2 - Ra id + Xq2 iq,   vq = eq2 - Ra iq - Xd2 id
- * Torque:  Te = ed2 id + eq2 iq + (Xq2 - Xd2) id iq                            */
+ * Torque:  Te = ed2 id + eq2 iq + (Xq2 - Xd2) id iq
+ *
+ * Classical: eq2 = E constant (row M_EFD0), ed2 = 0, the reactances Xd1 on both
+ * axes (rows M_XD2, M_XQ2); Te = E iq. These machines come last.     [sec. 5.3.1] */
 typedef struct { const num *delta, *slip, *eq1, *ed1, *eq2, *ed2; } MachineStates;
 typedef struct { num *delta, *slip, *eq1, *ed1, *eq2, *ed2; } MachineRates;
 
-/* States of n machines lie quantity by quantity at the start of x. */
-static inline MachineStates machine_states(const num *x, size_t n)
+/* States lie quantity by quantity at the start of x, of the first `sixth` machines
+ * all six, of the classical ones after them only the first two. */
+static inline MachineStates machine_states(const num *x, size_t n, size_t sixth)
 {
-    return (MachineStates){ x, x + n, x + 2 * n, x + 3 * n, x + 4 * n, x + 5 * n };
+    const num *e = x + 2 * n;
+    return (MachineStates){ x, x + n, e, e + sixth, e + 2 * sixth, e + 3 * sixth };
 }
 
-static inline MachineRates machine_rates(num *dx, size_t n)
+static inline MachineRates machine_rates(num *dx, size_t n, size_t sixth)
 {
-    return (MachineRates){ dx, dx + n, dx + 2 * n, dx + 3 * n, dx + 4 * n, dx + 5 * n };
+    num *e = dx + 2 * n;
+    return (MachineRates){ dx, dx + n, e, e + sixth, e + 2 * sixth, e + 3 * sixth };
 }
 
 /* Subtransient EMF in the network frame: E = (eq2 - j ed2) exp(j delta). */
-static inline void machine_emf(size_t n, MachineStates x, num *sine, num *cosine,
-                               num *e_re, num *e_im)
+static inline void machine_emf(const double *table, size_t n, size_t sixth, MachineStates x,
+                               num *sine, num *cosine, num *e_re, num *e_im)
 {
-    for (size_t k = 0; k < n; ++k) {
+    for (size_t k = 0; k < sixth; ++k) {
         num_sincos(x.delta[k], &sine[k], &cosine[k]);
         e_re[k] = x.eq2[k] * cosine[k] + x.ed2[k] * sine[k];
         e_im[k] = x.eq2[k] * sine[k] - x.ed2[k] * cosine[k];
     }
+    for (size_t k = sixth; k < n; ++k) {
+        num_sincos(x.delta[k], &sine[k], &cosine[k]);
+        e_re[k] = table[M_EFD0 * n + k] * cosine[k];
+        e_im[k] = table[M_EFD0 * n + k] * sine[k];
+    }
 }
 
 /* Network current (system base) -> id, iq; terminal voltage vd, vq, |V|. */
-static inline void machine_terminal(const double *table, size_t n, MachineStates x,
+static inline void machine_terminal(const double *table, size_t n, size_t sixth, MachineStates x,
                                     const num *sine, const num *cosine,
                                     const num *i_re, const num *i_im,
                                     num *id, num *iq, num *vd, num *vq, num *vt)
@@ -63,8 +74,9 @@ static inline void machine_terminal(const double *table, size_t n, MachineStates
         const num id_system = i_re[k] * sine[k] - i_im[k] * cosine[k];
         iq[k] = iq_system / ratio[k];
         id[k] = id_system / ratio[k];
-        vd[k] = x.ed2[k] - Ra[k] * id[k] + Xq2[k] * iq[k];
-        vq[k] = x.eq2[k] - Ra[k] * iq[k] - Xd2[k] * id[k];
+        const num ed2 = k < sixth ? x.ed2[k] : 0.0, eq2 = k < sixth ? x.eq2[k] : table[M_EFD0 * n + k];
+        vd[k] = ed2 - Ra[k] * id[k] + Xq2[k] * iq[k];
+        vq[k] = eq2 - Ra[k] * iq[k] - Xd2[k] * id[k];
         vt[k] = num_sqrt(vd[k] * vd[k] + vq[k] * vq[k]);
     }
 }
@@ -78,7 +90,7 @@ static inline num machine_field_current(const double *table, size_t n, size_t k,
         * ((Xd2 - Xl) * leak * id + (x.eq1[k] - x.eq2[k]) * leak);
 }
 
-static inline void machine_derivatives(const double *table, size_t n, double omega_b,
+static inline void machine_derivatives(const double *table, size_t n, size_t sixth, double omega_b,
                                        MachineStates x, const num *id, const num *iq,
                                        const num *efd, const num *pm, MachineRates dx)
 {
@@ -89,7 +101,11 @@ static inline void machine_derivatives(const double *table, size_t n, double ome
     const double *Tq01 = table + M_TQ01 * n, *Tq02 = table + M_TQ02 * n;
     const double *H = table + M_H * n, *D = table + M_D * n;
 
-    for (size_t k = 0; k < n; ++k) {
+    for (size_t k = sixth; k < n; ++k) {
+        dx.delta[k] = omega_b * x.slip[k];
+        dx.slip[k] = (pm[k] - table[M_EFD0 * n + k] * iq[k] - D[k] * x.slip[k]) / (2.0 * H[k]);
+    }
+    for (size_t k = 0; k < sixth; ++k) {
         const double leak_d = 1.0 / (Xd1[k] - Xl[k]), leak_q = 1.0 / (Xq1[k] - Xl[k]);
         const double a = (Xd2[k] - Xl[k]) * leak_d, b = (Xq2[k] - Xl[k]) * leak_q;
         const num Te = x.ed2[k] * id[k] + x.eq2[k] * iq[k] + (Xq2[k] - Xd2[k]) * id[k] * iq[k];

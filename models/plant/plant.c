@@ -187,7 +187,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
                           "record: array %s is missing, has another length, or points outside", r.bad);
     if (layout->n_y != 4 * n + (plan.n_tie > 0 ? 1u : 0u) || layout->n_w != plan.n_bus + 2 * n
         || layout->n_u != plan.n_exciter || layout->n_p != n_parameter + SLOT_REALS * plan.n_slot
-        || layout->n_ip != SLOT_INTEGERS * plan.n_slot || layout->n_x < 6 * n)
+        || layout->n_ip != SLOT_INTEGERS * plan.n_slot || layout->n_x < 2 * n + 4 * plan.n_sixth)
         return plant_fail(message, BLOCK_ERROR, "record: its counts disagree with the list of variables");
     needs->n_memory = plan.total;
     needs->n_scratch = scratch_of(&plan, layout);

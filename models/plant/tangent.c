@@ -12,7 +12,7 @@ static size_t port_solve_tangent(const double *memory, const Plan *plan, const n
 {
     const size_t n = plan->n_port, m = plan->n_machine;
     const double *v = memory + plan->port_v;
-    const MachineStates states = machine_states(x, m);
+    const MachineStates states = machine_states(x, m, plan->n_sixth);
     double *sine = (double *)(void *)w->newton, *cosine = sine + m, *inverse = cosine + m;
     double *order = inverse + 4 * n * n, *moved = order + 2 * n;
 
