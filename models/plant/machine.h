@@ -26,7 +26,7 @@
  * Torque:  Te = ed2 id + eq2 iq + (Xq2 - Xd2) id iq
  *
  * Classical: eq2 = E constant (row M_EFD0), ed2 = 0, the reactances Xd1 on both
- * axes (rows M_XD2, M_XQ2); Te = E iq. These machines come last.     [sec. 5.3.1] */
+ * axes (rows M_XD2, M_XQ2); Te = E iq. These machines come last.        [ch. 5] */
 typedef struct { const num *delta, *slip, *eq1, *ed1, *eq2, *ed2; } MachineStates;
 typedef struct { num *delta, *slip, *eq1, *ed1, *eq2, *ed2; } MachineRates;
 

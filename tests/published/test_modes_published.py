@@ -12,6 +12,7 @@ from interarea.design.linearise import linearise
 from interarea.design.modes import Modes, modes_of
 from interarea.fmu_build.open import open_plant
 from interarea.models.case import Case, load_case
+from interarea.models.powerflow import solve_powerflow
 
 
 def with_impedance_loads(case: Case) -> Case:
@@ -95,8 +96,25 @@ def test_every_swing_mode_of_another_tool(name, linear):
 CLOSE = {"allow": 6e-4, "because": "half a unit of the last digit, and 3e-5 between the tools"}
 
 
-def test_nets_nyps_has_four_inter_area_modes(modes):
-    """Five areas: four modes below 1 Hz in which areas swing against each other."""
-    found = modes("nets-nyps")
-    slow = [name for name in found if found[name].frequency_hz < 0.9]
-    assert sorted(slow) == [f"inter-area {k}" for k in (1, 2, 3, 4)]
+@pytest.mark.parametrize("name", ["new-england", "nets-nyps"])
+def test_large_grids_rest_at_their_power_flow(cache, name):
+    case = load_case(name)
+    flow = solve_powerflow(case)
+    with open_plant(plant_fmu(case, cache)) as plant:
+        dx, y = plant.derivatives(*plant.operating_point())
+        values = dict(zip(plant.output_names, y, strict=True))
+    assert np.abs(dx).max() < 1e-9
+    for m, power in zip(case.machines, flow.generation, strict=True):
+        assert values[f"{m.name}_pe"] == pytest.approx(power.real, abs=1e-8)
+        assert values[f"{m.name}_vt"] == pytest.approx(abs(flow.voltage(m.bus)), abs=1e-9)
+
+
+@pytest.mark.parametrize(("name", "areas", "locals_"), [("new-england", 1, 8), ("nets-nyps", 4, 11)])
+def test_large_grids_have_the_known_number_of_modes(modes, name, areas, locals_):
+    """N - 1 swing modes; between the five areas of NETS-NYPS four, of .2 to .8 Hz.  [Pal2005, ch. 4]"""
+    found = modes(name)
+    inter = [mode for key, mode in found.items() if key.startswith("inter-area")]
+    assert len(inter) == areas
+    assert len(found) == areas + locals_ == len(load_case(name).machines) - 1
+    assert all(0.2 < mode.frequency_hz < 0.8 for mode in inter)
+    assert all(mode.frequency_hz > 0.9 for key, mode in found.items() if not key.startswith("inter-area"))
