@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pydantic import ValidationError
+
     from .trajectory import Trajectory
 
 
@@ -59,3 +61,21 @@ def nearest(name: str, known: Iterable[str]) -> str:
         return "there are none"
     shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
     return f"there are: {shown}"
+
+
+def one_line(error: ValidationError, keys_at: Callable[[tuple[int | str, ...]], Iterable[str]]) -> str:
+    """Return the first failure of a pydantic model in one line; `keys_at`: location -> keys allowed there."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "value_error":
+        text = first["msg"].removeprefix("Value error, ")
+        return f"{key}: {text}" if key else text
+    if first["type"] == "missing":
+        return f"{key} is missing"
+    if first["type"] == "extra_forbidden":
+        hint = nearest(str(first["loc"][-1]), keys_at(first["loc"]))
+        return f"{key} = {first['input']!r}: no such key; {hint}"
+    if first["type"] == "literal_error":
+        return f"{key} = {first['input']!r}, allowed: {first['ctx']['expected']}"
+    allowed = first["msg"].removeprefix("Input should be ")
+    return f"{key} = {first['input']!r}, allowed: {allowed}"

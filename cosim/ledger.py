@@ -1,10 +1,10 @@
 """What delays a signal, connection by connection, and what became of its packets.
 
-Delay ledger, per connection: *requested* (what the target instance declares),
-*network* (the same: a channel's own latency), *sampling* (held sub-steps of an
-FMU that takes no input derivatives) and *master* (what handing inputs over
-adds). With inputs as polynomials the master adds nothing. With held inputs it
-does; a held value is on average half a step old, so
+Delay ledger, per connection: *requested* (what the target instance was asked for), *network* (the
+channel's own constant latency), *sampling* (held sub-steps of an FMU that takes no input derivatives),
+*reporting* (packets: a value is held until the next, half an interval on average), *jitter mean* (of the
+random part of the latency) and *master* (what handing inputs over adds). With inputs as polynomials the
+master adds nothing. With held inputs it does; a held value is on average half a step old, so
 
 * ``hold-jacobi``: value at the start of the step; +H/2 into dynamics, +H into
   an output that depends directly on the input and is read at the step's end;
@@ -12,17 +12,34 @@ does; a held value is on average half a step old, so
   *end* of the step is held back over it: -H/2 into dynamics (a lead), 0 into
   a direct dependence; against the order as above.
 
-An instance with a declared latency samples its input at communication points,
-so nothing is held on the way into it.
+An instance whose latency covers the step samples its input at communication points, so nothing is held
+on the way into it; a shorter latency L is lost in the held value: H - L, or -L after its source.
+Packets that come out between communication points wait for the next one, unless their arrivals are
+communication points; that wait is the master's too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+
+import numpy as np
 
 from .graph import Connection
 from .master import Master
+from .trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Delays:
+    """What is known of a channel instance, s: the request, the parts that meet it, and `waiting_s`, how long
+    an arrival waits for the next communication point on average."""
+
+    requested_s: float
+    network_s: float
+    reporting_s: float = 0.0
+    jitter_mean_s: float = 0.0
+    waiting_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -30,15 +47,25 @@ class LedgerRow:
     """Latencies of one connection in seconds; `note` says what makes them."""
 
     connection: Connection
-    requested_s: float
-    network_s: float
-    sampling_s: float
-    master_s: float
+    requested_s: float = 0.0
+    network_s: float = 0.0
+    sampling_s: float = 0.0
+    reporting_s: float = 0.0
+    jitter_mean_s: float = 0.0
+    master_s: float = 0.0
     note: str = ""
 
     @property
+    def parts_s(self) -> tuple[float, ...]:
+        """What adds up to `total_s`, in the order of `PARTS`."""
+        return (self.network_s, self.sampling_s, self.reporting_s, self.jitter_mean_s, self.master_s)
+
+    @property
     def total_s(self) -> float:
-        return self.network_s + self.sampling_s + self.master_s
+        return sum(self.parts_s)
+
+
+PARTS = ("network", "sampling", "reporting", "jitter mean", "master")
 
 
 @dataclass(frozen=True)
@@ -59,12 +86,10 @@ class DelayLedger:
 
     def __str__(self) -> str:
         width = max([len(str(r.connection)) for r in self.rows], default=10)
-        titles = " ".join(f"{t:>10}" for t in ("requested", "network", "sampling", "master"))
-        head = f"{'connection':<{width}}  {titles}  (ms)"
-        lines = [head]
+        titles = " ".join(f"{t:>11}" for t in ("requested", *PARTS, "total"))
+        lines = [f"{'connection (delays in ms)':<{width}}  {titles}"]
         for r in self.rows:
-            numbers = (r.requested_s, r.network_s, r.sampling_s, r.master_s)
-            cells = " ".join(f"{1e3 * v:10.3f}" for v in numbers)
+            cells = " ".join(f"{1e3 * v:11.3f}" for v in (r.requested_s, *r.parts_s, r.total_s))
             lines.append(f"{r.connection!s:<{width}}  {cells}  {r.note}".rstrip())
         return "\n".join(lines)
 
@@ -74,57 +99,80 @@ class DelayLedger:
             {
                 "connection": str(r.connection),
                 "requested_s": r.requested_s,
-                "network_s": r.network_s,
-                "sampling_s": r.sampling_s,
-                "master_s": r.master_s,
+                **{f"{n.replace(' ', '_')}_s": v for n, v in zip(PARTS, r.parts_s, strict=True)},
+                "total_s": r.total_s,
                 "note": r.note,
             }
             for r in self.rows
         ]
 
 
-def delay_ledger(master: Master) -> DelayLedger:
-    """Return the delay ledger of a master."""
+def delay_ledger(master: Master, delays: Mapping[str, Delays] | None = None) -> DelayLedger:
+    """Return the delay ledger of a master; `delays`: what is known of channel instances, by name."""
     place = {name: k for k, name in enumerate(master.graph.order)}
-    rows = [_row(master, c, place) for c in master.graph.connections]
+    rows = [_row(master, c, place, dict(delays or {})) for c in master.graph.connections]
     return DelayLedger(tuple(rows), master.step_s, master.inputs)
 
 
-def _row(master: Master, c: Connection, place: Mapping[str, int]) -> LedgerRow:
+def _row(master: Master, c: Connection, place: Mapping[str, int], delays: Mapping[str, Delays]) -> LedgerRow:
     target = c.target.instance
-    network = master.latency_s.get(target, 0.0)
     description = master.participants[target].description
     node = master.nodes[target]
     signal = next(s for s in master.signals if s.name == str(c.source))
     direct = any(c.target.variable in used for used in description.feedthrough.values())
+    ahead = master.inputs == "hold-gauss-seidel" and place[c.source.instance] < place[target]
     h = master.step_s
     if target in master.latency_s:
-        return LedgerRow(c, network, network, 0.0, 0.0, "cut: first in the step" if c.cut else "")
-    if master.inputs == "hold-jacobi":
-        return LedgerRow(
-            c, network, network, 0.0, h if direct else 0.5 * h, "value at the start of the step held"
-        )
-    if master.inputs == "hold-gauss-seidel":
-        ahead = place[c.source.instance] < place[target]
-        added = (0.0 if direct else -0.5 * h) if ahead else (h if direct else 0.5 * h)
-        note = "value at the end of the step held" if ahead else "value at the start of the step held"
-        return LedgerRow(c, network, network, 0.0, added, note)
-    if signal.kind == "held":
-        return LedgerRow(c, network, network, 0.0, 0.0, "discrete: changes at communication points")
+        return _through_channel(master, c, delays.get(target), ahead)
+    if master.inputs == "hold-gauss-seidel" and ahead:
+        added, note = (0.0 if direct else -0.5 * h), "value at the end of the step held"
+        return LedgerRow(c, master_s=added, note=note)
+    if signal.kind == "held" and master.inputs != "hold-jacobi":
+        return LedgerRow(c, note="discrete: changes at communication points")
+    if master.inputs in ("hold-jacobi", "hold-gauss-seidel"):
+        return LedgerRow(c, master_s=h if direct else 0.5 * h, note="value at the start of the step held")
     if node.order == 0:
         if node.substeps > 1:
-            note = f"no input derivatives: means over {node.substeps} parts of a step"
-            return LedgerRow(c, network, network, 0.0, 0.0, note)
+            return LedgerRow(c, note=f"no input derivatives: means over {node.substeps} parts of a step")
         late = h if direct else 0.5 * h
-        return LedgerRow(c, network, network, late, 0.0, "steps of one length and no input derivatives: held")
-    return LedgerRow(c, network, network, 0.0, 0.0, "")
+        return LedgerRow(c, sampling_s=late, note="steps of one length and no input derivatives: held")
+    return LedgerRow(c)
+
+
+def _through_channel(master: Master, c: Connection, known: Delays | None, ahead: bool) -> LedgerRow:
+    latency = master.latency_s[c.target.instance]
+    known = known or Delays(latency, latency)
+    added, notes = known.waiting_s, []
+    if c.cut:
+        notes.append("first in the step")
+    elif master.inputs.startswith("hold"):
+        added += (0.0 if ahead else master.step_s) - latency
+        notes.append(f"value at the {'end' if ahead else 'start'} of the step held")
+    if known.waiting_s:
+        notes.append("arrivals wait for a communication point")
+    return LedgerRow(
+        c,
+        known.requested_s,
+        known.network_s,
+        0.0,
+        known.reporting_s,
+        known.jitter_mean_s,
+        added,
+        "; ".join(notes),
+    )
 
 
 @dataclass(frozen=True)
 class PacketLedger:
-    """Per channel instance: what it counted (sent, delivered, dropped, late, age of information in s)."""
+    """Per channel instance: packets sent, delivered, dropped, late, and the age of information, s."""
 
     rows: Mapping[str, Mapping[str, float]]
+
+    def __getitem__(self, channel: str) -> Mapping[str, float]:
+        """Return the counts of a channel; the error names the channels that count."""
+        if channel not in self.rows:
+            raise KeyError(f"{channel!r} counts no packets; there are {', '.join(self.rows) or 'none'}")
+        return self.rows[channel]
 
     def __str__(self) -> str:
         if not self.rows:
@@ -137,14 +185,37 @@ class PacketLedger:
 
 
 #: variables a channel may offer, by what the ledger calls them
-PACKET_VARIABLES = ("sent", "delivered", "dropped", "late", "age")
+PACKET_COUNTS = ("sent", "delivered", "dropped", "late")
 
 
-def explain(master: Master) -> str:
+def packet_ledger(trajectory: Trajectory, channels: Iterable[str]) -> PacketLedger:
+    """Return what the channels counted by the end of a run, from their recorded outputs.
+
+    A channel without packets has sent nothing; the age of its information is still told: at the end, and
+    mean and largest over the communication points.
+    """
+    rows: dict[str, dict[str, float]] = {}
+    for name in channels:
+        row: dict[str, float] = {}
+        for count in PACKET_COUNTS:
+            if f"{name}.{count}" in trajectory.data:
+                row[count] = float(trajectory[f"{name}.{count}"][-1])
+        if len(row) == len(PACKET_COUNTS):
+            row["on their way"] = row["sent"] - row["delivered"] - row["dropped"] - row["late"]
+        if f"{name}.age" in trajectory.data:
+            age = trajectory[f"{name}.age"]
+            row |= {"age": float(age[-1]), "age mean": float(np.mean(age)), "age max": float(np.max(age))}
+        if row:
+            rows[name] = row
+    return PacketLedger(rows)
+
+
+def explain(master: Master, delays: Mapping[str, Delays] | None = None) -> str:
     """Return in words how a master steps: clock, order, loops, unconnected inputs, delay ledger."""
     g = master.graph
     lines = [
-        f"step {1e3 * master.step_s:g} ms, {len(master.clock.steps)} steps, inputs: {master.inputs}",
+        f"step {1e3 * master.step_s:g} ms ({master.step_reason}), {len(master.clock.steps)} steps, "
+        f"inputs: {master.inputs}",
         "events at " + (", ".join(f"{m / 1e9:.9g}" for m in master.clock.marks) or "none") + " s",
         "order of a step: "
         + " | ".join(" <-> ".join(x.members) if x.is_loop else x.members[0] for x in g.groups),
@@ -153,4 +224,4 @@ def explain(master: Master) -> str:
         f"loop without a channel: {' <-> '.join(x.members)}, {master.how(x)}" for x in g.groups if x.is_loop
     ]
     lines += [f"not connected: {e} keeps its start value {master.start_of(e):g}" for e in g.unconnected]
-    return "\n".join([*lines, "", str(delay_ledger(master))])
+    return "\n".join([*lines, "", str(delay_ledger(master, delays))])

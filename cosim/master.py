@@ -40,7 +40,7 @@ from .kernel_build import load_kernel
 from .loops import iterate_loop
 from .participant import Participant
 from .signals import Signal
-from .timing import choose_step, clock_of
+from .timing import clock_of, step_and_reason
 from .trajectory import Trajectory
 from .wiring import Inputs, make_nodes, make_signals
 
@@ -69,7 +69,7 @@ class Master:
     ----------
     participants : any number, each with its own name.
     connections : pairs ("instance.output", "instance.input"), in any order.
-    step_s : communication step H; None: chosen from the latencies (`choose_step`).
+    step_s : communication step H; None: chosen from the latencies (`step_and_reason`).
     marks_s : instants that must be communication points (events, outages).
     latency_s : instance -> least time its inputs need to reach its outputs (a promise of that instance).
     inputs : how inputs are handed over a step. loops : what to do with loops without a channel;
@@ -111,14 +111,19 @@ class Master:
             if name not in descriptions:
                 raise GraphError(f"latency_s names {name!r}, which is no instance")
         ticks = {n: to_ticks(v, f"latency of {n}") for n, v in self.latency_s.items()}
-        self.step_s = choose_step(self.latency_s.values()) if step_s is None else step_s
+        marks = tuple(marks_s)
+        self.step_s, self.step_reason = (
+            (step_s, "given")
+            if step_s is not None
+            else step_and_reason(self.latency_s.values(), [stop_s, *marks])
+        )
         self.inputs, self.loops, self.tolerance, self.substeps = inputs, loops, tolerance, substeps
         self.clock = clock_of(
             descriptions,
             start_s=start_s,
             stop_s=stop_s,
             step_s=self.step_s,
-            marks_s=marks_s,
+            marks_s=marks,
             latency_ticks=ticks,
             edges=not self._holds,
         )

@@ -90,6 +90,7 @@ def members_of(scenario: Scenario, *, cache: Path, controllers: Controllers | No
         Member(name, blocks.get(name, blocks.get("channel", blocks["plant"])), start)
         for name, (_, start) in wiring.instances.items()
     )
-    latencies = [max(c.latency_s, c.pdc_wait_s) for c in scenario.channels.values()]
-    step_s = choose_step(latencies) if scenario.step_s is None else scenario.step_s
+    latencies = [c.least_latency_s for c in scenario.channels.values()]
+    instants = [scenario.stop_s, *scenario.marks_s]
+    step_s = choose_step(latencies, instants) if scenario.step_s is None else scenario.step_s
     return Members(scenario, case, members, wiring.connections, step_s)

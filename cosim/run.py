@@ -12,17 +12,18 @@ import numpy.typing as npt
 
 from interarea.design.shipped import shipped_names
 from interarea.models.case import load_case
-from interarea.models.channel_block import gamma_quantiles, quantiles_of
 from interarea.models.plant_block import event_parameters, plant_block
 
+from .build import System, pairs_of
 from .errors import ScenarioError, nearest
 from .fmu_file import FmuFile
 from .instances import FmuParticipant, Value
-from .ledger import PACKET_VARIABLES, DelayLedger, PacketLedger, delay_ledger, explain
+from .ledger import PACKET_COUNTS, delay_ledger, explain, packet_ledger
 from .master import Master
 from .metrics import Metrics
+from .result import Result
 from .ringdown import fit_window, ring_down_of, run_metrics
-from .scenario import BernoulliLoss, ChannelTable, GammaLatency, Scenario, load_scenario
+from .scenario import Scenario, load_scenario
 from .trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -32,21 +33,16 @@ if TYPE_CHECKING:
 Controllers = Callable[[str, Any], "Controller"]
 Array = npt.NDArray[np.float64]
 _PLANT, _CONTROLLER = "plant", "controller"
-_MAX_OUTAGES = 8
 EVENT_SLOTS = 8  #: of the plant FMU; a scenario with more events gets one of its own
 
 
-@dataclass(frozen=True)
-class Run:
+@dataclass(frozen=True, kw_only=True)
+class Run(Result):
     """What a scenario did: `trajectory`, `metrics`, `ledger` (delays), `packets`."""
 
     scenario: Scenario
     case: Case
-    trajectory: Trajectory
     metrics: Metrics
-    ledger: DelayLedger
-    packets: PacketLedger
-    explanation: str
 
     @property
     def stable(self) -> bool:
@@ -90,10 +86,6 @@ class Run:
             self.trajectory.time_s, values, disturbance_end_s(self.scenario), band=band
         )
 
-    def explain(self) -> str:
-        """Return how the run was stepped: order, loops, unconnected inputs, delay and packet ledgers."""
-        return f"{self.explanation}\n\n{self.packets}"
-
 
 def run_scenario(
     scenario: Scenario | str | Path | Mapping[str, Any],
@@ -120,6 +112,19 @@ def run_scenario(
         return loop.result(trajectory)
 
 
+def run_system(
+    scenario: Scenario | str | Path | Mapping[str, Any],
+    *,
+    cache: Path | None = None,
+    progress: Callable[[float, float], object] | None = None,
+) -> Result:
+    """Run any scenario: a `Run` when it has a case, else a plain `Result`. Parameters as `run_scenario`."""
+    loaded = load_scenario(scenario)
+    if loaded.case:
+        return run_scenario(loaded, cache=cache, progress=progress)
+    return system_of(loaded, cache=cache).run(progress=progress)
+
+
 class Loop:
     """A scenario's FMUs, connected and ready to step: `master`; keeps the case and the scenario with it."""
 
@@ -135,16 +140,34 @@ class Loop:
     def result(self, trajectory: Trajectory | None = None) -> Run:
         """Return the run so far as a `Run`."""
         done = self.master.trajectory if trajectory is None else trajectory
-        packets = {n: c for n in self.channels if (c := packet_counts(self.master.participants[n]))}
+        delays = {n: c.delays() for n, c in self.scenario.channels.items()}
         return Run(
-            self.scenario,
-            self.case,
-            done,
-            run_metrics(done, self.case, self.scenario, self.master.step_s),
-            delay_ledger(self.master),
-            PacketLedger(packets),
-            explain(self.master),
+            trajectory=done,
+            ledger=delay_ledger(self.master, delays),
+            packets=packet_ledger(done, self.channels),
+            explanation=explain(self.master, delays),
+            scenario=self.scenario,
+            case=self.case,
+            metrics=run_metrics(done, self.case, self.scenario, self.master.step_s),
         )
+
+
+def system_of(scenario: Scenario, *, cache: Path | None = None) -> System:
+    """Return the system of a scenario without a case: its own FMUs, channels and connections.
+
+    Raises
+    ------
+    ScenarioError : too many outages. GraphError : an FMU or connection that does not fit.
+    """
+    options = scenario.master.model_dump()
+    system = System(stop_s=scenario.stop_s, step_s=scenario.step_s, cache=cache, **options)
+    for name, table in scenario.fmus.items():
+        system.fmu(name, scenario.folder / table.file, latency_s=table.latency_s, **table.start)
+    for name, channel in scenario.channels.items():
+        system.channel(name, channel)
+    for path in scenario.connections:
+        system.connect(*path)
+    return system
 
 
 @dataclass(frozen=True)
@@ -162,10 +185,11 @@ class Wiring:
             stop_s=scenario.stop_s,
             step_s=scenario.step_s,
             marks_s=scenario.marks_s,
-            latency_s={n: max(c.latency_s, c.pdc_wait_s) for n, c in scenario.channels.items()},
-            inputs=scenario.master.inputs,
-            loops=scenario.master.loops,
-            tolerance=scenario.master.tolerance,
+            latency_s={
+                **{n: f.latency_s for n, f in scenario.fmus.items() if f.latency_s},
+                **{n: c.least_latency_s for n, c in scenario.channels.items()},
+            },
+            **scenario.master.model_dump(),
         )
 
 
@@ -176,9 +200,13 @@ def assemble(
 
     Raises
     ------
-    ScenarioError, CaseError : an unknown signal, a channel to an input that does not exist, too many outages.
+    ScenarioError, CaseError : an unknown signal, a channel to an input that does not exist, too many outages;
+        no case (`system_of` takes scenarios without one).
     """
     from . import artefacts
+
+    if not scenario.case:
+        raise ScenarioError(f"{scenario.name}: case is missing; run_system runs FMUs without one")
 
     folder = artefacts.default_cache() if cache is None else cache
     case = load_case(scenario.case_path)
@@ -187,14 +215,11 @@ def assemble(
         plant_file = artefacts.plant_fmu(case, folder)
     else:
         plant_file = artefacts.block_fmu(plant_block(case, event_slots=slots), folder)
-    controller = controller_of(scenario, case, folder, controllers)
     wiring = wire(
         scenario,
         case,
         plant=FmuFile(plant_file),
-        controller=None
-        if controller is None
-        else FmuFile(artefacts.controller_fmu(controller, case.omega_b, folder)),
+        controller=_controller_file(scenario, case, folder, controllers),
         channel=FmuFile(artefacts.channel_fmu(folder)) if scenario.channels else None,
     )
     participants = [FmuParticipant(n, file, start) for n, (file, start) in wiring.instances.items()]
@@ -228,63 +253,50 @@ def wire(
             )
             connections.append((f"{_CONTROLLER}.{port.name}", f"{_PLANT}.{port.name}"))
     for name, table in scenario.channels.items():
-        where = f"{scenario.name}: channels.{name}.signal = {table.signal!r}"
-        _known(table.signal, signals, f"{where} is no output of the plant")
-        if controller is not None:
-            _known(table.signal, wanted, f"{where} is no input of controller {controller.description.title}")
-        if len(table.outages_s) > _MAX_OUTAGES:
-            raise ScenarioError(
-                f"{scenario.name}: channels.{name}.outages_s has {len(table.outages_s)} windows, "
-                f"allowed: at most {_MAX_OUTAGES}"
-            )
         if channel is None:
             raise ScenarioError(f"{scenario.name}: channels.{name} needs the FMU of a channel, got none")
-        start = _channel_start(table)
-        for k, (begin, end) in enumerate(table.outages_s, start=1):
-            start |= {f"outage[{k}].start": begin, f"outage[{k}].end": end}
-        instances[name] = (channel, start)
+        instances[name] = (channel, table.parameters(f"{scenario.name}: channels.{name}"))
+        if not table.signal:
+            continue  # connected by scenario.connections
+        where = f"{scenario.name}: channels.{name}.signal = {table.signal!r}"
+        _known(table.signal, signals, f"{where} is no output of the plant")
         connections.append((f"{_PLANT}.{table.signal}", f"{name}.u"))
         if controller is not None:
+            _known(table.signal, wanted, f"{where} is no input of controller {controller.description.title}")
             connections.append((f"{name}.y", f"{_CONTROLLER}.{table.signal}"))
-    carried = {c.signal for c in scenario.channels.values()}
+    fed = {c.signal for c in scenario.channels.values()}
+    fed |= {path[-1].removeprefix(f"{_CONTROLLER}.") for path in scenario.connections}
     for signal in wanted:
-        if signal not in carried:
+        if signal not in fed:
             _known(
                 signal,
                 signals,
                 f"controller {scenario.controller}: input {signal!r} is no output of the plant",
             )
             connections.append((f"{_PLANT}.{signal}", f"{_CONTROLLER}.{signal}"))
+    for name, fmu in scenario.fmus.items():
+        instances[name] = (FmuFile(scenario.folder / fmu.file), dict(fmu.start))
+    for path in scenario.connections:
+        connections += [pair for pair in pairs_of(path, scenario.channels) if pair not in connections]
     return Wiring(instances, tuple(connections))
-
-
-def _channel_start(channel: ChannelTable) -> dict[str, Value]:
-    """Return the parameters of a channel's FMU, outages apart."""
-    start: dict[str, Value] = {
-        "latency": channel.latency_s,
-        "on_loss": channel.on_loss,
-        "hold_time": channel.hold_s,
-        "reporting_interval": channel.reporting_interval_s,
-        "jitter": channel.jitter_s,
-        "quantum": channel.quantum,
-        "pdc_wait": channel.pdc_wait_s,
-        "seed": channel.seed,
-    }
-    if isinstance(channel.latency, GammaLatency):
-        start |= gamma_quantiles(channel.latency.shape, channel.latency.scale_s)
-    elif channel.latency is not None:
-        start |= quantiles_of(channel.latency.quantiles_s)
-    if isinstance(channel.loss, BernoulliLoss):
-        start["loss_good"] = channel.loss.rate
-    elif channel.loss is not None:
-        chances = ("loss_good", "loss_bad", "good_to_bad", "bad_to_good")
-        start |= {key: getattr(channel.loss, key) for key in chances}
-    return start
 
 
 def _known(name: str, known: Iterable[str], what: str) -> None:
     if name not in known:
         raise ScenarioError(f"{what}; {nearest(name, known)}")
+
+
+def _controller_file(
+    scenario: Scenario, case: Case, cache: Path, controllers: Controllers | None
+) -> FmuFile | None:
+    """Return the FMU of the controller, which may be anybody's, or None."""
+    from . import artefacts
+
+    path = scenario.controller_path
+    if path is not None and path.suffix == ".fmu":
+        return FmuFile(path)
+    controller = controller_of(scenario, case, cache, controllers)
+    return None if controller is None else FmuFile(artefacts.controller_fmu(controller, case.omega_b, cache))
 
 
 def controller_of(
@@ -313,4 +325,4 @@ def controller_of(
 def packet_counts(participant: Any) -> dict[str, float]:
     """Return what a channel counted; empty for an instance that counts nothing."""
     known = participant.file.variables
-    return {name: participant.value_of(name) for name in PACKET_VARIABLES if name in known}
+    return {name: participant.value_of(name) for name in (*PACKET_COUNTS, "age") if name in known}

@@ -3,7 +3,7 @@
 A scenario file is TOML:
 
     case = "two-area-thesis"           # bundled name or file
-    controller = "ftc"                 # none | wdc | cc | ftc | a controller file
+    controller = "ftc"                 # none | wdc | cc | ftc | a controller file or FMU
     stop_s = 20.0
     step_s = 0.01                      # optional
     [channels.remote]
@@ -17,6 +17,14 @@ A scenario file is TOML:
     size_pu = 0.05
     start_s = 1.0
     end_s = 1.2
+
+FMUs of one's own, whatever made them, with the plant or without a case:
+
+    connections = [["plant.G2_dw", "remote", "mine.u"], ["mine.y", "plant.G4_vs"]]  # channels on the way
+    [fmus.mine]
+    file = "mine.fmu"                  # beside the scenario
+    start = {gain = 3.0}               # optional
+    latency_s = 0.0                    # optional: at least so long from input to output
 
 A channel takes besides: reporting_interval_s (packets; needed by what follows), jitter_s (uniform),
 latency = {kind = "gamma", shape, scale_s} | {kind = "empirical", quantiles_s} on top of latency_s,
@@ -32,123 +40,40 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from interarea.design.shipped import shipped_names
 from interarea.models.case_errors import CaseError
 from interarea.models.events import events_of
 
+from .channels import ChannelLine, Seconds, Table
 from .clock import to_ticks
-from .errors import ScenarioError, nearest
+from .errors import ScenarioError, nearest, one_line
 from .master import Inputs, Loops
 
 BUNDLED = Path(__file__).parent / "scenarios"
 NAMED_CONTROLLERS = ("none", "wdc", "cc", "ftc", *shipped_names())
 _RESERVED = ("plant", "controller")
-Seconds = Annotated[float, Field(ge=0.0)]
-Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+class FmuTable(Table):
+    """Any FMI 2.0 co-simulation FMU: file, start values, the least latency it promises."""
 
-
-class GammaLatency(_Table):
-    """A random latency on top of `latency_s`, gamma distributed with mean shape * scale_s."""
-
-    kind: Literal["gamma"]
-    shape: Annotated[float, Field(gt=0.0)]
-    scale_s: Annotated[float, Field(gt=0.0)]
-
-
-class EmpiricalLatency(_Table):
-    """A random latency on top of `latency_s`: quantiles at equally spaced probabilities 0 to 1."""
-
-    kind: Literal["empirical"]
-    quantiles_s: Annotated[tuple[Seconds, ...], Field(min_length=2)]
-
-    @field_validator("quantiles_s")
-    @classmethod
-    def _ascending(cls, value: tuple[float, ...]) -> tuple[float, ...]:
-        if list(value) != sorted(value):
-            raise ValueError(f"quantiles_s = {list(value)}, allowed: not descending")
-        return value
-
-
-class BernoulliLoss(_Table):
-    """Each packet is lost with probability `rate`."""
-
-    kind: Literal["bernoulli"]
-    rate: Probability
-
-
-class GilbertElliottLoss(_Table):
-    """Loss in a good and a bad state; moves between them once per packet."""
-
-    kind: Literal["gilbert_elliott"]
-    good_to_bad: Probability
-    bad_to_good: Annotated[float, Field(gt=0.0, le=1.0)]
-    loss_good: Probability = 0.0
-    loss_bad: Probability = 1.0
-
-
-class ChannelTable(_Table):
-    """One scalar signal on its way from the plant to the controller (semantics: models/channel/channel.h)."""
-
-    signal: Annotated[str, Field(min_length=1)]
+    file: Annotated[str, Field(min_length=1)]
+    start: Mapping[str, float | int | bool | str] = {}
     latency_s: Seconds = 0.0
-    on_loss: Literal["zero", "hold", "hold_then_zero"] = "zero"
-    hold_s: Seconds = 1.0
-    reporting_interval_s: Seconds = 0.0
-    jitter_s: Seconds = 0.0
-    latency: Annotated[GammaLatency | EmpiricalLatency, Field(discriminator="kind")] | None = None
-    loss: Annotated[BernoulliLoss | GilbertElliottLoss, Field(discriminator="kind")] | None = None
-    quantum: Seconds = 0.0
-    pdc_wait_s: Seconds = 0.0
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
-    outages_s: tuple[tuple[Seconds, Seconds], ...] = ()
-
-    @field_validator("latency_s")
-    @classmethod
-    def _on_the_clock(cls, value: float) -> float:
-        to_ticks(value, "latency_s")
-        return value
-
-    @field_validator("reporting_interval_s")
-    @classmethod
-    def _frame(cls, value: float) -> float:
-        if value and not value >= 1e-4:
-            raise ValueError(f"reporting_interval_s = {value:g}, allowed: 0 (continuous) or at least 1e-4")
-        to_ticks(value, "reporting_interval_s")
-        return value
-
-    @model_validator(mode="after")
-    def _packets(self) -> Self:
-        if not self.reporting_interval_s:
-            for key in ("jitter_s", "latency", "loss", "pdc_wait_s"):
-                if getattr(self, key):
-                    raise ValueError(f"{key} acts on packets: set reporting_interval_s")
-        return self
-
-    @model_validator(mode="after")
-    def _outages(self) -> Self:
-        last = 0.0
-        for start, end in self.outages_s:
-            if not end > start:
-                raise ValueError(f"outages_s has [{start:g}, {end:g}], allowed: end > start")
-            if not start >= last:
-                raise ValueError(
-                    f"outages_s has [{start:g}, {end:g}] before {last:g}, allowed: in order, no overlap"
-                )
-            to_ticks(start, "outages_s")
-            to_ticks(end, "outages_s")
-            last = end
-        return self
 
 
-class MasterTable(_Table):
+class ChannelTable(ChannelLine):
+    """A channel: `signal` travels from the plant to the controller's input of that name; without it the
+    channel is connected by `connections`."""
+
+    signal: str = ""
+
+
+class MasterTable(Table):
     """How the master hands inputs over and what it does with loops (see `Master`)."""
 
     inputs: Inputs = "hermite"
@@ -156,7 +81,7 @@ class MasterTable(_Table):
     tolerance: Annotated[float, Field(gt=0.0, lt=1.0)] = 1e-7
 
 
-class Expectation(_Table):
+class Expectation(Table):
     """The stated outcome: `damping_ratio` and `settling_time_s` as [least, most]."""
 
     stable: bool | None = None
@@ -165,14 +90,16 @@ class Expectation(_Table):
     peak_dw24: tuple[float, float] | None = None
 
 
-class Scenario(_Table):
+class Scenario(Table):
     """A checked scenario; `folder` is where relative file names start."""
 
-    case: Annotated[str, Field(min_length=1)]
+    case: str = ""
     controller: Annotated[str, Field(min_length=1)] = "none"
     stop_s: Annotated[float, Field(gt=0.0)]
     step_s: Annotated[float, Field(gt=0.0)] | None = None
     channels: Mapping[str, ChannelTable] = {}
+    fmus: Mapping[str, FmuTable] = {}
+    connections: tuple[tuple[str, ...], ...] = ()
     event: tuple[Any, ...] = ()
     title: str = ""
     source: str = ""
@@ -199,18 +126,33 @@ class Scenario(_Table):
                         f"event {k} ({e.kind}): start_s = {at:g} lies outside the run, "
                         f"allowed: 0 to {self.stop_s:g}"
                     )
+        if not self.case:
+            if not self.fmus:
+                raise ValueError("case is missing (or fmus: a scenario needs something to run)")
+            if self.event or self.controller != "none":
+                raise ValueError("event and controller need a case; FMUs of one's own come under fmus")
+        for path in self.connections:
+            if len(path) < 2:
+                raise ValueError(f"connections has {list(path)}, allowed: source, channels, target")
         signals: dict[str, str] = {}
-        for name, channel in self.channels.items():
-            if not name.isidentifier() or name in _RESERVED:
+        for name in (*self.fmus, *self.channels):
+            if not name.isidentifier() or name in _RESERVED or (name in self.fmus and name in self.channels):
                 raise ValueError(
-                    f"channels.{name}: a channel's name is an identifier other than {' and '.join(_RESERVED)}"
+                    f"{'channels' if name in self.channels else 'fmus'}.{name}: an instance's name is an "
+                    f"identifier of its own other than {' and '.join(_RESERVED)}"
                 )
+        for name, channel in self.channels.items():
+            if channel.signal and not self.case:
+                raise ValueError(f"channels.{name}: signal needs a case; connect the channel by connections")
+            if not channel.signal and not any(name in path for path in self.connections):
+                raise ValueError(f"channels.{name}: signal is missing (or name the channel in connections)")
             if channel.signal in signals:
                 raise ValueError(
                     f"channels.{name}: signal = {channel.signal!r} already travels through "
                     f"channels.{signals[channel.signal]}, allowed: one channel for each signal"
                 )
-            signals[channel.signal] = name
+            if channel.signal:
+                signals[channel.signal] = name
             for start, _ in channel.outages_s:
                 if not start < self.stop_s:
                     raise ValueError(
@@ -289,25 +231,7 @@ def _checked(table: dict[str, Any], where: str, folder: Path) -> Scenario:
     except CaseError as error:
         raise ScenarioError(str(error)) from None
     except ValidationError as error:
-        raise ScenarioError(f"{where}: {_one_line(error)}") from None
-
-
-def _one_line(error: ValidationError) -> str:
-    first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "value_error":
-        text = first["msg"].removeprefix("Value error, ")
-        return f"{key}: {text}" if key else text
-    if first["type"] == "missing":
-        return f"{key} is missing"
-    if first["type"] == "extra_forbidden":
-        return (
-            f"{key} = {first['input']!r}: no such key; {nearest(str(first['loc'][-1]), _keys(first['loc']))}"
-        )
-    if first["type"] == "literal_error":
-        return f"{key} = {first['input']!r}, allowed: {first['ctx']['expected']}"
-    allowed = first["msg"].removeprefix("Input should be ")
-    return f"{key} = {first['input']!r}, allowed: {allowed}"
+        raise ScenarioError(f"{where}: {one_line(error, _keys)}") from None
 
 
 def _keys(location: tuple[int | str, ...]) -> list[str]:

@@ -2,23 +2,49 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 
-from .clock import Clock, seconds
+from .clock import Clock, seconds, to_ticks
 from .errors import GraphError
 from .participant import Description
 
-_DEFAULT_STEP_S, _LEAST_CHOSEN_STEP_S = 0.01, 0.001
+_DEFAULT, _LEAST = 10_000_000, 1_000_000  # ticks
 
 
-def choose_step(latencies_s: Iterable[float]) -> float:
-    """Return H: 10 ms, or the shortest positive latency when that is less, but at least 1 ms.
+def step_and_reason(latencies_s: Iterable[float], instants_s: Iterable[float] = ()) -> tuple[float, str]:
+    """Return H and the reason: 10 ms, or the shortest latency when that is less, but at least 1 ms.
 
-    >>> choose_step([0.1, 0.004, 0.0])
-    0.004
+    When a step between half of that and that divides every latency and every instant (events, reporting
+    intervals, the end), the largest such step is taken; failing that, one that divides the latencies.
+
+    >>> step_and_reason([0.1, 0.004, 0.0])
+    (0.004, 'chosen: the shortest latency; divides all latencies and instants')
+    >>> step_and_reason([0.1], [1.0, 1.1333])
+    (0.01, 'chosen: the longest step; divides all latencies, events between steps shorten them')
     """
-    positive = [v for v in latencies_s if v > 0.0]
-    return max(_LEAST_CHOSEN_STEP_S, min([_DEFAULT_STEP_S, *positive]))
+    latencies = [t for t in (to_ticks(v, "latency") for v in latencies_s) if t > 0]
+    instants = [to_ticks(v, "instant") for v in instants_s]
+    limit = max(_LEAST, min([_DEFAULT, *latencies]))
+    why = "the longest step" if limit == _DEFAULT else "the shortest latency"
+    if limit == _LEAST and limit > min([_DEFAULT, *latencies]):
+        why = "the shortest step, which is longer than the shortest latency"
+    for times, said in (
+        ([*latencies, *instants], "divides all latencies and instants"),
+        (latencies, "divides all latencies, events between steps shorten them"),
+    ):
+        shared = math.gcd(*times)
+        least = -(-shared // limit)  # parts of `shared` that are no longer than the limit
+        parts = next((n for n in range(least, 2 * least) if shared % n == 0), 0)
+        if parts and 2 * (shared // parts) > limit:
+            step = shared // parts
+            return seconds(step), f"chosen: {why}{'' if step == limit else ', shortened'}; {said}"
+    return seconds(limit), f"chosen: {why}"
+
+
+def choose_step(latencies_s: Iterable[float], instants_s: Iterable[float] = ()) -> float:
+    """Return H as `step_and_reason` chooses it."""
+    return step_and_reason(latencies_s, instants_s)[0]
 
 
 def clock_of(

@@ -28,6 +28,13 @@ def test_ten_lines() -> None:
     assert "inter-area damping 0.08" in _output(str(EXAMPLES / "ten_lines.py"))
 
 
+def test_a_system_in_python() -> None:
+    text = _output(str(EXAMPLES / "any_loop.py"))
+    assert "plant.G2_dw -> remote.u" in text
+    assert re.search(r"\n1000 +10\.0\d* .* False\n", text)
+    assert "units: pu, rad" in text
+
+
 def test_a_new_controller_moves_the_damping() -> None:
     found = re.search(r"damping ([\d.]+) -> ([\d.]+)", _output(str(EXAMPLES / "own_controller.py")))
     assert found is not None

@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.scenario import GammaLatency, GilbertElliottLoss, load_scenario
+from interarea.cosim.channels import GammaLatency, GilbertElliottLoss
+from interarea.cosim.scenario import load_scenario
 
 
 def scenario(**keys: Any) -> dict[str, Any]:

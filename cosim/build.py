@@ -1,0 +1,319 @@
+"""Put a system together in Python and run it: participants, channels, connections, events.
+
+    grid = System(stop_s=20.0)
+    grid.plant("two-area-thesis")
+    grid.controller("wdc")
+    grid.channel("remote", latency_s=0.1, outages_s=[(10.0, 12.0)])
+    grid.connect("plant.G2_dw", "remote", "controller.G2_dw")
+    grid.connect("plant.G4_dw", "controller.G4_dw")
+    grid.connect("controller.G4_vs", "plant.G4_vs")
+    grid.event("vref_pulse", machine="G1", size_pu=0.05, start_s=1.0, end_s=1.2)
+    result = grid.run()
+    result.data  # a DataFrame; units in result.units
+
+Any FMI 2.0 co-simulation FMU takes part with `fmu`, anything that meets `Participant` with `add`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from interarea.models.case import Case, load_case
+from interarea.models.case_errors import CaseError
+from interarea.models.events import event_of
+from interarea.models.plant_block import event_parameters, plant_block
+
+from .channels import ChannelLine
+from .errors import GraphError, ScenarioError, nearest, one_line
+from .fmu_file import FmuFile
+from .graph import end_of
+from .instances import FmuParticipant, Value
+from .ledger import Delays, delay_ledger, explain, packet_ledger
+from .master import Master
+from .participant import Participant
+from .result import Result
+from .trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from interarea.design.controller import Controller
+
+_SLOTS = 8  # of events that the plant FMU of a case has
+
+
+class System:
+    """A system to be run from `start_s` to `stop_s`; every method that adds something returns the system.
+
+    Parameters
+    ----------
+    stop_s, start_s : s.
+    step_s : communication step; None: chosen from latencies, events and reporting intervals.
+    cache : folder of FMUs and designs; default `default_cache()`.
+    options : `Master`'s (inputs, loops, tolerance, substeps).
+    """
+
+    def __init__(
+        self,
+        *,
+        stop_s: float,
+        start_s: float = 0.0,
+        step_s: float | None = None,
+        cache: Path | None = None,
+        **options: Any,
+    ) -> None:
+        from .artefacts import default_cache
+
+        self.stop_s, self.start_s, self.step_s = stop_s, start_s, step_s
+        self.options = options
+        self.cache = default_cache() if cache is None else cache
+        self.channels: dict[str, ChannelLine] = {}
+        self.connections: list[tuple[str, str]] = []
+        self.latency_s: dict[str, float] = {}
+        self._participants: dict[str, Participant] = {}
+        self._plants: dict[str, Case] = {}
+        self._events: dict[str, list[Any]] = {}
+        self._marks: list[float] = []
+        self._files: dict[Path, FmuFile] = {}
+
+    # -- participants ---------------------------------------------------------------------
+
+    def plant(self, case: str | Path | Case, name: str = "plant") -> System:
+        """Add the plant of a case (bundled name, file or `Case`).
+
+        Raises
+        ------
+        CaseError, ScenarioError
+        """
+        from .artefacts import plant_fmu
+
+        loaded = case if isinstance(case, Case) else load_case(case)
+        self.add(FmuParticipant(name, self._file(plant_fmu(loaded, self.cache))))
+        self._plants[name] = loaded
+        return self
+
+    def controller(self, controller: str | Path | Controller, name: str = "controller") -> System:
+        """Add a controller: a `Controller`, its file, any FMU (``.fmu``), or a name (wdc, cc, ftc, shipped).
+
+        A named controller is designed for the plant added before, once into the cache.
+
+        Raises
+        ------
+        ScenarioError : no such controller, or no plant to design it for.
+        """
+        from interarea.design.controller import Controller
+
+        from .artefacts import CONTROLLER_NAMES, controller_fmu, design_controller
+
+        if isinstance(controller, str | Path) and Path(controller).suffix == ".fmu":
+            return self.fmu(name, controller)
+        if not self._plants:
+            raise ScenarioError(f"{name}: add the plant first; its case gives the controller its base speed")
+        case = next(reversed(self._plants.values()))
+        if isinstance(controller, str | Path):
+            from interarea.design.shipped import shipped_names
+
+            known = (*CONTROLLER_NAMES, *shipped_names())
+            if str(controller) in known:
+                controller = design_controller(case, str(controller), self.cache)
+            elif Path(controller).is_file():
+                controller = Controller.load(Path(controller))
+            else:
+                raise ScenarioError(
+                    f"{name} = {str(controller)!r} is neither a name nor a file; "
+                    f"{nearest(str(controller), known)}"
+                )
+        fmu = controller_fmu(controller, case.omega_b, self.cache)
+        return self.add(FmuParticipant(name, self._file(fmu)))
+
+    def fmu(self, name: str, file: str | Path, *, latency_s: float = 0.0, **start: Value) -> System:
+        """Add any FMI 2.0 co-simulation FMU with start values for its parameters, states or inputs.
+
+        latency_s : a promise that its inputs need at least that long to reach its outputs.
+
+        Raises
+        ------
+        GraphError : see `FmuFile` and `FmuParticipant`.
+        """
+        return self.add(FmuParticipant(name, self._file(Path(file)), start), latency_s=latency_s)
+
+    def add(self, participant: Participant, *, latency_s: float = 0.0) -> System:
+        """Add a participant of any kind; `latency_s` as in `fmu`."""
+        if participant.name in self._participants:
+            raise ScenarioError(f"two instances are named {participant.name!r}; each needs a name of its own")
+        self._participants[participant.name] = participant
+        if latency_s:
+            self.latency_s[participant.name] = latency_s
+        return self
+
+    def channel(self, name: str, line: ChannelLine | None = None, **keys: Any) -> System:
+        """Add a channel: input ``u``, outputs ``y``, ``valid``, ``age``; keys as in a scenario file.
+
+        Raises
+        ------
+        ScenarioError : a key or value that a channel does not take.
+        """
+        from .artefacts import channel_fmu
+
+        where = f"channels.{name}"
+        if line is None:
+            try:
+                line = ChannelLine.model_validate(keys)
+            except ValidationError as error:
+                text = one_line(error, lambda _: ChannelLine.model_fields)
+                raise ScenarioError(f"{where}.{text}") from None
+        self.add(FmuParticipant(name, self._file(channel_fmu(self.cache)), line.parameters(where)))
+        self.channels[name] = line
+        self.latency_s[name] = line.least_latency_s
+        self._marks += [t for window in line.outages_s for t in window]
+        return self
+
+    # -- what connects and disturbs them --------------------------------------------------
+
+    def connect(self, *path: str) -> System:
+        """Connect along a path: ``"a.y", "b.u"``, or through channels ``"a.y", "remote", "b.u"``.
+
+        Ends are checked when the master is made, channels on the way at once.
+        """
+        self.connections += [p for p in pairs_of(path, self.channels) if p not in self.connections]
+        return self
+
+    def event(self, kind: Any, *, plant: str | None = None, **fields: Any) -> System:
+        """Add an event to a plant (default: the one there is): its kind and fields, or an event object.
+
+        Raises
+        ------
+        ScenarioError, CaseError : see `interarea.models.events`; an unknown target.
+        """
+        if plant is None and len(self._plants) == 1:
+            plant = next(iter(self._plants))
+        if plant not in self._plants:
+            raise ScenarioError(f"event: plant = {plant!r}; {nearest(str(plant), self._plants)}")
+        try:
+            found = event_of({"kind": kind, **fields}, where="event") if isinstance(kind, str) else kind
+        except CaseError as error:
+            raise ScenarioError(str(error)) from None
+        events = [*self._events.get(plant, []), found]
+        event_parameters(self._plants[plant], events)  # refuses an unknown target here
+        self._events[plant] = events
+        times = (found.start_s, getattr(found, "end_s", None))
+        self._marks += [t for t in times if t is not None]
+        return self
+
+    def mark(self, *times_s: float) -> System:
+        """Make these instants communication points, beside which signals may jump."""
+        self._marks += times_s
+        return self
+
+    # -- running --------------------------------------------------------------------------
+
+    @property
+    def case(self) -> Case:
+        """The case of the only plant."""
+        (case,) = self._plants.values()
+        return case
+
+    def participant(self, name: str) -> Participant:
+        """Return an instance by name; the error names those there are."""
+        if name not in self._participants:
+            raise GraphError(f"no instance {name!r}; {nearest(name, self._participants)}")
+        return self._participants[name]
+
+    @property
+    def marks_s(self) -> tuple[float, ...]:
+        """Instants of events and outages inside the run, s."""
+        return tuple(sorted({t for t in self._marks if self.start_s < t < self.stop_s}))
+
+    def delays(self) -> dict[str, Delays]:
+        """Return what the ledger states about each channel."""
+        return {name: line.delays() for name, line in self.channels.items()}
+
+    def master(self) -> Master:
+        """Return a master of the system, to be stepped: a context manager that ends the instances.
+
+        Raises
+        ------
+        GraphError, ScenarioError : see `Master`.
+        """
+        for source, target in self.connections:
+            end_of(source, self._participants)
+            end_of(target, self._participants)
+        return Master(
+            [self._with_events(p) for p in self._participants.values()],
+            self.connections,
+            stop_s=self.stop_s,
+            start_s=self.start_s,
+            step_s=self.step_s,
+            marks_s=self.marks_s,
+            latency_s=self.latency_s,
+            **self.options,
+        )
+
+    def run(self, *, progress: Callable[[float, float], object] | None = None) -> Result:
+        """Run to the end and return what happened.
+
+        progress : called with (present time, stop time), s.
+
+        Raises
+        ------
+        GraphError, ScenarioError; StepError : an FMU failed; the error has the results so far.
+        """
+        with self.master() as master:
+            return self.result(master, master.run(progress=progress))
+
+    def result(self, master: Master, trajectory: Trajectory | None = None) -> Result:
+        """Return what a master of this system has done so far."""
+        done = master.trajectory if trajectory is None else trajectory
+        return Result(
+            trajectory=done,
+            ledger=delay_ledger(master, self.delays()),
+            packets=packet_ledger(done, self.channels),
+            explanation=explain(master, self.delays()),
+        )
+
+    # -- private --------------------------------------------------------------------------
+
+    def _file(self, path: Path) -> FmuFile:
+        if path not in self._files:
+            self._files[path] = FmuFile(path)
+        return self._files[path]
+
+    def _with_events(self, participant: Participant) -> Participant:
+        """Return the plant with its events as start values; others as they are."""
+        case, events = self._plants.get(participant.name), self._events.get(participant.name, [])
+        if case is None or not events:
+            return participant
+        from .artefacts import block_fmu, plant_fmu
+
+        start = event_parameters(case, events)
+        if len(events) <= _SLOTS:
+            file = self._file(plant_fmu(case, self.cache))
+        else:
+            file = self._file(block_fmu(plant_block(case, event_slots=len(events)), self.cache))
+        return FmuParticipant(participant.name, file, start)
+
+
+def pairs_of(path: Sequence[str], channels: Collection[str]) -> list[tuple[str, str]]:
+    """Return the connections along a path from a source through `channels` to a target.
+
+    >>> pairs_of(["a.y", "remote", "b.u"], ["remote"])
+    [('a.y', 'remote.u'), ('remote.y', 'b.u')]
+
+    Raises
+    ------
+    GraphError : fewer than two ends, or something on the way that is no channel.
+    """
+    if len(path) < 2:
+        raise GraphError(f"connection {list(path)}: a source and a target are needed")
+    first, *middle, last = path
+    for name in middle:
+        if name not in channels:
+            raise GraphError(
+                f"connection {list(path)}: {name!r} on the way is no channel; {nearest(name, channels)}"
+            )
+    ends = [f"{first}.y" if first in channels else first]
+    ends += [f"{name}.{port}" for name in middle for port in ("u", "y")]
+    ends.append(f"{last}.u" if last in channels else last)
+    return list(zip(ends[::2], ends[1::2], strict=True))
