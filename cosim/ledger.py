@@ -191,8 +191,8 @@ PACKET_COUNTS = ("sent", "delivered", "dropped", "late")
 def packet_ledger(trajectory: Trajectory, channels: Iterable[str]) -> PacketLedger:
     """Return what the channels counted by the end of a run, from their recorded outputs.
 
-    A channel without packets has sent nothing; the age of its information is still told: at the end, and
-    mean and largest over the communication points.
+    Of a channel without packets the age of its information is told: at the end, and mean and largest over
+    the communication points.
     """
     rows: dict[str, dict[str, float]] = {}
     for name in channels:
@@ -200,8 +200,11 @@ def packet_ledger(trajectory: Trajectory, channels: Iterable[str]) -> PacketLedg
         for count in PACKET_COUNTS:
             if f"{name}.{count}" in trajectory.data:
                 row[count] = float(trajectory[f"{name}.{count}"][-1])
-        if len(row) == len(PACKET_COUNTS):
-            row["on their way"] = row["sent"] - row["delivered"] - row["dropped"] - row["late"]
+        if not row.get("sent"):
+            row = {}  # continuous: nothing travels in packets
+        else:
+            arrived = row.get("delivered", 0.0) + row.get("dropped", 0.0) + row.get("late", 0.0)
+            row["on their way"] = row["sent"] - arrived
         if f"{name}.age" in trajectory.data:
             age = trajectory[f"{name}.age"]
             row |= {"age": float(age[-1]), "age mean": float(np.mean(age)), "age max": float(np.max(age))}

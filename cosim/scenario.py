@@ -138,8 +138,8 @@ class Scenario(Table):
         for name in (*self.fmus, *self.channels):
             if not name.isidentifier() or name in _RESERVED or (name in self.fmus and name in self.channels):
                 raise ValueError(
-                    f"{'channels' if name in self.channels else 'fmus'}.{name}: an instance's name is an "
-                    f"identifier of its own other than {' and '.join(_RESERVED)}"
+                    f"{'channels' if name in self.channels else 'fmus'}.{name}: its name must be "
+                    f"an identifier other than {' and '.join(_RESERVED)}, used once"
                 )
         for name, channel in self.channels.items():
             if channel.signal and not self.case:

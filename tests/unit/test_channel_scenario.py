@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from interarea.cosim.errors import ScenarioError
 from interarea.cosim.channels import GammaLatency, GilbertElliottLoss
+from interarea.cosim.errors import ScenarioError
 from interarea.cosim.scenario import load_scenario
 
 
