@@ -51,7 +51,8 @@ from interarea.models.events import events_of
 from .channels import ChannelLine, Seconds, Table
 from .clock import to_ticks
 from .errors import ScenarioError, nearest, one_line
-from .master import Inputs, Loops
+from .master import Loops
+from .wiring import Inputs
 
 BUNDLED = Path(__file__).parent / "scenarios"
 NAMED_CONTROLLERS = ("none", "wdc", "cc", "ftc", *shipped_names())
