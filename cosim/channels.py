@@ -157,6 +157,11 @@ class ChannelLine(Table):
         return max(self.latency_s, self.pdc_wait_s)
 
     @property
+    def timing(self) -> tuple[object, ...]:
+        """All of this channel that a master's clock and order depend on."""
+        return (self.least_latency_s, self if self.reporting_interval_s else None)
+
+    @property
     def steady(self) -> Self:
         """The same channel with nothing random, nothing lost and nothing rounded."""
         off = {"jitter_s": 0.0, "latency": None, "loss": None, "quantum": 0.0, "outages_s": ()}

@@ -203,12 +203,11 @@ class Runner:
         if controller is not None:
             wiring.instances["controller"][1].update(_controller_start(controller, point))
         kept = self._instances((point.change, slots, scenario.controller, tuple(wiring.instances)), wiring)
-        delays = tuple(max(c.latency_s, c.pdc_wait_s) for c in scenario.channels.values())
         key = (
             scenario.stop_s,
             scenario.step_s,
             scenario.marks_s,
-            delays,
+            tuple(c.timing for c in scenario.channels.values()),
             scenario.master,
             wiring.connections,
         )
