@@ -1,4 +1,4 @@
-"""From a graph to what the master steps: one signal for each connected output, one node for each participant."""
+"""From a graph to what the master steps: a signal for each connected output, a node for each participant."""
 
 from __future__ import annotations
 

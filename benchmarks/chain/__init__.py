@@ -1,0 +1,1 @@
+"""A chain of trivial FMUs and the masters that step it."""
