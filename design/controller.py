@@ -73,8 +73,14 @@ class Controller:
 
     def save(self, path: str | Path) -> Path:
         """Write the controller as JSON; every number survives to the last bit."""
+        path = Path(path)
+        path.write_text(json.dumps(self.as_dict(), indent=1) + "\n", encoding="utf-8")
+        return path
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the controller as JSON values, which `from_dict` reads."""
         K = self.system
-        data = {
+        return {
             "schema": SCHEMA,
             "name": self.name,
             "convention": "u = +K y; speeds (*_dw) in rad/s, actuators in pu",
@@ -88,9 +94,6 @@ class Controller:
             "design": plain(self.design),
             "certificate": None if self.certificate is None else plain(self.certificate),
         }
-        path = Path(path)
-        path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-        return path
 
     @classmethod
     def load(cls, path: str | Path) -> Controller:
@@ -108,12 +111,20 @@ class Controller:
             raise ControllerError(f"controller file {path}: not found") from error
         except (UnicodeDecodeError, json.JSONDecodeError) as error:
             raise ControllerError(f"controller file {path}: not JSON ({error})") from error
+        try:
+            return cls.from_dict(data)
+        except ControllerError as error:
+            raise ControllerError(f"controller file {path}: {error}") from error
+
+    @classmethod
+    def from_dict(cls, data: Any) -> Controller:
+        """Return the controller of `as_dict`. Raises ControllerError naming the key at fault."""
         if not isinstance(data, dict) or data.get("schema") != SCHEMA:
             got = data.get("schema") if isinstance(data, dict) else type(data).__name__
-            raise ControllerError(f"controller file {path}: schema is {got!r}, allowed: {SCHEMA}")
+            raise ControllerError(f"schema is {got!r}, allowed: {SCHEMA}")
         missing = [k for k in ("name", "inputs", "outputs", "A", "B", "C", "D") if k not in data]
         if missing:
-            raise ControllerError(f"controller file {path}: missing {', '.join(missing)}")
+            raise ControllerError(f"missing {', '.join(missing)}")
         n, p, m = len(data["A"]), len(data["outputs"]), len(data["inputs"])
         try:
             shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
@@ -126,12 +137,10 @@ class Controller:
                 design=data.get("design", {}),
                 certificate=data.get("certificate"),
             )
-        except ControllerError as error:
-            raise ControllerError(f"controller file {path}: {error}") from error
+        except ControllerError:
+            raise
         except (TypeError, ValueError) as error:
-            raise ControllerError(
-                f"controller file {path}: A, B, C, D do not fit {m} inputs and {p} outputs ({error})"
-            ) from error
+            raise ControllerError(f"A, B, C, D do not fit {m} inputs and {p} outputs ({error})") from error
 
     def block(self, omega_b: float) -> Block:
         """Return the block for the FMU builder: speeds in pu (dw_rad = omega_b dw_pu), actuators in pu.
@@ -146,9 +155,9 @@ class Controller:
             )
         scale = np.array([omega_b if name.endswith("_dw") else 1.0 for name in self.inputs])
         K = self.system
-        documentation = {"Design": _table(plain(self.design))}
+        documentation = {"Design": document(plain(self.design))}
         if self.certificate is not None:
-            documentation["Certificate"] = _table(plain(self.certificate))
+            documentation["Certificate"] = document(plain(self.certificate))
         return controller_block(
             self.name,
             K.A,
@@ -184,13 +193,13 @@ def plain(value: Any) -> Any:
     return str(value)
 
 
-def _table(value: Any) -> str:
+def document(value: Any) -> str:
     """Return nested JSON values as an HTML fragment."""
     if isinstance(value, dict):
-        rows = (f"<tr><th>{html.escape(k)}</th><td>{_table(v)}</td></tr>" for k, v in value.items())
+        rows = (f"<tr><th>{html.escape(k)}</th><td>{document(v)}</td></tr>" for k, v in value.items())
         return f"<table>{''.join(rows)}</table>"
     if isinstance(value, list):
-        return ", ".join(_table(v) for v in value)
+        return ", ".join(document(v) for v in value)
     if isinstance(value, float):
         return f"{value:.6g}"
     return html.escape(str(value))

@@ -1,0 +1,300 @@
+/* A bank of linear controllers in hot standby behind a supervisor:
+ *
+ *     dx_i/dt = A_i x_i + B_i v,   v_j = m_j u_j          every controller runs all the time
+ *     dm_j/dt = (trusted_j - m_j) / fade_time             a signal that is not trusted fades out
+ *     dw_i/dt = ([i is active] - w_i) / fade_time         weights fade from the old to the active one
+ *     y = min(max(sum_i w_i (C_i x_i + D_i v), -limit), limit)
+ *
+ * Weights and m stay in [0, 1] and the weights sum to 1, so the loop is at every
+ * instant a convex combination of the loops (controller i, signals in set S):
+ * one Lyapunov function for those proves stability for every sequence of losses
+ * and every fade (design/switching.py).
+ *
+ * A signal is no longer trusted when its flag has been down for loss_time, and
+ * trusted again when it has been up for return_time. The set of trusted signals
+ * chooses the active controller by the table `choice`; two switches are at least
+ * dwell_time apart. Flags are looked at where a step begins.                  */
+#include <math.h>
+#include <stdio.h>
+
+#include "../block/block.h"
+
+const int block_is_sampled = 0;
+
+enum { MAX_SIGNALS = 6, MAX_BANK = 16 };
+enum { P_LIMIT, P_FADE, P_LOSS, P_RETURN, P_DWELL, P_COUNT };
+enum { IY_ACTIVE, IY_SWITCHES, IY_COUNT };
+enum { M_ACTIVE, M_SWITCHED_AT, M_SWITCHES, M_SIGNALS };
+/* per signal, after M_SIGNALS */
+enum { S_SEEN, S_CHANGED_AT, S_TRUSTED, S_COUNT };
+
+/* Times this close (s) are the same: masters round. */
+static const double SLACK = 1e-9;
+
+typedef struct {
+    size_t n, signals, actuators, states; /* controllers; their states in all */
+    const int32_t *orders, *choice;
+    const double *A, *B, *C, *D;          /* one controller after the other, rows first */
+} Bank;
+
+static int bank_of(const Record *record, const BlockLayout *layout, Bank *bank)
+{
+    size_t n_orders, n_choice, n_A, n_B, n_C, n_D, squares = 0;
+
+    bank->orders = record_i32(record, "orders", &n_orders);
+    bank->choice = record_i32(record, "choice", &n_choice);
+    bank->A = record_f64(record, "A", &n_A);
+    bank->B = record_f64(record, "B", &n_B);
+    bank->C = record_f64(record, "C", &n_C);
+    bank->D = record_f64(record, "D", &n_D);
+    bank->n = n_orders;
+    bank->signals = layout->n_u;
+    bank->actuators = layout->n_y;
+    bank->states = 0;
+    if (bank->orders == NULL || bank->choice == NULL || bank->A == NULL || bank->B == NULL || bank->C == NULL
+        || bank->D == NULL || n_orders < 1 || n_orders > MAX_BANK || bank->signals < 1
+        || bank->signals > MAX_SIGNALS || n_choice != (size_t)1 << bank->signals)
+        return 0;
+    for (size_t i = 0; i < n_orders; ++i) {
+        if (bank->orders[i] < 0 || bank->orders[i] > 1000) return 0;
+        bank->states += (size_t)bank->orders[i];
+        squares += (size_t)bank->orders[i] * (size_t)bank->orders[i];
+    }
+    for (size_t k = 0; k < n_choice; ++k)
+        if (bank->choice[k] < 0 || (size_t)bank->choice[k] >= n_orders) return 0;
+    return n_A == squares && n_B == bank->states * bank->signals && n_C == bank->actuators * bank->states
+           && n_D == n_orders * bank->actuators * bank->signals;
+}
+
+BlockStatus block_needs(const Record *record, const BlockLayout *n, BlockNeeds *needs, BlockMessage *message)
+{
+    Bank bank;
+
+    if (!bank_of(record, n, &bank) || n->n_x != bank.states + bank.n + bank.signals || n->n_p != P_COUNT
+        || n->n_iu != bank.signals || n->n_iy != IY_COUNT || n->n_w + n->n_iw + n->n_ip > 0) {
+        snprintf(message->text, sizeof message->text,
+                 "supervisor: the variables and the bank in the record do not fit each other");
+        return BLOCK_ERROR;
+    }
+    needs->n_memory = M_SIGNALS + S_COUNT * bank.signals;
+    needs->n_scratch = bank.signals + bank.actuators;
+    return BLOCK_OK;
+}
+
+static double *signal_memory(const Block *b, size_t j)
+{
+    return b->memory + M_SIGNALS + S_COUNT * j;
+}
+
+static int32_t wanted(const Block *b, const Bank *bank)
+{
+    size_t set = 0;
+
+    for (size_t j = 0; j < bank->signals; ++j)
+        if (signal_memory(b, j)[S_TRUSTED] > 0.0) set |= (size_t)1 << j;
+    return bank->choice[set];
+}
+
+/* Weights and masks at their targets, nothing fading. */
+static void settle(const Block *b, const Bank *bank, double *x)
+{
+    for (size_t i = 0; i < bank->n; ++i) x[bank->states + i] = (double)i == b->memory[M_ACTIVE] ? 1.0 : 0.0;
+    for (size_t j = 0; j < bank->signals; ++j)
+        x[bank->states + bank->n + j] = signal_memory(b, j)[S_TRUSTED];
+}
+
+static void tell(const Block *b)
+{
+    b->iy[IY_ACTIVE] = 1 + (int)b->memory[M_ACTIVE];
+    b->iy[IY_SWITCHES] = (int)b->memory[M_SWITCHES];
+}
+
+BlockStatus block_start(Block *b, double t, BlockMessage *message)
+{
+    static const char *const names[P_COUNT] = {"limit", "fade_time", "loss_time", "return_time", "dwell_time"};
+    Bank bank;
+
+    for (int k = 0; k < P_COUNT; ++k)
+        if (!(k == P_LIMIT ? b->p[k] > 0.0 : b->p[k] >= 0.0)) {
+            snprintf(message->text, sizeof message->text, "supervisor: %s is %g, it must %s", names[k], b->p[k],
+                     k == P_LIMIT ? "be positive" : "not be negative");
+            return BLOCK_ERROR;
+        }
+    (void)bank_of(b->record, &b->layout, &bank);
+    for (size_t j = 0; j < bank.signals; ++j) {
+        double *s = signal_memory(b, j);
+        s[S_SEEN] = s[S_TRUSTED] = b->iu[j] != 0 ? 1.0 : 0.0;
+        s[S_CHANGED_AT] = t;
+    }
+    b->memory[M_ACTIVE] = (double)wanted(b, &bank);
+    b->memory[M_SWITCHED_AT] = t;
+    b->memory[M_SWITCHES] = 0.0;
+    settle(b, &bank, b->x);
+    tell(b);
+    return BLOCK_OK;
+}
+
+static double due(const Block *b, const double *s)
+{
+    return s[S_CHANGED_AT] + b->p[s[S_SEEN] > 0.0 ? P_RETURN : P_LOSS];
+}
+
+double block_next_event(const Block *b, double t)
+{
+    Bank bank;
+    double next = INFINITY;
+
+    (void)bank_of(b->record, &b->layout, &bank);
+    for (size_t j = 0; j < bank.signals; ++j) {
+        const double *s = signal_memory(b, j);
+        if ((b->iu[j] != 0) != (s[S_SEEN] > 0.0)) return nextafter(t, INFINITY);
+        if (s[S_SEEN] != s[S_TRUSTED]) next = fmin(next, due(b, s));
+    }
+    if ((double)wanted(b, &bank) != b->memory[M_ACTIVE])
+        next = fmin(next, b->memory[M_SWITCHED_AT] + b->p[P_DWELL]);
+    return next > t ? next : nextafter(t, INFINITY);
+}
+
+BlockStatus block_event(Block *b, double t, double *x, BlockMessage *message)
+{
+    Bank bank;
+    int32_t choice;
+
+    (void)message;
+    (void)bank_of(b->record, &b->layout, &bank);
+    for (size_t j = 0; j < bank.signals; ++j) {
+        double *s = signal_memory(b, j);
+        const double flag = b->iu[j] != 0 ? 1.0 : 0.0;
+        if (flag != s[S_SEEN]) {
+            s[S_SEEN] = flag;
+            s[S_CHANGED_AT] = t;
+        }
+        if (s[S_SEEN] != s[S_TRUSTED] && t >= due(b, s) - SLACK) s[S_TRUSTED] = s[S_SEEN];
+    }
+    choice = wanted(b, &bank);
+    if ((double)choice != b->memory[M_ACTIVE]
+        && (b->memory[M_SWITCHES] == 0.0 || t >= b->memory[M_SWITCHED_AT] + b->p[P_DWELL] - SLACK)) {
+        b->memory[M_ACTIVE] = (double)choice;
+        b->memory[M_SWITCHED_AT] = t;
+        b->memory[M_SWITCHES] += 1.0;
+    }
+    if (!(b->p[P_FADE] > 0.0)) settle(b, &bank, x);
+    tell(b);
+    return BLOCK_OK;
+}
+
+/* sum_j M[j] v[j] of one row */
+static double row(const double *M, const double *v, size_t n)
+{
+    double sum = 0.0;
+
+    for (size_t j = 0; j < n; ++j) sum += M[j] * v[j];
+    return sum;
+}
+
+/* dx of every controller of the bank for states x and faded signals v. */
+static void bank_derivatives(const Bank *bank, const double *x, const double *v, double *dx)
+{
+    const double *A = bank->A, *B = bank->B;
+
+    for (size_t i = 0; i < bank->n; ++i) {
+        const size_t n = (size_t)bank->orders[i];
+        for (size_t k = 0; k < n; ++k, A += n, B += bank->signals)
+            dx[k] = row(A, x, n) + row(B, v, bank->signals);
+        x += n;
+        dx += n;
+    }
+}
+
+/* y += sum_i w_i (C_i x_i + D_i v) */
+static void add_outputs(const Bank *bank, const double *w, const double *x, const double *v, double *y)
+{
+    const double *C = bank->C, *D = bank->D;
+
+    for (size_t i = 0; i < bank->n; ++i) {
+        const size_t n = (size_t)bank->orders[i];
+        for (size_t k = 0; k < bank->actuators; ++k, C += n, D += bank->signals)
+            y[k] += w[i] * (row(C, x, n) + row(D, v, bank->signals));
+        x += n;
+    }
+}
+
+static void faded(const Bank *bank, const double *x, const double *u, double *v)
+{
+    for (size_t j = 0; j < bank->signals; ++j) v[j] = x[bank->states + bank->n + j] * u[j];
+}
+
+BlockStatus block_derivatives(Block *b, double t, const double *x, const double *u, double *dx,
+                              BlockMessage *message)
+{
+    Bank bank;
+    const double fade = b->p[P_FADE];
+
+    (void)t, (void)message;
+    (void)bank_of(b->record, &b->layout, &bank);
+    faded(&bank, x, u, b->scratch);
+    bank_derivatives(&bank, x, b->scratch, dx);
+    for (size_t i = 0; i < bank.n; ++i) {
+        const double target = (double)i == b->memory[M_ACTIVE] ? 1.0 : 0.0;
+        dx[bank.states + i] = fade > 0.0 ? (target - x[bank.states + i]) / fade : 0.0;
+    }
+    for (size_t j = 0; j < bank.signals; ++j) {
+        const size_t k = bank.states + bank.n + j;
+        dx[k] = fade > 0.0 ? (signal_memory(b, j)[S_TRUSTED] - x[k]) / fade : 0.0;
+    }
+    return BLOCK_OK;
+}
+
+BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, double *y,
+                          BlockMessage *message)
+{
+    Bank bank;
+    const double limit = b->p[P_LIMIT];
+
+    (void)t, (void)message;
+    (void)bank_of(b->record, &b->layout, &bank);
+    faded(&bank, x, u, b->scratch);
+    for (size_t k = 0; k < bank.actuators; ++k) y[k] = 0.0;
+    add_outputs(&bank, x + bank.states, x, b->scratch, y);
+    for (size_t k = 0; k < bank.actuators; ++k) y[k] = y[k] > limit ? limit : y[k] < -limit ? -limit : y[k];
+    tell(b);
+    return BLOCK_OK;
+}
+
+BlockStatus block_directional(Block *b, double t, const double *x, const double *u, const double *vx,
+                              const double *vu, double *vdx, double *vy, BlockMessage *message)
+{
+    Bank bank;
+    double *v = b->scratch, *y = b->scratch + b->layout.n_u;
+    const double fade = b->p[P_FADE], limit = b->p[P_LIMIT];
+    size_t masks;
+
+    (void)t, (void)message;
+    (void)bank_of(b->record, &b->layout, &bank);
+    masks = bank.states + bank.n;
+    if (vy != NULL) {
+        /* whether a limit holds the output decides before v is overwritten by its direction */
+        faded(&bank, x, u, v);
+        for (size_t k = 0; k < bank.actuators; ++k) y[k] = vy[k] = 0.0;
+        add_outputs(&bank, x + bank.states, x, v, y);
+        add_outputs(&bank, vx + bank.states, x, v, vy);
+    }
+    for (size_t j = 0; j < bank.signals; ++j) v[j] = vx[masks + j] * u[j] + x[masks + j] * vu[j];
+    if (vy != NULL) {
+        add_outputs(&bank, x + bank.states, vx, v, vy);
+        for (size_t k = 0; k < bank.actuators; ++k)
+            if (fabs(y[k]) > limit) vy[k] = 0.0;
+    }
+    if (vdx != NULL) {
+        bank_derivatives(&bank, vx, v, vdx);
+        for (size_t k = bank.states; k < masks + bank.signals; ++k) vdx[k] = fade > 0.0 ? -vx[k] / fade : 0.0;
+    }
+    return BLOCK_OK;
+}
+
+BlockStatus block_step(Block *b, double t, double h, const double *u_poly, double *dy, BlockMessage *message)
+{
+    (void)b, (void)t, (void)h, (void)u_poly, (void)dy;
+    snprintf(message->text, sizeof message->text, "supervisor: not a sampled block");
+    return BLOCK_ERROR;
+}

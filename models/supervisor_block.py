@@ -1,0 +1,171 @@
+"""A bank of controllers in hot standby behind a supervisor, as a block for the FMU builder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from .controller_block import _internal_step_s
+from .variables import Block, Variable, VariableTable
+
+_SOURCE = Path(__file__).resolve().parent / "controller" / "supervisor.c"
+MAX_SIGNALS = 6  #: as in supervisor.c
+MAX_BANK = 16  #: as in supervisor.c
+
+Array = npt.NDArray[np.float64]
+Matrices = tuple[Array, Array, Array, Array]
+
+
+def supervisor_block(
+    name: str,
+    bank: Mapping[str, Matrices],
+    choice: Sequence[str],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    *,
+    limit: float = 0.15,
+    fade_s: float = 0.05,
+    loss_s: float = 0.0,
+    return_s: float = 1.0,
+    dwell_s: float = 0.0,
+    extra: Mapping[str, Array] | None = None,
+    documentation: Mapping[str, str] | None = None,
+    provenance: Mapping[str, str] | None = None,
+) -> Block:
+    """Return the block of `bank`: all controllers run, the validity flags of the signals choose whose output counts.
+
+    Each signal has a Boolean input ``SIGNAL_valid`` (true where nothing is connected). ``active`` (1 = the
+    first of the bank) and ``switches`` are outputs; the times and the limit are parameters.
+
+    Parameters
+    ----------
+    name : model name, a C identifier.
+    bank : controller name -> A (n, n), B (n, m), C (p, n), D (p, m) in pu; n may differ and be 0.
+    choice : name of the controller for each set of trusted signals; bit j of the position = signal j is there.
+    inputs, outputs : m signals and p actuators, all of every controller.
+    limit : pu. fade_s : time constant of the bumpless transfer, 0 = at once.
+    loss_s, return_s : how long a flag must be down, or up again, before it is believed. dwell_s : least time
+        between two switches.
+    extra : arrays that go into the FMU's resource file beside the bank (a Lyapunov matrix).
+    documentation, provenance : see `Block`.
+
+    Raises
+    ------
+    ValueError : sizes that do not fit, names that are not known, times or limits out of range.
+    """
+    m, p = len(inputs), len(outputs)
+    if not 1 <= m <= MAX_SIGNALS or not 1 <= len(bank) <= MAX_BANK:
+        raise ValueError(
+            f"supervisor {name}: {m} signals and {len(bank)} controllers, allowed are 1 to {MAX_SIGNALS} "
+            f"and 1 to {MAX_BANK}"
+        )
+    names = list(bank)
+    if len(choice) != 2**m or not set(choice) <= set(names):
+        raise ValueError(
+            f"supervisor {name}: choice has {len(choice)} entries {sorted(set(choice))}, wanted {2**m} "
+            f"names out of {', '.join(names)}"
+        )
+    times = {"fade_time": fade_s, "loss_time": loss_s, "return_time": return_s, "dwell_time": dwell_s}
+    for key, value in {**times, "limit": limit}.items():
+        if not (value >= 0.0 and np.isfinite(value)) or (key == "limit" and not value > 0.0):
+            raise ValueError(f"supervisor {name}: {key} is {value}, allowed are finite, not negative values")
+    for who, matrices in bank.items():
+        _check(name, who, matrices, m, p)
+    states = [f"{who}.x[{k + 1}]" for who, K in bank.items() for k in range(len(K[0]))]
+    weights = [f"{who}.weight" for who in names]
+    masks = [f"{signal}_trust" for signal in inputs]
+    flags = [f"{signal}_valid" for signal in inputs]
+    everything = [*states, *weights, *masks]
+    through = any(np.any(K[3]) for K in bank.values())
+    variables = [
+        *(Variable(s, "state", "State of a controller of the bank", start=0.0) for s in states),
+        *(Variable(s, "state", "Weight of a controller in the output", start=0.0) for s in weights),
+        *(Variable(s, "state", "Weight of a signal, 0 when not trusted", start=1.0) for s in masks),
+        *(
+            Variable(f"der({s})", "derivative", f"Derivative of {s}", unit="1/s", derivative_of=s)
+            for s in everything
+        ),
+        *(Variable(u, "input", f"Measured signal {u}", unit="pu", start=0.0) for u in inputs),
+        *(
+            Variable(
+                y,
+                "output",
+                f"Control signal {y}, limited to plus or minus `limit`",
+                unit="pu",
+                depends_on=(*everything, *(inputs if through else ())),
+            )
+            for y in outputs
+        ),
+        Variable(
+            "limit",
+            "parameter",
+            "Bound of the magnitude of every output",
+            unit="pu",
+            start=float(limit),
+            min=0.0,
+            tunable=True,
+        ),
+        *(
+            Variable(key, "parameter", _TIMES[key], unit="s", start=float(value), min=0.0)
+            for key, value in times.items()
+        ),
+        *(
+            Variable(f, "input", f"Whether {u} arrives", type="Boolean", start=True)
+            for f, u in zip(flags, inputs, strict=True)
+        ),
+        Variable("active", "output", "Active controller: " + _numbered(names), type="Integer", depends_on=()),
+        Variable("switches", "output", "Switches since the start", type="Integer", depends_on=()),
+    ]
+    data: dict[str, Array | npt.NDArray[np.int32] | bytes] = {
+        "orders": np.array([len(K[0]) for K in bank.values()], dtype=np.int32),
+        "choice": np.array([names.index(c) for c in choice], dtype=np.int32),
+        **{letter: _stacked([K[k] for K in bank.values()]) for k, letter in enumerate("ABCD")},
+        **(extra or {}),
+    }
+    fastest = [_internal_step_s(K[0]) for K in bank.values()]
+    return Block(
+        kind="supervisor",
+        name=name,
+        description=f"Bank of {len(bank)} controllers in hot standby, chosen by the validity of the signals",
+        table=VariableTable(variables),
+        data=data,
+        sources=(_SOURCE,),
+        internal_step_s=min([*fastest, 0.1 * fade_s] if fade_s > 0.0 else fastest),
+        model_exchange=False,  # flags are looked at where steps begin; model exchange has no steps
+        documentation={"Equations": _EQUATIONS, **(documentation or {})},
+        provenance=dict(provenance or {}),
+    )
+
+
+_TIMES = {
+    "fade_time": "Time constant of the bumpless transfer",
+    "loss_time": "How long a flag is down before its signal is lost",
+    "return_time": "How long a flag is up before its signal is back",
+    "dwell_time": "Least time between two switches",
+}
+
+_EQUATIONS = (
+    "<p>Every controller runs on the signals v<sub>j</sub> = m<sub>j</sub> u<sub>j</sub>; the output is "
+    "&Sigma; w<sub>i</sub> y<sub>i</sub>, limited. Weights w and trust m follow their targets with the time "
+    "constant <code>fade_time</code>, so nothing jumps when the active controller changes.</p>"
+)
+
+
+def _numbered(names: Sequence[str]) -> str:
+    return ", ".join(f"{k} {name}" for k, name in enumerate(names, start=1))
+
+
+def _stacked(matrices: Sequence[Array]) -> Array:
+    return np.concatenate([np.asarray(M, dtype=np.float64).ravel() for M in matrices])
+
+
+def _check(name: str, who: str, matrices: Matrices, m: int, p: int) -> None:
+    n = len(matrices[0])
+    for letter, M, shape in zip("ABCD", matrices, ((n, n), (n, m), (p, n), (p, m)), strict=True):
+        if np.shape(M) != shape or not np.all(np.isfinite(M)):
+            raise ValueError(
+                f"supervisor {name}: {letter} of {who} has shape {np.shape(M)}, wanted finite {shape}"
+            )
