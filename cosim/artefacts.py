@@ -35,6 +35,7 @@ from interarea.models.plant_block import plant_block
 from interarea.models.variables import Block
 
 if TYPE_CHECKING:
+    from interarea.design.bank import ControllerBank
     from interarea.design.controller import Controller
 
 ROOMS = Path(__file__).resolve().parent.parent
@@ -185,7 +186,22 @@ def channel_fmu(cache: Path) -> Path:
     return block_fmu(channel_block(), cache)
 
 
-def controller_fmu(controller: Controller, omega_b: float, cache: Path) -> Path:
+def active_bank(case: Case, cache: Path) -> ControllerBank:
+    """Return the bank of controllers with its switching certificate, designed when it is new."""
+    from interarea.design.bank import ControllerBank
+
+    key = content_hash(file_hash(plant_fmu(case, cache)), code_hash("design.active"), numerics_versions())
+
+    def make(path: Path) -> Path:
+        from interarea.design.active import design_active
+
+        relative = remove_reference(linear_plant(case, cache))
+        return design_active(relative, omega_b=case.omega_b).save(path)
+
+    return ControllerBank.load(artefact(cache, "controllers", f"active-{key}", ".json", make))
+
+
+def controller_fmu(controller: Controller | ControllerBank, omega_b: float, cache: Path) -> Path:
     """Return the FMU of a controller: pu in, pu out; `omega_b` in rad/s."""
     return block_fmu(controller.block(omega_b), cache)
 

@@ -11,7 +11,9 @@ import typer
 from .terminal import busy, print_table
 
 if TYPE_CHECKING:
+    from interarea.design.bank import ControllerBank
     from interarea.design.family import FamilyCertificate
+    from interarea.models.case import Case
 
 DesignFile = Annotated[
     str,
@@ -44,7 +46,7 @@ def design(
 def certify(
     controller: Annotated[
         str,
-        typer.Argument(metavar="CONTROLLER", help="shipped name, JSON file, or controller FMU"),
+        typer.Argument(metavar="CONTROLLER", help="shipped name, active, JSON file, or FMU"),
     ],
     spec: DesignFile = "robust",
     case: Annotated[str | None, typer.Option("--case", help="another case than the design's")] = None,
@@ -53,14 +55,24 @@ def certify(
     """Recompute a controller's certificate on full plants with exact latency; exit code 1 if it fails."""
     from interarea.models.case import load_case
 
-    from .artefacts import default_cache
+    from .artefacts import active_bank, default_cache
+    from .bank_certificate import any_bank
     from .robust_design import any_controller, load_design
     from .robust_design import certify as recompute
 
     table = load_design(spec)
     if case is not None:
         table = table.model_copy(update={"case": case})
-    made = any_controller(controller, load_case(table.case).omega_b)
+    omega_b = load_case(table.case).omega_b
+    bank = (
+        active_bank(load_case(table.case), default_cache())
+        if controller == "active"
+        else any_bank(controller, omega_b)
+    )
+    if bank is not None:
+        _certify_bank(bank, load_case(table.case), json_)
+        return
+    made = any_controller(controller, omega_b)
     with busy(f"certifying {controller}"):
         found = recompute(table, made.system, default_cache())
     if json_:
@@ -69,6 +81,31 @@ def certify(
         _show(made.name, found)
     if not found.passed:
         raise typer.Exit(1)
+
+
+def _certify_bank(bank: ControllerBank, case: Case, json_: bool) -> None:
+    """Print what is proven for every sequence of losses; exit code 1 where a pause between them is needed."""
+    from interarea.design.linearise import remove_reference, speeds_in_rad
+
+    from .artefacts import default_cache, linear_plant
+    from .bank_certificate import certify_bank
+
+    with busy(f"certifying {bank.name}"):
+        plant = speeds_in_rad(remove_reference(linear_plant(case, default_cache())), case.omega_b)
+        found = certify_bank(plant, bank)
+    if json_:
+        typer.echo(json.dumps(found.as_dict(), indent=2))
+        return
+    typer.echo(f"{bank.name} on {case.name}: {found.kind}, {len(found.loops)} loops (active: what arrives)")
+    for loop in found.loops:
+        typer.echo(f"  {loop}")
+    if found.dwell_s > 0.0:
+        typer.echo(f"stable when changes of the signals are at least {found.dwell_s:.3g} s apart")
+    else:
+        typer.echo(
+            f"every sequence of losses and returns decays at {found.decay_rate:.4f} 1/s or faster "
+            f"(slowest loop alone: {found.slowest:.4f} 1/s)"
+        )
 
 
 def _show(name: str, found: FamilyCertificate) -> None:

@@ -27,6 +27,7 @@ from .scenario import Scenario, load_scenario
 from .trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from interarea.design.bank import ControllerBank
     from interarea.design.controller import Controller
     from interarea.models.case import Case
 
@@ -243,9 +244,10 @@ def wire(
     wanted: tuple[str, ...] = ()
     if controller is not None:
         instances[_CONTROLLER] = (controller, {})
-        wanted = tuple(p.name for p in controller.description.inputs)
+        # beside its Real signals a supervisor has flags of validity, and tells which member is active
+        wanted = tuple(p.name for p in controller.description.inputs if p.type == "Real")
         inputs = plant.description.input_of
-        for port in controller.description.outputs:
+        for port in (p for p in controller.description.outputs if p.type == "Real"):
             _known(
                 port.name,
                 inputs,
@@ -264,6 +266,8 @@ def wire(
         if controller is not None:
             _known(table.signal, wanted, f"{where} is no input of controller {controller.description.title}")
             connections.append((f"{name}.y", f"{_CONTROLLER}.{table.signal}"))
+            if f"{table.signal}_valid" in controller.description.input_of:
+                connections.append((f"{name}.valid", f"{_CONTROLLER}.{table.signal}_valid"))
     fed = {c.signal for c in scenario.channels.values()}
     fed |= {path[-1].removeprefix(f"{_CONTROLLER}.") for path in scenario.connections}
     for signal in wanted:
@@ -301,20 +305,25 @@ def _controller_file(
 
 def controller_of(
     scenario: Scenario, case: Case, cache: Path, controllers: Controllers | None
-) -> Controller | None:
+) -> Controller | ControllerBank | None:
     """Return the controller a scenario names, or None."""
     if scenario.controller == "none":
         return None
     path = scenario.controller_path
     if path is not None:
-        from interarea.design.controller import Controller
+        from interarea.design.bank import load_controller
 
         if not path.is_file():
             raise ScenarioError(
                 f"{scenario.name}: controller = {scenario.controller!r} is neither a name nor a file, "
-                f"allowed: none, wdc, cc, ftc or a controller file, or shipped: {', '.join(shipped_names())}"
+                f"allowed: none, wdc, cc, ftc, active, a controller file, or shipped: "
+                f"{', '.join(shipped_names())}"
             )
-        return Controller.load(path)
+        return load_controller(path)
+    if scenario.controller == "active":
+        from .artefacts import active_bank
+
+        return active_bank(case, cache)
     if controllers is not None:
         return controllers(scenario.controller, case)
     from . import artefacts

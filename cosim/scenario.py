@@ -55,7 +55,7 @@ from .master import Loops
 from .wiring import Inputs
 
 BUNDLED = Path(__file__).parent / "scenarios"
-NAMED_CONTROLLERS = ("none", "wdc", "cc", "ftc", *shipped_names())
+NAMED_CONTROLLERS = ("none", "wdc", "cc", "ftc", "active", *shipped_names())
 _RESERVED = ("plant", "controller")
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import control
 import numpy as np
 
 from interarea.models.supervisor_block import MAX_BANK, MAX_SIGNALS, Matrices, supervisor_block
@@ -103,7 +104,7 @@ class ControllerBank:
         return [c for size in range(n, -1, -1) for c in itertools.combinations(self.inputs, size)]
 
     def matrices(self) -> dict[str, Matrices]:
-        """Return member -> (A, B, C, D) with one column of B and D per signal of the bank; OFF if it is used."""
+        """Return member -> (A, B, C, D) with a column of B and D for each signal of the bank; OFF if used."""
         found: dict[str, Matrices] = {}
         for member in self.members:
             K, columns = member.system, [self.inputs.index(s) for s in member.inputs]
@@ -169,6 +170,59 @@ class ControllerBank:
         if not isinstance(made, ControllerBank):
             raise ControllerError(f"controller file {path}: one controller, wanted a bank")
         return made
+
+
+def bank_of_record(
+    name: str,
+    members: Sequence[str],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    arrays: Mapping[str, Any],
+    parameters: Mapping[str, float],
+    omega_b: float,
+) -> ControllerBank:
+    """Return the bank that an FMU holds: `arrays` of its record (pu), `parameters` by name; speeds in rad/s.
+
+    Raises
+    ------
+    ControllerError : the arrays do not fit the names.
+    """
+    m, p = len(inputs), len(outputs)
+    scale = np.array([omega_b if signal.endswith("_dw") else 1.0 for signal in inputs])
+    orders = [int(n) for n in arrays.get("orders", ())]
+    sizes = {"A": [n * n for n in orders], "B": [n * m for n in orders], "C": [p * n for n in orders]}
+    sizes["D"] = [p * m for _ in orders]
+    wrong = [k for k, counts in sizes.items() if len(arrays.get(k, ())) != sum(counts)]
+    if wrong or len(orders) != len(members):
+        raise ControllerError(
+            f"bank {name}: arrays {', '.join(wrong) or 'orders'} do not fit {len(members)} members"
+        )
+    parts = {k: np.split(np.asarray(arrays[k]), np.cumsum(counts)[:-1]) for k, counts in sizes.items()}
+    made = []
+    for k, (who, n) in enumerate(zip(members, orders, strict=True)):
+        if who == OFF:
+            continue
+        B, D = parts["B"][k].reshape(n, m) / scale, parts["D"][k].reshape(p, m) / scale
+        used = [j for j in range(m) if np.any(B[:, j]) or np.any(D[:, j])]
+        system = control.ss(
+            parts["A"][k].reshape(n, n),
+            B[:, used],
+            parts["C"][k].reshape(p, n),
+            D[:, used],
+            inputs=[inputs[j] for j in used],
+            outputs=list(outputs),
+        )
+        made.append(Controller(who, system, parameters["limit"]))
+    P = arrays.get("lyapunov")
+    return ControllerBank(
+        name,
+        tuple(made),
+        parameters["limit"],
+        parameters["fade_time"],
+        parameters["loss_time"],
+        parameters["return_time"],
+        lyapunov=None if P is None else np.asarray(P).reshape(2 * (round(len(P) ** 0.5),)),
+    )
 
 
 def load_controller(path: str | Path) -> Controller | ControllerBank:

@@ -23,7 +23,7 @@ import control
 import numpy as np
 from scipy.linalg import expm, solve_continuous_lyapunov
 
-from .bank import OFF, ControllerBank
+from .bank import ControllerBank
 from .errors import UncertifiedDesign
 from .linearise import select
 from .lmi import Program
@@ -46,7 +46,7 @@ class SwitchingCertificate:
     slowest : rightmost pole of the slowest loop: no proof can reach more. 1/s, positive
     dwell_s : least time between two changes for which stability is proven; 0 = none is needed.
     loops : the loops, "active member: signals that arrive".
-    condition_number : of P.
+    condition_number : of P in units in which its diagonal is 1.
     """
 
     kind: str
@@ -55,6 +55,12 @@ class SwitchingCertificate:
     dwell_s: float
     loops: tuple[str, ...]
     condition_number: float
+
+    @classmethod
+    def of_common(cls, loops: Mapping[str, Matrix], P: Matrix, rate: float) -> SwitchingCertificate:
+        """Return the certificate of a common Lyapunov function with its proven decay rate."""
+        slowest = -max(float(np.linalg.eigvals(A).real.max()) for A in loops.values())
+        return cls("common Lyapunov function", rate, slowest, 0.0, tuple(loops), _condition(P))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the record as JSON values."""
@@ -110,7 +116,7 @@ class BankLoop:
         return np.array([1.0 if s in signals else 0.0 for s in self.bank.inputs])
 
     def corners(self) -> dict[str, Matrix]:
-        """Return "active member: signals" -> loop, for what the supervisor knows and for what it does not yet."""
+        """Return "active member: signals" -> loop, losses that the supervisor does not know yet included."""
         found = {}
         for trusted in self.bank.signal_sets():
             member = self.bank.active(trusted)
@@ -121,9 +127,9 @@ class BankLoop:
 
 
 def proven_decay(loops: Mapping[str, Matrix], P: Matrix) -> float:
-    """Return the decay rate (1/s) that `P` proves for every convex combination, a bound of the rounding taken off.
+    """Return the decay rate (1/s) that `P` proves for every convex combination of loops.
 
-    Negative or NaN: P proves nothing.
+    A bound of the rounding is taken off. Negative or NaN: P proves nothing.
     """
     if not np.all(np.isfinite(P)) or not np.all(np.diag(P) > 0.0):
         return float("nan")
@@ -173,7 +179,7 @@ def common_lyapunov(
 def switching_certificate(
     plant: control.StateSpace, bank: ControllerBank, *, search_order: int = 14
 ) -> tuple[SwitchingCertificate, Matrix | None]:
-    """Prove the bank on the full plant for every sequence of losses and returns; return what was proven and P.
+    """Prove the bank on the full plant for every sequence of losses and returns; return the proof and P.
 
     The rate is sought on a balanced truncation of order `search_order`, then proven on the full plant.
 
@@ -192,21 +198,19 @@ def switching_certificate(
         )
     slowest = -abscissa[worst]
     rate = _reachable_rate(plant, bank, slowest, search_order)
-    for share in (0.9, 0.5, 0.1) if rate is not None else ():
-        P = common_lyapunov(corners, share * rate, loop.parts)
+    shares = () if rate is None else (0.9 * rate, 0.5 * rate, 0.1 * rate)
+    for sought in shares:
+        P = common_lyapunov(corners, sought, loop.parts)
         proven = float("nan") if P is None else proven_decay(corners, P)
         if P is not None and proven > 0.0:
-            found = SwitchingCertificate(
-                "common Lyapunov function", proven, slowest, 0.0, tuple(corners), float(np.linalg.cond(P))
-            )
-            return found, P
+            return SwitchingCertificate.of_common(corners, P, proven), P
     return SwitchingCertificate(
         "dwell time", 0.0, slowest, dwell_time(loop), tuple(corners), float("nan")
     ), None
 
 
 def dwell_time(loop: BankLoop, *, longest_s: float = 200.0) -> float:
-    """Return a time (s) for which changes of the set of trusted signals at least as far apart are proven stable.
+    """Return a time (s): changes of the set of trusted signals at least that far apart are proven stable.
 
     Each set i of signals has V_i = x^T P_i x with A_i^T P_i + P_i A_i < 0; the fade into i lasts t_f and
     stretches V by at most g; after the dwell tau the next V_j must be below V_i: the answer is t_f + tau.
@@ -223,11 +227,13 @@ def dwell_time(loop: BankLoop, *, longest_s: float = 200.0) -> float:
     eye = np.eye(len(T))
     root = {s: np.linalg.cholesky(solve_continuous_lyapunov(M.T, -eye)).T for s, M in moved.items()}
     back = {s: np.linalg.inv(R) for s, R in root.items()}
-    stretch = {i: 1.0 for i in sets}
+    stretch: dict[tuple[str, ...], float] = dict.fromkeys(sets, 1.0)
     if loop.bank.fade_s > 0.0:
         for i in sets:
             stretch[i] = max(
-                np.linalg.norm(root[i] @ T @ _fade(loop, k, i) @ inverse @ back[i], 2) for k in sets if k != i
+                float(np.linalg.norm(root[i] @ T @ _fade(loop, k, i) @ inverse @ back[i], 2))
+                for k in sets
+                if k != i
             )
 
     def holds(tau: float) -> bool:
@@ -270,7 +276,7 @@ def _fade(loop: BankLoop, start: tuple[str, ...], end: tuple[str, ...], steps: i
 def _reachable_rate(
     plant: control.StateSpace, bank: ControllerBank, slowest: float, order: int
 ) -> float | None:
-    """Largest rate with a common P on the truncated plant, to 1/16 of the slowest pole; None if there is none."""
+    """Largest rate with a common P on the truncated plant, to 1/16 of the slowest pole; None if none is."""
     G = select(plant, list(bank.outputs), list(bank.inputs))
     small = balanced_truncation(G, order).system if order < G.nstates else G
     loop = BankLoop(small, bank)
@@ -295,12 +301,12 @@ def _coordinates(loops: list[Matrix], parts: list[Matrix]) -> Matrix:
     T = _diagonal(parts)
     inverse = np.linalg.inv(T)
     eye = np.eye(len(T))
-    P = sum(solve_continuous_lyapunov((T @ A @ inverse).T, -eye) for A in loops)
+    P = np.sum([solve_continuous_lyapunov((T @ A @ inverse).T, -eye) for A in loops], axis=0)
     return np.asarray(np.linalg.cholesky(0.5 * (P + P.T)).T @ T)
 
 
 def _balancing(A: Matrix, B: Matrix, C: Matrix) -> Matrix:
-    """T of balanced coordinates z = T x; states that hardly count are kept, by a floor under both Gramians."""
+    """T of balanced coordinates z = T x; a floor under both Gramians keeps states that hardly count."""
     n = len(A)
     if n == 0:
         return np.zeros((0, 0))
@@ -310,6 +316,12 @@ def _balancing(A: Matrix, B: Matrix, C: Matrix) -> Matrix:
     L_c, L_o = np.linalg.cholesky(W_c), np.linalg.cholesky(W_o)
     U, s, _ = np.linalg.svd(L_o.T @ L_c)
     return np.asarray((U / np.sqrt(s)).T @ L_o.T)
+
+
+def _condition(P: Matrix) -> float:
+    """Condition number of P in units in which its diagonal is 1."""
+    unit = np.sqrt(np.diag(P))
+    return float(np.linalg.cond(P / np.outer(unit, unit)))
 
 
 def _diagonal(matrices: list[Matrix]) -> Matrix:

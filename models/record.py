@@ -42,6 +42,34 @@ def pack_record(arrays: Mapping[str, npt.ArrayLike | bytes]) -> bytes:
     return MAGIC + struct.pack("<QQ", 24 + len(tail), zlib.crc32(tail)) + tail
 
 
+def unpack_record(record: bytes) -> dict[str, npt.NDArray[np.float64] | npt.NDArray[np.int32] | bytes]:
+    """Return the arrays of a record made by `pack_record`, flat.
+
+    Raises
+    ------
+    ValueError : the bytes are no record, cut short or damaged.
+    """
+    if record[: len(MAGIC)] != MAGIC or len(record) < _HEADER:
+        raise ValueError("record: does not begin with a record's header")
+    size, check = struct.unpack_from("<QQ", record, len(MAGIC))
+    tail = record[24:]
+    if size != len(record) or zlib.crc32(tail) != check:
+        raise ValueError(
+            f"record: {len(record)} bytes, wanted {size} with checksum {check:08x}; it is damaged"
+        )
+    arrays: dict[str, npt.NDArray[np.float64] | npt.NDArray[np.int32] | bytes] = {}
+    for k in range(struct.unpack_from("<Q", record, 24)[0]):
+        key, kind, _, count, start = struct.unpack_from("<40sIIQQ", record, _HEADER + _ENTRY * k)
+        name = key.rstrip(b"\0").decode("ascii")
+        if kind == 3:
+            arrays[name] = record[start : start + count]
+        else:
+            arrays[name] = np.frombuffer(
+                record, dtype="<f8" if kind == 1 else "<i4", count=count, offset=start
+            )
+    return arrays
+
+
 def _encode(name: str, value: npt.ArrayLike | bytes) -> tuple[int, int, bytes]:
     if isinstance(value, bytes):
         return 3, len(value), value

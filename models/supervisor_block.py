@@ -35,7 +35,7 @@ def supervisor_block(
     documentation: Mapping[str, str] | None = None,
     provenance: Mapping[str, str] | None = None,
 ) -> Block:
-    """Return the block of `bank`: all controllers run, the validity flags of the signals choose whose output counts.
+    """Return the block of `bank`: all controllers run, the validity of the signals says whose output counts.
 
     Each signal has a Boolean input ``SIGNAL_valid`` (true where nothing is connected). ``active`` (1 = the
     first of the bank) and ``switches`` are outputs; the times and the limit are parameters.
@@ -44,7 +44,8 @@ def supervisor_block(
     ----------
     name : model name, a C identifier.
     bank : controller name -> A (n, n), B (n, m), C (p, n), D (p, m) in pu; n may differ and be 0.
-    choice : name of the controller for each set of trusted signals; bit j of the position = signal j is there.
+    choice : name of the controller for each set of trusted signals; bit j of the position = signal j is
+        there.
     inputs, outputs : m signals and p actuators, all of every controller.
     limit : pu. fade_s : time constant of the bumpless transfer, 0 = at once.
     loss_s, return_s : how long a flag must be down, or up again, before it is believed. dwell_s : least time

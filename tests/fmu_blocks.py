@@ -9,6 +9,7 @@ from interarea.models.case import load_case
 from interarea.models.channel_block import channel_block
 from interarea.models.controller_block import controller_block
 from interarea.models.plant_block import plant_block
+from interarea.models.supervisor_block import supervisor_block
 from interarea.models.variables import Block
 
 A = np.array([[-1.0, 4.0, 0.0], [-4.0, -1.0, 0.5], [0.0, 0.0, -3.0]])
@@ -22,6 +23,16 @@ def blocks() -> dict[str, Block]:
     return {
         "decay": decay_block(),
         "controller": controller,
+        "supervisor": supervisor_block(
+            "supervisor",
+            {
+                "both": (A, B, C, np.zeros((1, 2))),
+                "off": tuple(np.zeros(s) for s in ((0, 0), (0, 2), (1, 0), (1, 2))),
+            },
+            ["off", "off", "off", "both"],
+            ["G2_dw", "G4_dw"],
+            ["G4_vs"],
+        ),
         "channel": channel_block(),
         "plant": plant_block(load_case("two-area-thesis")),
     }

@@ -148,7 +148,7 @@ def test_a_run_can_be_forked_from_its_fault(by_hand: Controllers) -> None:
             r"channels\.a\.signal = 'G9_dw' is no output of the plant",
         ),
         ({"channels": {"a": {"signal": "G1_pe"}}}, r"is no input of controller by_hand"),
-        ({"controller": "best"}, r"allowed: none, wdc, cc, ftc or a controller file"),
+        ({"controller": "best"}, r"allowed: none, wdc, cc, ftc, active, a controller file"),
     ],
 )
 def test_wiring_mistakes_are_refused(change: dict[str, Any], says: str, by_hand: Controllers) -> None:
