@@ -12,7 +12,7 @@ import typer
 
 from .cli_check import check
 from .cli_design import certify, design
-from .cli_ssp import ssp
+from .cli_ssp import container, ssp
 from .cli_sweep import sweep
 from .terminal import busy, complain, print_table, stage_progress
 
@@ -176,6 +176,7 @@ app.command()(design)
 app.command()(certify)
 app.command()(check)
 app.command()(ssp)
+app.command()(container)
 app.command()(sweep)
 
 

@@ -1,4 +1,4 @@
-"""Commands that hand a scenario's whole loop to other tools: `ssp`."""
+"""Commands that hand a scenario's whole loop to other tools: `ssp`, `container`."""
 
 from __future__ import annotations
 
@@ -45,3 +45,19 @@ def names_of(platforms: str | None) -> list[str] | None:
     ['linux64', 'win64']
     """
     return None if platforms is None else [name.strip() for name in platforms.split(",") if name.strip()]
+
+
+def container(
+    scenario: ScenarioFile,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.fmu", show_default=False)],
+    platforms: Platforms = None,
+) -> None:
+    """Write plant, channels and controller of a scenario as one FMU that simulates by itself."""
+    from .artefacts import default_cache
+    from .container import write_container
+    from .scenario import load_scenario
+
+    loaded = load_scenario(scenario)
+    with busy(f"writing {out}"):
+        made = write_container(loaded, out, cache=default_cache(), platforms=names_of(platforms))
+    typer.echo(made)

@@ -101,7 +101,8 @@ def source_files(block_sources: tuple[Path, ...]) -> dict[str, bytes]:
     """Return every C file and header of a block's binary, flat, by file name.
 
     Quoted includes are followed and rewritten to bare names, so that the files
-    compile from one folder (``sources/`` of the FMU) with no include path.
+    compile from one folder (``sources/`` of the FMU) with no include path. A C
+    file that another includes is named ``NAME_c.h`` there.
 
     Raises
     ------
@@ -114,17 +115,17 @@ def gather_sources(c_files: tuple[Path, ...]) -> dict[str, bytes]:
     """Return `c_files` and the headers they include, flat, by file name (see `source_files`)."""
     files: dict[str, bytes] = {}
     origin: dict[str, Path] = {}
+    parts: set[Path] = set()
     to_do = [p.resolve() for p in c_files]
     folders = (_C, fmi_headers(), _block_folder())
     while to_do:
         path = to_do.pop()
-        if path.name in origin:
-            if origin[path.name] != path:
-                raise BuildError(
-                    f"two C files are called {path.name}: {origin[path.name]} and {path}; rename one"
-                )
+        name = _flat_name(path, parts)
+        if name in origin:
+            if origin[name] != path:
+                raise BuildError(f"two C files are called {name}: {origin[name]} and {path}; rename one")
             continue
-        origin[path.name] = path
+        origin[name] = path
         try:
             text = path.read_text(encoding="utf-8")
         except OSError as error:
@@ -138,11 +139,19 @@ def gather_sources(c_files: tuple[Path, ...]) -> dict[str, bytes]:
                     raise BuildError(
                         f'{path}: #include "{words[1]}" is neither beside it nor among the headers'
                     )
-                to_do.append(found[0].resolve())
-                line = f'#include "{found[0].name}"'
+                included = found[0].resolve()
+                to_do.append(included)
+                if included.suffix == ".c":  # part of this file, not one to compile by itself
+                    parts.add(included)
+                line = f'#include "{_flat_name(included, parts)}"'
             lines.append(line)
-        files[path.name] = ("\n".join(lines) + "\n").encode("utf-8")
+        files[name] = ("\n".join(lines) + "\n").encode("utf-8")
     return dict(sorted(files.items()))
+
+
+def _flat_name(path: Path, parts: set[Path]) -> str:
+    """Name in the one folder; a C file that another includes becomes a header: no tool compiles it."""
+    return f"{path.stem}_c.h" if path in parts else path.name
 
 
 def record_source() -> Path:

@@ -65,7 +65,7 @@ def render(block: Block, sources: Mapping[str, bytes]) -> tuple[str, bytes]:
     ------
     ValueError : a block whose data uses a name that the builder writes itself.
     """
-    entries = {**_tables(block), **_guarded(block)}
+    entries = record_entries(block)
     c_files = sorted(name for name in sources if name.endswith(".c"))
     blank = _description(block, "", c_files)
     digest = hashlib.sha256(pack_record(entries) + blank.encode("utf-8"))
@@ -74,6 +74,16 @@ def render(block: Block, sources: Mapping[str, bytes]) -> tuple[str, bytes]:
     h = digest.hexdigest()
     guid = f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
     return _description(block, guid, c_files), pack_record({"guid": guid.encode("ascii") + b"\0", **entries})
+
+
+def record_entries(block: Block) -> dict[str, npt.ArrayLike | bytes]:
+    """Return what resources/model.bin holds besides the GUID: tables of the FMI layer, the block's data.
+
+    Raises
+    ------
+    ValueError : a block whose data uses a name that the builder writes itself.
+    """
+    return {**_tables(block), **_guarded(block)}
 
 
 def _guarded(block: Block) -> dict[str, npt.ArrayLike | bytes]:

@@ -1,0 +1,72 @@
+"""Write a scenario's whole loop as one FMU that simulates by itself, delays exact inside."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from interarea.fmu_build.package import build_fmu
+from interarea.fmu_build.render import record_entries
+from interarea.models.loop_block import LoopMember, loop_block
+from interarea.models.record import pack_record
+from interarea.models.variables import Block
+
+from .errors import ScenarioError
+from .members import members_of
+from .run import Controllers
+from .scenario import Scenario
+
+
+def write_container(
+    scenario: Scenario,
+    path: Path | str,
+    *,
+    cache: Path,
+    platforms: Sequence[str] | None = None,
+    controllers: Controllers | None = None,
+) -> Path:
+    """Write plant, channels and controller of `scenario` as one co-simulation FMU; return its path.
+
+    The scenario's events, latencies and outages are its parameters `plant.event[k].*`,
+    `CHANNEL.latency`, ...; arguments as in `write_ssp`.
+
+    Raises
+    ------
+    ScenarioError, CaseError, BuildError
+    """
+    return build_fmu(
+        container_block(scenario, cache=cache, controllers=controllers),
+        path,
+        platforms=platforms,
+        cache=cache,
+    )
+
+
+def container_block(scenario: Scenario, *, cache: Path, controllers: Controllers | None = None) -> Block:
+    """Return the block that `write_container` builds.
+
+    Raises
+    ------
+    ScenarioError : a loop that one block cannot hold.
+    """
+    loop = members_of(scenario, cache=cache, controllers=controllers)
+    members = [(m, m.baked(step_s=loop.step_s)) for m in loop.all]
+    provenance = {f"{m.name}: {k}": v for m, block in members for k, v in block.provenance.items()}
+    try:
+        return loop_block(
+            _identifier(scenario.name),
+            [LoopMember(m.name, block, pack_record(record_entries(block))) for m, block in members],
+            loop.connections,
+            step_s=loop.step_s,
+            stop_s=scenario.stop_s,
+            description=scenario.title,
+            provenance={"scenario": scenario.name, **provenance},
+        )
+    except ValueError as error:
+        raise ScenarioError(str(error)) from None
+
+
+def _identifier(name: str) -> str:
+    text = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return text if text[:1].isalpha() else f"loop_{text}"

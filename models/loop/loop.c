@@ -1,0 +1,293 @@
+/* The closed loop as a block (block.h): reads the record, lays out the members. */
+#include "loop.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+const int block_is_sampled = 1;
+
+enum { WORK_VECTORS = 5 };
+
+static const MemberKind *const KINDS[KIND_COUNT] = {&plant_member, &controller_member, &channel_member};
+
+static BlockStatus unfit(BlockMessage *message, const char *what)
+{
+    snprintf(message->text, sizeof message->text, "loop: %s of the record does not fit this binary", what);
+    return BLOCK_ERROR;
+}
+
+/* A member's record lies in the outer one, which has been checked by its hash;
+ * `check` also walks the inner one. */
+static int open_inner(Record *inner, const Record *outer, size_t k, int check)
+{
+    char name[24];
+    size_t size;
+    const char *bytes, *why;
+    uint64_t entries;
+
+    snprintf(name, sizeof name, "member.%u.record", (unsigned)k);
+    bytes = record_text(outer, name, &size);
+    if (bytes == NULL || size < 32) return 1;
+    if (check) return record_open(inner, bytes, size, &why);
+    memcpy(&entries, bytes + 24, sizeof entries);
+    inner->bytes = (const unsigned char *)bytes;
+    inner->size = size;
+    inner->n_entries = (size_t)entries;
+    return 0;
+}
+
+static int layout_of(const Record *record, BlockLayout *n)
+{
+    size_t count;
+    const int32_t *k = record_i32(record, "layout", &count);
+
+    if (k == NULL || count != 9) return 1;
+    for (int i = 0; i < 9; ++i)
+        if (k[i] < 0 || k[i] > 1000000) return 1;
+    n->n_x = (size_t)k[0];  n->n_u = (size_t)k[1];  n->n_y = (size_t)k[2];
+    n->n_w = (size_t)k[3];  n->n_p = (size_t)k[4];  n->n_iu = (size_t)k[5];
+    n->n_iy = (size_t)k[6]; n->n_iw = (size_t)k[7]; n->n_ip = (size_t)k[8];
+    return n->n_iu > 0;
+}
+
+/* Layouts and needs of the members; their sum must be the outer layout. */
+static BlockStatus read_members(Loop *l, const Record *record, const BlockLayout *outer, int check,
+                                size_t *inner_scratch, size_t memory[], BlockMessage *message)
+{
+    size_t count, n_p = 0, n_ip = 0;
+    const int32_t *kinds = record_i32(record, "loop.kinds", &count);
+
+    if (kinds == NULL || count == 0 || count > LOOP_MEMBERS) return unfit(message, "`loop.kinds`");
+    l->count = count;
+    l->n_x = l->n_u = l->n_y = l->n_iy = l->n_members = *inner_scratch = 0;
+    for (size_t k = 0; k < count; ++k) {
+        BlockLayout *n = &l->block[k].layout;
+        BlockNeeds needs;
+        BlockStatus status;
+
+        if (kinds[k] < 0 || kinds[k] >= KIND_COUNT) return unfit(message, "`loop.kinds`");
+        l->kind[k] = kinds[k];
+        l->member[k] = KINDS[kinds[k]];
+        if (open_inner(&l->record[k], record, k, check) != 0 || layout_of(&l->record[k], n) != 0)
+            return unfit(message, "a member");
+        if (kinds[k] == KIND_CHANNEL && (n->n_u != 1 || n->n_x != 0)) return unfit(message, "a channel");
+        if ((status = l->member[k]->needs(&l->record[k], n, &needs, message)) != BLOCK_OK) return status;
+        if (needs.n_memory > 1u << 24 || needs.n_scratch > 1u << 24) return unfit(message, "a member");
+        l->first_x[k] = l->n_x;
+        l->first_u[k] = l->n_u;
+        l->first_y[k] = l->n_y;
+        l->n_x += n->n_x;
+        l->n_u += n->n_u;
+        l->n_y += n->n_y;
+        n_p += n->n_p;
+        l->n_iy += n->n_iy;
+        n_ip += n->n_ip;
+        memory[k] = needs.n_memory;
+        l->n_members += n->n_u + needs.n_memory;
+        if (needs.n_scratch > *inner_scratch) *inner_scratch = needs.n_scratch;
+    }
+    if (outer->n_x != 0 || outer->n_u != 0 || outer->n_y != l->n_y || outer->n_w != 0 || outer->n_p != n_p
+        || outer->n_iu != 0 || outer->n_iy != l->n_iy || outer->n_iw != 0 || outer->n_ip != n_ip)
+        return unfit(message, "`layout`");
+    return BLOCK_OK;
+}
+
+static BlockStatus read_wiring(Loop *l, const Record *record, BlockMessage *message)
+{
+    size_t count[3];
+    const double *step = record_f64(record, "loop.step", &count[0]);
+    const double *internal = record_f64(record, "loop.internal", &count[1]);
+
+    l->wire = record_i32(record, "loop.wire", &count[2]);
+    if (step == NULL || count[0] != 1 || !(step[0] >= 1e-6 && step[0] <= 1e3)) return unfit(message, "`loop.step`");
+    if (internal == NULL || count[1] != 1 || !(internal[0] >= 1e-7)) return unfit(message, "`loop.internal`");
+    if (l->wire == NULL || count[2] != l->n_u) return unfit(message, "`loop.wire`");
+    for (size_t i = 0; i < l->n_u; ++i)
+        if (l->wire[i] < -1 || l->wire[i] >= (int32_t)l->n_y) return unfit(message, "`loop.wire`");
+    l->step = (int64_t)floor(step[0] * 1e9 + 0.5);
+    l->internal_step = internal[0];
+    return BLOCK_OK;
+}
+
+BlockStatus loop_open(Loop *l, Block *b, const Record *record, const BlockLayout *n, BlockMessage *message)
+{
+    size_t scratch, memory[LOOP_MEMBERS];
+    double *next;
+    size_t p = 0, iy = 0, ip = 0;
+    BlockStatus status = read_members(l, record, n, b == NULL, &scratch, memory, message);
+
+    if (status == BLOCK_OK) status = read_wiring(l, record, message);
+    if (status != BLOCK_OK) return status;
+    l->n_memory = M_MARKS + LOOP_MARKS + 3 * l->n_y + l->n_x + l->n_members;
+    l->n_scratch = l->n_members + l->n_x + l->n_iy + 6 * l->n_y + WORK_VECTORS * l->n_x + l->n_u + l->n_y + scratch;
+    l->outer = b;
+    if (b == NULL) return BLOCK_OK;
+
+    l->slope = b->memory + M_MARKS + LOOP_MARKS;
+    l->bend = l->slope + l->n_y;
+    l->state = l->bend + 2 * l->n_y;
+    l->members = l->state + l->n_x;
+    l->saved = b->scratch;
+    l->saved_state = l->saved + l->n_members;
+    l->saved_iy = l->saved_state + l->n_x;
+    l->poly = l->saved_iy + l->n_iy;
+    l->y0 = l->poly + 4 * l->n_y;
+    l->slope0 = l->y0 + l->n_y;
+    l->work = l->slope0 + l->n_y;
+    next = l->members;
+    for (size_t k = 0; k < l->count; ++k) {
+        Block *inner = &l->block[k];
+
+        inner->record = &l->record[k];
+        inner->x = l->state + l->first_x[k];
+        inner->dx = NULL;
+        inner->w = NULL;
+        inner->iu = inner->iw = NULL;
+        inner->u = next;
+        inner->memory = next + inner->layout.n_u;
+        next = inner->memory + memory[k];
+        inner->y = b->y + l->first_y[k];
+        inner->p = b->p + p;
+        inner->iy = b->iy + iy;
+        inner->ip = b->ip + ip;
+        p += inner->layout.n_p;
+        iy += inner->layout.n_iy;
+        ip += inner->layout.n_ip;
+        inner->u_order = &l->u_order[k];
+        l->u_order[k] = 0;
+        inner->scratch = l->work + WORK_VECTORS * l->n_x + l->n_u + l->n_y;
+    }
+    return BLOCK_OK;
+}
+
+BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNeeds *needs,
+                        BlockMessage *message)
+{
+    Loop l;
+    const BlockStatus status = loop_open(&l, NULL, record, layout, message);
+
+    if (status != BLOCK_OK) return status;
+    needs->n_memory = l.n_memory;
+    needs->n_scratch = l.n_scratch;
+    return BLOCK_OK;
+}
+
+/* Adds an instant after the start and, through every channel, its echo. */
+static int add_mark(const Loop *l, double t)
+{
+    double *m = l->outer->memory;
+
+    if (!(t < 9e6)) return 0;
+    for (size_t k = 0; k <= l->count; ++k) {
+        const int echo = k < l->count;
+        double at;
+
+        if (echo && l->kind[k] != KIND_CHANNEL) continue;
+        at = floor((echo ? t + channel_member_latency(&l->block[k]) : t) * 1e9 + 0.5);
+        if (!(at > floor(m[M_ORIGIN] * 1e9 + 0.5))) continue;
+        if (m[M_MARK_COUNT] >= (double)LOOP_MARKS) return 1;
+        m[M_MARKS + (size_t)m[M_MARK_COUNT]] = at;
+        m[M_MARK_COUNT] += 1.0;
+    }
+    return 0;
+}
+
+static BlockStatus collect_marks(const Loop *l, double t, BlockMessage *message)
+{
+    double at[CHANNEL_MEMBER_JUMPS];
+    int full = 0;
+
+    for (size_t k = 0; k < l->count; ++k) {
+        const Block *inner = &l->block[k];
+        if (l->kind[k] == KIND_CHANNEL) {
+            const size_t count = channel_member_jumps(inner, at);
+            for (size_t i = 0; i < count; ++i) full |= add_mark(l, at[i]);
+            continue;
+        }
+        double event = l->member[k]->next_event(inner, t);
+        for (int i = 0; isfinite(event) && event < 9e6; ++i) {
+            if (i == LOOP_EVENTS) full = 1;
+            if (full) break;
+            full = add_mark(l, event);
+            event = l->member[k]->next_event(inner, event);
+        }
+    }
+    if (!full) return BLOCK_OK;
+    snprintf(message->text, sizeof message->text, "loop: more than %d events, or %d with their echoes through "
+             "the channels", LOOP_EVENTS, LOOP_MARKS);
+    return BLOCK_ERROR;
+}
+
+BlockStatus block_start(Block *b, double t, BlockMessage *message)
+{
+    Loop l;
+    BlockStatus status = loop_open(&l, b, b->record, &b->layout, message);
+    size_t count;
+
+    if (status != BLOCK_OK) return status;
+    if (!(fabs(t) < 9e6)) {
+        snprintf(message->text, sizeof message->text, "loop: start time %g s, allowed: less than 9e6 s", t);
+        return BLOCK_ERROR;
+    }
+    memset(b->memory, 0, l.n_memory * sizeof(double));
+    b->memory[M_ORIGIN] = b->memory[M_LAST_EVENT] = t;
+    for (size_t k = 0; k < l.count; ++k) {
+        const double *start = record_f64(&l.record[k], "start.real", &count);
+        if (start == NULL || count < l.block[k].layout.n_x) return unfit(message, "a member's `start.real`");
+        memcpy(l.block[k].x, start, l.block[k].layout.n_x * sizeof(double));
+        if ((status = l.member[k]->start(&l.block[k], t, message)) != BLOCK_OK) return status;
+    }
+    return collect_marks(&l, t, message);
+}
+
+BlockStatus block_step(Block *b, double t, double h, const double *u_poly, double *dy, BlockMessage *message)
+{
+    Loop l;
+    BlockStatus status = loop_open(&l, b, b->record, &b->layout, message);
+
+    (void)u_poly;
+    if (status != BLOCK_OK) return status;
+    if (!(fabs(t) < 9e6 && h < 9e6)) {
+        snprintf(message->text, sizeof message->text, "loop: step of %g s at %g s, allowed: up to 9e6 s", h, t);
+        return BLOCK_ERROR;
+    }
+    status = h > 0.0 ? loop_advance(&l, t, t + h, message) : loop_refresh(&l, t, message);
+    memcpy(dy, l.slope, l.n_y * sizeof(double));
+    return status;
+}
+
+BlockStatus block_directional(Block *b, double t, const double *x, const double *u, const double *vx,
+                              const double *vu, double *vdx, double *vy, BlockMessage *message)
+{
+    (void)t, (void)x, (void)u, (void)vx, (void)vu, (void)vdx, (void)message;
+    if (vy != NULL) memset(vy, 0, b->layout.n_y * sizeof(double));
+    return BLOCK_OK;
+}
+
+double block_next_event(const Block *b, double t)
+{
+    (void)b, (void)t;
+    return INFINITY;
+}
+
+BlockStatus block_event(Block *b, double t, double *x, BlockMessage *message)
+{
+    (void)b, (void)t, (void)x, (void)message;
+    return BLOCK_OK;
+}
+
+BlockStatus block_derivatives(Block *b, double t, const double *x, const double *u, double *dx,
+                              BlockMessage *message)
+{
+    (void)b, (void)t, (void)x, (void)u, (void)dx, (void)message;
+    return BLOCK_OK;
+}
+
+BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, double *y,
+                          BlockMessage *message)
+{
+    (void)b, (void)t, (void)x, (void)u, (void)y;
+    snprintf(message->text, sizeof message->text, "loop: outputs are made by steps");
+    return BLOCK_ERROR;
+}

@@ -1,0 +1,60 @@
+#ifndef INTERAREA_LOOP_H
+#define INTERAREA_LOOP_H
+/* A plant, its controller and the channels between them in one block that has
+ * no inputs: the whole closed loop, stepped inside one FMU.
+ *
+ * Plant and controller are one system of ordinary differential equations,
+ * integrated together by the classical Runge-Kutta method: between them there
+ * is no delay at all. A channel is stepped from one inner communication point
+ * to the next and drawn between them as the cubic through values and slopes at
+ * both ends. Where its latency covers the step, what it gives depends on the
+ * past only; where it does not, the step is repeated until what the channel was
+ * told agrees with what the plant did.
+ *
+ * Inner communication points, in whole nanoseconds whatever steps the tool
+ * takes: every `loop.step` from the start; every event of the plant and every
+ * beginning and end of an outage; these again one latency later; and 1 ns before
+ * each of them, so that what a signal was just before a jump and just after are
+ * both known. Across such a nanosecond signals are straight lines.             */
+#include <stdint.h>
+#include "member.h"
+
+enum { LOOP_MEMBERS = 24, LOOP_MARKS = 4096, LOOP_EVENTS = 256, LOOP_SWEEPS = 50 };
+enum { KIND_PLANT = 0, KIND_CONTROLLER = 1, KIND_CHANNEL = 2, KIND_COUNT = 3 };
+
+/* Head of `memory`. */
+enum { M_ORIGIN, M_LAST_EVENT, M_LAST_LENGTH, M_MARK_COUNT, M_MARKS };
+
+/* The block of this binary taken apart; lives for one call. */
+typedef struct {
+    Block *outer;
+    size_t count;
+    int kind[LOOP_MEMBERS];
+    const MemberKind *member[LOOP_MEMBERS];
+    Record record[LOOP_MEMBERS];
+    Block block[LOOP_MEMBERS];
+    int u_order[LOOP_MEMBERS];              /* of a channel's one input                  */
+    size_t first_u[LOOP_MEMBERS], first_y[LOOP_MEMBERS], first_x[LOOP_MEMBERS];
+    size_t n_x, n_u, n_y, n_iy;             /* of all members together                   */
+    size_t n_memory, n_scratch;             /* what the outer block needs                */
+    const int32_t *wire;                    /* per input: the output that feeds it, or -1 */
+    int64_t step;                           /* ns                                        */
+    double internal_step;                   /* s                                         */
+    double *slope, *bend;                   /* SAVED per output: 1st; 2nd and 3rd derivative */
+    double *state;                          /* SAVED x of all members, one after the other */
+    double *members;                        /* SAVED u and memory of each member         */
+    size_t n_members;
+    /* scratch */
+    double *saved, *saved_state, *saved_iy, *poly, *y0, *slope0, *work;
+} Loop;
+
+/* Reads the record; sizes only where `b` is null. */
+BlockStatus loop_open(Loop *l, Block *b, const Record *record, const BlockLayout *n, BlockMessage *message);
+
+/* Outputs and their slopes at time t from the states and the channels' outputs. */
+BlockStatus loop_refresh(Loop *l, double t, BlockMessage *message);
+
+/* From `t` to `end` over all inner communication points between. */
+BlockStatus loop_advance(Loop *l, double t, double end, BlockMessage *message);
+
+#endif

@@ -1,0 +1,304 @@
+/* Stepping the closed loop: see loop.h. */
+#include "loop.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+static const double NANOSECOND = 1e-9;
+static const double SLACK = 1e-10;         /* latencies this close to a step cover it      */
+static const double EDGE = 1.5e-9;          /* a step up to this long may hold a jump     */
+static const double TOLERANCE = 1e-9;       /* of repeated steps, relative to the signal  */
+static const double LEAST_SCALE = 1e-4;     /* signals smaller than that are measured against it */
+
+static double value_at(const double *d, double s)
+{
+    return d[0] + s * (d[1] + s * (d[2] / 2.0 + s * (d[3] / 6.0)));
+}
+
+static double slope_at(const double *d, double s)
+{
+    return d[1] + s * (d[2] + s * (d[3] / 2.0));
+}
+
+/* Over a step of length h: the cubic through values and slopes at both ends,
+ * the straight line across a jump. */
+static void draw(double *d, double v0, double s0, double v1, double s1, double h, int edge)
+{
+    const double mean = (v1 - v0) / h;
+
+    d[0] = v0;
+    d[1] = edge ? mean : s0;
+    d[2] = edge ? 0.0 : 2.0 * (3.0 * mean - 2.0 * s0 - s1) / h;
+    d[3] = edge ? 0.0 : 6.0 * (s0 + s1 - 2.0 * mean) / h / h;
+}
+
+/* Outputs of plant and controller at t, from states x and from the channels'
+ * outputs in y; the plant's first, they depend on its states only. Fills u. */
+static BlockStatus signals(Loop *l, double t, const double *x, double *y, double *u, BlockMessage *message)
+{
+    for (int kind = KIND_PLANT; kind <= KIND_CONTROLLER; ++kind)
+        for (size_t k = 0; k < l->count; ++k) {
+            BlockStatus status;
+
+            if (l->kind[k] != kind) continue;
+            for (size_t i = 0; i < l->block[k].layout.n_u; ++i) {
+                const int32_t from = l->wire[l->first_u[k] + i];
+                u[l->first_u[k] + i] = from < 0 || kind == KIND_PLANT ? 0.0 : y[from];
+            }
+            status = l->member[k]->outputs(&l->block[k], t, x + l->first_x[k], u + l->first_u[k],
+                                           y + l->first_y[k], message);
+            if (status != BLOCK_OK) return status;
+        }
+    for (size_t k = 0; k < l->count; ++k)
+        for (size_t i = 0; i < l->block[k].layout.n_u; ++i) {
+            const int32_t from = l->wire[l->first_u[k] + i];
+            u[l->first_u[k] + i] = from < 0 ? 0.0 : y[from];
+        }
+    return BLOCK_OK;
+}
+
+/* dx of plant and controller at `elapsed` into the step, channels along l->poly. */
+static BlockStatus flow(Loop *l, double t, double elapsed, const double *x, double *dx, BlockMessage *message)
+{
+    double *u = l->work + 5 * l->n_x, *y = u + l->n_u;
+    BlockStatus status;
+
+    for (size_t k = 0; k < l->count; ++k)
+        for (size_t j = 0; l->kind[k] == KIND_CHANNEL && j < l->block[k].layout.n_y; ++j)
+            y[l->first_y[k] + j] = value_at(l->poly + 4 * (l->first_y[k] + j), elapsed);
+    if ((status = signals(l, t, x, y, u, message)) != BLOCK_OK) return status;
+    for (size_t k = 0; k < l->count; ++k) {
+        if (l->kind[k] == KIND_CHANNEL) continue;
+        status = l->member[k]->derivatives(&l->block[k], t, x + l->first_x[k], u + l->first_u[k],
+                                           dx + l->first_x[k], message);
+        if (status != BLOCK_OK) return status;
+    }
+    return BLOCK_OK;
+}
+
+static BlockStatus integrate(Loop *l, double begin, double length, BlockMessage *message)
+{
+    const size_t n = l->n_x;
+    const double wanted = ceil(length / l->internal_step - 1e-9);
+    const long count = wanted < 1.0 ? 1 : (long)wanted;
+    const double h = length / (double)count;
+    double *k1 = l->work, *k2 = k1 + n, *k3 = k2 + n, *k4 = k3 + n, *x = k4 + n;
+    BlockStatus status;
+
+    for (long step = 0; step < count; ++step) {
+        const double s = length * ((double)step / (double)count), t = begin + s;
+
+        if ((status = flow(l, t, s, l->state, k1, message)) != BLOCK_OK) return status;
+        for (size_t i = 0; i < n; ++i) x[i] = l->state[i] + h / 2.0 * k1[i];
+        if ((status = flow(l, t + h / 2.0, s + h / 2.0, x, k2, message)) != BLOCK_OK) return status;
+        for (size_t i = 0; i < n; ++i) x[i] = l->state[i] + h / 2.0 * k2[i];
+        if ((status = flow(l, t + h / 2.0, s + h / 2.0, x, k3, message)) != BLOCK_OK) return status;
+        for (size_t i = 0; i < n; ++i) x[i] = l->state[i] + h * k3[i];
+        if ((status = flow(l, t + h, s + h, x, k4, message)) != BLOCK_OK) return status;
+        for (size_t i = 0; i < n; ++i)
+            l->state[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
+    }
+    return BLOCK_OK;
+}
+
+/* Inputs, outputs and slopes of plant and controller where they now are. */
+static BlockStatus settle(Loop *l, double t, BlockMessage *message)
+{
+    double *dx = l->work, *vu = l->work + 5 * l->n_x, *y = l->outer->y;
+    BlockStatus status = signals(l, t, l->state, y, vu, message);
+
+    if (status != BLOCK_OK) return status;
+    for (size_t k = 0; k < l->count; ++k)
+        memcpy(l->block[k].u, vu + l->first_u[k], l->block[k].layout.n_u * sizeof(double));
+    for (int kind = KIND_PLANT; kind <= KIND_CONTROLLER; ++kind)
+        for (size_t k = 0; k < l->count; ++k) {
+            Block *inner = &l->block[k];
+
+            if (l->kind[k] != kind) continue;
+            status = l->member[k]->derivatives(inner, t, inner->x, inner->u, dx + l->first_x[k], message);
+            if (status != BLOCK_OK) return status;
+            for (size_t i = 0; i < inner->layout.n_u; ++i) {
+                const int32_t from = l->wire[l->first_u[k] + i];
+                vu[i] = from < 0 || kind == KIND_PLANT ? 0.0 : l->slope[from];
+            }
+            status = l->member[k]->directional(inner, t, inner->x, inner->u, dx + l->first_x[k], vu, NULL,
+                                               l->slope + l->first_y[k], message);
+            if (status != BLOCK_OK) return status;
+        }
+    return BLOCK_OK;
+}
+
+/* Steps the channels, each told its input as the polynomial of its source. */
+static BlockStatus step_channels(Loop *l, double t, double h, BlockMessage *message)
+{
+    static const double nothing[4] = {0.0, 0.0, 0.0, 0.0};
+
+    for (size_t k = 0; k < l->count; ++k) {
+        const int32_t from = l->wire[l->first_u[k]];
+        BlockStatus status;
+
+        if (l->kind[k] != KIND_CHANNEL) continue;
+        l->u_order[k] = 3;
+        status = l->member[k]->step(&l->block[k], t, h, from < 0 ? nothing : l->poly + 4 * from,
+                                    l->slope + l->first_y[k], message);
+        if (status != BLOCK_OK) return status;
+    }
+    return BLOCK_OK;
+}
+
+BlockStatus loop_refresh(Loop *l, double t, BlockMessage *message)
+{
+    BlockStatus status = BLOCK_OK;
+
+    /* twice: slopes of the plant need the controller's outputs, these the channels' */
+    for (int round = 0; round < 2 && status == BLOCK_OK; ++round) {
+        status = settle(l, t, message);
+        for (size_t i = 0; i < l->n_y; ++i) {
+            const double now[4] = {l->outer->y[i], round == 0 ? 0.0 : l->slope[i], 0.0, 0.0};
+            memcpy(l->poly + 4 * i, now, sizeof now);
+        }
+        if (status == BLOCK_OK) status = step_channels(l, t, 0.0, message);
+    }
+    return status == BLOCK_OK ? settle(l, t, message) : status;
+}
+
+static int repeats(const Loop *l, double length)
+{
+    for (size_t k = 0; k < l->count; ++k)
+        if (l->kind[k] == KIND_CHANNEL && channel_member_latency(&l->block[k]) < length - SLACK) return 1;
+    return 0;
+}
+
+/* How far what the channels were told is from what came out; takes over the latter. */
+static double correct(Loop *l, double h)
+{
+    const double *y = l->outer->y;
+    double worst = 0.0;
+
+    for (size_t k = 0; k < l->count; ++k) {
+        const int32_t from = l->wire[l->first_u[k]];
+
+        if (l->kind[k] != KIND_CHANNEL || from < 0) continue;
+        const double *told = l->poly + 4 * from;
+        const double scale = fmax(fabs(y[from]), LEAST_SCALE);
+        worst = fmax(worst, fabs(value_at(told, h) - y[from]) / scale);
+        worst = fmax(worst, h * fabs(slope_at(told, h) - l->slope[from]) / scale / 8.0);
+    }
+    for (size_t i = 0; i < l->n_y; ++i)
+        draw(l->poly + 4 * i, l->y0[i], l->slope0[i], y[i], l->slope[i], h, 0);
+    return worst;
+}
+
+/* Polynomials over the coming step: bent on as they were over the last one. */
+static void predict(Loop *l, double last)
+{
+    for (size_t i = 0; i < l->n_y; ++i) {
+        double *d = l->poly + 4 * i;
+
+        d[0] = l->y0[i] = l->outer->y[i];
+        d[1] = l->slope0[i] = l->slope[i];
+        d[2] = last > 0.0 ? l->bend[2 * i] + last * l->bend[2 * i + 1] : 0.0;
+        d[3] = last > 0.0 ? l->bend[2 * i + 1] : 0.0;
+    }
+}
+
+/* Handles the events of the plant up to `t`; returns how many there were. */
+static BlockStatus events(Loop *l, double t, int *count, BlockMessage *message)
+{
+    double *last = &l->outer->memory[M_LAST_EVENT];
+
+    *count = 0;
+    for (size_t k = 0; k < l->count; ++k) {
+        double event;
+
+        if (l->kind[k] == KIND_CHANNEL) continue;
+        while ((event = l->member[k]->next_event(&l->block[k], *last)) <= t + 0.6 * NANOSECOND) {
+            const BlockStatus status = l->member[k]->event(&l->block[k], event, l->block[k].x, message);
+            if (status != BLOCK_OK) return status;
+            *last = event;
+            ++*count;
+        }
+    }
+    return BLOCK_OK;
+}
+
+/* One step between inner communication points. */
+static BlockStatus step_once(Loop *l, double t, double end, BlockMessage *message)
+{
+    const double h = end - t;
+    const int edge = h <= EDGE, again = !edge && repeats(l, h);
+    double *last = &l->outer->memory[M_LAST_LENGTH];
+    BlockStatus status;
+    double error = 0.0;
+    int handled;
+
+    predict(l, edge ? 0.0 : *last);
+    if (again) {
+        memcpy(l->saved, l->members, l->n_members * sizeof(double));
+        memcpy(l->saved_state, l->state, l->n_x * sizeof(double));
+        memcpy(l->saved_iy, l->outer->iy, l->n_iy * sizeof(int));
+    }
+    for (int sweep = 0;; ++sweep) {
+        if (sweep > 0) {
+            memcpy(l->members, l->saved, l->n_members * sizeof(double));
+            memcpy(l->state, l->saved_state, l->n_x * sizeof(double));
+            memcpy(l->outer->iy, l->saved_iy, l->n_iy * sizeof(int));
+        }
+        if ((status = step_channels(l, t, h, message)) != BLOCK_OK) return status;
+        for (size_t k = 0; k < l->count; ++k)
+            for (size_t j = 0; l->kind[k] == KIND_CHANNEL && j < l->block[k].layout.n_y; ++j) {
+                const size_t i = l->first_y[k] + j;
+                draw(l->poly + 4 * i, l->y0[i], l->slope0[i], l->outer->y[i], l->slope[i], h, edge);
+            }
+        if ((status = integrate(l, t, h, message)) != BLOCK_OK) return status;
+        if ((status = settle(l, end, message)) != BLOCK_OK) return status;
+        error = correct(l, h);
+        if (!again || error <= TOLERANCE) break;
+        if (sweep == LOOP_SWEEPS) {
+            snprintf(message->text, sizeof message->text, "loop: the step from %.9g to %.9g s does not settle "
+                     "in %d sweeps; relative change %.3g", t, end, LOOP_SWEEPS, error);
+            return BLOCK_ERROR;
+        }
+    }
+    for (size_t i = 0; i < l->n_y; ++i) {
+        l->bend[2 * i] = l->poly[4 * i + 2];
+        l->bend[2 * i + 1] = l->poly[4 * i + 3];
+    }
+    if ((status = events(l, end, &handled, message)) != BLOCK_OK) return status;
+    *last = edge || handled > 0 ? 0.0 : h;
+    return handled > 0 ? settle(l, end, message) : BLOCK_OK;
+}
+
+/* The first inner communication point after `now`, ns. */
+static int64_t next_point(const Loop *l, int64_t now)
+{
+    const double *m = l->outer->memory;
+    const int64_t origin = (int64_t)floor(m[M_ORIGIN] * 1e9 + 0.5);
+    int64_t next = origin + ((now - origin) / l->step + 1) * l->step;
+
+    for (size_t k = 0; k < (size_t)m[M_MARK_COUNT]; ++k) {
+        const int64_t mark = (int64_t)m[M_MARKS + k], before = mark - 1;
+        if (before > now && before < next) next = before;
+        if (mark > now && mark < next) next = mark;
+    }
+    return next;
+}
+
+BlockStatus loop_advance(Loop *l, double t, double end, BlockMessage *message)
+{
+    int64_t now = (int64_t)floor(t * 1e9 + 0.5);
+
+    while (t < end) {
+        const int64_t point = next_point(l, now);
+        const double at = (double)point / 1e9;
+        const double to = at < end + 0.5 * NANOSECOND ? at : end;
+        BlockStatus status;
+
+        now = (int64_t)floor(to * 1e9 + 0.5);
+        if (to > t && (status = step_once(l, t, to, message)) != BLOCK_OK) return status;
+        t = to > t ? to : t;
+        if (!(at < end)) break;
+    }
+    return BLOCK_OK;
+}

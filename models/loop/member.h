@@ -1,0 +1,27 @@
+#ifndef INTERAREA_LOOP_MEMBER_H
+#define INTERAREA_LOOP_MEMBER_H
+/* A block kind as a table of its functions. NAME_member.c includes the one file
+ * of a kind that defines them, under other names, so that several kinds can be
+ * linked into one binary.                                                     */
+#include "../block/block.h"
+
+typedef struct {
+    BlockStatus (*needs)(const Record *, const BlockLayout *, BlockNeeds *, BlockMessage *);
+    BlockStatus (*start)(Block *, double, BlockMessage *);
+    BlockStatus (*derivatives)(Block *, double, const double *, const double *, double *, BlockMessage *);
+    BlockStatus (*outputs)(Block *, double, const double *, const double *, double *, BlockMessage *);
+    BlockStatus (*directional)(Block *, double, const double *, const double *, const double *,
+                               const double *, double *, double *, BlockMessage *);
+    double (*next_event)(const Block *, double);
+    BlockStatus (*event)(Block *, double, double *, BlockMessage *);
+    BlockStatus (*step)(Block *, double, double, const double *, double *, BlockMessage *);
+} MemberKind;
+
+extern const MemberKind plant_member, controller_member, channel_member;
+
+/* Of a channel: instants at which its output may jump, and its least latency. */
+size_t channel_member_jumps(const Block *b, double *at); /* at most CHANNEL_MEMBER_JUMPS */
+double channel_member_latency(const Block *b);
+enum { CHANNEL_MEMBER_JUMPS = 16 };
+
+#endif

@@ -1,0 +1,143 @@
+"""A plant, its controller and the channels between them as one block (semantics: loop/loop.h)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from .channel_block import channel_block
+from .plant_block import SOURCES as PLANT_SOURCES
+from .variables import Block, Variable, VariableTable
+
+_HERE = Path(__file__).resolve().parent
+_SOURCES = tuple(
+    _HERE / "loop" / name
+    for name in ("loop.c", "loop_step.c", "plant_member.c", "controller_member.c", "channel_member.c")
+)
+_KINDS = {"plant": 0, "controller": 1, "channel": 2}  #: as loop.h counts
+_MOST = 24  #: LOOP_MEMBERS of loop.h
+#: What feeds what; anything else would need an order of evaluation that loop.h does not promise.
+_MAY_FEED = {
+    ("plant", "controller"),
+    ("plant", "channel"),
+    ("channel", "controller"),
+    ("controller", "plant"),
+}
+
+
+@dataclass(frozen=True)
+class LoopMember:
+    """One member: its name in the loop, its block with the start values it shall have, its packed record."""
+
+    name: str
+    block: Block
+    record: bytes
+
+
+def loop_block(
+    name: str,
+    members: Sequence[LoopMember],
+    connections: Iterable[tuple[str, str]],
+    *,
+    step_s: float,
+    stop_s: float,
+    description: str = "",
+    documentation: Mapping[str, str] | None = None,
+    provenance: Mapping[str, str] | None = None,
+) -> Block:
+    """Return the closed loop of `members` as a block that simulates by itself.
+
+    Outputs keep their names (`G1_dw`, `G4_vs`), those of a channel go behind its
+    name (`remote_y`); parameters are `MEMBER.NAME`. Plant and controller are
+    integrated as one system; a channel delays by its latency, no more and no less.
+
+    Parameters
+    ----------
+    name : model name, a C identifier.
+    members : one plant, and controllers and channels, in any order.
+    connections : pairs ("member.output", "member.input").
+    step_s : inner communication step, s; also that of the DefaultExperiment.
+
+    Raises
+    ------
+    ValueError : a kind of block or a connection that a loop cannot hold, an input fed twice, a name taken.
+    """
+    by_name = {m.name: m for m in members}
+    _check(name, members, by_name)
+    outputs = [(m, v) for m in members for v in m.block.table.of_role("output")]
+    place = {f"{m.name}.{v.name}": k for k, (m, v) in enumerate(outputs)}
+    feeds: dict[str, int] = {}
+    for source, target in connections:
+        kinds = tuple(by_name[end.partition(".")[0]].block.kind for end in (source, target))
+        if kinds not in _MAY_FEED or source not in place:
+            raise ValueError(
+                f"loop {name}: {source} -> {target} ({' -> '.join(kinds)}) is not possible inside"
+            )
+        if target in feeds:
+            raise ValueError(f"loop {name}: {target} is fed twice")
+        feeds[target] = place[source]
+    inputs = [f"{m.name}.{v.name}" for m in members for v in m.block.table.of_role("input")]
+    integrated = [m.block.internal_step_s for m in members if m.block.kind != "channel"]
+    data = {
+        "loop.kinds": np.array([_KINDS[m.block.kind] for m in members], dtype=np.int32),
+        "loop.wire": np.array([feeds.get(i, -1) for i in inputs], dtype=np.int32),
+        "loop.step": np.array([step_s]),
+        "loop.internal": np.array([min(integrated)]),
+        **{f"member.{k}.record": m.record for k, m in enumerate(members)},
+    }
+    return Block(
+        kind="loop",
+        name=name,
+        description=description or f"Closed loop of {', '.join(m.name for m in members)}",
+        table=VariableTable([v for m in members for v in _outside(m)]),
+        data=data,
+        sources=(
+            *_SOURCES,
+            *(p for p in PLANT_SOURCES if p.name not in ("plant.c", "record.c")),
+            *(p for p in channel_block().sources if p.name != "channel.c"),
+        ),
+        step_s=step_s,
+        stop_s=stop_s,
+        internal_step_s=min(integrated),
+        model_exchange=False,
+        documentation={"Behaviour": _BEHAVIOUR, **(documentation or {})},
+        provenance=dict(provenance or {}),
+    )
+
+
+def _check(name: str, members: Sequence[LoopMember], by_name: Mapping[str, LoopMember]) -> None:
+    if len(by_name) != len(members) or not 0 < len(members) <= _MOST:
+        raise ValueError(f"loop {name}: {len(members)} members, allowed: 1 to {_MOST}, named apart")
+    for m in members:
+        if m.block.kind not in _KINDS:
+            raise ValueError(
+                f"loop {name}: member {m.name} is a {m.block.kind}, allowed: {', '.join(_KINDS)}; "
+                "write an SSP for tools that connect FMUs"
+            )
+    plants = [m.name for m in members if m.block.kind == "plant"]
+    if len(plants) != 1:
+        raise ValueError(f"loop {name}: plants {plants}, allowed: one")
+
+
+def _outside(member: LoopMember) -> list[Variable]:
+    """The variables of a member that the loop shows: outputs, which depend on nothing, and parameters."""
+    found = []
+    for v in member.block.table:
+        if v.role == "output":
+            shown = f"{member.name}_{v.name}" if member.block.kind == "channel" else v.name
+            found.append(replace(v, name=shown, depends_on=()))
+        elif v.role == "parameter":
+            found.append(replace(v, name=f"{member.name}.{v.name}"))
+    return found
+
+
+_BEHAVIOUR = (
+    "<p>A closed loop without inputs. Plant and controller are one system of differential equations, "
+    "integrated together: between them there is no delay. A channel gives y(t) = u(t &minus; latency), no more"
+    " and no less, whatever communication step the tool takes; between inner communication points it is the "
+    "cubic through values and slopes at both ends. Events, outages and their echoes through the channels are "
+    "inner communication points.</p>"
+)
