@@ -285,20 +285,24 @@ static int64_t next_point(const Loop *l, int64_t now)
     return next;
 }
 
+/* Tools add up their steps: a time this close to a whole nanosecond is meant to be it. */
+static double whole(double t)
+{
+    const double near = floor(t * 1e9 + 0.5) / 1e9;
+    return fabs(near - t) < 0.1 * NANOSECOND ? near : t;
+}
+
 BlockStatus loop_advance(Loop *l, double t, double end, BlockMessage *message)
 {
-    int64_t now = (int64_t)floor(t * 1e9 + 0.5);
-
+    t = whole(t);
+    end = whole(end);
     while (t < end) {
-        const int64_t point = next_point(l, now);
-        const double at = (double)point / 1e9;
-        const double to = at < end + 0.5 * NANOSECOND ? at : end;
-        BlockStatus status;
+        const double at = (double)next_point(l, (int64_t)floor(t * 1e9 + 0.5)) / 1e9;
+        const double to = at < end ? at : end;
+        const BlockStatus status = step_once(l, t, to, message);
 
-        now = (int64_t)floor(to * 1e9 + 0.5);
-        if (to > t && (status = step_once(l, t, to, message)) != BLOCK_OK) return status;
-        t = to > t ? to : t;
-        if (!(at < end)) break;
+        if (status != BLOCK_OK) return status;
+        t = to;
     }
     return BLOCK_OK;
 }
