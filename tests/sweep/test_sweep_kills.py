@@ -1,0 +1,153 @@
+"""Processes that die: no run is lost, none is there twice, and one that kills its worker is a row."""
+
+from __future__ import annotations
+
+import errno
+import multiprocessing
+import os
+import random
+import signal
+from pathlib import Path
+from typing import Any
+
+import kills  # this and the next beside this file
+import pandas as pd
+import pytest
+import stand_ins
+
+from interarea.cosim import sweep_local, sweep_store
+from interarea.cosim.errors import SweepError
+from interarea.cosim.sweep_engine import Progress, run_sweep
+from interarea.cosim.sweep_plan import plan_sweep
+from interarea.cosim.sweep_rows import Outcome, start_row
+from interarea.cosim.sweep_spec import load_sweep
+from interarea.cosim.sweep_store import SweepStore, read_rows
+
+needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
+
+
+def test_a_killed_worker_costs_nothing(document: Any, finished: Any, cache: Path, tmp_path: Path) -> None:
+    killed: list[int] = []
+
+    def kill_once(p: Progress) -> None:
+        if p.done and not killed:
+            for child in multiprocessing.active_children():
+                assert child.pid is not None
+                killed.append(child.pid)
+                os.kill(child.pid, signal.SIGKILL)
+
+    run_sweep(document(), tmp_path / "out", workers=1, cache=cache, progress=kill_once)
+    assert killed
+    pd.testing.assert_frame_equal(read_rows(tmp_path / "out"), finished[1], check_exact=True)
+    assert not (tmp_path / "out" / ".work").exists()
+
+
+@needs_proc
+@pytest.mark.slow
+def test_kills_at_random_times_leave_every_row_once(tmp_path: Path) -> None:
+    file = tmp_path / "sweep.toml"
+    file.write_text(kills.SWEEP.format(losses=10), encoding="utf-8")
+    expected = kills.undisturbed(file)
+    done = kills.disturb(file, tmp_path / "out", 6, random.Random(2), longest_s=6.0)
+    assert done["worker"] + done["main"] >= 3
+    kills.check(tmp_path / "out", expected)
+
+
+def test_a_run_that_kills_its_worker_or_hangs_is_a_row(
+    document: Any, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sweep_local, "work", stand_ins.crashing_work)
+    monkeypatch.setattr(sweep_local, "_GRACE_S", 0.5)
+    plan = plan_sweep(load_sweep(document(time_limit_s=0.1)), cache)
+    found = sweep_local.local_outcomes(plan, range(6), cache=cache, scratch=tmp_path, workers=1, task=6)
+    rows = {o.row["run"]: o.row for some in found for o in some}
+    assert sorted(rows) == [0, 1, 2, 3, 4, 5]
+    assert [rows[k]["failure"] for k in range(6)] == [None, None, "worker died", None, "time limit", None]
+    assert "SIGSEGV" in rows[2]["reason"]
+
+
+def test_workers_that_cannot_start_end_the_sweep(
+    document: Any, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sweep_local, "work", stand_ins.idle_work)
+    plan = plan_sweep(load_sweep(document()), cache)
+    with pytest.raises(SweepError, match="worker processes end before any run: exit code 0"):
+        list(sweep_local.local_outcomes(plan, range(6), cache=cache, scratch=tmp_path, workers=1, task=6))
+
+
+# -- the store ----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def plan(document: Any, cache: Path) -> Any:
+    return plan_sweep(load_sweep(document()), cache)
+
+
+def _outcomes(plan: Any, *runs: int) -> list[Outcome]:
+    return [Outcome(start_row(k, plan.sweep.values(k)) | {"peak": float(k)}) for k in runs]
+
+
+def test_a_store_takes_a_run_once(plan: Any, tmp_path: Path) -> None:
+    with SweepStore(tmp_path / "s", plan) as store:
+        assert store.append(_outcomes(plan, 3, 1, 3)) == 2
+        assert store.append(_outcomes(plan, 1, 2)) == 1
+        assert list(store.todo()) == [0, 4, 5, 6, 7, 8, 9, 10, 11]
+    with SweepStore(tmp_path / "s", plan) as again:
+        assert again.count == 3
+    assert list(read_rows(tmp_path / "s").run) == [1, 2, 3]
+
+
+def test_what_a_killed_process_leaves_is_swept_away(plan: Any, tmp_path: Path) -> None:
+    with SweepStore(tmp_path / "s", plan) as store:
+        store.append(_outcomes(plan, 0, 1))
+    runs = tmp_path / "s" / "runs"
+    (runs / ".part-000001.parquet.partial").write_bytes(b"PAR1 half a pa")
+    (tmp_path / "s" / ".work" / "worker-0").mkdir(parents=True)
+    (tmp_path / "s" / ".work" / "worker-0" / "plant.fmu").write_bytes(b"x")
+    with SweepStore(tmp_path / "s", plan) as store:
+        assert store.count == 2
+        assert [p.name for p in runs.iterdir()] == ["part-000000.parquet"]
+        assert list(store.work.iterdir()) == []
+
+
+def test_a_damaged_part_is_done_again(plan: Any, tmp_path: Path) -> None:
+    with SweepStore(tmp_path / "s", plan) as store:
+        store.append(_outcomes(plan, 0, 1))
+        store.append(_outcomes(plan, 2))
+    part = tmp_path / "s" / "runs" / "part-000000.parquet"
+    part.write_bytes(part.read_bytes()[:-20])
+    with SweepStore(tmp_path / "s", plan) as store:
+        assert len(store.dropped) == 1
+        assert list(store.todo())[:3] == [0, 1, 3]
+
+
+def test_two_processes_do_not_write_into_one_folder(plan: Any, tmp_path: Path) -> None:
+    with SweepStore(tmp_path / "s", plan), pytest.raises(SweepError, match="another process is writing"):
+        SweepStore(tmp_path / "s", plan)
+
+
+def test_a_folder_with_other_files_is_left_alone(plan: Any, tmp_path: Path) -> None:
+    (tmp_path / "letter.txt").write_text("dear")
+    with pytest.raises(SweepError, match="holds other files and no manifest"):
+        SweepStore(tmp_path, plan)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".lock", "letter.txt"]
+
+
+def test_a_full_disk_is_an_error_and_what_was_written_stays_valid(
+    plan: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with SweepStore(tmp_path / "s", plan) as store:
+        store.append(_outcomes(plan, 0, 1))
+
+        def full(partial: Path, path: Path) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device", str(partial))
+
+        with monkeypatch.context() as m:
+            m.setattr(sweep_store, "_settle", full)
+            with pytest.raises(
+                SweepError, match=r"the disk is full; 2 of 12 runs are safe in .*same command again"
+            ):
+                store.append(_outcomes(plan, 2, 3))
+        assert store.append(_outcomes(plan, 2)) == 1
+    assert list(read_rows(tmp_path / "s").run) == [0, 1, 2]
+    assert not list((tmp_path / "s" / "runs").glob(".*"))
