@@ -1,0 +1,68 @@
+"""Random call orders and values on every FMI function of every block kind, under ASan and UBSan.
+
+More calls: ``python tests/fuzz/run_fuzz.py --calls 10000000``.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from fmu_blocks import blocks
+from fuzz_build import Compiler, build_driver, sanitizing_compiler
+
+SOURCES = ("fuzz.c", "fuzz_calls.c")
+CALLS = {"controller": 400_000, "channel": 150_000, "plant": 250_000}
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def compiler() -> Compiler:
+    found = sanitizing_compiler()
+    if found is None:
+        pytest.skip("no compiler here has the runtime of a sanitizer (tried $CC, gcc, clang, cc, zig)")
+    return found
+
+
+@pytest.mark.parametrize("kind", CALLS)
+def test_nothing_is_found(kind: str, compiler: Compiler, tmp_path: Path) -> None:
+    driver = build_driver(blocks()[kind], SOURCES, compiler, tmp_path)
+    said = driver.run(20261121, CALLS[kind])
+    counts = {word: int(n) for n, word in re.findall(r"(\d+) (calls|ok|refused|steps|states)", said)}
+    assert counts["calls"] >= CALLS[kind]
+    # the calls reach deep: most are accepted, many take steps, and enough are refused
+    assert counts["ok"] > 0.7 * counts["calls"], said
+    assert counts["steps"] > 0.05 * counts["calls"], said
+    assert counts["refused"] > 0.02 * counts["calls"], said
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("fmi2_values.c", "references[i] >= c->n_real", "references[i] > c->n_real"),
+        ("fmi2_state.c", "|| head->model != model_of(c))", ")"),
+        ("instance.c", "if (*s == '%') safe[n++] = '%';", ""),
+        ("fmi2_cs.c", "else if (!(step <= longest))", "else if (0)"),
+        ("fmi2_instantiate.c", "instance_release(&callbacks, c->record_bytes);", ""),
+    ],
+)
+def test_a_seeded_mistake_is_found(
+    file: str, old: str, new: str, compiler: Compiler, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The harness is worth its time only if it notices."""
+    import fuzz_build
+
+    original = fuzz_build.source_files
+
+    def changed(sources: tuple[Path, ...]) -> dict[str, bytes]:
+        files = original(sources)
+        assert old.encode() in files[file], f"{file} no longer has {old!r}"
+        files[file] = files[file].replace(old.encode(), new.encode())
+        return files
+
+    monkeypatch.setattr(fuzz_build, "source_files", changed)
+    driver = build_driver(blocks()["decay"], SOURCES, compiler, tmp_path)
+    with pytest.raises(AssertionError, match=r"broken|Sanitizer|runtime error|code -"):
+        driver.run(1, 100_000)

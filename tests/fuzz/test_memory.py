@@ -1,0 +1,51 @@
+"""Memory over many lives of an instance: no growth, and valgrind finds nothing."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+from fmu_blocks import blocks
+from fuzz_build import build_driver, plain_compiler
+from test_fuzz import SOURCES
+
+KINDS = ("controller", "channel", "plant")
+
+pytestmark = pytest.mark.slow
+
+VALGRIND = (
+    "valgrind",
+    "--error-exitcode=9",
+    "--leak-check=full",
+    "--errors-for-leak-kinds=all",
+    "--show-leak-kinds=all",
+    "--track-fds=no",
+    "-q",
+)
+
+
+@pytest.mark.parametrize(("kind", "cycles"), [("controller", 100_000), ("channel", 5_000), ("plant", 3_000)])
+def test_create_simulate_free_does_not_grow(kind: str, cycles: int, tmp_path: Path) -> None:
+    """The whole hundred thousand for the smallest block; the FMI layer is the same for all."""
+    if not sys.platform.startswith("linux"):
+        pytest.skip("resident memory is read from /proc")
+    said = build_driver(blocks()[kind], ("cycles.c",), plain_compiler(), tmp_path).run(cycles)
+    found = re.search(r"(\d+) cycles, growth (-?\d+) kB, (-?\d+) files, (-?\d+) pieces", said)
+    assert found is not None, said
+    done, growth_kb, files, pieces = map(int, found.groups())
+    assert (done, files, pieces) == (cycles, 0, 0)
+    # less than one byte per cycle of the smallest allocation would show: a few pages are the C library's
+    assert growth_kb <= 128, said
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_valgrind_finds_nothing(kind: str, tmp_path: Path) -> None:
+    if shutil.which("valgrind") is None:
+        pytest.skip("valgrind is not installed (apt-get install valgrind)")
+    cycles = build_driver(blocks()[kind], ("cycles.c",), plain_compiler(), tmp_path / "cycles")
+    assert re.search(r"30 cycles, growth -?\d+ kB, 0 files, 0 pieces", cycles.run(30, before=VALGRIND))
+    fuzz = build_driver(blocks()[kind], SOURCES, plain_compiler(), tmp_path / "fuzz")
+    assert re.search(r"[45]\d\d\d calls, \d+ ok", fuzz.run(7, 4000, before=VALGRIND))
