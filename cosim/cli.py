@@ -12,6 +12,7 @@ import typer
 
 from .cli_check import check
 from .cli_design import certify, design
+from .cli_modes import modes
 from .cli_ssp import container, ssp
 from .cli_sweep import sweep
 from .terminal import busy, complain, print_table, stage_progress
@@ -55,39 +56,6 @@ def cases(json_: AsJson = False) -> None:
         "bundled cases",
         ("case", "machines", "buses", "title"),
         [(n, str(r["machines"]), str(r["buses"]), str(r["title"])) for n, r in rows.items()],
-    )
-    return None
-
-
-@app.command()
-def modes(case: CaseName, json_: AsJson = False) -> None:
-    """Linearise the plant FMU of a case and name its swing modes."""
-    from .study_rows import mode_rows
-
-    loaded, system, found = _modes(case)
-    rows = mode_rows(found)
-    if json_:
-        return _print_json(
-            {
-                "case": loaded.name,
-                "states": system.nstates,
-                "eigenvalues": [[z.real, z.imag] for z in found.eigenvalues],
-                "modes": rows,
-            }
-        )
-    print_table(
-        f"{loaded.name}: {system.nstates} states, swing modes",
-        ("mode", "frequency (Hz)", "damping ratio", "eigenvalue (1/s)", "takes part most"),
-        [
-            (
-                name,
-                f"{row['frequency_hz']:.4f}",
-                f"{row['damping_ratio']:.4f}",
-                f"{row['eigenvalue'][0]:.4f} ± {row['eigenvalue'][1]:.4f}j",
-                ", ".join(sorted(found[name].participation, key=lambda s: -found[name].participation[s])[:3]),
-            )
-            for name, row in rows.items()
-        ],
     )
     return None
 
@@ -172,6 +140,7 @@ def study(
     typer.echo(f"printed statements: {counts}", err=True)
 
 
+app.command()(modes)
 app.command()(design)
 app.command()(certify)
 app.command()(check)
