@@ -111,8 +111,33 @@ def source_files(block_sources: tuple[Path, ...]) -> dict[str, bytes]:
     return gather_sources((*fmi_sources(), *block_sources))
 
 
+_Stamps = tuple[tuple[Path, tuple[int, int]], ...]
+_READ: dict[tuple[Path, ...], tuple[_Stamps, dict[str, bytes]]] = {}
+
+
 def gather_sources(c_files: tuple[Path, ...]) -> dict[str, bytes]:
-    """Return `c_files` and the headers they include, flat, by file name (see `source_files`)."""
+    """Return `c_files` and the headers they include, flat, by file name (see `source_files`).
+
+    The files are read again only when one of them has changed.
+    """
+    kept = _READ.get(c_files)
+    if kept is None or any(_stamp(path) != stamp for path, stamp in kept[0]):
+        files, read = _read_sources(c_files)
+        kept = tuple((path, _stamp(path)) for path in read), files
+        _READ[c_files] = kept
+    return dict(kept[1])
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    try:
+        found = path.stat()
+    except OSError:
+        return -1, -1
+    return found.st_mtime_ns, found.st_size
+
+
+def _read_sources(c_files: tuple[Path, ...]) -> tuple[dict[str, bytes], list[Path]]:
+    """Contents by flat name, and the files they were read from."""
     files: dict[str, bytes] = {}
     origin: dict[str, Path] = {}
     parts: set[Path] = set()
@@ -146,7 +171,7 @@ def gather_sources(c_files: tuple[Path, ...]) -> dict[str, bytes]:
                 line = f'#include "{_flat_name(included, parts)}"'
             lines.append(line)
         files[name] = ("\n".join(lines) + "\n").encode("utf-8")
-    return dict(sorted(files.items()))
+    return dict(sorted(files.items())), list(origin.values())
 
 
 def _flat_name(path: Path, parts: set[Path]) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 
 from interarea.models.variables import Block
 
-from .compile import PLATFORMS, compile_binary, host_platform, record_source, source_files
+from .compile import PLATFORMS, compile_library, host_platform, record_source, source_files
 from .errors import BuildError
 from .render import product_version, render
 
@@ -51,8 +51,9 @@ def build_fmu(
     names = [host_platform()] if platforms is None else list(dict.fromkeys(platforms))
     if not names:
         raise BuildError(f"no platform was asked for; allowed: {', '.join(PLATFORMS)}")
-    binaries = {name: compile_binary(block.kind, block.sources, name, cache=cache) for name in names}
-    content = _archive(block, {name: file.read_bytes() for name, file in binaries.items()})
+    sources = source_files((*block.sources, record_source()))
+    binaries = {name: compile_library(block.kind, sources, name, cache=cache) for name in names}
+    content = _archive(block, sources, {name: file.read_bytes() for name, file in binaries.items()})
     path.parent.mkdir(parents=True, exist_ok=True)
     # Written beside and renamed, so that nobody ever opens half an FMU.
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
@@ -67,9 +68,8 @@ def build_fmu(
     return path
 
 
-def _archive(block: Block, binaries: dict[str, bytes]) -> bytes:
+def _archive(block: Block, sources: Mapping[str, bytes], binaries: dict[str, bytes]) -> bytes:
     """Bytes of the FMU; entries sorted, one fixed date, so nothing depends on when or where."""
-    sources = source_files((*block.sources, record_source()))
     description, record = render(block, sources)
     entries: dict[str, bytes] = {
         "modelDescription.xml": description.encode("utf-8"),

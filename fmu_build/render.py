@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 from collections.abc import Iterable, Mapping
@@ -43,6 +44,7 @@ _LOG_CATEGORIES = {
 }
 
 
+@functools.cache
 def product_version() -> str:
     """Return the version of this distribution, or "0" when it runs uninstalled."""
     try:
@@ -73,7 +75,8 @@ def render(block: Block, sources: Mapping[str, bytes]) -> tuple[str, bytes]:
         digest.update(name.encode() + b"\0" + sources[name])
     h = digest.hexdigest()
     guid = f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
-    return _description(block, guid, c_files), pack_record({"guid": guid.encode("ascii") + b"\0", **entries})
+    description = blank.replace(' guid=""', f' guid="{guid}"', 1)
+    return description, pack_record({"guid": guid.encode("ascii") + b"\0", **entries})
 
 
 def record_entries(block: Block) -> dict[str, npt.ArrayLike | bytes]:
