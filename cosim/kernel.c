@@ -6,6 +6,7 @@
 #include "kernel.h"
 
 #include <math.h>
+#include <string.h>
 #if defined _WIN32
 #include <windows.h>
 #else
@@ -30,6 +31,7 @@ static const double LEAST_SCALE = 1e-4; /* of the nominal value: loops.py */
 typedef struct {
     int64_t start, end;
     double start_s, length_s;
+    double *row;                    /* outputs at its end                       */
     int edge;
 } Step;
 
@@ -127,17 +129,19 @@ static int advance_in_parts(Kernel *k, KernelNode *node, const Step *step)
     return send(k, node, 0);
 }
 
-static int receive(Kernel *k, KernelNode *node)
+static int receive(Kernel *k, KernelNode *node, const Step *step)
 {
+    double *y = node->y = step->row + node->column;
     const int n_real = node->n_real, n_integer = node->n_integer, n_boolean = node->n_boolean;
     const int32_t *place = node->y_place;
     fmi2Status status;
 
     if (n_real > 0) {
-        status = node->get_real(node->component, node->y_reference, (size_t)n_real, node->y_real);
+        const int direct = n_real == node->n_y;
+        status = node->get_real(node->component, node->y_reference, (size_t)n_real, direct ? y : node->y_real);
         if (status > fmi2Warning) return call_failed(k, node, CALL_GET_REAL, status);
-        if (node->y_real != node->y)
-            for (int i = 0; i < n_real; ++i) node->y[place[i]] = node->y_real[i];
+        if (!direct)
+            for (int i = 0; i < n_real; ++i) y[place[i]] = node->y_real[i];
     }
     if (n_integer > 0) {
         status = node->get_integer(node->component, node->y_reference + n_real, (size_t)n_integer,
@@ -149,14 +153,14 @@ static int receive(Kernel *k, KernelNode *node)
                                    (size_t)n_boolean, node->y_integer + n_integer);
         if (status > fmi2Warning) return call_failed(k, node, CALL_GET_INTEGER, status);
     }
-    for (int i = 0; i < n_integer + n_boolean; ++i) node->y[place[n_real + i]] = (double)node->y_integer[i];
+    for (int i = 0; i < n_integer + n_boolean; ++i) y[place[n_real + i]] = (double)node->y_integer[i];
     if (node->n_dy > 0) {
         status = node->get_derivatives(node->component, node->dy_reference, (size_t)node->n_dy,
                                        node->dy_order, node->dy);
         if (status > fmi2Warning) return call_failed(k, node, CALL_GET_DERIVATIVES, status);
     }
     for (int i = 0; i < node->n_y; ++i)
-        if (!isfinite(node->y[i])) {
+        if (!isfinite(y[i])) {
             k->node = (int32_t)(node - k->nodes);
             return KERNEL_NOT_FINITE;
         }
@@ -168,7 +172,7 @@ static int advance(Kernel *k, KernelNode *node, const Step *step)
     int code = node->substeps > 1 && node->n_u > 0 && !step->edge ? advance_in_parts(k, node, step)
                                                                   : advance_whole(k, node, step);
 
-    if (code != KERNEL_OK || (code = receive(k, node)) != KERNEL_OK) return code;
+    if (code != KERNEL_OK || (code = receive(k, node, step)) != KERNEL_OK) return code;
     for (int i = 0; i < node->n_signals; ++i) {
         KernelSignal *s = k->signals + node->first_signal + i;
         signal_know(s, step->start, step->length_s, step->edge, node->y[s->index],
@@ -252,18 +256,6 @@ static int iterate(Kernel *k, const KernelGroup *group, const Step *step)
     return KERNEL_NOT_SETTLED;
 }
 
-static void record(Kernel *k, const Step *step)
-{
-    double *row = k->records + k->row * k->n_columns;
-
-    for (int i = 0; i < k->n_nodes; ++i) {
-        const KernelNode *node = k->nodes + i;
-        for (int j = 0; j < node->n_y; ++j) row[node->column + j] = node->y[j];
-    }
-    k->times[k->row] = seconds(step->end);
-    ++k->row;
-}
-
 static double now_s(void)
 {
 #if defined _WIN32
@@ -276,18 +268,18 @@ static double now_s(void)
 #endif
 }
 
-/* Steps until `k->index` is `until`, or something needs attention. The clock is
- * looked at after 1, 2, 4 .. 64 steps while these are short. */
-int32_t kernel_run(Kernel *k, int64_t until)
+static int run(Kernel *k, int64_t until)
 {
     const double begin = now_s();
-    double looked = begin;
+    double looked = begin, start_s = seconds(k->points[k->index]), length_s = 0.0;
+    int64_t length = 0;
     int stride = 1, since = 0;
 
     while (k->index < until) {
         const int64_t start = k->points[k->index], end = k->points[k->index + 1];
-        const int flags = k->flags[k->index];
-        const Step step = {start, end, seconds(start), seconds(end - start), (flags & STEP_EDGE) != 0};
+        const int flags = k->flags[k->index], edge = (flags & STEP_EDGE) != 0;
+        const int recorded = (flags & STEP_RECORDED) != 0;
+        Step step = {start, end, start_s, 0.0, k->spare, edge};
 
         if (k->stop != 0) return KERNEL_STOPPED;
         if (++since > stride) {
@@ -297,17 +289,37 @@ int32_t kernel_run(Kernel *k, int64_t until)
             looked = now;
             since = 1;
         }
-        for (int i = 0; i < k->n_signals; ++i) signal_begin(k->signals + i, start, step.edge);
+        if (end - start != length) {
+            length = end - start;
+            length_s = seconds(length);
+        }
+        step.length_s = length_s;
+        if (recorded) step.row = k->records + k->row * k->n_columns;
+        for (int i = 0; i < k->n_signals; ++i) signal_begin(k->signals + i, start, edge);
         for (int i = 0; i < k->n_groups; ++i) {
             const KernelGroup *group = k->groups + i;
             const int code = group->iterated ? iterate(k, group, &step) : advance_members(k, group, &step);
             if (code != KERNEL_OK) return code;
         }
-        for (int i = 0; i < k->n_signals; ++i) signal_accept(k->signals + i, end, step.length_s, step.edge);
+        for (int i = 0; i < k->n_signals; ++i) signal_accept(k->signals + i, end, length_s, edge);
         ++k->index;
-        if ((flags & STEP_RECORDED) != 0) record(k, &step);
+        start_s = seconds(end);
+        if (recorded) k->times[k->row++] = start_s;
     }
     return KERNEL_OK;
+}
+
+/* Steps until `k->index` is `until`, or something needs attention. The clock is
+ * looked at after 1, 2, 4 .. 64 steps while these are short. */
+int32_t kernel_run(Kernel *k, int64_t until)
+{
+    const int code = run(k, until);
+
+    for (int i = 0; i < k->n_nodes; ++i) {
+        const KernelNode *node = k->nodes + i;
+        if (node->y != node->y_home) memcpy(node->y_home, node->y, (size_t)node->n_y * sizeof node->y[0]);
+    }
+    return code;
 }
 
 /* Sizes of the structures, for whoever mirrors them; returns how many there are. */

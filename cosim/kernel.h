@@ -72,10 +72,11 @@ typedef struct {
     const fmi2Integer *du_order;
     double *du;
 
-    double *y;                      /* all outputs, in the order of the description */
+    double *y;                      /* all outputs, in the order of the description: in a row of records */
+    double *y_home;                 /* where they are left when kernel_run returns */
     const int32_t *y_place;         /* of each Real, Integer, Boolean output in y */
     const fmi2ValueReference *y_reference;      /* Real, then Integer, then Boolean */
-    double *y_real;                 /* = y when all outputs are Real            */
+    double *y_real;                 /* unused when all outputs are Real         */
     int *y_integer;
     double *dy;
     const fmi2ValueReference *dy_reference;
@@ -103,6 +104,7 @@ typedef struct {
     const int64_t *points;          /* ends of the steps, before them the start */
     const unsigned char *flags;     /* of each step                             */
     double *times, *records;        /* one row for each recorded point          */
+    double *spare;                  /* a row for points that are not            */
     double *work;                   /* kernel_loop.h says how much              */
     int64_t index, row, repeated;   /* next step, next row, loop steps done again */
     double tolerance;

@@ -97,6 +97,7 @@ class Kernel:
         run.points = self._at(_array(c_int64, [steps[0].start, *(s.end for s in steps)]))
         run.flags = self._at(_array(c_ubyte, [_flags(s) for s in steps]))
         run.times, run.records = times.ctypes.data, records.ctypes.data
+        run.spare = self._at(_array(c_double, [0.0] * records.shape[1]))
         run.work = self._at((c_double * max(1, most * most + 6 * most))())
         run.tolerance, run.budget = tolerance, _BUDGET_S
         run.n_nodes, run.n_signals, run.n_groups = len(self._nodes), len(signals), len(groups)
@@ -191,11 +192,11 @@ class Kernel:
         places = [j for part in by_type for j in part]
         mirror.n_real, mirror.n_integer, mirror.n_boolean = (len(part) for part in by_type)
         mirror.n_y = len(d.outputs)
-        mirror.y, mirror.dy = self._at(p.y), self._at(p.dy)
+        mirror.y = mirror.y_home = self._at(p.y)
+        mirror.dy = self._at(p.dy)
         mirror.y_place = self._at(_array(c_int32, places))
         mirror.y_reference = self._at(_array(c_uint, [known[d.outputs[j].name].reference for j in places]))
-        only_reals = mirror.n_real == mirror.n_y
-        mirror.y_real = mirror.y if only_reals else self._at(_array(c_double, [0.0] * mirror.n_real))
+        mirror.y_real = self._at(_array(c_double, [0.0] * mirror.n_real))
         mirror.y_integer = self._at(_array(c_int, [0] * (mirror.n_y - mirror.n_real)))
         mirror.n_dy = len(p.bound_slopes) if node.has_slopes else 0
         mirror.dy_reference = self._at(_array(c_uint, [known[n].reference for n in p.bound_slopes]))

@@ -78,7 +78,7 @@ class KernelNode(ctypes.Structure):
         ("state", c_void_p),
         ("time", c_double),
         *_fields(c_void_p, "feeds u_reference u du_reference du_order du"),
-        *_fields(c_void_p, "y y_place y_reference y_real y_integer dy dy_reference dy_order"),
+        *_fields(c_void_p, "y y_home y_place y_reference y_real y_integer dy dy_reference dy_order"),
         *_fields(c_int32, "n_u_real n_u order substeps n_real n_integer n_boolean n_y n_dy"),
         *_fields(c_int32, "first_signal n_signals column"),
     ]
@@ -94,7 +94,7 @@ class KernelRun(ctypes.Structure):
     """`Kernel` of kernel.h."""
 
     _fields_ = [
-        *_fields(c_void_p, "nodes signals groups members torn points flags times records work"),
+        *_fields(c_void_p, "nodes signals groups members torn points flags times records spare work"),
         *_fields(c_int64, "index row repeated"),
         *_fields(c_double, "tolerance budget value"),
         *_fields(c_int32, "stop n_nodes n_signals n_groups n_columns node group call status"),

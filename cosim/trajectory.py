@@ -42,18 +42,17 @@ class Trajectory:
         engine: str = "",
     ) -> Trajectory:
         """Return the trajectory of recorded outputs; integers and Booleans get their own types."""
-        series: dict[str, npt.NDArray[Any]] = {TIME: times_s.copy()}
+        table = np.empty((1 + len(columns), len(times_s)))
+        table[0], table[1:] = times_s, records.T
+        names = [TIME, *columns]
         units = {TIME: "s"}
-        for k, (name, port) in enumerate(zip(columns, ports, strict=True)):
-            column = records[:, k]
-            if port.type == "Integer":
-                series[name] = column.astype(np.int64)
-            elif port.type == "Boolean":
-                series[name] = column != 0.0
-            else:
-                series[name] = column.copy()
+        for name, port in zip(columns, ports, strict=True):
             units[name] = port.unit.name if port.unit is not None else "1"
-        data = pd.DataFrame(series)
+        if all(port.type == "Real" for port in ports):
+            data = pd.DataFrame(table.T, columns=names, copy=False)
+        else:
+            kept = [table[0], *(_typed(row, p) for row, p in zip(table[1:], ports, strict=True))]
+            data = pd.DataFrame(dict(zip(names, kept, strict=True)), copy=False)
         data.attrs["units"] = dict(units)
         return cls(data, units, {n: p.description for n, p in zip(columns, ports, strict=True)}, engine)
 
@@ -91,3 +90,12 @@ class Trajectory:
         data = table.to_pandas()
         data.attrs["units"] = dict(units)
         return cls(data, units, texts)
+
+
+def _typed(row: npt.NDArray[np.float64], port: Port) -> npt.NDArray[Any]:
+    """Return the values of an output in its own type."""
+    if port.type == "Integer":
+        return row.astype(np.int64)
+    if port.type == "Boolean":
+        return row != 0.0
+    return row
