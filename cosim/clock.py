@@ -69,11 +69,11 @@ class Step:
     edge: bool
     recorded: bool
 
-    @property
+    @cached_property
     def start_s(self) -> float:
         return seconds(self.start)
 
-    @property
+    @cached_property
     def length_s(self) -> float:
         return seconds(self.end - self.start)
 

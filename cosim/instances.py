@@ -60,34 +60,40 @@ class FmuParticipant:
         ]
         self.u = (c_double * max(1, len(inputs)))()
         self.du = (c_double * max(1, 3 * len(inputs)))()
-        self._n_u = len(reals)
+        self._n_u = c_size_t(len(reals))
+        self._sends = bool(reals)
         self._u_vr = self._references([n for _, n in reals])
         self._u_buffer = (c_double * max(1, len(reals)))()
         self._all_real = len(reals) == len(inputs)
-        self._du_vr, self._du_order, self._du_buffer = {}, {}, {}
-        for order in (1, 2, 3):
-            self._du_vr[order] = self._references([n for _, n in reals for _ in range(order)])
-            self._du_order[order] = (c_int * max(1, order * len(reals)))(
-                *[k + 1 for _ in reals for k in range(order)]
-            )
-            self._du_buffer[order] = (c_double * max(1, order * len(reals)))()
+        self._derivatives = {order: self._derivative_arrays(reals, order) for order in (1, 2, 3)}
         outputs = self.description.outputs
         self.y = (c_double * max(1, len(outputs)))()
         real_first = all(p.type == "Real" for p in outputs)
         self._y_all_real = real_first
         self._y_reals = [j for j, p in enumerate(outputs) if p.type == "Real"]
-        self._n_y = len(self._y_reals)
+        self._n_y = c_size_t(len(self._y_reals))
         self._y_vr = self._references([outputs[j].name for j in self._y_reals])
-        self._y_buffer = (c_double * max(1, self._n_y))()
+        self._y_buffer = (c_double * max(1, len(self._y_reals)))()
         self._y_others = [
             (j, p.type, self._references([p.name]), c_int())
             for j, p in enumerate(outputs)
             if p.type != "Real"
         ]
-        self._n_dy = len(slopes)
+        self._n_dy = c_size_t(len(slopes))
         self._dy_vr = self._references(list(slopes))
         self._dy_order = (c_int * max(1, len(slopes)))(*([1] * len(slopes)))
         self.dy = (c_double * max(1, len(slopes)))()
+
+    def _derivative_arrays(self, reals: list[tuple[int, str]], order: int) -> tuple[Any, ...]:
+        """Return of all derivatives up to `order`: references, number, orders, values, places in `du`."""
+        every = [(i, name, m) for i, name in reals for m in range(order)]
+        count = max(1, len(every))
+        orders = (c_int * count)(*[m + 1 for _, _, m in every])
+        places = [3 * i + m for i, _, m in every]
+        whole = places == list(range(len(every)))  # then `du` itself can be sent
+        values = self.du if whole else (c_double * count)()
+        references = self._references([name for _, name, _ in every])
+        return references, c_size_t(len(every)), orders, values, () if whole else tuple(enumerate(places))
 
     def _references(self, names: list[str]) -> Any:
         return (c_uint * max(1, len(names)))(*[self.file.variables[n].reference for n in names])
@@ -154,9 +160,14 @@ class FmuParticipant:
             ) from error
         self._raw = self._fmu.dll
         self._c = c_void_p(self._fmu.component)
-        self._do_step = self._raw.fmi2DoStep
-        self._set_real = self._raw.fmi2SetReal
-        self._get_real = self._raw.fmi2GetReal
+        # functions of our own, without the argument checks that fmpy gives its: half the time of a call
+        self._do_step = self._raw["fmi2DoStep"]
+        self._set_real = self._raw["fmi2SetReal"]
+        self._get_real = self._raw["fmi2GetReal"]
+        if self.description.input_order:
+            self._set_derivatives = self._raw["fmi2SetRealInputDerivatives"]
+        if self.description.output_order:
+            self._get_derivatives = self._raw["fmi2GetRealOutputDerivatives"]
 
     @property
     def component(self) -> int:
@@ -172,7 +183,7 @@ class FmuParticipant:
 
     def send(self, order: int) -> None:
         """Set the bound inputs, and their derivatives up to `order`."""
-        if self._n_u:
+        if self._sends:
             u: Any = self.u
             if not self._all_real:
                 u = self._u_buffer
@@ -182,15 +193,11 @@ class FmuParticipant:
             if status > 1:
                 self.fail("fmi2SetReal", status)
             if order:
-                du = self._du_buffer[order]
-                k = 0
-                for i in self._real_inputs:
-                    for m in range(order):
-                        du[k] = self.du[3 * i + m]
-                        k += 1
-                status = self._raw.fmi2SetRealInputDerivatives(
-                    self._c, self._du_vr[order], k, self._du_order[order], du
-                )
+                references, count, orders, values, places = self._derivatives[order]
+                du = self.du
+                for k, i in places:
+                    values[k] = du[i]
+                status = self._set_derivatives(self._c, references, count, orders, values)
                 if status > 1:
                     self.fail("fmi2SetRealInputDerivatives", status)
         for i, kind, reference in self._other_inputs:
@@ -200,7 +207,7 @@ class FmuParticipant:
 
     def advance(self, time_s: float, length_s: float) -> None:
         """Step from `time_s` over `length_s`."""
-        status = self._do_step(self._c, time_s, length_s, 1)
+        status = self._do_step(self._c, c_double(time_s), c_double(length_s), 1)
         if status > 1:
             self.time_s = time_s
             self.fail("fmi2DoStep", status)
@@ -208,7 +215,7 @@ class FmuParticipant:
 
     def receive(self, slopes: bool) -> None:
         """Read every output, and the bound slopes if `slopes`."""
-        if self._n_y:
+        if self._y_reals:
             y: Any = self.y if self._y_all_real else self._y_buffer
             status = self._get_real(self._c, self._y_vr, self._n_y, y)
             if status > 1:
@@ -220,10 +227,8 @@ class FmuParticipant:
             getter = self._raw.fmi2GetBoolean if kind == "Boolean" else self._raw.fmi2GetInteger
             self._call("fmi2GetInteger", getter(self._c, reference, c_size_t(1), byref(box)), self.time_s)
             self.y[j] = float(box.value)
-        if slopes and self._n_dy:
-            status = self._raw.fmi2GetRealOutputDerivatives(
-                self._c, self._dy_vr, self._n_dy, self._dy_order, self.dy
-            )
+        if slopes and self.bound_slopes:
+            status = self._get_derivatives(self._c, self._dy_vr, self._n_dy, self._dy_order, self.dy)
             if status > 1:
                 self.fail("fmi2GetRealOutputDerivatives", status)
 
@@ -247,7 +252,9 @@ class FmuParticipant:
         reference = self._references([name])
         if variable.type == "Real":
             real = c_double()
-            self._call("fmi2GetReal", self._get_real(self._c, reference, 1, byref(real)), self.time_s)
+            self._call(
+                "fmi2GetReal", self._get_real(self._c, reference, c_size_t(1), byref(real)), self.time_s
+            )
             return real.value
         box = c_int()
         getter = self._raw.fmi2GetBoolean if variable.type == "Boolean" else self._raw.fmi2GetInteger
@@ -307,7 +314,7 @@ class FmuParticipant:
         reference = self._references([variable.name])
         what = f"setting {variable.name} = {value!r}"
         if variable.type == "Real":
-            status = self._set_real(self._c, reference, 1, (c_double * 1)(float(encoded)))
+            status = self._set_real(self._c, reference, c_size_t(1), (c_double * 1)(float(encoded)))
         elif variable.type == "String":
             status = self._raw.fmi2SetString(
                 self._c, reference, 1, (fmi2.fmi2String * 1)(str(encoded).encode())

@@ -137,11 +137,21 @@ class Master:
         self.repeated = 0  #: loop steps done again since the start
         self._order: list[Group] = self._groups()
         self._iterated = {g.members for g in self._order if g.torn and self._iterates(g)}
+        #: per group: its nodes, and when it is iterated its torn signals
+        self._plan = [
+            (
+                g,
+                [self.nodes[n] for n in g.members],
+                self._torn_signals(g) if g.members in self._iterated else None,
+            )
+            for g in self._order
+        ]
         self._index = -1
         outputs = [(n, p) for n, d in descriptions.items() for p in d.outputs]
         self._columns = [f"{n}.{p.name}" for n, p in outputs]
         self._ports = [p for _, p in outputs]
         points = 1 + sum(s.recorded for s in self.clock.steps)
+        self._recorded = [(p, len(p.description.outputs)) for p in self.participants.values()]
         self._times = np.full(points, np.nan)
         self._records = np.full((points, len(outputs)), np.nan)
         self._rows = 0
@@ -194,14 +204,12 @@ class Master:
         try:
             for s in self.signals:
                 s.begin(step.start, step.edge)
-            for group in self._order:
-                if group.members in self._iterated:
-                    self.repeated += iterate_loop(
-                        group, self.nodes, self._torn_signals(group), step, self.tolerance
-                    )
+            for group, nodes, torn in self._plan:
+                if torn is None:
+                    for node in nodes:
+                        node.advance(step)
                 else:
-                    for name in group.members:
-                        self.nodes[name].advance(step)
+                    self.repeated += iterate_loop(group, self.nodes, torn, step, self.tolerance)
             for s in self.signals:
                 s.accept(step.start, step.end, step.edge)
         except StepError as error:
@@ -396,13 +404,10 @@ class Master:
         return self.participants[end.instance].description.input_of[end.variable].start
 
     def _record(self, tick: int) -> None:
-        row = self._records[self._rows]
-        k = 0
-        for node in self.nodes.values():
-            p = node.participant
-            n = len(p.description.outputs)
-            row[k : k + n] = p.y[:n]
-            k += n
+        row: list[float] = []
+        for p, n in self._recorded:
+            row += p.y[:n]
+        self._records[self._rows] = row
         self._times[self._rows] = seconds(tick)
         self._rows += 1
 

@@ -46,6 +46,7 @@ class Node:
         self.substeps = substeps
         self.has_slopes = any(s.slope_index >= 0 for s in signals)
         self._names = [p.name for p in participant.description.outputs]
+        self._n_y = len(self._names)
 
     def advance(self, step: Step) -> None:
         """Step the participant and tell its signals their ends."""
@@ -81,13 +82,11 @@ class Node:
     def _fill(self, order: int, at: float) -> None:
         u, du = self.participant.u, self.participant.du
         for f in self.feeds:
-            d = f.signal.d
-            k = 3 * f.place
-            u[f.place] = f.gain * (d[0] if at == 0.0 else ip.value_at(d, at)) + f.offset
+            d, place, gain = f.signal.d, f.place, f.gain
+            u[place] = gain * (d[0] if at == 0.0 else ip.value_at(d, at)) + f.offset
             if order:
-                du[k] = f.gain * d[1]
-                du[k + 1] = f.gain * d[2]
-                du[k + 2] = f.gain * d[3]
+                k = 3 * place
+                du[k : k + 3] = gain * d[1], gain * d[2], gain * d[3]
 
     def _advance_in_parts(self, step: Step) -> None:
         p, n = self.participant, self.substeps
@@ -109,12 +108,14 @@ class Node:
     def check(self, tick: int) -> None:
         """Raise StepError when an output is not finite."""
         p = self.participant
-        for j, name in enumerate(self._names):
-            if not math.isfinite(p.y[j]):
-                raise StepError(
-                    f"output {name} is {p.y[j]}",
-                    instance=p.name,
-                    call="reading outputs",
-                    time_s=seconds(tick),
-                    last_log=p.last_log(),
-                )
+        values = p.y[: self._n_y]
+        if all(map(math.isfinite, values)):
+            return
+        name, value = next((n, v) for n, v in zip(self._names, values, strict=True) if not math.isfinite(v))
+        raise StepError(
+            f"output {name} is {value}",
+            instance=p.name,
+            call="reading outputs",
+            time_s=seconds(tick),
+            last_log=p.last_log(),
+        )

@@ -69,13 +69,14 @@ class Signal:
 
     def know(self, tick: int, end: int, edge: bool, value: float, slope: float) -> None:
         """Take value and slope at the end of the step [tick, end], computed or supposed."""
-        h = seconds(end - tick)
         self.v1, self.s1 = value, slope
         if self.kind == "held":
             return
         if self.kind == "newest":
             self.d = (value, 0.0, 0.0, 0.0)
-        elif edge or self.kind == "linear":
+            return
+        h = seconds(end - tick)
+        if edge or self.kind == "linear":
             self.d = ip.line(self.v0, value, h)
         elif self.kind == "hermite":
             self.d = ip.hermite(self.v0, self.s0, value, slope, h)
