@@ -12,6 +12,7 @@ import typer
 
 from .cli_check import check
 from .cli_design import certify, design
+from .cli_import import import_grid
 from .cli_modes import modes
 from .cli_ssp import container, ssp
 from .cli_sweep import sweep
@@ -141,6 +142,7 @@ def study(
 
 
 app.command()(modes)
+app.command("import")(import_grid)
 app.command()(design)
 app.command()(certify)
 app.command()(check)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from dataclasses import dataclass
@@ -11,6 +12,8 @@ from typing import Any
 from .case import Case, CaseError, case_of
 
 _COLUMNS = {"bus": 13, "gen": 8, "branch": 11}
+#: columns that are read and must be finite; limits, costs and ratings may be Inf
+_READ = {"bus": (0, 1, 2, 3, 4, 5, 6, 8, 9), "gen": (0, 1, 5, 6, 7), "branch": (0, 1, 2, 3, 4, 8, 9, 10)}
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,12 @@ def _table(path: Path, lines: list[str], table: str, *, needed: bool = True) -> 
                 raise CaseError(
                     f"{path}:{k + 1}: mpc.{table}: {len(values)} columns, allowed: >= {_COLUMNS[table]}"
                 )
+            for column in _READ.get(table, ()):
+                if not math.isfinite(values[column]):
+                    raise CaseError(
+                        f"{path}:{k + 1}: mpc.{table}: column {column + 1} is {words[column]!r}, "
+                        "allowed: a finite number"
+                    )
             rows.append(_Row(values, k + 1))
         if ends:
             return rows

@@ -4,6 +4,8 @@ How the models map (parameters in the order of the PSS/E model library):
 
 GENROU, GENROE  -> round_rotor; X''q = X''d, Ra from the RAW file; S(1.0), S(1.2) of the open-circuit curve
                    become the exponential through both points.
+GENSAL          -> round_rotor with Xq1 = Xq: then ed1 stays 0 and the one q damper is the outer one.
+                   Its saturation, on the d axis only, has no counterpart: S(1.0), S(1.2) must be 0.
 GENCLS          -> classical behind ZR + jZX of the RAW file.
 SEXS            -> static or static_tgr;   EXST1, ESST1A -> st1a;   IEEET1, IEEEX1, ESDC1A -> dc1, the
                    saturation factor being the exponential through both points.
@@ -128,6 +130,17 @@ def _genrou(where: str, *p: float) -> dict[str, Any]:
     return row
 
 
+def _gensal(where: str, *p: float) -> dict[str, Any]:
+    keys = ("Td01", "Td02", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xd2", "Xl")
+    row: dict[str, Any] = dict(zip(keys, p[:10], strict=True))
+    if p[10] or p[11]:
+        raise CaseError(
+            f"{where}: GENSAL S(1.0) = {p[10]:g}, S(1.2) = {p[11]:g}: d-axis saturation, allowed: 0"
+        )
+    # with Xq1 = Xq nothing drives ed1, so its time constant plays no part
+    return row | {"model": "round_rotor", "Xq1": row["Xq"], "Xq2": row["Xd2"], "Tq01": 1.0}
+
+
 def _gencls(where: str, H: float, D: float) -> dict[str, Any]:
     if not H > 0.0:
         raise CaseError(f"{where}: GENCLS with H = {H:g} is an infinite bus, allowed: H > 0")
@@ -241,6 +254,7 @@ def _tgov1(
 _MODELS: dict[str, tuple[str, int, Callable[..., dict[str, Any]]]] = {
     "GENROU": ("machine model", 14, _genrou),
     "GENROE": ("machine model", 14, _genrou),
+    "GENSAL": ("machine model", 12, _gensal),
     "GENCLS": ("machine model", 2, _gencls),
     "SEXS": ("exciter", 6, _sexs),
     "EXST1": ("exciter", 12, _st1a),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -54,9 +55,12 @@ class Record:
             return default
         word = self.text(k, what)
         try:
-            return float(word)
+            value = float(word)
         except ValueError:
             raise CaseError(f"{self.where}: {what} (field {k + 1}) = {word!r}, allowed: a number") from None
+        if not math.isfinite(value):
+            raise CaseError(f"{self.where}: {what} (field {k + 1}) = {word!r}, allowed: a finite number")
+        return value
 
     def whole(self, k: int, what: str, default: int | None = None) -> int:
         """Return field `k` as an integer."""

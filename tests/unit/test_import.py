@@ -7,13 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plant_shim import BlockShim
 
 from interarea.models.case import Case, CaseError, load_case
 from interarea.models.case_checks import require_dynamics
+from interarea.models.export_toml import export_toml
 from interarea.models.import_matpower import import_matpower
 from interarea.models.import_psse import import_psse
 from interarea.models.import_psse_records import split_fields
 from interarea.models.network import admittance_matrix
+from interarea.models.plant_block import plant_block
 from interarea.models.powerflow import solve_powerflow
 
 
@@ -147,7 +150,104 @@ def test_exciter_records_map(write: Write, record: str, expected: dict) -> None:
             )
 
 
+def full_dyr(case: Case) -> str:
+    """Every kind of control of `case` as the PSS/E record that is the same block."""
+    lines = [dyr_text(case)]
+    for m in case.machines:
+        e, g = m.exciter, m.governor
+        if e.kind == "static_tgr":
+            lines.append(f"{m.bus} 'SEXS' 1 {e.TC / e.TB!r} {e.TB} {e.KA} {e.TA} {e.Efd_min} {e.Efd_max} /")
+        elif e.kind == "st1a":
+            times = f"{e.TC} {e.TB} {e.KA} {e.TA} {e.VRmax} {e.VRmin} {e.KC}"
+            lines.append(f"{m.bus} 'EXST1' 1 {e.TR} 9 -9 {times} 0 1 /")
+        elif e.kind == "dc1":
+            points = " ".join(f"{x} {float(e.Aex * np.exp(e.Bex * x))!r}" for x in (3.0, 4.0))
+            rest = f"{e.VRmax} {e.VRmin} {e.KE} {e.TE} {e.KF} {e.TF} 0 {points}"
+            lines.append(f"{m.bus} 'ESDC1A' 1 {e.TR} {e.KA} {e.TA} {e.TB} {e.TC} {rest} /")
+        if g.kind == "tgov1":
+            lines.append(f"{m.bus} 'TGOV1' 1 {g.R} {g.T1} {g.Vmax} {g.Vmin} {g.T2} {g.T3} {g.Dt} /")
+    return "\n".join(lines) + "\n"
+
+
+CONTROLS = {
+    "SEXS": {
+        "kind": "static_tgr",
+        "KA": 200.0,
+        "TA": 0.02,
+        "TC": 1.0,
+        "TB": 10.0,
+        "Efd_min": -6.0,
+        "Efd_max": 6.0,
+    },
+    "EXST1": {"kind": "st1a", "KA": 200.0, "TA": 0.02, "TR": 0.01, "VRmin": -6.0, "VRmax": 6.0, "KC": 0.1},
+    "ESDC1A": {"kind": "dc1", "KA": 20.0, "TA": 0.055, "TR": 0.05, "TE": 0.36, "KF": 0.125, "TF": 1.8}
+    | {"Aex": 0.0056, "Bex": 1.075, "VRmin": -3.0, "VRmax": 5.0},
+}
+
+
+@pytest.mark.parametrize("model", CONTROLS)
+def test_an_imported_grid_has_the_linear_plant_of_the_case_it_was_written_from(
+    write: Write, tmp_path: Path, model: str
+) -> None:
+    """Case -> RAW + DYR -> case -> TOML -> case: the same state matrix of the C plant."""
+    stabilizer = {
+        "K": 20.0,
+        "Tw": 10.0,
+        "T1": 0.05,
+        "T2": 0.02,
+        "T3": 3.0,
+        "T4": 5.4,
+        "Vs_min": -0.05,
+        "Vs_max": 0.05,
+    }
+    governor = {
+        "kind": "tgov1",
+        "R": 0.05,
+        "T1": 0.5,
+        "T2": 3.0,
+        "T3": 10.0,
+        "Dt": 0.1,
+        "Vmin": 0.0,
+        "Vmax": 1.2,
+    }
+    row = {"exciter": CONTROLS[model], "stabilizer": stabilizer, "governor": governor}
+    case = load_case("kundur-thyristor-z").with_changes({"machines": {"defaults": row}})
+    copy = import_psse(write("grid.raw", raw_text(case)), write("grid.dyr", full_dyr(case)))
+    export_toml(copy, tmp_path / "grid.toml")
+    read_back = load_case(tmp_path / "grid.toml")
+    assert read_back.hash == copy.hash
+    A, wanted = (BlockShim(plant_block(c)).jacobians()[0] for c in (read_back, case))
+    np.testing.assert_allclose(A, wanted, rtol=1e-9, atol=1e-7)
+
+
+def test_a_salient_pole_machine_is_the_round_rotor_one_without_transient_in_q(write: Write) -> None:
+    """GENSAL: psi''q is the only q-axis flux, Tq02 d psi''q/dt = -psi''q - (Xq - Xq2) iq."""
+    case = load_case("kundur-manual")
+    m = case.machines[0]
+    values = f"{m.Td01} {m.Td02} {m.Tq02} {m.H} {m.D} {m.Xd} 0.9 {m.Xd1} {m.Xd2} {m.Xl}"
+    lines = [f"{b.bus} 'GENSAL' 1 {values} 0 0 /" for b in case.machines]
+    copy = import_psse(write("grid.raw", raw_text(case)), write("grid.dyr", "\n".join(lines) + "\n"))
+    plant = BlockShim(plant_block(copy))
+    name = copy.machines[0].name
+    index = {s: plant.state_names.index(f"{name}.{s}") for s in ("delta", "ed1", "ed2")}
+    A = plant.jacobians()[0]
+    assert np.count_nonzero(np.delete(A[index["ed1"]], index["ed1"])) == 0  # nothing drives ed1
+    assert plant.x[index["ed1"]] == pytest.approx(0.0, abs=1e-12)
+    slow = BlockShim(plant_block(copy.with_changes({"machines": {"defaults": {"Tq01": 7.0}}})))
+    rest = [k for k, s in enumerate(plant.state_names) if not s.endswith(".ed1")]
+    np.testing.assert_array_equal(slow.jacobians()[0][np.ix_(rest, rest)], A[np.ix_(rest, rest)])
+    with pytest.raises(CaseError, match=r"GENSAL S\(1\.0\) = 0\.1"):
+        text = "\n".join(line.replace(" 0 0 /", " 0.1 0.3 /") for line in lines)
+        import_psse(write("grid.raw", raw_text(case)), write("bad.dyr", text + "\n"))
+
+
 RAW_REFUSED = [
+    (
+        "7,'1 ',1,1,1,967.0",
+        "7,'1 ',1,1,1,inf",
+        r"grid\.raw:16: PL \(field 6\) = 'inf', allowed: a finite number",
+    ),
+    ("\n1,'a/b", "\nnan,'a/b", r"grid\.raw:4: bus number \(field 1\) = 'nan', allowed: a finite number"),
     (", 33,", ", 32,", r"grid\.raw:1: RAW version 32, allowed: 33"),
     ("7,'1 ',1,1,1,967.0", "7,'1 ',1,1,1,9x7", r"grid\.raw:16: PL \(field 6\) = '9x7', allowed: a number"),
     ("7,'1 ',1,1,1,967.0,100.0,0,", "7,'1 ',1,1,1,967.0,100.0,5,", r"grid\.raw:16: IP = 5"),
@@ -189,6 +289,7 @@ DYR_REFUSED = [
         r"grid\.dyr:2: GENROU has \d+ parameters, allowed: 14 \(is the / of the record",
     ),
     ("1 'GENROU' 1", "9 'GENROU' 1", r"grid\.dyr:2: GENROU for machine '1' at bus 9: no such machine"),
+    ("1.7 0.3 0.55", "1.7 nan 0.55", r"grid\.dyr:2: GENROU parameter 9 .* 'nan', allowed: a finite number"),
     ("'IEEEST' 1 1 0", "'IEEEST' 1 3 0", r"grid\.dyr:5: IEEEST input code 3, allowed: 1"),
     ("1.7 0.3 0.55", "1.7 1.9 0.55", r"Xd = 1.8 with Xd1 = 1.9.*\(given at .*grid\.dyr:2\)"),
     ("1 'EXST1'", "1 'GENROU'", r"grid\.dyr:4: GENROU parameter 13"),
@@ -259,6 +360,11 @@ def test_matpower_gives_the_same_power_flow(write: Write, name: str) -> None:
 
 
 MATPOWER_REFUSED = [
+    (
+        "0.0025 0.025 ",
+        "0.0025 Inf ",
+        r"grid\.m:\d+: mpc\.branch: column 4 is 'Inf', allowed: a finite number",
+    ),
     ("'2'", "'1'", r"grid\.m: MATPOWER case version 1, allowed: 2"),
     ("mpc.branch = [", "mpc.lines = [", r"grid\.m: mpc\.branch is missing"),
     ("0.0025 0.025 ", "0.0025 -0.025 ", r"grid\.m:\d+: branch 5-6 has x = -0.025, allowed: above 0"),
@@ -275,3 +381,29 @@ def test_a_wrong_matpower_file_is_named_with_its_line(write: Write, old: str, ne
     assert old in text
     with pytest.raises(CaseError, match=message):
         import_matpower(write("grid.m", text.replace(old, new, 1)))
+
+
+def test_import_command_writes_a_case_that_loads_and_refuses_other_files(
+    write, tmp_path, monkeypatch, capsys
+):
+    import sys
+
+    from interarea.cosim.cli import main
+
+    def call(*arguments: object) -> tuple[int, str]:
+        monkeypatch.setattr(sys, "argv", ["interarea", "import", *map(str, arguments)])
+        try:
+            main()
+        except SystemExit as stopped:
+            return int(stopped.code or 0), capsys.readouterr().err
+        return 0, capsys.readouterr().err
+
+    case = load_case("kundur-pss")
+    raw, dyr = write("grid.raw", raw_text(case)), write("grid.dyr", dyr_text(case))
+    out = tmp_path / "case.toml"
+    assert call(raw, "--dyr", dyr, "--out", out, "--p-exponent", 1.0)[0] == 0
+    assert load_case(out).hash == import_psse(raw, dyr, P_exponent=1.0).hash
+    code, message = call(write("grid.epc", ""), "--out", out)
+    assert code == 2 and "suffix '.epc', allowed: .raw" in message
+    code, message = call(write("bad.raw", raw_text(case).replace(", 33,", ", 35,")), "--out", out)
+    assert code == 2 and "bad.raw:1: RAW version 35" in message

@@ -1,0 +1,43 @@
+"""The command `import`: a grid of PSS/E or MATPOWER as a case file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def import_grid(
+    grid: Annotated[Path, typer.Argument(metavar="GRID", help="PSS/E .raw (version 33) or MATPOWER .m")],
+    out: Annotated[Path, typer.Option("--out", metavar="CASE.toml", help="case file", show_default=False)],
+    dyr: Annotated[Path | None, typer.Option("--dyr", metavar="FILE", help="PSS/E dynamic data")] = None,
+    P_exponent: Annotated[float, typer.Option("--p-exponent", help="loads: P against voltage (RAW)")] = 2.0,
+    Q_exponent: Annotated[float, typer.Option("--q-exponent", help="loads: Q against voltage (RAW)")] = 2.0,
+    frequency: Annotated[
+        float, typer.Option("--frequency", metavar="HZ", help="MATPOWER does not say it")
+    ] = 60.0,
+) -> None:
+    """Read a grid, solve its power flow and write it as a case file; what is not supported is named."""
+    from interarea.models.case import CaseError
+    from interarea.models.export_toml import export_toml
+    from interarea.models.import_matpower import import_matpower
+    from interarea.models.import_psse import import_psse
+    from interarea.models.powerflow import solve_powerflow
+
+    if grid.suffix.lower() == ".m":
+        if dyr is not None:
+            raise CaseError(f"{dyr}: dynamic data goes with a RAW file, not with MATPOWER")
+        case = import_matpower(grid, frequency_hz=frequency)
+    elif grid.suffix.lower() == ".raw":
+        case = import_psse(grid, dyr, P_exponent=P_exponent, Q_exponent=Q_exponent)
+    else:
+        raise CaseError(f"{grid}: suffix {grid.suffix!r}, allowed: .raw (PSS/E version 33), .m (MATPOWER)")
+    flow = solve_powerflow(case)
+    export_toml(case, out)
+    typer.echo(out)
+    typer.echo(
+        f"{len(case.buses)} buses, {len(case.branches)} branches, {len(case.machines)} machines; power flow: "
+        f"voltages {flow.magnitudes.min():.4f} to {flow.magnitudes.max():.4f} pu",
+        err=True,
+    )
