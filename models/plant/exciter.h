@@ -6,15 +6,15 @@
 
 /* Field voltages of all machines: the constant of the operating point, or the
  * output of the machine's exciter. id: d-axis currents, machine base. */
-static inline void exciter_all(const double *memory, const Plan *plan, const num *vt, const num *id,
+static inline void exciter_all(const real *memory, const Plan *plan, const num *vt, const num *id,
                                const num *vs, const num *u, const num *x, num *dx, num *efd)
 {
     const size_t n = plan->n_exciter, m = plan->n_machine;
-    const double *of = memory + plan->exciter_of, *table = memory + plan->machine;
+    const real *of = memory + plan->exciter_of, *table = memory + plan->machine;
 
-    for (size_t k = 0; k < m; ++k) efd[k] = table[M_EFD0 * m + k];
+    for (size_t k = 0; k < m; ++k) efd[k] = NUM(table[M_EFD0 * m + k]);
     for (size_t k = 0; k < n; ++k) {
-        const double *p = memory + plan->exciter + k;
+        const real *p = memory + plan->exciter + k;
         const size_t kind = index_at(of, k), machine = index_at(of, n + k);
         const size_t input = index_at(of, 2 * n + k), state = index_at(of, 3 * n + k);
         const num signal = vs[machine] + memory[plan->vref_step + machine] + u[input];
@@ -22,8 +22,9 @@ static inline void exciter_all(const double *memory, const Plan *plan, const num
         if (kind == EXCITER_DC1) {
             efd[machine] = exciter_dc1(p, n, vt[machine], signal, x + state, dx + state);
         } else if (kind == EXCITER_ST1A) {
-            const num ifd = p[E_KC * n] > 0.0
-                ? machine_field_current(table, m, machine, machine_states(x, m, plan->n_sixth), id[machine]) : 0.0;
+            const num ifd = flag_any(num_above(NUM(p[E_KC * n]), NUM(0.0)))
+                ? machine_field_current(table, m, machine, machine_states(x, m, plan->n_sixth), id[machine])
+                : NUM(0.0);
             efd[machine] = exciter_st1a(p, n, vt[machine], ifd, signal, x + state, dx + state);
         } else {
             efd[machine] = exciter_static(p, n, vt[machine], signal, x + state, dx + state);

@@ -14,10 +14,10 @@
  * The rate feedback is K_F/T_F (Efd - f) with T_F df/dt = Efd - f. "Self-excited"
  * means K_E = -S_E at the operating point, so that r = 0 there.
  * States: v, the slow part of y, r, Efd, f; v, y, r are absent when their time is 0. */
-static inline num exciter_dc1(const double *p, size_t n, num vt, num signal, const num *x, num *dx)
+static inline num exciter_dc1(const real *p, size_t n, num vt, num signal, const num *x, num *dx)
 {
-    const size_t before = (p[E_TR * n] > 0.0 ? 1u : 0u) + (p[E_TB * n] > 0.0 ? 1u : 0u)
-                        + (p[E_TA * n] > 0.0 ? 1u : 0u);
+    const size_t before = (FIRST(p[E_TR * n]) > 0.0 ? 1u : 0u) + (FIRST(p[E_TB * n]) > 0.0 ? 1u : 0u)
+                        + (FIRST(p[E_TA * n]) > 0.0 ? 1u : 0u);
     const num efd = x[before], slow = x[before + 1];
     const num feedback = p[E_KF * n] / p[E_TF * n] * (efd - slow);
     const num loss = p[E_KE * n] + p[E_AEX * n] * num_exp(p[E_BEX * n] * efd);

@@ -13,7 +13,7 @@
  * vs is the machine's stabilizer signal and a Vref step, u the FMU's input. The
  * field limits are constants (they do not follow the terminal voltage).
  * States: v, the slow part of y, Efd; those whose time is 0 are absent. */
-static inline num exciter_static(const double *p, size_t n, num vt, num signal,
+static inline num exciter_static(const real *p, size_t n, num vt, num signal,
                                  const num *x, num *dx)
 {
     const num v = num_lag(vt, p[E_TR * n], &x, &dx);

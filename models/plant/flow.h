@@ -9,7 +9,9 @@
 #include "machine.h"
 #include "network.h"
 #include "plant.h"
+#ifndef PLANT_LANES
 #include "port.h"
+#endif
 #include "stabilizer.h"
 
 /* Work arrays, one entry per machine; e also one per port. id_rotor is what the
@@ -17,60 +19,57 @@
 typedef struct {
     num *sine, *cosine, *i_re, *i_im, *id, *iq, *vd, *vq, *vt, *vs, *efd, *pm, *id_rotor;
     num *e_re, *e_im;
+#ifndef PLANT_LANES
     PortWork port;
     num *newton;
+#endif
 } Work;
 
 static Work work_arrays(num *scratch, const Plan *plan)
 {
     const size_t n = plan->n_machine;
-    num *e = scratch + 13 * n, *port = e + 2 * plan->n_source;
-    return (Work){ scratch, scratch + n, scratch + 2 * n, scratch + 3 * n, scratch + 4 * n,
-                   scratch + 5 * n, scratch + 6 * n, scratch + 7 * n, scratch + 8 * n,
-                   scratch + 9 * n, scratch + 10 * n, scratch + 11 * n, scratch + 12 * n,
-                   e, e + plan->n_source, port_arrays(port, plan->n_port),
-                   port + PORT_ARRAYS * plan->n_port };
+    num *e = scratch + 13 * n;
+    Work w = { scratch, scratch + n, scratch + 2 * n, scratch + 3 * n, scratch + 4 * n,
+               scratch + 5 * n, scratch + 6 * n, scratch + 7 * n, scratch + 8 * n,
+               scratch + 9 * n, scratch + 10 * n, scratch + 11 * n, scratch + 12 * n,
+               .e_re = e, .e_im = e + plan->n_source };
+#ifndef PLANT_LANES
+    w.port = port_arrays(e + 2 * plan->n_source, plan->n_port);
+    w.newton = e + 2 * plan->n_source + PORT_ARRAYS * plan->n_port;
+#endif
+    return w;
 }
 
-/* tangent.c: one exact Newton step; port.c: Newton's method. */
-#ifdef PLANT_TANGENT
+#ifndef PLANT_LANES
+#ifdef PLANT_TANGENT   /* tangent.c: one exact Newton step */
 static size_t port_solve_tangent(const double *memory, const Plan *plan, const num *x, Work *w);
 #endif
 
-/* Returns 0, or 1 + the port where Newton's method fails. */
-static size_t solve_network(double *memory, const Plan *plan, const num *x, Work *w)
+/* What the ports inject, into the sources; 0, or 1 + the port where Newton's method fails. */
+static size_t solve_ports(double *memory, const Plan *plan, const num *x, Work *w)
 {
-    const size_t n = plan->n_machine, n_port = plan->n_port;
-    const double *table = memory + plan->machine;
-    const MachineStates states = machine_states(x, n, plan->n_sixth);
-
-    machine_emf(table, n, plan->n_sixth, states, w->sine, w->cosine, w->e_re, w->e_im);
-    if (n_port > 0) {
 #ifdef PLANT_TANGENT
-        const size_t stuck = port_solve_tangent(memory, plan, x, w);
+    const size_t stuck = port_solve_tangent(memory, plan, x, w);
 #else
-        double *const at[4] = { w->port.v_re, w->port.v_im, w->port.isd, w->port.isq };
-        const size_t stuck = port_solve(memory, plan, states.ed2, w->sine, w->cosine, w->e_re, w->e_im,
-                                        at, w->newton);
+    const MachineStates states = machine_states(x, plan->n_machine, plan->n_sixth);
+    double *const at[4] = { w->port.v_re, w->port.v_im, w->port.isd, w->port.isq };
+    const size_t stuck = port_solve(memory, plan, states.ed2, w->sine, w->cosine, w->e_re, w->e_im,
+                                    at, w->newton);
 #endif
-        if (stuck < n_port) return stuck + 1;
-    }
-    network_currents(memory, plan, w->e_re, w->e_im, w->i_re, w->i_im);
-    machine_terminal(table, n, plan->n_sixth, states, w->sine, w->cosine, w->i_re, w->i_im,
-                     w->id, w->iq, w->vd, w->vq, w->vt);
-    if (n_port == 0) {
-        w->id_rotor = w->id;
-        return 0;
-    }
-    for (size_t k = 0; k < n; ++k) w->id_rotor[k] = w->id[k];
-    for (size_t p = 0; p < n_port; ++p) {
+    return stuck < plan->n_port ? stuck + 1 : 0;
+}
+
+/* Terminals and rotor circuits of the machines that saturate. */
+static void saturate_terminals(const double *memory, const Plan *plan, Work *w)
+{
+    for (size_t k = 0; k < plan->n_machine; ++k) w->id_rotor[k] = w->id[k];
+    for (size_t p = 0; p < plan->n_port; ++p) {
         const double *row = memory + plan->port + P_ROWS * p;
         const size_t k = index_at(row, P_DEVICE);
         if (port_is_load(row)) continue;
         saturation_terminal(row, k, w->port.isd[p], w->port.isq[p], w->vd, w->vq, w->vt);
         w->id_rotor[k] += w->port.isd[p];
     }
-    return 0;
 }
 
 static void saturate_rates(const double *memory, const Plan *plan, const Work *w, num *dx)
@@ -84,15 +83,59 @@ static void saturate_rates(const double *memory, const Plan *plan, const Work *w
                          machine_rates(dx, n, plan->n_sixth));
     }
 }
-
-/* A tripped machine and its controls stand still where they were: they no longer count. */
-static void hold_tripped(const double *memory, const Plan *plan, num *dx)
+#else   /* several scenarios at a time: plants without ports only (batch.h) */
+static size_t solve_ports(const real *memory, const Plan *plan, const num *x, Work *w)
 {
-    for (size_t k = 0; k < plan->n_state; ++k)
-        if (!(memory[plan->running + index_at(memory + plan->state_machine, k)] > 0.5)) dx[k] = 0.0;
+    (void)memory;
+    (void)x;
+    (void)w;
+    return plan->n_port;
+}
+static void saturate_terminals(const real *memory, const Plan *plan, Work *w)
+{
+    (void)memory;
+    (void)plan;
+    (void)w;
+}
+static void saturate_rates(const real *memory, const Plan *plan, const Work *w, num *dx)
+{
+    (void)memory;
+    (void)plan;
+    (void)w;
+    (void)dx;
+}
+#endif
+
+/* Returns 0, or 1 + the port where Newton's method fails. */
+static size_t solve_network(real *memory, const Plan *plan, const num *x, Work *w)
+{
+    const size_t n = plan->n_machine;
+    const real *table = memory + plan->machine;
+    const MachineStates states = machine_states(x, n, plan->n_sixth);
+
+    machine_emf(table, n, plan->n_sixth, states, w->sine, w->cosine, w->e_re, w->e_im);
+    if (plan->n_port > 0) {
+        const size_t stuck = solve_ports(memory, plan, x, w);
+        if (stuck > 0) return stuck;
+    }
+    network_currents(memory, plan, w->e_re, w->e_im, w->i_re, w->i_im);
+    machine_terminal(table, n, plan->n_sixth, states, w->sine, w->cosine, w->i_re, w->i_im,
+                     w->id, w->iq, w->vd, w->vq, w->vt);
+    if (plan->n_port > 0) saturate_terminals(memory, plan, w);
+    else w->id_rotor = w->id;
+    return 0;
 }
 
-static void solve_devices(const double *memory, const Plan *plan, const num *x, const num *u,
+/* A tripped machine and its controls stand still where they were: they no longer count. */
+static void hold_tripped(const real *memory, const Plan *plan, num *dx)
+{
+    for (size_t k = 0; k < plan->n_state; ++k) {
+        const real running = memory[plan->running + index_at(memory + plan->state_machine, k)];
+        dx[k] = num_pick(num_above(NUM(running), NUM(0.5)), dx[k], NUM(0.0));
+    }
+}
+
+static void solve_devices(const real *memory, const Plan *plan, const num *x, const num *u,
                           num *dx, Work *w)
 {
     const size_t n = plan->n_machine;
@@ -103,7 +146,7 @@ static void solve_devices(const double *memory, const Plan *plan, const num *x, 
     governor_all(memory, plan, states.slip, x, dx, w->pm);
 }
 
-size_t NAME(plant_flow)(double *memory, const num *x, const num *u, num *dx, num *scratch)
+size_t NAME(plant_flow)(real *memory, const num *x, const num *u, num *dx, num *scratch)
 {
     Plan plan;
     plan_of(memory, &plan);
@@ -113,23 +156,23 @@ size_t NAME(plant_flow)(double *memory, const num *x, const num *u, num *dx, num
     const size_t stuck = solve_network(memory, &plan, x, &w);
     if (stuck > 0) return stuck;
     solve_devices(memory, &plan, x, u, dx, &w);
-    machine_derivatives(memory + plan.machine, n, plan.n_sixth, memory[H_OMEGA_B], machine_states(x, n, plan.n_sixth),
-                        w.id, w.iq, w.efd, w.pm, machine_rates(dx, n, plan.n_sixth));
+    machine_derivatives(memory + plan.machine, n, plan.n_sixth, memory[H_OMEGA_B],
+                        machine_states(x, n, plan.n_sixth), w.id, w.iq, w.efd, w.pm, machine_rates(dx, n, plan.n_sixth));
     if (plan.n_port > 0) saturate_rates(memory, &plan, &w, dx);
-    if (memory[H_TRIPPED] > 0.0) hold_tripped(memory, &plan, dx);
+    if (flag_any(num_above(NUM(memory[H_TRIPPED]), NUM(0.0)))) hold_tripped(memory, &plan, dx);
     return 0;
 }
 
 /* y: dw, delta to the centre of inertia, pe, vt of each machine; then the tie's
  * power if the case has one. */
-size_t NAME(plant_outputs)(double *memory, const num *x, num *y, num *scratch)
+size_t NAME(plant_outputs)(real *memory, const num *x, num *y, num *scratch)
 {
     Plan plan;
     plan_of(memory, &plan);
     const size_t n = plan.n_machine;
     const MachineStates states = machine_states(x, n, plan.n_sixth);
     Work w = work_arrays(scratch, &plan);
-    num centre = 0.0;
+    num centre = NUM(0.0);
 
     const size_t stuck = solve_network(memory, &plan, x, &w);
     if (stuck > 0) return stuck;
@@ -144,7 +187,7 @@ size_t NAME(plant_outputs)(double *memory, const num *x, num *y, num *scratch)
     return 0;
 }
 
-#ifndef PLANT_TANGENT
+#if !defined PLANT_TANGENT && !defined PLANT_LANES
 /* Locals: every bus voltage, then Efd and Pm of each machine. */
 size_t plant_locals(double *memory, const double *x, const double *u, double *locals,
                     double *scratch, double *dx)

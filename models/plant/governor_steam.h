@@ -14,18 +14,18 @@
  *
  * A volume with time constant 0 is absent (its pressure is that before it). The
  * fractions add to 1, so Pref = Pm at rest. The torque is Pm (speed = 1). */
-static inline num governor_steam(const double *p, size_t n, num pref, num slip,
+static inline num governor_steam(const real *p, size_t n, num pref, num slip,
                                  const num *x, num *dx)
 {
-    const double low = p[G_GMIN * n], high = p[G_GMAX * n];
+    const real low = p[G_GMIN * n], high = p[G_GMAX * n];
     const num relay = num_lag(pref - (p[G_KP * n] / p[G_RP * n]) * slip, p[G_TSR * n], &x, &dx);
 
     const num state = *x++;
     const num gate = num_clamp(state, low, high);
     const num rate = num_clamp((relay - state) / p[G_TSM * n], p[G_VMIN * n], p[G_VMAX * n]);
-    const int above = PART(state) >= high && PART(rate) > 0.0;
-    const int below = PART(state) <= low && PART(rate) < 0.0;
-    *dx++ = above || below ? (gate - state) / p[G_TSM * n] : rate;   /* back to the limit a step passed */
+    const flag above = num_reaches(state, NUM(high)) & num_above(rate, NUM(0.0));
+    const flag below = num_reaches(NUM(low), state) & num_above(NUM(0.0), rate);
+    *dx++ = num_pick(above | below, (gate - state) / p[G_TSM * n], rate);  /* back to a limit that was passed */
 
     const num p5 = num_lag(gate, p[G_T5 * n], &x, &dx);
     const num p4 = num_lag(p5, p[G_T4 * n], &x, &dx);

@@ -9,7 +9,7 @@
  *     Pm       = g (1 + s T2)/(1 + s T3) - Dt slip
  *
  * Pref = Pm at rest (the model library writes Pref/R). States: g, slow part of Pm. */
-static inline num governor_tgov1(const double *p, size_t n, num pref, num slip, const num *x, num *dx)
+static inline num governor_tgov1(const real *p, size_t n, num pref, num slip, const num *x, num *dx)
 {
     const num valve = num_limited_lag(pref - slip / p[G_RP * n], p[G_TSM * n], p[G_GMIN * n],
                                       p[G_GMAX * n], &x, &dx);

@@ -45,7 +45,7 @@ static inline MachineRates machine_rates(num *dx, size_t n, size_t sixth)
 }
 
 /* Subtransient EMF in the network frame: E = (eq2 - j ed2) exp(j delta). */
-static inline void machine_emf(const double *table, size_t n, size_t sixth, MachineStates x,
+static inline void machine_emf(const real *table, size_t n, size_t sixth, MachineStates x,
                                num *sine, num *cosine, num *e_re, num *e_im)
 {
     for (size_t k = 0; k < sixth; ++k) {
@@ -61,20 +61,21 @@ static inline void machine_emf(const double *table, size_t n, size_t sixth, Mach
 }
 
 /* Network current (system base) -> id, iq; terminal voltage vd, vq, |V|. */
-static inline void machine_terminal(const double *table, size_t n, size_t sixth, MachineStates x,
+static inline void machine_terminal(const real *table, size_t n, size_t sixth, MachineStates x,
                                     const num *sine, const num *cosine,
                                     const num *i_re, const num *i_im,
                                     num *id, num *iq, num *vd, num *vq, num *vt)
 {
-    const double *ratio = table + M_RATIO * n, *Ra = table + M_RA * n;
-    const double *Xd2 = table + M_XD2 * n, *Xq2 = table + M_XQ2 * n;
+    const real *ratio = table + M_RATIO * n, *Ra = table + M_RA * n;
+    const real *Xd2 = table + M_XD2 * n, *Xq2 = table + M_XQ2 * n;
 
     for (size_t k = 0; k < n; ++k) {
         const num iq_system = i_re[k] * cosine[k] + i_im[k] * sine[k];
         const num id_system = i_re[k] * sine[k] - i_im[k] * cosine[k];
         iq[k] = iq_system / ratio[k];
         id[k] = id_system / ratio[k];
-        const num ed2 = k < sixth ? x.ed2[k] : 0.0, eq2 = k < sixth ? x.eq2[k] : table[M_EFD0 * n + k];
+        const num ed2 = k < sixth ? x.ed2[k] : NUM(0.0);
+        const num eq2 = k < sixth ? x.eq2[k] : NUM(table[M_EFD0 * n + k]);
         vd[k] = ed2 - Ra[k] * id[k] + Xq2[k] * iq[k];
         vq[k] = eq2 - Ra[k] * iq[k] - Xd2[k] * id[k];
         vt[k] = num_sqrt(vd[k] * vd[k] + vq[k] * vq[k]);
@@ -82,32 +83,32 @@ static inline void machine_terminal(const double *table, size_t n, size_t sixth,
 }
 
 /* Field current of machine k in per unit of the field voltage that holds it, Xad ifd. */
-static inline num machine_field_current(const double *table, size_t n, size_t k, MachineStates x, num id)
+static inline num machine_field_current(const real *table, size_t n, size_t k, MachineStates x, num id)
 {
-    const double Xl = table[M_XL * n + k], Xd1 = table[M_XD1 * n + k], Xd2 = table[M_XD2 * n + k];
-    const double leak = 1.0 / (Xd1 - Xl);
+    const real Xl = table[M_XL * n + k], Xd1 = table[M_XD1 * n + k], Xd2 = table[M_XD2 * n + k];
+    const real leak = 1.0 / (Xd1 - Xl);
     return x.eq1[k] + (table[M_XD * n + k] - Xd1)
         * ((Xd2 - Xl) * leak * id + (x.eq1[k] - x.eq2[k]) * leak);
 }
 
-static inline void machine_derivatives(const double *table, size_t n, size_t sixth, double omega_b,
+static inline void machine_derivatives(const real *table, size_t n, size_t sixth, real omega_b,
                                        MachineStates x, const num *id, const num *iq,
                                        const num *efd, const num *pm, MachineRates dx)
 {
-    const double *Xl = table + M_XL * n;
-    const double *Xd = table + M_XD * n, *Xd1 = table + M_XD1 * n, *Xd2 = table + M_XD2 * n;
-    const double *Xq = table + M_XQ * n, *Xq1 = table + M_XQ1 * n, *Xq2 = table + M_XQ2 * n;
-    const double *Td01 = table + M_TD01 * n, *Td02 = table + M_TD02 * n;
-    const double *Tq01 = table + M_TQ01 * n, *Tq02 = table + M_TQ02 * n;
-    const double *H = table + M_H * n, *D = table + M_D * n;
+    const real *Xl = table + M_XL * n;
+    const real *Xd = table + M_XD * n, *Xd1 = table + M_XD1 * n, *Xd2 = table + M_XD2 * n;
+    const real *Xq = table + M_XQ * n, *Xq1 = table + M_XQ1 * n, *Xq2 = table + M_XQ2 * n;
+    const real *Td01 = table + M_TD01 * n, *Td02 = table + M_TD02 * n;
+    const real *Tq01 = table + M_TQ01 * n, *Tq02 = table + M_TQ02 * n;
+    const real *H = table + M_H * n, *D = table + M_D * n;
 
     for (size_t k = sixth; k < n; ++k) {
         dx.delta[k] = omega_b * x.slip[k];
         dx.slip[k] = (pm[k] - table[M_EFD0 * n + k] * iq[k] - D[k] * x.slip[k]) / (2.0 * H[k]);
     }
     for (size_t k = 0; k < sixth; ++k) {
-        const double leak_d = 1.0 / (Xd1[k] - Xl[k]), leak_q = 1.0 / (Xq1[k] - Xl[k]);
-        const double a = (Xd2[k] - Xl[k]) * leak_d, b = (Xq2[k] - Xl[k]) * leak_q;
+        const real leak_d = 1.0 / (Xd1[k] - Xl[k]), leak_q = 1.0 / (Xq1[k] - Xl[k]);
+        const real a = (Xd2[k] - Xl[k]) * leak_d, b = (Xq2[k] - Xl[k]) * leak_q;
         const num Te = x.ed2[k] * id[k] + x.eq2[k] * iq[k] + (Xq2[k] - Xd2[k]) * id[k] * iq[k];
         const num deq = x.eq1[k] - x.eq2[k], ded = x.ed1[k] - x.ed2[k];
         const num eq1 = (efd[k] - x.eq1[k]

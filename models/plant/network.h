@@ -11,18 +11,18 @@
 
 /* I = Y E, one dense complex product. Sources beyond the machines' EMFs are what
  * the ports inject (port.h); without ports there are none. */
-static inline void network_currents(const double *memory, const Plan *plan,
+static inline void network_currents(const real *memory, const Plan *plan,
                                     const num *e_re, const num *e_im, num *i_re, num *i_im)
 {
     const size_t n = plan->n_machine;
-    const double *y_re = memory + plan->y_re, *y_im = memory + plan->y_im;
+    const real *y_re = memory + plan->y_re, *y_im = memory + plan->y_im;
 
     for (size_t j = 0; j < n; ++j) {
-        i_re[j] = 0.0;
-        i_im[j] = 0.0;
+        i_re[j] = NUM(0.0);
+        i_im[j] = NUM(0.0);
     }
     for (size_t k = 0; k < plan->n_source; ++k) {   /* Y by columns: the inner loop has stride 1 */
-        const double *g = y_re + k * n, *b = y_im + k * n;
+        const real *g = y_re + k * n, *b = y_im + k * n;
         const num er = e_re[k], ei = e_im[k];
         for (size_t j = 0; j < n; ++j) {
             i_re[j] += g[j] * er - b[j] * ei;
@@ -32,14 +32,14 @@ static inline void network_currents(const double *memory, const Plan *plan,
 }
 
 /* Voltage of one bus from the EMFs. */
-static inline void network_voltage(const double *memory, const Plan *plan, size_t bus,
+static inline void network_voltage(const real *memory, const Plan *plan, size_t bus,
                                    const num *e_re, const num *e_im, num *v_re, num *v_im)
 {
     const size_t n = plan->n_source;
-    const double *g = memory + plan->v_re + bus * n, *b = memory + plan->v_im + bus * n;
+    const real *g = memory + plan->v_re + bus * n, *b = memory + plan->v_im + bus * n;
 
-    *v_re = 0.0;
-    *v_im = 0.0;
+    *v_re = NUM(0.0);
+    *v_im = NUM(0.0);
     for (size_t k = 0; k < n; ++k) {
         *v_re += g[k] * e_re[k] - b[k] * e_im[k];
         *v_im += g[k] * e_im[k] + b[k] * e_re[k];
@@ -48,17 +48,17 @@ static inline void network_voltage(const double *memory, const Plan *plan, size_
 
 /* Active power into the tie branches at their measured ends, in service only:
  * P = Re V_a conj(Y_aa V_a + Y_ab V_b). */
-static inline num network_tie_power(const double *memory, const Plan *plan,
+static inline num network_tie_power(const real *memory, const Plan *plan,
                                     const num *e_re, const num *e_im)
 {
     const size_t n = plan->n_tie;
-    const double *tie = memory + plan->tie;
-    num total = 0.0;
+    const real *tie = memory + plan->tie;
+    num total = NUM(0.0);
 
     for (size_t k = 0; k < n; ++k) {
-        const double *row = tie + k;
-        const double g_own = row[T_OWN_RE * n], b_own = row[T_OWN_IM * n];
-        const double g_mutual = row[T_MUTUAL_RE * n], b_mutual = row[T_MUTUAL_IM * n];
+        const real *row = tie + k;
+        const real g_own = row[T_OWN_RE * n], b_own = row[T_OWN_IM * n];
+        const real g_mutual = row[T_MUTUAL_RE * n], b_mutual = row[T_MUTUAL_IM * n];
         num ar, ai, br, bi;
         network_voltage(memory, plan, index_at(tie, T_OWN * n + k), e_re, e_im, &ar, &ai);
         network_voltage(memory, plan, index_at(tie, T_OTHER * n + k), e_re, e_im, &br, &bi);

@@ -6,6 +6,7 @@
  * quantity by quantity ("row" r, device k: table[r * count + k]).            */
 #include <stddef.h>
 #include "../block/block.h"
+#include "scalar.h"
 
 /* Rows of the device tables; models/plant_block.py writes them in this order. */
 enum {  /* machine, per unit on the machine base */
@@ -141,14 +142,14 @@ static inline void plan_offsets(Plan *p)
     p->total = at;
 }
 
-static inline size_t index_at(const double *memory, size_t at)
+static inline size_t index_at(const real *memory, size_t at)
 {
-    return (size_t)(ptrdiff_t)memory[at];
+    return (size_t)(ptrdiff_t)FIRST(memory[at]);
 }
 
-static inline int port_is_load(const double *row) { return index_at(row, P_KIND) == PORT_LOAD; }
+static inline int port_is_load(const real *row) { return index_at(row, P_KIND) == PORT_LOAD; }
 
-static inline void plan_of(const double *memory, Plan *p)
+static inline void plan_of(const real *memory, Plan *p)
 {
     p->n_machine = index_at(memory, H_N_MACHINE);
     p->n_sixth = index_at(memory, H_N_SIXTH);

@@ -1,9 +1,13 @@
 #ifndef INTERAREA_SCALAR_H
 #define INTERAREA_SCALAR_H
 /* The scalar `num` of the physics. The device equations are written once over
- * `num` and compiled twice: as double (the flow) and, with PLANT_TANGENT, as
- * double complex with an imaginary part of 1e-30 (the complex step), which
- * carries exact directional derivatives: f(x + i h v) = f(x) + i h f'(x) v.
+ * `num` and compiled several times: as double (the flow); with PLANT_TANGENT as
+ * double complex with a tiny imaginary part (the complex step), which carries
+ * exact directional derivatives, f(x + i h v) = f(x) + i h f'(x) v; and with
+ * PLANT_LANES as several scenarios side by side (lanes.h). `real` is what tables
+ * hold: double, or one double for each scenario. A condition on numbers is a
+ * `flag` and chooses with num_pick; what a table says about the structure (a time
+ * constant that is zero) is the same in every scenario and is read with FIRST.
  *
  * Nothing here calls libm except sqrt, which IEEE 754 rounds correctly, so the
  * same inputs give the same bits on every platform.                          */
@@ -12,14 +16,18 @@
 #include <stdint.h>
 #include <string.h>
 
-#ifdef PLANT_TANGENT
+#if defined PLANT_TANGENT
 #include <complex.h>
 typedef double complex num;
+typedef double real;
+typedef int flag;
 #define NAME(f) f##_tangent
 #define PART(a) creal(a)     /* what comparisons look at */
 #define SLOPE(a) cimag(a)
-#else
+#elif !defined PLANT_LANES
 typedef double num;
+typedef double real;
+typedef int flag;
 #define NAME(f) f
 #define PART(a) (a)
 #endif
@@ -97,6 +105,17 @@ static inline double real_log(double x)
     return k * 6.93147180369123816490e-01 + (2.0 * s + (2.0 * s * tail + k * 1.90821492927058770002e-10));
 }
 
+#if defined PLANT_LANES
+#include "lanes.h"   /* NUM, FIRST, flags and the functions below for several scenarios */
+#else
+
+#define NUM(a) ((num)(a))
+#define FIRST(a) (a)
+static inline flag num_above(num a, num b) { return PART(a) > PART(b); }
+static inline flag num_reaches(num a, num b) { return PART(a) >= PART(b); }
+static inline num num_pick(flag c, num a, num b) { return c ? a : b; }
+static inline int flag_any(flag c) { return c; }
+
 #ifdef PLANT_TANGENT
 
 static inline num with_slope(double value, double slope)
@@ -144,25 +163,26 @@ static inline num num_log(num x) { return real_log(x); }
 static inline num num_ratio(num a, num b) { return a / b; }
 
 #endif
+#endif
 
-static inline num num_clamp(num a, double low, double high)
+static inline num num_clamp(num a, real low, real high)
 {
-    return PART(a) < low ? (num)low : PART(a) > high ? (num)high : a;
+    return num_pick(num_above(low, a), NUM(low), num_pick(num_above(a, high), NUM(high), a));
 }
 
 /* T dx/dt = u - x. Returns the output: x, or u itself when T = 0 (no state). */
-static inline num num_lag(num u, double T, const num **x, num **dx)
+static inline num num_lag(num u, real T, const num **x, num **dx)
 {
-    if (!(T > 0.0)) return u;
+    if (!(FIRST(T) > 0.0)) return u;
     const num state = *(*x)++;
     *(*dx)++ = (u - state) / T;
     return state;
 }
 
 /* (1 + s T1)/(1 + s T2): T2 dx/dt = u - x, y = x + (u - x) T1/T2. T2 = 0: y = u. */
-static inline num num_lead_lag(num u, double T1, double T2, const num **x, num **dx)
+static inline num num_lead_lag(num u, real T1, real T2, const num **x, num **dx)
 {
-    if (!(T2 > 0.0)) return u;
+    if (!(FIRST(T2) > 0.0)) return u;
     const num state = *(*x)++;
     *(*dx)++ = (u - state) / T2;
     return state + (u - state) * (T1 / T2);
@@ -172,12 +192,14 @@ static inline num num_lead_lag(num u, double T1, double T2, const num **x, num *
  * limits may move. At a limit the state moves only inwards; what a step of the
  * solver carried beyond a limit goes back to it with T, and the output never shows
  * it. T = 0: the clamped input. */
-static inline num num_limited_lag(num u, double T, num low, num high, const num **x, num **dx)
+static inline num num_limited_lag(num u, real T, num low, num high, const num **x, num **dx)
 {
-    const num state = T > 0.0 ? *(*x)++ : u;
-    const num aim = PART(state) >= PART(high) && PART(u) > PART(high) ? high
-                  : PART(state) <= PART(low) && PART(u) < PART(low) ? low : u;
-    if (T > 0.0) *(*dx)++ = (aim - state) / T;
-    return PART(state) < PART(low) ? low : PART(state) > PART(high) ? high : state;
+    const int lags = FIRST(T) > 0.0;
+    const num state = lags ? *(*x)++ : u;
+    const flag above = num_above(u, high) & num_reaches(state, high);
+    const flag below = num_above(low, u) & num_reaches(low, state);
+    const num aim = num_pick(above, high, num_pick(below, low, u));
+    if (lags) *(*dx)++ = (aim - state) / T;
+    return num_pick(num_above(low, state), low, num_pick(num_above(state, high), high, state));
 }
 #endif

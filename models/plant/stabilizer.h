@@ -11,7 +11,7 @@
  *
  * Stages whose lag (T2, T4, T6) is 0 are absent. The limiter acts on the output
  * only; no state lies behind it, so nothing can wind up. */
-static inline num stabilizer_signal(const double *p, size_t n, num slip, const num *x, num *dx)
+static inline num stabilizer_signal(const real *p, size_t n, num slip, const num *x, num *dx)
 {
     const num sensed = num_lag(slip, p[S_TS * n], &x, &dx);
     const num slow = num_lag(sensed, p[S_TW * n], &x, &dx);
@@ -23,13 +23,13 @@ static inline num stabilizer_signal(const double *p, size_t n, num slip, const n
 }
 
 /* Signals of all machines; zero where there is no stabilizer. */
-static inline void stabilizer_all(const double *memory, const Plan *plan, const num *slip,
+static inline void stabilizer_all(const real *memory, const Plan *plan, const num *slip,
                                   const num *x, num *dx, num *vs)
 {
     const size_t n = plan->n_stabilizer;
-    const double *of = memory + plan->stabilizer_of;
+    const real *of = memory + plan->stabilizer_of;
 
-    for (size_t k = 0; k < plan->n_machine; ++k) vs[k] = 0.0;
+    for (size_t k = 0; k < plan->n_machine; ++k) vs[k] = NUM(0.0);
     for (size_t k = 0; k < n; ++k) {
         const size_t machine = index_at(of, k), state = index_at(of, n + k);
         vs[machine] = stabilizer_signal(memory + plan->stabilizer + k, n, slip[machine],
