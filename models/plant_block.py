@@ -31,6 +31,10 @@ SOURCES = tuple(
         "block/record.c",
     )
 )
+#: what many scenarios at once need besides (plant/batch.h)
+BATCH_SOURCES = tuple(
+    _HERE / f"plant/{name}.c" for name in ("batch", "batch_plain", "batch_avx2", "batch_avx512")
+)
 
 #: Value of each kind in the FMI enumeration; plant/plant.h counts alike.
 EVENT_CODES = {

@@ -1,0 +1,67 @@
+"""What a batch gains: CPU time of many scenarios of one grid, one at a time over several side by side.
+
+    python benchmarks/bench_batch.py [--scenarios 64] [--repeat 5] [--case two-area-thesis]
+
+Every scenario has a fault of its own. The widths alternate within one process and the least CPU time of
+the repeats counts, so that other load of the machine cancels. All widths give the same bits.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+
+import numpy as np
+
+from interarea.fmu_build.batch import LANES, PlantBatch
+from interarea.models.case import Case, load_case
+from interarea.models.events import events_of
+from interarea.models.plant_block import event_parameters, plant_block
+
+STOP_S, STEP_S = 5.0, 0.02
+TARGET = 3.0  #: AVX2 (four side by side) over one at a time
+
+
+def faults(case: Case, count: int) -> list[dict[str, float | int]]:
+    """Start values of `count` scenarios: a fault at each bus in turn, of several lengths."""
+    rows = []
+    for k in range(count):
+        start = 0.1 + 0.003 * (k % 5)
+        fault = {"kind": "bus_fault", "bus": case.buses[k % len(case.buses)].number, "x_pu": 0.02}
+        fault |= {"start_s": start, "end_s": start + 0.05 + 0.01 * (k % 4)}
+        rows.append(event_parameters(case, events_of([fault], where="bench_batch")))
+    return rows
+
+
+def main() -> int:
+    """Print the table; return 1 when AVX2 is there and gains less than the target."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenarios", type=int, default=64)
+    parser.add_argument("--repeat", type=int, default=5)
+    parser.add_argument("--case", default="two-area-thesis")
+    options = parser.parse_args()
+    case = load_case(options.case)
+    batch = PlantBatch(plant_block(case))
+    rows = faults(case, options.scenarios)
+    widths = [lanes for lanes in LANES if lanes <= batch.widest]
+    cpu = dict.fromkeys(widths, np.inf)
+    results = {}
+    for _ in range(options.repeat):
+        for lanes in widths:
+            begin = time.process_time()
+            results[lanes] = batch.run(rows, stop_s=STOP_S, step_s=STEP_S, lanes=lanes)
+            cpu[lanes] = min(cpu[lanes], time.process_time() - begin)
+    for lanes in widths:
+        same = np.array_equal(results[lanes].outputs, results[1].outputs, equal_nan=True)
+        per_second = 1e6 * cpu[lanes] / (options.scenarios * STOP_S)
+        gain = cpu[1] / cpu[lanes]
+        note = "same bits" if same else "OTHER BITS"
+        print(
+            f"{case.name}: {lanes} side by side  x {gain:5.2f}  {per_second:7.1f} us per simulated s  {note}"
+        )
+    return int(4 in cpu and not cpu[1] / cpu[4] >= TARGET)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
