@@ -196,11 +196,10 @@ class PlantBatch:
         if self._c.batch_run(ctypes.byref(call), ctypes.c_size_t(wide), message):
             raise FmuError(self.block.name, "batch_run", message.value.decode())
         del keep
-        errors = tuple(
-            texts[_MESSAGE_SIZE * k : _MESSAGE_SIZE * (k + 1)].split(b"\0")[0].decode() for k in range(n)
-        )
+        raw = texts.raw
+        errors = tuple(raw[_MESSAGE_SIZE * k :].split(b"\0", 1)[0].decode() for k in range(n))
         names = tuple(v.name for v in self._table.of_role("output"))
-        return BatchRun(step_s * np.arange(steps + 1), y, names, x, ended, errors)
+        return BatchRun(step_s * np.arange(steps + 1, dtype=float), y, names, x, ended, errors)
 
     def _start(
         self, scenarios: Sequence[Mapping[str, float | int]], states: Array | None
@@ -208,12 +207,12 @@ class PlantBatch:
         n = len(scenarios)
         columns: list[npt.NDArray[np.generic]] = []
         known: set[str] = set()
-        for role, integers, kind in (
-            ("state", False, float),
-            ("parameter", False, float),
-            ("parameter", True, np.intc),
-        ):
-            variables = self._table.of_role(role, integers=integers)
+        groups = (
+            (self._table.of_role("state"), float),
+            (self._table.of_role("parameter"), float),
+            (self._table.of_role("parameter", integers=True), np.intc),
+        )
+        for variables, kind in groups:
             names = [v.name for v in variables]
             known |= set(names)
             table = np.empty((len(names), n), dtype=kind)
@@ -238,7 +237,7 @@ class PlantBatch:
             raise ValueError(f"{what} has shape {array.shape}, allowed: {shape}")
         return array
 
-    def _work(self, lanes: int) -> tuple[ctypes.Array[ctypes.c_double], object]:
+    def _work(self, lanes: int) -> tuple[ctypes._Pointer[ctypes.c_double], object]:
         """Aligned work space and what keeps it alive."""
         size = self._c.batch_work(
             ctypes.byref(self._layout), ctypes.byref(self._needs), ctypes.c_size_t(lanes)
@@ -248,6 +247,5 @@ class PlantBatch:
         return _real(raw[skip:]), raw
 
 
-def _real(array: Array) -> ctypes.Array[ctypes.c_double]:
-    pointer: ctypes.Array[ctypes.c_double] = array.ctypes.data_as(_Real)
-    return pointer
+def _real(array: Array) -> ctypes._Pointer[ctypes.c_double]:
+    return array.ctypes.data_as(_Real)
