@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from .channel_block import channel_block
 from .plant_block import SOURCES as PLANT_SOURCES
@@ -81,7 +82,7 @@ def loop_block(
         feeds[target] = place[source]
     inputs = [f"{m.name}.{v.name}" for m in members for v in m.block.table.of_role("input")]
     integrated = [m.block.internal_step_s for m in members if m.block.kind != "channel"]
-    data = {
+    data: dict[str, npt.NDArray[np.float64] | npt.NDArray[np.int32] | bytes] = {
         "loop.kinds": np.array([_KINDS[m.block.kind] for m in members], dtype=np.int32),
         "loop.wire": np.array([feeds.get(i, -1) for i in inputs], dtype=np.int32),
         "loop.step": np.array([step_s]),
