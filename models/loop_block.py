@@ -135,10 +135,8 @@ def _outside(member: LoopMember) -> list[Variable]:
     return found
 
 
-_BEHAVIOUR = (
-    "<p>A closed loop without inputs. Plant and controller are one system of differential equations, "
-    "integrated together: between them there is no delay. A channel gives y(t) = u(t &minus; latency), no "
-    "more and no less, whatever communication step the tool takes; between inner communication points it is the "
-    "cubic through values and slopes at both ends. Events, outages and their echoes through the channels are "
-    "inner communication points.</p>"
-)
+_BEHAVIOUR = """<p>A closed loop without inputs. Plant and controller are one system of differential
+equations, integrated together: between them there is no delay. A channel gives y(t) = u(t &minus; latency),
+no more and no less, whatever communication step the tool takes; between inner communication points it is the
+cubic through values and slopes at both ends. Events, outages and their echoes through the channels are inner
+communication points.</p>"""
