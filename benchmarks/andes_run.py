@@ -1,7 +1,8 @@
 """Run ANDES on rows that it reads from stdin; write what it finds to stdout. Needs ANDES only.
 
 Input, JSON: {"rows": [[model, {...}], ...], "frequency_hz": f, "base_mva": S, "loads": {...},
-"stop_s": T or null, "step_s": h, "tolerance": newton, "every": n, "repeat": times}.
+"stop_s": T or null, "step_s": h, "tolerance": newton, "every": n, "repeat": times}, or
+{"files": [RAW, DYR]} for a grid that comes with ANDES.
 Output, JSON: power flow, eigenvalues, time and speed of each machine, CPU seconds of the time-domain runs.
 """
 
@@ -20,6 +21,14 @@ def system_of(problem: dict[str, Any]) -> Any:
     """Return an ANDES system with its power flow solved and the dynamics initialised."""
     import andes
 
+    if "files" in problem:  # a grid of ANDES's own: what it reads from the same files
+        raw, dyr = (andes.get_case(name) for name in problem["files"])
+        system = andes.load(raw, addfile=dyr, no_output=True, default_config=True)
+        system.files_read = [raw, dyr]
+        system.PFlow.config.tol = 1e-10
+        if not system.PFlow.run():
+            raise RuntimeError("ANDES: the power flow does not converge")
+        return system
     system = andes.System(default_config=True, no_output=True)
     system.config.freq = problem["frequency_hz"]
     system.config.mva = problem["base_mva"]
@@ -42,6 +51,7 @@ def run(problem: dict[str, Any]) -> dict[str, Any]:
         "v": system.Bus.v.v.tolist(),
         "a": system.Bus.a.v.tolist(),
         "machines": list(system.GENROU.gen.v),
+        "files": [str(name) for name in getattr(system, "files_read", ())],
     }
     if not problem.get("stop_s"):
         system.EIG.run()
