@@ -13,8 +13,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import control
 from threadpoolctl import threadpool_limits
 
+from interarea.design.controller import Controller
 from interarea.design.linearise import remove_reference, select, speeds_in_rad
 from interarea.design.loops import rank_loops
 from interarea.design.modes import modes_of
@@ -42,6 +44,7 @@ from .errors import ScenarioError, nearest
 from .report import write_report
 from .study_delay import latency_analysis, redesigned
 from .study_figures import DW24, StudyParts, save_figures
+from .study_loss import mean_latency_s, mean_square_rows, monte_carlo_rows
 from .study_runs import run_all, scenario_documents
 from .terminal import StageProgress
 
@@ -54,6 +57,7 @@ STAGES = (
     "controllers",
     "latency",
     "co-simulation",
+    "packets",
     "figures",
     "report",
 )
@@ -146,6 +150,9 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
         done = stage("co-simulation")
         runs = run_all(scenario_documents(spec, delay["synchronous"]["margin_s"]), cache, done)
 
+        done = stage("packets")
+        packets = _packets(spec, plant, controllers, fmus, cache, done) if "packets" in spec else None
+
         done = stage("figures")
         parts = StudyParts(
             spec,
@@ -164,6 +171,7 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
 
     done = stage("report")
     study = rows.study_rows(parts, loops, full.nstates)
+    study["packets"] = packets
     study["figures"] = {key: path.relative_to(out).as_posix() for key, path in figures.items()}
     study["provenance"] = {
         "command": f"interarea study {name} --out DIR",
@@ -186,6 +194,29 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
     partial.replace(out / "study.json")
     done(1.0)
     return study
+
+
+def _packets(
+    spec: Mapping[str, Any],
+    plant: control.StateSpace,
+    controllers: Mapping[str, Controller],
+    fmus: Mapping[str, Path],
+    cache: Path,
+    progress: Callable[[float], None],
+) -> dict[str, Any]:
+    """Return what packet loss and random latency do: second moments and Monte Carlo, as in study.json."""
+    table = spec["packets"]
+    key = content_hash(
+        *(fmus[name].name for name in ("plant", *controllers)), dict(table), code_hash("cosim.study_loss")
+    )
+    rows = cached_json(cache, "packets", key, lambda: mean_square_rows(plant, controllers, table))
+    progress(0.3)
+    return {
+        "mean_square": rows,
+        "monte_carlo": monte_carlo_rows(spec, controllers, cache, lambda x: progress(0.3 + 0.7 * x)),
+        "mean_latency_s": mean_latency_s(table["jitter"]),
+        **{key: table[key] for key in ("interval_s", "latency_s", "loss_rates", "bursts", "jitter")},
+    }
 
 
 def _figure_key(parts: StudyParts) -> str:

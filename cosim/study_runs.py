@@ -71,14 +71,14 @@ def scenario_documents(spec: Mapping[str, Any], margin_s: float | None) -> dict[
         remote: Document = {}
         if "lost_at_s" in row:
             remote["outages_s"] = [[row["lost_at_s"], spec["stop_s"]]]
-        documents[row["name"]] = _document(
+        documents[row["name"]] = document_of(
             spec, row["title"], row["controller"], row["disturbance"], remote, {}
         )
     latency = spec["latency"]
     for wiring in WIRINGS.values():
         for value in latency["values_s"]:
             at = {"latency_s": value}
-            documents[f"{latency['controller']}-{wiring}-{round(1e3 * value)}ms"] = _document(
+            documents[f"{latency['controller']}-{wiring}-{round(1e3 * value)}ms"] = document_of(
                 spec,
                 f"{latency['controller'].upper()}, {wiring} feedback, {round(1e3 * value)} ms, Vref pulse",
                 latency["controller"],
@@ -91,9 +91,10 @@ def scenario_documents(spec: Mapping[str, Any], margin_s: float | None) -> dict[
     return documents
 
 
-def _document(
+def document_of(
     spec: Mapping[str, Any], title: str, controller: str, disturbance: str, remote: Document, local: Document
 ) -> Document:
+    """Return one scenario of a study; `remote` and `local`: what its channels do."""
     if disturbance not in spec["disturbance"]:
         known = ", ".join(spec["disturbance"])
         raise ScenarioError(f"study: disturbance = {disturbance!r} is not in [disturbance], allowed: {known}")
@@ -121,7 +122,7 @@ def _beside_margin(spec: Mapping[str, Any], margin_s: float) -> dict[str, Docume
         title = (
             f"{margin['controller'].upper()}, synchronous, {100 * margin['distance']:.0f} % {side} the margin"
         )
-        document = _document(spec, title, margin["controller"], spec["latency"]["disturbance"], at, at)
+        document = document_of(spec, title, margin["controller"], spec["latency"]["disturbance"], at, at)
         documents[f"{margin['controller']}-margin-{side}"] = document | {
             "stop_s": margin["stop_s"],
             "event": margin["events"],

@@ -69,6 +69,33 @@ def sample_study() -> dict[str, Any]:
             }
             for d in (0.05, 0.1, 0.2, 0.5)
         ],
+        "packets": {
+            "interval_s": 0.02,
+            "latency_s": 0.1,
+            "loss_rates": [0.1, 0.7],
+            "bursts": {"loss_bad": 1.0},
+            "jitter": {"least_s": 0.05, "loss_rate": 0.1, "on_loss": "hold"},
+            "mean_latency_s": 0.1,
+            "mean_square": [
+                {
+                    "controller": "ftc",
+                    "on_loss": "hold",
+                    "decay_rate": {"0.1": 0.0995, "0.7": -0.2471},
+                    "bursts": 0.0994,
+                    "mean_loss_in_bursts": 1.0 / 6.0,
+                    "critical_loss": 0.427,
+                }
+            ],
+            "monte_carlo": [
+                {
+                    "controller": "ftc",
+                    "runs": 12,
+                    "stable": 11,
+                    "settling_time_s": [5.2, 6.3, 7.9],
+                    "inter_area": None,
+                }
+            ],
+        },
         "scenarios": {
             "none-pulse": _scenario(0.081, 13.1),
             "wdc-pulse": _scenario(0.296, 4.2),

@@ -74,6 +74,15 @@ def test_page_shows_printed_beside_ours(figure: Path) -> None:
         assert word in text
 
 
+def test_packets_are_told(figure: Path) -> None:
+    text = render_report(sample_study(), {"5.10": figure})
+    for word in ("42.7 %", "−0.2471", "11 of 12", "5.20 s, 6.30 s, 7.90 s"):
+        assert word in text
+    without = sample_study()
+    del without["packets"]
+    assert "Packet loss and random latency" not in render_report(without, {"5.10": figure})
+
+
 def test_the_same_study_gives_the_same_page(tmp_path: Path, figure: Path) -> None:
     pages = [write_report(sample_study(), {"5.10": figure}, tmp_path / f"{k}.html") for k in range(2)]
     assert pages[0].read_bytes() == pages[1].read_bytes()

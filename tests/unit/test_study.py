@@ -17,6 +17,7 @@ from interarea.cosim.run import Controllers, run_scenario
 from interarea.cosim.scenario import load_scenario
 from interarea.cosim.study import STAGES, load_study, run_study, study_names
 from interarea.cosim.study_delay import least_damping
+from interarea.cosim.study_loss import monte_carlo_documents
 from interarea.cosim.study_runs import scenario_documents
 from interarea.design import certificate as certificates
 from interarea.design.controller import Controller
@@ -49,6 +50,14 @@ def test_wirings_differ_in_the_local_latency_only() -> None:
     remote = documents["wdc-non-synchronous-100ms"]["channels"]
     assert both["remote"] == remote["remote"] == {"signal": "G2_dw", "latency_s": 0.1}
     assert both["local"]["latency_s"] == 0.1 and "latency_s" not in remote["local"]
+
+
+def test_monte_carlo_runs_differ_in_their_seeds_only() -> None:
+    documents = monte_carlo_documents(load_study("thesis"), {"wdc": None})  # type: ignore[dict-item]
+    scenarios = [load_scenario(d) for d in documents.values()]
+    seeds = [c.seed for s in scenarios for c in s.channels.values()]
+    assert len(scenarios) == 12 and len(set(seeds)) == 24
+    assert len({(c.latency_s, c.reporting_interval_s) for s in scenarios for c in s.channels.values()}) == 1
 
 
 def test_runs_beside_the_margin_lie_on_either_side_of_it() -> None:
@@ -210,6 +219,13 @@ def test_the_whole_study(tmp_path: Path, cache: Path) -> None:
         for name, zeta in ftc["damping_ratio"][condition].items():
             assert zeta >= open_loop[name] - 1e-3
 
+    # what a zero in place of a lost packet leaves stable, holding the last one need not
+    rule = {(r["controller"], r["on_loss"]): r for r in study["packets"]["mean_square"]}
+    assert rule["wdc", "hold"]["critical_loss"] == 1.0
+    assert rule["ftc", "zero"]["critical_loss"] == 1.0 and rule["ftc", "hold"]["critical_loss"] < 0.6
+    assert rule["ftc", "hold"]["decay_rate"]["0.7"] < 0.0
+    for row in study["packets"]["monte_carlo"]:
+        assert row["stable"] == row["runs"] == 12, row["controller"]
     margin = study["delay"]["synchronous"]["margin_s"]
     assert study["scenarios"]["wdc-margin-below"]["stable"]
     assert not study["scenarios"]["wdc-margin-above"]["stable"]
