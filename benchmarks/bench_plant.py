@@ -1,4 +1,4 @@
-"""What the plant costs, as ratios: against ANDES, a plain C loop, more machines.
+"""What the plant costs, as ratios: against ANDES, a plain C loop, more machines, a batch.
 
     python benchmarks/bench_plant.py [--andes-python PYTHON] [--repeat 5] [--json FILE]
 
@@ -12,18 +12,23 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
+from bench_batch import faults
 from compare_andes import THYRISTOR, TRIP, ask_andes, impedance_loads, two_area
 from fmu_run import PlantSlave
 from plain_loop import PlainPlant
 
+from interarea.cosim.artefacts import default_cache
+from interarea.fmu_build.batch import LANES, PlantBatch
 from interarea.models.case import Case, load_case
 from interarea.models.events import events_of
+from interarea.models.plant_block import plant_block
 
 ANDES_STEP_S = 0.008
 ACCURACY_PU = 1e-5
@@ -86,6 +91,19 @@ def against_size(small: Case, large: Case, repeat: int) -> float:
     return min(cost[large.name]) / min(cost[small.name])
 
 
+def batch_gain(case: Case, repeat: int) -> dict[int, float]:
+    """Scenarios per CPU second with several side by side over one at a time, by their number."""
+    batch = PlantBatch(plant_block(case), cache=default_cache())
+    scenarios = faults(case, 64)
+    cost = {lanes: np.inf for lanes in LANES if lanes <= batch.widest}
+    for _ in range(repeat):
+        for lanes in cost:
+            begin = time.process_time()
+            batch.run(scenarios, stop_s=5.0, step_s=0.02, lanes=lanes)
+            cost[lanes] = min(cost[lanes], time.process_time() - begin)
+    return {lanes: cost[1] / value for lanes, value in cost.items()}
+
+
 def main() -> int:
     """Print the table; return 1 when a target is missed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -128,6 +146,10 @@ def main() -> int:
     line("FMU / plain C loop, 1 ms steps", against_plain_loop(case, options.repeat), 1.5, False)
     large = impedance_loads(load_case("nets-nyps-no-pss"))
     line("16 machines (68 buses) / 4 machines", against_size(case, large, options.repeat), 8.0, False)
+    gains = batch_gain(load_case("two-area-thesis"), options.repeat)
+    for lanes in (4, 8):
+        if lanes in gains:
+            line(f"batch of {lanes} side by side / scalar throughput", gains[lanes], 3.0, True)
     if options.json:
         options.json.write_text(json.dumps(numbers, indent=1))
     return missed
