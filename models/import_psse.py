@@ -132,9 +132,15 @@ class _Raw:
 
     def _names(self, records: list[Record], letter: str) -> Callable[[Record], str]:
         count = Counter(record.whole(0, "bus") for record in records)
+        first: dict[tuple[int, str], str] = {}
 
         def name_of(record: Record) -> str:
             bus = record.whole(0, "bus")
+            where = first.setdefault((bus, record.text(1, "ID")), record.where)
+            if where != record.where:
+                raise CaseError(
+                    f"{record.where}: ID {record.fields[1]!r} at bus {bus} is given twice, first at {where}"
+                )
             if count[bus] == 1:
                 return f"{letter}{bus}"
             identity = re.sub(r"[^A-Za-z0-9_]", "_", record.text(1, "ID"))
@@ -181,6 +187,8 @@ class _Raw:
         for record in self.sections["switched shunt"]:
             on = record.whole(3, "STAT", 1) == 1
             bus = self._bus(record, 0, "bus", active=on)
+            if f"S{bus}" in shunts:
+                raise CaseError(f"{record.where}: second switched shunt at bus {bus}, allowed: one")
             if self.kind[bus] != 4:
                 shunts[f"S{bus}"] = {"bus": bus, "Q_mvar": record.number(9, "BINIT", 0.0), "in_service": on}
         return shunts

@@ -248,6 +248,16 @@ RAW_REFUSED = [
         r"grid\.raw:16: PL \(field 6\) = 'inf', allowed: a finite number",
     ),
     ("\n1,'a/b", "\nnan,'a/b", r"grid\.raw:4: bus number \(field 1\) = 'nan', allowed: a finite number"),
+    (
+        "7,'1 ',1,1,1,967.0",
+        "7,'1 ',1,1,1,1.0,0,0,0,0,0,1,1\n7,'1 ',1,1,1,967.0",
+        r"grid\.raw:17: ID '1' at bus 7 is given twice, first at .*grid\.raw:16",
+    ),
+    (
+        "1,'1 ',700.0",
+        "1,'1 ',1.0,0,99,-99,1,0,9,0,1,0,0,1,1,100,999,0\n1,'1 ',700.0",
+        r"grid\.raw:\d+: ID '1' at bus 1 is given twice",
+    ),
     (", 33,", ", 32,", r"grid\.raw:1: RAW version 32, allowed: 33"),
     ("7,'1 ',1,1,1,967.0", "7,'1 ',1,1,1,9x7", r"grid\.raw:16: PL \(field 6\) = '9x7', allowed: a number"),
     ("7,'1 ',1,1,1,967.0,100.0,0,", "7,'1 ',1,1,1,967.0,100.0,5,", r"grid\.raw:16: IP = 5"),
