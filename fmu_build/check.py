@@ -1,4 +1,4 @@
-"""Check an FMU: archive, schema, semantic rules, binaries, and behaviour of the binary."""
+"""Check an FMU or SSP: archive, schema, semantic rules, binaries, and behaviour of the binaries."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from .check_description import read_description
 from .check_finding import CheckError, Finding, Report
 from .check_load import TIMEOUT_S, check_running
 from .check_semantics import check_semantics
+from .check_ssp import STRUCTURE, check_ssp
 from .check_xml import obeys_schema, read_xml
 
 __all__ = ["CheckError", "Finding", "Report", "check_file"]
@@ -26,7 +27,7 @@ _SCHEMAS = {
 
 
 def check_file(path: Path | str, *, run: bool = True, timeout_s: float = TIMEOUT_S) -> Report:
-    """Check the FMU at `path` and return what was found.
+    """Check the FMU or SSP at `path` and return what was found.
 
     Parameters
     ----------
@@ -47,8 +48,26 @@ def check_file(path: Path | str, *, run: bool = True, timeout_s: float = TIMEOUT
     with tempfile.TemporaryDirectory(prefix="interarea-check-") as scratch:
         folder = Path(scratch) / "fmu"
         folder.mkdir()
-        if unpack_checked(path, folder, report):
+        if not unpack_checked(path, folder, report):
+            return report
+        if (folder / STRUCTURE).is_file():
+            check_ssp(folder, report, lambda fmu: _inner(fmu, run=run, timeout_s=timeout_s))
+        else:
             check_fmu(path, folder, report, run=run, timeout_s=timeout_s)
+    return report
+
+
+def _inner(path: Path, *, run: bool, timeout_s: float) -> Report:
+    """Check one FMU of an SSP; its description is kept for the rules between the two."""
+    report = Report(path.name)
+    with tempfile.TemporaryDirectory(prefix="interarea-check-") as scratch:
+        folder = Path(scratch)
+        if not zipfile.is_zipfile(path):
+            report.add("archive", path.name, "is no zip archive, so no FMU", "pack an FMU")
+        elif unpack_checked(path, folder, report):
+            check_fmu(path, folder, report, run=run, timeout_s=timeout_s)
+            if (folder / _DESCRIPTION).is_file():
+                report.facts["description"] = read_xml(folder / _DESCRIPTION, _DESCRIPTION, Report(""))
     return report
 
 

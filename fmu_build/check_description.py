@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from .check_ssp_units import Dimension, dimension_of
+
 TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")
 
 #: Default of `initial` by causality and variability (FMI 2.0, table of section 2.2.7).
@@ -67,10 +69,15 @@ class ModelDescription:
     units: dict[str, tuple[str, ...]]  #: unit -> display units
     types: dict[str, tuple[str, dict[str, Any]]]  #: declared type -> (base type, attributes and items)
     sources: tuple[str, ...] = field(default=())
+    dimensions: dict[str, Dimension | None] = field(default_factory=dict)  #: unit -> base unit exponents
 
     def flag(self, interface: str, attribute: str) -> bool:
         """Return a Boolean capability of an interface."""
         return self.interfaces.get(interface, {}).get(attribute, "false") in ("true", "1")
+
+    def dimension(self, unit: str) -> Dimension | None:
+        """Return the exponents of the base units of a unit, None if they are not known."""
+        return self.dimensions.get(unit)
 
     def unit_of(self, v: ScalarVariable) -> str | None:
         """Return the unit of a variable, its own or that of its declared type."""
@@ -105,6 +112,7 @@ def read_description(root: Any) -> ModelDescription:
         units=units,
         types=types,
         sources=tuple(sorted(sources)),
+        dimensions={u.get("name", ""): dimension_of(u) for u in root.findall("UnitDefinitions/Unit")},
     )
 
 

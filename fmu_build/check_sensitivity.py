@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,11 +50,22 @@ class _Point:
         return float(abs(known.number("nominal") or 0.0) or max(abs(here), 1.0))
 
 
-def _point(library: Library) -> _Point:
+def _points(library: Library) -> Iterator[_Point]:
+    """At the start, and in co-simulation also after some steps."""
+    for steps in (0, 3) if library.interface == "CoSimulation" else (0,):
+        point = _point(library, steps)
+        if point.unknowns:
+            yield point
+        point.instance.free()
+
+
+def _point(library: Library, steps: int) -> _Point:
     d = library.d
     instance = library.fresh()
     drive = Drive(d)
     drive.start(instance)
+    if steps:
+        drive.run(instance, 0, steps)
     by_index = {v.index: v for v in d.variables}
     declared = [u for u in d.outputs if u.index in by_index and by_index[u.index].type == "Real"]
     states: list[ScalarVariable] = []
@@ -88,58 +99,52 @@ def _states(d: ModelDescription, by_index: dict[int, ScalarVariable]) -> list[Sc
 
 def dependencies(library: Library, tell: Tell) -> None:
     """No output or derivative moves with a state or input that its dependencies leave out."""
-    point = _point(library)
-    if not point.unknowns:
-        return
-    moved_by: dict[int, list[str]] = {}
-    rest = point.instance.get(point.unknowns)
-    for known in point.knowns:
-        for sign in (1.0, -1.0):
-            values = point.at(known, sign * 1e-3 * point.scale(known))
-            if values is None:
-                continue
-            for k, unknown in enumerate(point.declared):
-                if unknown.dependencies is None or known.index in unknown.dependencies:
+    moved_by: dict[str, list[str]] = {}
+    for point in _points(library):
+        rest = point.instance.get(point.unknowns)
+        for known in point.knowns:
+            for sign in (1.0, -1.0):
+                values = point.at(known, sign * 1e-3 * point.scale(known))
+                if values is None:
                     continue
-                names = moved_by.setdefault(k, [])
-                if values[k] != rest[k] and known.name not in names:
-                    names.append(known.name)
-    for k, names in moved_by.items():
+                for k, unknown in enumerate(point.declared):
+                    if unknown.dependencies is None or known.index in unknown.dependencies:
+                        continue
+                    names = moved_by.setdefault(point.unknowns[k].name, [])
+                    if values[k] != rest[k] and known.name not in names:
+                        names.append(known.name)
+    for name, names in moved_by.items():
         if names:
             tell(
                 "FMI2 2.2.8 dependencies",
-                point.unknowns[k].name,
+                name,
                 f"moves with {', '.join(names[:5])}{' and others' if len(names) > 5 else ''}, "
                 "which its dependencies leave out",
                 "add them, or leave the attribute dependencies away (= depends on everything)",
             )
-    point.instance.free()
 
 
 def directional(library: Library, tell: Tell) -> None:
     """fmi2GetDirectionalDerivative is the limit of differences."""
     if not library.d.flag(library.interface, "providesDirectionalDerivative"):
         return
-    point = _point(library)
-    if not point.unknowns:
-        return
-    for known in point.knowns:
-        said = point.instance.directional(point.unknowns, known)
-        found = _differences(lambda change, known=known: point.at(known, change), point.scale(known))  # type: ignore[misc]
-        if found is None:
-            continue
-        slope, doubt = found
-        apart = np.abs(said - slope)
-        wrong = ~(apart <= 1e-4 * np.maximum(np.abs(said), np.abs(slope)) + doubt)
-        if np.any(wrong):
-            k = int(np.argmax(np.where(wrong, np.nan_to_num(apart - doubt, nan=np.inf), -1.0)))
-            tell(
-                "FMI2 2.1.9 directional derivative",
-                f"d {point.unknowns[k].name} / d {known.name}",
-                f"is {said[k]:.9g}, differences give {slope[k]:.9g}; {int(np.sum(wrong))} unknowns differ",
-                "correct the derivative, or do not declare providesDirectionalDerivative",
-            )
-    point.instance.free()
+    for point in _points(library):
+        for known in point.knowns:
+            said = point.instance.directional(point.unknowns, known)
+            found = _differences(lambda change: point.at(known, change), point.scale(known))  # noqa: B023
+            if found is None:
+                continue
+            slope, doubt = found
+            apart = np.abs(said - slope)
+            wrong = ~(apart <= 1e-4 * np.maximum(np.abs(said), np.abs(slope)) + doubt)
+            if np.any(wrong):
+                k = int(np.argmax(np.where(wrong, np.nan_to_num(apart - doubt, nan=np.inf), -1.0)))
+                tell(
+                    "FMI2 2.1.9 directional derivative",
+                    f"d {point.unknowns[k].name} / d {known.name}",
+                    f"is {said[k]:.9g}, differences give {slope[k]:.9g}; {wrong.sum()} unknowns differ",
+                    "correct the derivative, or do not declare providesDirectionalDerivative",
+                )
 
 
 def _differences(at: Callable[[float], _Vector | None], scale: float) -> tuple[_Vector, _Vector] | None:

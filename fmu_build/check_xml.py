@@ -7,6 +7,7 @@ needs one, and every entity expansion and external reference begins with it.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -55,25 +56,41 @@ def _refuse_doctype(content: bytes) -> None:
     parser.Parse(content, True)
 
 
-@functools.cache
-def _schema(name: str) -> Any:
+def _schema_file(name: str) -> Path:
     """Schema `name`, a path below fmpy's package folder; fmpy ships the standards' files."""
     import fmpy
+
+    return Path(fmpy.__file__).parent / name
+
+
+@functools.cache
+def _schema(name: str) -> Callable[[Any], list[tuple[int, str]]]:
+    """Return what tells every violation with its line; XSD 1.1 is beyond lxml."""
     from lxml import etree
 
-    return etree.XMLSchema(etree.parse(str(Path(fmpy.__file__).parent / name)))
+    file = _schema_file(name)
+    if b'minVersion="1.1"' in file.read_bytes():
+        import xmlschema
+
+        newer = xmlschema.XMLSchema11(str(file), allow="local")
+        return lambda root: [(e.sourceline or 0, str(e.reason)) for e in newer.iter_errors(root)]
+    schema = etree.XMLSchema(etree.parse(str(file)))
+
+    def violations(root: Any) -> list[tuple[int, str]]:
+        schema.validate(root)
+        return [(e.line, e.message) for e in schema.error_log]
+
+    return violations
 
 
 def obeys_schema(root: Any, schema: str, where: str, report: Report) -> bool:
     """Return whether `root` is valid; each violation becomes a finding with its line."""
-    checked = _schema(schema)
-    if checked.validate(root):
-        return True
-    for entry in checked.error_log:
+    violations = _schema(schema)(root)
+    for line, message in violations:
         report.add(
             f"XSD {Path(schema).name}",
-            f"{where}:{entry.line}",
-            entry.message,
+            f"{where}:{line}",
+            message,
             "write what the schema allows at this place",
         )
-    return False
+    return not violations

@@ -142,13 +142,15 @@ BlockStatus block_step(Block *b, double t, double h, const double *u_poly, doubl
 BlockStatus block_directional(Block *b, double t, const double *x, const double *u, const double *vx,
                               const double *vu, double *vdx, double *vy, BlockMessage *message)
 {
-    double since;
+    const History history = history_of(b);
+    double since, weight = 0.0;
 
     (void)x, (void)u, (void)vx, (void)vdx, (void)message;
     if (vy == NULL) return BLOCK_OK;
-    vy[0] = b->p[P_LATENCY] == 0.0 && b->p[P_REPORTING] == 0.0 && b->p[P_QUANTUM] == 0.0
-                    && !outage_at(b, t, &since)
-                ? vu[0] : 0.0;
+    if (b->p[P_QUANTUM] > 0.0) weight = 0.0;
+    else if (b->p[P_REPORTING] > 0.0) weight = packets_weight(b, &history, t);
+    else if (!outage_at(b, t, &since)) weight = history_weight(&history, t - b->p[P_LATENCY], t, b->u_order[0]);
+    vy[0] = weight * vu[0];
     vy[1] = 0.0;
     return BLOCK_OK;
 }

@@ -67,3 +67,17 @@ int history_at(const History *history, double s, double *value, double *slope)
     interpolate(sample(history, low), sample(history, high), s, value, slope);
     return 0;
 }
+
+double history_weight(const History *history, double s, double t, int order)
+{
+    size_t count = (size_t)*history->count;
+    const double *before;
+    double z;
+
+    if (count > 0 && !(sample(history, count - 1)[TIME] < t)) --count; /* u(t) replaces that one */
+    if (count == 0 || s >= t) return 1.0;
+    before = sample(history, count - 1);
+    if (s <= before[TIME]) return 0.0;
+    z = (s - before[TIME]) / (t - before[TIME]);
+    return before[ORDER] < 1.0 || order < 1 ? z : z * (1.0 + (1.0 - z) * (2.0 * z - 1.0));
+}

@@ -161,6 +161,17 @@ static size_t first_due(const double *list, size_t count, double end)
     return best;
 }
 
+/* Whether packets are missing and the rule on loss says zero. */
+static int silent(const Block *b, double t)
+{
+    const double *m = b->memory;
+
+    return m[M_LOST] != 0.0
+           && (b->ip[IP_ON_LOSS] == ON_LOSS_ZERO
+               || (b->ip[IP_ON_LOSS] == ON_LOSS_HOLD_THEN_ZERO
+                   && t >= m[M_LOST_SINCE] + b->p[P_HOLD_TIME] - TIME_SLACK));
+}
+
 BlockStatus packets_step(Block *b, const History *history, double now, double end, BlockMessage *message)
 {
     double *m = b->memory, since;
@@ -192,11 +203,15 @@ BlockStatus packets_step(Block *b, const History *history, double now, double en
     b->iy[IY_SENT] = (int)(m[M_NEXT] - m[M_FIRST]);
     b->iy[IY_VALID] = m[M_LOST] == 0.0;
     b->y[1] = end - m[M_NEWEST];
-    b->y[0] = m[M_HELD];
-    if (m[M_LOST] != 0.0
-        && (b->ip[IP_ON_LOSS] == ON_LOSS_ZERO
-            || (b->ip[IP_ON_LOSS] == ON_LOSS_HOLD_THEN_ZERO
-                && end >= m[M_LOST_SINCE] + b->p[P_HOLD_TIME] - TIME_SLACK)))
-        b->y[0] = 0.0;
+    b->y[0] = silent(b, end) ? 0.0 : m[M_HELD];
     return BLOCK_OK;
+}
+
+double packets_weight(const Block *b, const History *history, double t)
+{
+    const double *m = b->memory;
+
+    if (silent(b, t)) return 0.0;
+    return m[M_RECEIVED] == 0.0 || m[M_NEWEST] >= t - TIME_SLACK
+               ? history_weight(history, m[M_NEWEST], t, b->u_order[0]) : 0.0;
 }

@@ -17,4 +17,7 @@ void packets_start(Block *b, double t);
  * which the input was set. Sets outputs and integer outputs. */
 BlockStatus packets_step(Block *b, const History *history, double now, double end, BlockMessage *message);
 
+/* d y(t) / d u(t). */
+double packets_weight(const Block *b, const History *history, double t);
+
 #endif

@@ -1,0 +1,37 @@
+"""Units and their dimensions, as FMI 2.0 and SSP write them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+Dimension = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Units:
+    """Defined units with the exponents of their base units; None = a unit without a BaseUnit."""
+
+    names: dict[str, Dimension | None]
+
+    def dimension(self, unit: str) -> Dimension | None:
+        """Return the exponents of a unit, None if they are not known."""
+        return self.names.get(unit)
+
+
+def dimension_of(unit: Any, namespace: str = "") -> Dimension | None:
+    """Return the exponents in the BaseUnit of a Unit element."""
+    base = unit.find(f"{namespace}BaseUnit")
+    if base is None:
+        return None
+    try:
+        return tuple(int(base.get(name, "0")) for name in BASE)
+    except ValueError:
+        return None
+
+
+def unit_definitions(root: Any, container: str, namespace: str) -> Units:
+    """Return the units defined below `container` of `root`."""
+    found = root.findall(f"{container}/{namespace}Unit")
+    return Units({u.get("name", ""): dimension_of(u, namespace) for u in found})
