@@ -16,9 +16,9 @@ Any FMI 2.0 co-simulation FMU takes part with `fmu`, anything that meets `Partic
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import ValidationError
 
@@ -27,15 +27,16 @@ from interarea.models.case_errors import CaseError
 from interarea.models.events import event_of
 from interarea.models.plant_block import event_parameters, plant_block
 
-from .channels import ChannelLine
+from .channels import ChannelLine, hold_packets
 from .errors import GraphError, ScenarioError, nearest, one_line
 from .fmu_file import FmuFile
 from .graph import end_of
 from .instances import FmuParticipant, Value
-from .ledger import Delays, delay_ledger, explain, packet_ledger
+from .ledger import delay_ledger, explain, packet_ledger
 from .master import Master
 from .participant import Participant
 from .result import Result
+from .self_test import SelfTest, self_test
 from .trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -52,7 +53,9 @@ class System:
     stop_s, start_s : s.
     step_s : communication step; None: chosen from latencies, events and reporting intervals.
     cache : folder of FMUs and designs; default `default_cache()`.
-    options : `Master`'s (inputs, loops, tolerance, substeps).
+    arrivals : ``exact``: packets come out of a channel at their instant, which is a communication point;
+        ``grid``: at the next point there is, as the ledger then says.
+    options : `Master`'s (inputs, loops, tolerance, substeps, engine).
     """
 
     def __init__(
@@ -62,12 +65,13 @@ class System:
         start_s: float = 0.0,
         step_s: float | None = None,
         cache: Path | None = None,
+        arrivals: Literal["exact", "grid"] = "exact",
         **options: Any,
     ) -> None:
         from .artefacts import default_cache
 
         self.stop_s, self.start_s, self.step_s = stop_s, start_s, step_s
-        self.options = options
+        self.options, self.arrivals = options, arrivals
         self.cache = default_cache() if cache is None else cache
         self.channels: dict[str, ChannelLine] = {}
         self.connections: list[tuple[str, str]] = []
@@ -164,10 +168,11 @@ class System:
             except ValidationError as error:
                 text = one_line(error, lambda _: ChannelLine.model_fields)
                 raise ScenarioError(f"{where}.{text}") from None
-        self.add(FmuParticipant(name, self._file(channel_fmu(self.cache)), line.parameters(where)))
+        instance = FmuParticipant(name, self._file(channel_fmu(self.cache)), line.parameters(where))
+        self.add(hold_packets(instance, line))
         self.channels[name] = line
         self.latency_s[name] = line.least_latency_s
-        self._marks += [t for window in line.outages_s for t in window]
+        self._marks += line.marks_s
         return self
 
     # -- what connects and disturbs them --------------------------------------------------
@@ -226,9 +231,10 @@ class System:
         """Instants of events and outages inside the run, s."""
         return tuple(sorted({t for t in self._marks if self.start_s < t < self.stop_s}))
 
-    def delays(self) -> dict[str, Delays]:
-        """Return what the ledger states about each channel."""
-        return {name: line.delays() for name, line in self.channels.items()}
+    @property
+    def points(self) -> tuple[int, ...]:
+        """Ticks at which packets come out, where these are communication points."""
+        return points_of(self.channels.values(), self.arrivals, self.start_s, self.stop_s)
 
     def master(self) -> Master:
         """Return a master of the system, to be stepped: a context manager that ends the instances.
@@ -247,6 +253,7 @@ class System:
             start_s=self.start_s,
             step_s=self.step_s,
             marks_s=self.marks_s,
+            points=self.points,
             latency_s=self.latency_s,
             **self.options,
         )
@@ -266,12 +273,20 @@ class System:
     def result(self, master: Master, trajectory: Trajectory | None = None) -> Result:
         """Return what a master of this system has done so far."""
         done = master.trajectory if trajectory is None else trajectory
+        delays = {name: line.delays(master.clock) for name, line in self.channels.items()}
         return Result(
             trajectory=done,
-            ledger=delay_ledger(master, self.delays()),
+            ledger=delay_ledger(master, delays),
             packets=packet_ledger(done, self.channels),
-            explanation=explain(master, self.delays()),
+            explanation=explain(master, delays),
         )
+
+    def self_test(self, master: Master | None = None) -> SelfTest:
+        """Measure the latency of every connection; compare with the ledger (module `self_test`)."""
+        from .artefacts import channel_fmu
+
+        file = self._file(channel_fmu(self.cache)) if self.channels else None
+        return self_test_of(self.master() if master is None else master, self.channels, file, self.arrivals)
 
     # -- private --------------------------------------------------------------------------
 
@@ -317,3 +332,32 @@ def pairs_of(path: Sequence[str], channels: Collection[str]) -> list[tuple[str, 
     ends += [f"{name}.{port}" for name in middle for port in ("u", "y")]
     ends.append(f"{last}.u" if last in channels else last)
     return list(zip(ends[::2], ends[1::2], strict=True))
+
+
+def points_of(
+    channels: Iterable[ChannelLine], arrivals: str, start_s: float, stop_s: float
+) -> tuple[int, ...]:
+    """Return the ticks that are communication points because a packet comes out of a channel."""
+    if arrivals == "grid":
+        return ()
+    return tuple(sorted({t for line in channels for t in line.arrivals(start_s, stop_s)}))
+
+
+def self_test_of(
+    master: Master, channels: Mapping[str, ChannelLine], file: FmuFile | None, arrivals: str
+) -> SelfTest:
+    """Return the self-test of a master whose `channels` are instances of `file`."""
+    lines = {name: line.steady for name, line in channels.items()}
+
+    def fresh(name: str) -> Participant:
+        if file is None:
+            raise GraphError(f"self-test: {name} needs the FMU of a channel, got none")
+        return hold_packets(FmuParticipant(name, file, lines[name].parameters(name)), lines[name])
+
+    return self_test(
+        master,
+        {name: fresh(name) for name in lines},
+        delays=lambda clock: {name: line.delays(clock) for name, line in lines.items()},
+        points=lambda stop_s: points_of(lines.values(), arrivals, 0.0, stop_s),
+        interval_s=max([line.reporting_interval_s for line in lines.values()], default=0.0),
+    )

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from interarea.models.channel_block import OUTAGES, gamma_quantiles, quantiles_of
+from interarea.models.channel_packets import packets_of
 
-from .clock import to_ticks
+from .clock import TICKS_PER_SECOND, Clock, seconds, to_ticks
 from .errors import ScenarioError
 from .instances import Value
 from .ledger import Delays
+from .participant import Participant
 
 Seconds = Annotated[float, Field(ge=0.0)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -157,6 +161,28 @@ class ChannelLine(Table):
         return max(self.latency_s, self.pdc_wait_s)
 
     @property
+    def marks_s(self) -> tuple[float, ...]:
+        """Instants at which the output may jump, packets aside: outages, the end of holding in one."""
+        marks = {t for window in self.outages_s for t in window}
+        if self.on_loss == "hold_then_zero":
+            marks |= {start + self.hold_s for start, end in self.outages_s if start + self.hold_s < end}
+        return tuple(sorted(marks))
+
+    def arrivals(self, start_s: float, stop_s: float) -> list[int]:
+        """Return the ticks at which a packet comes out or is missed, or what is held for it ends."""
+        if not self.reporting_interval_s:
+            return []
+        numbers = {k: float(v) for k, v in self.parameters("channel").items() if not isinstance(v, str)}
+        packets = packets_of(numbers, start_s, stop_s)
+        due = packets.due_s
+        if self.on_loss == "hold_then_zero":
+            due = np.concatenate([due, packets.due_s[packets.lost] + self.hold_s])
+        scaled = due[(due > start_s) & (due < stop_s)] * TICKS_PER_SECOND
+        near = np.round(scaled)
+        # rounding of k T + latency is far below a tick: such an instant is that tick, others the next
+        return sorted({int(t) for t in np.where(np.abs(scaled - near) < 0.05, near, np.ceil(scaled))})
+
+    @property
     def timing(self) -> tuple[object, ...]:
         """All of this channel that a master's clock and order depend on."""
         return (self.least_latency_s, self if self.reporting_interval_s else None)
@@ -167,8 +193,8 @@ class ChannelLine(Table):
         off = {"jitter_s": 0.0, "latency": None, "loss": None, "quantum": 0.0, "outages_s": ()}
         return self.model_copy(update=off)
 
-    def delays(self) -> Delays:
-        """Return what the ledger states about this channel.
+    def delays(self, clock: Clock | None = None) -> Delays:
+        """Return what the ledger states about this channel; with the `clock` of a run what arrivals wait too.
 
         Packets add half a reporting interval, the mean age of a value that is held until the next, and
         the mean of the random latency; a concentrator that waits takes that mean into its wait.
@@ -180,4 +206,29 @@ class ChannelLine(Table):
             network_s=self.least_latency_s,
             reporting_s=0.5 * self.reporting_interval_s,
             jitter_mean_s=0.0 if self.pdc_wait_s else 0.5 * self.jitter_s + mean,
+            waiting_s=0.0 if clock is None else self._waiting_s(clock),
         )
+
+    def _waiting_s(self, clock: Clock) -> float:
+        due = np.array(self.arrivals(seconds(clock.start), seconds(clock.stop)))
+        ends = np.array([s.end for s in clock.steps])
+        if not due.size:
+            return 0.0
+        interval = to_ticks(self.reporting_interval_s, "reporting_interval_s")
+        pattern = math.lcm(interval, clock.step) // interval  # packets after which the waits repeat
+        due = due[: max(pattern * (due.size // pattern), 1)] if pattern <= due.size else due
+        waits = ends[np.searchsorted(ends, due)] - due
+        return float(np.mean(waits)) / TICKS_PER_SECOND
+
+
+def hold_packets(participant: Participant, line: ChannelLine) -> Participant:
+    """Make the outputs of a channel's instance discrete when it sends packets, and continuous when not.
+
+    Between two arrivals the output of such a channel stays what it is: held, never drawn as a line.
+    """
+    outputs = tuple(
+        replace(p, discrete=p.type != "Real" or line.reporting_interval_s > 0.0)
+        for p in participant.description.outputs
+    )
+    participant.description = replace(participant.description, outputs=outputs)
+    return participant

@@ -14,6 +14,7 @@ from .cli_check import check
 from .cli_design import certify, design
 from .cli_import import import_grid
 from .cli_modes import modes
+from .cli_run import run
 from .cli_ssp import container, ssp
 from .cli_sweep import sweep
 from .terminal import busy, complain, print_table, stage_progress
@@ -99,30 +100,6 @@ def build(case: CaseName, out: OutFolder) -> None:
 
 
 @app.command()
-def run(
-    scenario: Annotated[
-        Path, typer.Argument(metavar="SCENARIO.toml", help="scenario file", show_default=False)
-    ],
-    out: OutFolder,
-    explain: Annotated[bool, typer.Option("--explain", help="print delays and stepping order")] = False,
-) -> None:
-    """Co-simulate one scenario; writes trajectory, metrics and a plot."""
-    from .artefacts import default_cache
-    from .run import run_scenario
-    from .run_files import write_run
-    from .scenario import load_scenario
-
-    loaded = load_scenario(scenario)
-    with busy(f"running {scenario}"):
-        result = run_scenario(loaded, cache=default_cache())
-        files = write_run(result, out)
-    if explain:
-        typer.echo(result.explain())
-    for file in files:
-        typer.echo(file)
-
-
-@app.command()
 def study(
     out: OutFolder,
     name: Annotated[str, typer.Argument(metavar="NAME", help="bundled study or TOML file")] = "thesis",
@@ -143,6 +120,7 @@ def study(
 
 app.command()(modes)
 app.command("import")(import_grid)
+app.command()(run)
 app.command()(design)
 app.command()(certify)
 app.command()(check)

@@ -85,6 +85,9 @@ class Clock:
     With `edges` a mark is surrounded by points one tick before and after it:
     what a signal was just before a jump and what it is just after are then
     both known, whichever of the two an FMU reports at the instant itself.
+    `points` are instants from which on a held signal has a new value (packets
+    that arrive): communication points that are not recorded, with one more a
+    tick later, where slopes of what depends on it are new.
     """
 
     start: int
@@ -92,6 +95,7 @@ class Clock:
     step: int
     marks: tuple[int, ...] = ()
     edges: bool = True
+    points: tuple[int, ...] = ()
 
     @classmethod
     def of_seconds(
@@ -131,6 +135,11 @@ class Clock:
             for mark in self.marks:
                 near |= {mark, mark + 1}
                 ends |= {t for t in (mark - 1, mark + 1) if self.start < t < self.stop}
+            for point in self.points:
+                near.add(point + 1)
+                ends |= {t for t in (point, point + 1) if self.start < t < self.stop}
+        else:
+            ends |= {t for t in self.points if self.start < t < self.stop}
         found = []
         now = self.start
         for end in sorted(ends):

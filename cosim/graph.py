@@ -12,7 +12,7 @@ channel, solved by the master. Neither depends on the order of declaration.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from .errors import GraphError, nearest
@@ -135,13 +135,19 @@ def build_graph(
     for c in checked:
         if not c.cut:
             waits[c.target.instance].add(c.source.instance)
-    groups = tuple(_group(part, checked, descriptions) for part in strongly_connected(waits))
+    first = {c.target.instance for c in checked if c.cut}
+    parts = strongly_connected(waits, first)
+    groups = tuple(_group(part, checked, descriptions) for part in parts)
     free = [End(n, p.name) for n in sorted(descriptions) for p in descriptions[n].inputs]
     return Graph(descriptions, tuple(checked), groups, tuple(e for e in free if e not in source_of))
 
 
-def strongly_connected(waits: Mapping[str, Iterable[str]]) -> list[tuple[str, ...]]:
-    """Return the strongly connected parts, each after all it waits for; ties go by name (Tarjan 1972).
+def strongly_connected(
+    waits: Mapping[str, Iterable[str]], first: Collection[str] = ()
+) -> list[tuple[str, ...]]:
+    """Return the strongly connected parts, each after all it waits for (Tarjan 1972).
+
+    Ties go to parts within `first`, then by name.
 
     >>> strongly_connected({"b": ["a"], "a": [], "d": ["c", "b"], "c": ["d"]})
     [('a',), ('b',), ('c', 'd')]
@@ -187,7 +193,7 @@ def strongly_connected(waits: Mapping[str, Iterable[str]]) -> list[tuple[str, ..
     done: list[int] = []
     while len(done) < len(parts):
         ready = [k for k in range(len(parts)) if k not in done and needs[k] <= set(done)]
-        done.append(min(ready, key=lambda k: parts[k]))
+        done.append(min(ready, key=lambda k: (not set(parts[k]) <= set(first), parts[k])))
     return [parts[k] for k in done]
 
 

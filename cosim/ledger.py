@@ -12,6 +12,10 @@ master adds nothing. With held inputs it does; a held value is on average half a
   *end* of the step is held back over it: -H/2 into dynamics (a lead), 0 into
   a direct dependence; against the order as above.
 
+A discrete output changes at communication points and is held between them: nothing is added into
+dynamics; an output that depends directly on it shows a change at the step's end, +H/2 as a line between
+points, unless the change has a point of its own a tick later, as arrivals of packets have.
+
 An instance whose latency covers the step samples its input at communication points, so nothing is held
 on the way into it; a shorter latency L is lost in the held value: H - L, or -L after its source.
 Packets that come out between communication points wait for the next one, unless their arrivals are
@@ -54,6 +58,7 @@ class LedgerRow:
     jitter_mean_s: float = 0.0
     master_s: float = 0.0
     note: str = ""
+    direct: bool = False  #: into an output that depends directly on the input, read at the step's end
 
     @property
     def parts_s(self) -> tuple[float, ...]:
@@ -116,27 +121,26 @@ def delay_ledger(master: Master, delays: Mapping[str, Delays] | None = None) -> 
 
 def _row(master: Master, c: Connection, place: Mapping[str, int], delays: Mapping[str, Delays]) -> LedgerRow:
     target = c.target.instance
-    description = master.participants[target].description
-    node = master.nodes[target]
-    signal = next(s for s in master.signals if s.name == str(c.source))
-    direct = any(c.target.variable in used for used in description.feedthrough.values())
-    ahead = master.inputs == "hold-gauss-seidel" and place[c.source.instance] < place[target]
-    h = master.step_s
     if target in master.latency_s:
+        ahead = place[c.source.instance] < place[target]
         return _through_channel(master, c, delays.get(target), ahead)
-    if master.inputs == "hold-gauss-seidel" and ahead:
+    description, node, h = master.participants[target].description, master.nodes[target], master.step_s
+    direct = any(c.target.variable in used for used in description.feedthrough.values())
+    late = h if direct else 0.5 * h
+    sampled, added, note = 0.0, 0.0, ""
+    if master.participants[c.source.instance].description.output_of[c.source.variable].discrete:
+        exact = c.source.instance in delays and bool(master.clock.points)
+        added = 0.5 * h if direct and not exact else 0.0
+        note = "discrete: changes at communication points"
+    elif master.inputs == "hold-gauss-seidel" and place[c.source.instance] < place[target]:
         added, note = (0.0 if direct else -0.5 * h), "value at the end of the step held"
-        return LedgerRow(c, master_s=added, note=note)
-    if signal.kind == "held" and master.inputs != "hold-jacobi":
-        return LedgerRow(c, note="discrete: changes at communication points")
-    if master.inputs in ("hold-jacobi", "hold-gauss-seidel"):
-        return LedgerRow(c, master_s=h if direct else 0.5 * h, note="value at the start of the step held")
-    if node.order == 0:
-        if node.substeps > 1:
-            return LedgerRow(c, note=f"no input derivatives: means over {node.substeps} parts of a step")
-        late = h if direct else 0.5 * h
-        return LedgerRow(c, sampling_s=late, note="steps of one length and no input derivatives: held")
-    return LedgerRow(c)
+    elif master.inputs in ("hold-jacobi", "hold-gauss-seidel"):
+        added, note = late, "value at the start of the step held"
+    elif node.order == 0 and node.substeps > 1:
+        note = f"no input derivatives: means over {node.substeps} parts of a step"
+    elif node.order == 0:
+        sampled, note = late, "steps of one length and no input derivatives: held"
+    return LedgerRow(c, sampling_s=sampled, master_s=added, note=note, direct=direct)
 
 
 def _through_channel(master: Master, c: Connection, known: Delays | None, ahead: bool) -> LedgerRow:
@@ -146,8 +150,9 @@ def _through_channel(master: Master, c: Connection, known: Delays | None, ahead:
     if c.cut:
         notes.append("first in the step")
     elif master.inputs.startswith("hold"):
-        added += (0.0 if ahead else master.step_s) - latency
-        notes.append(f"value at the {'end' if ahead else 'start'} of the step held")
+        newest = ahead and master.inputs == "hold-gauss-seidel"
+        added += (0.0 if newest else master.step_s) - latency
+        notes.append(f"value at the {'end' if newest else 'start'} of the step held")
     if known.waiting_s:
         notes.append("arrivals wait for a communication point")
     return LedgerRow(

@@ -71,6 +71,8 @@ class Master:
     connections : pairs ("instance.output", "instance.input"), in any order.
     step_s : communication step H; None: chosen from the latencies (`step_and_reason`).
     marks_s : instants that must be communication points (events, outages).
+    points : further communication points, ticks: instants at which a held signal changes (`Clock`);
+        left out when all inputs are held, as plain masters do.
     latency_s : instance -> least time its inputs need to reach its outputs (a promise of that instance).
     inputs : how inputs are handed over a step. loops : what to do with loops without a channel;
         ``auto`` iterates where all their FMUs can save their state.
@@ -93,6 +95,7 @@ class Master:
         step_s: float | None = None,
         start_s: float = 0.0,
         marks_s: Iterable[float] = (),
+        points: Iterable[int] = (),
         latency_s: Mapping[str, float] | None = None,
         inputs: Inputs = "hermite",
         loops: Loops = "auto",
@@ -126,6 +129,7 @@ class Master:
             marks_s=marks,
             latency_ticks=ticks,
             edges=not self._holds,
+            points=() if self._holds else points,
         )
         self.graph: Graph = build_graph(descriptions, pairs, step_ticks=self.clock.step, latency_ticks=ticks)
         self._initial_graph = build_graph(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,8 @@ from interarea.design.shipped import shipped_names
 from interarea.models.case import load_case
 from interarea.models.plant_block import event_parameters, plant_block
 
-from .build import System, pairs_of
+from .build import System, pairs_of, points_of, self_test_of
+from .channels import hold_packets
 from .errors import ScenarioError, nearest
 from .fmu_file import FmuFile
 from .instances import FmuParticipant, Value
@@ -24,6 +25,7 @@ from .metrics import Metrics
 from .result import Result
 from .ringdown import fit_window, ring_down_of, run_metrics
 from .scenario import Scenario, load_scenario
+from .self_test import SelfTest
 from .trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -141,7 +143,7 @@ class Loop:
     def result(self, trajectory: Trajectory | None = None) -> Run:
         """Return the run so far as a `Run`."""
         done = self.master.trajectory if trajectory is None else trajectory
-        delays = {n: c.delays() for n, c in self.scenario.channels.items()}
+        delays = {n: c.delays(self.master.clock) for n, c in self.scenario.channels.items()}
         return Run(
             trajectory=done,
             ledger=delay_ledger(self.master, delays),
@@ -152,6 +154,12 @@ class Loop:
             metrics=run_metrics(done, self.case, self.scenario, self.master.step_s),
         )
 
+    def self_test(self) -> SelfTest:
+        """Measure the latency of every connection; compare with the ledger (module `self_test`)."""
+        instances = [p for n, p in self.master.participants.items() if n in self.channels]
+        file = instances[0].file if instances and isinstance(instances[0], FmuParticipant) else None
+        return self_test_of(self.master, self.scenario.channels, file, self.scenario.master.arrivals)
+
 
 def system_of(scenario: Scenario, *, cache: Path | None = None) -> System:
     """Return the system of a scenario without a case: its own FMUs, channels and connections.
@@ -160,8 +168,13 @@ def system_of(scenario: Scenario, *, cache: Path | None = None) -> System:
     ------
     ScenarioError : too many outages. GraphError : an FMU or connection that does not fit.
     """
-    options = scenario.master.model_dump()
-    system = System(stop_s=scenario.stop_s, step_s=scenario.step_s, cache=cache, **options)
+    system = System(
+        stop_s=scenario.stop_s,
+        step_s=scenario.step_s,
+        cache=cache,
+        arrivals=scenario.master.arrivals,
+        **scenario.master.options,
+    )
     for name, table in scenario.fmus.items():
         system.fmu(name, scenario.folder / table.file, latency_s=table.latency_s, **table.start)
     for name, channel in scenario.channels.items():
@@ -178,8 +191,11 @@ class Wiring:
     instances: Mapping[str, tuple[FmuFile, dict[str, Value]]]
     connections: tuple[tuple[str, str], ...]
 
-    def master(self, scenario: Scenario, participants: Iterable[FmuParticipant]) -> Master:
+    def master(self, scenario: Scenario, participants: Collection[FmuParticipant]) -> Master:
         """Return the master that steps `participants` (one for each instance) as `scenario` says."""
+        for p in participants:
+            if p.name in scenario.channels:
+                hold_packets(p, scenario.channels[p.name])
         return Master(
             participants,
             self.connections,
@@ -190,7 +206,8 @@ class Wiring:
                 **{n: f.latency_s for n, f in scenario.fmus.items() if f.latency_s},
                 **{n: c.least_latency_s for n, c in scenario.channels.items()},
             },
-            **scenario.master.model_dump(),
+            points=points_of(scenario.channels.values(), scenario.master.arrivals, 0.0, scenario.stop_s),
+            **scenario.master.options,
         )
 
 

@@ -1,4 +1,4 @@
-"""What `interarea run` leaves in its folder: trajectory as CSV and Parquet, metrics as JSON, a plot."""
+"""What `interarea run` leaves in its folder: trajectory as CSV and Parquet, ledgers and metrics, a plot."""
 
 from __future__ import annotations
 
@@ -9,20 +9,36 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from .plots import DASHES, SERIES, new_figure, save_figure
+from .result import Result
 from .ringdown import swing_signal
 from .run import Run
 
 
-def write_run(run: Run, folder: Path) -> list[Path]:
-    """Write trajectory.csv, trajectory.parquet, metrics.json and run.svg; return the files."""
+def write_result(result: Result, folder: Path) -> list[Path]:
+    """Write trajectory.csv, trajectory.parquet and ledger.json, for a `Run` also metrics.json and run.svg.
+
+    Returns the files.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / name for name in ("trajectory.csv", "trajectory.parquet", "metrics.json", "run.svg")]
-    run.trajectory.write_csv(files[0])
-    run.trajectory.write_parquet(files[1])
-    text = json.dumps(run.metrics.as_dict(), indent=1, allow_nan=False)
-    files[2].write_text(text + "\n", encoding="utf-8")
-    save_figure(run_plot(run), files[3])
+    files = [folder / name for name in ("trajectory.csv", "trajectory.parquet", "ledger.json")]
+    result.trajectory.write_csv(files[0])
+    result.trajectory.write_parquet(files[1])
+    ledgers = {
+        "step_s": result.ledger.step_s,
+        "inputs": result.ledger.inputs,
+        "delays": result.ledger.as_rows(),
+        "packets": {name: dict(row) for name, row in result.packets.rows.items()},
+    }
+    _write_json(ledgers, files[2])
+    if isinstance(result, Run):
+        files += [folder / "metrics.json", folder / "run.svg"]
+        _write_json(result.metrics.as_dict(), files[3])
+        save_figure(run_plot(result), files[4])
     return files
+
+
+def _write_json(value: object, path: Path) -> None:
+    path.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def run_plot(run: Run) -> Figure:

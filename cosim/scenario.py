@@ -31,8 +31,9 @@ latency = {kind = "gamma", shape, scale_s} | {kind = "empirical", quantiles_s} o
 loss = {kind = "bernoulli", rate} | {kind = "gilbert_elliott", good_to_bad, bad_to_good, loss_good, loss_bad},
 pdc_wait_s, seed; and, with or without packets, quantum.
 
-Optional besides: `title`, `source`, `[master]` (inputs, loops, tolerance) and `[expect]`, the outcome that
-the gallery states and the tests assert. A signal without a channel reaches the controller undelayed.
+Optional besides: `title`, `source`, `[master]` (inputs, loops, tolerance, arrivals) and `[expect]`, the
+outcome that the gallery states and the tests assert. A signal without a channel reaches the controller
+undelayed.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
@@ -80,6 +81,12 @@ class MasterTable(Table):
     inputs: Inputs = "hermite"
     loops: Loops = "auto"
     tolerance: Annotated[float, Field(gt=0.0, lt=1.0)] = 1e-7
+    arrivals: Literal["exact", "grid"] = "exact"  #: packets come out at their instant, or on the grid
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What `Master` takes of this table."""
+        return self.model_dump(exclude={"arrivals"})
 
 
 class Expectation(Table):
@@ -166,7 +173,7 @@ class Scenario(Table):
     def marks_s(self) -> tuple[float, ...]:
         """Instants of events and outages inside the run."""
         times = [t for e in self.event for t in (e.start_s, getattr(e, "end_s", None)) if t is not None]
-        times += [t for c in self.channels.values() for window in c.outages_s for t in window]
+        times += [t for c in self.channels.values() for t in c.marks_s]
         return tuple(sorted({t for t in times if 0.0 < t < self.stop_s}))
 
     @property

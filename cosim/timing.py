@@ -56,8 +56,11 @@ def clock_of(
     marks_s: Iterable[float],
     latency_ticks: Mapping[str, int],
     edges: bool,
+    points: Iterable[int] = (),
 ) -> Clock:
-    """Return the clock of a run: its marks, and each again when it comes out of a channel.
+    """Return the clock of a run: its marks, each again when it comes out of a channel, and further points.
+
+    points : ticks; left out when an FMU takes steps of one length only.
 
     Raises
     ------
@@ -78,4 +81,5 @@ def clock_of(
         return Clock(plain.start, plain.stop, plain.step, plain.marks, edges=False)
     late = {m + d for m in plain.marks for d in latency_ticks.values()}
     marks = tuple(sorted({*plain.marks, *(m for m in late if m < plain.stop)}))
-    return Clock(plain.start, plain.stop, plain.step, marks, edges=edges)
+    inside = tuple(sorted({p for p in points if plain.start < p < plain.stop}))
+    return Clock(plain.start, plain.stop, plain.step, marks, edges=edges, points=inside)

@@ -13,6 +13,7 @@ from scipy.stats import binom
 
 from interarea.fmu_build import build_fmu
 from interarea.models.channel_block import QUANTILES, channel_block, gamma_quantiles, quantiles_of
+from interarea.models.channel_packets import packets_of
 
 COUNTS = ("sent", "delivered", "dropped", "late")
 ROUGH = {
@@ -176,3 +177,40 @@ def test_packet_settings_without_packets_are_refused(channel: Path) -> None:
         with pytest.raises(FMICallException):
             run.start({"loss_good": 0.1})
         assert "set reporting_interval" in run.log[-1]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {**ROUGH, "seed": 5},
+        {
+            "reporting_interval": 0.02,
+            "latency": 0.033,
+            "good_to_bad": 0.1,
+            "bad_to_good": 0.3,
+            "loss_bad": 0.9,
+        },
+        {"reporting_interval": 0.02, "latency": 0.01, "jitter": 0.05, "pdc_wait": 0.04, "loss_good": 0.1},
+        {"reporting_interval": 0.01, "latency": 0.02, "seed": 9, **gamma_quantiles(2.0, 0.01)},
+    ],
+)
+def test_python_knows_when_the_packets_of_the_fmu_come_out(channel: Path, values: dict[str, float]) -> None:
+    """The channel stepped from each computed arrival to the next counts one packet at each, none between."""
+    numbers = {k: float(v) for k, v in values.items()}
+    packets = packets_of(numbers, 0.0, 6.0)
+    order = np.argsort(packets.due_s, kind="stable")
+    due = packets.due_s[order]
+    points = [(k, t) for k, t in enumerate(due) if 0.0 < t < 5.5 and t - due[k - 1] > 1e-6 < due[k + 1] - t]
+    assert len(points) > 150
+    with Runner(channel) as run:
+        run.start(values)
+        now = 0.0
+        for k, t in points:
+            for to, count in ((t - 4e-7, k), (t, k + 1)):
+                run.step(now, to - now)
+                now = to
+                assert sum(run.get(n) for n in ("delivered", "dropped", "late")) == count
+            missed = bool(packets.lost[order[k]])
+            assert run.get("valid") == (not missed) or run.get("late") > 0
+        dropped = run.get("dropped") + (run.get("late") if "pdc_wait" in values else 0)
+        assert dropped == packets.lost[order[: k + 1]].sum()

@@ -81,16 +81,53 @@ def test_build_writes_the_plant(interarea, tmp_path: Path) -> None:  # type: ign
     assert Path(out.strip()).read_bytes()[:2] == b"PK"
 
 
-def test_run_writes_its_four_files(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_run_writes_its_files(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     file = tmp_path / "pulse.toml"
     file.write_text(SCENARIO, encoding="utf-8")
     code, out, _ = interarea("run", file, "--out", tmp_path / "out", "--explain")
     assert code == 0
-    names = {"trajectory.csv", "trajectory.parquet", "metrics.json", "run.svg"}
+    names = {"trajectory.csv", "trajectory.parquet", "ledger.json", "metrics.json", "run.svg"}
     assert {p.name for p in (tmp_path / "out").iterdir()} == names
     assert (tmp_path / "out" / "trajectory.csv").read_text().startswith("time_s,plant.G1_dw")
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["stable"] in (True, False)
-    assert "step 20 ms" in out
+    assert "step 20 ms (given)" in out
+    assert json.loads((tmp_path / "out" / "ledger.json").read_text())["step_s"] == 0.02
+
+
+CHANNELS = """
+[channels.remote]
+signal = "G2_dw"
+latency_s = 0.1
+reporting_interval_s = 0.02
+jitter_s = 0.01
+[channels.remote.loss]
+kind = "bernoulli"
+rate = 0.1
+"""
+
+
+def test_run_explains_delays_and_packets_and_tests_itself(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    file = tmp_path / "packets.toml"
+    text = 'controller = "ftc"' + SCENARIO.replace("step_s = 0.02", "") + CHANNELS
+    file.write_text(text, encoding="utf-8")
+    code, out, _ = interarea("run", file, "--out", tmp_path / "out", "--explain", "--self-test")
+    assert code == 0
+    assert "every connection has the latency stated" in out
+    assert "step 10 ms (chosen: the longest step; divides all latencies and instants)" in out
+    assert "order of a step: remote | controller <-> plant" in out
+    row = next(
+        line for line in out.splitlines() if line.startswith("plant.G2_dw -> remote.u  ") and "first" in line
+    )
+    assert [float(x) for x in row.split()[3:10]] == [100.0, 100.0, 0.0, 10.0, 5.0, 0.0, 115.0]
+    sent = 2.0 / 0.02 + 1
+    assert f"remote: sent {sent:g}, delivered" in out and "age max" in out
+    ledger = json.loads((tmp_path / "out" / "ledger.json").read_text())
+    counts = ledger["packets"]["remote"]
+    assert counts["sent"] == sum(counts[k] for k in ("delivered", "dropped", "late", "on their way"))
+    assert counts["dropped"] > 0
+    code, out, _ = interarea("run", file, "--self-test")
+    assert code == 0 and "trajectory.csv" not in out
+    assert interarea("run", file)[0] == 2
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,69 @@
+"""interarea run: one scenario, how it is stepped, and whether its delays are those stated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .terminal import busy
+
+if TYPE_CHECKING:
+    from .scenario import Scenario
+    from .self_test import SelfTest
+
+
+def run(
+    scenario: Annotated[
+        Path, typer.Argument(metavar="SCENARIO.toml", help="scenario file", show_default=False)
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
+    ] = None,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="print step, stepping order, delay and packet ledgers")
+    ] = False,
+    self_test: Annotated[
+        bool,
+        typer.Option(
+            "--self-test", help="measure the latency of every connection; exit code 1 if not as stated"
+        ),
+    ] = False,
+) -> None:
+    """Co-simulate one scenario; writes trajectory, ledgers, metrics and a plot.
+
+    With --self-test and no --out only the self-test is done.
+    """
+    from .artefacts import default_cache
+    from .run import run_system
+    from .run_files import write_result
+    from .scenario import load_scenario
+
+    if out is None and not self_test:
+        raise typer.BadParameter("a folder for the results is needed, or --self-test", param_hint="--out")
+    loaded = load_scenario(scenario)
+    tested = None
+    if self_test:
+        with busy(f"measuring the connections of {scenario}"):
+            tested = _tested(loaded)
+        typer.echo(tested)
+    if out is not None:
+        with busy(f"running {scenario}"):
+            result = run_system(loaded, cache=default_cache())
+            files = write_result(result, out)
+        if explain:
+            typer.echo(result.explain())
+        for file in files:
+            typer.echo(file)
+    if tested is not None and not tested.passed:
+        raise typer.Exit(1)
+
+
+def _tested(scenario: Scenario) -> SelfTest:
+    from .run import assemble, system_of
+
+    if not scenario.case:
+        return system_of(scenario).self_test()
+    with assemble(scenario) as loop:
+        return loop.self_test()
