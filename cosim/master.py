@@ -154,10 +154,10 @@ class Master:
         outputs = [(n, p) for n, d in descriptions.items() for p in d.outputs]
         self._columns = [f"{n}.{p.name}" for n, p in outputs]
         self._ports = [p for _, p in outputs]
-        points = 1 + sum(s.recorded for s in self.clock.steps)
+        rows = 1 + sum(s.recorded for s in self.clock.steps)
         self._recorded = [(p, len(p.description.outputs)) for p in self.participants.values()]
-        self._times = np.full(points, np.nan)
-        self._records = np.full((points, len(outputs)), np.nan)
+        self._times = np.full(rows, np.nan)
+        self._records = np.full((rows, len(outputs)), np.nan)
         self._rows = 0
         self.engine = engine
         self.ran = ""  #: who did the steps since the start: kernel | python | python (why not the kernel)

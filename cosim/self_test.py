@@ -20,7 +20,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, cast
 
 from . import interpolation as ip
 from .clock import Clock, seconds, to_ticks
@@ -115,7 +115,7 @@ def self_test(
     longest = sum(master.latency_s.values()) + 2.0 * len(master.participants) * max(master.step_s, interval_s)
     step = to_ticks(master.step_s, "step_s")
     steps = -(-to_ticks(round(latest + _WIDTHS * width_s + longest, 6), "length") // step)
-    parts: list[_Probe] = []
+    parts: list[_StandIn | _Tap] = []
     for name, p in master.participants.items():
         if name in channels:
             parts.append(_Tap(channels[name]))
@@ -123,7 +123,7 @@ def self_test(
             own = {e.variable: t for e, t in tags.items() if e.instance == name}
             parts.append(_StandIn(name, p.description, own, master.latency_s.get(name, 0.0)))
     rig = Master(
-        parts,
+        cast(list[Participant], parts),
         [(str(c.source), str(c.target)) for c in master.graph.connections],
         stop_s=seconds(steps * step),
         step_s=master.step_s,
@@ -220,10 +220,6 @@ class _Probe:
     def sent(self, variable: str) -> _Impulse:
         """The impulse that left by an output."""
         return self.staircase(variable) if self._held(variable) else self.samples(variable)
-
-    def got(self, connection: Connection, direct: bool) -> _Impulse:
-        """The impulse that came in by a connection."""
-        raise NotImplementedError
 
 
 class _StandIn(_Probe):

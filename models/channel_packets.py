@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,12 +27,12 @@ def packet_random(seed: int, packets: npt.NDArray[np.int64], purpose: int) -> Ar
         z = _mixed(np.uint64(seed) + _GOLDEN)
         z = _mixed(z + _GOLDEN * np.uint64(purpose))
         numbers = _mixed(z + _GOLDEN * packets.astype(np.uint64))
-    return (numbers >> np.uint64(11)).astype(float) * (1.0 / 9007199254740992.0)
+    values: Array = (numbers >> np.uint64(11)).astype(np.float64) * (1.0 / 9007199254740992.0)
+    return values
 
 
-def _mixed(z: npt.ArrayLike) -> npt.NDArray[np.uint64]:
-    """Return the finaliser of SplitMix64."""
-    z = np.asarray(z, dtype=np.uint64)
+def _mixed(z: Any) -> Any:
+    """Return the finaliser of SplitMix64 of one or many uint64."""
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return z ^ (z >> np.uint64(31))
@@ -60,7 +61,7 @@ def packets_of(parameters: Mapping[str, float], start_s: float, stop_s: float) -
     first = math.ceil((start_s - _SLACK_S) / interval)
     number = np.arange(first, math.floor((stop_s + _SLACK_S) / interval) + 1, dtype=np.int64)
     seed = int(p["seed"])
-    stamp = number * interval
+    stamp: Array = number.astype(np.float64) * interval
     table = np.array([p.get(f"quantile[{j + 1}]", 0.0) for j in range(QUANTILES)])
     at = packet_random(seed, number, TABLE) * (QUANTILES - 1)
     k = at.astype(int)

@@ -1,4 +1,4 @@
-"""Packets in a loop: what arrives is integrated exactly, whatever the step, and without a step more than needed."""
+"""Packets in a loop: what arrives is integrated exactly, whatever the step."""
 
 from __future__ import annotations
 
