@@ -16,6 +16,7 @@ from .participant import Description
 
 Value = float | int | bool | str
 _LOGGED = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
+_DISCARD = 2
 _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 
 
@@ -210,8 +211,18 @@ class FmuParticipant:
         status = self._do_step(self._c, c_double(time_s), c_double(length_s), 1)
         if status > 1:
             self.time_s = time_s
-            self.fail("fmi2DoStep", status)
+            if status != _DISCARD:
+                self.fail("fmi2DoStep", status)
+            self.discarded(time_s, length_s)
         self.time_s = time_s + length_s
+
+    def discarded(self, time_s: float, length_s: float) -> None:
+        """Finish a step from `time_s` over `length_s` that the FMU discarded, or raise.
+
+        `u` and `du` are what was sent before it. Both engines come here.
+        """
+        self.time_s = time_s
+        self.fail("fmi2DoStep", _DISCARD)
 
     def receive(self, slopes: bool) -> None:
         """Read every output, and the bound slopes if `slopes`."""

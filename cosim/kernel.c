@@ -8,6 +8,7 @@
 #include <math.h>
 #include <string.h>
 #if defined _WIN32
+#define WIN32_LEAN_AND_MEAN /* without sockets, which have a send() */
 #include <windows.h>
 #else
 #include <time.h>
@@ -80,6 +81,11 @@ static int do_step(Kernel *k, KernelNode *node, double time, double length)
 
     if (status > fmi2Warning) {
         node->time = time;
+        if (status == fmi2Discard && k->discarded != NULL
+            && k->discarded((int32_t)(node - k->nodes), time, length) == 0) {
+            node->time = time + length;
+            return KERNEL_OK;
+        }
         return call_failed(k, node, CALL_DO_STEP, status);
     }
     node->time = time + length;

@@ -96,7 +96,12 @@ typedef struct {
     int32_t first, count, torn, n_torn, iterated, unused;
 } KernelGroup;
 
+/* What to do when fmi2DoStep from `time` over `length` returns fmi2Discard: 0 when
+ * the step has been completed after all. u and du of the node are as they were sent. */
+typedef int32_t KernelDiscarded(int32_t node, double time, double length);
+
 typedef struct {
+    KernelDiscarded *discarded;     /* or null: it fails                        */
     KernelNode *nodes;
     KernelSignal *signals;
     const KernelGroup *groups;

@@ -91,6 +91,8 @@ class Kernel:
                 mirror.n_torn = len(against) - mirror.torn
                 most = max(most, 2 * mirror.n_torn)
         run = self._run = built.KernelRun()
+        run.discarded = built.DISCARDED(self._discarded)
+        self._raised: BaseException | None = None
         run.nodes, run.signals = self._at(self._k_nodes), self._at(self._k_signals)
         run.groups = self._at(k_groups)
         run.members, run.torn = self._at(_array(c_int32, members)), self._at(_array(c_int32, against))
@@ -107,6 +109,8 @@ class Kernel:
 
     def run(self, index: int, row: int, until: int) -> None:
         """Step from step number `index` towards `until` for at most 20 ms; rows are written from `row` on.
+
+        A step that an FMU discards is handed to its participant, as the reference does.
 
         `index`, `row` and `repeated` then say how far it came, also after an exception.
 
@@ -227,7 +231,28 @@ class Kernel:
         for mirror, node in zip(self._k_nodes, self._nodes, strict=True):
             node.participant.time_s = mirror.time  # type: ignore[attr-defined]
 
+    def _discarded(self, number: int, time_s: float, length_s: float) -> int:
+        """Let the participant finish a step that was discarded; called by the kernel."""
+        try:
+            mirror, node = self._k_nodes[number], self._nodes[number]
+            p: FmuParticipant = node.participant  # type: ignore[assignment]
+            u = (c_double * mirror.n_u_real).from_address(mirror.u)
+            du = (c_double * (mirror.n_u_real * mirror.order)).from_address(mirror.du)
+            reals = [f.place for f in node.feeds if p.file.variables[p.bound_inputs[f.place]].type == "Real"]
+            for k, place in enumerate(reals):
+                p.u[place] = u[k]
+                for m in range(mirror.order):
+                    p.du[3 * place + m] = du[mirror.order * k + m]
+            p.discarded(time_s, length_s)
+        except BaseException as error:  # raised again by `run`
+            self._raised = error
+            return 1
+        return 0
+
     def _fail(self, code: int) -> None:
+        if self._raised is not None:
+            raised, self._raised = self._raised, None
+            raise raised
         run = self._run
         step = self._steps[run.index]
         if code == built.NOT_SETTLED:

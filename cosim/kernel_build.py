@@ -90,10 +90,14 @@ class KernelGroup(ctypes.Structure):
     _fields_ = _fields(c_int32, "first count torn n_torn iterated unused")
 
 
+DISCARDED = ctypes.CFUNCTYPE(c_int32, c_int32, c_double, c_double)
+
+
 class KernelRun(ctypes.Structure):
     """`Kernel` of kernel.h."""
 
     _fields_ = [
+        ("discarded", DISCARDED),
         *_fields(c_void_p, "nodes signals groups members torn points flags times records spare work"),
         *_fields(c_int64, "index row repeated"),
         *_fields(c_double, "tolerance budget value"),

@@ -333,3 +333,29 @@ def test_a_kernel_of_another_layout_is_refused(monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(BuildError, match="lays its structures out"):
         kernel_build.load_kernel()
     kernel_build._library.cache_clear()
+
+
+def test_a_discarded_step_is_handed_to_the_participant_with_what_was_sent(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who finishes such a step sees the same in both engines: interval, inputs and their derivatives."""
+    file = FmuFile(block_fmu(decay_block(), cache))
+    seen: dict[str, list[tuple[str, float, float, list[float]]]] = {"kernel": [], "python": []}
+    errors = []
+    for engine, calls in seen.items():
+
+        def finish(self: FmuParticipant, time_s: float, length_s: float, calls: Any = calls) -> None:
+            calls.append((self.name, time_s, length_s, [self.u[0], *self.du[:3]]))
+
+        monkeypatch.setattr(FmuParticipant, "discarded", finish)
+        parts = [FmuParticipant("a", file), FmuParticipant("b", file, {"kicking": True, "ceiling": 2.0})]
+        master = Master(parts, [("a.y", "b.u")], stop_s=1.0, step_s=0.1)
+        master.engine = engine  # type: ignore[assignment]
+        with master, pytest.raises(StepError, match=r"not allowed in state .step discarded") as error:
+            master.run()  # taken as finished, but the FMU waits for its state to be put back
+        errors.append(str(error.value))
+    assert errors[0] == errors[1]
+    assert seen["kernel"] == seen["python"]
+    ((name, time_s, length_s, sent),) = seen["kernel"]
+    assert (name, time_s, length_s) == ("b", 0.5, 0.1)
+    assert sent[:2] == pytest.approx([np.exp(-0.5), -np.exp(-0.5)], rel=1e-6)
