@@ -8,7 +8,7 @@ import pytest
 
 from interarea.cosim.scenario import load_scenario, scenario_names
 
-DESIGNED = ("wdc", "cc", "ftc")
+DESIGNED = ("wdc", "cc", "ftc", "active")
 
 
 def _case(name: str) -> Any:
