@@ -23,7 +23,7 @@ from .errors import InfeasibleDesign
 from .linearise import select, speeds_in_rad
 from .norms import frequency_response
 from .reduction import balanced_truncation
-from .smoothed import Array, Complex, DesignModel, EffortGrid, Objective
+from .smoothed import Array, BandOffsets, Complex, DesignModel, EffortGrid, Gains, Objective
 from .solve import one_blas_thread
 
 
@@ -33,9 +33,11 @@ class RobustSpec:
 
     signals : controller inputs (speeds, rad/s), e.g. ("G2_dw", "G4_dw").
     actuators : controller outputs (pu), e.g. ("G4_vs",).
+    order : states of the controller in all, those of its washouts counted.
     sees : actuator -> (signals, order) of a decentralised controller; empty = one full controller.
     effort_cap : (omega, cap) nodes in rad/s and pu per rad/s, log-log interpolated; None = no cap.
     washout_s : time constant of sT/(1+sT) in series with each output; 0 = none.
+    feedthrough : whether D of the controller is free too, which costs no state.
     """
 
     signals: tuple[str, ...]
@@ -45,6 +47,8 @@ class RobustSpec:
     sees: Mapping[str, tuple[tuple[str, ...], int]] = field(default_factory=dict)
     effort_cap: tuple[tuple[float, float], ...] | None = ((0.05, 0.15), (300.0, 0.15))
     washout_s: float = 2.0
+    feedthrough: bool = True
+    offsets: BandOffsets = field(default_factory=BandOffsets)
     plant_order: int = 16
     pade_order: int = 3
     starts: int = 6
@@ -54,8 +58,14 @@ class RobustSpec:
     seed: int = 1
 
     def __post_init__(self) -> None:
-        if not self.order >= 1:
-            raise ValueError(f"robust design: order is {self.order}, at least 1 is needed")
+        filters = int(self.washout_s > 0.0)
+        wanted = [(who, order, filters) for who, (_, order) in self.sees.items()]
+        for who, order, least in wanted or [("the controller", self.order, filters * len(self.actuators))]:
+            if not order > least:
+                raise ValueError(
+                    f"robust design: order of {who} is {order}; its washouts take {least} states, at least "
+                    f"{least + 1} are needed"
+                )
         for condition in self.conditions:
             unknown = {*condition.lost, *condition.latency_s_of} - set(self.signals)
             if unknown:
@@ -153,28 +163,39 @@ def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, 
             models.append(_design_model(name, small, spec, condition))
             if spec.effort_cap is not None:
                 efforts.append(_effort_grid(name, omega, response, spec, condition))
-    return Objective(models, _total_order(spec), efforts, mask=_structure(spec))
+    return Objective(
+        models,
+        _free_order(spec),
+        efforts,
+        offsets=spec.offsets,
+        mask=_structure(spec),
+        feedthrough=spec.feedthrough,
+    )
 
 
-def _total_order(spec: RobustSpec) -> int:
-    return sum(order for _, order in spec.sees.values()) if spec.sees else spec.order
+def _free_order(spec: RobustSpec) -> int:
+    """States that are designed: all but those of the washouts."""
+    order = sum(order for _, order in spec.sees.values()) if spec.sees else spec.order
+    return order - len(spec.actuators) * (spec.washout_s > 0.0)
 
 
 def _structure(spec: RobustSpec) -> npt.NDArray[np.bool_] | None:
     if not spec.sees:
         return None
-    n, p, m = _total_order(spec), len(spec.signals), len(spec.actuators)
-    A, B, C = np.zeros((n, n), bool), np.zeros((n, p), bool), np.zeros((m, n), bool)
+    n, p, m = _free_order(spec), len(spec.signals), len(spec.actuators)
+    A, B, C, D = (np.zeros(shape, bool) for shape in ((n, n), (n, p), (m, n), (m, p)))
     first = 0
     for row, actuator in enumerate(spec.actuators):
         signals, order = spec.sees[actuator]
+        order -= int(spec.washout_s > 0.0)
         states = slice(first, first + order)
         A[states, states] = True
         C[row, states] = True
         for signal in signals:
             B[states, spec.signals.index(signal)] = True
+            D[row, spec.signals.index(signal)] = spec.feedthrough
         first += order
-    return np.concatenate([A.ravel(), B.ravel(), C.ravel()])
+    return np.concatenate([M.ravel() for M in (A, B, C, D)])
 
 
 def _design_model(
@@ -237,7 +258,7 @@ def _stable_start(objective: Objective, rng: np.random.Generator) -> Array:
     A = 6.0 * (A - (max(np.linalg.eigvals(A).real.max(), 0.0) + 0.5) * np.eye(n))
     B, C = rng.normal(size=(n, p)), rng.normal(size=(m, n))
     theta = objective.pack(A, B, C)
-    A, B, C = objective.unpack(theta)
+    A, B, C, _ = objective.unpack(theta)
     for _ in range(60):
         theta = objective.pack(A, B, C)
         if objective.worst(theta)[0] < 0.0 and objective(theta)[0] < 1.0:
@@ -258,19 +279,20 @@ def _descend(objective: Objective, start: Array, evaluations: int) -> tuple[Arra
     return np.asarray(result.x), int(result.nfev)
 
 
-def _with_washout(K: tuple[Array, Array, Array], spec: RobustSpec) -> control.StateSpace:
-    A, B, C = K
+def _with_washout(K: Gains, spec: RobustSpec) -> control.StateSpace:
+    A, B, C, D = K
     n, m = A.shape[0], C.shape[0]
     if spec.washout_s > 0.0:
+        # u = v - w, T w' = v - w for v = C x + D y
         T = spec.washout_s
         A = np.block([[A, np.zeros((n, m))], [C / T, -np.eye(m) / T]])
-        B = np.vstack([B, np.zeros((m, B.shape[1]))])
+        B = np.vstack([B, D / T])
         C = np.hstack([C, -np.eye(m)])
     return control.ss(
         A,
         B,
         C,
-        np.zeros((m, B.shape[1])),
+        D,
         inputs=list(spec.signals),
         outputs=list(spec.actuators),
         name="robust",

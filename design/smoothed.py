@@ -1,6 +1,6 @@
 r"""Smoothed worst damping of many closed loops, with analytic gradient.
 
-One controller :math:`K = (A_K, B_K, C_K)` is judged on a family of design models
+One controller :math:`K = (A_K, B_K, C_K, D_K)` is judged on a family of design models
 (operating point x loss pattern x latency). With the eigenvalues
 :math:`\lambda = a + jb` of every closed loop
 
@@ -18,12 +18,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
+Gains = tuple[Array, Array, Array, Array]
 
 SLOW_RADIUS = 0.2  #: below this modulus damping is measured against the radius, not the modulus (rad/s)
 
@@ -67,7 +69,8 @@ class BandOffsets:
 class Objective:
     """f(K) and its gradient; `order`, `n_y`, `n_u` fix the shapes, `mask` the structure.
 
-    The parameter vector holds A_K, B_K, C_K row by row, masked entries left out.
+    The parameter vector holds A_K, B_K, C_K, D_K row by row, masked entries left out; without a mask D_K
+    is left out too unless `feedthrough` is set.
     """
 
     models: Sequence[DesignModel]
@@ -78,75 +81,108 @@ class Objective:
     fastest_pole: float = 280.0  #: rad/s, on the controller's own poles
     slowest_pole: float = 0.06  #: rad/s
     mask: npt.NDArray[np.bool_] | None = None
+    feedthrough: bool = False
 
     @property
     def n_y(self) -> int:
+        """Number of signals."""
         return int(self.models[0].C.shape[0])
 
     @property
     def n_u(self) -> int:
+        """Number of actuators."""
         return int(self.models[0].B.shape[1])
 
-    def unpack(self, theta: Array) -> tuple[Array, Array, Array]:
-        """Return (A_K, B_K, C_K) of the parameter vector."""
+    @cached_property
+    def _free(self) -> npt.NDArray[np.bool_]:
         n, p, m = self.order, self.n_y, self.n_u
-        full = theta
+        free = np.ones(n * n + n * p + m * n + m * p, dtype=bool)
+        free[n * n + n * p + m * n :] = self.feedthrough
         if self.mask is not None:
-            full = np.zeros(self.mask.size)
-            full[self.mask] = theta
+            free[: self.mask.size] &= self.mask
+        return free
+
+    @cached_property
+    def _groups(self) -> list[tuple[list[DesignModel], Array, Array, Array]]:
+        """Models of equal size with A, B, C stacked."""
+        sizes: dict[int, list[DesignModel]] = {}
+        for model in self.models:
+            sizes.setdefault(model.A.shape[0], []).append(model)
+        return [
+            (
+                group,
+                np.array([g.A for g in group]),
+                np.array([g.B for g in group]),
+                np.array([g.C for g in group]),
+            )
+            for _, group in sorted(sizes.items())
+        ]
+
+    @cached_property
+    def _grids(self) -> list[tuple[Array, Complex, Array]]:
+        """Effort grids of equal frequencies stacked: omega (f,), responses (e, f, p, m), caps (e, f)."""
+        stacks: list[tuple[Array, list[Complex], list[Array]]] = []
+        for effort in self.efforts:
+            for omega, responses, caps in stacks:
+                if np.array_equal(omega, effort.omega):
+                    responses.append(effort.response)
+                    caps.append(effort.cap)
+                    break
+            else:
+                stacks.append((effort.omega, [effort.response], [effort.cap]))
+        return [(omega, np.array(responses), np.array(caps)) for omega, responses, caps in stacks]
+
+    def unpack(self, theta: Array) -> tuple[Array, Array, Array, Array]:
+        """Return (A_K, B_K, C_K, D_K) of the parameter vector."""
+        n, p, m = self.order, self.n_y, self.n_u
+        full = np.zeros(self._free.size)
+        full[self._free] = theta
+        a, b, c = n * n, n * n + n * p, n * n + n * p + m * n
         return (
-            full[: n * n].reshape(n, n),
-            full[n * n : n * n + n * p].reshape(n, p),
-            full[n * n + n * p :].reshape(m, n),
+            full[:a].reshape(n, n),
+            full[a:b].reshape(n, p),
+            full[b:c].reshape(m, n),
+            full[c:].reshape(m, p),
         )
 
-    def pack(self, A: Array, B: Array, C: Array) -> Array:
-        """Return the parameter vector of (A_K, B_K, C_K) or of gradients of that shape."""
-        full = np.concatenate([A.ravel(), B.ravel(), C.ravel()])
-        return full if self.mask is None else full[self.mask]
+    def pack(self, A: Array, B: Array, C: Array, D: Array | None = None) -> Array:
+        """Return the parameter vector of (A_K, B_K, C_K, D_K) or of gradients of that shape."""
+        D = np.zeros((self.n_u, self.n_y)) if D is None else D
+        return np.asarray(np.concatenate([A.ravel(), B.ravel(), C.ravel(), D.ravel()])[self._free])
 
     def closed_loops(self, theta: Array) -> list[Array]:
         """Return the closed-loop matrix of every design model."""
-        A_K, B_K, C_K = self.unpack(theta)
-        return [np.block([[g.A, g.B @ C_K], [B_K @ g.C, A_K]]) for g in self.models]
+        K = self.unpack(theta)
+        return [loop for _, A, B, C in self._groups for loop in _loops(A, B, C, K)]
 
     def worst(self, theta: Array) -> tuple[float, float]:
         """Return (largest real part, least damping ratio among modes above 0.2 rad/s) over all models."""
         eigenvalues = np.concatenate([np.linalg.eigvals(A) for A in self.closed_loops(theta)])
         oscillating = eigenvalues[np.abs(eigenvalues.imag) > SLOW_RADIUS]
         damping = -oscillating.real / np.abs(oscillating)
-        return float(eigenvalues.real.max()), float(damping.min())
+        return float(eigenvalues.real.max()), float(damping.min(initial=1.0))
 
     def __call__(self, theta: Array) -> tuple[float, Array]:
         """Return f and its gradient."""
-        A_K, B_K, C_K = self.unpack(theta)
-        f, dA, dB, dC = self._damping(A_K, B_K, C_K)
-        for effort in self.efforts:
-            g, eA, eB, eC = _effort_penalty(effort, A_K, B_K, C_K)
-            f, dA, dB, dC = f + g, dA + eA, dB + eB, dC + eC
-        g, pA = self._pole_penalty(A_K)
-        return f + g, self.pack(dA + pA, dB, dC)
+        K = self.unpack(theta)
+        f, *gradient = self._damping(K)
+        for omega, responses, caps in self._grids:
+            g, *more = _effort_penalty(omega, responses, caps, K)
+            f, gradient = f + g, [have + add for have, add in zip(gradient, more, strict=True)]
+        g, pA = self._pole_penalty(K[0])
+        gradient[0] = gradient[0] + pA
+        return f + g, self.pack(*gradient)
 
-    def _damping(self, A_K: Array, B_K: Array, C_K: Array) -> tuple[float, Array, Array, Array]:
+    def _damping(self, K: Gains) -> tuple[float, Array, Array, Array, Array]:
         spectra = []
-        v_all, dv_all = [], []
-        for size, group in _by_size(self.models):
-            loops = np.zeros((len(group), size + self.order, size + self.order))
-            for k, g in enumerate(group):
-                loops[k, :size, :size] = g.A
-                loops[k, :size, size:] = g.B @ C_K
-                loops[k, size:, :size] = B_K @ g.C
-                loops[k, size:, size:] = A_K
-            eigenvalues, right = np.linalg.eig(loops)
-            v, dv = self._excess(eigenvalues)
-            spectra.append((group, size, right))
-            v_all.append(v)
-            dv_all.append(dv)
-        top = max(float(v.max()) for v in v_all)
-        total = sum(float(np.exp(self.rho * (v - top)).sum()) for v in v_all)
+        for group, A, B, C in self._groups:
+            eigenvalues, right = np.linalg.eig(_loops(A, B, C, K))
+            spectra.append((group, A.shape[1], right, *self._excess(eigenvalues)))
+        top = max(float(v.max()) for *_, v, _ in spectra)
+        total = sum(float(np.exp(self.rho * (v - top)).sum()) for *_, v, _ in spectra)
         f = top + np.log(total) / self.rho
-        dA, dB, dC = np.zeros_like(A_K), np.zeros_like(B_K), np.zeros_like(C_K)
-        for (group, size, right), v, dv in zip(spectra, v_all, dv_all, strict=True):
+        dA, dB, dC, dD = (np.zeros_like(M) for M in K)
+        for group, size, right, v, dv in spectra:
             weight = np.exp(self.rho * (v - top)) / total
             # a model whose weight is below rounding adds nothing to the gradient
             for k in map(int, np.flatnonzero(weight.sum(axis=1) > 1e-14)):
@@ -156,10 +192,11 @@ class Objective:
                     continue
                 M = ((right[k] * (weight[k] * dv[k])) @ left).T.real
                 g = group[k]
+                dD += g.B.T @ M[:size, :size] @ g.C.T
                 dC += g.B.T @ M[:size, size:]
                 dB += M[size:, :size] @ g.C.T
                 dA += M[size:, size:]
-        return float(f), dA, dB, dC
+        return float(f), dA, dB, dC, dD
 
     def _excess(self, eigenvalues: Complex) -> tuple[Array, Complex]:
         """v of every eigenvalue and dv/da - j dv/db."""
@@ -185,34 +222,46 @@ class Objective:
         return value, ((right * derivative) @ left).T.real
 
 
-def _by_size(models: Sequence[DesignModel]) -> list[tuple[int, list[DesignModel]]]:
-    sizes: dict[int, list[DesignModel]] = {}
-    for model in models:
-        sizes.setdefault(model.A.shape[0], []).append(model)
-    return sorted(sizes.items(), key=lambda item: item[0])
+def _loops(A: Array, B: Array, C: Array, K: Gains) -> Array:
+    """Closed-loop matrices of stacked models (k, n, n), (k, n, m), (k, p, n) with one controller."""
+    A_K, B_K, C_K, D_K = K
+    size = A.shape[1]
+    loops = np.empty((A.shape[0], size + A_K.shape[0], size + A_K.shape[0]))
+    loops[:, :size, :size] = A + B @ D_K @ C
+    loops[:, :size, size:] = B @ C_K
+    loops[:, size:, :size] = B_K @ C
+    loops[:, size:, size:] = A_K
+    return loops
 
 
 def _effort_penalty(
-    effort: EffortGrid, A_K: Array, B_K: Array, C_K: Array, weight: float = 20.0
-) -> tuple[float, Array, Array, Array]:
-    """weight * sum max(0, |T|/cap - 1)^2 with T = (I - K G)^-1 K, Frobenius norm, and its gradient."""
-    n = A_K.shape[0]
-    P = np.linalg.inv(1j * effort.omega[:, None, None] * np.eye(n) - A_K)
-    PB = P @ B_K
-    K = C_K @ PB
-    G = effort.response
-    S = np.linalg.inv(np.eye(K.shape[1]) - K @ G)
-    T = S @ K
-    size = np.sqrt((np.abs(T) ** 2).sum(axis=(1, 2)))
-    excess = np.maximum(0.0, size / effort.cap - 1.0)
+    omega: Array, G: Complex, cap: Array, K: Gains, weight: float = 20.0
+) -> tuple[float, Array, Array, Array, Array]:
+    """weight * sum max(0, |T|/cap - 1)^2 with T = (I - K G)^-1 K, Frobenius norm, and its gradient.
+
+    omega (f,), G (e, f, p, m), cap (e, f): e plants on one frequency grid.
+    """
+    A_K, B_K, C_K, D_K = K
+    P = np.linalg.inv(1j * omega[:, None, None] * np.eye(A_K.shape[0]) - A_K)
+    PB, CP = P @ B_K, C_K @ P
+    gain = C_K @ PB + D_K
+    loop = np.eye(gain.shape[1]) - gain @ G
+    S = 1.0 / loop if loop.shape[-1] == 1 else np.linalg.inv(loop)
+    T = S @ gain
+    size = np.sqrt((T.real**2 + T.imag**2).sum(axis=(2, 3)))
+    excess = np.maximum(0.0, size / cap - 1.0)
     value = weight * float((excess**2).sum())
     if value == 0.0:
-        return 0.0, np.zeros_like(A_K), np.zeros_like(B_K), np.zeros_like(C_K)
+        return 0.0, np.zeros_like(A_K), np.zeros_like(B_K), np.zeros_like(C_K), np.zeros_like(D_K)
     # d(value) = weight * 2 excess / cap * d|T|,  d|T| = d(|T|^2) / (2 |T|)
-    scale = weight * excess / (effort.cap * np.maximum(size, 1e-300))
+    scale = weight * excess / (cap * np.maximum(size, 1e-300))
+    plants, frequencies = np.nonzero(excess)
+    G, T, S = G[plants, frequencies], T[plants, frequencies], S[plants, frequencies]
+    scale = scale[plants, frequencies]
+    PB, CP = PB[frequencies], CP[frequencies]
     X = (np.eye(G.shape[1]) + G @ T) @ np.conj(T.transpose(0, 2, 1)) @ S * scale[:, None, None]
-    CP = C_K @ P
+    dD = 2.0 * X.sum(axis=0).real.T
     dC = 2.0 * (PB @ X).sum(axis=0).real.T
     dB = 2.0 * (X @ CP).sum(axis=0).real.T
     dA = 2.0 * (PB @ X @ CP).sum(axis=0).real.T
-    return value, dA, dB, dC
+    return value, dA, dB, dC, dD

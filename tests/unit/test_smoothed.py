@@ -21,13 +21,21 @@ def objective() -> Objective:
     omega = np.logspace(-1, 2, 20)
     g = models[0]
     response = g.C @ np.linalg.inv(1j * omega[:, None, None] * np.eye(7) - g.A) @ g.B
-    return Objective(models, 4, [EffortGrid("normal", omega, response, np.full(20, 0.05))], rho=50.0)
+    efforts = [
+        EffortGrid("normal", omega, response, np.full(20, 0.05)),
+        EffortGrid("other cap", omega, 0.5 * response, np.geomspace(0.2, 0.01, 20)),
+        EffortGrid("other grid", omega[::2], response[::2], np.full(10, 0.02)),
+    ]
+    return Objective(models, 4, efforts, rho=50.0, feedthrough=True)
 
 
 def _controller(objective: Objective, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     return objective.pack(
-        rng.normal(size=(4, 4)) * 0.3 - 2.0 * np.eye(4), rng.normal(size=(4, 2)), rng.normal(size=(1, 4))
+        rng.normal(size=(4, 4)) * 0.3 - 2.0 * np.eye(4),
+        rng.normal(size=(4, 2)),
+        rng.normal(size=(1, 4)),
+        0.1 * rng.normal(size=(1, 2)),
     )
 
 
@@ -46,9 +54,9 @@ def test_gradient_agrees_with_central_differences(objective: Objective, seed: in
 
 def test_gradient_of_the_pole_band(objective: Objective) -> None:
     theta = _controller(objective, 3)
-    A, B, C = objective.unpack(theta)
+    A, B, C, D = objective.unpack(theta)
     A = A - A + np.diag([-500.0, -0.01, -1.0, -400.0]) + 0.01 * A
-    theta = objective.pack(A, B, C)
+    theta = objective.pack(A, B, C, D)
     _, gradient = objective(theta)
     direction = np.zeros_like(theta)
     direction[:16] = np.random.default_rng(4).normal(size=16)
@@ -59,7 +67,7 @@ def test_gradient_of_the_pole_band(objective: Objective) -> None:
 
 def test_value_tends_to_the_worst_excess_as_rho_grows(objective: Objective) -> None:
     theta = _controller(objective, 5)
-    sharp = Objective(objective.models, 4, rho=1e5)
+    sharp = Objective(objective.models, 4, rho=1e5, feedthrough=True)
     excess = []
     for A in sharp.closed_loops(theta):
         eigenvalues = np.linalg.eigvals(A)
@@ -75,6 +83,6 @@ def test_a_mask_fixes_the_structure(objective: Objective) -> None:
     mask[:16] = np.eye(4, dtype=bool).ravel()
     masked = Objective(objective.models, 4, mask=mask)
     theta = np.arange(1.0, mask.sum() + 1.0)
-    A, _, _ = masked.unpack(theta)
+    A, _, _, _ = masked.unpack(theta)
     assert np.array_equal(A, np.diag([1.0, 2.0, 3.0, 4.0]))
     assert np.array_equal(masked.pack(*masked.unpack(theta)), theta)
