@@ -7,6 +7,7 @@ followed while the loop's gain rises from 0 to 1, so that a controller's own pol
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import control
@@ -16,7 +17,8 @@ from scipy.optimize import linear_sum_assignment, minimize_scalar
 
 from .conditions import Condition
 from .controller import Controller
-from .delay import DelayError, delayed_loop, rightmost_roots, track_roots
+from .delay import DelayError, delayed_loop, rightmost_roots, track_gain, track_roots
+from .errors import UncertifiedDesign
 from .linearise import select
 from .modes import Modes, damping_ratio
 from .norms import hinf_of
@@ -122,8 +124,7 @@ def _condition_row(
     else:
         loop = delayed_loop(plant, K, dict(condition.latency_s_of), lost=condition.lost)
         rightmost = complex(rightmost_roots(loop, right_of=0.0)[0])
-        latency = max(condition.latency_s_of.values())
-        poles = _delayed_poles(plant, K, poles, condition, latency)
+        poles = _delayed_poles(plant, K, modes, poles, condition)
     return {
         "condition": condition.name,
         "stable": bool(rightmost.real < 0.0),
@@ -135,19 +136,48 @@ def _condition_row(
 def _delayed_poles(
     plant: control.StateSpace,
     K: control.StateSpace,
+    modes: Modes,
     poles: Mapping[str, complex],
     condition: Condition,
-    latency_s: float,
 ) -> dict[str, complex]:
-    """Follow the swing poles of the loop to its latency; a pole that gets lost on the way is left out."""
-    loop = delayed_loop(plant, K, lost=condition.lost)
-    followed = {}
+    """Follow the swing poles of the loop to its latency, or those of the open loop along the gain at it.
+
+    Raises UncertifiedDesign naming a mode that neither way leads to, or two that end in one pole.
+    """
+    loop = delayed_loop(plant, K, condition.latency_s_of, lost=condition.lost)
+    fixed = delayed_loop(plant, K, lost=condition.lost)
+    latency = max(condition.latency_s_of.values())
+    together = len(set(condition.latency_s_of.values())) == 1
+    followed: dict[str, complex] = {}
     for name, pole in poles.items():
-        try:
-            followed[name] = complex(track_roots(loop, tuple(condition.latency_s_of), [latency_s], pole)[-1])
-        except DelayError:
-            continue
+        found = None
+        if together:
+            with suppress(DelayError):
+                found = complex(track_roots(fixed, tuple(condition.latency_s_of), [latency], pole)[-1])
+        if found is None or _taken(found, followed):
+            try:
+                found = track_gain(loop, modes[name].eigenvalue)
+            except DelayError as error:
+                raise UncertifiedDesign(
+                    f"condition {condition.name!r}: the pole of mode {name!r} was lost on its way from the "
+                    f"open loop ({error}); its damping is not known, so this controller is not certified"
+                ) from error
+        twin = _taken(found, followed)
+        if twin is not None:
+            raise UncertifiedDesign(
+                f"condition {condition.name!r}: modes {twin!r} and {name!r} both lead to the pole "
+                f"{found:.6g}; one of them is not known, so this controller is not certified"
+            )
+        followed[name] = found
     return followed
+
+
+def _taken(pole: complex, followed: Mapping[str, complex]) -> str | None:
+    """Name of the mode that already has this pole, or its conjugate."""
+    for name, other in followed.items():
+        if min(abs(pole - other), abs(pole - other.conjugate())) <= 1e-7 * (1.0 + abs(pole)):
+            return name
+    return None
 
 
 def effort(plant: control.StateSpace, K: control.StateSpace) -> float:

@@ -23,6 +23,7 @@ from .delay_roots import (
     rightmost_roots,
     stability_map_of,
     sweep_latency,
+    track_gain,
     track_roots,
 )
 from .linearise import select
@@ -41,6 +42,7 @@ __all__ = [
     "rightmost_roots",
     "stability_map",
     "sweep_latency",
+    "track_gain",
     "track_roots",
 ]
 

@@ -11,7 +11,7 @@ discretisation decides only how many roots are found, not how accurate they are.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -264,28 +264,69 @@ def track_roots(
     *,
     step_s: float = 0.005,
 ) -> ComplexMatrix:
-    """Follow one root from latency 0 of `signals` through increasing latencies, shape (k,)."""
+    """Follow one root from latency 0 of `signals` through increasing latencies, shape (k,).
+
+    Raises DelayError where the root can no longer be told from others.
+    """
     loop = loop.balanced()
-    s, v, error = newton(loop.at(dict.fromkeys(signals, 0.0)), start)
-    if not error <= 1e-10 or abs(s - start) > 1e-2 * (1.0 + abs(start)):
-        raise DelayError(f"{start:.6g} is not a root of the loop without latency (nearest found {s:.6g})")
+
+    def at(latency_s: float) -> DelayedLoop:
+        return loop.at(dict.fromkeys(signals, latency_s))
+
+    s, v = _root_near(at(0.0), start, "the loop without latency")
     now, out = 0.0, []
     for target in np.asarray(latencies_s, dtype=float):
         if target < now:
             raise DelayError(f"latencies must increase and not be negative; {target:g} s follows {now:g} s")
-        step = step_s
-        while now < target:
-            ahead = min(now + step, target)
-            root, vector, error = newton(loop.at(dict.fromkeys(signals, ahead)), s, v)
-            # the same root turns its vector little; a jump to another one does not
-            if error <= 1e-10 and abs(np.vdot(v, vector)) >= 0.95:
-                s, v, now, step = root, vector, ahead, min(1.5 * step, step_s)
-            elif step > 1e-4 * step_s:
-                step *= 0.5
-            else:
-                raise DelayError(f"lost the root near {s:.6g} at {ahead:g} s of latency")
+        s, v = _follow(at, s, v, now, target, step_s, "s of latency")
+        now = target
         out.append(s)
     return np.array(out)
+
+
+def track_gain(loop: DelayedLoop, start: complex, *, step: float = 0.02) -> complex:
+    """Follow one root of the open loop while the gain of every channel rises from 0 to 1, latencies kept.
+
+    Raises DelayError where the root can no longer be told from others.
+    """
+    loop = loop.balanced()
+
+    def at(gain: float) -> DelayedLoop:
+        return replace(loop, channels=tuple(replace(ch, b=gain * ch.b) for ch in loop.channels))
+
+    s, v = _root_near(at(0.0), start, "the open loop")
+    return _follow(at, s, v, 0.0, 1.0, step, "of the gain")[0]
+
+
+def _root_near(loop: DelayedLoop, start: complex, what: str) -> tuple[complex, ComplexMatrix]:
+    s, v, error = newton(loop, start)
+    if not error <= 1e-10 or abs(s - start) > 1e-2 * (1.0 + abs(start)):
+        raise DelayError(f"{start:.6g} is not a root of {what} (nearest found {s:.6g})")
+    return s, v
+
+
+def _follow(
+    loop_at: Callable[[float], DelayedLoop],
+    s: complex,
+    v: ComplexMatrix,
+    now: float,
+    target: float,
+    longest: float,
+    unit: str,
+) -> tuple[complex, ComplexMatrix]:
+    """Follow a root and its vector from `now` to `target` in steps of at most `longest`."""
+    step = longest
+    while now < target:
+        ahead = min(now + step, target)
+        root, vector, error = newton(loop_at(ahead), s, v)
+        # the same root turns its vector little; a jump to another one does not
+        if error <= 1e-10 and abs(np.vdot(v, vector)) >= 0.95:
+            s, v, now, step = root, vector, ahead, min(1.5 * step, longest)
+        elif step > 1e-4 * longest:
+            step *= 0.5
+        else:
+            raise DelayError(f"lost the root near {s:.6g} at {ahead:g} {unit}")
+    return s, v
 
 
 def sweep_latency(

@@ -17,14 +17,18 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
 
+from .balancing import projections
 from .conditions import Condition
 from .delay import pade
 from .errors import InfeasibleDesign
 from .linearise import select, speeds_in_rad
-from .norms import frequency_response
+from .norms import frequency_response, gramian_factor
 from .reduction import balanced_truncation
 from .smoothed import Array, BandOffsets, Complex, DesignModel, EffortGrid, Gains, Objective
 from .solve import one_blas_thread
+
+#: evaluations between two balancings of the controller
+ROUND = 300
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,8 @@ class RobustSpec:
     sees : actuator -> (signals, order) of a decentralised controller; empty = one full controller.
     effort_cap : (omega, cap) nodes in rad/s and pu per rad/s, log-log interpolated; None = no cap.
     washout_s : time constant of sT/(1+sT) in series with each output; 0 = none.
+    dc_block : K(0) = 0 by D = C A^-1 B instead of a washout in series: no state is spent on it.
+    slowest_pole : rad/s, of the controller; with `dc_block` the least corner of its high pass.
     feedthrough : whether D of the controller is free too, which costs no state.
     """
 
@@ -48,13 +54,14 @@ class RobustSpec:
     effort_cap: tuple[tuple[float, float], ...] | None = ((0.05, 0.15), (300.0, 0.15))
     washout_s: float = 2.0
     feedthrough: bool = True
+    dc_block: bool = False
+    slowest_pole: float = 0.06
     offsets: BandOffsets = field(default_factory=BandOffsets)
     plant_order: int = 16
     pade_order: int = 3
     starts: int = 6
-    evaluations: int = 600
-    polish: int = 1500  #: evaluations of a polish
-    polishes: int = 8  #: at most; ends when one gains less than 1e-5
+    evaluations: int = 1800  #: of each start
+    polishes: int = 20  #: rounds of the best start at most; ends when three gain less than 1e-5 in all
     seed: int = 1
 
     def __post_init__(self) -> None:
@@ -113,7 +120,7 @@ def design_robust(
     count = 0
     with one_blas_thread():
         for k in range(spec.starts):
-            theta, used = _descend(objective, _stable_start(objective, rng), spec.evaluations)
+            theta, used = _descend(objective, _stable_start(objective, rng), spec.evaluations // ROUND)
             count += used
             value = objective(theta)[0]
             reached.append(value)
@@ -123,16 +130,12 @@ def design_robust(
                 progress(f"start {k + 1} of {spec.starts}", value)
         assert best is not None
         value, theta = best
-        # the objective is nearly non-smooth: dropping the Hessian's memory frees a stalled search
-        for k in range(spec.polishes):
-            better, used = _descend(objective, theta, spec.polish)
+        for k in range(0, spec.polishes, 3):
+            theta, used = _descend(objective, theta, 3)
             count += used
-            reached_now = objective(better)[0]
-            gained = value - reached_now
-            if gained > 0.0:
-                value, theta = reached_now, better
+            gained, value = value - objective(theta)[0], objective(theta)[0]
             if progress is not None:
-                progress(f"polish {k + 1} of {spec.polishes}", value)
+                progress(f"polish {k + 3} of {spec.polishes}", value)
             if not gained > 1e-5:
                 break
     rightmost, worst = objective.worst(theta)
@@ -170,6 +173,8 @@ def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, 
         offsets=spec.offsets,
         mask=_structure(spec),
         feedthrough=spec.feedthrough,
+        dc_block=spec.dc_block,
+        slowest_pole=spec.slowest_pole,
     )
 
 
@@ -267,16 +272,43 @@ def _stable_start(objective: Objective, rng: np.random.Generator) -> Array:
     return objective.pack(A, B, C)
 
 
-def _descend(objective: Objective, start: Array, evaluations: int) -> tuple[Array, int]:
-    """L-BFGS with the analytic gradient; the last iterate is the best it saw."""
-    result = minimize(
-        objective,
-        start,
-        jac=True,
-        method="L-BFGS-B",
-        options={"maxfun": evaluations, "maxiter": evaluations, "maxcor": 30, "ftol": 1e-12, "gtol": 1e-9},
-    )
-    return np.asarray(result.x), int(result.nfev)
+def _descend(objective: Objective, start: Array, rounds: int) -> tuple[Array, int]:
+    """L-BFGS with the analytic gradient, K balanced before each round; return the best and evaluations.
+
+    The objective is nearly non-smooth and does not see the coordinates of K: balanced ones, and dropping the
+    Hessian's memory with the old ones, free a search that has stalled.
+    """
+    best, value, count = start, objective(start)[0], 0
+    for _ in range(max(rounds, 1)):
+        result = minimize(
+            objective,
+            balanced_parameters(objective, best),
+            jac=True,
+            method="L-BFGS-B",
+            options={"maxfun": ROUND, "maxiter": ROUND, "maxcor": 30, "ftol": 1e-12, "gtol": 1e-9},
+        )
+        count += int(result.nfev)
+        if not result.fun < value:
+            break
+        best, value = np.asarray(result.x), float(result.fun)
+    return best, count
+
+
+def balanced_parameters(objective: Objective, theta: Array) -> Array:
+    """Return the same controller in coordinates where both its Gramians are equal and diagonal.
+
+    Of a decentralised one each part by itself. One that is not stable, or not minimal, stays as it is.
+    """
+    A, B, C, D = (M.copy() for M in objective.unpack(theta))
+    for states in objective.parts:
+        part = (A[np.ix_(states, states)], B[states], C[:, states])
+        if not np.linalg.eigvals(part[0]).real.max() < -1e-9:
+            return theta
+        W, T, values = projections(gramian_factor(part[0], part[1]), gramian_factor(part[0].T, part[2].T))
+        if W.shape[1] < len(states) or not values[-1] > 1e-9 * values[0]:
+            return theta
+        A[np.ix_(states, states)], B[states], C[:, states] = W.T @ part[0] @ T, W.T @ part[1], part[2] @ T
+    return objective.pack(A, B, C, D)
 
 
 def _with_washout(K: Gains, spec: RobustSpec) -> control.StateSpace:

@@ -70,7 +70,8 @@ class Objective:
     """f(K) and its gradient; `order`, `n_y`, `n_u` fix the shapes, `mask` the structure.
 
     The parameter vector holds A_K, B_K, C_K, D_K row by row, masked entries left out; without a mask D_K
-    is left out too unless `feedthrough` is set.
+    is left out too unless `feedthrough` is set. With `dc_block` D_K is no parameter but C_K A_K^-1 B_K, so
+    that K(0) = 0: a washout that costs no state, its corner the slowest pole of K.
     """
 
     models: Sequence[DesignModel]
@@ -82,6 +83,7 @@ class Objective:
     slowest_pole: float = 0.06  #: rad/s
     mask: npt.NDArray[np.bool_] | None = None
     feedthrough: bool = False
+    dc_block: bool = False
 
     @property
     def n_y(self) -> int:
@@ -94,16 +96,28 @@ class Objective:
         return int(self.models[0].B.shape[1])
 
     @cached_property
+    def parts(self) -> list[list[int]]:
+        """States of each part of K that no entry of A_K couples to the others."""
+        n = self.order
+        joined = self._free[: n * n].reshape(n, n)
+        parts: list[list[int]] = []
+        for k in range(n):
+            linked = [part for part in parts if joined[k, part].any() or joined[part, k].any()]
+            parts = [part for part in parts if part not in linked]
+            parts.append(sorted([k, *(i for part in linked for i in part)]))
+        return parts
+
+    @cached_property
     def _free(self) -> npt.NDArray[np.bool_]:
         n, p, m = self.order, self.n_y, self.n_u
         free = np.ones(n * n + n * p + m * n + m * p, dtype=bool)
-        free[n * n + n * p + m * n :] = self.feedthrough
+        free[n * n + n * p + m * n :] = self.feedthrough and not self.dc_block
         if self.mask is not None:
             free[: self.mask.size] &= self.mask
         return free
 
     @cached_property
-    def _groups(self) -> list[tuple[list[DesignModel], Array, Array, Array]]:
+    def groups(self) -> list[tuple[list[DesignModel], Array, Array, Array]]:
         """Models of equal size with A, B, C stacked."""
         sizes: dict[int, list[DesignModel]] = {}
         for model in self.models:
@@ -119,7 +133,7 @@ class Objective:
         ]
 
     @cached_property
-    def _grids(self) -> list[tuple[Array, Complex, Array]]:
+    def grids(self) -> list[tuple[Array, Complex, Array]]:
         """Effort grids of equal frequencies stacked: omega (f,), responses (e, f, p, m), caps (e, f)."""
         stacks: list[tuple[Array, list[Complex], list[Array]]] = []
         for effort in self.efforts:
@@ -138,12 +152,8 @@ class Objective:
         full = np.zeros(self._free.size)
         full[self._free] = theta
         a, b, c = n * n, n * n + n * p, n * n + n * p + m * n
-        return (
-            full[:a].reshape(n, n),
-            full[a:b].reshape(n, p),
-            full[b:c].reshape(m, n),
-            full[c:].reshape(m, p),
-        )
+        A, B, C = full[:a].reshape(n, n), full[a:b].reshape(n, p), full[b:c].reshape(m, n)
+        return A, B, C, C @ np.linalg.solve(A, B) if self.dc_block else full[c:].reshape(m, p)
 
     def pack(self, A: Array, B: Array, C: Array, D: Array | None = None) -> Array:
         """Return the parameter vector of (A_K, B_K, C_K, D_K) or of gradients of that shape."""
@@ -152,8 +162,7 @@ class Objective:
 
     def closed_loops(self, theta: Array) -> list[Array]:
         """Return the closed-loop matrix of every design model."""
-        K = self.unpack(theta)
-        return [loop for _, A, B, C in self._groups for loop in _loops(A, B, C, K)]
+        return [loop for loops in self.loops(self.unpack(theta)) for loop in loops]
 
     def worst(self, theta: Array) -> tuple[float, float]:
         """Return (largest real part, least damping ratio among modes above 0.2 rad/s) over all models."""
@@ -166,18 +175,35 @@ class Objective:
         """Return f and its gradient."""
         K = self.unpack(theta)
         f, *gradient = self._damping(K)
-        for omega, responses, caps in self._grids:
+        for omega, responses, caps in self.grids:
             g, *more = _effort_penalty(omega, responses, caps, K)
             f, gradient = f + g, [have + add for have, add in zip(gradient, more, strict=True)]
         g, pA = self._pole_penalty(K[0])
         gradient[0] = gradient[0] + pA
-        return f + g, self.pack(*gradient)
+        return f + g, self.pack_gradient(K, *gradient)
+
+    def pack_gradient(
+        self, K: Gains, dA: Array, dB: Array | None = None, dC: Array | None = None, dD: Array | None = None
+    ) -> Array:
+        """Return the gradient over the parameters at K of gradients over A_K, B_K, C_K and D_K (None: 0)."""
+        A, B, C, _ = K
+        dB = np.zeros_like(B) if dB is None else dB
+        dC = np.zeros_like(C) if dC is None else dC
+        if self.dc_block and dD is not None:
+            # D = C A^-1 B: its part is handed on to A, B and C
+            AB, CA = np.linalg.solve(A, B), np.linalg.solve(A.T, C.T)
+            dA, dB, dC = dA - CA @ dD @ AB.T, dB + CA @ dD, dC + dD @ AB.T
+        return self.pack(dA, dB, dC, dD)
+
+    def loops(self, K: Gains) -> list[Array]:
+        """Return the closed-loop matrices (k, n, n) of each group of equal size."""
+        return [_loops(A, B, C, K) for _, A, B, C in self.groups]
 
     def _damping(self, K: Gains) -> tuple[float, Array, Array, Array, Array]:
         spectra = []
-        for group, A, B, C in self._groups:
+        for group, A, B, C in self.groups:
             eigenvalues, right = np.linalg.eig(_loops(A, B, C, K))
-            spectra.append((group, A.shape[1], right, *self._excess(eigenvalues)))
+            spectra.append((group, A.shape[1], right, *self.excess(eigenvalues)))
         top = max(float(v.max()) for *_, v, _ in spectra)
         total = sum(float(np.exp(self.rho * (v - top)).sum()) for *_, v, _ in spectra)
         f = top + np.log(total) / self.rho
@@ -198,7 +224,7 @@ class Objective:
                 dA += M[size:, size:]
         return float(f), dA, dB, dC, dD
 
-    def _excess(self, eigenvalues: Complex) -> tuple[Array, Complex]:
+    def excess(self, eigenvalues: Complex) -> tuple[Array, Complex]:
         """v of every eigenvalue and dv/da - j dv/db."""
         a, b = eigenvalues.real, eigenvalues.imag
         modulus = np.abs(eigenvalues)

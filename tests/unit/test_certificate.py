@@ -6,8 +6,19 @@ import control
 import numpy as np
 import pytest
 
-from interarea.design.certificate import closed_loop_matrix, effort, loss_criterion, remote_utilisation
+from interarea.design.certificate import (
+    _delayed_poles,
+    certificate,
+    closed_loop_matrix,
+    effort,
+    loss_criterion,
+    remote_utilisation,
+)
 from interarea.design.conditions import Condition, condition_of
+from interarea.design.controller import Controller
+from interarea.design.delay import delayed_loop, track_gain, track_roots
+from interarea.design.errors import UncertifiedDesign
+from interarea.design.modes import Mode, Modes
 
 
 def first_order_plant() -> control.StateSpace:
@@ -60,3 +71,65 @@ def test_codes_of_conditions() -> None:
         condition_of("x5", "G4_dw", "G2_dw")
     with pytest.raises(ValueError, match="finite and not negative"):
         Condition("late", (), {"G2_dw": -0.1})
+
+
+def swinging_plant() -> control.StateSpace:
+    """Two swings of 0.05 damping at 3 and 7 rad/s behind one actuator, both seen by both signals."""
+    blocks = [np.array([[0.0, 1.0], [-(w**2), -2.0 * 0.05 * w]]) for w in (3.0, 7.0)]
+    A = np.block([[blocks[0], np.zeros((2, 2))], [np.zeros((2, 2)), blocks[1]]])
+    B = np.array([[0.0], [1.0], [0.0], [0.7]])
+    C = np.array([[0.0, 1.0, 0.0, -1.0], [0.0, 1.0, 0.0, 1.0]])
+    return control.ss(A, B, C, np.zeros((2, 1)), inputs=["G4_vs"], outputs=["G2_dw", "G4_dw"])
+
+
+def swings(**eigenvalue_of: complex) -> Modes:
+    zero = np.zeros(4, complex)
+    made = {
+        name.replace("_", "-"): Mode(name.replace("_", "-"), z, {}, {}, 1.0, zero, zero)
+        for name, z in eigenvalue_of.items()
+    }
+    return Modes(made, np.array(list(eigenvalue_of.values())))
+
+
+def swing_root(omega: float) -> complex:
+    return complex(-0.05 * omega, omega * np.sqrt(1.0 - 0.05**2))
+
+
+def test_a_pole_followed_along_gain_is_the_one_followed_along_latency() -> None:
+    plant, K = swinging_plant(), lag_controller(-0.5, -1.0)
+    late = {"G2_dw": 0.1, "G4_dw": 0.1}
+    for omega in (3.0, 7.0):
+        at_gain = track_gain(delayed_loop(plant, K, late), swing_root(omega))
+        undelayed = track_gain(delayed_loop(plant, K), swing_root(omega))
+        along = track_roots(delayed_loop(plant, K), tuple(late), [0.1], undelayed)[-1]
+        assert at_gain == pytest.approx(along, abs=1e-9)
+
+
+def test_conditions_with_a_latency_of_each_signal_are_judged_at_those_latencies() -> None:
+    plant, K = swinging_plant(), lag_controller(-0.5, -1.0)
+    modes = swings(inter_area=swing_root(3.0), local=swing_root(7.0))
+    condition = Condition("each its own", (), {"G2_dw": 0.2, "G4_dw": 0.05})
+    made = Controller("hand", K)
+    row = certificate(plant, made, modes, [condition])["conditions"][-1]
+    loop = delayed_loop(plant, K, condition.latency_s_of)
+    for name, mode in modes.items():
+        pole = track_gain(loop, mode.eigenvalue)
+        assert np.linalg.svd(loop.characteristic(pole)[0], compute_uv=False)[-1] < 1e-9
+        assert row["damping_ratio"][name] == pytest.approx(-pole.real / abs(pole), abs=1e-9)
+
+
+def test_a_swing_pole_that_cannot_be_told_apart_is_a_failure() -> None:
+    plant, K = swinging_plant(), lag_controller(-0.5, -1.0)
+    same = swings(inter_area=swing_root(3.0), local=swing_root(3.0))
+    with pytest.raises(UncertifiedDesign, match=r"'late': .*'inter-area'.*'local'.*both lead"):
+        poles = {name: track_gain(delayed_loop(plant, K), swing_root(3.0)) for name in same}
+        _delayed_poles(plant, K, same, poles, Condition("late", (), {"G4_dw": 0.1}))
+
+
+def test_a_mode_that_the_plant_does_not_have_is_a_failure() -> None:
+    plant, K = swinging_plant(), lag_controller(-0.5, -1.0)
+    poles = {"inter-area": 40.0 + 40.0j}
+    with pytest.raises(UncertifiedDesign, match=r"mode 'inter-area' was lost .*not a root of the open loop"):
+        _delayed_poles(
+            plant, K, swings(inter_area=40.0 + 40.0j), poles, Condition("late", (), {"G4_dw": 0.1})
+        )
