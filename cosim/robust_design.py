@@ -5,15 +5,16 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import control
 import numpy as np
 from fmpy import read_model_description
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from interarea.design.conditions import Condition, condition_of
+from interarea.design.conditions import Condition, condition_of_many
 from interarea.design.controller import Controller, ControllerError
 from interarea.design.family import FamilyCertificate, judge_family
 from interarea.design.linearise import remove_reference, speeds_in_rad
@@ -24,6 +25,7 @@ from interarea.models.case_variants import operating_variant
 
 from .artefacts import linear_plant
 from .errors import ScenarioError
+from .synchronism import FaultTable, after_fault, predicted_drive
 
 Positive = Annotated[float, Field(gt=0.0)]
 
@@ -48,30 +50,91 @@ class AskTable(_Table):
     inter_area: float = 0.0
     effort: Positive = float("inf")
     fastest_pole: Positive = float("inf")
+    synchronism: bool = False  #: after the fault of `fault`, at every operating point
+
+
+class PartTable(_Table):
+    """One actuator of a decentralised controller: what it sees, and its order, a washout counted."""
+
+    actuator: str
+    signals: tuple[str, ...] = Field(min_length=1)
+    order: Annotated[int, Field(ge=1, le=20)] = 4
 
 
 class DesignTable(_Table):
-    """A robust design: one controller for a family of operating points, losses and latencies."""
+    """A robust design: one controller for a family of operating points, losses and latencies.
+
+    Either one loop (`remote`, `local`, `actuator`, `order`), or one `part` for each actuator.
+    """
 
     name: str
     case: str
-    remote: str
-    local: str
-    actuator: str
+    remote: str | None = None
+    local: str | None = None
+    actuator: str | None = None
+    order: Annotated[int, Field(ge=1, le=20)] = 6
+    part: tuple[PartTable, ...] = ()
     conditions: tuple[str, ...] = Field(min_length=1)
     point: tuple[PointTable, ...] = Field(min_length=1)
-    order: Annotated[int, Field(ge=1, le=20)] = 6
-    washout_s: Annotated[float, Field(ge=0.0)] = 2.0
+    washout_s: Annotated[float, Field(ge=0.0)] = 0.0
+    dc_block: bool = True
+    feedthrough: bool = False
+    slowest_pole: Positive = 0.3
     effort_cap: tuple[tuple[Positive, Positive], ...] = ((0.05, 0.155), (300.0, 0.155))
     limit_pu: Positive = 0.15
-    starts: Annotated[int, Field(ge=1)] = 5
+    starts: Annotated[int, Field(ge=1)] = 3
+    evaluations: Annotated[int, Field(ge=1)] = 1800
+    polishes: Annotated[int, Field(ge=0)] = 20
     seed: int = 1
     ask: AskTable = AskTable()
+    fault: FaultTable | None = None
     source: str = ""
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the controller's inputs."""
+        if self.part:
+            return tuple(dict.fromkeys(name for part in self.part for name in part.signals))
+        return tuple(name for name in (self.remote, self.local) if name is not None)
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """Names of the controller's outputs."""
+        return tuple(part.actuator for part in self.part) or ((self.actuator,) if self.actuator else ())
+
+    @model_validator(mode="after")
+    def _one_form(self) -> DesignTable:
+        single = {"remote": self.remote, "local": self.local, "actuator": self.actuator}
+        given = [key for key, value in single.items() if value is not None]
+        if self.part and given:
+            raise ValueError(f"give either [[part]] or {', '.join(single)}, got both ({', '.join(given)})")
+        if not self.part and len(given) < len(single):
+            missing = [key for key in single if key not in given]
+            raise ValueError(f"missing {', '.join(missing)} (or one [[part]] for each actuator)")
+        return self
 
     def family(self) -> tuple[Condition, ...]:
         """Return the conditions of the codes in `conditions`."""
-        return tuple(condition_of(code, self.local, self.remote) for code in self.conditions)
+        return tuple(condition_of_many(code, self.signals, remote=self.remote) for code in self.conditions)
+
+    def spec(self) -> RobustSpec:
+        """Return what the optimisation is to do."""
+        return RobustSpec(
+            self.signals,
+            self.actuators,
+            self.family(),
+            order=self.order,
+            sees={part.actuator: (part.signals, part.order) for part in self.part},
+            washout_s=self.washout_s,
+            dc_block=self.dc_block,
+            feedthrough=self.feedthrough,
+            slowest_pole=self.slowest_pole,
+            effort_cap=self.effort_cap,
+            starts=self.starts,
+            evaluations=self.evaluations,
+            polishes=self.polishes,
+            seed=self.seed,
+        )
 
 
 def load_design(path: str | Path) -> DesignTable:
@@ -84,7 +147,7 @@ def load_design(path: str | Path) -> DesignTable:
     file = bundled if not path.suffix and bundled.exists() else path
     try:
         table = DesignTable.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
-        table.family()
+        table.spec()
     except FileNotFoundError as error:
         raise ScenarioError(f"design {path}: no such file; bundled: {', '.join(design_names())}") from error
     except tomllib.TOMLDecodeError as error:
@@ -92,7 +155,8 @@ def load_design(path: str | Path) -> DesignTable:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        raise ScenarioError(f"{path}: {key} = {first['input']!r}: {first['msg'].lower()}") from error
+        said = f"{key} = {first['input']!r}: {first['msg'].lower()}" if key else first["msg"]
+        raise ScenarioError(f"{path}: {said}") from error
     except ValueError as error:
         raise ScenarioError(f"{path}: {error}") from error
     return table
@@ -125,78 +189,68 @@ def run_design(
     """Design the controller of `table`; its certificate, on full plants with exact latency, comes with it."""
     plants = family_plants(table, cache)
     omega_b = load_case(table.case).omega_b
-    spec = RobustSpec(
-        (table.remote, table.local),
-        (table.actuator,),
-        table.family(),
-        order=table.order,
-        washout_s=table.washout_s,
-        effort_cap=table.effort_cap,
-        starts=table.starts,
-        seed=table.seed,
-    )
-    made = design_robust(plants, spec, omega_b, progress=progress)
+    made = design_robust(plants, table.spec(), omega_b, progress=progress)
     facts = {
         "method": "smoothed worst damping over operating points, losses and latencies",
-        "specification": table.model_dump(mode="json", exclude={"ask"}),
+        "specification": table.model_dump(mode="json"),
         "objective": made.objective,
         "evaluations": made.evaluations,
     }
-    record = certify(table, made.system, cache).as_dict()
-    return Controller(table.name, made.system, table.limit_pu, facts, record)
+    controller = Controller(table.name, made.system, table.limit_pu, facts)
+    return replace(controller, certificate=certify(table, controller, cache).as_dict())
 
 
-def certify(table: DesignTable, K: control.StateSpace, cache: Path) -> FamilyCertificate:
-    """Judge a controller (speeds in rad/s) on the family of a design and by what it asks."""
+def certify(table: DesignTable, controller: Controller, cache: Path) -> FamilyCertificate:
+    """Judge a controller on the family of a design and by what it asks; its fault is run at every point."""
     omega_b = load_case(table.case).omega_b
     plants = {name: speeds_in_rad(p, omega_b) for name, p in family_plants(table, cache).items()}
-    return judge_family(
+    found = judge_family(
         plants,
-        K,
+        controller.system,
         table.family(),
         worst_swing=table.ask.worst_swing,
         inter_area=table.ask.inter_area,
         effort_cap=table.ask.effort,
         fastest_pole=table.ask.fastest_pole,
     )
-
-
-def any_controller(name: str, omega_b: float) -> Controller:
-    """Return a shipped controller, one from a JSON file, or one read from the parameters of its FMU alone."""
-    if name in shipped_names():
-        return shipped_controller(name)
-    path = Path(name)
-    if path.suffix == ".fmu":
-        return _from_fmu(path, omega_b)
-    return Controller.load(path)
-
-
-def _from_fmu(path: Path, omega_b: float) -> Controller:
-    """Read A, B, C, D (pu) and the limit from an FMU's parameters; speeds become rad/s."""
-    if not path.is_file():
-        raise ControllerError(f"controller FMU {path}: not found")
-    description = read_model_description(str(path))
-    variables = description.modelVariables
-    starts = {v.name: v.start for v in variables if v.causality == "parameter"}
-    inputs = [v.name for v in variables if v.causality == "input"]
-    outputs = [v.name for v in variables if v.causality == "output"]
-    orders = [int(m[1]) for n in starts if (m := re.fullmatch(r"A\[(\d+),\1\]", n))]
-    if not orders:
-        raise ControllerError(f"controller FMU {path}: has no parameter A[1,1]: no linear controller")
-    n = max(orders)
-
-    def matrix(letter: str, rows: int, columns: int) -> Any:
-        return np.array(
-            [[float(starts[f"{letter}[{i + 1},{j + 1}]"]) for j in range(columns)] for i in range(rows)]
-        ).reshape(rows, columns)
-
-    scale = np.array([omega_b if name.endswith("_dw") else 1.0 for name in inputs])
-    system = control.ss(
-        matrix("A", n, n),
-        matrix("B", n, len(inputs)) / scale,
-        matrix("C", len(outputs), n),
-        matrix("D", len(outputs), len(inputs)) / scale,
-        inputs=inputs,
-        outputs=outputs,
+    if table.fault is None:
+        return found
+    cases = family_cases(table)
+    losses = list(dict.fromkeys(c.lost for c in table.family() if c.lost)) or [()]
+    drive, predicted = predicted_drive(controller, cases, table.fault, losses, cache)
+    runs = [
+        after_fault(controller, point, case, table.fault, lost, cache)
+        for point, case in cases.items()
+        for lost in losses
+    ]
+    missed = tuple(
+        f"{run.point}, fault with {' and '.join(run.lost) or 'nothing'} lost: "
+        + (f"settled after {run.settled_s:.1f} s" if run.synchronism else "synchronism lost")
+        for run in runs
+        if not run.passed
     )
-    return Controller(description.modelName, system, float(starts["limit"]), {"method": "read from the FMU"})
+    return replace(
+        found,
+        drive=drive,
+        predicted=predicted,
+        faults=tuple(asdict(run) for run in runs),
+        violations=(*found.violations, *(missed if table.ask.synchronism else ())),
+    )
+
+
+def specification_of(controller: Controller) -> DesignTable | None:
+    """Return the design that a controller carries in its record, None where it carries none.
+
+    Raises ScenarioError where the record is there and is no design.
+    """
+    given = controller.design.get("specification")
+    if given is None:
+        return None
+    try:
+        return DesignTable.model_validate(given)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise ScenarioError(
+            f"controller {controller.name}: its specification: {key}: {first['msg'].lower()}"
+        ) from error

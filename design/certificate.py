@@ -202,27 +202,32 @@ def remote_utilisation(K: control.StateSpace, remote: str, omega: float) -> floa
     return part / total if total > 0.0 else 0.0
 
 
-def loss_criterion(plant: control.StateSpace, K: control.StateSpace, local: str) -> float:
-    """Return the largest K_local(s) G_local(s) over real s >= 0.
+def loss_criterion(plant: control.StateSpace, K: control.StateSpace, kept: str | Sequence[str]) -> float:
+    """Return the largest real eigenvalue of K_kept(s) G_kept(s) over real s >= 0.
 
-    Above 1 the loop with the remote signal lost is unstable: this is the loop gain of the local signal
-    alone, and where it passes 1 at a real s there is a real closed-loop pole. Searched at s = 0 and on 400
-    points from 1e-3 to 1e3 rad/s, then polished between neighbours.
+    Above 1 the loop that is left with the other signals lost is unstable: this is the loop gain of the kept
+    signals, and where an eigenvalue passes 1 at a real s there is a real closed-loop pole. Searched at s = 0
+    and on 400 points from 1e-3 to 1e3 rad/s, then polished between neighbours.
 
-    plant : full plant without reference angle, speeds in rad/s, stable in open loop. local : its name.
+    plant : full plant without reference angle, speeds in rad/s, stable in open loop. kept : names of signals.
     """
-    G = select(plant, list(K.output_labels), [local])
-    b = np.asarray(K.B)[:, [list(K.input_labels).index(local)]]
-    d = np.asarray(K.D)[:, [list(K.input_labels).index(local)]]
+    names = [kept] if isinstance(kept, str) else list(kept)
+    if not names:
+        return 0.0
+    G = select(plant, list(K.output_labels), names)
+    columns = [list(K.input_labels).index(name) for name in names]
+    b, d = np.asarray(K.B)[:, columns], np.asarray(K.D)[:, columns]
 
     def gain(s: float) -> float:
         k = K.C @ np.linalg.solve(s * np.eye(K.nstates) - K.A, b) + d
         g = G.C @ np.linalg.solve(s * np.eye(G.nstates) - G.A, G.B) + G.D
-        return float(np.real(g @ k).max())
+        values = np.linalg.eigvals(k @ g)
+        real = values.real[np.abs(values.imag) <= 1e-9 * (1.0 + np.abs(values))]
+        return float(real.max(initial=-np.inf))
 
     grid = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 400)])
-    values = np.array([gain(s) for s in grid])
-    k = int(np.argmax(values))
+    gains = np.array([gain(s) for s in grid])
+    k = int(np.argmax(gains))
     low, high = grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]
     best = minimize_scalar(lambda s: -gain(s), bounds=(low, high), method="bounded")
-    return max(float(values[k]), -float(best.fun))
+    return max(float(gains[k]), -float(best.fun))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 
@@ -30,17 +30,35 @@ def condition_of(code: str, local: str, remote: str) -> Condition:
 
     Raises ValueError for any other code.
     """
-    lost: tuple[str, ...] = ()
+    return condition_of_many(code, (remote, local), remote=remote)
+
+
+def condition_of_many(code: str, signals: Sequence[str], *, remote: str | None = None) -> Condition:
+    """Return the condition of a short code for any number of signals.
+
+    ``N`` normal, ``L:G2_dw`` that signal lost, ``s100`` every signal late by 100 ms, ``s100+L:G2_dw`` both.
+    With a `remote` signal also ``L``, it is lost, and ``ns150``, it alone is late.
+
+    Raises ValueError for any other code.
+    """
+    lost: list[str] = []
     latency: dict[str, float] = {}
     for part in code.split("+"):
-        digits = part.lstrip("ns")
+        kind, digits = part.rstrip("0123456789"), part.lstrip("ns")
         if part == "N":
             continue
-        if part == "L":
-            lost = (remote,)
-        elif digits.isdigit() and part[: -len(digits)] in ("s", "ns"):
-            late = (remote,) if part.startswith("ns") else (local, remote)
-            latency = dict.fromkeys(late, int(digits) / 1000.0)
+        if part == "L" and remote is not None:
+            lost.append(remote)
+        elif part.startswith("L:") and part[2:] in signals:
+            lost.append(part[2:])
+        elif kind == "s" and digits.isdigit():
+            latency = dict.fromkeys(signals, int(digits) / 1000.0)
+        elif kind == "ns" and digits.isdigit() and remote is not None:
+            latency = {remote: int(digits) / 1000.0}
         else:
-            raise ValueError(f"condition {code!r}: parts are N, L, s<ms> or ns<ms> joined by +, got {part!r}")
-    return Condition(code, lost, {k: v for k, v in latency.items() if k not in lost})
+            short = "N, L, s<ms>, ns<ms>" if remote is not None else "N, s<ms>"
+            raise ValueError(
+                f"condition {code!r}: parts are {short} or L:<one of {', '.join(signals)}> joined by +, "
+                f"got {part!r}"
+            )
+    return Condition(code, tuple(lost), {k: v for k, v in latency.items() if k not in lost})

@@ -7,13 +7,13 @@ plants, exact latency, roots of the characteristic equation.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import control
 import numpy as np
 
-from .certificate import effort
+from .certificate import effort, loss_criterion
 from .conditions import Condition
 from .delay import delayed_loop, rightmost_roots
 
@@ -46,6 +46,14 @@ class FamilyCertificate:
     effort: float  #: pu per rad/s, largest over the operating points, every signal there at once
     fastest_pole: float  #: of the controller, rad/s
     violations: tuple[str, ...]
+    order: int = 0  #: states of the controller, those of its washout counted
+    #: lost signals -> largest loop gain of the rest over real s >= 0 and all points; above 1 it is unstable
+    loss_criterion: Mapping[str, float] = field(default_factory=dict)
+    #: mean pull on the voltage (pu) after the fault of the specification; None where it names no fault
+    drive: float | None = None
+    #: what follows from `drive` for synchronism: "kept", "lost", "uncertain", "not judged"
+    predicted: str = "not judged"
+    faults: tuple[Mapping[str, Any], ...] = ()  #: the runs of that fault, one for each operating point and loss
 
     @property
     def passed(self) -> bool:
@@ -94,7 +102,17 @@ def judge_family(
     violations += [
         f"{name} is {value:.4g}, asked {wanted}" for name, value, held, wanted in asked if not held
     ]
-    return FamilyCertificate(rows, worst, inter, largest, fastest, tuple(violations))
+    lost = {" and ".join(c.lost): c.lost for c in conditions if c.lost}
+    criterion = {
+        name: max(
+            loss_criterion(plant, K, [s for s in K.input_labels if s not in gone])
+            for plant in plants.values()
+        )
+        for name, gone in lost.items()
+    }
+    return FamilyCertificate(
+        rows, worst, inter, largest, fastest, tuple(violations), int(K.nstates), criterion
+    )
 
 
 def _row(point: str, plant: control.StateSpace, K: control.StateSpace, condition: Condition) -> FamilyRow:

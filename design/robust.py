@@ -52,10 +52,10 @@ class RobustSpec:
     order: int = 6
     sees: Mapping[str, tuple[tuple[str, ...], int]] = field(default_factory=dict)
     effort_cap: tuple[tuple[float, float], ...] | None = ((0.05, 0.15), (300.0, 0.15))
-    washout_s: float = 2.0
-    feedthrough: bool = True
-    dc_block: bool = False
-    slowest_pole: float = 0.06
+    washout_s: float = 0.0
+    feedthrough: bool = False
+    dc_block: bool = True
+    slowest_pole: float = 0.3
     offsets: BandOffsets = field(default_factory=BandOffsets)
     plant_order: int = 16
     pade_order: int = 3
@@ -65,6 +65,11 @@ class RobustSpec:
     seed: int = 1
 
     def __post_init__(self) -> None:
+        if self.dc_block and self.washout_s > 0.0:
+            raise ValueError(
+                f"robust design: dc_block and washout_s = {self.washout_s:g} s both make K(0) = 0; "
+                "set dc_block = false or washout_s = 0"
+            )
         filters = int(self.washout_s > 0.0)
         wanted = [(who, order, filters) for who, (_, order) in self.sees.items()]
         for who, order, least in wanted or [("the controller", self.order, filters * len(self.actuators))]:

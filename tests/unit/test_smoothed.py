@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.linalg import solve_continuous_lyapunov
 
+from interarea.design.robust import balanced_parameters
 from interarea.design.smoothed import DesignModel, EffortGrid, Objective
 
 
@@ -29,6 +33,12 @@ def objective() -> Objective:
     return Objective(models, 4, efforts, rho=50.0, feedthrough=True)
 
 
+@pytest.fixture(scope="module")
+def blocking(objective: Objective) -> Objective:
+    """The same without a free D: K(0) = 0 by D = C A^-1 B."""
+    return replace(objective, feedthrough=False, dc_block=True)
+
+
 def _controller(objective: Objective, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     return objective.pack(
@@ -50,6 +60,45 @@ def test_gradient_agrees_with_central_differences(objective: Objective, seed: in
     ]
     # central differences of 1e-6 leave about 1e-6 of the size of the gradient
     assert np.allclose(gradient, numeric, atol=2e-6 * max(1.0, np.abs(gradient).max()))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_gradient_with_the_dc_block_agrees_with_central_differences(blocking: Objective, seed: int) -> None:
+    theta = _controller(blocking, seed)
+    _, gradient = blocking(theta)
+    A, B, C, D = blocking.unpack(theta)
+    assert D - C @ np.linalg.solve(A, B) == pytest.approx(0.0, abs=1e-12)  # K(0) = 0
+    for k in range(0, theta.size, 3):
+        step = np.zeros_like(theta)
+        step[k] = 1e-6
+        difference = (blocking(theta + step)[0] - blocking(theta - step)[0]) / 2e-6
+        assert gradient[k] == pytest.approx(difference, rel=2e-5, abs=2e-6 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_balancing_changes_the_coordinates_and_nothing_else(blocking: Objective, seed: int) -> None:
+    theta = _controller(blocking, seed)
+    balanced = balanced_parameters(blocking, theta)
+    assert np.abs(balanced - theta).max() > 0.01
+    assert blocking(balanced)[0] == pytest.approx(blocking(theta)[0], rel=1e-9)
+    A, B, C, _ = blocking.unpack(balanced)
+    P, Q = solve_continuous_lyapunov(A, -B @ B.T), solve_continuous_lyapunov(A.T, -C.T @ C)
+    assert pytest.approx(Q, abs=1e-9 * np.abs(Q).max()) == P
+    assert pytest.approx(np.diag(np.diag(P)), abs=1e-9 * np.abs(P).max()) == P
+
+
+def test_balancing_keeps_the_parts_of_a_decentralised_controller_apart(objective: Objective) -> None:
+    mask = np.ones(16 + 8 + 4, dtype=bool)
+    mask[:16] = np.kron(np.eye(2), np.ones((2, 2))).astype(bool).ravel()
+    mask[16:24] = np.array([[1, 0], [1, 0], [0, 1], [0, 1]], dtype=bool).ravel()
+    split = replace(objective, mask=mask, feedthrough=False, dc_block=True)
+    assert split.parts == [[0, 1], [2, 3]]
+    theta = np.random.default_rng(5).normal(size=mask.sum())
+    A, B, C, D = split.unpack(theta)
+    theta = split.pack(A - 4.0 * np.eye(4), B, C)
+    balanced = balanced_parameters(split, theta)
+    assert np.abs(balanced - theta).max() > 0.01
+    assert split(balanced)[0] == pytest.approx(split(theta)[0], rel=1e-9)
 
 
 def test_gradient_of_the_pole_band(objective: Objective) -> None:

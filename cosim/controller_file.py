@@ -1,0 +1,57 @@
+"""A controller by its name: shipped, from a JSON file, or read back from its FMU alone."""
+
+from __future__ import annotations
+
+import json
+import re
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+from fmpy import read_model_description
+
+from interarea.design.controller import RECORD, Controller, ControllerError
+from interarea.design.shipped import shipped_controller, shipped_names
+
+
+def any_controller(name: str, omega_b: float) -> Controller:
+    """Return a shipped controller, one from a JSON file, or one read from the parameters of its FMU alone."""
+    if name in shipped_names():
+        return shipped_controller(name)
+    path = Path(name)
+    if path.suffix == ".fmu":
+        return _from_fmu(path, omega_b)
+    return Controller.load(path)
+
+
+def _from_fmu(path: Path, omega_b: float) -> Controller:
+    """Read A, B, C, D (pu) and the limit from an FMU's parameters; speeds become rad/s."""
+    if not path.is_file():
+        raise ControllerError(f"controller FMU {path}: not found")
+    description = read_model_description(str(path))
+    variables = description.modelVariables
+    starts = {v.name: v.start for v in variables if v.causality == "parameter"}
+    inputs = [v.name for v in variables if v.causality == "input"]
+    outputs = [v.name for v in variables if v.causality == "output"]
+    orders = [int(m[1]) for n in starts if (m := re.fullmatch(r"A\[(\d+),\1\]", n))]
+    if not orders:
+        raise ControllerError(f"controller FMU {path}: has no parameter A[1,1]: no linear controller")
+    n = max(orders)
+
+    def matrix(letter: str, rows: int, columns: int) -> Any:
+        return np.array(
+            [[float(starts[f"{letter}[{i + 1},{j + 1}]"]) for j in range(columns)] for i in range(rows)]
+        ).reshape(rows, columns)
+
+    scale = np.array([omega_b if name.endswith("_dw") else 1.0 for name in inputs])
+    system = control.ss(
+        matrix("A", n, n),
+        matrix("B", n, len(inputs)) / scale,
+        matrix("C", len(outputs), n),
+        matrix("D", len(outputs), len(inputs)) / scale,
+        inputs=inputs,
+        outputs=outputs,
+    )
+    return Controller(description.modelName, system, float(starts["limit"]), {"method": "read from the FMU"})
