@@ -16,8 +16,13 @@ if TYPE_CHECKING:
     from interarea.models.case import Case
 
 DesignFile = Annotated[
-    str,
-    typer.Option("--spec", metavar="SPEC.toml", help="design (file or bundled name) whose family judges"),
+    str | None,
+    typer.Option(
+        "--spec",
+        metavar="SPEC.toml",
+        help="design (file or bundled name) whose family judges [default: the controller's own, else robust]",
+        show_default=False,
+    ),
 ]
 
 
@@ -48,19 +53,24 @@ def certify(
         str,
         typer.Argument(metavar="CONTROLLER", help="shipped name, active, JSON file, or FMU"),
     ],
-    spec: DesignFile = "robust",
+    spec: DesignFile = None,
     case: Annotated[str | None, typer.Option("--case", help="another case than the design's")] = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
-    """Recompute a controller's certificate on full plants with exact latency; exit code 1 if it fails."""
+    """Recompute a controller's certificate on full plants with exact latency; exit code 1 if it fails.
+
+    What is judged (operating points, losses, latencies, the fault, what is asked) is in the controller's own
+    record: the FMU alone is enough.
+    """
     from interarea.models.case import load_case
 
     from .artefacts import active_bank, default_cache
     from .bank_certificate import any_bank
-    from .robust_design import any_controller, load_design
+    from .controller_file import any_controller
     from .robust_design import certify as recompute
+    from .robust_design import load_design, specification_of
 
-    table = load_design(spec)
+    table = load_design(spec or "robust")
     if case is not None:
         table = table.model_copy(update={"case": case})
     omega_b = load_case(table.case).omega_b
@@ -73,8 +83,11 @@ def certify(
         _certify_bank(bank, load_case(table.case), json_)
         return
     made = any_controller(controller, omega_b)
+    own = specification_of(made) if spec is None else None
+    if own is not None:
+        table = own if case is None else own.model_copy(update={"case": case})
     with busy(f"certifying {controller}"):
-        found = recompute(table, made.system, default_cache())
+        found = recompute(table, made, default_cache())
     if json_:
         typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
     else:
@@ -128,6 +141,13 @@ def _show(name: str, found: FamilyCertificate) -> None:
         f"worst swing {found.worst_swing:.4f}, inter-area {found.inter_area:.4f}, effort {found.effort:.4f}, "
         f"fastest pole {found.fastest_pole:.1f} rad/s"
     )
+    for lost, gain in found.loss_criterion.items():
+        typer.echo(f"{lost} lost: loop gain of the rest at real s {gain:.3f} (unstable above 1)")
+    if found.drive is not None:
+        typer.echo(f"drive after the fault {found.drive:.3f} pu: synchronism {found.predicted} (predicted)")
+    for run in found.faults:
+        said = f"settled in {run['settled_s']:.1f} s" if run["synchronism"] else "SYNCHRONISM LOST"
+        typer.echo(f"fault at {run['point']}, {' and '.join(run['lost']) or 'nothing'} lost: {said}")
     for violation in found.violations:
         typer.echo(f"violated: {violation}")
     typer.echo("passed" if found.passed else "does not pass")

@@ -17,7 +17,10 @@ from interarea.design.shipped import shipped_controller, shipped_names
 
 
 def any_controller(name: str, omega_b: float) -> Controller:
-    """Return a shipped controller, one from a JSON file, or one read from the parameters of its FMU alone."""
+    """Return a shipped controller, one from a JSON file, or one read from its FMU alone.
+
+    Of an FMU the numbers are its parameters, design and certificate the record in its documentation.
+    """
     if name in shipped_names():
         return shipped_controller(name)
     path = Path(name)
@@ -54,4 +57,29 @@ def _from_fmu(path: Path, omega_b: float) -> Controller:
         inputs=inputs,
         outputs=outputs,
     )
-    return Controller(description.modelName, system, float(starts["limit"]), {"method": "read from the FMU"})
+    record = record_of_fmu(path)
+    return Controller(
+        description.modelName,
+        system,
+        float(starts["limit"]),
+        record.get("design") or {"method": "read from the FMU"},
+        record.get("certificate"),
+    )
+
+
+def record_of_fmu(path: Path) -> dict[str, Any]:
+    """Return design and certificate as the documentation of a controller FMU holds them; {} without a record.
+
+    Raises ControllerError where the record is there and cannot be read.
+    """
+    with zipfile.ZipFile(path) as archive:
+        if "documentation/index.html" not in archive.namelist():
+            return {}
+        page = archive.read("documentation/index.html").decode("utf-8")
+    found = re.search(f'<script type="application/json" id="{RECORD}">(.*?)</script>', page, re.DOTALL)
+    if found is None:
+        return {}
+    try:
+        return dict(json.loads(found[1]))
+    except (TypeError, ValueError) as error:
+        raise ControllerError(f"controller FMU {path}: its record is no JSON object ({error})") from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -10,16 +9,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import control
-import numpy as np
-from fmpy import read_model_description
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from interarea.design.conditions import Condition, condition_of_many
-from interarea.design.controller import Controller, ControllerError
+from interarea.design.controller import Controller
 from interarea.design.family import FamilyCertificate, judge_family
 from interarea.design.linearise import remove_reference, speeds_in_rad
 from interarea.design.robust import RobustSpec, design_robust
-from interarea.design.shipped import shipped_controller, shipped_names
 from interarea.models.case import Case, load_case
 from interarea.models.case_variants import operating_variant
 
@@ -192,12 +188,19 @@ def run_design(
     made = design_robust(plants, table.spec(), omega_b, progress=progress)
     facts = {
         "method": "smoothed worst damping over operating points, losses and latencies",
-        "specification": table.model_dump(mode="json"),
+        "specification": _recorded(table),
         "objective": made.objective,
         "evaluations": made.evaluations,
     }
     controller = Controller(table.name, made.system, table.limit_pu, facts)
     return replace(controller, certificate=certify(table, controller, cache).as_dict())
+
+
+def _recorded(table: DesignTable) -> dict[str, Any]:
+    """Everything of a design as JSON; what is asked without a bound is left out, JSON having no infinity."""
+    data = table.model_dump(mode="json", exclude_none=True)
+    data["ask"] = {key: value for key, value in data["ask"].items() if value != float("inf")}
+    return data
 
 
 def certify(table: DesignTable, controller: Controller, cache: Path) -> FamilyCertificate:

@@ -21,6 +21,9 @@ from interarea.models.variables import Block
 
 SCHEMA = 1
 
+#: id of the element of an FMU's documentation that holds design and certificate as JSON
+RECORD = "record"
+
 
 class ControllerError(ValueError):
     """A controller file or its numbers cannot be used."""
@@ -158,6 +161,13 @@ class Controller:
         documentation = {"Design": document(plain(self.design))}
         if self.certificate is not None:
             documentation["Certificate"] = document(plain(self.certificate))
+        record = {"design": plain(self.design), "certificate": plain(self.certificate)}
+        # inside a script element only "</" would end it
+        text = json.dumps(record, sort_keys=True).replace("</", "<\\/")
+        documentation["Record"] = (
+            "<p>Design and certificate for programs: JSON in this page's element <code>record</code>.</p>"
+            f'<script type="application/json" id="{RECORD}">{text}</script>'
+        )
         return controller_block(
             self.name,
             K.A,
@@ -198,6 +208,11 @@ def document(value: Any) -> str:
     if isinstance(value, dict):
         rows = (f"<tr><th>{html.escape(k)}</th><td>{document(v)}</td></tr>" for k, v in value.items())
         return f"<table>{''.join(rows)}</table>"
+    if isinstance(value, list) and value and all(isinstance(row, dict) for row in value):
+        keys = list(dict.fromkeys(key for row in value for key in row))
+        head = "".join(f"<th>{html.escape(key)}</th>" for key in keys)
+        body = ("".join(f"<td>{document(row.get(key, ''))}</td>" for key in keys) for row in value)
+        return f"<table><tr>{head}</tr>{''.join(f'<tr>{cells}</tr>' for cells in body)}</table>"
     if isinstance(value, list):
         return ", ".join(document(v) for v in value)
     if isinstance(value, float):

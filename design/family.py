@@ -53,7 +53,9 @@ class FamilyCertificate:
     drive: float | None = None
     #: what follows from `drive` for synchronism: "kept", "lost", "uncertain", "not judged"
     predicted: str = "not judged"
-    faults: tuple[Mapping[str, Any], ...] = ()  #: the runs of that fault, one for each operating point and loss
+    faults: tuple[
+        Mapping[str, Any], ...
+    ] = ()  #: the runs of that fault, one for each operating point and loss
 
     @property
     def passed(self) -> bool:

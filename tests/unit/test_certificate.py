@@ -14,7 +14,7 @@ from interarea.design.certificate import (
     loss_criterion,
     remote_utilisation,
 )
-from interarea.design.conditions import Condition, condition_of
+from interarea.design.conditions import Condition, condition_of, condition_of_many
 from interarea.design.controller import Controller
 from interarea.design.delay import delayed_loop, track_gain, track_roots
 from interarea.design.errors import UncertifiedDesign
@@ -67,6 +67,12 @@ def test_codes_of_conditions() -> None:
     assert condition_of("N", "G4_dw", "G2_dw") == Condition("N")
     assert condition_of("L+s100", "G4_dw", "G2_dw") == Condition("L+s100", ("G2_dw",), {"G4_dw": 0.1})
     assert condition_of("ns150", "G4_dw", "G2_dw").latency_s_of == {"G2_dw": 0.15}
+    several = condition_of_many("s100+L:G1_dw", ("G1_dw", "G2_dw"))
+    assert several == Condition("s100+L:G1_dw", ("G1_dw",), {"G2_dw": 0.1})
+    with pytest.raises(ValueError, match=r"L:<one of G1_dw, G2_dw> joined by \+, got 'L:G9_dw'"):
+        condition_of_many("L:G9_dw", ("G1_dw", "G2_dw"))
+    with pytest.raises(ValueError, match="got 'ns100'"):
+        condition_of_many("ns100", ("G1_dw", "G2_dw"))
     with pytest.raises(ValueError, match="parts are N, L"):
         condition_of("x5", "G4_dw", "G2_dw")
     with pytest.raises(ValueError, match="finite and not negative"):

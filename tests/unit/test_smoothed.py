@@ -94,7 +94,7 @@ def test_balancing_keeps_the_parts_of_a_decentralised_controller_apart(objective
     split = replace(objective, mask=mask, feedthrough=False, dc_block=True)
     assert split.parts == [[0, 1], [2, 3]]
     theta = np.random.default_rng(5).normal(size=mask.sum())
-    A, B, C, D = split.unpack(theta)
+    A, B, C, _ = split.unpack(theta)
     theta = split.pack(A - 4.0 * np.eye(4), B, C)
     balanced = balanced_parameters(split, theta)
     assert np.abs(balanced - theta).max() > 0.01
