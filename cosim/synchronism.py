@@ -92,9 +92,9 @@ def uncontrolled_speeds(case: Case, fault: FaultTable, cache: Path) -> tuple[Arr
             file = Path(folder) / "case.toml"
             export_toml(case, file)
             data = run_scenario(fault_scenario(file, case, window), cache=cache).trajectory.data
-        speeds = {m.name: data[f"plant.{m.name}_dw"].to_numpy() for m in case.machines}
+        kept: dict[str, Any] = {m.name: data[f"plant.{m.name}_dw"].to_numpy() for m in case.machines}
         with path.open("wb") as out:
-            np.savez(out, time_s=data["time_s"].to_numpy(), **speeds)
+            np.savez(out, time_s=data["time_s"].to_numpy(), **kept)
 
     with np.load(artefact(cache, "uncontrolled", key, ".npz", make)) as z:
         return z["time_s"], {name: z[name] for name in z.files if name != "time_s"}
