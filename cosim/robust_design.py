@@ -16,6 +16,7 @@ from interarea.design.controller import Controller
 from interarea.design.family import FamilyCertificate, judge_family
 from interarea.design.linearise import remove_reference, speeds_in_rad
 from interarea.design.robust import RobustSpec, design_robust
+from interarea.design.smoothed import BandOffsets
 from interarea.models.case import Case, load_case
 from interarea.models.case_variants import operating_variant
 
@@ -24,6 +25,7 @@ from .errors import ScenarioError
 from .synchronism import FaultTable, after_fault, predicted_drive
 
 Positive = Annotated[float, Field(gt=0.0)]
+_OFFSETS = (BandOffsets().omega, BandOffsets().offset)
 
 
 class _Table(BaseModel):
@@ -77,6 +79,8 @@ class DesignTable(_Table):
     feedthrough: bool = False
     slowest_pole: Positive = 0.3
     effort_cap: tuple[tuple[Positive, Positive], ...] = ((0.05, 0.155), (300.0, 0.155))
+    #: (rad/s, damping): how much more than elsewhere the optimisation wants there, piecewise linear
+    offset: tuple[tuple[float, float], ...] = Field(tuple(zip(*_OFFSETS, strict=True)), min_length=2)
     limit_pu: Positive = 0.15
     starts: Annotated[int, Field(ge=1)] = 3
     evaluations: Annotated[int, Field(ge=1)] = 1800
@@ -126,6 +130,7 @@ class DesignTable(_Table):
             feedthrough=self.feedthrough,
             slowest_pole=self.slowest_pole,
             effort_cap=self.effort_cap,
+            offsets=BandOffsets(*zip(*self.offset, strict=True)),
             starts=self.starts,
             evaluations=self.evaluations,
             polishes=self.polishes,

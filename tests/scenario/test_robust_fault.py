@@ -35,9 +35,10 @@ def after_the_fault(case: Case, controller: str, folder: Path, *, trip: bool) ->
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("controller", ["robust", "robust_latency"])
 @pytest.mark.parametrize("point", list(CASES))
-def test_robust_keeps_synchronism_and_settles(point: str, tmp_path: Path) -> None:
-    data = after_the_fault(CASES[point], "robust", tmp_path, trip=point != "circuit out")
+def test_robust_keeps_synchronism_and_settles(point: str, controller: str, tmp_path: Path) -> None:
+    data = after_the_fault(CASES[point], controller, tmp_path, trip=point != "circuit out")
     dw24 = (data["plant.G2_dw"] - data["plant.G4_dw"]).abs()
     angle = (data["plant.G2_delta"] - data["plant.G4_delta"]).abs()
     assert angle.max() < 3.1416  # no slip between the areas
