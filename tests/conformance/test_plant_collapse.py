@@ -1,0 +1,60 @@
+"""A fault that leaves the network without a solution: the run ends with a reason, never with NaN."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from interarea.cosim.artefacts import plant_fmu
+from interarea.cosim.errors import StepError
+from interarea.cosim.fmu_file import FmuFile
+from interarea.cosim.instances import FmuParticipant
+from interarea.fmu_build.batch import PlantBatch
+from interarea.models.case import Case, load_case
+from interarea.models.events import events_of
+from interarea.models.plant_block import event_parameters, plant_block
+
+#: four times the load as an impedance, three times its power given back: no voltage answers it out of step
+COLLAPSING = {"P_exponent": "none", "P_zip": [4.0, 0.0, -3.0], "Q_exponent": 2.0}
+STEP_S = 0.02
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    return load_case("kundur-manual").with_changes({"loads": {"L7": COLLAPSING, "L9": COLLAPSING}})
+
+
+@pytest.fixture(scope="module")
+def start(case: Case) -> dict[str, float | int]:
+    fault = {"kind": "bus_fault", "bus": 8, "start_s": 0.1, "end_s": 1.6, "x_pu": 0.01}
+    return event_parameters(case, events_of([fault], where="test"))
+
+
+def test_the_step_is_discarded_with_the_bus_and_the_last_good_time(case, start, cache):
+    plant = FmuParticipant("plant", FmuFile(plant_fmu(case, cache)), start)
+    plant.begin(0.0, 10.0)
+    plant.ready()
+    steps = 0
+    with pytest.raises(StepError, match=r"no voltage found at bus [79] for a load") as stopped:
+        for k in range(300):
+            plant.advance(k * STEP_S, STEP_S)
+            plant.receive(slopes=False)
+            assert np.all(np.isfinite(plant.y))
+            steps = k + 1
+    assert "discard" in str(stopped.value)
+    assert stopped.value.time_s == pytest.approx(steps * STEP_S, abs=1e-9)
+    assert 1.6 < stopped.value.time_s < 6.0
+    before = list(plant.y)
+    plant.receive(slopes=False)  # the state before the step is intact
+    assert list(plant.y) == before
+    plant.close()
+
+
+def test_a_batch_ends_that_scenario_alone(case, start, cache):
+    run = PlantBatch(plant_block(case), cache=cache).run([start, {}], stop_s=6.0, step_s=STEP_S)
+    assert "no voltage found at bus" in run.errors[0]
+    assert not run.errors[1]
+    last = round(run.ended_s[0] / STEP_S)
+    assert np.all(np.isfinite(run.outputs[: last + 1, :, 0]))
+    assert np.all(np.isnan(run.outputs[last + 1 :, :, 0]))
+    assert np.abs(run.of("G1_dw")[:, 1]).max() < 1e-9
