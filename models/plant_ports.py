@@ -99,7 +99,7 @@ def _load_row(case: Case, k: int, volt: float) -> list[float]:
     power = load_power(case, load)
     # a load that rests below such a voltage keeps its characteristic a little further down
     low = {key: min(value, 0.9 * volt) / volt for key, value in LOWEST_PU.items()}
-    row = [LOAD, k, 1.0, power.real, power.imag, volt, low["current"], low["power"]]
+    row = [LOAD, k, 1.0, power.real, power.imag, 1.0 / volt, low["current"], low["power"]]
     for letter in "PQ":
         row += _mix(load, letter, low)
     return row
@@ -123,5 +123,6 @@ def _machine_row(m: Machine, k: int, gap: AirGap) -> list[float]:
     flux = math.hypot(gap.psi_ad, gap.psi_aq)
     slope = 0.0 if s is None else s.Bsat * gap.factor * flux
     kind = 0 if s is None else _SATURATION[s.use]
-    row = [MACHINE, k, 1.0, kind, Xd2 - Xl, Xq2 - Xl, Xd - Xl, Xq - Xl, *shape]
-    return [*row, gap.psi_ad, gap.psi_aq, gap.isd, gap.isq, slope, 0.0, 0.0]
+    row = [MACHINE, k, 1.0, kind, Xd2 - Xl, Xq2 - Xl, 1.0 / (Xd - Xl), 1.0 / (Xq - Xl), *shape]
+    saliency = 1.0 / (Xd2 - Xl) - 1.0 / (Xq2 - Xl)
+    return [*row, gap.psi_ad, gap.psi_aq, gap.isd, gap.isq, slope, saliency, 0.0]

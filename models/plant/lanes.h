@@ -15,6 +15,8 @@ static inline flag num_above(num a, num b) { return (flag)(a > b); }
 static inline flag num_reaches(num a, num b) { return (flag)(a >= b); }
 static inline num num_pick(flag c, num a, num b) { return (num)((c & (flag)a) | (~c & (flag)b)); }
 
+static inline flag flag_not(flag c) { return ~c; }
+
 static inline int flag_any(flag c)
 {
     int64_t any = 0;
@@ -69,4 +71,13 @@ static inline num num_exp(num x)
     for (size_t k = 0; k < PLANT_LANES; ++k) y[k] = real_exp(x[k]);
     return y;
 }
+
+static inline num num_log(num x)
+{
+    num y = x;
+    for (size_t k = 0; k < PLANT_LANES; ++k) y[k] = real_log(x[k]);
+    return y;
+}
+
+static inline num num_ratio(num a, num b) { return a / b; }
 #endif

@@ -17,54 +17,58 @@
  * of its own: in 1/u, 1/u^2, u^(a-2) the u stays at that voltage. A current or a
  * power that holds down to zero volts would leave a faulted bus without solution. */
 
-/* h(u) - 1, and its derivative unless `slope` is null. */
-static inline num load_factor(const double *mix, double low_i, double low_p, num u, double *slope)
+/* h(u) - 1. */
+static inline num load_factor(const real *mix, real low_i, real low_p, num u)
 {
-    const double i = mix[0], p = mix[1], e = mix[2], power = mix[3] - 2.0, low_e = mix[4];
-    num h = 0.0;
-    double d = 0.0;
+    num h = NUM(0.0);
 
-    if (i != 0.0) {
-        const num q = PART(u) > low_i ? num_ratio(1.0, u) : (num)(1.0 / low_i);
-        h += i * (q - 1.0);
-        if (PART(u) > low_i) d -= i * PART(q) * PART(q);
+    if (FIRST(mix[0]) != 0.0) {
+        const num q = num_ratio(NUM(1.0), num_pick(num_above(u, NUM(low_i)), u, NUM(low_i)));
+        h += mix[0] * (q - 1.0);
     }
-    if (p != 0.0) {
-        const num q = PART(u) > low_p ? num_ratio(1.0, u) : (num)(1.0 / low_p);
-        h += p * (q * q - 1.0);
-        if (PART(u) > low_p) d -= 2.0 * p * PART(q) * PART(q) * PART(q);
+    if (FIRST(mix[1]) != 0.0) {
+        const num q = num_ratio(NUM(1.0), num_pick(num_above(u, NUM(low_p)), u, NUM(low_p)));
+        h += mix[1] * (q * q - 1.0);
     }
-    if (e != 0.0) {
-        const num q = num_exp(power * num_log(PART(u) > low_e ? u : (num)low_e));
-        h += e * (q - 1.0);
-        if (PART(u) > low_e) d += e * power * PART(q) / PART(u);
+    if (FIRST(mix[2]) != 0.0) {
+        const num at = num_pick(num_above(u, NUM(mix[4])), u, NUM(mix[4]));
+        h += mix[2] * (num_exp((mix[3] - 2.0) * num_log(at)) - 1.0);
     }
-    if (slope != NULL) *slope = d;
     return h;
 }
 
 /* Current the port injects at the bus voltage v. */
-static inline void load_injection(const double *row, num v_re, num v_im, num *i_re, num *i_im)
+static inline void load_injection(const real *row, num v_re, num v_im, num *i_re, num *i_im)
 {
-    const double y = 1.0 / (row[P_V0] * row[P_V0]);
-    const num u = num_sqrt(v_re * v_re + v_im * v_im) / row[P_V0];
-    const num g = row[P_P] * y * load_factor(row + P_P_MIX, row[P_LOW_I], row[P_LOW_P], u, NULL);
-    const num b = row[P_Q] * y * load_factor(row + P_Q_MIX, row[P_LOW_I], row[P_LOW_P], u, NULL);
+    const real y = row[P_PER_V0] * row[P_PER_V0];
+    const num u = num_sqrt(v_re * v_re + v_im * v_im) * row[P_PER_V0];
+    const num g = row[P_P] * y * load_factor(row + P_P_MIX, row[P_LOW_I], row[P_LOW_P], u);
+    const num b = row[P_Q] * y * load_factor(row + P_Q_MIX, row[P_LOW_I], row[P_LOW_P], u);
     *i_re = -(g * v_re + b * v_im);
     *i_im = -(g * v_im - b * v_re);
 }
 
-#ifndef PLANT_TANGENT
+#if !defined PLANT_TANGENT && !defined PLANT_LANES
+/* dh/du. */
+static inline double load_factor_slope(const double *mix, double low_i, double low_p, double u)
+{
+    double d = 0.0;
+    if (mix[0] != 0.0 && u > low_i) d -= mix[0] / (u * u);
+    if (mix[1] != 0.0 && u > low_p) d -= 2.0 * mix[1] / (u * u * u);
+    if (mix[2] != 0.0 && u > mix[4]) d += mix[2] * (mix[3] - 2.0) * real_exp((mix[3] - 3.0) * real_log(u));
+    return d;
+}
+
 /* d (i_re, i_im) / d (v_re, v_im), row by row. */
 static inline void load_slope(const double *row, double v_re, double v_im, double d[4])
 {
-    const double y = 1.0 / (row[P_V0] * row[P_V0]);
-    const double v = sqrt(v_re * v_re + v_im * v_im), u = v / row[P_V0];
-    double dg, db;
-    const double g = row[P_P] * y * load_factor(row + P_P_MIX, row[P_LOW_I], row[P_LOW_P], u, &dg);
-    const double b = row[P_Q] * y * load_factor(row + P_Q_MIX, row[P_LOW_I], row[P_LOW_P], u, &db);
-    const double scale = v > 0.0 ? y / (row[P_V0] * v) : 0.0;
-    const double gu = row[P_P] * dg * scale, bu = row[P_Q] * db * scale;
+    const double y = row[P_PER_V0] * row[P_PER_V0], low_i = row[P_LOW_I], low_p = row[P_LOW_P];
+    const double v = sqrt(v_re * v_re + v_im * v_im), u = v * row[P_PER_V0];
+    const double g = row[P_P] * y * load_factor(row + P_P_MIX, low_i, low_p, u);
+    const double b = row[P_Q] * y * load_factor(row + P_Q_MIX, low_i, low_p, u);
+    const double scale = v > 0.0 ? y * row[P_PER_V0] / v : 0.0;
+    const double gu = row[P_P] * load_factor_slope(row + P_P_MIX, low_i, low_p, u) * scale;
+    const double bu = row[P_Q] * load_factor_slope(row + P_Q_MIX, low_i, low_p, u) * scale;
     const double along = gu * v_re + bu * v_im, across = gu * v_im - bu * v_re;
     d[0] = -(g + along * v_re);
     d[1] = -(b + along * v_im);

@@ -45,7 +45,7 @@ enum {
     P_ON,               /* 0 when its machine is tripped                */
     P_LOAD,             /* first row of what only a load has            */
     P_P = P_LOAD, P_Q,  /* drawn at V0 now, load steps included         */
-    P_V0,
+    P_PER_V0,           /* 1/V0                                         */
     P_LOW_I, P_LOW_P,   /* below: constant impedance in place of constant current, power */
     P_P_MIX,            /* constant-current share, constant-power share, share that    */
     P_Q_MIX = P_P_MIX + 5, /* follows an exponent, the exponent, voltage below which it
@@ -56,10 +56,11 @@ enum {  /* the same rows at a machine's port */
     P_SATURATION = P_LOAD, /* SaturationKind                            */
     P_X2,               /* Xd2 - Xl                                     */
     P_XQ2,              /* Xq2 - Xl                                     */
-    P_LD, P_LQ,         /* Xd - Xl, Xq - Xl                             */
+    P_PER_LD, P_PER_LQ, /* 1/(Xd - Xl), 1/(Xq - Xl)                     */
     P_ASAT, P_BSAT, P_PSIT1,
     P_PSID0, P_PSIQ0, P_ISD0, P_ISQ0, /* at the operating point         */
-    P_SLOPE             /* incremental: Bsat psi_I there                */
+    P_SLOPE,            /* incremental: Bsat psi_I there                */
+    P_SALIENCY          /* 1/(Xd2 - Xl) - 1/(Xq2 - Xl)                  */
 };
 typedef enum { PORT_LOAD = 1, PORT_MACHINE } PortKind;
 typedef enum { SATURATION_NONE, SATURATION_TOTAL, SATURATION_INCREMENTAL } SaturationKind;
@@ -76,7 +77,7 @@ enum {
     H_READY, H_OMEGA_B, H_N_MACHINE, H_N_SIXTH, H_N_BUS, H_N_BRANCH, H_N_LOAD,
     H_N_EXCITER, H_N_STABILIZER, H_N_GOVERNOR, H_N_TIE, H_N_SLOT, H_N_PORT, H_N_STATE,
     H_TRIPPED,          /* machines that are tripped                    */
-    H_PORT_READY,       /* 1: port_inverse belongs to this stage        */
+    H_PORT_READY,       /* 1: port_b and port_z are good for this stage */
     H_SIZE = 20
 };
 
@@ -104,8 +105,10 @@ typedef struct {
     size_t v_re, v_im;    /* n_bus x n_source: bus voltages from sources           */
     size_t port;          /* P_ROWS for each port                                  */
     size_t port_w_re, port_w_im; /* n_source x n_port: port voltages from sources  */
-    size_t port_v;        /* 2 x n_port: port voltages as last solved              */
-    size_t port_inverse;  /* (2 n_port) x (2 n_port): for the next Newton steps    */
+    size_t port_v;        /* 2 x 2 n_port: port voltages and `b` as last solved    */
+    size_t port_slope;    /* 4 n_port: dJ/dV of the folded network                 */
+    size_t port_b;        /* 2 n_machine columns of 2 n_port: from EMFs            */
+    size_t port_z;        /* 2 n_port columns of 2 n_port: from what slopes leave  */
     size_t total;
 } Plan;
 
@@ -137,8 +140,10 @@ static inline void plan_offsets(Plan *p)
     p->port = at;          at += (size_t)P_ROWS * ports;
     p->port_w_re = at;     at += ports * sources;
     p->port_w_im = at;     at += ports * sources;
-    p->port_v = at;        at += 2u * ports;
-    p->port_inverse = at;  at += 4u * ports * ports;
+    p->port_v = at;        at += 4u * ports;
+    p->port_slope = at;    at += 4u * ports;
+    p->port_b = at;        at += 4u * ports * n;
+    p->port_z = at;        at += 4u * ports * ports;
     p->total = at;
 }
 

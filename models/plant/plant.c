@@ -141,8 +141,7 @@ static const double *read_ports(Reader *r, const Plan *plan)
 
 static size_t scratch_of(const Plan *plan, const BlockLayout *l)
 {
-    const size_t tangent = 2 * (2 * l->n_x + l->n_u + l->n_y + flow_work(plan))
-        + 2 * plan->n_machine + 4 * plan->n_port * (plan->n_port + 1);
+    const size_t tangent = 2 * (2 * l->n_x + l->n_u + l->n_y + flow_work(plan)) + 2 * plan->n_machine;
     const size_t stage = 2 * plan->n_bus + stage_work(plan->n_bus);
     return tangent > stage ? tangent : stage;
 }

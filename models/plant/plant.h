@@ -61,6 +61,6 @@ size_t plant_directional(double *memory, const BlockLayout *layout, const double
 
 static inline size_t flow_work(const Plan *plan)
 {
-    return 15 * plan->n_machine + 16 * plan->n_port;
+    return 15 * plan->n_machine + (16 + 4 * plan->n_port) * plan->n_port;
 }
 #endif

@@ -45,6 +45,18 @@ static int invert(double *a, size_t n, double *order)
     return 1;
 }
 
+/* dJ/dV of port p, row by row. */
+static void port_slope(const double *memory, const Plan *plan, size_t p, double v_re, double v_im,
+                       const double *sine, const double *cosine, double d[4])
+{
+    const double *row = memory + plan->port + P_ROWS * p;
+    const size_t k = index_at(row, P_DEVICE);
+
+    if (port_is_load(row)) load_slope(row, v_re, v_im, d);
+    else if (row[P_ON] > 0.5) saturation_slope(row, v_re, v_im, sine[k], cosine[k], d);
+    else d[0] = d[1] = d[2] = d[3] = 0.0;
+}
+
 int port_inverse(const double *memory, const Plan *plan, const double *v_re, const double *v_im,
                  const double *sine, const double *cosine, double *inverse, double *work)
 {
@@ -52,16 +64,10 @@ int port_inverse(const double *memory, const Plan *plan, const double *v_re, con
 
     for (size_t k = 0; k < 4 * n * n; ++k) inverse[k] = 0.0;
     for (size_t q = 0; q < n; ++q) {
-        const double *row = memory + plan->port + P_ROWS * q;
         const double *g = memory + plan->port_w_re + (plan->n_machine + q) * n;
         const double *b = memory + plan->port_w_im + (plan->n_machine + q) * n;
-        double d[4] = { 0.0, 0.0, 0.0, 0.0 };
-        if (port_is_load(row)) {
-            load_slope(row, v_re[q], v_im[q], d);
-        } else if (row[P_ON] > 0.5) {
-            const size_t k = index_at(row, P_DEVICE);
-            saturation_slope(row, v_re[q], v_im[q], sine[k], cosine[k], d);
-        }
+        double d[4];
+        port_slope(memory, plan, q, v_re[q], v_im[q], sine, cosine, d);
         for (size_t p = 0; p < n; ++p) {
             double *real = inverse + 4 * n * p + 2 * q, *imaginary = real + 2 * n;
             real[0] = -(g[p] * d[0] - b[p] * d[2]);
@@ -74,13 +80,14 @@ int port_inverse(const double *memory, const Plan *plan, const double *v_re, con
     return invert(inverse, 2 * n, work);
 }
 
-/* One Newton problem: everything that stays the same over its steps. */
+/* One problem: everything that stays the same while it is solved. */
 typedef struct {
     double *memory;
     const Plan *plan;
-    const double *ed2, *sine, *cosine, *linear;
+    const double *ed2, *sine, *cosine;
     double *e_re, *e_im;
     PortWork at;
+    double *linear, *inverse;
 } Problem;
 
 /* r = v - W E - Z J(v); returns its largest part, -1 when it is not finite. */
@@ -101,23 +108,28 @@ static double residual(const Problem *s, double *r)
     return worst;
 }
 
+static int invert_here(const Problem *s, double *work)
+{
+    return port_inverse(s->memory, s->plan, s->at.v_re, s->at.v_im, s->sine, s->cosine, s->inverse, work);
+}
+
+/* Damped Newton steps from the voltages in s->at. Returns n_port, or the port farthest
+ * from a solution. work: 8 n_port. */
 static size_t newton(const Problem *s, double *work)
 {
     const size_t n = s->plan->n_port;
-    double *inverse = s->memory + s->plan->port_inverse, *ready = s->memory + H_PORT_READY;
     double *r = work, *r_next = work + 2 * n, *from = work + 4 * n, *order = work + 6 * n;
     double scale = 1.0, size;
-    int fresh = 0;
+    int fresh = 0, ready = 0;
 
     for (size_t p = 0; p < 2 * n; ++p) scale = larger(scale, fabs(s->linear[p]));
     size = residual(s, r);
     for (size_t count = 0; count < MOST_STEPS && size >= 0.0; ++count) {
         double share = 1.0, next = -1.0;
         if (size <= ACCURACY * scale) return n;
-        if (!(*ready > 0.5)) {
-            if (!port_inverse(s->memory, s->plan, s->at.v_re, s->at.v_im, s->sine, s->cosine, inverse, order))
-                break;
-            *ready = fresh = 1;
+        if (!ready) {
+            if (!invert_here(s, order)) break;
+            ready = fresh = 1;
         }
         for (size_t p = 0; p < n; ++p) {
             from[p] = s->at.v_re[p];
@@ -125,7 +137,7 @@ static size_t newton(const Problem *s, double *work)
         }
         for (int tries = 0; tries < 12; ++tries, share *= 0.5) {
             for (size_t p = 0; p < n; ++p) {
-                const double *a = inverse + 4 * n * p, *b = a + 2 * n;
+                const double *a = s->inverse + 4 * n * p, *b = a + 2 * n;
                 double re = 0.0, im = 0.0;
                 for (size_t q = 0; q < n; ++q) {
                     re += a[2 * q] * r[q] + a[2 * q + 1] * r[n + q];
@@ -148,10 +160,7 @@ static size_t newton(const Problem *s, double *work)
             if (size <= STALLED * scale) return n;
             if (fresh) break;
         }
-        if (!better || next > WORTH_KEEPING * size || share < 1.0) {
-            *ready = 0.0;
-            fresh = 0;
-        }
+        if (!better || next > WORTH_KEEPING * size || share < 1.0) ready = fresh = 0;
         if (better) {
             double *t = r;
             r = r_next;
@@ -162,8 +171,54 @@ static size_t newton(const Problem *s, double *work)
     size_t worst = 0;   /* not solved: the port that is farthest off */
     for (size_t p = 1; p < n; ++p)
         if (!(fabs(r[p]) + fabs(r[n + p]) <= fabs(r[worst]) + fabs(r[n + worst]))) worst = p;
-    *ready = 0.0;
     return worst;
+}
+
+/* One column of the folded network: the inverse times a column (g, b) of port_w, or
+ * times j (g, b). */
+static void fold_column(const double *inverse, size_t n, const double *g, const double *b, int turned,
+                        double *column)
+{
+    for (size_t p = 0; p < 2 * n; ++p) {
+        const double *row = inverse + 2 * n * p;
+        double sum = 0.0;
+        for (size_t q = 0; q < n; ++q)
+            sum += turned ? row[2 * q + 1] * g[q] - row[2 * q] * b[q] : row[2 * q] * g[q] + row[2 * q + 1] * b[q];
+        column[p % 2 == 0 ? p / 2 : n + p / 2] = sum;
+    }
+}
+
+/* Folds the network with the slopes at the voltages in s->at, which become the start
+ * of the next iteration. 0: singular. */
+static int fold(const Problem *s, double *work)
+{
+    const Plan *plan = s->plan;
+    const size_t n = plan->n_port, m = plan->n_machine;
+    double *memory = s->memory, *last = memory + plan->port_v, *b = last + 2 * n;
+
+    if (!invert_here(s, work)) return 0;
+    for (size_t p = 0; p < n; ++p) {
+        port_slope(memory, plan, p, s->at.v_re[p], s->at.v_im[p], s->sine, s->cosine,
+                   memory + plan->port_slope + 4 * p);
+        last[p] = s->at.v_re[p];
+        last[n + p] = s->at.v_im[p];
+        b[p] = b[n + p] = 0.0;
+    }
+    for (size_t k = 0; k < plan->n_source; ++k) {
+        const double *g = memory + plan->port_w_re + k * n, *h = memory + plan->port_w_im + k * n;
+        double *to = k < m ? memory + plan->port_b + 4 * n * k : NULL;
+        if (k < m) {
+            fold_column(s->inverse, n, g, h, 0, to);
+            fold_column(s->inverse, n, g, h, 1, to + 2 * n);
+            for (size_t p = 0; p < 2 * n; ++p) b[p] += to[p] * s->e_re[k] + to[2 * n + p] * s->e_im[k];
+        } else {   /* injections: all real parts, then all imaginary parts */
+            to = memory + plan->port_z + 2 * n * (k - m);
+            fold_column(s->inverse, n, g, h, 0, to);
+            fold_column(s->inverse, n, g, h, 1, to + 2 * n * n);
+        }
+    }
+    memory[H_PORT_READY] = 1.0;
+    return 1;
 }
 
 size_t port_solve(double *memory, const Plan *plan, const double *ed2, const double *sine,
@@ -172,8 +227,15 @@ size_t port_solve(double *memory, const Plan *plan, const double *ed2, const dou
     const size_t n = plan->n_port;
     double *linear = work, *last = memory + plan->port_v;
     const PortWork at = { w[0], w[1], w[2], w[3] };
-    const Problem problem = { memory, plan, ed2, sine, cosine, linear, e_re, e_im, at };
+    const Problem problem = { memory, plan, ed2, sine, cosine, e_re, e_im, at, linear, work + PORT_NEWTON * n };
     size_t stuck = n;
+
+    if (!port_iterate(memory, plan, ed2, sine, cosine, e_re, e_im, at, work)) return n;
+    for (size_t p = 0; p < n; ++p) {   /* with the slopes of the last solution */
+        at.v_re[p] = last[p];
+        at.v_im[p] = last[n + p];
+    }
+    if (fold(&problem, work) && !port_iterate(memory, plan, ed2, sine, cosine, e_re, e_im, at, work)) return n;
 
     for (size_t p = 0; p < 2 * n; ++p) linear[p] = 0.0;
     port_voltages(memory, plan, 0, plan->n_machine, e_re, e_im, linear, linear + n);
@@ -182,7 +244,6 @@ size_t port_solve(double *memory, const Plan *plan, const double *ed2, const dou
     for (int tries = 0; tries < 4; ++tries) {
         const double *start = tries == 0 ? last : linear;
         const double share = tries < 2 ? 1.0 : tries == 2 ? 0.6 : 0.2;
-        if (tries > 0) memory[H_PORT_READY] = 0.0;
         for (size_t p = 0; p < n; ++p) {
             at.v_re[p] = share * start[p];
             at.v_im[p] = share * start[n + p];
@@ -190,10 +251,9 @@ size_t port_solve(double *memory, const Plan *plan, const double *ed2, const dou
         stuck = newton(&problem, work + 2 * n);
         if (stuck == n) break;
     }
+    memory[H_PORT_READY] = 0.0;
     if (stuck < n) return stuck;
-    for (size_t p = 0; p < n; ++p) {
-        last[p] = at.v_re[p];
-        last[n + p] = at.v_im[p];
-    }
+    /* e and w are those of the solution: fold() and what follows only prepare the next call */
+    (void)fold(&problem, work + 2 * n);
     return n;
 }

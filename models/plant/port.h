@@ -10,9 +10,18 @@
  * A load's port is its bus. A machine's port is the air-gap node, and its current
  * acts like the EMF j (Xd2 - Xl) J added to its own: stage.c folds that into the
  * columns, so that everything behind the ports sees n_source = n_machine + n_port
- * sources. The equations are solved by Newton's method in the 2 n_port reals, from
- * the voltages found last and with the inverse used last: near a solution that
- * needs no new one (port.c). Tangents take one exact Newton step (tangent.c). */
+ * sources.
+ *
+ * With the slopes D = dJ/dV of some earlier point (2 x 2 for each port, in real and
+ * imaginary parts) the same equations read
+ *
+ *     V = b(E) + Zf [J(V, x) - D V],  b(E) = (1 - Z D)^-1 W E,  Zf = (1 - Z D)^-1 Z,
+ *
+ * a Newton step with those slopes for each evaluation of the right side, one real
+ * matrix product. port_iterate repeats it from the voltages found last, moved by
+ * the change of b: near the earlier point a few times give rounding. Where it does
+ * not contract, port.c takes damped Newton steps with slopes of their own and folds
+ * the network anew. Tangents take one exact Newton step (tangent.c). */
 
 /* What the physics needs at the ports besides sources: air-gap or bus voltages,
  * and at a machine's port its isd, isq. n_port each. */
@@ -24,25 +33,99 @@ static inline PortWork port_arrays(num *scratch, size_t n)
 }
 
 /* Injected current of every port into the sources at n_machine.. */
-static inline void port_inject(const double *memory, const Plan *plan, const num *ed2, const num *sine,
+static inline void port_inject(const real *memory, const Plan *plan, const num *ed2, const num *sine,
                                const num *cosine, PortWork w, num *e_re, num *e_im)
 {
     const size_t n = plan->n_machine;
 
     for (size_t p = 0; p < plan->n_port; ++p) {
-        const double *row = memory + plan->port + P_ROWS * p;
+        const real *row = memory + plan->port + P_ROWS * p;
+        num *re = e_re + n + p, *im = e_im + n + p;
         if (port_is_load(row)) {
-            load_injection(row, w.v_re[p], w.v_im[p], &e_re[n + p], &e_im[n + p]);
-        } else if (row[P_ON] > 0.5) {
-            const size_t k = index_at(row, P_DEVICE);
-            saturation_injection(row, w.v_re[p], w.v_im[p], sine[k], cosine[k], ed2[k],
-                                 &e_re[n + p], &e_im[n + p], &w.isd[p], &w.isq[p]);
+            load_injection(row, w.v_re[p], w.v_im[p], re, im);
         } else {
-            e_re[n + p] = e_im[n + p] = w.isd[p] = w.isq[p] = 0.0;
+            const size_t k = index_at(row, P_DEVICE);
+            const flag on = num_above(NUM(row[P_ON]), NUM(0.5));   /* a tripped machine gives nothing */
+            saturation_injection(row, w.v_re[p], w.v_im[p], sine[k], cosine[k], ed2[k], re, im,
+                                 &w.isd[p], &w.isq[p]);
+            *re = num_pick(on, *re, NUM(0.0));
+            *im = num_pick(on, *im, NUM(0.0));
+            w.isd[p] = num_pick(on, w.isd[p], NUM(0.0));
+            w.isq[p] = num_pick(on, w.isq[p], NUM(0.0));
         }
     }
 }
 
+/* Work arrays: those of PortWork, and numbers of port_solve for each port besides
+ * its (2 n_port)^2 for an inverse. */
+enum { PORT_ARRAYS = 4, PORT_NEWTON = 10 };
+
+#ifndef PLANT_TANGENT
+static inline num num_size(num a) { return num_pick(num_above(NUM(0.0), a), -a, a); }
+
+/* Fills the injected currents e[n_machine..] and w from the EMFs before them. True
+ * where that failed and port.c must help. work: 6 n_port. */
+static inline flag port_iterate(real *memory, const Plan *plan, const num *ed2, const num *sine,
+                                const num *cosine, num *e_re, num *e_im, PortWork w, num *work)
+{
+    enum { MOST = 12, ENOUGH = 6 };
+    const size_t n = plan->n_port, m = plan->n_machine;
+    const real *from_e = memory + plan->port_b, *from_j = memory + plan->port_z;
+    const real *slope = memory + plan->port_slope;
+    real *last = memory + plan->port_v, *last_b = last + 2 * n;
+    num *b = work, *rest = work + 2 * n, *next = work + 4 * n;
+    num size = NUM(1.0), before = NUM(1e30);
+    flag open = num_above(NUM(memory[H_PORT_READY]), NUM(0.5)), failed = flag_not(open), tired = open & failed;
+
+    for (size_t p = 0; p < 2 * n; ++p) b[p] = NUM(0.0);
+    for (size_t k = 0; k < m; ++k) {
+        const real *re = from_e + 4 * n * k, *im = re + 2 * n;
+        for (size_t p = 0; p < 2 * n; ++p) b[p] += re[p] * e_re[k] + im[p] * e_im[k];
+    }
+    for (size_t p = 0; p < 2 * n; ++p) size += num_size(b[p]);
+    for (size_t p = 0; p < n; ++p) {
+        w.v_re[p] = last[p] + (b[p] - last_b[p]);
+        w.v_im[p] = last[n + p] + (b[n + p] - last_b[n + p]);
+    }
+    for (int count = 1; count <= MOST && flag_any(open); ++count) {
+        num moved = NUM(0.0);
+        port_inject(memory, plan, ed2, sine, cosine, w, e_re, e_im);
+        for (size_t p = 0; p < n; ++p) {
+            const real *d = slope + 4 * p;
+            rest[p] = e_re[m + p] - (d[0] * w.v_re[p] + d[1] * w.v_im[p]);
+            rest[n + p] = e_im[m + p] - (d[2] * w.v_re[p] + d[3] * w.v_im[p]);
+        }
+        for (size_t p = 0; p < 2 * n; ++p) next[p] = b[p];
+        for (size_t q = 0; q < 2 * n; ++q) {
+            const real *z = from_j + 2 * n * q;
+            const num r = rest[q];
+            for (size_t p = 0; p < 2 * n; ++p) next[p] += z[p] * r;
+        }
+        for (size_t p = 0; p < n; ++p) {
+            moved += num_size(next[p] - w.v_re[p]) + num_size(next[n + p] - w.v_im[p]);
+            w.v_re[p] = num_pick(open, next[p], w.v_re[p]);
+            w.v_im[p] = num_pick(open, next[n + p], w.v_im[p]);
+        }
+        open = open & flag_not(num_reaches(1e-13 * size, moved));
+        const flag poor = open & flag_not(num_reaches(0.3 * before, moved));   /* NaN is poor as well */
+        failed = failed | poor;
+        open = open & flag_not(poor);
+        before = moved;
+        if (count == ENOUGH) tired = open;   /* slow: fold anew the next time */
+    }
+    failed = failed | open;
+    port_inject(memory, plan, ed2, sine, cosine, w, e_re, e_im);
+    memory[H_PORT_READY] = num_pick(failed | tired, NUM(0.0), NUM(memory[H_PORT_READY]));
+    for (size_t p = 0; p < 2 * n; ++p) {
+        const num v = p < n ? w.v_re[p] : w.v_im[p - n];
+        last[p] = num_pick(failed, NUM(last[p]), v);
+        last_b[p] = num_pick(failed, NUM(last_b[p]), b[p]);
+    }
+    return failed;
+}
+#endif
+
+#ifndef PLANT_LANES
 /* v = W s over the sources first .. last - 1, added to what v holds. */
 static inline void port_voltages(const double *memory, const Plan *plan, size_t first, size_t last,
                                  const num *e_re, const num *e_im, num *v_re, num *v_im)
@@ -58,12 +141,10 @@ static inline void port_voltages(const double *memory, const Plan *plan, size_t 
         }
     }
 }
+#endif
 
-/* Work arrays of port_solve beyond PortWork, for each port. */
-enum { PORT_ARRAYS = 4, PORT_NEWTON = 10 };
-
-/* port.c: fills the injected currents e[n_machine..] and w from the EMFs before
- * them. Returns n_port, or the port farthest from a solution. */
+/* port.c: as port_iterate, with damped Newton steps where that fails. Returns n_port,
+ * or the port farthest from a solution. w: arrays of PortWork. */
 size_t port_solve(double *memory, const Plan *plan, const double *ed2, const double *sine,
                   const double *cosine, double *e_re, double *e_im, double *const w[4], double *work);
 /* Inverse of 1 - Z dJ/dV at the voltages v (row-major, real and imaginary part of

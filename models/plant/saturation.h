@@ -22,55 +22,58 @@
  * is (psi_aq + ed2) [1/(Xd2 - Xl) - 1/(Xq2 - Xl)] on the q axis. Altogether
  *     dI = [-isq + that + j isd] exp(j delta),   machine base.                     */
 
-/* isd, isq at the air-gap flux; the four derivatives unless d is null. */
-static inline void saturation_currents(const double *row, num psi_d, num psi_q, num *isd, num *isq, double *d)
+/* isd, isq at the air-gap flux. */
+static inline void saturation_currents(const real *row, num psi_d, num psi_q, num *isd, num *isq)
 {
-    if (index_at(row, P_SATURATION) == SATURATION_TOTAL) {
+    const size_t kind = index_at(row, P_SATURATION);
+
+    if (kind == SATURATION_TOTAL) {
         const num flux = num_sqrt(psi_d * psi_d + psi_q * psi_q);
-        const num part = num_exp(row[P_BSAT] * (flux - row[P_PSIT1]));
-        const num bounded = PART(flux) > 1e-3 ? flux : (num)1e-3;
-        const num s = row[P_ASAT] * num_ratio(part, bounded);
-        *isd = s * psi_d / row[P_LD];
-        *isq = s * psi_q / row[P_LQ];
-        if (d != NULL) {
-            const double f = PART(bounded), md = PART(psi_d), mq = PART(psi_q);
-            const double rate = PART(s) * (row[P_BSAT] - (PART(flux) > 1e-3 ? 1.0 / f : 0.0)) / f;
-            d[0] = (PART(s) + rate * md * md) / row[P_LD];
-            d[1] = rate * md * mq / row[P_LD];
-            d[2] = rate * md * mq / row[P_LQ];
-            d[3] = (PART(s) + rate * mq * mq) / row[P_LQ];
-        }
-    } else {
-        const double slope = index_at(row, P_SATURATION) == SATURATION_INCREMENTAL ? row[P_SLOPE] : 0.0;
-        *isd = row[P_ISD0] + slope * (psi_d - row[P_PSID0]) / row[P_LD];
-        *isq = row[P_ISQ0] + slope * (psi_q - row[P_PSIQ0]) / row[P_LQ];
-        if (d != NULL) {
-            d[0] = slope / row[P_LD];
-            d[3] = slope / row[P_LQ];
-            d[1] = d[2] = 0.0;
-        }
+        const num bounded = num_pick(num_above(flux, NUM(1e-3)), flux, NUM(1e-3));
+        const num s = row[P_ASAT] * num_ratio(num_exp(row[P_BSAT] * (flux - row[P_PSIT1])), bounded);
+        *isd = s * psi_d * row[P_PER_LD];
+        *isq = s * psi_q * row[P_PER_LQ];
+    } else {   /* without saturation the slope and the currents at rest are zero */
+        *isd = row[P_ISD0] + row[P_SLOPE] * (psi_d - row[P_PSID0]) * row[P_PER_LD];
+        *isq = row[P_ISQ0] + row[P_SLOPE] * (psi_q - row[P_PSIQ0]) * row[P_PER_LQ];
     }
 }
 
 /* Current the port injects at the air-gap voltage v, machine base. */
-static inline void saturation_injection(const double *row, num v_re, num v_im, num sine, num cosine, num ed2,
+static inline void saturation_injection(const real *row, num v_re, num v_im, num sine, num cosine, num ed2,
                                         num *i_re, num *i_im, num *isd, num *isq)
 {
     const num psi_d = v_re * cosine + v_im * sine, psi_q = v_im * cosine - v_re * sine;
-    saturation_currents(row, psi_d, psi_q, isd, isq, NULL);
-    const num iq = (psi_q + ed2) * (1.0 / row[P_X2] - 1.0 / row[P_XQ2]) - *isq;
+    saturation_currents(row, psi_d, psi_q, isd, isq);
+    const num iq = (psi_q + ed2) * row[P_SALIENCY] - *isq;
     *i_re = iq * cosine - *isd * sine;
     *i_im = iq * sine + *isd * cosine;
 }
 
-#ifndef PLANT_TANGENT
+#if !defined PLANT_TANGENT && !defined PLANT_LANES
+/* d (isd, isq) / d (psi_d, psi_q), row by row. */
+static inline void saturation_currents_slope(const double *row, double psi_d, double psi_q, double d[4])
+{
+    double s = row[P_SLOPE], rate = 0.0;
+
+    if (index_at(row, P_SATURATION) == SATURATION_TOTAL) {
+        const double flux = sqrt(psi_d * psi_d + psi_q * psi_q), bounded = flux > 1e-3 ? flux : 1e-3;
+        s = row[P_ASAT] * real_exp(row[P_BSAT] * (flux - row[P_PSIT1])) / bounded;
+        rate = s * (row[P_BSAT] - (flux > 1e-3 ? 1.0 / flux : 0.0)) / bounded;
+    }
+    d[0] = (s + rate * psi_d * psi_d) * row[P_PER_LD];
+    d[1] = rate * psi_d * psi_q * row[P_PER_LD];
+    d[2] = rate * psi_d * psi_q * row[P_PER_LQ];
+    d[3] = (s + rate * psi_q * psi_q) * row[P_PER_LQ];
+}
+
 /* d (i_re, i_im) / d (v_re, v_im), row by row. */
 static inline void saturation_slope(const double *row, double v_re, double v_im, double sine, double cosine,
                                     double d[4])
 {
-    double isd, isq, s[4];
-    saturation_currents(row, v_re * cosine + v_im * sine, v_im * cosine - v_re * sine, &isd, &isq, s);
-    const double q_d = -s[2], q_q = 1.0 / row[P_X2] - 1.0 / row[P_XQ2] - s[3];
+    double s[4];
+    saturation_currents_slope(row, v_re * cosine + v_im * sine, v_im * cosine - v_re * sine, s);
+    const double q_d = -s[2], q_q = row[P_SALIENCY] - s[3];
     /* (iq, isd) by (re, im): psi_d = re c + im s, psi_q = im c - re s */
     const double iq_re = q_d * cosine - q_q * sine, iq_im = q_d * sine + q_q * cosine;
     const double id_re = s[0] * cosine - s[1] * sine, id_im = s[0] * sine + s[1] * cosine;
@@ -83,7 +86,7 @@ static inline void saturation_slope(const double *row, double v_re, double v_im,
 
 /* After machine_terminal, which knows eq2 and ed2 only: the terminal voltage of a
  * machine with (isd, isq). */
-static inline void saturation_terminal(const double *row, size_t k, num isd, num isq, num *vd, num *vq, num *vt)
+static inline void saturation_terminal(const real *row, size_t k, num isd, num isq, num *vd, num *vq, num *vt)
 {
     vd[k] += row[P_XQ2] * isq;
     vq[k] -= row[P_X2] * isd;
@@ -91,12 +94,12 @@ static inline void saturation_terminal(const double *row, size_t k, num isd, num
 }
 
 /* After machine_derivatives: what (isd, isq) add to the rates of machine k. */
-static inline void saturation_rates(const double *table, size_t n, size_t k, num id, num iq, num isd, num isq,
+static inline void saturation_rates(const real *table, size_t n, size_t k, num id, num iq, num isd, num isq,
                                     MachineRates dx)
 {
-    const double Xl = table[M_XL * n + k], Xd1 = table[M_XD1 * n + k], Xq1 = table[M_XQ1 * n + k];
-    const double Xd2 = table[M_XD2 * n + k], Xq2 = table[M_XQ2 * n + k];
-    const double a = (Xd2 - Xl) / (Xd1 - Xl), b = (Xq2 - Xl) / (Xq1 - Xl);
+    const real Xl = table[M_XL * n + k], Xd1 = table[M_XD1 * n + k], Xq1 = table[M_XQ1 * n + k];
+    const real Xd2 = table[M_XD2 * n + k], Xq2 = table[M_XQ2 * n + k];
+    const real a = (Xd2 - Xl) / (Xd1 - Xl), b = (Xq2 - Xl) / (Xq1 - Xl);
     const num eq1 = -(table[M_XD * n + k] - Xd1) * a * isd / table[M_TD01 * n + k];
     const num ed1 = (table[M_XQ * n + k] - Xq1) * b * isq / table[M_TQ01 * n + k];
 

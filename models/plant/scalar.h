@@ -114,6 +114,7 @@ static inline double real_log(double x)
 static inline flag num_above(num a, num b) { return PART(a) > PART(b); }
 static inline flag num_reaches(num a, num b) { return PART(a) >= PART(b); }
 static inline num num_pick(flag c, num a, num b) { return c ? a : b; }
+static inline flag flag_not(flag c) { return !c; }
 static inline int flag_any(flag c) { return c; }
 
 #ifdef PLANT_TANGENT
