@@ -9,6 +9,7 @@ Output, JSON: power flow, eigenvalues, time and speed of each machine, CPU secon
 from __future__ import annotations
 
 import contextlib
+import importlib.metadata
 import io
 import json
 import logging
@@ -51,6 +52,7 @@ def run(problem: dict[str, Any]) -> dict[str, Any]:
         "v": system.Bus.v.v.tolist(),
         "a": system.Bus.a.v.tolist(),
         "machines": list(system.GENROU.gen.v),
+        "version": importlib.metadata.version("andes"),
         "files": [str(name) for name in getattr(system, "files_read", ())],
     }
     if not problem.get("stop_s"):
