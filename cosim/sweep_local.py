@@ -31,14 +31,21 @@ class _Worker:
     def __init__(self, number: int, plan: dict[str, Any], cache: Path, scratch: Path) -> None:
         self.scratch = scratch / f"worker-{number}"
         context = _context()
-        self.pipe, theirs = context.Pipe()
-        their_end, self._lifeline = context.Pipe(duplex=False)
-        self.process: BaseProcess = context.Process(
-            target=work, args=(theirs, their_end, plan, cache, self.scratch), daemon=True
-        )
-        self.process.start()
-        theirs.close()
-        their_end.close()
+        for attempt in range(_USELESS):
+            self.pipe, theirs = context.Pipe()
+            their_end, self._lifeline = context.Pipe(duplex=False)
+            self.process: BaseProcess = context.Process(
+                target=work, args=(theirs, their_end, plan, cache, self.scratch), daemon=True
+            )
+            try:
+                self.process.start()
+                break
+            except (EOFError, ConnectionError):  # the server that forks was killed: there will be another
+                if attempt + 1 == _USELESS:
+                    raise SweepError("no worker process can be started: its server ends each time") from None
+            finally:
+                theirs.close()
+                their_end.close()
         self.todo: dict[int, None] = {}
         self.run: int | None = None
         self.since: float | None = None  #: when the present run began to compute
