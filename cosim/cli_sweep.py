@@ -28,6 +28,10 @@ def sweep(
             "--workers", metavar="N", help="processes; default: one for each core", show_default=False
         ),
     ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="dask scheduler whose workers compute"),
+    ] = None,
     large: Annotated[bool, typer.Option("--large", help="confirm a very large number of runs")] = False,
 ) -> None:
     """Run a scenario over many parameters; a sweep that was stopped goes on where it was."""
@@ -35,9 +39,13 @@ def sweep(
 
     if workers is not None and not workers >= 1:
         raise SweepError(f"--workers = {workers}, allowed: at least 1")
+    if workers is not None and scheduler is not None:
+        raise SweepError(
+            "--workers and --scheduler: the scheduler has workers of its own, allowed: one of the two"
+        )
     show = _Display()
     try:
-        summary = run_sweep(spec, out, workers=workers, large=large, progress=show)
+        summary = run_sweep(spec, out, workers=workers, scheduler=scheduler, large=large, progress=show)
     except KeyboardInterrupt:
         show.end()
         print(f"interarea: stopped; the same command goes on with what is in {out}", file=sys.stderr)

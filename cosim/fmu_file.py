@@ -47,8 +47,10 @@ class FmuFile:
     GraphError : no such file, not an FMU, not FMI 2.0, no co-simulation, no binary for this platform.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, *, scratch: Path | None = None) -> None:
+        """scratch : folder in which it is unpacked; default the system's folder for temporary files."""
         self.path = Path(path)
+        self._scratch = scratch
         self.model, self._root = _read(self.path)
         with zipfile.ZipFile(self.path) as archive:
             folders = {
@@ -65,7 +67,7 @@ class FmuFile:
     def folder(self) -> Path:
         """The unpacked FMU."""
         if self._folder is None:
-            self._folder = Path(tempfile.mkdtemp(prefix="interarea-fmu-"))
+            self._folder = Path(tempfile.mkdtemp(prefix="interarea-fmu-", dir=self._scratch))
             atexit.register(self.close)
             with zipfile.ZipFile(self.path) as archive:
                 archive.extractall(self._folder)

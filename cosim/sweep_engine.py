@@ -1,4 +1,4 @@
-"""Run a sweep: what is not there yet is computed by processes, and stored part by part."""
+"""Run a sweep: what is not there yet is computed, here or on a cluster, and stored part by part."""
 
 from __future__ import annotations
 
@@ -44,6 +44,7 @@ def run_sweep(
     folder: Path,
     *,
     workers: int | None = None,
+    scheduler: str | None = None,
     cache: Path | None = None,
     large: bool = False,
     progress: Callable[[Progress], object] | None = None,
@@ -51,7 +52,8 @@ def run_sweep(
 ) -> dict[str, Any]:
     """Run what is missing of a sweep into `folder`; return the counts of its summary.
 
-    workers : processes on this machine; default one for each core. large : confirm more than `LARGEST` runs.
+    workers : processes on this machine; default one for each core. scheduler : address of a dask scheduler
+        whose workers compute instead. large : confirm more than `LARGEST` runs.
 
     Raises
     ------
@@ -62,17 +64,24 @@ def run_sweep(
     plan = plan_sweep(sweep, store_in, large=large, controllers=controllers)
     with SweepStore(folder, plan) as store:
         if store.count < sweep.size:
-            prepare(plan, store_in)
-            count = workers or cores()
-            left = sweep.size - store.count
-            outcomes = local_outcomes(
-                plan,
-                store.todo(),
-                cache=store_in,
-                scratch=store.work,
-                workers=min(count, left),
-                task=task_size(left, count),
-            )
+            files = prepare(plan, store_in)
+            if scheduler is None:
+                count = workers or cores()
+                left = sweep.size - store.count
+                outcomes = local_outcomes(
+                    plan,
+                    store.todo(),
+                    cache=store_in,
+                    scratch=store.work,
+                    workers=min(count, left),
+                    task=task_size(left, count),
+                )
+            else:
+                from .sweep_cluster import cluster_outcomes
+
+                outcomes = cluster_outcomes(
+                    plan, store.todo(), cache=store_in, files=files, address=scheduler
+                )
             _collect(store, outcomes, progress)
         return store.finish()
 

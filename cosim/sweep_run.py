@@ -6,10 +6,13 @@ import errno
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from interarea.fmu_build.compile import compile_binary, host_platform
+from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.package import build_fmu
 from interarea.models.case import Case
 from interarea.models.plant_block import plant_block
@@ -19,6 +22,7 @@ from .errors import StepError
 from .fmu_file import FmuFile
 from .instances import FmuParticipant
 from .instances import Value as Start
+from .kernel_build import load_kernel
 from .run import EVENT_SLOTS, Loop, Wiring, wire
 from .sweep_plan import SweepPlan
 from .sweep_point import CaseChange, Point, point_of
@@ -137,6 +141,11 @@ class Runner:
         for plant in self._plants.values():
             plant.close()
         self._plants.clear()
+        for file in (self._channel, *(f for _, f in self._controllers.values())):
+            if file is not None:
+                file.close()
+        self._channel = None
+        self._controllers.clear()
 
     # -- private --------------------------------------------------------------------------
 
@@ -242,7 +251,7 @@ class Runner:
                 build_fmu(block, path, cache=self.cache)
             else:
                 path = plant_fmu(case, self.cache)
-            found = _Plant(case, FmuFile(path), own)
+            found = _Plant(case, self._open(path), own)
         self._plants[key] = found
         while len(self._plants) > _KEPT:
             old, plant = self._plants.popitem(last=False)
@@ -259,13 +268,16 @@ class Runner:
             made = self.plan.controller(case, name)
             assert made is not None
             base = self._cases.setdefault(case, self.plan.case(case))
-            self._controllers[key] = (made, FmuFile(controller_fmu(made, base.omega_b, self.cache)))
+            self._controllers[key] = (made, self._open(controller_fmu(made, base.omega_b, self.cache)))
         return self._controllers[key][1]
 
     def _channel_file(self) -> FmuFile:
         if self._channel is None:
-            self._channel = FmuFile(channel_fmu(self.cache))
+            self._channel = self._open(channel_fmu(self.cache))
         return self._channel
+
+    def _open(self, path: Path) -> FmuFile:
+        return FmuFile(path, scratch=self.scratch)
 
 
 def _nothing() -> None:
@@ -273,9 +285,16 @@ def _nothing() -> None:
 
 
 def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
-    """Build the FMUs of the unchanged cases and of the controllers; return the files."""
+    """Build FMUs of unchanged cases and controllers, and what FMUs of changed cases are made of.
+
+    Returns the files in `cache` with which runs need no compiler.
+    """
     files = [channel_fmu(cache)]
+    with suppress(BuildError):  # without it Python steps the FMUs
+        files.append(Path(load_kernel(cache)._name))
     cases = {name: plan.case(name) for name in plan.cases}
+    block = plant_block(next(iter(cases.values())))
+    files.append(compile_binary(block.kind, block.sources, host_platform(), cache=cache))
     files += [plant_fmu(case, cache) for case in cases.values()]
     for key in plan.controllers:
         case, _, name = key.rpartition("/") if key.partition("/")[0] not in cases else key.partition("/")
