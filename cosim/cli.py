@@ -16,7 +16,7 @@ from .cli_import import import_grid
 from .cli_modes import modes
 from .cli_run import run
 from .cli_ssp import container, ssp
-from .cli_sweep import sweep
+from .cli_sweep import maps, sweep
 from .terminal import busy, complain, print_table, stage_progress
 
 if TYPE_CHECKING:
@@ -127,6 +127,7 @@ app.command()(check)
 app.command()(ssp)
 app.command()(container)
 app.command()(sweep)
+app.command()(maps)
 
 
 def _modes(name: str) -> tuple[Case, control.StateSpace, Modes]:

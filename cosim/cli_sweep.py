@@ -1,4 +1,4 @@
-"""Command `sweep`: many runs of one scenario."""
+"""Commands `sweep` and `maps`: many runs of one scenario, and what they show."""
 
 from __future__ import annotations
 
@@ -57,6 +57,25 @@ def sweep(
         f"{summary['unstable']} not), {summary['failed']} failed{f' ({failures})' if failures else ''}"
     )
     typer.echo(out)
+
+
+def maps(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="results of a sweep", show_default=False)],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE.html", help="default: DIR/maps.html", show_default=False),
+    ] = None,
+    worst: Annotated[int, typer.Option("--worst", metavar="N", help="worst runs that are drawn")] = 6,
+) -> None:
+    """Draw the maps of a sweep: stability, margins certified and simulated, worst runs; one page."""
+    from .maps import write_maps
+    from .terminal import busy
+
+    if not 0 <= worst <= 50:
+        raise SweepError(f"--worst = {worst}, allowed: 0 to 50")
+    with busy(f"drawing {folder}"):
+        page = write_maps(folder, out or folder / "maps.html", worst=worst)
+    typer.echo(page)
 
 
 class _Display:

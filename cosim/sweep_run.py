@@ -27,7 +27,7 @@ from .run import EVENT_SLOTS, Loop, Wiring, wire
 from .sweep_plan import SweepPlan
 from .sweep_point import CaseChange, Point, point_of
 from .sweep_rows import Outcome, Row, failed_row, measure, start_row, trajectory_table
-from .sweep_values import Value
+from .sweep_values import Search, Value
 from .trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -135,6 +135,48 @@ class Runner:
         loop.master.start()
         return loop, loop.master.run(progress=watch)
 
+    def edge(
+        self, values: Mapping[str, Value], name: str, search: Search
+    ) -> tuple[float | None, float | None, int]:
+        """Return where stability ends in parameter `name`: last stable value, first unstable one, runs made.
+
+        None: no value of the scan is stable, or none is unstable.
+        """
+        counted = 0
+
+        def stable(at: float) -> bool:
+            nonlocal counted
+            for seed in range(search.seeds):
+                loop, curves = self.simulate({**values, name: at}, seed=seed if search.seeds > 1 else None)
+                counted += 1
+                if not measure(loop, curves, ("stable",), ())["stable"]:
+                    return False
+            return True
+
+        good: float | None = None
+        bad: float | None = None
+        for k in range(search.scan):
+            at = round(search.low + (search.high - search.low) * k / (search.scan - 1), 9)
+            if not stable(at):
+                bad = at
+                break
+            good = at
+        while good is not None and bad is not None and bad - good > search.tolerance:
+            middle = round(0.5 * (good + bad), 9)
+            if middle in (good, bad):
+                break
+            if stable(middle):
+                good = middle
+            else:
+                bad = middle
+        return good, bad, counted
+
+    def plant_of(self, values: Mapping[str, Value]) -> tuple[Case, Path]:
+        """Return the case of a point and its plant FMU (there until other cases are asked for)."""
+        point = point_of(self.plan.sweep, values)
+        plant = self._plant(point.change, max(EVENT_SLOTS, len(point.scenario.event)))
+        return plant.case, plant.file.path
+
     def close(self) -> None:
         """Free all instances and remove what is in the scratch folder."""
         self._free_instances()
@@ -167,40 +209,10 @@ class Runner:
         return trajectory_table(self.plan.sweep, run, curves)
 
     def _search(self, run: int, values: dict[str, Value]) -> Row:
-        """Bisection for the edge of stability in the searched parameter."""
-        sweep = self.plan.sweep
-        assert sweep.searched is not None
-        name, search = sweep.searched
-        counted = 0
-
-        def stable(at: float) -> bool:
-            nonlocal counted
-            for seed in range(search.seeds):
-                loop, curves = self.simulate({**values, name: at}, seed=seed if search.seeds > 1 else None)
-                counted += 1
-                if not measure(loop, curves, ("stable",), ())["stable"]:
-                    return False
-            return True
-
-        row = start_row(run, values)
-        span = search.high - search.low
-        good: float | None = None
-        bad: float | None = None
-        for k in range(search.scan):
-            at = round(search.low + span * k / (search.scan - 1), 9)
-            if not stable(at):
-                bad = at
-                break
-            good = at
-        while good is not None and bad is not None and bad - good > search.tolerance:
-            middle = round(0.5 * (good + bad), 9)
-            if middle in (good, bad):
-                break
-            if stable(middle):
-                good = middle
-            else:
-                bad = middle
-        return row | {name: good, f"{name}_unstable": bad, "evaluations": counted}
+        assert self.plan.sweep.searched is not None
+        name, search = self.plan.sweep.searched
+        good, bad, counted = self.edge(values, name, search)
+        return start_row(run, values) | {name: good, f"{name}_unstable": bad, "evaluations": counted}
 
     def _loop(self, point: Point) -> Loop:
         scenario = point.scenario

@@ -227,8 +227,8 @@ def test_two_hosts_one_of_which_is_cut_off(
     cluster = Cluster(tmp_path, host="10.213.7.1")
     try:
         timeouts = {
-            "DASK_DISTRIBUTED__COMM__TIMEOUTS__TCP": "5s",
-            "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "8s",
+            "DASK_DISTRIBUTED__COMM__TIMEOUTS__TCP": "15s",
+            "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "15s",
         }
         for key, value in timeouts.items():
             os.environ[key] = value

@@ -1,0 +1,119 @@
+"""The page of a sweep: it draws what the rows say, its margins agree with the exact ones, it loads nothing."""
+
+from __future__ import annotations
+
+import html.parser
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from interarea.cosim.maps import write_maps
+from interarea.cosim.maps_data import certified_margin, is_grid, map_of, margins_of, pairs_of, worst_runs
+from interarea.cosim.sweep_engine import run_sweep
+from interarea.cosim.sweep_plan import plan_sweep
+from interarea.cosim.sweep_run import Runner
+from interarea.cosim.sweep_spec import load_sweep
+from interarea.cosim.sweep_values import Search
+
+
+def _rows() -> pd.DataFrame:
+    grid = [(a, b, c) for a in (0.1, 0.2) for b in (0.0, 0.5) for c in (1, 2)]
+    rows = pd.DataFrame(grid, columns=["latency", "loss", "seed"])
+    rows["run"] = range(8)
+    rows["status"] = "ok"
+    rows["stable"] = [True, True, True, False, True, False, False, False]
+    rows["peak"] = [1.0, 1.0, 1.0, 5.0, 1.0, 7.0, 2.0, 3.0]
+    rows["damping_inter_area"] = [0.30, 0.20, 0.10, -0.1, 0.25, -0.2, np.nan, -0.3]
+    return rows
+
+
+def test_a_cell_pools_the_runs_with_its_two_values() -> None:
+    found = map_of(_rows(), "latency", "loss")
+    assert found.stable.tolist() == [[1.0, 0.5], [0.5, 0.0]]  # rows: loss, columns: latency
+    assert found.damping[0].tolist() == [0.20, 0.25]  # the least among the stable runs
+    assert found.damping[1, 0] == 0.10
+    assert math.isnan(found.damping[1, 1])
+    assert found.runs.tolist() == [[2.0, 2.0], [2.0, 2.0]]
+    assert is_grid(_rows(), "latency", "loss")
+
+
+def test_worst_are_unstable_runs_by_peak_then_the_least_damped() -> None:
+    assert worst_runs(_rows(), 6) == [5, 3, 7, 6, 2, 1]
+
+
+class _Loads(html.parser.HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.loaded: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for key, value in attrs:
+            if key in ("src", "href", "xlink:href") and value and not value.startswith("#"):
+                self.loaded.append(f"{tag} {key}={value[:60]}")
+
+
+def test_the_page_is_whole_and_loads_nothing(finished: Any, cache: Path, tmp_path: Path) -> None:
+    page = write_maps(finished[0], tmp_path / "maps.html", cache=cache, worst=2)
+    text = page.read_text(encoding="utf-8")
+    reader = _Loads()
+    reader.feed(text)
+    assert [x for x in reader.loaded if not x.startswith("image xlink:href=data:")] == []
+    assert "12 of 12 runs" in text
+    for section in (
+        "What was varied",
+        "Maps",
+        "Margins, certified and simulated",
+        "Worst runs",
+        "Distributions",
+    ):
+        assert f"<h2>{section}</h2>" in text
+    assert len(re.findall("<svg", text)) >= 4
+    assert [p.name for p in tmp_path.iterdir()] == ["maps.html"]
+
+
+def test_pairs_begin_with_latency_and_loss(finished: Any, document: Any) -> None:
+    assert pairs_of(load_sweep(document()), finished[1]) == [("latency", "loss")]
+
+
+@pytest.mark.slow
+def test_simulated_margins_agree_with_the_exact_ones_of_the_linear_loop(
+    document: Any, cache: Path, tmp_path: Path
+) -> None:
+    # Continuous channels and a pulse so small that the plant is linear: nothing lies between the two.
+    channels = {"remote": {"signal": "G2_dw"}, "local": {"signal": "G4_dw"}}
+    pulse = {"kind": "vref_pulse", "machine": "G1", "size_pu": 1e-4, "start_s": 0.5, "end_s": 0.7}
+    base = {"controller": "wdc", "stop_s": 40.0, "step_s": 0.01, "channels": channels, "event": [pulse]}
+    latency = {"path": "channels.*.latency_s", "values": [0.0, 0.1]}
+    plan = plan_sweep(load_sweep(document(base, parameters={"latency": latency})), cache)
+    with Runner(plan, cache, tmp_path) as runner:
+        exact = certified_margin(plan.sweep, runner, "latency", {}, 2.0)
+        search = Search(low=0.0, high=1.0, tolerance=1e-3, scan=21)
+        good, bad, _ = runner.edge({}, "latency", search)
+    assert good is not None and bad is not None
+    assert good == pytest.approx(exact, abs=4e-3)  # growth below 1/e in 40 s does not show
+    assert 0.3 < exact < 0.6
+
+
+@pytest.mark.slow
+def test_margins_follow_case_and_controller(document: Any, cache: Path, tmp_path: Path) -> None:
+    parameters = {
+        "latency": {"path": "channels.*.latency_s", "values": [0.0, 0.1]},
+        "tie": {"path": "case.tie_flow_mw", "values": [0.0, 100.0]},
+        "controller": {"values": ["ftc", "wdc"]},
+    }
+    run_sweep(document({"stop_s": 8.0}, parameters=parameters), tmp_path / "s", workers=1, cache=cache)
+    from interarea.cosim.sweep_store import read_plan, read_rows
+
+    plan, rows = read_plan(tmp_path / "s"), read_rows(tmp_path / "s")
+    with Runner(plan, cache, tmp_path) as runner:
+        found = margins_of(plan.sweep, rows, runner)
+    assert [(m.values["tie"], m.values["controller"]) for m in found] == [
+        (0.0, "ftc"), (0.0, "wdc"), (100.0, "ftc"), (100.0, "wdc"),
+    ]  # fmt: skip
+    assert all(m.certified is not None and m.stable is not None for m in found)
+    assert found[1].certified > found[0].certified  # type: ignore[operator]
