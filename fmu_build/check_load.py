@@ -46,8 +46,8 @@ def check_running(d: ModelDescription, folder: Path, report: Report, *, timeout_
         done = _run(todo, folder, report, timeout_s)
         ran += [f"{interface}: {topic}" for interface, _, topic in todo[:done]]
         last, todo = todo[done - 1], todo[done:]
-        if _hopeless(report):
-            # what cannot be loaded cannot be run, and what hung once will hang again
+        if _hopeless(report, last[0]):
+            # what cannot be loaded cannot be run; what hung, or crashed twice, will do so again
             todo = [t for t in todo if t[0] != last[0]]
 
 
@@ -64,9 +64,9 @@ def _binary(folder: Path, identifier: str) -> Path | None:
     return None
 
 
-def _hopeless(report: Report) -> bool:
-    last = report.findings[-1] if report.findings else None
-    return last is not None and (last.rule == "run: load" or "hangs" in last.message)
+def _hopeless(report: Report, interface: str) -> bool:
+    bad = [f for f in report.findings if f.where == interface and f.rule.startswith("run:")]
+    return any(f.rule == "run: load" or "hangs" in f.message for f in bad) or len(bad) >= 2
 
 
 def _run(todo: list[list[str]], folder: Path, report: Report, timeout_s: float) -> int:

@@ -83,7 +83,11 @@ def supervisor_block(
     through = any(np.any(K[3]) for K in bank.values())
     variables = [
         *(Variable(s, "state", "State of a controller of the bank", start=0.0) for s in states),
-        *(Variable(s, "state", "Weight of a controller in the output", start=0.0) for s in weights),
+        # the flags start up, so the choice for all signals starts active
+        *(
+            Variable(s, "state", "Weight of a controller in the output", start=float(who == choice[-1]))
+            for s, who in zip(weights, names, strict=True)
+        ),
         *(Variable(s, "state", "Weight of a signal, 0 when not trusted", start=1.0) for s in masks),
         *(
             Variable(f"der({s})", "derivative", f"Derivative of {s}", unit="1/s", derivative_of=s)

@@ -135,6 +135,7 @@ def test_what_the_program_writes_is_clean(loop: Path) -> None:
     assert report.facts["components"] == len(report.facts["fmus"]) == 4
 
 
+@pytest.mark.usefixtures("_without_validators")
 def test_the_same_structure_as_version_1_1(loop: Path, tmp_path: Path) -> None:
     newer = mutated(loop, tmp_path / "x.ssp", _sub('version="1.0" name', 'version="1.1" name'))
     assert [f.line() for f in check_file(newer, run=False).findings] == []
@@ -144,12 +145,17 @@ def test_the_same_structure_as_version_1_1(loop: Path, tmp_path: Path) -> None:
     assert [f.rule for f in check_file(unknown, run=False).findings] == ["SSP version"]
 
 
-@pytest.mark.parametrize("defect", DEFECTS)
-def test_defect_is_found(defect: str, loop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    edit, rule, words = DEFECTS[defect]
-    # the validators of the FMUs inside have their own tests and cost most of the time
+@pytest.fixture
+def _without_validators(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of the FMUs inside have their own tests and cost most of the time."""
     monkeypatch.setattr("interarea.fmu_build.check.fmpy_rules", lambda *_: None)
     monkeypatch.setattr("interarea.fmu_build.check.toolbox_rules", lambda *_: None)
+
+
+@pytest.mark.usefixtures("_without_validators")
+@pytest.mark.parametrize("defect", DEFECTS)
+def test_defect_is_found(defect: str, loop: Path, tmp_path: Path) -> None:
+    edit, rule, words = DEFECTS[defect]
     report = check_file(mutated(loop, tmp_path / "x.ssp", edit), run=False)
     told = [f for f in report.findings if f.rule == rule]
     assert any(words in f.message for f in told), [f.line() for f in report.findings]

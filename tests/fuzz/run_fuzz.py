@@ -15,7 +15,7 @@ from fmu_blocks import blocks  # noqa: E402
 from fuzz_build import build_driver, sanitizing_compiler  # noqa: E402
 from test_fuzz import SOURCES  # noqa: E402
 
-SHARE = {"controller": 0.45, "channel": 0.2, "plant": 0.35}  #: of the calls
+SHARE = {"controller": 0.3, "supervisor": 0.2, "channel": 0.2, "plant": 0.3}  #: of the calls
 
 
 def main() -> int:

@@ -13,7 +13,7 @@ from fmu_blocks import blocks
 from fuzz_build import Compiler, build_driver, sanitizing_compiler
 
 SOURCES = ("fuzz.c", "fuzz_calls.c")
-CALLS = {"controller": 400_000, "channel": 150_000, "plant": 250_000}
+CALLS = {"controller": 300_000, "supervisor": 200_000, "channel": 100_000, "plant": 200_000}
 
 pytestmark = pytest.mark.slow
 

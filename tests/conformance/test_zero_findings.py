@@ -1,0 +1,60 @@
+"""Every FMU and SSP the program writes: nothing from `interarea check`, `fmpy validate`, `fmutool -check`."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from fmpy.validation import validate_fmu
+
+from interarea.cosim.artefacts import active_bank, channel_fmu, controller_fmu, design_controller, plant_fmu
+from interarea.cosim.container import write_container
+from interarea.cosim.run import Controllers
+from interarea.cosim.scenario import load_scenario
+from interarea.cosim.ssp import write_ssp
+from interarea.fmu_build.check import check_file
+from interarea.models.case import Case, load_case
+
+pytestmark = pytest.mark.slow
+
+#: What `interarea study` writes below fmus/, one plant of another size, and the bank of controllers.
+FMUS: dict[str, Callable[[Case, Path], Path]] = {
+    "plant": plant_fmu,
+    "plant of New England": lambda case, cache: plant_fmu(load_case("new-england"), cache),
+    "channel": lambda case, cache: channel_fmu(cache),
+    "wdc": lambda case, cache: controller_fmu(design_controller(case, "wdc", cache), case.omega_b, cache),
+    "cc": lambda case, cache: controller_fmu(design_controller(case, "cc", cache), case.omega_b, cache),
+    "ftc": lambda case, cache: controller_fmu(design_controller(case, "ftc", cache), case.omega_b, cache),
+    "bank": lambda case, cache: controller_fmu(active_bank(case, cache), case.omega_b, cache),
+}
+
+
+def check_nothing_is_found(fmu: Path) -> None:
+    report = check_file(fmu)
+    assert [f.line() for f in report.findings] == []
+    assert len(report.facts["topics"]) in (9, 18)  # nine for each interface
+    assert validate_fmu(str(fmu)) == []
+    tool = Path(sys.executable).with_name("fmutool")
+    done = subprocess.run([tool, "-input", fmu, "-check"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("name", FMUS)
+def test_fmus(name: str, two_area: Case, cache: Path) -> None:
+    check_nothing_is_found(FMUS[name](two_area, cache))
+
+
+def test_container(by_hand: Controllers, cache: Path, tmp_path: Path) -> None:
+    loop = load_scenario("wide-area-damping")
+    check_nothing_is_found(write_container(loop, tmp_path / "loop.fmu", cache=cache, controllers=by_hand))
+
+
+@pytest.mark.parametrize("scenario", ["wide-area-damping", "lost-signal"])
+def test_ssps(scenario: str, by_hand: Controllers, cache: Path, tmp_path: Path) -> None:
+    loop = write_ssp(load_scenario(scenario), tmp_path / "loop.ssp", cache=cache, controllers=by_hand)
+    report = check_file(loop)
+    assert [f.line() for f in report.findings] == []
+    assert len(report.facts["fmus"]) == report.facts["components"]
