@@ -8,13 +8,12 @@ input over its step, as our master does with `inputs = "hold-jacobi"`.
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-from interarea.fmu_build.package import archive_bytes, build_fmu
+from interarea.fmu_build.package import archive_bytes, build_fmu, write_whole
 from interarea.fmu_build.render import SI_UNITS, product_version
 from interarea.models.variables import Variable
 
@@ -57,15 +56,7 @@ def write_ssp(
             entries[f"resources/{member.name}.fmu"] = fmu.read_bytes()
             if _settable(member):
                 entries[f"resources/{member.name}.ssv"] = parameter_set(member).encode("utf-8")
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    partial = target.with_name(f".{target.name}.{os.getpid()}")
-    try:
-        partial.write_bytes(archive_bytes(entries, first="SystemStructure.ssd", stored=(".fmu",)))
-        partial.replace(target)
-    finally:
-        partial.unlink(missing_ok=True)
-    return target
+    return write_whole(Path(path), archive_bytes(entries, first="SystemStructure.ssd", stored=(".fmu",)))
 
 
 def structure(members: Members) -> str:

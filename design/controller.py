@@ -214,7 +214,16 @@ def document(value: Any) -> str:
         body = ("".join(f"<td>{document(row.get(key, ''))}</td>" for key in keys) for row in value)
         return f"<table><tr>{head}</tr>{''.join(f'<tr>{cells}</tr>' for cells in body)}</table>"
     if isinstance(value, list):
+        if value and all(isinstance(v, dict) and list(v) == list(value[0]) for v in value):
+            return _document_rows(value)
         return ", ".join(document(v) for v in value)
     if isinstance(value, float):
         return f"{value:.6g}"
     return html.escape(str(value))
+
+
+def _document_rows(rows: list[dict[str, Any]]) -> str:
+    """Rows with the same keys as one table."""
+    head = "".join(f"<th>{html.escape(k)}</th>" for k in rows[0])
+    lines = ("".join(f"<td>{document(v)}</td>" for v in row.values()) for row in rows)
+    return f"<table><tr>{head}</tr>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"

@@ -13,14 +13,14 @@ import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import jinja2
 import numpy as np
 
 from interarea.models.variables import Block
 
 from .compile import PLATFORMS, compile_library, host_platform, record_source, source_files
+from .documentation import documentation
 from .errors import BuildError
-from .render import product_version, render
+from .render import render
 
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -54,8 +54,12 @@ def build_fmu(
     sources = source_files((*block.sources, record_source()))
     binaries = {name: compile_library(block.kind, sources, name, cache=cache) for name in names}
     content = _archive(block, sources, {name: file.read_bytes() for name, file in binaries.items()})
+    return write_whole(path, content)
+
+
+def write_whole(path: Path, content: bytes) -> Path:
+    """Write a file beside `path` and rename it, so that nobody ever opens half of it; return `path`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Written beside and renamed, so that nobody ever opens half an FMU.
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
     try:
         with os.fdopen(handle, "wb") as file:
@@ -75,8 +79,9 @@ def _archive(block: Block, sources: Mapping[str, bytes], binaries: dict[str, byt
         "modelDescription.xml": description.encode("utf-8"),
         "model.png": _picture(),
         "resources/model.bin": record,
-        "documentation/index.html": _documentation(block).encode("utf-8"),
+        "documentation/index.html": documentation(block, sources, binaries).encode("utf-8"),
         "documentation/licenses/license.txt": (_TEMPLATES / "license.txt").read_bytes(),
+        "documentation/licenses/fmi_headers.txt": _headers_license(sources),
     }
     for name, content in sources.items():
         entries[f"sources/{name}"] = content
@@ -105,14 +110,14 @@ def archive_bytes(entries: Mapping[str, bytes], *, first: str, stored: tuple[str
     return buffer.getvalue()
 
 
-@functools.cache
-def _template() -> jinja2.Template:
-    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(_TEMPLATES), autoescape=True)
-    return environment.get_template("documentation.html")
-
-
-def _documentation(block: Block) -> str:
-    return _template().render(block=block, version=product_version())
+def _headers_license(sources: Mapping[str, bytes]) -> bytes:
+    """Licence of the standard's headers, as they carry it themselves."""
+    text = sources["fmi2Functions.h"].decode("utf-8")
+    found = re.search(r"Copyright .*?(?=\*/)", text, re.DOTALL)
+    if found is None:
+        raise BuildError("fmi2Functions.h carries no licence; reinstall fmpy")
+    lines = [line.strip() for line in found.group().splitlines()]
+    return ("FMI 2.0 standard headers\n\n" + "\n".join(lines).strip() + "\n").encode("utf-8")
 
 
 @functools.cache

@@ -1,0 +1,135 @@
+"""Files by which a receiver checks that an FMU runs in his tool as it ran here: the FMI cross-check's layout.
+
+``extra/NAME_in.csv`` inputs over time, straight lines between the rows; ``extra/NAME_ref.csv`` the outputs;
+``extra/NAME_ref.opt`` times and step. The outputs come from the FMU's own binary, stepped with the inputs'
+values and slopes, so they are the same to the bit wherever the files are made.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import BuildError
+from .package import archive_bytes, write_whole
+
+Array = npt.NDArray[np.float64]
+_MOST_STEPS = 2000
+_MOST_OUTPUTS = 20
+_AMPLITUDE = 0.01  # of an input, in its unit and relative to its nominal value
+
+
+def add_cross_check(fmu: Path, path: Path) -> Path:
+    """Write a copy of `fmu` with the three cross-check files in ``extra/`` to `path`; return that path.
+
+    The run: from the default start over at most 2000 of the default steps. Input k rises
+    from its start value by a hundredth of its nominal value between k T/20 and (k + 1) T/20,
+    T the stop time, and goes back after T/2. Of many outputs the first 20 are written.
+
+    Raises
+    ------
+    BuildError : no binary for this platform, or the FMU refuses to run; with its message.
+    """
+    import fmpy
+
+    folder = tempfile.mkdtemp(prefix="interarea-cross-check-")
+    try:
+        fmpy.extract(str(fmu), folder)
+        model = fmpy.read_model_description(folder)
+        experiment = model.defaultExperiment
+        step_s = float(experiment.stepSize)
+        count = max(1, min(_MOST_STEPS, round(float(experiment.stopTime) / step_s)))
+        inputs = [v for v in model.modelVariables if v.causality == "input" and v.type == "Real"]
+        outputs = [v for v in model.modelVariables if v.causality == "output"][:_MOST_OUTPUTS]
+        knots, values = _excitation(inputs, count * step_s)
+        rows = _run(model, folder, inputs, outputs, knots, values, step_s, count)
+    except BuildError:
+        raise
+    except Exception as error:  # fmpy raises Exception itself
+        raise BuildError(f"{fmu.name}: the cross-check run failed: {error}") from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    options = (("StartTime", 0.0), ("StopTime", count * step_s), ("StepSize", step_s), ("RelTol", 1e-4))
+    name = model.modelName
+    extra = {f"extra/{name}_ref.opt": "".join(f"{k}, {v!r}\n" for k, v in options)}
+    extra[f"extra/{name}_ref.csv"] = _csv([v.name for v in outputs], rows)
+    if inputs:
+        extra[f"extra/{name}_in.csv"] = _csv([v.name for v in inputs], np.column_stack([knots, values]))
+    with zipfile.ZipFile(fmu) as archive:
+        entries = {n: archive.read(n) for n in archive.namelist()}
+    entries |= {n: text.encode("utf-8") for n, text in extra.items()}
+    return write_whole(path, archive_bytes(entries, first="modelDescription.xml"))
+
+
+def _excitation(inputs: Sequence[Any], stop_s: float) -> tuple[Array, Array]:
+    """Knots (s) and values (knots, inputs) of the straight lines that the inputs follow."""
+    starts = [float(v.start) for v in inputs]
+    sizes = [_AMPLITUDE * float(v.nominal or 1.0) for v in inputs]
+    times = {0.0, stop_s / 2.0, 0.55 * stop_s, stop_s}
+    times |= {(k + j) * stop_s / 20.0 for k in range(1, min(len(inputs), 8) + 1) for j in (0, 1)}
+    knots = np.array(sorted(times))
+    columns = []
+    for k, (start, size) in enumerate(zip(starts, sizes, strict=True)):
+        rise = (k % 8 + 1) * stop_s / 20.0
+        at = [0.0, rise, rise + stop_s / 20.0, stop_s / 2.0, 0.55 * stop_s, stop_s]
+        columns.append(np.interp(knots, at, [start, start, start + size, start + size, start, start]))
+    return knots, np.array(columns).T.reshape(len(knots), len(inputs))
+
+
+def _run(
+    model: Any,
+    folder: str,
+    inputs: Sequence[Any],
+    outputs: Sequence[Any],
+    knots: Array,
+    values: Array,
+    step_s: float,
+    count: int,
+) -> Array:
+    """Time and outputs at every communication point, (count + 1, 1 + outputs)."""
+    from fmpy.fmi2 import FMU2Slave
+
+    fmu = FMU2Slave(
+        guid=model.guid,
+        modelIdentifier=model.coSimulation.modelIdentifier,
+        unzipDirectory=folder,
+        instanceName="cross_check",
+    )
+    references = [v.valueReference for v in inputs]
+    fmu.instantiate()
+    try:
+        fmu.setupExperiment(startTime=0.0)
+        fmu.enterInitializationMode()
+        fmu.exitInitializationMode()
+        rows = [[0.0, *_read(fmu, outputs)]]
+        for k in range(count):
+            t, end = k * step_s, (k + 1) * step_s
+            if references:
+                now = [float(np.interp(t, knots, c)) for c in values.T]
+                then = [float(np.interp(end, knots, c)) for c in values.T]
+                fmu.setReal(references, now)
+                slopes = [(b - a) / step_s for a, b in zip(now, then, strict=True)]
+                fmu.setRealInputDerivatives(references, [1] * len(references), slopes)
+            fmu.doStep(t, step_s)
+            rows.append([end, *_read(fmu, outputs)])
+        fmu.terminate()
+    finally:
+        fmu.freeInstance()
+    return np.array(rows, dtype=float)
+
+
+def _read(fmu: Any, outputs: Sequence[Any]) -> list[float]:
+    calls = {"Real": fmu.getReal, "Boolean": fmu.getBoolean}
+    return [float(calls.get(v.type, fmu.getInteger)([v.valueReference])[0]) for v in outputs]
+
+
+def _csv(names: Sequence[str], rows: Array) -> str:
+    head = ",".join(f'"{name}"' for name in ("time", *names))
+    return "\n".join([head, *(",".join(f"{x:.12g}" for x in row) for row in rows)]) + "\n"
