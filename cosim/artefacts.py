@@ -14,7 +14,8 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+import zipfile
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache as forever
 from importlib.metadata import PackageNotFoundError, version
@@ -28,6 +29,8 @@ from interarea.design.certificate import certificate
 from interarea.design.linearise import linearise, remove_reference, speeds_in_rad
 from interarea.design.modes import modes_of
 from interarea.design.shipped import shipped_controller, shipped_names
+from interarea.fmu_build.compile import PLATFORMS, host_platform
+from interarea.fmu_build.cross_check import add_cross_check
 from interarea.fmu_build.open import open_plant
 from interarea.fmu_build.package import build_fmu
 from interarea.models.case import Case
@@ -146,8 +149,11 @@ def place(artefact: Path, path: Path) -> Path:
     return partial.replace(path)
 
 
-def block_fmu(block: Block, cache: Path) -> Path:
-    """Build the FMU of a block once; the key is everything the block holds and the FMU builder's sources."""
+def block_fmu(block: Block, cache: Path, *, platforms: Sequence[str] | None = None) -> Path:
+    """Build the FMU of a block once; the key is everything the block holds and the FMU builder's sources.
+
+    platforms : see `build_fmu`.
+    """
     variables = [repr(v) for v in block.table]
     data = [part for name, value in block.data.items() for part in (name, _raw(value))]
     key = content_hash(
@@ -164,10 +170,23 @@ def block_fmu(block: Block, cache: Path) -> Path:
         source_hash("fmu_build"),
         source_hash("fmu_build", "*.[ch]"),
         os.environ.get("CC", ""),
+        *([] if platforms is None else [list(platforms)]),
     )
-    return artefact(
-        cache, block.kind, f"{block.name}-{key}", ".fmu", lambda p: build_fmu(block, p, cache=cache)
-    )
+
+    def make(path: Path) -> None:
+        build_fmu(block, path, platforms=platforms, cache=cache)
+
+    return artefact(cache, block.kind, f"{block.name}-{key}", ".fmu", make)
+
+
+def complete_fmu(fmu: Path, cache: Path) -> Path:
+    """Return a copy of one of our FMUs with cross-check files, or the FMU itself if it cannot run here."""
+    with zipfile.ZipFile(fmu) as archive:
+        here = f"binaries/{PLATFORMS[host_platform()].folder}/"
+        if not any(name.startswith(here) for name in archive.namelist()):
+            return fmu
+    key = content_hash(file_hash(fmu), code_hash("fmu_build.cross_check"))
+    return artefact(cache, "complete", f"{fmu.stem}-{key}", ".fmu", lambda p: add_cross_check(fmu, p))
 
 
 def _raw(value: object) -> bytes | np.ndarray[Any, Any]:

@@ -15,7 +15,7 @@ from .cli_design import certify, design
 from .cli_import import import_grid
 from .cli_modes import modes
 from .cli_run import run
-from .cli_ssp import container, ssp
+from .cli_ssp import build, container, ssp
 from .cli_sweep import maps, sweep
 from .terminal import busy, complain, print_table, stage_progress
 
@@ -87,19 +87,6 @@ def loops(case: CaseName, json_: AsJson = False) -> None:
 
 
 @app.command()
-def build(case: CaseName, out: OutFolder) -> None:
-    """Build the plant FMU of a case."""
-    from interarea.models.case import load_case
-
-    from .artefacts import default_cache, place, plant_fmu
-
-    with busy("building the plant FMU"):
-        loaded = load_case(case)
-        made = plant_fmu(loaded, default_cache())
-    typer.echo(place(made, out / f"{loaded.name}.fmu"))
-
-
-@app.command()
 def study(
     out: OutFolder,
     name: Annotated[str, typer.Argument(metavar="NAME", help="bundled study or TOML file")] = "thesis",
@@ -124,6 +111,7 @@ app.command()(run)
 app.command()(design)
 app.command()(certify)
 app.command()(check)
+app.command()(build)
 app.command()(ssp)
 app.command()(container)
 app.command()(sweep)

@@ -1,4 +1,4 @@
-"""Commands that hand a scenario's whole loop to other tools: `ssp`, `container`."""
+"""Commands that hand FMUs to other tools: `build`, and a scenario's whole loop as `ssp` or `container`."""
 
 from __future__ import annotations
 
@@ -20,6 +20,28 @@ Platforms = Annotated[
         help="platforms of the binaries, e.g. linux64,win64,darwin64,linux-arm64; default: this machine's",
     ),
 ]
+
+
+def build(
+    case: Annotated[
+        str, typer.Argument(metavar="CASE", help="bundled case or TOML file", show_default=False)
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
+    ],
+    platforms: Platforms = None,
+) -> None:
+    """Build the plant FMU of a case, complete: documentation, sources and cross-check files."""
+    from interarea.models.case import load_case
+    from interarea.models.plant_block import plant_block
+
+    from .artefacts import block_fmu, complete_fmu, default_cache, place
+
+    cache = default_cache()
+    with busy("building the plant FMU"):
+        loaded = load_case(case)
+        made = complete_fmu(block_fmu(plant_block(loaded), cache, platforms=names_of(platforms)), cache)
+    typer.echo(place(made, out / f"{loaded.name}.fmu"))
 
 
 def ssp(

@@ -30,6 +30,7 @@ from .artefacts import (
     cached_json,
     channel_fmu,
     code_hash,
+    complete_fmu,
     content_hash,
     controller_fmu,
     default_cache,
@@ -170,6 +171,7 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
         figures = {key: place(path, out / "figures" / path.name) for key, path in drawn.items()}
 
     done = stage("report")
+    fmus = {label: complete_fmu(path, cache) for label, path in fmus.items()}
     study = rows.study_rows(parts, loops, full.nstates)
     study["packets"] = packets
     study["figures"] = {key: path.relative_to(out).as_posix() for key, path in figures.items()}

@@ -1,0 +1,89 @@
+"""documentation/: what the page states, that it follows the sources, and that its links lead somewhere."""
+
+from __future__ import annotations
+
+import html
+import posixpath
+import re
+import zipfile
+from pathlib import Path
+
+import pytest
+from fmu_blocks import blocks
+from fmu_runner import decay_block
+from lxml import etree
+
+from interarea.design.shipped import shipped_controller
+from interarea.fmu_build import build_fmu
+from interarea.fmu_build.compile import host_platform
+from interarea.fmu_build.documentation import equations_of, references_in
+from interarea.models.case import Case
+
+
+def page_of(fmu: Path) -> str:
+    with zipfile.ZipFile(fmu) as archive:
+        return archive.read("documentation/index.html").decode("utf-8")
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the plant FMU of the thesis."""
+    return build_fmu(blocks()["plant"], tmp_path_factory.mktemp("plant"))
+
+
+def test_plant_page_states_equations_works_case_and_platform(plant: Path, two_area: Case) -> None:
+    page = html.unescape(page_of(plant))
+    assert "2H  d slip/dt  = Tm - Te - D slip" in page
+    assert "T_A dEfd/dt = K_A y - Efd" in page
+    assert "Power System Stability and Control" in page  # cited by machine.h, from the bibliography
+    assert two_area.hash in page
+    assert f"binaries in this archive: {host_platform()}" in page
+
+
+@pytest.mark.parametrize("kind", ["decay", "controller", "channel", "plant"])
+def test_page_is_well_formed_and_names_every_variable(kind: str, tmp_path: Path) -> None:
+    block = blocks()[kind]
+    page = page_of(build_fmu(block, tmp_path))
+    parser = etree.HTMLParser(recover=False)
+    root = etree.fromstring(page.encode("utf-8"), parser)
+    codes = {"".join(e.itertext()) for e in root.iter("code")}
+    assert {v.name for v in block.table} <= codes
+
+
+def test_links_lead_into_the_archive(plant: Path) -> None:
+    targets = re.findall(r'(?:href|src)="([^"]+)"', page_of(plant))
+    with zipfile.ZipFile(plant) as archive:
+        names = set(archive.namelist())
+        headers = archive.read("documentation/licenses/fmi_headers.txt").decode("utf-8")
+    assert len(targets) >= 3
+    for target in targets:
+        assert posixpath.normpath(posixpath.join("documentation", target)) in names, target
+    assert "Modelica Association" in headers
+    assert "Redistribution and use in source and binary forms" in headers
+
+
+def test_robust_controller_brings_its_family_certificate(tmp_path: Path, two_area: Case) -> None:
+    controller = shipped_controller("robust")
+    assert controller.certificate is not None
+    page = html.unescape(page_of(build_fmu(controller.block(two_area.omega_b), tmp_path)))
+    for row in controller.certificate["rows"]:
+        assert f"<td>{row['point']}</td><td>{row['condition']}</td>" in page
+        assert f"<td>{row['worst_swing']:.6g}</td>" in page
+    assert f"<th>worst_swing</th><td>{controller.certificate['worst_swing']:.6g}</td>" in page
+    assert controller.design["method"] in page
+
+
+def test_page_follows_sources_and_parameters(tmp_path: Path) -> None:
+    first = page_of(build_fmu(decay_block(), tmp_path / "a.fmu"))
+    assert page_of(build_fmu(decay_block(), tmp_path / "b.fmu")) == first
+    assert page_of(build_fmu(decay_block(internal_step_s=0.02), tmp_path / "c.fmu")) != first
+
+
+def test_equations_are_those_of_the_block_not_of_the_fmi_layer() -> None:
+    sources = {
+        "solver.c": b"/* Not this:\n *\n *     x = y\n */\n",
+        "lag.h": b"/* A lag [Kundur1994]:\n *\n *     T dx/dt = u - x\n */\n/* only words */\n",
+    }
+    assert equations_of(sources) == {"lag.h": "A lag [Kundur1994]:\n\n    T dx/dt = u - x"}
+    assert list(references_in(equations_of(sources)["lag.h"])) == ["Kundur1994"]
+    assert references_in("nothing cited here") == {}
