@@ -215,3 +215,24 @@ double packets_weight(const Block *b, const History *history, double t)
     return m[M_RECEIVED] == 0.0 || m[M_NEWEST] >= t - TIME_SLACK
                ? history_weight(history, m[M_NEWEST], t, b->u_order[0]) : 0.0;
 }
+
+double packets_next(const Block *b, double t)
+{
+    const double *m = b->memory, *list = m + M_PENDING, *p = b->p;
+    const double least = p[P_PDC_WAIT] > 0.0 ? p[P_PDC_WAIT] : p[P_LATENCY];
+    double next = INFINITY;
+
+    for (size_t k = 0; k < (size_t)m[M_IN_FLIGHT]; ++k) {
+        const double due = list[PACKET_SIZE * k + DUE];
+        if (due > t + TIME_SLACK && due < next) next = due;
+    }
+    for (double number = m[M_NEXT]; number * p[P_REPORTING] + least < next; number += 1.0) {
+        const double due = number * p[P_REPORTING] + (p[P_PDC_WAIT] > 0.0 ? least : latency_of(b, number));
+        if (due > t + TIME_SLACK && due < next) next = due;
+    }
+    if (m[M_LOST] != 0.0 && b->ip[IP_ON_LOSS] == ON_LOSS_HOLD_THEN_ZERO) {
+        const double end = m[M_LOST_SINCE] + p[P_HOLD_TIME];
+        if (end > t + TIME_SLACK && end < next) next = end;
+    }
+    return next;
+}

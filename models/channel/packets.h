@@ -17,6 +17,10 @@ void packets_start(Block *b, double t);
  * which the input was set. Sets outputs and integer outputs. */
 BlockStatus packets_step(Block *b, const History *history, double now, double end, BlockMessage *message);
 
+/* The first instant after t at which a packet comes out or is missed, or what is
+ * held for a missing one ends; INFINITY if there is none. */
+double packets_next(const Block *b, double t);
+
 /* d y(t) / d u(t). */
 double packets_weight(const Block *b, const History *history, double t);
 

@@ -25,6 +25,8 @@ size_t channel_member_jumps(const Block *b, double *at)
         if (!(end > start)) continue;
         at[count++] = start;
         at[count++] = end;
+        if (b->ip[IP_ON_LOSS] == ON_LOSS_HOLD_THEN_ZERO && start + b->p[P_HOLD_TIME] < end)
+            at[count++] = start + b->p[P_HOLD_TIME];
     }
     return count;
 }
@@ -33,4 +35,14 @@ double channel_member_latency(const Block *b)
 {
     const double wait = b->p[P_PDC_WAIT];
     return b->p[P_REPORTING] > 0.0 && wait > b->p[P_LATENCY] ? wait : b->p[P_LATENCY];
+}
+
+int channel_member_packets(const Block *b)
+{
+    return b->p[P_REPORTING] > 0.0;
+}
+
+double channel_member_next(const Block *b, double t)
+{
+    return channel_member_packets(b) ? packets_next(b, t) : INFINITY;
 }

@@ -15,7 +15,8 @@
  * takes: every `loop.step` from the start; every event of the plant and every
  * beginning and end of an outage; these again one latency later; and 1 ns before
  * each of them, so that what a signal was just before a jump and just after are
- * both known. Across such a nanosecond signals are straight lines.             */
+ * both known. Across such a nanosecond signals are straight lines. And every
+ * instant at which a packet comes out of a channel: its output is held between. */
 #include <stdint.h>
 #include "member.h"
 

@@ -249,7 +249,9 @@ static BlockStatus step_once(Loop *l, double t, double end, BlockMessage *messag
         for (size_t k = 0; k < l->count; ++k)
             for (size_t j = 0; l->kind[k] == KIND_CHANNEL && j < l->block[k].layout.n_y; ++j) {
                 const size_t i = l->first_y[k] + j;
-                draw(l->poly + 4 * i, l->y0[i], l->slope0[i], l->outer->y[i], l->slope[i], h, edge);
+                const int held = channel_member_packets(&l->block[k]);
+                draw(l->poly + 4 * i, l->y0[i], held ? 0.0 : l->slope0[i], held ? l->y0[i] : l->outer->y[i],
+                     held ? 0.0 : l->slope[i], h, edge);
             }
         if ((status = integrate(l, t, h, message)) != BLOCK_OK) return status;
         if ((status = settle(l, end, message)) != BLOCK_OK) return status;
@@ -281,6 +283,16 @@ static int64_t next_point(const Loop *l, int64_t now)
         const int64_t mark = (int64_t)m[M_MARKS + k], before = mark - 1;
         if (before > now && before < next) next = before;
         if (mark > now && mark < next) next = mark;
+    }
+    for (size_t k = 0; k < l->count; ++k) {
+        double due;
+
+        if (l->kind[k] != KIND_CHANNEL || !channel_member_packets(&l->block[k])) continue;
+        due = channel_member_next(&l->block[k], (double)now / 1e9) * 1e9;
+        if (!(due < (double)next)) continue;
+        /* rounding of k T + latency is far below a nanosecond: such an instant is that one, others the next */
+        due = fabs(due - floor(due + 0.5)) < 0.05 ? floor(due + 0.5) : ceil(due);
+        if ((int64_t)due > now && (int64_t)due < next) next = (int64_t)due;
     }
     return next;
 }

@@ -19,9 +19,13 @@ typedef struct {
 
 extern const MemberKind plant_member, controller_member, channel_member;
 
-/* Of a channel: instants at which its output may jump, and its least latency. */
+/* Of a channel: instants at which its output may jump, packets aside; its least
+ * latency; whether it sends packets, so that its output is held between them;
+ * when the next one comes out or is missed.                                   */
 size_t channel_member_jumps(const Block *b, double *at); /* at most CHANNEL_MEMBER_JUMPS */
 double channel_member_latency(const Block *b);
-enum { CHANNEL_MEMBER_JUMPS = 16 };
+int channel_member_packets(const Block *b);
+double channel_member_next(const Block *b, double t);
+enum { CHANNEL_MEMBER_JUMPS = 24 };
 
 #endif
