@@ -8,7 +8,6 @@ import numpy as np
 import printed
 import pytest
 from plant_shim import BlockShim
-from scipy.interpolate import CubicSpline
 
 from interarea.models.case import load_case
 from interarea.models.events import events_of
@@ -30,7 +29,10 @@ def test_dw24_is_that_of_another_tool(row):
     theirs = np.array(row["dw24"])
     times, _, outputs = plant.run(len(theirs) * KEPT["step_s"], 0.001)
     g2, g4 = (plant.output_names.index(f"{m}_dw") for m in ("G2", "G4"))
-    ours = CubicSpline(times, outputs[:, g2] - outputs[:, g4])
+
+    def ours(at):  # linear between steps of 1 ms: good to 1e-5 of the peak
+        return np.interp(at, times, outputs[:, g2] - outputs[:, g4])
+
     at = KEPT["step_s"] * np.arange(1, len(theirs) + 1)
     peak = np.abs(ours(at)).max()
     assert np.abs(ours(at) - theirs).max() < ALLOWED * peak
