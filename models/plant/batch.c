@@ -29,6 +29,7 @@ typedef struct {
     int real;              /* 0: fills up the last group                          */
     int alive;
     double time, last_event, end;
+    double begin, begin_event; /* time and last_event at the communication step's start */
     double from, to, event; /* segment under way, the event at its end or infinity */
     long count, done;      /* substeps of the segment                             */
 } Lane;
@@ -43,7 +44,8 @@ static size_t lane_size(const BlockLayout *l, const BlockNeeds *needs)
 
 static size_t group_size(const BlockLayout *l, const BlockNeeds *needs)
 {
-    return needs->n_memory + 6 * l->n_x + l->n_u + l->n_y + needs->n_scratch + 1;
+    /* memory, x and k, u, y, scratch and space for one lane alone, h */
+    return 2 * needs->n_memory + 6 * l->n_x + l->n_u + l->n_y + 2 * needs->n_scratch + 1;
 }
 
 BlockStatus batch_open(Record *record, const void *bytes, size_t size, const BlockLayout *layout,
@@ -163,6 +165,7 @@ static void advance_vector(Vector *v, Lane *lanes, Batch *b)
             Lane *lane = &lanes[k];
             const int runs = lane->alive && lane->done < lane->count;
             v->group.h[k] = runs ? (lane->to - lane->from) / (double)lane->count : 0.0;
+            v->group.memory[(size_t)H_IDLE * v->lanes + k] = runs ? 0.0 : 1.0;
             busy |= runs;
         }
         if (!busy) return;
@@ -173,6 +176,7 @@ static void advance_vector(Vector *v, Lane *lanes, Batch *b)
             lane->time = lane->to;
             if (!(lane->event < INFINITY)) continue;
             get(v->group.x, lane->block.x, l->n_x, v->lanes, k);
+            get(v->group.memory, lane->block.memory, v->n_memory, v->lanes, k);
             next_segment(lane, b);
             put(v->group.memory, lane->block.memory, v->n_memory, v->lanes, k);
             put(v->group.x, lane->block.x, l->n_x, v->lanes, k);
@@ -228,6 +232,36 @@ static void record(Lane *lane, Batch *b, size_t step, const double *y, size_t st
         b->y[(step * n_y + i) * b->n + lane->scenario] = lane->alive ? y[i * stride] : NAN;
 }
 
+static int finite_lane(const double *x, size_t n, size_t lanes, size_t k)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < n; ++i) sum += fabs(x[i * lanes + k]);
+    return sum <= 1e300;
+}
+
+/* A lane whose states are not finite any more repeats its communication step by the
+ * scalar code, which says why. */
+static void repeat_alone(Vector *v, Lane *lane, size_t k, Batch *b)
+{
+    const size_t n = b->layout.n_x;
+    BlockMessage message = { { 0 } };
+
+    for (size_t i = 0; i < n; ++i) lane->block.x[i] = lane->block.dx[i];
+    lane->time = lane->begin;
+    lane->last_event = lane->begin_event;
+    lane->event = INFINITY;
+    const BlockStatus status = block_event(&lane->block, lane->begin, lane->block.x, &message);
+    if (status != BLOCK_OK) {
+        end_lane(lane, b, status, &message);
+        return;
+    }
+    lane->block.memory[H_IDLE] = 0.0;
+    next_segment(lane, b);
+    advance_scalar(lane, b, v->group.k);
+    put(v->group.memory, lane->block.memory, v->n_memory, v->lanes, k);
+    put(v->group.x, lane->block.x, n, v->lanes, k);
+}
+
 static void run_group(Batch *b, Lane *lanes, Vector *v, double *k)
 {
     const BlockLayout *l = &b->layout;
@@ -239,6 +273,8 @@ static void run_group(Batch *b, Lane *lanes, Vector *v, double *k)
         put(v->group.x, lanes[j].block.x, l->n_x, width, j);
     }
     for (size_t step = 0; step <= b->n_steps; ++step) {
+        for (size_t j = 0; j < width; ++j)
+            v->group.memory[(size_t)H_IDLE * width + j] = lanes[j].alive ? 0.0 : 1.0;
         if (width > 1) v->outputs(&v->group);
         for (size_t j = 0; j < width; ++j) {
             Lane *lane = &lanes[j];
@@ -259,13 +295,18 @@ static void run_group(Batch *b, Lane *lanes, Vector *v, double *k)
             lane->end = b->start + b->step * (double)(step + 1);
             lane->count = lane->done = 0;
             if (!lane->alive) continue;
-            const double before = lane->last_event;
+            lane->begin = lane->time;
+            lane->begin_event = lane->last_event;
+            if (width > 1) get(v->group.x, lane->block.dx, l->n_x, width, j);
             next_segment(lane, b);
-            if (lane->last_event != before)
-                put(v->group.memory, lane->block.memory, v->n_memory, width, j);
         }
-        if (width > 1) advance_vector(v, lanes, b);
-        else advance_scalar(&lanes[0], b, k);
+        if (width == 1) {
+            advance_scalar(&lanes[0], b, k);
+            continue;
+        }
+        advance_vector(v, lanes, b);
+        for (size_t j = 0; j < width; ++j)
+            if (lanes[j].alive && !finite_lane(v->group.x, l->n_x, width, j)) repeat_alone(v, &lanes[j], j, b);
     }
     for (size_t j = 0; j < width; ++j) {
         Lane *lane = &lanes[j];
@@ -281,7 +322,6 @@ BlockStatus batch_run(Batch *b, size_t lanes, BlockMessage *message)
     const BlockLayout *l = &b->layout;
     BlockNeeds needs;
     Lane lane[MOST_LANES];
-    size_t count;
     BlockStatus status = block_needs(b->record, l, &needs, message);
 
     if (status != BLOCK_OK) return status;
@@ -290,7 +330,6 @@ BlockStatus batch_run(Batch *b, size_t lanes, BlockMessage *message)
     if (!(b->step > 0.0 && b->substep > 0.0 && b->step / b->substep <= MOST_SUBSTEPS))
         return plant_fail(message, BLOCK_ERROR, "batch: step = %g s, substep = %g s, allowed: above 0",
                           b->step, b->substep);
-    if (record_f64(b->record, "port.table", &count) != NULL && count > 0) lanes = 1;
 
     double *at = b->work;
     Vector v = { lanes, needs.n_memory, { l, NULL, NULL, NULL, NULL, NULL, NULL, NULL }, NULL, NULL };
@@ -302,7 +341,7 @@ BlockStatus batch_run(Batch *b, size_t lanes, BlockMessage *message)
     v.group.k = at;        at += lanes * 5 * l->n_x;
     v.group.u = at;        at += lanes * l->n_u;
     v.group.y = at;        at += lanes * l->n_y;
-    v.group.scratch = at;  at += lanes * needs.n_scratch;
+    v.group.scratch = at;  at += lanes * (2 * needs.n_scratch + needs.n_memory);
     for (size_t j = 0; j < lanes; ++j, at += lane_size(l, &needs)) lane_arrays(&lane[j], b, &needs, at);
 
     for (size_t first = 0; first < b->n; first += lanes) {

@@ -1,7 +1,7 @@
 #ifndef INTERAREA_BATCH_H
 #define INTERAREA_BATCH_H
 /* Many scenarios of one grid in one call: structure of arrays, a vector of
- * scenarios ("lanes") per arithmetic operation where the plant has no ports.
+ * scenarios ("lanes") per arithmetic operation.
  *
  * Scenarios differ in parameters, events, start values and inputs; each meets its
  * own events at their exact times. Steps are those of a co-simulation FMU: the
@@ -45,7 +45,7 @@ BATCH_API BlockStatus batch_open(Record *record, const void *bytes, size_t size,
 /* Doubles of work for `lanes` at a time. */
 BATCH_API size_t batch_work(const BlockLayout *layout, const BlockNeeds *needs, size_t lanes);
 /* Runs every scenario, `lanes` at a time: 1, 2, 4 or 8; more than the processor has
- * is BLOCK_ERROR, and a plant with ports runs one at a time. */
+ * is BLOCK_ERROR. */
 BATCH_API BlockStatus batch_run(Batch *batch, size_t lanes, BlockMessage *message);
 
 /* One Runge-Kutta step of a group: arrays of n doubles per lane, lane last; h: one

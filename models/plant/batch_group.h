@@ -18,7 +18,9 @@ void BATCH_STEP(const BatchGroup *g)
     (void)NAME(plant_flow)(memory, at, u, k3, scratch);
     for (size_t i = 0; i < n; ++i) at[i] = x[i] + h * k3[i];
     (void)NAME(plant_flow)(memory, at, u, k4, scratch);
-    for (size_t i = 0; i < n; ++i) x[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
+    const flag runs = num_above(h, NUM(0.0));
+    for (size_t i = 0; i < n; ++i)
+        x[i] = num_pick(runs, x[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]), x[i]);
 }
 
 void BATCH_OUTPUTS(const BatchGroup *g)

@@ -9,9 +9,7 @@
 #include "machine.h"
 #include "network.h"
 #include "plant.h"
-#ifndef PLANT_LANES
 #include "port.h"
-#endif
 #include "stabilizer.h"
 
 /* Work arrays, one entry per machine; e also one per port. id_rotor is what the
@@ -19,10 +17,8 @@
 typedef struct {
     num *sine, *cosine, *i_re, *i_im, *id, *iq, *vd, *vq, *vt, *vs, *efd, *pm, *id_rotor;
     num *e_re, *e_im;
-#ifndef PLANT_LANES
     PortWork port;
     num *newton;
-#endif
 } Work;
 
 static Work work_arrays(num *scratch, const Plan *plan)
@@ -33,38 +29,47 @@ static Work work_arrays(num *scratch, const Plan *plan)
                scratch + 5 * n, scratch + 6 * n, scratch + 7 * n, scratch + 8 * n,
                scratch + 9 * n, scratch + 10 * n, scratch + 11 * n, scratch + 12 * n,
                .e_re = e, .e_im = e + plan->n_source };
-#ifndef PLANT_LANES
     w.port = port_arrays(e + 2 * plan->n_source, plan->n_port);
     w.newton = e + 2 * plan->n_source + PORT_ARRAYS * plan->n_port;
-#endif
     return w;
 }
 
-#ifndef PLANT_LANES
 #ifdef PLANT_TANGENT   /* tangent.c: one exact Newton step */
 static size_t port_solve_tangent(const double *memory, const Plan *plan, const num *x, Work *w);
 #endif
 
-/* What the ports inject, into the sources; 0, or 1 + the port where Newton's method fails. */
-static size_t solve_ports(double *memory, const Plan *plan, const num *x, Work *w)
+/* What the ports inject, into the sources; 0, or 1 + the port where Newton's method
+ * fails (of several scenarios: 0, and NaN in the one that fails). */
+static size_t solve_ports(real *memory, const Plan *plan, const num *x, Work *w)
 {
 #ifdef PLANT_TANGENT
     const size_t stuck = port_solve_tangent(memory, plan, x, w);
+    return stuck < plan->n_port ? stuck + 1 : 0;
 #else
     const MachineStates states = machine_states(x, plan->n_machine, plan->n_sixth);
+#ifdef PLANT_LANES
+    const flag failed = port_iterate(memory, plan, states.ed2, w->sine, w->cosine, w->e_re, w->e_im, w->port,
+                                     w->newton);
+    double *space = (double *)(void *)(w->newton + (PORT_NEWTON + 4 * plan->n_port) * plan->n_port);
+    for (size_t lane = 0; lane < PLANT_LANES; ++lane)
+        if (failed[lane] != 0)
+            port_rescue(lane, memory, plan, states.ed2, w->sine, w->cosine, w->e_re, w->e_im, w->port, space);
+    return 0;
+#else
     double *const at[4] = { w->port.v_re, w->port.v_im, w->port.isd, w->port.isq };
     const size_t stuck = port_solve(memory, plan, states.ed2, w->sine, w->cosine, w->e_re, w->e_im,
                                     at, w->newton);
-#endif
     return stuck < plan->n_port ? stuck + 1 : 0;
+#endif
+#endif
 }
 
 /* Terminals and rotor circuits of the machines that saturate. */
-static void saturate_terminals(const double *memory, const Plan *plan, Work *w)
+static void saturate_terminals(const real *memory, const Plan *plan, Work *w)
 {
     for (size_t k = 0; k < plan->n_machine; ++k) w->id_rotor[k] = w->id[k];
     for (size_t p = 0; p < plan->n_port; ++p) {
-        const double *row = memory + plan->port + P_ROWS * p;
+        const real *row = memory + plan->port + P_ROWS * p;
         const size_t k = index_at(row, P_DEVICE);
         if (port_is_load(row)) continue;
         saturation_terminal(row, k, w->port.isd[p], w->port.isq[p], w->vd, w->vq, w->vt);
@@ -72,40 +77,17 @@ static void saturate_terminals(const double *memory, const Plan *plan, Work *w)
     }
 }
 
-static void saturate_rates(const double *memory, const Plan *plan, const Work *w, num *dx)
+static void saturate_rates(const real *memory, const Plan *plan, const Work *w, num *dx)
 {
     const size_t n = plan->n_machine;
     for (size_t p = 0; p < plan->n_port; ++p) {
-        const double *row = memory + plan->port + P_ROWS * p;
+        const real *row = memory + plan->port + P_ROWS * p;
         const size_t k = index_at(row, P_DEVICE);
         if (port_is_load(row)) continue;
         saturation_rates(memory + plan->machine, n, k, w->id[k], w->iq[k], w->port.isd[p], w->port.isq[p],
                          machine_rates(dx, n, plan->n_sixth));
     }
 }
-#else   /* several scenarios at a time: plants without ports only (batch.h) */
-static size_t solve_ports(const real *memory, const Plan *plan, const num *x, Work *w)
-{
-    (void)memory;
-    (void)x;
-    (void)w;
-    return plan->n_port;
-}
-static void saturate_terminals(const real *memory, const Plan *plan, Work *w)
-{
-    (void)memory;
-    (void)plan;
-    (void)w;
-}
-static void saturate_rates(const real *memory, const Plan *plan, const Work *w, num *dx)
-{
-    (void)memory;
-    (void)plan;
-    (void)w;
-    (void)dx;
-}
-#endif
-
 /* Returns 0, or 1 + the port where Newton's method fails. */
 static size_t solve_network(real *memory, const Plan *plan, const num *x, Work *w)
 {

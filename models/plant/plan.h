@@ -78,6 +78,7 @@ enum {
     H_N_EXCITER, H_N_STABILIZER, H_N_GOVERNOR, H_N_TIE, H_N_SLOT, H_N_PORT, H_N_STATE,
     H_TRIPPED,          /* machines that are tripped                    */
     H_PORT_READY,       /* 1: port_b and port_z are good for this stage */
+    H_IDLE,             /* 1: a lane of a batch that has nothing to do  */
     H_SIZE = 20
 };
 

@@ -64,7 +64,8 @@ enum { PORT_ARRAYS = 4, PORT_NEWTON = 10 };
 static inline num num_size(num a) { return num_pick(num_above(NUM(0.0), a), -a, a); }
 
 /* Fills the injected currents e[n_machine..] and w from the EMFs before them. True
- * where that failed and port.c must help. work: 6 n_port. */
+ * where that failed and port.c must help; an idle lane never asks for it and keeps
+ * its memory. work: 6 n_port. */
 static inline flag port_iterate(real *memory, const Plan *plan, const num *ed2, const num *sine,
                                 const num *cosine, num *e_re, num *e_im, PortWork w, num *work)
 {
@@ -75,7 +76,9 @@ static inline flag port_iterate(real *memory, const Plan *plan, const num *ed2, 
     real *last = memory + plan->port_v, *last_b = last + 2 * n;
     num *b = work, *rest = work + 2 * n, *next = work + 4 * n;
     num size = NUM(1.0), before = NUM(1e30);
-    flag open = num_above(NUM(memory[H_PORT_READY]), NUM(0.5)), failed = flag_not(open), tired = open & failed;
+    const flag idle = num_above(NUM(memory[H_IDLE]), NUM(0.5)), busy = flag_not(idle);
+    flag open = busy & num_above(NUM(memory[H_PORT_READY]), NUM(0.5));
+    flag failed = busy & flag_not(open), tired = open & failed;
 
     for (size_t p = 0; p < 2 * n; ++p) b[p] = NUM(0.0);
     for (size_t k = 0; k < m; ++k) {
@@ -118,8 +121,8 @@ static inline flag port_iterate(real *memory, const Plan *plan, const num *ed2, 
     memory[H_PORT_READY] = num_pick(failed | tired, NUM(0.0), NUM(memory[H_PORT_READY]));
     for (size_t p = 0; p < 2 * n; ++p) {
         const num v = p < n ? w.v_re[p] : w.v_im[p - n];
-        last[p] = num_pick(failed, NUM(last[p]), v);
-        last_b[p] = num_pick(failed, NUM(last_b[p]), b[p]);
+        last[p] = num_pick(failed | idle, NUM(last[p]), v);
+        last_b[p] = num_pick(failed | idle, NUM(last_b[p]), b[p]);
     }
     return failed;
 }
@@ -151,4 +154,35 @@ size_t port_solve(double *memory, const Plan *plan, const double *ed2, const dou
  * each port in turn). 0: singular. work: 2 n_port doubles. */
 int port_inverse(const double *memory, const Plan *plan, const double *v_re, const double *v_im,
                  const double *sine, const double *cosine, double *inverse, double *work);
+
+#ifdef PLANT_LANES
+/* port.c for one lane: its memory and the port's surroundings travel to `space` and
+ * back. A lane without solution becomes NaN, which its driver finds. */
+static inline void port_rescue(size_t lane, num *memory, const Plan *plan, const num *ed2, const num *sine,
+                               const num *cosine, num *e_re, num *e_im, PortWork w, double *space)
+{
+    const size_t m = plan->n_machine, n = plan->n_port;
+    double *own = space, *own_ed2 = own + plan->total, *own_sine = own_ed2 + m, *own_cosine = own_sine + m;
+    double *own_re = own_cosine + m, *own_im = own_re + plan->n_source, *ports = own_im + plan->n_source;
+    double *const at[4] = { ports, ports + n, ports + 2 * n, ports + 3 * n };
+    num *const to[4] = { w.v_re, w.v_im, w.isd, w.isq };
+
+    for (size_t k = 0; k < plan->total; ++k) own[k] = memory[k][lane];
+    for (size_t k = 0; k < m; ++k) {
+        own_ed2[k] = k < plan->n_sixth ? ed2[k][lane] : 0.0;
+        own_sine[k] = sine[k][lane];
+        own_cosine[k] = cosine[k][lane];
+        own_re[k] = e_re[k][lane];
+        own_im[k] = e_im[k][lane];
+    }
+    const size_t stuck = port_solve(own, plan, own_ed2, own_sine, own_cosine, own_re, own_im, at, ports + 4 * n);
+    for (size_t k = plan->port_v; k < plan->total; ++k) memory[k][lane] = own[k];
+    memory[H_PORT_READY][lane] = own[H_PORT_READY];
+    for (size_t p = 0; p < n; ++p) {
+        e_re[m + p][lane] = stuck < n ? NAN : own_re[m + p];
+        e_im[m + p][lane] = own_im[m + p];
+        for (size_t a = 0; a < 4; ++a) to[a][p][lane] = at[a][p];
+    }
+}
+#endif
 #endif

@@ -87,14 +87,23 @@ def test_inputs_and_start_states_reach_their_scenario(batch):
     assert np.abs(again.of("G1_vt")[0] - moved.of("G1_vt")[-1]).max() < 1e-12
 
 
-def test_a_plant_with_ports_runs_and_agrees_with_its_own_right_hand_side(cache):
-    case = load_case("kundur-thyristor")
-    events = [{"kind": "bus_fault", "bus": 8, "start_s": 0.05, "end_s": 0.1, "x_pu": 0.01}]
-    row = event_parameters(case, events_of(events, where="test"))
-    run = PlantBatch(plant_block(case), cache=cache).run([row, {}], stop_s=0.2, step_s=0.01)
-    _, _, outputs = BlockShim(plant_block(case), row).run(0.2, 0.001)
-    np.testing.assert_allclose(run.outputs[:, :, 0], outputs[::10], atol=1e-9)
-    assert np.abs(run.of("G1_dw")[:, 1]).max() < 1e-10  # nothing happens in the other
+@pytest.mark.parametrize("name", ["kundur-thyristor", "nets-nyps"])
+def test_a_plant_with_ports_has_the_bits_of_each_scenario_alone(cache, name):
+    case, rows = load_case(name), []
+    for k in range(6):
+        bus = case.buses[(7 * k + 7) % len(case.buses)].number
+        fault = {"kind": "bus_fault", "bus": bus, "start_s": 0.02, "end_s": 0.07 + 0.013 * k, "x_pu": 0.01}
+        trip = {"kind": "machine_trip", "machine": "G2", "start_s": 0.1}
+        rows.append(event_parameters(case, events_of([fault, *([trip] if k == 3 else [])], where="test")))
+    batch = PlantBatch(plant_block(case), cache=cache)
+    alone = batch.run(rows, stop_s=0.2, lanes=1)
+    assert np.all(np.isfinite(alone.outputs))
+    for lanes in LANES[1:]:
+        if lanes <= batch.widest:
+            np.testing.assert_array_equal(batch.run(rows, stop_s=0.2, lanes=lanes).outputs, alone.outputs)
+    if name == "kundur-thyristor":
+        plant = BlockShim(plant_block(case), rows[0])
+        np.testing.assert_allclose(alone.outputs[:2, :, 0], plant.run(0.01, 0.001)[2][::10], atol=1e-12)
 
 
 def test_a_scenario_that_fails_says_why_and_leaves_the_others_alone(batch):
