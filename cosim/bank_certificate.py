@@ -6,12 +6,13 @@ import zipfile
 from pathlib import Path
 
 import control
-from fmpy import read_model_description
 
 from interarea.design.bank import ControllerBank, bank_of_record, load_controller
 from interarea.design.controller import Controller, ControllerError
 from interarea.design.switching import BankLoop, SwitchingCertificate, proven_decay, switching_certificate
 from interarea.models.record import unpack_record
+
+from .fmu_file import read_description
 
 RECORD = "resources/model.bin"
 
@@ -25,7 +26,7 @@ def bank_from_fmu(path: Path, omega_b: float) -> ControllerBank:
     """
     if not path.is_file():
         raise ControllerError(f"controller FMU {path}: not found")
-    description = read_model_description(str(path))
+    description, _ = read_description(path)
     variables = {v.name: v for v in description.modelVariables}
     inputs = [n for n, v in variables.items() if v.causality == "input" and f"{n}_valid" in variables]
     outputs = [n for n, v in variables.items() if v.causality == "output" and v.type == "Real"]

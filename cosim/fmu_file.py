@@ -7,6 +7,7 @@ import shutil
 import tempfile
 import xml.etree.ElementTree as ET
 import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -51,7 +52,7 @@ class FmuFile:
         """scratch : folder in which it is unpacked; default the system's folder for temporary files."""
         self.path = Path(path)
         self._scratch = scratch
-        self.model, self._root = _read(self.path)
+        self.model, self._root = read_description(self.path)
         with zipfile.ZipFile(self.path) as archive:
             folders = {
                 n.split("/")[1] for n in archive.namelist() if n.startswith("binaries/") and n.count("/") > 1
@@ -137,13 +138,19 @@ class FmuFile:
         return found
 
 
-def _read(path: Path) -> tuple[Any, ET.Element]:
+def read_description(path: Path) -> tuple[Any, ET.Element]:
+    """Return fmpy's model description of a co-simulation FMU 2.0 and the XML it came from.
+
+    Raises
+    ------
+    GraphError : no such file, not an FMU, of another version, against the standard, without co-simulation.
+    """
     if not path.is_file():
         raise GraphError(f"{path}: no such FMU file")
     try:
         with zipfile.ZipFile(path) as archive:
             root = ET.fromstring(archive.read("modelDescription.xml"))
-    except (zipfile.BadZipFile, KeyError, ET.ParseError) as error:
+    except (zipfile.BadZipFile, zlib.error, KeyError, ET.ParseError) as error:
         raise GraphError(f"{path.name}: not an FMU ({error})") from error
     version = root.get("fmiVersion")
     if version != "2.0":

@@ -29,7 +29,7 @@ _OFFSETS = (BandOffsets().omega, BandOffsets().offset)
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class PointTable(_Table):
@@ -153,6 +153,8 @@ def load_design(path: str | Path) -> DesignTable:
         raise ScenarioError(f"design {path}: no such file; bundled: {', '.join(design_names())}") from error
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(f"{path}: is no TOML: {error}") from error
+    except RecursionError:
+        raise ScenarioError(f"{path}: is no TOML: nested too deeply") from None
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])

@@ -220,6 +220,8 @@ def load_scenario(source: str | Path | Mapping[str, Any] | Scenario) -> Scenario
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path.name}: is no TOML: {error}") from None
+    except RecursionError:
+        raise ScenarioError(f"{path.name}: is no TOML: nested too deeply") from None
     return _checked({"name": path.stem, **table}, path.name, path.parent)
 
 

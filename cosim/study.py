@@ -253,6 +253,8 @@ def load_study(name: str) -> Mapping[str, Any]:
         spec = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path.name}: is no TOML: {error}") from None
+    except RecursionError:
+        raise ScenarioError(f"{path.name}: is no TOML: nested too deeply") from None
     missing = [key for key in KEYS if key not in spec]
     if missing:
         raise ScenarioError(

@@ -234,7 +234,7 @@ def load_controller(path: str | Path) -> Controller | ControllerBank:
     """
     try:
         data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError):
         return Controller.load(path)  # which says what is wrong with the file
     if not isinstance(data, dict) or data.get("kind") != "bank":
         return Controller.load(path)

@@ -114,6 +114,8 @@ class Controller:
             raise ControllerError(f"controller file {path}: not found") from error
         except (UnicodeDecodeError, json.JSONDecodeError) as error:
             raise ControllerError(f"controller file {path}: not JSON ({error})") from error
+        except RecursionError:
+            raise ControllerError(f"controller file {path}: not JSON (nested too deeply)") from None
         try:
             return cls.from_dict(data)
         except ControllerError as error:

@@ -34,7 +34,7 @@ def unpack_checked(path: Path, folder: Path, report: Report) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
-            if not _entries_are_harmless(entries, report):
+            if not _begins_with_the_file(entries, path, report) or not _entries_are_harmless(entries, report):
                 return False
             _check_entries(entries, report)
             return _unpack(archive, entries, folder, report)
@@ -47,6 +47,23 @@ def unpack_checked(path: Path, folder: Path, report: Report) -> bool:
     ) as error:
         report.add(_HOSTILE, path.name, f"not a readable zip archive: {error}", "make the archive again")
         return False
+
+
+def _begins_with_the_file(entries: list[zipfile.ZipInfo], path: Path, report: Report) -> bool:
+    """Whether nothing stands before the first entry.
+
+    A reader looks for the directory from the end: of an archive of archives that is cut short it finds that
+    of the last one inside.
+    """
+    first = min((e.header_offset for e in entries), default=0)
+    if first > 0:
+        report.add(
+            _HOSTILE,
+            path.name,
+            f"{first} bytes before the first entry: cut short, or hung behind another file",
+            "make the archive again",
+        )
+    return first == 0
 
 
 def _entries_are_harmless(entries: list[zipfile.ZipInfo], report: Report) -> bool:

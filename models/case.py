@@ -240,6 +240,8 @@ def _document(name_or_path: str | Path, seen: tuple[str, ...], beside: Path | No
     except tomllib.TOMLDecodeError as error:
         hint = " (an id given twice?)" if "overwrite" in str(error) or "declare" in str(error) else ""
         raise CaseError(f"{where}: not valid TOML: {error}{hint}") from None
+    except RecursionError:
+        raise CaseError(f"{where}: not valid TOML: nested too deeply") from None
     if "base" not in raw:
         return raw
     if where in seen:
