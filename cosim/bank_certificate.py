@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from pathlib import Path
 
 import control
@@ -36,7 +37,7 @@ def bank_from_fmu(path: Path, omega_b: float) -> ControllerBank:
     with zipfile.ZipFile(path) as archive:
         try:
             arrays = unpack_record(archive.read(RECORD))
-        except (KeyError, ValueError) as error:
+        except (KeyError, ValueError, zipfile.BadZipFile, zlib.error) as error:
             raise ControllerError(f"controller FMU {path}: {RECORD}: {error}") from error
     numbers = {n: float(v.start) for n, v in variables.items() if v.causality == "parameter"}
     return bank_of_record(description.modelName, members, inputs, outputs, arrays, numbers, omega_b)

@@ -5,15 +5,17 @@ from __future__ import annotations
 import json
 import re
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
 import control
 import numpy as np
-from fmpy import read_model_description
 
 from interarea.design.controller import RECORD, Controller, ControllerError
 from interarea.design.shipped import shipped_controller, shipped_names
+
+from .fmu_file import read_description
 
 
 def any_controller(name: str, omega_b: float) -> Controller:
@@ -33,7 +35,7 @@ def _from_fmu(path: Path, omega_b: float) -> Controller:
     """Read A, B, C, D (pu) and the limit from an FMU's parameters; speeds become rad/s."""
     if not path.is_file():
         raise ControllerError(f"controller FMU {path}: not found")
-    description = read_model_description(str(path))
+    description, _ = read_description(path)
     variables = description.modelVariables
     starts = {v.name: v.start for v in variables if v.causality == "parameter"}
     inputs = [v.name for v in variables if v.causality == "input"]
@@ -72,10 +74,13 @@ def record_of_fmu(path: Path) -> dict[str, Any]:
 
     Raises ControllerError where the record is there and cannot be read.
     """
-    with zipfile.ZipFile(path) as archive:
-        if "documentation/index.html" not in archive.namelist():
-            return {}
-        page = archive.read("documentation/index.html").decode("utf-8")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if "documentation/index.html" not in archive.namelist():
+                return {}
+            page = archive.read("documentation/index.html").decode("utf-8")
+    except (zipfile.BadZipFile, zlib.error, UnicodeDecodeError) as error:
+        raise ControllerError(f"controller FMU {path}: its documentation is damaged ({error})") from error
     found = re.search(f'<script type="application/json" id="{RECORD}">(.*?)</script>', page, re.DOTALL)
     if found is None:
         return {}

@@ -97,5 +97,5 @@ def _typed(row: npt.NDArray[np.float64], port: Port) -> npt.NDArray[Any]:
     if port.type == "Integer":
         return row.astype(np.int64)
     if port.type == "Boolean":
-        return row != 0.0
+        return np.asarray(row != 0.0)
     return row
