@@ -1,0 +1,163 @@
+"""Steps that an FMU does not do to their end (fmi2Discard from fmi2DoStep, FMI2 4.2.2).
+
+The FMU tells how far it came (fmi2LastSuccessfulTime), and whether it wants the simulation to end
+(fmi2Terminated). Then either
+
+* *go on* (default): it alone does the rest of the step from there, its inputs continued along the
+  polynomials it was given. Needs nothing of the other FMUs, which see what happened at the step's end;
+* *roll back*: every FMU is put back to the start of the step (all must save their state), the instant becomes
+  a communication point with a tick on its far side, as a known event has, and the step is done in three.
+
+An FMU that came nowhere is offered half the length, and half of that, before it counts as failed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Literal
+
+from . import interpolation as ip
+from .clock import TICKS_PER_SECOND, Step
+from .errors import StepError
+
+Early = Literal["go on", "roll back"]
+EARLY: tuple[Early, ...] = ("go on", "roll back")
+_LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3
+_MOST_RETURNS, _SHORTEST = 10_000, 2.0**-20
+
+
+class EarlyReturn(StepError):
+    """An FMU came only to `reached_s`; raised to those who roll back."""
+
+    def __init__(self, instance: str, time_s: float, reached_s: float, last_log: str) -> None:
+        super().__init__(
+            f"returned discard, having reached t = {reached_s:.9g} s",
+            instance=instance,
+            call="fmi2DoStep",
+            time_s=time_s,
+            last_log=last_log,
+        )
+        self.reached_s = reached_s
+
+
+def go_on(fmu: Any, order: int, time_s: float, length_s: float) -> None:
+    """Finish the step [time_s, time_s + length_s] of an FmuParticipant whose fmi2DoStep returned discard.
+
+    order : of the input derivatives it was sent.
+
+    Raises
+    ------
+    StepError : it wants to end, tells no or an impossible time, or gets nowhere with the shortest step.
+    """
+    end, now, part = time_s + length_s, time_s, length_s
+    given = [(fmu.u[i], *(fmu.du[3 * i : 3 * i + 3] if order else (0.0,) * 3)) for i in _inputs(fmu)]
+    try:
+        for _ in range(_MOST_RETURNS):
+            reached = reached_s(fmu, now, now + part)
+            if reached > now:
+                now, part = reached, end - reached
+            else:
+                part *= 0.5
+                if not part > length_s * _SHORTEST:
+                    break
+            _continue_inputs(fmu, given, order, now - time_s)
+            while fmu.try_step(now, part) == 0:
+                now, part = now + part, end - (now + part)
+                if not part > 4.0 * math.ulp(end):
+                    fmu.time_s = end
+                    return
+                _continue_inputs(fmu, given, order, now - time_s)
+    finally:
+        for i, d in zip(_inputs(fmu), given, strict=True):
+            fmu.u[i] = d[0]
+            if order:
+                fmu.du[3 * i : 3 * i + 3] = list(d[1:])
+    raise StepError(
+        f"keeps returning discard and stays at t = {now:.9g} s",
+        instance=fmu.name,
+        call="fmi2DoStep",
+        time_s=now,
+        last_log=fmu.last_log(),
+        advice="take a shorter step_s",
+    )
+
+
+def reached_s(fmu: Any, time_s: float, end_s: float) -> float:
+    """Return how far an FMU came in a step that it discarded.
+
+    Raises
+    ------
+    StepError : it wants to end, does not say, or names a time outside the step.
+    """
+    if fmu.status_of("fmi2GetBooleanStatus", _TERMINATED):
+        at = fmu.status_of("fmi2GetRealStatus", _LAST_SUCCESSFUL_TIME)
+        raise _failed(fmu, time_s, f"asks for the simulation to end at t = {at or time_s:.9g} s")
+    last = fmu.status_of("fmi2GetRealStatus", _LAST_SUCCESSFUL_TIME)
+    if last is None:
+        raise _failed(fmu, time_s, "returned discard and does not say how far it came")
+    slack = 1e-9 * max(1.0, abs(time_s))
+    if not time_s - slack <= last <= end_s + slack:
+        raise _failed(
+            fmu,
+            time_s,
+            f"returned discard and names t = {last:.9g} s as the time it reached, "
+            f"outside its step to {end_s:.9g} s",
+        )
+    return float(min(max(last, time_s), end_s))
+
+
+def rolled_back(
+    step: Step, once: Callable[[Step], None], save: Callable[[], Any], restore: Callable[[Any], None],
+    release: Callable[[Any], None],
+) -> int:  # fmt: skip
+    """Do `step` by `once`; where an FMU returns early put everything back and stop there first.
+
+    Returns how often. Raises
+    ------
+    StepError : see `go_on`; no progress.
+    """
+    todo, times = [step], 0
+    while todo:
+        piece = todo.pop()
+        saved = save()
+        try:
+            once(piece)
+        except EarlyReturn as early:
+            restore(saved)
+            tick = math.floor(early.reached_s * TICKS_PER_SECOND + 1e-3)
+            times += 1
+            if not piece.start < tick < piece.end or times > _MOST_RETURNS:
+                raise
+            after = min(tick + 1, piece.end)
+            if after < piece.end:
+                todo.append(Step(after, piece.end, edge=False, recorded=piece.recorded))
+            todo.append(Step(tick, after, edge=True, recorded=False))
+            todo.append(Step(piece.start, tick, edge=False, recorded=False))
+        finally:
+            release(saved)
+    return times
+
+
+def _inputs(fmu: Any) -> range:
+    return range(len(fmu.bound_inputs))
+
+
+def _continue_inputs(fmu: Any, given: list[tuple[float, ...]], order: int, at: float) -> None:
+    """Send the inputs' polynomials as they are `at` seconds into the step."""
+    for i, d in zip(_inputs(fmu), given, strict=True):
+        cut = (d[0], *(d[1 + k] if k < order else 0.0 for k in range(3)))
+        fmu.u[i] = ip.value_at(cut, at)
+        if order:
+            fmu.du[3 * i : 3 * i + 3] = [ip.slope_at(cut, at), cut[2] + at * cut[3], cut[3]]
+    if fmu.bound_inputs:
+        fmu.send(order)
+
+
+def _failed(fmu: Any, time_s: float, what: str) -> StepError:
+    return StepError(what, instance=fmu.name, call="fmi2DoStep", time_s=time_s, last_log=fmu.last_log())
+
+
+def edge_of(step: Step) -> bool:
+    """Whether a step is too short to be cut: there an FMU goes on by itself."""
+    return step.end - step.start <= 2

@@ -1,0 +1,52 @@
+"""An FMU in C that misbehaves on demand (whims.c), for the tests of the master."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+from interarea.fmu_build.compile import compile_library, fmi_headers, host_platform
+
+_SOURCE = Path(__file__).parent / "whims.c"
+PARAMETERS = ("early_at", "kick", "longest", "end_at", "nan_at", "abort_at", "back_at", "x0")
+
+
+def whims_fmu(folder: Path, *, saves_state: bool = True, unit: str = "") -> Path:
+    """Build the FMU in `folder`; `unit` of its input, defined nowhere."""
+    platform = host_platform()
+    names = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
+    sources = {name: (fmi_headers() / name).read_bytes() for name in names}
+    library = compile_library("whims", {**sources, "whims.c": _SOURCE.read_bytes()}, platform)
+    variables = [
+        '<ScalarVariable name="u" valueReference="0" causality="input">'
+        f'<Real start="0"{_unit(unit)}/></ScalarVariable>',
+        '<ScalarVariable name="y" valueReference="1" causality="output"><Real/></ScalarVariable>',
+    ]
+    for k, name in enumerate(PARAMETERS, start=2):
+        start = "0" if name in ("kick", "x0") else "1e30"
+        variables.append(
+            f'<ScalarVariable name="{name}" valueReference="{k}" causality="parameter" '
+            f'variability="fixed"><Real start="{start}"/></ScalarVariable>'
+        )
+    saves = str(saves_state).lower()
+    text = (
+        '<?xml version="1.0" encoding="UTF-8"?>'
+        '<fmiModelDescription fmiVersion="2.0" modelName="whims" guid="{whims}">'
+        '<CoSimulation modelIdentifier="whims" canHandleVariableCommunicationStepSize="true" '
+        'canInterpolateInputs="true" maxOutputDerivativeOrder="1" '
+        f'canGetAndSetFMUstate="{saves}"/>'
+        f"<ModelVariables>{''.join(variables)}</ModelVariables>"
+        '<ModelStructure><Outputs><Unknown index="2" dependencies=""/></Outputs>'
+        '<InitialUnknowns><Unknown index="2" dependencies=""/></InitialUnknowns></ModelStructure>'
+        "</fmiModelDescription>"
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "whims.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", text)
+        archive.write(library, f"binaries/{platform}/whims{library.suffix}")
+    return path
+
+
+def _unit(name: str) -> str:
+    return f' unit="{name}"' if name else ""
