@@ -5,8 +5,8 @@ The FMU tells how far it came (fmi2LastSuccessfulTime), and whether it wants the
 
 * *go on* (default): it alone does the rest of the step from there, its inputs continued along the
   polynomials it was given. Needs nothing of the other FMUs, which see what happened at the step's end;
-* *roll back*: every FMU is put back to the start of the step (all must save their state), the instant becomes
-  a communication point with a tick on its far side, as a known event has, and the step is done in three.
+* *roll back*: every FMU is put back to the start of the step (all must save their state), the instant gets
+  a communication point a tick before and after it, as a known event has, and the step is done in three.
 
 An FMU that came nowhere is offered half the length, and half of that, before it counts as failed.
 """
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Literal
 
 from . import interpolation as ip
@@ -62,7 +63,7 @@ def go_on(fmu: Any, order: int, time_s: float, length_s: float) -> None:
                 if not part > length_s * _SHORTEST:
                     break
             _continue_inputs(fmu, given, order, now - time_s)
-            while fmu.try_step(now, part) == 0:
+            while fmu.try_step(now, part):
                 now, part = now + part, end - (now + part)
                 if not part > 4.0 * math.ulp(end):
                     fmu.time_s = end
@@ -125,15 +126,19 @@ def rolled_back(
             once(piece)
         except EarlyReturn as early:
             restore(saved)
-            tick = math.floor(early.reached_s * TICKS_PER_SECOND + 1e-3)
+            tick = round(early.reached_s * TICKS_PER_SECOND)
+            came = tick > piece.start
+            before = max(tick - 1, piece.start) if came else (piece.start + piece.end) // 2
+            after = min(tick + 1, piece.end) if came else before
             times += 1
-            if not piece.start < tick < piece.end or times > _MOST_RETURNS:
+            if (not came and too_short(piece)) or times > _MOST_RETURNS:
                 raise
-            after = min(tick + 1, piece.end)
             if after < piece.end:
-                todo.append(Step(after, piece.end, edge=False, recorded=piece.recorded))
-            todo.append(Step(tick, after, edge=True, recorded=False))
-            todo.append(Step(piece.start, tick, edge=False, recorded=False))
+                todo.append(replace(piece, start=after, edge=False))
+            if before < after:
+                todo.append(Step(before, after, edge=True, recorded=False))
+            if before > piece.start:
+                todo.append(Step(piece.start, before, edge=False, recorded=False))
         finally:
             release(saved)
     return times
@@ -158,6 +163,6 @@ def _failed(fmu: Any, time_s: float, what: str) -> StepError:
     return StepError(what, instance=fmu.name, call="fmi2DoStep", time_s=time_s, last_log=fmu.last_log())
 
 
-def edge_of(step: Step) -> bool:
-    """Whether a step is too short to be cut: there an FMU goes on by itself."""
+def too_short(step: Step) -> bool:
+    """Whether a step is too short to be cut: in it an FMU goes on by itself."""
     return step.end - step.start <= 2

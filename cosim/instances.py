@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 import fmpy.fmi2 as fmi2
 from fmpy import calloc, free
 
+from .early_return import EarlyReturn, go_on, reached_s
 from .errors import GraphError, StepError, nearest
 from .fmu_file import FmuFile, FmuVariable
 from .participant import Description
@@ -40,6 +41,8 @@ class FmuParticipant:
         self._log: list[str] = []
         self._initialised = False
         self.time_s: float | None = None  #: where the last step ended
+        self.sent_order = 0  #: of the input derivatives last sent
+        self.stops_early = False  #: a step not done to its end is raised (`EarlyReturn`), not gone on with
         self.bind((), ())
 
     def set_start(self, start: Mapping[str, Value]) -> None:
@@ -184,6 +187,7 @@ class FmuParticipant:
 
     def send(self, order: int) -> None:
         """Set the bound inputs, and their derivatives up to `order`."""
+        self.sent_order = order
         if self._sends:
             u: Any = self.u
             if not self._all_real:
@@ -222,7 +226,25 @@ class FmuParticipant:
         `u` and `du` are what was sent before it. Both engines come here.
         """
         self.time_s = time_s
-        self.fail("fmi2DoStep", _DISCARD)
+        if self.stops_early:
+            raise EarlyReturn(self.name, time_s, reached_s(self, time_s, time_s + length_s), self.last_log())
+        go_on(self, self.sent_order, time_s, length_s)
+
+    def try_step(self, time_s: float, length_s: float) -> bool:
+        """Step; return False when the FMU discards the step."""
+        self.time_s = time_s
+        status = self._do_step(self._c, c_double(time_s), c_double(length_s), 1)
+        if status > _DISCARD:
+            self.fail("fmi2DoStep", status)
+        return bool(status != _DISCARD)
+
+    def status_of(self, function: str, kind: int) -> float | None:
+        """Return what fmi2GetRealStatus or fmi2GetBooleanStatus says, None when it says nothing."""
+        box = c_double() if function == "fmi2GetRealStatus" else c_int()
+        call = getattr(self._raw, function, None)
+        if call is None or call(self._c, kind, byref(box)) > 1:
+            return None
+        return float(box.value)
 
     def receive(self, slopes: bool) -> None:
         """Read every output, and the bound slopes if `slopes`."""

@@ -243,6 +243,7 @@ class Kernel:
                 p.u[place] = u[k]
                 for m in range(mirror.order):
                     p.du[3 * place + m] = du[mirror.order * k + m]
+            p.sent_order = mirror.order
             p.discarded(time_s, length_s)
         except BaseException as error:  # raised again by `run`
             self._raised = error

@@ -231,5 +231,7 @@ def explain(master: Master, delays: Mapping[str, Delays] | None = None) -> str:
     lines += [
         f"loop without a channel: {' <-> '.join(x.members)}, {master.how(x)}" for x in g.groups if x.is_loop
     ]
-    lines += [f"not connected: {e} keeps its start value {master.start_of(e):g}" for e in g.unconnected]
+    for e in g.unconnected:
+        start = master.participants[e.instance].description.input_of[e.variable].start
+        lines.append(f"not connected: {e} keeps its start value {start:g}")
     return "\n".join([*lines, "", str(delay_ledger(master, delays))])

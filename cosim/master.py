@@ -31,10 +31,12 @@ import numpy as np
 
 from interarea.fmu_build.errors import BuildError
 
-from .clock import seconds, to_ticks
-from .errors import GraphError, StepError
-from .graph import End, Graph, Group, build_graph
+from .clock import Step, seconds, to_ticks
+from .early_return import EARLY, Early, rolled_back, too_short
+from .errors import GraphError, ScenarioError, StepError
+from .graph import Graph, Group, build_graph
 from .initialise import initialise
+from .instances import FmuParticipant
 from .kernel import Kernel, why_not
 from .kernel_build import load_kernel
 from .loops import iterate_loop
@@ -81,6 +83,9 @@ class Master:
     engine : who steps in `run`: ``kernel`` compiled code, for FMUs in this process; ``python`` the reference;
         ``auto`` the kernel where it can, else Python. `ran` says which it was, and why.
 
+    early : what follows when an FMU returns early from a step, see `early_return`; ``roll back`` needs every
+        FMU to save its state, and Python to step.
+
     Raises
     ------
     GraphError, ScenarioError, StepError
@@ -102,10 +107,14 @@ class Master:
         tolerance: float = 1e-7,
         substeps: int = 4,
         engine: Engine = "auto",
+        early: Early = "go on",
     ) -> None:
         _one_of("inputs", inputs, INPUTS)
         _one_of("loops", loops, LOOPS)
         _one_of("engine", engine, ENGINES)
+        _one_of("early", early, EARLY)
+        if early == "roll back" and engine == "kernel":
+            raise GraphError('engine = "kernel" cannot roll back early returns; use engine = "auto"')
         self.participants = {p.name: p for p in sorted(participants, key=lambda p: p.name)}
         descriptions = {n: p.description for n, p in self.participants.items()}
         pairs = sorted(connections)
@@ -161,8 +170,11 @@ class Master:
         self._rows = 0
         self.engine = engine
         self.ran = ""  #: who did the steps since the start: kernel | python | python (why not the kernel)
+        self.early = early
+        self.rolled_back = 0  #: steps put back because an FMU returned early, since the start
+        self._stopping = [p for p in self.participants.values() if isinstance(p, FmuParticipant)]
         self._kernel: Kernel | None = None
-        self._why_python = ""
+        self._why_python = "early returns are rolled back" if early == "roll back" else ""
         self._cancelled = False
         self._ends = [s.end for s in self.clock.steps]
 
@@ -180,7 +192,7 @@ class Master:
     def start(self) -> None:
         """Initialise all participants (again, if they ran before) and record the start."""
         start_s, stop_s = seconds(self.clock.start), seconds(self.clock.stop)
-        self._rows = self.repeated = 0
+        self._rows = self.repeated = self.rolled_back = 0
         self.ran = ""
         for p in self.participants.values():
             p.begin(start_s, stop_s)
@@ -206,16 +218,10 @@ class Master:
         self._note("python")
         step = self.clock.steps[self._index]
         try:
-            for s in self.signals:
-                s.begin(step.start, step.edge)
-            for group, nodes, torn in self._plan:
-                if torn is None:
-                    for node in nodes:
-                        node.advance(step)
-                else:
-                    self.repeated += iterate_loop(group, self.nodes, torn, step, self.tolerance)
-            for s in self.signals:
-                s.accept(step.start, step.end, step.edge)
+            if self.early == "roll back":
+                self.rolled_back += rolled_back(step, self._once, self.save, self.restore, self.release)
+            else:
+                self._once(step)
         except StepError as error:
             error.trajectory = self.trajectory
             raise
@@ -235,12 +241,19 @@ class Master:
         Raises
         ------
         StepError : as `step`. GraphError : engine = "kernel" where it cannot be had.
+        ScenarioError : `until_s` lies before the present time.
         """
         until = self.clock.stop if until_s is None else to_ticks(until_s, "until_s")
         stop_s = seconds(self.clock.stop)
         self._cancelled = False
         if self._index < 0:
             self.start()
+        now = self.clock.start if self._index == 0 else self._ends[self._index - 1]
+        if until < now:
+            raise ScenarioError(
+                f"until_s = {until_s!r}: time does not go backwards from {seconds(now)} s; "
+                "restore a saved state, or start again"
+            )
         kernel = self._compiled()
         last = bisect_right(self._ends, until)
         while self._index < last and not self._cancelled:
@@ -311,6 +324,22 @@ class Master:
             p.release(saved.states[n])
 
     # -- private --------------------------------------------------------------------------
+
+    def _once(self, step: Step) -> None:
+        """Do one step, and no more."""
+        if self.early == "roll back":
+            for p in self._stopping:
+                p.stops_early = not too_short(step)
+        for s in self.signals:
+            s.begin(step.start, step.edge)
+        for group, nodes, torn in self._plan:
+            if torn is None:
+                for node in nodes:
+                    node.advance(step)
+            else:
+                self.repeated += iterate_loop(group, self.nodes, torn, step, self.tolerance)
+        for s in self.signals:
+            s.accept(step.start, step.end, step.edge)
 
     def _compiled(self) -> Kernel | None:
         """Return the kernel for the present instances, or None where Python has to step them."""
@@ -402,10 +431,6 @@ class Master:
             return f"iterated with saved states to {self.tolerance:g} of the largest value"
         lame = [n for n in group.members if not self.participants[n].description.saves_state]
         return "extrapolated" + (f": {', '.join(lame)} cannot save its state" if lame else "")
-
-    def start_of(self, end: End) -> float:
-        """Return the start value of an input."""
-        return self.participants[end.instance].description.input_of[end.variable].start
 
     def _record(self, tick: int) -> None:
         row: list[float] = []

@@ -31,9 +31,9 @@ latency = {kind = "gamma", shape, scale_s} | {kind = "empirical", quantiles_s} o
 loss = {kind = "bernoulli", rate} | {kind = "gilbert_elliott", good_to_bad, bad_to_good, loss_good, loss_bad},
 pdc_wait_s, seed; and, with or without packets, quantum.
 
-Optional besides: `title`, `source`, `[master]` (inputs, loops, tolerance, arrivals) and `[expect]`, the
-outcome that the gallery states and the tests assert. A signal without a channel reaches the controller
-undelayed.
+Optional besides: `title`, `source`, `[master]` (inputs, loops, tolerance, arrivals, early) and `[expect]`,
+the outcome that the gallery states and the tests assert. A signal without a channel reaches the
+controller undelayed.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ from interarea.models.events import events_of
 
 from .channels import ChannelLine, Seconds, Table
 from .clock import to_ticks
+from .early_return import Early
 from .errors import ScenarioError, nearest, one_line
 from .master import Loops
 from .wiring import Inputs
@@ -81,6 +82,7 @@ class MasterTable(Table):
     inputs: Inputs = "hermite"
     loops: Loops = "auto"
     tolerance: Annotated[float, Field(gt=0.0, lt=1.0)] = 1e-7
+    early: Early = "go on"
     arrivals: Literal["exact", "grid"] = "exact"  #: packets come out at their instant, or on the grid
 
     @property
