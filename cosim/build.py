@@ -38,6 +38,7 @@ from .participant import Participant
 from .result import Result
 from .self_test import SelfTest, self_test
 from .trajectory import Trajectory
+from .worker import WorkerParticipant
 
 if TYPE_CHECKING:
     from interarea.design.controller import Controller
@@ -132,16 +133,20 @@ class System:
         fmu = controller_fmu(controller, case.omega_b, self.cache)
         return self.add(FmuParticipant(name, self._file(fmu)))
 
-    def fmu(self, name: str, file: str | Path, *, latency_s: float = 0.0, **start: Value) -> System:
+    def fmu(
+        self, name: str, file: str | Path, *, latency_s: float = 0.0, isolate: bool = False, **start: Value
+    ) -> System:
         """Add any FMI 2.0 co-simulation FMU with start values for its parameters, states or inputs.
 
         latency_s : a promise that its inputs need at least that long to reach its outputs.
+        isolate : run it in a process of its own, which it may crash (`WorkerParticipant`).
 
         Raises
         ------
         GraphError : see `FmuFile` and `FmuParticipant`.
         """
-        return self.add(FmuParticipant(name, self._file(Path(file)), start), latency_s=latency_s)
+        kind = WorkerParticipant if isolate else FmuParticipant
+        return self.add(kind(name, self._file(Path(file)), start), latency_s=latency_s)
 
     def add(self, participant: Participant, *, latency_s: float = 0.0) -> System:
         """Add a participant of any kind; `latency_s` as in `fmu`."""

@@ -50,6 +50,16 @@ class StepError(RuntimeError):
         self.last_log = last_log
         self.trajectory: Trajectory | None = None
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Travel between processes as message and fields."""
+        return _restored, (type(self), self.args, self.__dict__)
+
+
+def _restored(kind: type[StepError], arguments: tuple[object, ...], fields: dict[str, object]) -> StepError:
+    error = kind.__new__(kind, *arguments)
+    error.__dict__.update(fields)
+    return error
+
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return a clause naming the known names closest to `name`, or all of them when there are few."""

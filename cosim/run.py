@@ -27,6 +27,7 @@ from .ringdown import fit_window, ring_down_of, run_metrics
 from .scenario import Scenario, load_scenario
 from .self_test import SelfTest
 from .trajectory import Trajectory
+from .worker import WorkerParticipant
 
 if TYPE_CHECKING:
     from interarea.design.bank import ControllerBank
@@ -176,7 +177,8 @@ def system_of(scenario: Scenario, *, cache: Path | None = None) -> System:
         **scenario.master.options,
     )
     for name, table in scenario.fmus.items():
-        system.fmu(name, scenario.folder / table.file, latency_s=table.latency_s, **table.start)
+        path = scenario.folder / table.file
+        system.fmu(name, path, latency_s=table.latency_s, isolate=table.isolate, **table.start)
     for name, channel in scenario.channels.items():
         system.channel(name, channel)
     for path in scenario.connections:
@@ -240,7 +242,11 @@ def assemble(
         controller=_controller_file(scenario, case, folder, controllers),
         channel=FmuFile(artefacts.channel_fmu(folder)) if scenario.channels else None,
     )
-    participants = [FmuParticipant(n, file, start) for n, (file, start) in wiring.instances.items()]
+    isolated = {n for n, fmu in scenario.fmus.items() if fmu.isolate}
+    participants = [
+        (WorkerParticipant if n in isolated else FmuParticipant)(n, file, start)
+        for n, (file, start) in wiring.instances.items()
+    ]
     return Loop(scenario, case, wiring.master(scenario, participants), list(scenario.channels))
 
 

@@ -25,6 +25,7 @@ FMUs of one's own, whatever made them, with the plant or without a case:
     file = "mine.fmu"                  # beside the scenario
     start = {gain = 3.0}               # optional
     latency_s = 0.0                    # optional: at least so long from input to output
+    isolate = false                    # optional: in a process of its own, which it may crash
 
 A channel takes besides: reporting_interval_s (packets; needed by what follows), jitter_s (uniform),
 latency = {kind = "gamma", shape, scale_s} | {kind = "empirical", quantiles_s} on top of latency_s,
@@ -67,6 +68,7 @@ class FmuTable(Table):
     file: Annotated[str, Field(min_length=1)]
     start: Mapping[str, float | int | bool | str] = {}
     latency_s: Seconds = 0.0
+    isolate: bool = False  #: in a process of its own, which it may crash
 
 
 class ChannelTable(ChannelLine):

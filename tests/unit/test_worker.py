@@ -1,0 +1,108 @@
+"""An FMU in a worker process: same bits as in this one, and a crash that only fails the run."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from whims import whims_fmu
+
+from interarea.cosim.build import System
+from interarea.cosim.errors import GraphError, StepError
+from interarea.cosim.run import run_system
+from interarea.cosim.worker import WorkerParticipant
+
+
+@pytest.fixture(scope="module")
+def whims(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return whims_fmu(tmp_path_factory.mktemp("whims"))
+
+
+def ring(whims: Path, isolated: str) -> System:
+    """dx/dt = y, dy/dt = x with x(0) = 1, y(0) = 0, iterated: states are saved in the worker too."""
+    system = System(stop_s=1.0, step_s=0.1)
+    system.fmu("x", whims, x0=1.0, isolate="x" in isolated).fmu("y", whims, isolate="y" in isolated)
+    return system.connect("x.y", "y.u").connect("y.y", "x.u")
+
+
+@pytest.mark.parametrize("isolated", ["x", "xy"])
+def test_isolated_or_not_the_bits_are_the_same(whims: Path, isolated: str) -> None:
+    here, there = ring(whims, "").run(), ring(whims, isolated).run()
+    assert there.data.equals(here.data)
+    np.testing.assert_allclose(there["x.y"], np.cosh(there["time_s"]), rtol=1e-6)
+
+
+def test_an_fmu_that_aborts_fails_the_run_and_the_caller_lives(whims: Path) -> None:
+    system = System(stop_s=1.0, step_s=0.1).fmu("x", whims, u=1.0)
+    system.fmu("bad", whims, isolate=True, abort_at=0.45).connect("x.y", "bad.u")
+    with pytest.raises(
+        StepError, match="bad: fmi2DoStep at t = 0.4 s: the FMU crashed its process"
+    ) as caught:
+        system.run()
+    if sys.platform != "win32":
+        assert signal.SIGABRT.name in str(caught.value)
+    assert 'its last log line: "about to abort"' in str(caught.value)
+    run = caught.value.trajectory
+    assert run is not None and run.time_s[-1] == 0.4
+    np.testing.assert_allclose(run["bad.y"], run.time_s**2 / 2, rtol=1e-12)
+
+
+def test_a_crashed_worker_is_started_again_for_another_run(whims: Path) -> None:
+    system = System(stop_s=1.0, step_s=0.1).fmu("bad", whims, isolate=True, u=1.0, abort_at=0.45)
+    with system.master() as master:
+        with pytest.raises(StepError, match="crashed its process"):
+            master.run()
+        part = master.participants["bad"]
+        assert isinstance(part, WorkerParticipant)
+        part.set_start({"u": 1.0})
+        master.start()
+        run = master.run()
+    np.testing.assert_allclose(run["bad.y"], run.time_s, rtol=1e-12)
+
+
+def test_errors_of_the_fmu_travel_with_all_they_say(whims: Path) -> None:
+    system = System(stop_s=1.0, step_s=0.1).fmu("a", whims, isolate=True, u=1.0, end_at=0.55)
+    with pytest.raises(
+        StepError, match=r"a: fmi2DoStep at t = 0\.5 s: asks for the simulation to end"
+    ) as caught:
+        system.run()
+    assert (caught.value.instance, caught.value.time_s) == ("a", 0.5)
+    assert caught.value.trajectory is not None and caught.value.trajectory.time_s[-1] == 0.5
+
+
+@pytest.mark.parametrize("early", ["go on", "roll back"])
+def test_early_returns_of_an_isolated_fmu(whims: Path, early: str) -> None:
+    runs = []
+    for isolate in (False, True):
+        system = System(stop_s=1.0, step_s=0.1, early=early)
+        system.fmu("a", whims, isolate=isolate, u=1.0, early_at=0.4321, kick=0.5)
+        runs.append(system.run().data)
+    assert runs[0].equals(runs[1])
+    assert runs[0]["a.y"].iloc[-1] == pytest.approx(1.5, rel=1e-12)
+
+
+def test_values_can_be_read_and_no_process_is_left(whims: Path) -> None:
+    system = System(stop_s=1.0, step_s=0.1).fmu("a", whims, isolate=True, u=1.0)
+    with system.master() as master:
+        part = master.participants["a"]
+        assert isinstance(part, WorkerParticipant)
+        master.run()
+        assert part.value_of("u") == 1.0
+        with pytest.raises(GraphError, match="no variable 'v'"):
+            part.value_of("v")
+        process = part._process
+        assert process is not None and process.poll() is None
+    assert process.poll() == 0
+    with pytest.raises(StepError, match="the instance has ended"):
+        part.value_of("u")
+
+
+def test_a_scenario_file_isolates(whims: Path, tmp_path: Path) -> None:
+    file = tmp_path / "crash.toml"
+    text = f'stop_s = 1.0\nstep_s = 0.1\n[fmus.bad]\nfile = "{whims.as_posix()}"\nisolate = true\n'
+    file.write_text(text + "start = {u = 1.0, abort_at = 0.75}\n", encoding="utf-8")
+    with pytest.raises(StepError, match=r"bad: fmi2DoStep at t = 0\.7 s: the FMU crashed its process"):
+        run_system(file)
