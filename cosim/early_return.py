@@ -53,6 +53,7 @@ def go_on(fmu: Any, order: int, time_s: float, length_s: float) -> None:
     """
     end, now, part = time_s + length_s, time_s, length_s
     given = [(fmu.u[i], *(fmu.du[3 * i : 3 * i + 3] if order else (0.0,) * 3)) for i in _inputs(fmu)]
+    said = fmu.last_log()
     try:
         for _ in range(_MOST_RETURNS):
             reached = reached_s(fmu, now, now + part)
@@ -62,13 +63,14 @@ def go_on(fmu: Any, order: int, time_s: float, length_s: float) -> None:
                 part *= 0.5
                 if not part > length_s * _SHORTEST:
                     break
-            _continue_inputs(fmu, given, order, now - time_s)
-            while fmu.try_step(now, part):
-                now, part = now + part, end - (now + part)
-                if not part > 4.0 * math.ulp(end):
-                    fmu.time_s = end
-                    return
-                _continue_inputs(fmu, given, order, now - time_s)
+            done = True
+            while done and part > 4.0 * math.ulp(end):
+                done = _offered(fmu, given, order, time_s, now, part, said)
+                if done:
+                    now, part = now + part, end - (now + part)
+            if done:
+                fmu.time_s = end
+                return
     finally:
         for i, d in zip(_inputs(fmu), given, strict=True):
             fmu.u[i] = d[0]
@@ -82,6 +84,24 @@ def go_on(fmu: Any, order: int, time_s: float, length_s: float) -> None:
         last_log=fmu.last_log(),
         advice="take a shorter step_s",
     )
+
+
+def _offered(
+    fmu: Any, given: list[tuple[float, ...]], order: int, start_s: float, now: float, part: float, said: str
+) -> bool:
+    """Offer an FMU the step from `now` over `part`; return whether it took it."""
+    try:
+        _continue_inputs(fmu, given, order, now - start_s)
+        return bool(fmu.try_step(now, part))
+    except StepError as refused:
+        raise StepError(
+            f"returned discard, and {refused.call} fails when it is to go on from t = {now:.9g} s",
+            instance=fmu.name,
+            call="fmi2DoStep",
+            time_s=start_s,
+            last_log=said,
+            advice='early = "roll back" puts it back first' if fmu.description.saves_state else "",
+        ) from refused
 
 
 def reached_s(fmu: Any, time_s: float, end_s: float) -> float:
@@ -151,7 +171,8 @@ def _inputs(fmu: Any) -> range:
 def _continue_inputs(fmu: Any, given: list[tuple[float, ...]], order: int, at: float) -> None:
     """Send the inputs' polynomials as they are `at` seconds into the step."""
     for i, d in zip(_inputs(fmu), given, strict=True):
-        cut = (d[0], *(d[1 + k] if k < order else 0.0 for k in range(3)))
+        kept = [d[1 + k] if k < order else 0.0 for k in range(3)]
+        cut: ip.Polynomial = (d[0], kept[0], kept[1], kept[2])
         fmu.u[i] = ip.value_at(cut, at)
         if order:
             fmu.du[3 * i : 3 * i + 3] = [ip.slope_at(cut, at), cut[2] + at * cut[3], cut[3]]

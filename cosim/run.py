@@ -177,8 +177,8 @@ def system_of(scenario: Scenario, *, cache: Path | None = None) -> System:
         **scenario.master.options,
     )
     for name, table in scenario.fmus.items():
-        path = scenario.folder / table.file
-        system.fmu(name, path, latency_s=table.latency_s, isolate=table.isolate, **table.start)
+        file = scenario.folder / table.file
+        system.fmu(name, file, latency_s=table.latency_s, isolate=table.isolate, **table.start)
     for name, channel in scenario.channels.items():
         system.channel(name, channel)
     for path in scenario.connections:

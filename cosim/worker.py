@@ -124,7 +124,7 @@ class WorkerParticipant(FmuParticipant):
 
     def _spawn(self) -> None:
         self.close()
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115: closed with the worker
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115
         self._process = subprocess.Popen(
             [sys.executable, "-m", "interarea.cosim.worker"],
             stdin=subprocess.PIPE,
@@ -202,7 +202,9 @@ class _Served(FmuParticipant):
 
     def take(self, order: int, u: list[float], du: list[float]) -> None:
         """Send what the parent had set."""
-        self.u[:], self.du[:] = u, du
+        for buffer, values in ((self.u, u), (self.du, du)):
+            for k, value in enumerate(values):
+                buffer[k] = value
         self.send(order)
 
 

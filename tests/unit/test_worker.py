@@ -28,7 +28,7 @@ def ring(whims: Path, isolated: str) -> System:
     return system.connect("x.y", "y.u").connect("y.y", "x.u")
 
 
-@pytest.mark.parametrize("isolated", ["x", "xy"])
+@pytest.mark.parametrize("isolated", ["x"])
 def test_isolated_or_not_the_bits_are_the_same(whims: Path, isolated: str) -> None:
     here, there = ring(whims, "").run(), ring(whims, isolated).run()
     assert there.data.equals(here.data)
@@ -39,7 +39,7 @@ def test_an_fmu_that_aborts_fails_the_run_and_the_caller_lives(whims: Path) -> N
     system = System(stop_s=1.0, step_s=0.1).fmu("x", whims, u=1.0)
     system.fmu("bad", whims, isolate=True, abort_at=0.45).connect("x.y", "bad.u")
     with pytest.raises(
-        StepError, match="bad: fmi2DoStep at t = 0.4 s: the FMU crashed its process"
+        StepError, match=r"bad: fmi2DoStep at t = 0\.4 s: the FMU crashed its process"
     ) as caught:
         system.run()
     if sys.platform != "win32":
