@@ -15,7 +15,9 @@ from interarea.design.conditions import Condition, condition_of_many
 from interarea.design.controller import Controller
 from interarea.design.family import FamilyCertificate, judge_family
 from interarea.design.linearise import remove_reference, speeds_in_rad
+from interarea.design.modes import modes_of
 from interarea.design.robust import RobustSpec, design_robust
+from interarea.design.robust_check import require_moved
 from interarea.design.smoothed import BandOffsets
 from interarea.models.case import Case, load_case
 from interarea.models.case_variants import operating_variant
@@ -41,11 +43,14 @@ class PointTable(_Table):
     load_scale: Positive = 1.0
 
 
+Ratio = Annotated[float, Field(ge=-1.0, lt=1.0)]
+
+
 class AskTable(_Table):
     """What the certificate asks of every operating point under every condition."""
 
-    worst_swing: float = 0.0
-    inter_area: float = 0.0
+    worst_swing: Ratio = 0.0
+    inter_area: Ratio = 0.0
     effort: Positive = float("inf")
     fastest_pole: Positive = float("inf")
     synchronism: bool = False  #: after the fault of `fault`, at every operating point
@@ -78,6 +83,7 @@ class DesignTable(_Table):
     dc_block: bool = True
     feedthrough: bool = False
     slowest_pole: Positive = 0.3
+    fastest_pole: Positive = 280.0
     effort_cap: tuple[tuple[Positive, Positive], ...] = ((0.05, 0.155), (300.0, 0.155))
     #: (rad/s, damping): how much more than elsewhere the optimisation wants there, piecewise linear
     offset: tuple[tuple[float, float], ...] = Field(tuple(zip(*_OFFSETS, strict=True)), min_length=2)
@@ -89,6 +95,26 @@ class DesignTable(_Table):
     ask: AskTable = AskTable()
     fault: FaultTable | None = None
     source: str = ""
+
+    @model_validator(mode="after")
+    def _caps_agree(self) -> DesignTable:
+        least = min(cap for _, cap in self.effort_cap)
+        contradictions = (
+            ("ask.effort", self.ask.effort, "every effort_cap", least, self.ask.effort >= least),
+            (
+                "ask.fastest_pole",
+                self.ask.fastest_pole,
+                "slowest_pole",
+                self.slowest_pole,
+                self.ask.fastest_pole > self.slowest_pole,
+            ),
+        )
+        for asked, value, by, bound, agreed in contradictions:
+            if not agreed:
+                raise ValueError(
+                    f"{asked} = {value:g} contradicts {by} ({bound:g}): the certificate would fail"
+                )
+        return self
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -129,6 +155,7 @@ class DesignTable(_Table):
             dc_block=self.dc_block,
             feedthrough=self.feedthrough,
             slowest_pole=self.slowest_pole,
+            fastest_pole=self.fastest_pole,
             effort_cap=self.effort_cap,
             offsets=BandOffsets(*zip(*self.offset, strict=True)),
             starts=self.starts,
@@ -192,7 +219,10 @@ def run_design(
     """Design the controller of `table`; its certificate, on full plants with exact latency, comes with it."""
     plants = family_plants(table, cache)
     omega_b = load_case(table.case).omega_b
-    made = design_robust(plants, table.spec(), omega_b, progress=progress)
+    spec = table.spec()
+    for name, case in family_cases(table).items():
+        require_moved(name, plants[name], spec, modes_of(plants[name], case.areas))
+    made = design_robust(plants, spec, omega_b, progress=progress)
     facts = {
         "method": "smoothed worst damping over operating points, losses and latencies",
         "specification": _recorded(table),

@@ -24,6 +24,7 @@ from .errors import InfeasibleDesign
 from .linearise import select, speeds_in_rad
 from .norms import frequency_response, gramian_factor
 from .reduction import balanced_truncation
+from .robust_check import check_plants, check_spec
 from .smoothed import Array, BandOffsets, Complex, DesignModel, EffortGrid, Gains, Objective
 from .solve import one_blas_thread
 
@@ -42,7 +43,8 @@ class RobustSpec:
     effort_cap : (omega, cap) nodes in rad/s and pu per rad/s, log-log interpolated; None = no cap.
     washout_s : time constant of sT/(1+sT) in series with each output; 0 = none.
     dc_block : K(0) = 0 by D = C A^-1 B instead of a washout in series: no state is spent on it.
-    slowest_pole : rad/s, of the controller; with `dc_block` the least corner of its high pass.
+    slowest_pole, fastest_pole : rad/s, of the controller; with `dc_block` the slowest is the least corner of
+        its high pass.
     feedthrough : whether D of the controller is free too, which costs no state.
     """
 
@@ -56,6 +58,7 @@ class RobustSpec:
     feedthrough: bool = False
     dc_block: bool = True
     slowest_pole: float = 0.3
+    fastest_pole: float = 280.0
     offsets: BandOffsets = field(default_factory=BandOffsets)
     plant_order: int = 16
     pade_order: int = 3
@@ -65,26 +68,7 @@ class RobustSpec:
     seed: int = 1
 
     def __post_init__(self) -> None:
-        if self.dc_block and self.washout_s > 0.0:
-            raise ValueError(
-                f"robust design: dc_block and washout_s = {self.washout_s:g} s both make K(0) = 0; "
-                "set dc_block = false or washout_s = 0"
-            )
-        filters = int(self.washout_s > 0.0)
-        wanted = [(who, order, filters) for who, (_, order) in self.sees.items()]
-        for who, order, least in wanted or [("the controller", self.order, filters * len(self.actuators))]:
-            if not order > least:
-                raise ValueError(
-                    f"robust design: order of {who} is {order}; its washouts take {least} states, at least "
-                    f"{least + 1} are needed"
-                )
-        for condition in self.conditions:
-            unknown = {*condition.lost, *condition.latency_s_of} - set(self.signals)
-            if unknown:
-                raise ValueError(
-                    f"condition {condition.name!r} names {sorted(unknown)}; the controller's signals are "
-                    f"{', '.join(self.signals)}"
-                )
+        check_spec(self)
 
 
 @dataclass(frozen=True)
@@ -116,7 +100,8 @@ def design_robust(
 
     Raises
     ------
-    InfeasibleDesign : no start led to a controller that keeps every design model stable.
+    InfeasibleDesign : no start led to a controller that keeps every design model stable, or an unstable
+        mode is out of reach. ValueError : plants that no design model can be made of.
     """
     objective = build_objective(plants, spec, omega_b)
     rng = np.random.default_rng(spec.seed)
@@ -157,14 +142,18 @@ def design_robust(
 
 
 def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, omega_b: float) -> Objective:
-    """Return the objective of `spec`: one design model per operating point and condition."""
+    """Return the objective of `spec`: one design model per operating point and condition.
+
+    Raises ValueError and InfeasibleDesign as `robust_check.check_plants` says.
+    """
+    check_plants(plants, spec)
     models: list[DesignModel] = []
     efforts: list[EffortGrid] = []
     omega = np.geomspace(0.3, 300.0, 60)
     for point, plant in plants.items():
         full = select(speeds_in_rad(plant, omega_b), list(spec.actuators), list(spec.signals))
         unstable = int(np.count_nonzero(np.linalg.eigvals(full.A).real >= 0.0))
-        small = balanced_truncation(full, max(spec.plant_order, unstable + 2)).system
+        small = balanced_truncation(full, min(max(spec.plant_order, unstable + 2), full.nstates)).system
         response = frequency_response(full.A, full.B, full.C, full.D, omega)
         for condition in spec.conditions:
             name = f"{point}: {condition.name}"
@@ -180,6 +169,7 @@ def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, 
         feedthrough=spec.feedthrough,
         dc_block=spec.dc_block,
         slowest_pole=spec.slowest_pole,
+        fastest_pole=spec.fastest_pole,
     )
 
 

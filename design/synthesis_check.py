@@ -74,6 +74,27 @@ def modal_shares(A: Matrix, B: Matrix, C: Matrix) -> tuple[Matrix, Matrix]:
     return values, gain / max(float(gain.max()), 1e-300)
 
 
+def modal_parts(A: Matrix, B: Matrix, C: Matrix) -> tuple[Matrix, Matrix, Matrix]:
+    r"""Return the eigenvalues, and the controllability and observability of each, 0..1.
+
+    :math:`|w_k^H B| / |w_k|` and :math:`|C v_k| / |v_k|` as shares of the largest: zero exactly for a mode
+    that no input reaches, or no output shows.
+    """
+    values, V = np.linalg.eig(A)
+    W = np.linalg.inv(V)
+    reach = np.linalg.norm(W @ B, axis=1) / np.linalg.norm(W, axis=1)
+    seen = np.linalg.norm(C @ V, axis=0) / np.linalg.norm(V, axis=0)
+    return values, reach / max(float(reach.max()), 1e-300), seen / max(float(seen.max()), 1e-300)
+
+
+def describe_reach(A: Matrix, B: Matrix, C: Matrix, mode: complex) -> str:
+    """Return the controllability and observability of an eigenvalue of A in words."""
+    values, reach, seen = modal_parts(A, B, C)
+    k = int(np.argmin(np.abs(values - mode)))
+    said = f"controllability {reach[k]:.1e}, observability {seen[k]:.1e} of the strongest mode's"
+    return said + ("; it is unstable and stays so" if not mode.real < 0.0 else "")
+
+
 def require_reachable(
     A: Matrix, B: Matrix, C: Matrix, region: PoleRegion, what: str
 ) -> list[tuple[complex, float]]:
@@ -97,7 +118,8 @@ def require_reachable(
         zeta = -v.real / abs(v)
         raise InfeasibleDesign(
             f"{what}: mode {describe_mode(v)} lies outside the region ({region.describe()}) and cannot be "
-            f"moved: controllability x observability is {s:.1e} of the strongest mode's; the region must "
+            f"moved: controllability x observability is {s:.1e} of the strongest mode's "
+            f"({describe_reach(A, B, C, v)}); the region must "
             f"hold it (damping ratio <= {zeta:.4f}, decay rate <= {-v.real:.4g} 1/s, radius >= {abs(v):.4g} "
             "rad/s), or choose another actuator or signal",
             constraint="controllability",

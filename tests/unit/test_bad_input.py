@@ -1,0 +1,145 @@
+"""One clear message for each way in which a design cannot be: modes, caps, orders, matrices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+
+from interarea.cosim.errors import ScenarioError
+from interarea.cosim.robust_design import load_design, run_design
+from interarea.design.conditions import Condition
+from interarea.design.errors import InfeasibleDesign
+from interarea.design.modes import Mode, Modes
+from interarea.design.robust import RobustSpec, design_robust
+from interarea.design.robust_check import require_moved
+from interarea.design.synthesis import PoleRegion, conventional
+from interarea.design.synthesis_check import modal_parts
+
+SPEC = RobustSpec(("G2_dw", "G4_dw"), ("G4_vs",), (Condition("N"),), order=2, starts=1)
+TEMPLATES = Path(load_design.__code__.co_filename).parent / "templates"
+
+
+def resonances(*, reached: float = 1.0, seen: float = 1.0, zeta: float = 0.05) -> control.StateSpace:
+    """Two swings at 3 and 7 rad/s; of the first (damping `zeta`) little is reached by u or seen in y."""
+    A = np.zeros((4, 4))
+    A[:2, :2] = [[0.0, 3.0], [-3.0, -6.0 * zeta]]
+    A[2:, 2:] = [[0.0, 7.0], [-7.0, -0.7]]
+    B = np.array([[0.0], [reached], [0.0], [1.0]])
+    C = np.array([[0.0, seen, 0.0, -1.0], [0.0, seen, 0.0, 1.0]])
+    return control.ss(A, B, C, np.zeros((2, 1)), inputs=["G4_vs"], outputs=["G2_dw", "G4_dw"])
+
+
+def inter_area(zeta: float = 0.05) -> Modes:
+    z = complex(-3.0 * zeta, 3.0 * np.sqrt(1.0 - zeta**2))
+    zero = np.zeros(4, complex)
+    return Modes({"inter-area": Mode("inter-area", z, {}, {}, 1.0, zero, zero)}, np.array([z]))
+
+
+def test_modal_parts_are_those_of_uncoupled_modes() -> None:
+    values, reach, seen = modal_parts(*(getattr(resonances(reached=0.3, seen=0.2), M) for M in "ABC"))
+    slow = np.abs(values) < 5.0
+    assert reach[slow] == pytest.approx(0.3, rel=2e-2)  # damping turns the eigenvectors a little
+    assert seen[slow] == pytest.approx(0.2, rel=2e-2)
+    assert reach[~slow] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("plant", "word"),
+    [
+        (resonances(reached=0.0), "controllability 0.0e"),
+        (resonances(seen=0.0), "observability 0.0e"),
+    ],
+)
+def test_a_target_mode_out_of_reach_is_named(plant: control.StateSpace, word: str) -> None:
+    with pytest.raises(InfeasibleDesign, match=rf"'base'.*'inter-area' at 0\.4769 Hz.*{word}") as error:
+        require_moved("base", plant, SPEC, inter_area())
+    assert error.value.constraint == "controllability"
+    require_moved("base", resonances(), SPEC, inter_area())
+    with pytest.raises(InfeasibleDesign, match=word):
+        conventional(plant, PoleRegion(0.1))
+
+
+def test_an_unstable_hidden_mode_is_named_before_any_search() -> None:
+    hidden = resonances(reached=0.0, zeta=-0.02)
+    with pytest.raises(InfeasibleDesign, match=r"unstable mode at 0\.477\d Hz.*stays so"):
+        design_robust({"base": hidden}, SPEC, 1.0)
+    with pytest.raises(InfeasibleDesign, match="it is unstable and stays so"):
+        conventional(hidden, PoleRegion(0.0))
+
+
+def test_feedthrough_is_refused_and_the_loop_shift_offered() -> None:
+    G = resonances()
+    G.D[0, 0] = 0.1
+    with pytest.raises(ValueError, match=r"'base': .*D is not zero \(largest 0\.1\).*loop_shift"):
+        design_robust({"base": G}, SPEC, 1.0)
+
+
+def test_matrices_that_are_not_finite_are_refused() -> None:
+    G = resonances()
+    G.B[1, 0] = np.inf
+    with pytest.raises(ValueError, match=r"'base': .*B has numbers that are not finite"):
+        design_robust({"base": G}, SPEC, 1.0)
+
+
+def test_an_order_above_the_plants_is_refused() -> None:
+    with pytest.raises(ValueError, match="order 5 of the controller is above the plant's 4"):
+        design_robust({"base": resonances()}, replace(SPEC, order=5), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"slowest_pole": 300.0}, "contradict each other"),
+        ({"effort_cap": ((1.0, 0.0),)}, "a cap of 0 leaves no controller"),
+        ({"effort_cap": ((1.0, 0.1), (0.5, 0.1))}, "rising"),
+        ({"washout_s": 2.0}, "both make K"),
+        ({"washout_s": 2.0, "dc_block": False, "order": 1}, "at least 2 are needed"),
+        ({"conditions": (Condition("x", ("G9_dw",)),)}, "names \\['G9_dw'\\]"),
+    ],
+)
+def test_contradictory_specifications(change: dict[str, Any], word: str) -> None:
+    with pytest.raises(ValueError, match=word):
+        replace(SPEC, **change)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        ("effort = 0.16", "effort = 0.1", r"ask\.effort = 0\.1 contradicts every effort_cap \(0\.155\)"),
+        ("fastest_pole = 300.0", "fastest_pole = 0.2", r"ask\.fastest_pole = 0\.2 contradicts slowest_pole"),
+        ("worst_swing = 0.24", "worst_swing = 1.2", r"ask\.worst_swing = 1\.2"),
+        ("slowest_pole = 0.3", "slowest_pole = 281.0", "contradict each other"),
+    ],
+)
+def test_contradictory_design_files(tmp_path: Path, old: str, new: str, word: str) -> None:
+    text = (TEMPLATES / "design_robust_linear.toml").read_text()
+    assert old in text
+    path = tmp_path / "bad.toml"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=word):
+        load_design(path)
+
+
+def test_a_design_names_an_inter_area_mode_that_its_signal_does_not_show(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the plant of the case with the signals' rows set to zero
+    from interarea.cosim import robust_design
+
+    plants = robust_design.family_plants(load_design("robust_linear"), cache)
+
+    def blind(*_: object) -> dict[str, control.StateSpace]:
+        for plant in plants.values():
+            for name in ("G2_dw", "G4_dw"):
+                plant.C[list(plant.output_labels).index(name)] *= 0.0
+        return plants
+
+    monkeypatch.setattr(robust_design, "modes_of", lambda plant, areas: inter_area())
+    monkeypatch.setattr(robust_design, "family_plants", blind)
+    with pytest.raises(InfeasibleDesign, match=r"'base'.*mode 'inter-area'"):
+        run_design(load_design("robust_linear"), cache)
