@@ -19,6 +19,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from .compass import rim_angles
+
 Array = npt.NDArray[np.float64]
 Curve = tuple[npt.ArrayLike, npt.ArrayLike]
 
@@ -113,6 +115,9 @@ def participation_plot(
     return figure
 
 
+MANY_ARROWS = 6  #: more than this, and the names go round the rim
+
+
 def mode_shape_plot(shape: Mapping[str, complex], area_of: Mapping[str, int], title: str) -> Figure:
     """Draw the mode shape as a compass: one arrow per machine, scaled so that the longest is 1.
 
@@ -122,16 +127,19 @@ def mode_shape_plot(shape: Mapping[str, complex], area_of: Mapping[str, int], ti
     leader = max(shape.values(), key=abs)
     turned = {m: v / leader * abs(leader) / scale for m, v in shape.items()}
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(3.4, 3.1), layout="constrained")
+        many = len(turned) > MANY_ARROWS
+        figure = Figure(figsize=(4.6, 4.6) if many else (3.4, 3.1), layout="constrained")
         axes: Any = figure.subplots(subplot_kw={"projection": "polar"})
-        axes.set_ylim(0, 1.18)
+        axes.set_ylim(0, 1.3 if many else 1.18)
         axes.set_yticks([0.5, 1.0], labels=["", ""])
         axes.set_xticks(np.radians([0, 90, 180, 270]))
         axes.tick_params(axis="x", labelsize=7, pad=1)
         axes.spines["polar"].set_visible(False)
         areas = sorted(set(area_of.values()))
         placed: list[complex] = []
-        for machine, value in turned.items():
+        gap = min(0.2, 6.2 / len(turned))
+        rim = rim_angles([float(np.angle(z)) for z in turned.values()], gap) if many else []
+        for number, (machine, value) in enumerate(turned.items()):
             k = areas.index(area_of[machine])
             colour = SERIES[k % len(SERIES)]
             angle, radius = float(np.angle(value)), abs(value)
@@ -139,20 +147,23 @@ def mode_shape_plot(shape: Mapping[str, complex], area_of: Mapping[str, int], ti
             if radius > 0.03:
                 arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.8, "shrinkA": 0, "shrinkB": 0}
                 axes.annotate("", xy=(angle, radius), xytext=(angle, 0.9 * radius), arrowprops=arrow)
-            spot = _free_spot(value, placed)
+            spot = complex(1.22 * np.exp(1j * rim[number])) if many else _free_spot(value, placed)
             placed.append(spot)
+            if many:
+                axes.plot([angle, rim[number]], [radius, 1.14], color=colour, linewidth=0.4)
             axes.text(
                 float(np.angle(spot)),
                 abs(spot),
                 machine,
                 color=colour,
                 weight="bold",
+                size=7 if many else None,
                 ha="center",
                 va="center",
             )
         for k, area in enumerate(areas):
             axes.plot([], [], color=SERIES[k % len(SERIES)], label=f"area {area}")
-        figure.legend(loc="outside lower center", ncols=len(areas), fontsize=8)
+        figure.legend(loc="outside lower center", ncols=min(len(areas), 3), fontsize=8)
         axes.set_title(title, loc="center", pad=10)
     return figure
 
