@@ -57,6 +57,7 @@ class PlantFmu:
         log = self._log
         try:
             fmpy.extract(str(self.path), folder)
+            _has_binary(self.path.name, Path(folder))
             self._fmu: Any = FMU2Model(
                 guid=self.description.guid,
                 modelIdentifier=self.description.modelExchange.modelIdentifier,
@@ -171,6 +172,21 @@ def open_plant(path: Path | str) -> PlantFmu:
         derivatives, or a failing initialization.
     """
     return PlantFmu(path)
+
+
+def _has_binary(name: str, folder: Path) -> None:
+    """Refuse an FMU that has no binary for this machine, before the loader says something about files."""
+    import fmpy
+
+    there = sorted(p.name for p in (folder / "binaries").glob("*") if p.is_dir())
+    if not there or fmpy.platform in there or fmpy.platform_tuple in there:
+        return
+    raise FmuError(
+        name,
+        "open",
+        f"the FMU has no binary for this machine ({fmpy.platform}); it has {', '.join(there)}. "
+        "Build it for this platform too (--platforms), or run it on one of those",
+    )
 
 
 def _last(log: list[str]) -> str:

@@ -1,5 +1,7 @@
 /* Reading resources/model.bin from the URI that fmi2Instantiate is given: the
  * only file access of the whole FMU. */
+#include <errno.h>
+#include <limits.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -101,6 +103,16 @@ static FILE *open_utf8(const char *path)
 }
 #endif
 
+static const char *reason(int error)
+{
+    switch (error) {
+    case ENOENT: return "it is not there";
+    case EACCES: return "reading it is not permitted";
+    case EMFILE: return "this process has too many files open";
+    default: return "the system refuses";
+    }
+}
+
 unsigned char *resource_read(const char *location, const fmi2CallbackFunctions *callbacks,
                              size_t *size, char *why, size_t why_size)
 {
@@ -120,14 +132,17 @@ unsigned char *resource_read(const char *location, const fmi2CallbackFunctions *
                  "(bad percent code, empty or too long)", location);
         return NULL;
     }
+    errno = 0;
     file = open_utf8(path);
     if (file == NULL) {
-        snprintf(why, why_size, "cannot open \"%.300s\" (from fmuResourceLocation); extract the whole "
-                 "FMU and pass the URI of its resources folder", path);
+        snprintf(why, why_size, "cannot open \"%.300s\" (from fmuResourceLocation): %s; extract the whole "
+                 "FMU and pass the URI of its resources folder", path, reason(errno));
         return NULL;
     }
     if (fseek(file, 0, SEEK_END) != 0 || (end = ftell(file)) < 0 || fseek(file, 0, SEEK_SET) != 0) {
         snprintf(why, why_size, "cannot read \"%.300s\"", path);
+    } else if (end == LONG_MAX) {
+        snprintf(why, why_size, "\"%.300s\" is a folder, not a file; extract the FMU again", path);
     } else if ((size_t)end > LARGEST_RECORD) {
         snprintf(why, why_size, "\"%.300s\" has %ld bytes, which no block of this FMU needs", path, end);
     } else if ((bytes = instance_allocate(callbacks, (size_t)end + 8)) == NULL) {

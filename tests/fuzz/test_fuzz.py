@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 from fmu_blocks import blocks
+from fuzz_blocks import fuzz_block
 from fuzz_build import Compiler, build_driver, sanitizing_compiler
 
 SOURCES = ("fuzz.c", "fuzz_calls.c")
-CALLS = {"controller": 300_000, "supervisor": 200_000, "channel": 100_000, "plant": 200_000}
+CALLS = {"controller": 300_000, "supervisor": 200_000, "channel": 100_000, "plant": 150_000, "loop": 40_000}
 
 pytestmark = pytest.mark.slow
 
@@ -27,8 +28,8 @@ def compiler() -> Compiler:
 
 
 @pytest.mark.parametrize("kind", CALLS)
-def test_nothing_is_found(kind: str, compiler: Compiler, tmp_path: Path) -> None:
-    driver = build_driver(blocks()[kind], SOURCES, compiler, tmp_path)
+def test_nothing_is_found(kind: str, compiler: Compiler, cache: Path, tmp_path: Path) -> None:
+    driver = build_driver(fuzz_block(kind, cache), SOURCES, compiler, tmp_path)
     said = driver.run(20261121, CALLS[kind])
     counts = {word: int(n) for n, word in re.findall(r"(\d+) (calls|ok|refused|steps|states)", said)}
     assert counts["calls"] >= CALLS[kind]
