@@ -11,21 +11,27 @@ import numpy.typing as npt
 
 from .channel_block import channel_block
 from .plant_block import SOURCES as PLANT_SOURCES
-from .variables import Block, Variable, VariableTable
+from .variables import Block, Role, Variable, VariableTable
 
 _HERE = Path(__file__).resolve().parent
 _SOURCES = tuple(
     _HERE / "loop" / name
-    for name in ("loop.c", "loop_step.c", "plant_member.c", "controller_member.c", "channel_member.c")
+    for name in (
+        "loop.c",
+        "loop_step.c",
+        "plant_member.c",
+        "controller_member.c",
+        "channel_member.c",
+        "supervisor_member.c",
+    )
 )
-_KINDS = {"plant": 0, "controller": 1, "channel": 2}  #: as loop.h counts
+_KINDS = {"plant": 0, "controller": 1, "channel": 2, "supervisor": 3}  #: as loop.h counts
 _MOST = 24  #: LOOP_MEMBERS of loop.h
 #: What feeds what; anything else would need an order of evaluation that loop.h does not promise.
 _MAY_FEED = {
-    ("plant", "controller"),
+    *((source, target) for source in ("plant", "channel") for target in ("controller", "supervisor")),
+    *((source, "plant") for source in ("controller", "supervisor")),
     ("plant", "channel"),
-    ("channel", "controller"),
-    ("controller", "plant"),
 }
 
 
@@ -68,23 +74,13 @@ def loop_block(
     """
     by_name = {m.name: m for m in members}
     _check(name, members, by_name)
-    outputs = [(m, v) for m in members for v in m.block.table.of_role("output")]
-    place = {f"{m.name}.{v.name}": k for k, (m, v) in enumerate(outputs)}
-    feeds: dict[str, int] = {}
-    for source, target in connections:
-        kinds = tuple(by_name[end.partition(".")[0]].block.kind for end in (source, target))
-        if kinds not in _MAY_FEED or source not in place:
-            raise ValueError(
-                f"loop {name}: {source} -> {target} ({' -> '.join(kinds)}) is not possible inside"
-            )
-        if target in feeds:
-            raise ValueError(f"loop {name}: {target} is fed twice")
-        feeds[target] = place[source]
-    inputs = [f"{m.name}.{v.name}" for m in members for v in m.block.table.of_role("input")]
+    pairs = list(connections)
+    _check_pairs(name, pairs, by_name)
     integrated = [m.block.internal_step_s for m in members if m.block.kind != "channel"]
     data: dict[str, npt.NDArray[np.float64] | npt.NDArray[np.int32] | bytes] = {
         "loop.kinds": np.array([_KINDS[m.block.kind] for m in members], dtype=np.int32),
-        "loop.wire": np.array([feeds.get(i, -1) for i in inputs], dtype=np.int32),
+        "loop.wire": _wires(members, pairs, integers=False),
+        "loop.flag": _wires(members, pairs, integers=True),
         "loop.step": np.array([step_s]),
         "loop.internal": np.array([min(integrated)]),
         **{f"member.{k}.record": m.record for k, m in enumerate(members)},
@@ -109,6 +105,19 @@ def loop_block(
     )
 
 
+def _wires(
+    members: Sequence[LoopMember], pairs: Sequence[tuple[str, str]], *, integers: bool
+) -> npt.NDArray[np.int32]:
+    """Per Real (or integer) input of all members: the number of the output that feeds it, or -1."""
+
+    def ports(role: Role) -> list[str]:
+        return [f"{m.name}.{v.name}" for m in members for v in m.block.table.of_role(role, integers=integers)]
+
+    place = {port: k for k, port in enumerate(ports("output"))}
+    feeds = {target: place[source] for source, target in pairs if source in place}
+    return np.array([feeds.get(port, -1) for port in ports("input")], dtype=np.int32)
+
+
 def _check(name: str, members: Sequence[LoopMember], by_name: Mapping[str, LoopMember]) -> None:
     if len(by_name) != len(members) or not 0 < len(members) <= _MOST:
         raise ValueError(f"loop {name}: {len(members)} members, allowed: 1 to {_MOST}, named apart")
@@ -123,12 +132,26 @@ def _check(name: str, members: Sequence[LoopMember], by_name: Mapping[str, LoopM
         raise ValueError(f"loop {name}: plants {plants}, allowed: one")
 
 
+def _check_pairs(name: str, pairs: Sequence[tuple[str, str]], by_name: Mapping[str, LoopMember]) -> None:
+    fed = set()
+    for source, target in pairs:
+        blocks = [by_name[end.partition(".")[0]].block for end in (source, target)]
+        kinds = (blocks[0].kind, blocks[1].kind)
+        variables = [b.table[end.partition(".")[2]] for b, end in zip(blocks, (source, target), strict=True)]
+        if kinds not in _MAY_FEED or variables[0].type != variables[1].type:
+            raise ValueError(f"loop {name}: {source} -> {target} ({' -> '.join(kinds)}) is not possible")
+        if target in fed:
+            raise ValueError(f"loop {name}: {target} is fed twice")
+        fed.add(target)
+
+
 def _outside(member: LoopMember) -> list[Variable]:
     """The variables of a member that the loop shows: outputs, which depend on nothing, and parameters."""
     found = []
     for v in member.block.table:
         if v.role == "output":
-            shown = f"{member.name}_{v.name}" if member.block.kind == "channel" else v.name
+            own = member.block.kind == "channel" or v.type != "Real"
+            shown = f"{member.name}_{v.name}" if own else v.name
             found.append(replace(v, name=shown, depends_on=()))
         elif v.role == "parameter":
             found.append(replace(v, name=f"{member.name}.{v.name}"))

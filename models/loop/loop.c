@@ -9,7 +9,8 @@ const int block_is_sampled = 1;
 
 enum { WORK_VECTORS = 5 };
 
-static const MemberKind *const KINDS[KIND_COUNT] = {&plant_member, &controller_member, &channel_member};
+static const MemberKind *const KINDS[KIND_COUNT] = {&plant_member, &controller_member, &channel_member,
+                                                   &supervisor_member};
 
 static BlockStatus unfit(BlockMessage *message, const char *what)
 {
@@ -48,7 +49,7 @@ static int layout_of(const Record *record, BlockLayout *n)
     n->n_x = (size_t)k[0];  n->n_u = (size_t)k[1];  n->n_y = (size_t)k[2];
     n->n_w = (size_t)k[3];  n->n_p = (size_t)k[4];  n->n_iu = (size_t)k[5];
     n->n_iy = (size_t)k[6]; n->n_iw = (size_t)k[7]; n->n_ip = (size_t)k[8];
-    return n->n_iu > 0;
+    return 0;
 }
 
 /* Layouts and needs of the members; their sum must be the outer layout. */
@@ -60,7 +61,7 @@ static BlockStatus read_members(Loop *l, const Record *record, const BlockLayout
 
     if (kinds == NULL || count == 0 || count > LOOP_MEMBERS) return unfit(message, "`loop.kinds`");
     l->count = count;
-    l->n_x = l->n_u = l->n_y = l->n_iy = l->n_members = *inner_scratch = 0;
+    l->n_x = l->n_u = l->n_y = l->n_iu = l->n_iy = l->n_members = *inner_scratch = 0;
     for (size_t k = 0; k < count; ++k) {
         BlockLayout *n = &l->block[k].layout;
         BlockNeeds needs;
@@ -77,14 +78,16 @@ static BlockStatus read_members(Loop *l, const Record *record, const BlockLayout
         l->first_x[k] = l->n_x;
         l->first_u[k] = l->n_u;
         l->first_y[k] = l->n_y;
+        l->first_iu[k] = l->n_iu;
         l->n_x += n->n_x;
         l->n_u += n->n_u;
         l->n_y += n->n_y;
         n_p += n->n_p;
+        l->n_iu += n->n_iu;
         l->n_iy += n->n_iy;
         n_ip += n->n_ip;
         memory[k] = needs.n_memory;
-        l->n_members += n->n_u + needs.n_memory;
+        l->n_members += n->n_u + n->n_iu + needs.n_memory;
         if (needs.n_scratch > *inner_scratch) *inner_scratch = needs.n_scratch;
     }
     if (outer->n_x != 0 || outer->n_u != 0 || outer->n_y != l->n_y || outer->n_w != 0 || outer->n_p != n_p
@@ -95,16 +98,20 @@ static BlockStatus read_members(Loop *l, const Record *record, const BlockLayout
 
 static BlockStatus read_wiring(Loop *l, const Record *record, BlockMessage *message)
 {
-    size_t count[3];
+    size_t count[4];
     const double *step = record_f64(record, "loop.step", &count[0]);
     const double *internal = record_f64(record, "loop.internal", &count[1]);
 
     l->wire = record_i32(record, "loop.wire", &count[2]);
+    l->flag = record_i32(record, "loop.flag", &count[3]);
     if (step == NULL || count[0] != 1 || !(step[0] >= 1e-6 && step[0] <= 1e3)) return unfit(message, "`loop.step`");
     if (internal == NULL || count[1] != 1 || !(internal[0] >= 1e-7)) return unfit(message, "`loop.internal`");
     if (l->wire == NULL || count[2] != l->n_u) return unfit(message, "`loop.wire`");
     for (size_t i = 0; i < l->n_u; ++i)
         if (l->wire[i] < -1 || l->wire[i] >= (int32_t)l->n_y) return unfit(message, "`loop.wire`");
+    if ((l->flag == NULL && l->n_iu > 0) || count[3] != l->n_iu) return unfit(message, "`loop.flag`");
+    for (size_t i = 0; i < l->n_iu; ++i)
+        if (l->flag[i] < -1 || l->flag[i] >= (int32_t)l->n_iy) return unfit(message, "`loop.flag`");
     l->step = (int64_t)floor(step[0] * 1e9 + 0.5);
     l->internal_step = internal[0];
     return BLOCK_OK;
@@ -143,9 +150,10 @@ BlockStatus loop_open(Loop *l, Block *b, const Record *record, const BlockLayout
         inner->x = l->state + l->first_x[k];
         inner->dx = NULL;
         inner->w = NULL;
-        inner->iu = inner->iw = NULL;
+        inner->iw = NULL;
         inner->u = next;
-        inner->memory = next + inner->layout.n_u;
+        inner->iu = (int *)(next + inner->layout.n_u);  /* a double's room each */
+        inner->memory = next + inner->layout.n_u + inner->layout.n_iu;
         next = inner->memory + memory[k];
         inner->y = b->y + l->first_y[k];
         inner->p = b->p + p;
@@ -200,6 +208,7 @@ static BlockStatus collect_marks(const Loop *l, double t, BlockMessage *message)
 
     for (size_t k = 0; k < l->count; ++k) {
         const Block *inner = &l->block[k];
+        if (l->kind[k] == KIND_SUPERVISOR) continue;
         if (l->kind[k] == KIND_CHANNEL) {
             const size_t count = channel_member_jumps(inner, at);
             for (size_t i = 0; i < count; ++i) full |= add_mark(l, at[i]);
@@ -236,6 +245,11 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
         const double *start = record_f64(&l.record[k], "start.real", &count);
         if (start == NULL || count < l.block[k].layout.n_x) return unfit(message, "a member's `start.real`");
         memcpy(l.block[k].x, start, l.block[k].layout.n_x * sizeof(double));
+        if (l.block[k].layout.n_iu > 0) {
+            const int32_t *flags = record_i32(&l.record[k], "start.integer", &count);
+            if (flags == NULL || count < l.block[k].layout.n_iu) return unfit(message, "a member's `start.integer`");
+            for (size_t i = 0; i < l.block[k].layout.n_iu; ++i) l.block[k].iu[i] = flags[i];
+        }
         if ((status = l.member[k]->start(&l.block[k], t, message)) != BLOCK_OK) return status;
     }
     return collect_marks(&l, t, message);

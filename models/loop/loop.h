@@ -16,12 +16,13 @@
  * beginning and end of an outage; these again one latency later; and 1 ns before
  * each of them, so that what a signal was just before a jump and just after are
  * both known. Across such a nanosecond signals are straight lines. And every
- * instant at which a packet comes out of a channel: its output is held between. */
+ * instant at which a packet comes out of a channel: its output is held between.
+ * A supervisor sees a flag of validity at the instant at which it changes.       */
 #include <stdint.h>
 #include "member.h"
 
 enum { LOOP_MEMBERS = 24, LOOP_MARKS = 4096, LOOP_EVENTS = 256, LOOP_SWEEPS = 50 };
-enum { KIND_PLANT = 0, KIND_CONTROLLER = 1, KIND_CHANNEL = 2, KIND_COUNT = 3 };
+enum { KIND_PLANT = 0, KIND_CONTROLLER = 1, KIND_CHANNEL = 2, KIND_SUPERVISOR = 3, KIND_COUNT = 4 };
 
 /* Head of `memory`. */
 enum { M_ORIGIN, M_LAST_EVENT, M_LAST_LENGTH, M_MARK_COUNT, M_MARKS };
@@ -36,14 +37,16 @@ typedef struct {
     Block block[LOOP_MEMBERS];
     int u_order[LOOP_MEMBERS];              /* of a channel's one input                  */
     size_t first_u[LOOP_MEMBERS], first_y[LOOP_MEMBERS], first_x[LOOP_MEMBERS];
-    size_t n_x, n_u, n_y, n_iy;             /* of all members together                   */
+    size_t first_iu[LOOP_MEMBERS];
+    size_t n_x, n_u, n_y, n_iu, n_iy;       /* of all members together                   */
     size_t n_memory, n_scratch;             /* what the outer block needs                */
     const int32_t *wire;                    /* per input: the output that feeds it, or -1 */
+    const int32_t *flag;                    /* the same of integer inputs and outputs    */
     int64_t step;                           /* ns                                        */
     double internal_step;                   /* s                                         */
     double *slope, *bend;                   /* SAVED per output: 1st; 2nd and 3rd derivative */
     double *state;                          /* SAVED x of all members, one after the other */
-    double *members;                        /* SAVED u and memory of each member         */
+    double *members;                        /* SAVED u, integer inputs, memory of each member */
     size_t n_members;
     /* scratch */
     double *saved, *saved_state, *saved_iy, *poly, *y0, *slope0, *work;
@@ -57,5 +60,11 @@ BlockStatus loop_refresh(Loop *l, double t, BlockMessage *message);
 
 /* From `t` to `end` over all inner communication points between. */
 BlockStatus loop_advance(Loop *l, double t, double end, BlockMessage *message);
+
+/* Whether a member is a plant, or what controls it. */
+static inline int loop_is(const Loop *l, size_t k, int plant)
+{
+    return plant ? l->kind[k] == KIND_PLANT : l->kind[k] == KIND_CONTROLLER || l->kind[k] == KIND_SUPERVISOR;
+}
 
 #endif

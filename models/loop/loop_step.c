@@ -37,14 +37,14 @@ static void draw(double *d, double v0, double s0, double v1, double s1, double h
  * outputs in y; the plant's first, they depend on its states only. Fills u. */
 static BlockStatus signals(Loop *l, double t, const double *x, double *y, double *u, BlockMessage *message)
 {
-    for (int kind = KIND_PLANT; kind <= KIND_CONTROLLER; ++kind)
+    for (int plant = 1; plant >= 0; --plant)
         for (size_t k = 0; k < l->count; ++k) {
             BlockStatus status;
 
-            if (l->kind[k] != kind) continue;
+            if (!loop_is(l, k, plant)) continue;
             for (size_t i = 0; i < l->block[k].layout.n_u; ++i) {
                 const int32_t from = l->wire[l->first_u[k] + i];
-                u[l->first_u[k] + i] = from < 0 || kind == KIND_PLANT ? 0.0 : y[from];
+                u[l->first_u[k] + i] = from < 0 || plant ? 0.0 : y[from];
             }
             status = l->member[k]->outputs(&l->block[k], t, x + l->first_x[k], u + l->first_u[k],
                                            y + l->first_y[k], message);
@@ -109,18 +109,23 @@ static BlockStatus settle(Loop *l, double t, BlockMessage *message)
     BlockStatus status = signals(l, t, l->state, y, vu, message);
 
     if (status != BLOCK_OK) return status;
-    for (size_t k = 0; k < l->count; ++k)
+    for (size_t k = 0; k < l->count; ++k) {
         memcpy(l->block[k].u, vu + l->first_u[k], l->block[k].layout.n_u * sizeof(double));
-    for (int kind = KIND_PLANT; kind <= KIND_CONTROLLER; ++kind)
+        for (size_t i = 0; i < l->block[k].layout.n_iu; ++i) {
+            const int32_t from = l->flag[l->first_iu[k] + i];
+            if (from >= 0) l->block[k].iu[i] = l->outer->iy[from];
+        }
+    }
+    for (int plant = 1; plant >= 0; --plant)
         for (size_t k = 0; k < l->count; ++k) {
             Block *inner = &l->block[k];
 
-            if (l->kind[k] != kind) continue;
+            if (!loop_is(l, k, plant)) continue;
             status = l->member[k]->derivatives(inner, t, inner->x, inner->u, dx + l->first_x[k], message);
             if (status != BLOCK_OK) return status;
             for (size_t i = 0; i < inner->layout.n_u; ++i) {
                 const int32_t from = l->wire[l->first_u[k] + i];
-                vu[i] = from < 0 || kind == KIND_PLANT ? 0.0 : l->slope[from];
+                vu[i] = from < 0 || plant ? 0.0 : l->slope[from];
             }
             status = l->member[k]->directional(inner, t, inner->x, inner->u, dx + l->first_x[k], vu, NULL,
                                                l->slope + l->first_y[k], message);
@@ -203,20 +208,26 @@ static void predict(Loop *l, double last)
     }
 }
 
-/* Handles the events of the plant up to `t`; returns how many there were. */
+/* Handles the events of plant and controllers up to `t`; counts them. A plant's
+ * are known by their times, a supervisor's come from its flags. */
 static BlockStatus events(Loop *l, double t, int *count, BlockMessage *message)
 {
     double *last = &l->outer->memory[M_LAST_EVENT];
 
     *count = 0;
     for (size_t k = 0; k < l->count; ++k) {
-        double event;
+        const int supervisor = l->kind[k] == KIND_SUPERVISOR;
+        Block *inner = &l->block[k];
 
         if (l->kind[k] == KIND_CHANNEL) continue;
-        while ((event = l->member[k]->next_event(&l->block[k], *last)) <= t + 0.6 * NANOSECOND) {
-            const BlockStatus status = l->member[k]->event(&l->block[k], event, l->block[k].x, message);
+        for (int round = 0; round < LOOP_EVENTS; ++round) {
+            const double event = l->member[k]->next_event(inner, supervisor ? t - 0.5 * NANOSECOND : *last);
+            BlockStatus status;
+
+            if (!(event <= t + 0.6 * NANOSECOND)) break;
+            status = l->member[k]->event(inner, supervisor ? t : event, inner->x, message);
             if (status != BLOCK_OK) return status;
-            *last = event;
+            if (!supervisor) *last = event;
             ++*count;
         }
     }
@@ -233,7 +244,10 @@ static BlockStatus step_once(Loop *l, double t, double end, BlockMessage *messag
     double error = 0.0;
     int handled;
 
-    predict(l, edge ? 0.0 : *last);
+    /* what a tool changed between two steps */
+    if ((status = events(l, t, &handled, message)) != BLOCK_OK) return status;
+    if (handled > 0 && (status = settle(l, t, message)) != BLOCK_OK) return status;
+    predict(l, edge || handled > 0 ? 0.0 : *last);
     if (again) {
         memcpy(l->saved, l->members, l->n_members * sizeof(double));
         memcpy(l->saved_state, l->state, l->n_x * sizeof(double));
@@ -287,8 +301,10 @@ static int64_t next_point(const Loop *l, int64_t now)
     for (size_t k = 0; k < l->count; ++k) {
         double due;
 
-        if (l->kind[k] != KIND_CHANNEL || !channel_member_packets(&l->block[k])) continue;
-        due = channel_member_next(&l->block[k], (double)now / 1e9) * 1e9;
+        if (l->kind[k] == KIND_CHANNEL) due = channel_member_next(&l->block[k], (double)now / 1e9) * 1e9;
+        else if (l->kind[k] == KIND_SUPERVISOR)
+            due = l->member[k]->next_event(&l->block[k], (double)now / 1e9) * 1e9;
+        else continue;
         if (!(due < (double)next)) continue;
         /* rounding of k T + latency is far below a nanosecond: such an instant is that one, others the next */
         due = fabs(due - floor(due + 0.5)) < 0.05 ? floor(due + 0.5) : ceil(due);

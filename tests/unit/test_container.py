@@ -12,6 +12,7 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import control
 import fmpy
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +27,8 @@ from interarea.cosim.errors import ScenarioError
 from interarea.cosim.members import members_of
 from interarea.cosim.run import Controllers, run_scenario
 from interarea.cosim.scenario import load_scenario
+from interarea.design.bank import ControllerBank
+from interarea.design.controller import Controller
 from interarea.fmu_build.compile import host_platform
 from interarea.fmu_build.render import record_entries
 from interarea.models.loop_block import LoopMember, loop_block
@@ -105,6 +108,31 @@ def test_container_follows_the_master(name: str, cache: Path, by_hand: Controlle
         assert np.max(np.abs(found[ours] - wanted)) <= TOLERANCE * np.ptp(wanted), ours
     for count in ("valid", "delivered", "dropped"):
         assert np.array_equal(found[f"remote_{count}"], np.asarray(master[f"remote.{count}"])[rows]), count
+
+
+def test_supervisor_inside_sees_the_flags_when_they_change(
+    cache: Path, hand_controller: Controller, tmp_path: Path
+) -> None:
+    """A bank that falls back to the local signal: it switches with the outage, as outside."""
+    K = hand_controller.system
+    local = control.ss(K.A, K.B[:, 1:], K.C, K.D[:, 1:], inputs=["G4_dw"], outputs=["G4_vs"])
+    bank = ControllerBank(
+        "bank", (hand_controller, Controller("local", local)), fade_s=0.05, loss_s=0.013, return_s=0.2
+    )
+    table = scenario(latency_s=0.05, outages_s=[[1.5, 2.0333]])
+    file = write_container(
+        load_scenario(table), tmp_path / "loop.fmu", cache=cache, controllers=lambda _name, _case: bank
+    )
+    names = ["G2_dw", "G4_vs", "controller_active", "controller_switches"]
+    found = simulate(file, 0.01, 3.0, names)
+    master = run_scenario(table, cache=cache, controllers=lambda _name, _case: bank).trajectory
+    rows = np.isin(np.round(master.time_s * 1e9), np.arange(0, 3_000_000_001, 10_000_000))
+    assert set(found["controller_active"]) == {1.0, 2.0}
+    for ours, column in (("G2_dw", "plant.G2_dw"), ("G4_vs", "controller.G4_vs")):
+        wanted = np.asarray(master[column])[rows]
+        assert np.max(np.abs(found[ours] - wanted)) <= 1e-4 * np.ptp(wanted), ours
+    for ours in ("active", "switches"):
+        assert np.array_equal(found[f"controller_{ours}"], np.asarray(master[f"controller.{ours}"])[rows])
 
 
 def test_latency_is_exact_inside(container: Path) -> None:
