@@ -7,7 +7,7 @@ import dataclasses
 import shutil
 import tempfile
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,13 @@ from interarea.models.plant_block import event_parameters, plant_block
 class PlantSlave:
     """The plant FMU of `case` with its events; integrates in substeps of `substep_s` at most."""
 
-    def __init__(self, case: Case, events: Iterable[Any] = (), substep_s: float = 0.001) -> None:
+    def __init__(
+        self,
+        case: Case,
+        events: Iterable[Any] = (),
+        substep_s: float = 0.001,
+        parameters: Mapping[str, float] | None = None,
+    ) -> None:
         block = dataclasses.replace(plant_block(case), internal_step_s=substep_s)
         self.folder = Path(tempfile.mkdtemp(prefix="plant-slave-"))
         path = build_fmu(block, self.folder / "plant.fmu", cache=default_cache())
@@ -39,7 +45,7 @@ class PlantSlave:
             instanceName="plant",
         )
         self.slave.instantiate()
-        for name, value in event_parameters(case, events).items():
+        for name, value in (event_parameters(case, events) | dict(parameters or {})).items():
             if types[name] == "Real":
                 self.slave.setReal([self.references[name]], [float(value)])
             else:

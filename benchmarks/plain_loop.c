@@ -46,6 +46,13 @@ void *plain_open(const void *bytes, size_t size, const size_t counts[9], const d
     return block_start(b, 0.0, &c->message) == BLOCK_OK ? c : NULL;
 }
 
+/* The states now, n_x of them. */
+void plain_states(const void *plant, double *x)
+{
+    const Block *b = &((const Plain *)plant)->block;
+    memcpy(x, b->x, b->layout.n_x * sizeof(double));
+}
+
 /* CPU seconds of `steps` steps of length h. */
 double plain_run(void *plant, long steps, double h)
 {

@@ -7,9 +7,11 @@ import shlex
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 import interarea.models.record
 from interarea.models.plant_block import plant_block
@@ -38,15 +40,19 @@ def compiled(block: Block, folder: Path) -> ctypes.CDLL:
 class PlainPlant:
     """One plant at its operating point, stepped by `plain_loop.c`."""
 
-    def __init__(self, case: object) -> None:
+    def __init__(self, case: object, parameters: Mapping[str, float] | None = None) -> None:
         block = plant_block(case)  # type: ignore[arg-type]
         with tempfile.TemporaryDirectory() as folder:
             self._c = compiled(block, Path(folder))
         self._c.plain_open.restype = ctypes.c_void_p
         self._c.plain_run.restype = ctypes.c_double
         table = block.table
+        self.state_names = tuple(v.name for v in table.of_role("state"))
         values = [
-            np.array([v.start for v in table.of_role(role, integers=integers)], dtype=kind)
+            np.array(
+                [(parameters or {}).get(v.name, v.start) for v in table.of_role(role, integers=integers)],
+                dtype=kind,
+            )
             for role, integers, kind in (
                 ("state", False, np.float64),
                 ("parameter", False, np.float64),
@@ -60,6 +66,12 @@ class PlainPlant:
         self._plant = self._c.plain_open(pointers[0], ctypes.c_size_t(len(packed)), counts, *pointers[1:])
         if not self._plant:
             raise RuntimeError(f"{block.name}: the plant refuses to start")
+
+    def states(self) -> npt.NDArray[np.float64]:
+        """Return the states now, in the order of `state_names`."""
+        values = np.empty(len(self.state_names))
+        self._c.plain_states(ctypes.c_void_p(self._plant), values.ctypes.data_as(ctypes.c_void_p))
+        return values
 
     def cpu_s(self, stop_s: float, step_s: float) -> float:
         """Return the CPU seconds of a run of `stop_s` in steps of `step_s`."""

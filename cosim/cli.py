@@ -12,7 +12,7 @@ import typer
 
 from .cli_check import check
 from .cli_design import certify, design
-from .cli_import import import_grid
+from .cli_import import export, import_grid
 from .cli_modes import modes
 from .cli_run import run
 from .cli_ssp import build, container, ssp
@@ -107,6 +107,7 @@ def study(
 
 app.command()(modes)
 app.command("import")(import_grid)
+app.command()(export)
 app.command()(run)
 app.command()(design)
 app.command()(certify)

@@ -1,4 +1,4 @@
-"""The command `import`: a grid of PSS/E or MATPOWER as a case file."""
+"""Commands `import` and `export`: a grid of PSS/E or MATPOWER, or a variant of a case, as a case file."""
 
 from __future__ import annotations
 
@@ -41,3 +41,28 @@ def import_grid(
         f"voltages {flow.magnitudes.min():.4f} to {flow.magnitudes.max():.4f} pu",
         err=True,
     )
+
+
+def export(
+    case: Annotated[str, typer.Argument(metavar="CASE", help="bundled case or TOML file")],
+    out: Annotated[Path, typer.Option("--out", metavar="CASE.toml", help="case file", show_default=False)],
+    tie_flow: Annotated[
+        float, typer.Option("--tie-flow", metavar="MW", help="load moved across the tie")
+    ] = 0.0,
+    circuit_out: Annotated[
+        list[str] | None, typer.Option("--circuit-out", metavar="BRANCH", help="branch out of service")
+    ] = None,
+    load_scale: Annotated[float, typer.Option("--load-scale", metavar="FACTOR", help="on every load")] = 1.0,
+) -> None:
+    """Write a case, or it at another operating point, as one self-contained case file."""
+    from interarea.models.case import load_case
+    from interarea.models.case_variants import operating_variant
+    from interarea.models.export_toml import export_toml
+    from interarea.models.powerflow import solve_powerflow
+
+    loaded = load_case(case)
+    if tie_flow or circuit_out or load_scale != 1.0:
+        loaded = operating_variant(loaded, tie_flow_mw=tie_flow, out=circuit_out or (), load_scale=load_scale)
+    solve_powerflow(loaded)
+    export_toml(loaded, out)
+    typer.echo(out)

@@ -12,6 +12,7 @@ from plant_shim import BlockShim
 
 from interarea.models.case import Case, CaseError, load_case
 from interarea.models.case_checks import require_dynamics
+from interarea.models.case_variants import operating_variant
 from interarea.models.export_toml import export_toml
 from interarea.models.import_matpower import import_matpower
 from interarea.models.import_psse import import_psse
@@ -334,3 +335,18 @@ def test_import_command_writes_a_case_that_loads_and_refuses_other_files(
     assert code == 2 and "suffix '.epc', allowed: .raw" in message
     code, message = call(write("bad.raw", raw_text(case).replace(", 33,", ", 35,")), "--out", out)
     assert code == 2 and "bad.raw:1: RAW version 35" in message
+
+
+def test_export_command_writes_a_variant_that_loads(tmp_path, monkeypatch, capsys):
+    import sys
+
+    from interarea.cosim.cli import main
+
+    out = tmp_path / "variant.toml"
+    arguments = ["export", "two-area-thesis", "--out", str(out), "--tie-flow", "50", "--circuit-out", "8-9 a"]
+    monkeypatch.setattr(sys, "argv", ["interarea", *arguments])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert not stopped.value.code and capsys.readouterr().out.strip() == str(out)
+    wanted = operating_variant(load_case("two-area-thesis"), tie_flow_mw=50.0, out=["8-9 a"])
+    assert load_case(out).hash == wanted.hash and load_case(out).name == wanted.name

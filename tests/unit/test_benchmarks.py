@@ -1,0 +1,112 @@
+"""Benchmarks without the other tool: the rows it gets, and the plain C loop against the FMU."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interarea.models.case import load_case
+from interarea.models.events import events_of
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+import andes_rows
+import compare_andes
+
+
+def rows_by_model(case, events=()) -> dict[str, list[dict]]:
+    found: dict[str, list[dict]] = {}
+    for model, row in andes_rows.rows_of(case, events):
+        found.setdefault(model, []).append(row)
+    return found
+
+
+def test_every_device_of_a_case_becomes_one_row():
+    case = compare_andes.two_area(compare_andes.RUNS["Efd limits + PSS + TGOV1, bus fault + trip"][0])
+    found = rows_by_model(case, events_of(compare_andes.FAULT, where="test"))
+    counts = {model: len(rows) for model, rows in found.items()}
+    assert counts == {
+        "Bus": 11,
+        "Line": 12,
+        "Shunt": 2,
+        "PQ": 2,
+        "Slack": 1,
+        "PV": 3,
+        "GENROU": 4,
+        "SEXS": 4,
+        "IEEEST": 4,
+        "TGOV1": 4,
+        "Fault": 1,
+        "Toggle": 1,
+    }
+    machine = case.machines[0]
+    row = found["GENROU"][0]
+    assert (row["M"], row["Td20"], row["xl"]) == (2 * machine.H, machine.Td02, machine.Xl)
+    assert found["Slack"][0]["a0"] == pytest.approx(math.radians(-6.8))
+    assert found["Fault"][0]["tc"] == pytest.approx(1.0 + 8 / 60)
+
+
+def test_quadratic_saturation_has_value_and_slope_of_the_exponential_one():
+    """E SE(E) = B (E - A)^2 through two points at 1 % on both sides of Efd0."""
+    e = load_case("new-england").machines[1].exciter
+    row = rows_by_model(load_case("new-england"))["IEEET1"][1]
+    (e1, s1), (e2, s2) = ((row[f"E{k}"], row[f"SE{k}"]) for k in (1, 2))
+    root = math.sqrt(e1 * s1 / (e2 * s2))
+    A = (e1 - root * e2) / (1 - root)
+    B = e2 * s2 / (e2 - A) ** 2
+    efd = (e1 + e2) / 2
+    exponential = e.Aex * math.exp(e.Bex * efd)
+    assert B * (efd - A) ** 2 == pytest.approx(efd * exponential, rel=1e-3)
+    assert 2 * B * (efd - A) == pytest.approx(exponential * (1 + e.Bex * efd), rel=1e-3)
+
+
+def test_load_mix_is_that_of_all_loads():
+    case = load_case("kundur-manual")
+    shares = {"p2z": 0.0, "p2i": 1.0, "p2p": 0.0, "q2z": 1.0, "q2i": 0.0, "q2q": 0.0}
+    assert andes_rows.load_mix(case) == shares
+    with pytest.raises(ValueError, match="one voltage characteristic for all loads"):
+        andes_rows.load_mix(load_case("nets-nyps"))
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "says"),
+    [
+        ("kundur-manual", {}, "no saturation is GENROU"),
+        ("kundur-thyristor-z", {}, "limits with TR > 0"),
+        (
+            "two-area-thesis",
+            {"machines": {"G1": {"stabilizer": {"T5": 0.1, "T6": 0.2}}}},
+            "third lead-lag",
+        ),
+    ],
+)
+def test_what_the_other_tool_does_not_have_is_refused(name, change, says):
+    with pytest.raises(ValueError, match=says):
+        andes_rows.rows_of(load_case(name).with_changes(change))
+
+
+def test_a_missing_tool_is_one_line(tmp_path):
+    fake = tmp_path / "python"
+    fake.write_text("#!/bin/sh\necho 'ModuleNotFoundError: no such tool' >&2\nexit 1\n")
+    fake.chmod(0o755)
+    with pytest.raises(RuntimeError, match=r"no such tool \(install the extra `bench`"):
+        compare_andes.ask(str(fake), {})
+
+
+@pytest.mark.slow
+def test_the_fmu_gives_the_bits_of_the_plain_loop():
+    """Same right-hand side, same steps: what FMI adds is time, not rounding."""
+    from fmu_run import PlantSlave
+    from plain_loop import PlainPlant
+
+    case = compare_andes.two_area({"exciter": compare_andes.THYRISTOR})
+    change = {"G1.exciter.KA": 150.0}
+    loop = PlainPlant(case, change)
+    plant = PlantSlave(case, (), 0.01, change)
+    loop.cpu_s(2.0, 0.01)
+    plant.advance(2.0)
+    np.testing.assert_array_equal(loop.states(), plant.outputs(loop.state_names))
+    plant.close()
