@@ -255,6 +255,7 @@ def _keys(location: tuple[int | str, ...]) -> list[str]:
         return [k for k in Scenario.model_fields if k not in hidden]
     tables: dict[str, type[BaseModel]] = {
         "channels": ChannelTable,
+        "fmus": FmuTable,
         "master": MasterTable,
         "expect": Expectation,
     }

@@ -8,11 +8,15 @@ from pathlib import Path
 from interarea.fmu_build.compile import compile_library, fmi_headers, host_platform
 
 _SOURCE = Path(__file__).parent / "whims.c"
+_DEGREES = (
+    '<UnitDefinitions><Unit name="deg"><BaseUnit rad="1" factor="0.017453292519943295"/></Unit>'
+    "</UnitDefinitions>"
+)
 PARAMETERS = ("early_at", "kick", "longest", "end_at", "nan_at", "abort_at", "back_at", "x0")
 
 
 def whims_fmu(folder: Path, *, saves_state: bool = True, unit: str = "") -> Path:
-    """Build the FMU in `folder`; `unit` of its input, defined nowhere."""
+    """Build the FMU in `folder`; `unit` of its input (deg is defined, others are not)."""
     platform = host_platform()
     names = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
     sources = {name: (fmi_headers() / name).read_bytes() for name in names}
@@ -35,6 +39,7 @@ def whims_fmu(folder: Path, *, saves_state: bool = True, unit: str = "") -> Path
         '<CoSimulation modelIdentifier="whims" canHandleVariableCommunicationStepSize="true" '
         'canInterpolateInputs="true" maxOutputDerivativeOrder="1" '
         f'canGetAndSetFMUstate="{saves}"/>'
+        f"{_DEGREES if unit == 'deg' else ''}"
         f"<ModelVariables>{''.join(variables)}</ModelVariables>"
         '<ModelStructure><Outputs><Unknown index="2" dependencies=""/></Outputs>'
         '<InitialUnknowns><Unknown index="2" dependencies=""/></InitialUnknowns></ModelStructure>'

@@ -1,0 +1,141 @@
+"""Every mistake that the master promises to name, with real FMUs, in both engines where it runs."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from whims import whims_fmu
+
+from interarea.cosim.build import System
+from interarea.cosim.errors import GraphError, ScenarioError, StepError
+from interarea.cosim.fmu_file import FmuFile
+from interarea.cosim.run import run_system
+
+ENGINES = ("kernel", "python")
+
+
+@pytest.fixture(scope="module")
+def whims(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return whims_fmu(tmp_path_factory.mktemp("whims"))
+
+
+def pair(whims: Path, **options: Any) -> System:
+    return System(stop_s=1.0, step_s=0.1, **options).fmu("first", whims, u=1.0).fmu("second", whims)
+
+
+@pytest.mark.parametrize(
+    ("wires", "says"),
+    [
+        ([("frist.y", "second.u")], r"'frist.y' is no connection end.*did you mean 'first'"),
+        ([("first.x", "second.u")], r"first has no output 'x'; there are: y"),
+        ([("first.y", "second.v")], r"second has no input 'v'; there are: u"),
+        ([("first.y", "second")], r"'second' is no connection end 'instance.variable'"),
+        (
+            [("first.y", "second.u"), ("second.y", "second.u")],
+            "second.u has two sources, first.y and",
+        ),
+        ([("first.u", "second.u")], r"first.u has the wrong causality for a source: an output is needed"),
+        ([("first.y", "second.y")], r"second.y has the wrong causality for a target: an input is needed"),
+        ([("first.y", "second.x0")], r"second has no input 'x0'"),
+    ],
+)
+def test_wrong_ends(whims: Path, tmp_path: Path, wires: list[tuple[str, str]], says: str) -> None:
+    system = pair(whims)
+    for wire in wires:
+        system.connect(*wire)
+    with pytest.raises(GraphError, match=says):
+        system.master()
+    fmus = {name: {"file": str(whims)} for name in ("first", "second")}
+    with pytest.raises(GraphError, match=says):  # and from a scenario
+        run_system({"stop_s": 1.0, "fmus": fmus, "connections": [list(w) for w in wires]})
+
+
+def test_an_input_left_unconnected_keeps_its_start_value_and_is_reported(whims: Path) -> None:
+    result = System(stop_s=1.0, step_s=0.1).fmu("alone", whims, x0=2.0).run()
+    assert "not connected: alone.u keeps its start value 0" in result.explain()
+    np.testing.assert_array_equal(result["alone.y"], 2.0)
+
+
+def test_compatible_units_are_converted(tmp_path: Path) -> None:
+    """The plant's angle in rad arrives in degrees: the integral of a constant, 180/pi times as large."""
+    degrees = whims_fmu(tmp_path, unit="deg")
+    system = System(stop_s=0.5, step_s=0.1).plant("two-area-thesis").fmu("x", degrees)
+    result = system.connect("plant.G1_delta", "x.u").run()
+    exact = 0.5 * np.degrees(result["plant.G1_delta"][0])
+    assert result["x.y"][-1] == pytest.approx(exact, rel=1e-9)
+
+
+def test_a_unit_that_nobody_defines_is_refused(tmp_path: Path) -> None:
+    odd = whims_fmu(tmp_path, unit="furlong")
+    with pytest.raises(GraphError, match=r'The unit "furlong" of variable "u" .*is not defined'):
+        System(stop_s=0.1).fmu("x", odd)
+
+
+def test_units_of_different_dimension_are_refused() -> None:
+    system = System(stop_s=0.1).plant("two-area-thesis").channel("line").connect("plant.G1_delta", "line")
+    with pytest.raises(GraphError, match=r"plant.G1_delta -> line.u: unit 'rad' \(rad\^1\) does not fit"):
+        system.master()
+
+
+def changed(path: Path, to: Path, old: str, new: str, *, platform: str | None = None) -> Path:
+    with zipfile.ZipFile(path) as source, zipfile.ZipFile(to, "w") as target:
+        for name in source.namelist():
+            raw = source.read(name)
+            if name == "modelDescription.xml":
+                raw = re.sub(old.encode(), new.encode(), raw)
+            elif platform is not None:
+                name = f"binaries/{platform}/{Path(name).name}"
+            target.writestr(name, raw)
+    return to
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('fmiVersion="2.0"', 'fmiVersion="1.0"', "is FMI 1.0; the master steps FMI 2.0 FMUs"),
+        ('fmiVersion="2.0"', 'fmiVersion="3.0"', "is FMI 3.0; the master steps FMI 2.0 FMUs"),
+        ("<CoSimulation [^>]*/>", '<ModelExchange modelIdentifier="x"/>', "has no co-simulation part"),
+        ('causality="output"', 'causality="outcome"', "breaks the standard"),
+    ],
+)
+def test_other_standards(whims: Path, tmp_path: Path, old: str, new: str, says: str) -> None:
+    with pytest.raises(GraphError, match=says):
+        FmuFile(changed(whims, tmp_path / "odd.fmu", old, new))
+
+
+def test_another_platform(whims: Path, tmp_path: Path) -> None:
+    with pytest.raises(GraphError, match=r"has no binary for this platform \(\w+\); it has amiga68"):
+        FmuFile(changed(whims, tmp_path / "odd.fmu", "", "", platform="amiga68"))
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_output_that_turns_nan_stops_the_run_there(whims: Path, engine: str) -> None:
+    system = pair(whims, engine=engine).fmu("bad", whims, nan_at=0.45).connect("first.y", "bad.u")
+    with pytest.raises(StepError, match=r"bad: reading outputs at t = 0\.5 s: output y is nan") as caught:
+        system.run()
+    run = caught.value.trajectory
+    assert run is not None and run.time_s[-1] == 0.4
+    np.testing.assert_allclose(run["bad.y"], run.time_s**2 / 2, rtol=1e-12)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_time_does_not_go_backwards(whims: Path, engine: str) -> None:
+    with pair(whims, engine=engine).master() as master:
+        master.run(until_s=0.5)
+        with pytest.raises(ScenarioError, match=r"until_s = 0\.3: time does not go backwards from 0\.5 s"):
+            master.run(until_s=0.3)
+        assert master.run().time_s[-1] == 1.0
+    with pytest.raises(ScenarioError, match="must lie after the start"):
+        System(stop_s=1.0, start_s=2.0).fmu("a", whims).master()
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_fmu_whose_time_goes_backwards_is_named(whims: Path, engine: str) -> None:
+    system = System(stop_s=1.0, step_s=0.1, engine=engine).fmu("back", whims, back_at=0.25)
+    with pytest.raises(StepError, match=r"back: fmi2DoStep at t = 0\.2 s: .* names t = -0\.8 s"):
+        system.run()
