@@ -78,7 +78,7 @@ static const void *find(const Record *record, const char *name, uint32_t type, s
     *count = 0;
     for (size_t k = 0; k < record->n_entries; ++k) {
         const unsigned char *e = record->bytes + HEADER + k * ENTRY;
-        if (read_u32(e + NAME) == type && strcmp((const char *)e, name) == 0) {
+        if (e[0] == (unsigned char)name[0] && read_u32(e + NAME) == type && strcmp((const char *)e, name) == 0) {
             *count = (size_t)read_u64(e + 48);
             return record->bytes + read_u64(e + 56);
         }

@@ -1,10 +1,15 @@
 #include "history.h"
 
+#include <math.h>
+
 enum { TIME = 0, VALUE = 1, ORDER = 5 };
 
 static double *sample(const History *history, size_t number)
 {
-    return history->ring + SAMPLE_SIZE * (number % history->capacity);
+    /* a ring that is not yet full needs no division */
+    const size_t place = number < history->capacity ? number : number % history->capacity;
+
+    return history->ring + SAMPLE_SIZE * place;
 }
 
 void history_add(const History *history, double t, const double *u, int order)
@@ -58,6 +63,21 @@ int history_at(const History *history, double s, double *value, double *slope)
     if (s >= sample(history, high)[TIME]) {
         extend(sample(history, high), s, value, slope);
         return 0;
+    }
+    /* samples come at even steps as a rule: look where s would then be */
+    if (high > low) {
+        const double newest = sample(history, high)[TIME];
+        const double step = newest - sample(history, high - 1)[TIME];
+        const double back = ceil((newest - s) / step);
+        if (back >= 1.0 && back <= (double)(high - low)) {
+            const size_t guess = high - (size_t)back;
+            if (sample(history, guess)[TIME] <= s) {
+                low = guess;
+                if (s < sample(history, guess + 1)[TIME]) high = guess + 1;
+            } else {
+                high = guess;
+            }
+        }
     }
     while (high - low > 1) {
         const size_t middle = low + (high - low) / 2;
