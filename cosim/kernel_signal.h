@@ -107,8 +107,10 @@ static void signal_know(KernelSignal *s, int64_t tick, double h, int edge, doubl
     s->s1 = slope;
     if (s->kind == KIND_HELD) return;
     if (s->kind == KIND_NEWEST) {
-        polynomial(s->d, value, 0.0, 0.0, 0.0);
-    } else if (edge || s->kind == KIND_LINEAR) {
+        s->d[0] = value; /* the others are zero since the step began */
+        return;
+    }
+    if (edge || s->kind == KIND_LINEAR) {
         polynomial(s->d, s->v0, (value - s->v0) / h, 0.0, 0.0);
     } else if (s->kind == KIND_HERMITE) {
         hermite(s->d, s->v0, s->s0, value, slope, h);
