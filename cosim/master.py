@@ -233,7 +233,14 @@ class Master:
     def run(
         self, until_s: float | None = None, *, progress: Callable[[float, float], object] | None = None
     ) -> Trajectory:
-        """Step to `until_s` (default: the end) and return the trajectory.
+        """Step to `until_s` (default: the end) and return the trajectory; see `advance`."""
+        self.advance(until_s, progress=progress)
+        return self.trajectory
+
+    def advance(
+        self, until_s: float | None = None, *, progress: Callable[[float, float], object] | None = None
+    ) -> None:
+        """Step to `until_s` (default: the end); `trajectory` has the results whenever they are wanted.
 
         progress : called with (present time, stop time) after each step in Python, and at least every 20 ms
             of computing (or after a longer step) with the kernel. It may raise, or call `cancel`.
@@ -263,7 +270,6 @@ class Master:
                 self._stretch(kernel, last)
             if progress is not None:
                 progress(self.time_s, stop_s)
-        return self.trajectory
 
     def cancel(self) -> None:
         """Make `run` return after the step it is in; to be called by `progress` or from another thread."""
