@@ -102,7 +102,7 @@ static int advance_whole(Kernel *k, KernelNode *node, const Step *step)
     for (int i = 0; i < node->n_u_real; ++i) {
         const KernelFeed *feed = node->feeds + i;
         const double *d = k->signals[feed->signal].d;
-        node->u[i] = feed->gain * d[0] + feed->offset;
+        node->u[i] = feed->gain == 1.0 && feed->offset == 0.0 ? d[0] : feed->gain * d[0] + feed->offset;
         for (int m = 1; m <= order; ++m) *du++ = feed->gain * d[m];
     }
     code = send(k, node, order);

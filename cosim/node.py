@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from . import interpolation as ip
 from .clock import Step, seconds
@@ -21,6 +22,10 @@ class Feed:
     signal: Signal
     gain: float
     offset: float
+
+    @cached_property
+    def same_unit(self) -> bool:
+        return self.gain == 1.0 and self.offset == 0.0
 
 
 class Node:
@@ -83,7 +88,10 @@ class Node:
         u, du = self.participant.u, self.participant.du
         for f in self.feeds:
             d, place, gain = f.signal.d, f.place, f.gain
-            u[place] = gain * (d[0] if at == 0.0 else ip.value_at(d, at)) + f.offset
+            if at != 0.0:
+                u[place] = gain * ip.value_at(d, at) + f.offset
+            else:
+                u[place] = d[0] if f.same_unit else gain * d[0] + f.offset
             if order:
                 k = 3 * place
                 du[k : k + 3] = gain * d[1], gain * d[2], gain * d[3]
