@@ -294,13 +294,8 @@ class Master:
     @property
     def trajectory(self) -> Trajectory:
         """Results up to now: every output of every participant."""
-        return Trajectory.of_records(
-            self._times[: self._rows],
-            self._records[: self._rows],
-            self._columns,
-            self._ports,
-            engine=self.ran,
-        )
+        n, columns, ports = self._rows, self._columns, self._ports
+        return Trajectory.of_records(self._times[:n], self._records[:n], columns, ports, engine=self.ran)
 
     # -- saving ---------------------------------------------------------------------------
 
