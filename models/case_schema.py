@@ -116,10 +116,12 @@ class Load(Row):
 
 
 class Saturation(Row):
-    """Exponential saturation: psi_I = Asat exp(Bsat (psi_at - psiT1)) above the air-gap flux psiT1.
+    """Exponential saturation: psi_I = Asat exp(Bsat (psi_at - psiT1)) of the air-gap flux psi_at.
 
     `use`: "none" ignores it, "total" applies K_s = psi_at / (psi_at + psi_I) everywhere, "incremental"
-    does so for the operating point and uses the incremental factor in the linearisation.
+    does so for the operating point and goes on from there with Kundur's incremental factor, a straight
+    line: the choice for eigenvalues as in his book; for large disturbances take "total". The jump to
+    psi_I = 0 below psiT1 is left out: there psi_I is small and goes on falling.
     """
 
     Asat: Positive

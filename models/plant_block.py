@@ -54,7 +54,7 @@ _EVENT_WORDS = {
     "branch_trip": "branch opens at start, closes at end",
     "branch_reclose": "branch closes at start",
     "vref_pulse": "voltage set-point of a machine raised by size",
-    "load_step": "size + j size_q added to a load at its operating voltage",
+    "load_step": "size + j size_q added to a load at its operating voltage, of its characteristic",
     "pm_pulse": "mechanical power of a machine raised by size (machine base)",
     "machine_trip": "machine disconnected at start",
     "shunt_switch": "shunt switched in (size = 1) or out (size = 0), back at end",

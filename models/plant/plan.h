@@ -15,7 +15,7 @@ enum {  /* machine, per unit on the machine base */
     M_TD01, M_TD02, M_TQ01, M_TQ02,  /* s                               */
     M_H,                /* s                                            */
     M_D,                /* pu torque / pu speed                         */
-    M_EFD0, M_PM0, M_VT0,  /* at the operating point                    */
+    M_EFD0, M_PM0, M_VT0,  /* at the operating point; classical: M_EFD0 is the EMF */
     M_ROWS
 };
 enum {  /* exciter */

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from plant_shim import BlockShim
+from plant_shim import BlockFailure, BlockShim
 
 from interarea.models.case import Case, case_of, load_case
 from interarea.models.equilibrium import operating_point
@@ -111,3 +111,29 @@ def test_events_find_their_machine_whatever_its_model():
         plant = BlockShim(plant_block(case), event_parameters(case, event))
         values = dict(zip(plant.output_names, plant.derivatives(plant.x)[1], strict=True))
         assert [m for m in ("G1", "G2", "G3", "G4") if values[f"{m}_pe"] == 0.0] == [name]
+
+
+def resonant() -> Case:
+    """A machine, a line and a capacitor that cancels what the bus sees: j0.2 + j0.3 against 200 Mvar."""
+    machine = {"bus": 1, "base_mva": 100.0, "model": "classical", "H": 4.0, "Xd1": 0.2, "V_pu": 1.0}
+    return case_of(
+        {
+            "name": "resonant",
+            "source": "closed form",
+            "frequency_hz": 50.0,
+            "base_mva": 100.0,
+            "buses": {"1": {}, "2": {}},
+            "branches": {"1-2": {"from": 1, "to": 2, "x": 0.3}},
+            "shunts": {"C": {"bus": 2, "Q_mvar": 200.0, "in_service": False}},
+            "machines": {"A": machine | {"P_mw": 0.0, "slack": True}},
+        },
+        where="test",
+    )
+
+
+def test_a_switch_that_leaves_the_admittance_singular_names_the_bus():
+    case = resonant()
+    event = events_of([{"kind": "shunt_switch", "shunt": "C", "to": "in", "start_s": 0.5}], where="test")
+    plant = BlockShim(plant_block(case), event_parameters(case, event))
+    with pytest.raises(BlockFailure, match="singular at bus 2"):
+        plant.run(1.0, 0.01)
