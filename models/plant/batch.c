@@ -262,6 +262,18 @@ static void repeat_alone(Vector *v, Lane *lane, size_t k, Batch *b)
     put(v->group.x, lane->block.x, n, v->lanes, k);
 }
 
+/* Outputs that are not finite: the scalar code says why. */
+static void explain(const Vector *v, Lane *lane, size_t k, Batch *b)
+{
+    BlockMessage message = { { 0 } };
+
+    get(v->group.x, lane->block.x, b->layout.n_x, v->lanes, k);
+    get(v->group.memory, lane->block.memory, v->n_memory, v->lanes, k);
+    const BlockStatus status = block_outputs(&lane->block, lane->time, lane->block.x, lane->block.u,
+                                             lane->block.y, &message);
+    if (status != BLOCK_OK) end_lane(lane, b, status, &message);
+}
+
 static void run_group(Batch *b, Lane *lanes, Vector *v, double *k)
 {
     const BlockLayout *l = &b->layout;
@@ -284,6 +296,7 @@ static void run_group(Batch *b, Lane *lanes, Vector *v, double *k)
                                                          lane->block.u, lane->block.y, &message);
                 if (status != BLOCK_OK) end_lane(lane, b, status, &message);
             }
+            if (width > 1 && lane->alive && !finite_lane(v->group.y, l->n_y, width, j)) explain(v, lane, j, b);
             record(lane, b, step, width > 1 ? v->group.y + j : lane->block.y, width);
         }
         if (step == b->n_steps) break;

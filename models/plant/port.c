@@ -4,6 +4,7 @@
 static const size_t MOST_STEPS = 40;
 static const double ACCURACY = 1e-13;     /* residual, relative to the largest voltage */
 static const double STALLED = 1e-11;      /* a residual that rounding keeps from falling */
+static const double MOST_FLUX = 1.2;      /* where an iteration may start: psi_I grows exponentially */
 static const double WORTH_KEEPING = 0.03; /* contraction above which the inverse is renewed */
 
 static double larger(double a, double b) { return a > b ? a : b; }
@@ -113,9 +114,10 @@ static int invert_here(const Problem *s, double *work)
     return port_inverse(s->memory, s->plan, s->at.v_re, s->at.v_im, s->sine, s->cosine, s->inverse, work);
 }
 
-/* Damped Newton steps from the voltages in s->at. Returns n_port, or the port farthest
- * from a solution. work: 8 n_port. */
-static size_t newton(const Problem *s, double *work)
+/* Newton steps from the voltages in s->at: damped so that the residual falls, or
+ * `free` to rise, which passes the kinks where a load becomes an impedance. Returns
+ * n_port, or the port farthest from a solution. work: 8 n_port. */
+static size_t newton(const Problem *s, int free, double *work)
 {
     const size_t n = s->plan->n_port;
     double *r = work, *r_next = work + 2 * n, *from = work + 4 * n, *order = work + 6 * n;
@@ -147,10 +149,10 @@ static size_t newton(const Problem *s, double *work)
                 s->at.v_im[p] = from[n + p] - share * im;
             }
             next = residual(s, r_next);
-            if (next >= 0.0 && next < (1.0 - 0.1 * share) * size) break;
+            if (next >= 0.0 && (free || next < (1.0 - 0.1 * share) * size)) break;
             if (!fresh || size <= STALLED * scale) break;
         }
-        const int better = next >= 0.0 && next < size;
+        const int better = next >= 0.0 && (free || next < size);
         if (!better) {   /* back to the best voltages so far */
             for (size_t p = 0; p < n; ++p) {
                 s->at.v_re[p] = from[p];
@@ -240,15 +242,18 @@ size_t port_solve(double *memory, const Plan *plan, const double *ed2, const dou
     for (size_t p = 0; p < 2 * n; ++p) linear[p] = 0.0;
     port_voltages(memory, plan, 0, plan->n_machine, e_re, e_im, linear, linear + n);
     /* From the last voltages, then from those of the linear network, then from low
-     * ones: near collapse the solution lies among the impedances of low voltage. */
-    for (int tries = 0; tries < 4; ++tries) {
-        const double *start = tries == 0 ? last : linear;
-        const double share = tries < 2 ? 1.0 : tries == 2 ? 0.6 : 0.2;
+     * ones: near collapse the solution lies among the impedances of low voltage, of
+     * all loads or of one. */
+    for (size_t tries = 0; tries < 8 + n; ++tries) {
+        const double *start = tries % 4 == 0 && tries < 8 ? last : linear;
+        const double share = tries >= 8 || tries % 4 < 2 ? 1.0 : tries % 4 == 2 ? 0.6 : 0.2;
         for (size_t p = 0; p < n; ++p) {
-            at.v_re[p] = share * start[p];
-            at.v_im[p] = share * start[n + p];
+            const double size = sqrt(start[p] * start[p] + start[n + p] * start[n + p]);
+            const double own = (tries == 8 + p ? 0.5 : share) * (size > MOST_FLUX ? MOST_FLUX / size : 1.0);
+            at.v_re[p] = own * start[p];
+            at.v_im[p] = own * start[n + p];
         }
-        stuck = newton(&problem, work + 2 * n);
+        stuck = newton(&problem, tries >= 4, work + 2 * n);
         if (stuck == n) break;
     }
     memory[H_PORT_READY] = 0.0;

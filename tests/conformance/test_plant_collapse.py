@@ -58,3 +58,26 @@ def test_a_batch_ends_that_scenario_alone(case, start, cache):
     assert np.all(np.isfinite(run.outputs[: last + 1, :, 0]))
     assert np.all(np.isnan(run.outputs[last + 1 :, :, 0]))
     assert np.abs(run.of("G1_dw")[:, 1]).max() < 1e-9
+
+
+def test_constant_power_finds_its_solution_through_faults_at_every_bus(cache):
+    """The network of bounded injections always has a solution; after long faults it is one of low voltage."""
+    change = {
+        "loads": {"defaults": {"P_exponent": 0.0, "Q_exponent": 0.0}},
+        "machines": {"defaults": {"saturation": {"use": "total"}}},
+    }
+    case, rows = load_case("kundur-thyristor").with_changes(change), []
+    for bus in range(1, 12):
+        for k, (length, x) in enumerate(((0.05, 1e-8), (0.1, 1e-4), (0.3, 0.02), (0.8, 1e-8))):
+            events = [
+                {"kind": "bus_fault", "bus": bus, "start_s": 0.1, "end_s": 0.1 + length, "x_pu": x},
+                {"kind": "load_step", "load": "L9", "start_s": 0.5, "size_pu": 0.1 * k},
+            ]
+            if k == 1:
+                events.append({"kind": "machine_trip", "machine": f"G{1 + bus % 4}", "start_s": 0.2})
+            rows.append(event_parameters(case, events_of(events, where="test")))
+    run = PlantBatch(plant_block(case), cache=cache).run(rows, stop_s=2.5, step_s=STEP_S)
+    assert not any(run.errors)
+    assert np.all(np.isfinite(run.outputs))
+    lowest = min(run.of(f"G{k}_vt")[-1].min() for k in range(1, 5))
+    assert lowest < 0.7  # some did collapse
