@@ -49,11 +49,11 @@ def export_times(repeats: int, platforms: list[str]) -> tuple[np.ndarray, np.nda
     return np.array(wall[1:]), np.array(busy[1:])
 
 
-def cold_build(workers: int) -> float:
-    """Return the seconds in which every kind is compiled for every platform, two at a time."""
+def cold_build(workers: int) -> tuple[float, float]:
+    """Return wall and processor seconds of compiling every kind for every platform, `workers` at a time."""
     blocks = [new_controller(0), channel_block(), plant_block(load_case("two-area-thesis"))]
     with tempfile.TemporaryDirectory() as cache:
-        begin = time.perf_counter()
+        begin, used = time.perf_counter(), os.times()
         with ThreadPoolExecutor(workers) as pool:
             jobs = [
                 pool.submit(compile_binary, b.kind, b.sources, name, cache=Path(cache))
@@ -62,7 +62,9 @@ def cold_build(workers: int) -> float:
             ]
             for job in jobs:
                 job.result()
-        return time.perf_counter() - begin
+        now = os.times()
+        busy = now.children_user + now.children_system - used.children_user - used.children_system
+        return time.perf_counter() - begin, busy
 
 
 def main() -> int:
@@ -80,10 +82,10 @@ def main() -> int:
     missed |= not wall.min() < EXPORT_LIMIT_S
     if chosen.cold:
         workers = min(2, os.cpu_count() or 1)
-        seconds = cold_build(workers)
+        seconds, busy_s = cold_build(workers)
         print(
-            f"cold build of 3 kinds for {len(PLATFORMS)} platforms, {workers} at a time: {seconds:.0f} s; "
-            f"wanted < {COLD_LIMIT_S:.0f} s"
+            f"cold build of 3 kinds for {len(PLATFORMS)} platforms, {workers} at a time: {seconds:.0f} s "
+            f"(processor {busy_s:.0f} s); wanted < {COLD_LIMIT_S:.0f} s"
         )
         missed |= not seconds < COLD_LIMIT_S
     return int(missed)

@@ -137,12 +137,12 @@ def _functions(image: Image, interface: str, where: str, report: Report) -> None
             f"does not export {', '.join(missing[:4])}{more}, which {interface} needs",
             "export every function of the interface, optional ones as stubs that return fmi2Error",
         )
-    others = [n for n in image.exports if not n.startswith("fmi2") and n not in _LINKER]
-    if others:
+    others = [n for n in image.exports if not n.startswith(("fmi2", "fmi3")) and n not in _LINKER]
+    if others and image.format == "ELF":  # the other loaders keep each library's names apart
         report.add(
             "binary symbols",
             where,
-            f"exports {len(others)} names beside FMI's ({', '.join(others[:4])}), "
+            f"exports {len(others)} names beside FMI's ({', '.join(n[:40] for n in others[:4])}), "
             "which can clash with those of another library in the same process",
             "compile with -fvisibility=hidden",
         )

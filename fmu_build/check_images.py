@@ -241,7 +241,8 @@ def _mach_o(c: bytes) -> Image:
                     exports.append(_text(c, strings + name).removeprefix("_"))
         at += length
     name = {7: "x86", 0x01000007: "x86_64", 0x0100000C: "arm64"}.get(machine, hex(machine))
-    return Image("Mach-O", name, tuple(needed), tuple(sorted(exports)))
+    own = {"__dso_handle", "_mh_dylib_header"}  # of the linker
+    return Image("Mach-O", name, tuple(needed), tuple(sorted(set(exports) - own)))
 
 
 def _fat(c: bytes) -> Image:

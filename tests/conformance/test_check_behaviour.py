@@ -82,3 +82,56 @@ def _names(fmu: Path) -> list[str]:
 
     with zipfile.ZipFile(fmu) as archive:
         return archive.namelist()
+
+
+def test_what_a_binary_needs_and_shows(tmp_path: Path) -> None:
+    """A library of the system's compiler: newer glibc, names beside FMI's, a library that is nowhere."""
+    import shutil
+    import subprocess
+
+    from interarea.fmu_build.check_binary import check_binaries
+    from interarea.fmu_build.check_description import read_description
+    from interarea.fmu_build.check_finding import Report
+    from interarea.fmu_build.check_images import read_image
+
+    if shutil.which("gcc") is None:
+        pytest.skip("no gcc here to make such a library with")
+    folder = tmp_path / "binaries" / "linux64"
+    folder.mkdir(parents=True)
+    (tmp_path / "odd.c").write_text("int odd(int x) { return x; }\nint even(int x) { return odd(x); }\n")
+    (tmp_path / "own.c").write_text("int odd(int);\nint fmi2Own(void) { return odd(1); }\nint own;\n")
+    gcc = ["gcc", "-shared", "-fPIC"]
+    subprocess.run([*gcc, "odd.c", "-o", "libodd.so"], cwd=tmp_path, check=True)
+    link = ["-L.", "-lodd", "-Wl,-rpath,/opt/odd", "-Wl,--no-as-needed"]
+    subprocess.run([*gcc, "own.c", "-o", str(folder / "m.so"), *link], cwd=tmp_path, check=True)
+    image = read_image((folder / "m.so").read_bytes())
+    assert {"fmi2Own", "own"} <= set(image.exports) and "odd" not in image.exports
+    assert "libodd.so" in image.needed and image.search_path == "/opt/odd"
+
+    from lxml import etree
+
+    text = '<fmiModelDescription fmiVersion="2.0"><CoSimulation modelIdentifier="m"/></fmiModelDescription>'
+    report = Report("m.fmu")
+    check_binaries(read_description(etree.fromstring(text)), tmp_path, report)
+    told = {f.rule: f.message for f in report.findings}
+    assert "libodd.so" in told["binary libraries"]
+    assert "exports 1 names beside FMI's (own)" in told["binary symbols"]
+    assert "/opt/odd" in told["binary search path"]
+    assert "fmi2CancelStep" in told["FMI2 2.1.1 exported functions"]
+    shutil.copy(tmp_path / "libodd.so", folder)
+    again = Report("m.fmu")
+    check_binaries(read_description(etree.fromstring(text)), tmp_path, again)
+    assert "binary libraries" not in {f.rule for f in again.findings}
+
+
+@pytest.mark.slow
+def test_libraries_of_every_platform_are_read(tmp_path: Path) -> None:
+    """ELF, PE and Mach-O of one block: the same functions, nothing but system libraries, old enough glibc."""
+    platforms = ["linux64", "win64", "darwin64", "darwin-arm64", "linux-arm64"]
+    report = check_file(build_fmu(decay_block(), tmp_path, platforms=platforms), run=False)
+    assert report.clean, [f.line() for f in report.findings]
+    facts = report.facts["binaries"]
+    found = sorted((f["format"], f["machine"]) for f in facts.values())
+    both = [("ELF", "arm64"), ("ELF", "x86_64"), ("Mach-O", "arm64"), ("Mach-O", "x86_64"), ("PE", "x86_64")]
+    assert found == both
+    assert len({f["exports"] for f in facts.values()}) == 1

@@ -14,7 +14,7 @@ from fuzz_blocks import fuzz_block
 from fuzz_build import Compiler, build_driver, sanitizing_compiler
 
 SOURCES = ("fuzz.c", "fuzz_calls.c")
-CALLS = {"controller": 300_000, "supervisor": 200_000, "channel": 100_000, "plant": 150_000, "loop": 40_000}
+CALLS = {"controller": 300_000, "supervisor": 200_000, "channel": 100_000, "plant": 100_000, "loop": 20_000}
 
 pytestmark = pytest.mark.slow
 
