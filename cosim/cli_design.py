@@ -12,6 +12,7 @@ from .terminal import busy, print_table
 
 if TYPE_CHECKING:
     from interarea.design.bank import ControllerBank
+    from interarea.design.controller import Controller
     from interarea.design.family import FamilyCertificate
     from interarea.models.case import Case
 
@@ -29,23 +30,51 @@ DesignFile = Annotated[
 def design(
     spec: Annotated[str, typer.Argument(metavar="SPEC.toml", help="design file, or a bundled name")],
     out: Annotated[Path, typer.Option("--out", metavar="FILE.json", show_default=False)],
+    against: Annotated[
+        list[str] | None,
+        typer.Option("--against", metavar="CONTROLLER", help="compare with this one too (may be repeated)"),
+    ] = None,
+    plots: Annotated[
+        Path | None, typer.Option("--plots", metavar="FOLDER", help="draw the alternatives into it")
+    ] = None,
 ) -> None:
-    """Design a fixed-order controller for a family; exit code 1 if it misses what was asked."""
-    from interarea.design.family import FamilyCertificate, FamilyRow
+    """Design a fixed-order controller for a family; exit code 1 if it misses what was asked.
+
+    The starts that were tried are shown beside the result, and so are controllers given by `--against`.
+    """
+    from interarea.models.case import load_case
 
     from .artefacts import default_cache
+    from .controller_file import any_controller
+    from .design_comparison import HEADER, compare, save_comparison
     from .robust_design import load_design, run_design
 
-    table = load_design(spec)
-    made = run_design(
-        table, default_cache(), progress=lambda what, value: typer.echo(f"{what}: {value:.4f}", err=True)
-    )
+    table, cache = load_design(spec), default_cache()
+    omega_b = load_case(table.case).omega_b
+    others = {name: any_controller(name, omega_b).system for name in against or ()}
+    done = run_design(table, cache, progress=lambda what, value: typer.echo(f"{what}: {value:.4f}", err=True))
+    made = done.controller
     made.save(out)
+    found = _certificate_of(made)
+    _show(made.name, found)
+    with busy("comparing the alternatives"):
+        alternatives = compare(table, {made.name: made.system, **done.tried, **others}, cache)
+        drawn = save_comparison(table, alternatives, cache, plots) if plots is not None else ()
+    print_table("alternatives over the family", HEADER, [a.cells() for a in alternatives])
+    for path in (out, *drawn):
+        typer.echo(path)
+    if not found.passed:
+        raise typer.Exit(1)
+
+
+def _certificate_of(made: Controller) -> FamilyCertificate:
+    """Return the certificate in a controller's record as what it was."""
+    from interarea.design.family import FamilyCertificate, FamilyRow
+
     record = dict(made.certificate or {})
     del record["passed"]
     rows = tuple(FamilyRow(**row) for row in record.pop("rows"))
-    _show(made.name, FamilyCertificate(rows=rows, **record))
-    typer.echo(out)
+    return FamilyCertificate(rows=rows, **record)
 
 
 def certify(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
-from dataclasses import asdict, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -213,10 +213,23 @@ def family_plants(table: DesignTable, cache: Path) -> dict[str, control.StateSpa
     return {name: remove_reference(linear_plant(case, cache)) for name, case in cases.items()}
 
 
+@dataclass(frozen=True)
+class Designed:
+    """A certified controller, and the controllers of the starts that were tried on the way to it."""
+
+    controller: Controller
+    tried: Mapping[str, control.StateSpace]
+
+
 def run_design(
     table: DesignTable, cache: Path, *, progress: Callable[[str, float], None] | None = None
-) -> Controller:
-    """Design the controller of `table`; its certificate, on full plants with exact latency, comes with it."""
+) -> Designed:
+    """Design the controller of `table`; its certificate, on full plants with exact latency, comes with it.
+
+    Raises
+    ------
+    InfeasibleDesign : a mode out of reach, or no start that keeps every design model stable.
+    """
     plants = family_plants(table, cache)
     omega_b = load_case(table.case).omega_b
     spec = table.spec()
@@ -230,7 +243,8 @@ def run_design(
         "evaluations": made.evaluations,
     }
     controller = Controller(table.name, made.system, table.limit_pu, facts)
-    return replace(controller, certificate=certify(table, controller, cache).as_dict())
+    controller = replace(controller, certificate=certify(table, controller, cache).as_dict())
+    return Designed(controller, {f"start {k}": K for k, K in enumerate(made.tried, start=1)})
 
 
 def _recorded(table: DesignTable) -> dict[str, Any]:
@@ -240,19 +254,24 @@ def _recorded(table: DesignTable) -> dict[str, Any]:
     return data
 
 
-def certify(table: DesignTable, controller: Controller, cache: Path) -> FamilyCertificate:
-    """Judge a controller on the family of a design and by what it asks; its fault is run at every point."""
+def judge(table: DesignTable, K: control.StateSpace, cache: Path) -> FamilyCertificate:
+    """Judge a controller (speeds in rad/s) on the family of a design and by what it asks, no fault run."""
     omega_b = load_case(table.case).omega_b
     plants = {name: speeds_in_rad(p, omega_b) for name, p in family_plants(table, cache).items()}
-    found = judge_family(
+    return judge_family(
         plants,
-        controller.system,
+        K,
         table.family(),
         worst_swing=table.ask.worst_swing,
         inter_area=table.ask.inter_area,
         effort_cap=table.ask.effort,
         fastest_pole=table.ask.fastest_pole,
     )
+
+
+def certify(table: DesignTable, controller: Controller, cache: Path) -> FamilyCertificate:
+    """Judge a controller on the family of a design and by what it asks; its fault is run at every point."""
+    found = judge(table, controller.system, cache)
     if table.fault is None:
         return found
     cases = family_cases(table)

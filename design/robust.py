@@ -81,6 +81,7 @@ class RobustDesign:
     rightmost: float  #: largest real part over design models, 1/s
     evaluations: int
     starts: tuple[float, ...]  #: objective reached from each start
+    tried: tuple[control.StateSpace, ...]  #: the controller of each start
 
 
 def design_robust(
@@ -107,6 +108,7 @@ def design_robust(
     rng = np.random.default_rng(spec.seed)
     best: tuple[float, Array] | None = None
     reached: list[float] = []
+    tried: list[control.StateSpace] = []
     count = 0
     with one_blas_thread():
         for k in range(spec.starts):
@@ -114,6 +116,7 @@ def design_robust(
             count += used
             value = objective(theta)[0]
             reached.append(value)
+            tried.append(_with_washout(objective.unpack(theta), spec))
             if best is None or value < best[0]:
                 best = (value, theta)
             if progress is not None:
@@ -138,7 +141,7 @@ def design_robust(
             asked=spec.order,
         )
     K = _with_washout(objective.unpack(theta), spec)
-    return RobustDesign(K, value, worst, rightmost, count, tuple(reached))
+    return RobustDesign(K, value, worst, rightmost, count, tuple(reached), tuple(tried))
 
 
 def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, omega_b: float) -> Objective:
