@@ -187,9 +187,7 @@ def _curves(plan: SweepPlan, rows: pd.DataFrame, runner: Runner, count: int) -> 
         values = plan.sweep.values(run)
         loop, curves = runner.simulate(values)
         _, swing = swing_signal(curves, loop.case)
-        controls = {
-            str(c).partition(".")[2]: curves[str(c)] for c in curves.data if str(c).startswith("controller.")
-        }
+        controls = {c.partition(".")[2]: curves[c] for c in curves.reals_of("controller")}
         row = rows[rows.run == run].iloc[0]
         verdict = "" if "stable" not in row else "stable" if row["stable"] else "not stable"
         found.append((f"run {run}, {verdict}: {point_text(values)}", curves.time_s.copy(), swing, controls))

@@ -116,7 +116,7 @@ def run_metrics(trajectory: Trajectory, case: Case, scenario: Scenario, step_s: 
     window = fit_window(scenario)
     window = (window[0], min(window[1], float(time[-1])))
     named, fit = ring_down_of(trajectory, case, window, step_s) if window[1] > window[0] else ({}, None)
-    controls = [c for c in trajectory.data.columns if c.startswith("controller.")]
+    controls = trajectory.reals_of("controller")
     effort = float(sum(m.energy(time, trajectory[c]) for c in controls))
     error = 0.0 if fit is None else fit.error
     text = (

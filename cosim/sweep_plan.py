@@ -14,10 +14,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from interarea.design.bank import ControllerBank, load_controller
 from interarea.design.controller import Controller
 from interarea.models.case import Case, case_of, load_case
 
-from .artefacts import code_hash, content_hash, design_controller, numerics_versions, source_hash
+from .artefacts import active_bank, code_hash, content_hash, design_controller, numerics_versions, source_hash
 from .errors import ScenarioError, SweepError
 from .run import Controllers
 from .scenario import NAMED_CONTROLLERS, load_scenario
@@ -52,14 +53,14 @@ class SweepPlan:
         """Return a case of the sweep."""
         return case_of(self.cases[name], where=name)
 
-    def controller(self, case: str, name: str) -> Controller | None:
+    def controller(self, case: str, name: str) -> Controller | ControllerBank | None:
         """Return a controller of the sweep; None where the scenario has none."""
         if name == "none":
             return None
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "controller.json"
             path.write_text(json.dumps(self.controllers[f"{case}/{name}"]), encoding="utf-8")
-            return Controller.load(path)
+            return load_controller(path)
 
     def document(self) -> dict[str, Any]:
         """Return the plan as plain types, for `plan_of_document`."""
@@ -104,11 +105,15 @@ def plan_sweep(
     cases = {n: load_case(path) for n, path in paths.items()}
     wanted = _listed(sweep, "controller") or [sweep.base.controller]
     provide = controllers or (lambda name, case: design_controller(case, name, cache))
-    made: dict[str, Controller] = {}
+    made: dict[str, Controller | ControllerBank] = {}
     for name in wanted:
         for key, case in cases.items():
             if name != "none":
-                made[f"{key}/{name}"] = _controller(name, case, folder, provide, sweep.name)
+                made[f"{key}/{name}"] = (
+                    active_bank(case, cache)
+                    if name == "active"
+                    else _controller(name, case, folder, provide, sweep.name)
+                )
     parameters = set()
     for key, controller in made.items():
         table = controller.block(cases[key.partition("/")[0]].omega_b).table
@@ -152,7 +157,9 @@ def _listed(sweep: Sweep, root: str) -> list[str]:
     return []
 
 
-def _controller(name: str, case: Case, folder: Path, provide: Controllers, where: str) -> Controller:
+def _controller(
+    name: str, case: Case, folder: Path, provide: Controllers, where: str
+) -> Controller | ControllerBank:
     if name in NAMED_CONTROLLERS:
         return provide(name, case)
     path = load_scenario({"case": "x", "controller": name, "stop_s": 1.0, "folder": folder}).controller_path
@@ -160,10 +167,10 @@ def _controller(name: str, case: Case, folder: Path, provide: Controllers, where
         raise ScenarioError(
             f"{where}: controller = {name!r} is neither a name ({', '.join(NAMED_CONTROLLERS)}) nor a file"
         )
-    return Controller.load(path)
+    return load_controller(path)
 
 
-def _content(controller: Controller) -> dict[str, Any]:
+def _content(controller: Controller | ControllerBank) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = controller.save(Path(folder) / "controller.json")
         return json.loads(path.read_text(encoding="utf-8"))  # type: ignore[no-any-return]

@@ -143,7 +143,7 @@ def measure(loop: Loop, curves: Trajectory, wanted: Sequence[str], modes: Sequen
     if "energy" in wanted:
         row["energy"] = m.energy(time, signal)
     if "effort" in wanted:
-        controls = [c for c in map(str, curves.data) if c.startswith("controller.")]
+        controls = curves.reals_of("controller")
         row["effort"] = float(sum(m.energy(time, curves[c]) for c in controls))
     if "packets" in wanted:
         counts = [packet_counts(loop.master.participants[n]) for n in loop.channels]
@@ -159,7 +159,7 @@ def _saturated(loop: Loop, curves: Trajectory, end_s: float) -> bool:
         return False
     limit = controller.value_of("limit") * (1.0 - 1e-9)
     late = curves.time_s >= end_s + 0.75 * (curves.time_s[-1] - end_s)
-    controls = [curves[c][late] for c in map(str, curves.data) if c.startswith("controller.")]
+    controls = [curves[c][late] for c in curves.reals_of("controller")]
     return any(len(u) > 0 and float(abs(u).max()) >= limit for u in controls)
 
 

@@ -18,7 +18,7 @@ from interarea.models.case import Case
 from interarea.models.plant_block import plant_block
 
 from .artefacts import channel_fmu, controller_fmu, plant_fmu
-from .errors import StepError
+from .errors import ScenarioError, StepError
 from .fmu_file import FmuFile
 from .instances import FmuParticipant
 from .instances import Value as Start
@@ -31,6 +31,7 @@ from .sweep_values import Search, Value
 from .trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from interarea.design.bank import ControllerBank
     from interarea.design.controller import Controller
 
 _KEPT = 4  # sets of instances that stay alive
@@ -78,7 +79,9 @@ class Runner:
         self.plan, self.cache, self.scratch = plan, cache, scratch
         self._plants: OrderedDict[tuple[CaseChange, int], _Plant] = OrderedDict()
         self._kept: OrderedDict[Any, _Kept] = OrderedDict()
-        self._controllers: dict[tuple[str, str], tuple[Controller | None, FmuFile | None]] = {}
+        self._controllers: dict[
+            tuple[str, str], tuple[Controller | ControllerBank | None, FmuFile | None]
+        ] = {}
         self._cases: dict[str, Case] = {}
         self._channel: FmuFile | None = None
         self.on_start: Callable[[], object] = _nothing  #: called when FMUs are ready and computing begins
@@ -322,4 +325,9 @@ def _controller_start(file: FmuFile, point: Point) -> dict[str, Start]:
         for v in file.model.modelVariables:
             if v.causality == "parameter" and v.name[:2] in ("C[", "D[") and float(v.start) != 0.0:
                 start[v.name] = point.gain * float(v.start)
+        if not start:
+            raise ScenarioError(
+                f"controller.gain = {point.gain:g}: {file.path.name} has no matrices among its parameters; "
+                "allowed for a single linear controller"
+            )
     return start | dict(point.controller_start)

@@ -62,6 +62,12 @@ class Trajectory:
             raise KeyError(f"no column {column!r}; there are {', '.join(self.data.columns)}")
         return self.data[column].to_numpy()
 
+    def reals_of(self, instance: str) -> list[str]:
+        """Return the columns of an instance that hold Reals: of a controller, its control signals."""
+        return [
+            str(c) for c in self.data if str(c).startswith(f"{instance}.") and self.data[c].dtype.kind == "f"
+        ]
+
     @property
     def time_s(self) -> npt.NDArray[np.float64]:
         return self[TIME]

@@ -11,6 +11,8 @@ from fmu_runner import Runner
 from scipy.integrate import solve_ivp
 
 from interarea.cosim.bank_certificate import bank_from_fmu
+from interarea.cosim.run import run_scenario
+from interarea.cosim.scenario import load_scenario
 from interarea.design.bank import OFF, ControllerBank, load_controller
 from interarea.design.controller import Controller, ControllerError
 from interarea.fmu_build import build_fmu
@@ -171,3 +173,22 @@ def test_fmu_without_a_bank(tmp_path: Path) -> None:
     path = build_fmu(member("one", SIGNALS, 1).block(OMEGA_B), tmp_path / "one.fmu")
     with pytest.raises(ControllerError, match="holds no bank"):
         bank_from_fmu(path, OMEGA_B)
+
+
+def test_scenario_with_a_bank(tmp_path: Path, cache: Path) -> None:
+    """The channel's flag reaches the supervisor; effort counts what goes to the plant and nothing else."""
+    file = bank(return_s=0.3).save(tmp_path / "bank.json")
+    scenario = {
+        "case": "two-area-thesis",
+        "controller": str(file),
+        "stop_s": 2.0,
+        "step_s": 0.01,
+        "channels": {"remote": {"signal": "G2_dw", "outages_s": [[0.5, 1.0]]}, "local": {"signal": "G4_dw"}},
+        "event": [{"kind": "vref_pulse", "machine": "G1", "size_pu": 0.02, "start_s": 0.1, "end_s": 0.2}],
+    }
+    run = run_scenario(load_scenario(scenario), cache=cache)
+    curves = run.trajectory
+    active = dict(zip(np.round(curves.time_s, 9), curves["controller.active"], strict=True))
+    assert (active[0.4], active[0.6], active[1.2], active[1.4]) == (1, 2, 2, 1)
+    assert curves.reals_of("controller") == ["controller.G4_vs"]
+    assert run.metrics.effort == pytest.approx(np.trapezoid(curves["controller.G4_vs"] ** 2, curves.time_s))
