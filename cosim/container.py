@@ -51,6 +51,12 @@ def container_block(scenario: Scenario, *, cache: Path, controllers: Controllers
     ScenarioError : a loop that one block cannot hold.
     """
     loop = members_of(scenario, cache=cache, controllers=controllers)
+    foreign = [m.name for m in loop.all if m.block is None]
+    if foreign:
+        raise ScenarioError(
+            f"{scenario.name}: {', '.join(foreign)} are FMUs of others, which no block can hold; "
+            "write an SSP, or join the FMUs with a tool for containers"
+        )
     members = [(m, m.baked(step_s=loop.step_s)) for m in loop.all]
     provenance = {f"{m.name}: {k}": v for m, block in members for k, v in block.provenance.items()}
     try:

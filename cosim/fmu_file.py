@@ -26,7 +26,7 @@ _TYPE_OF: dict[str, Type] = {
     "Enumeration": "Integer",
     "Boolean": "Boolean",
 }
-_BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,11 @@ class FmuFile:
         }
 
     @cached_property
+    def units(self) -> dict[str, UnitOf]:
+        """Definitions of units by name."""
+        return {u.name: _unit_of(u) for u in self.model.unitDefinitions}
+
+    @cached_property
     def log_categories(self) -> tuple[str, ...]:
         """Names of the log categories the FMU declares."""
         return tuple(c.get("name", "") for c in self._root.findall("LogCategories/Category"))
@@ -106,7 +111,7 @@ class FmuFile:
     @cached_property
     def description(self) -> Description:
         """Ports, direct dependencies (ModelStructure) and abilities."""
-        units = {u.name: _unit_of(u) for u in self.model.unitDefinitions}
+        units = self.units
         inputs = tuple(_port(v, units) for v in self._of("input"))
         outputs = tuple(_port(v, units) for v in self._of("output"))
         cs = self.model.coSimulation
@@ -177,7 +182,7 @@ def _unit_of(unit: Any) -> UnitOf:
     base = unit.baseUnit
     if base is None:
         return UnitOf(unit.name)
-    exponents = tuple(int(getattr(base, name) or 0) for name in _BASE)
+    exponents = tuple(int(getattr(base, name) or 0) for name in BASE_UNITS)
     return UnitOf(unit.name, exponents, float(base.factor), float(base.offset))
 
 

@@ -14,10 +14,11 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from interarea.fmu_build.package import archive_bytes, build_fmu, write_whole
-from interarea.fmu_build.render import SI_UNITS, product_version
-from interarea.models.variables import Variable
+from interarea.fmu_build.render import product_version
 
+from .fmu_file import BASE_UNITS, FmuVariable
 from .members import Member, Members, members_of
+from .participant import Port, UnitOf
 from .run import Controllers
 from .scenario import Scenario
 
@@ -51,8 +52,10 @@ def write_ssp(
     entries = {"SystemStructure.ssd": structure(members).encode("utf-8")}
     with tempfile.TemporaryDirectory(prefix="interarea-ssp-") as folder:
         for member in members.all:
-            block = member.baked(step_s=members.step_s, stop_s=scenario.stop_s)
-            fmu = build_fmu(block, Path(folder) / f"{member.name}.fmu", platforms=platforms, cache=cache)
+            fmu = member.file.path  # of others: as it is
+            if member.block is not None:
+                block = member.baked(step_s=members.step_s, stop_s=scenario.stop_s)
+                fmu = build_fmu(block, Path(folder) / f"{member.name}.fmu", platforms=platforms, cache=cache)
             entries[f"resources/{member.name}.fmu"] = fmu.read_bytes()
             if _settable(member):
                 entries[f"resources/{member.name}.ssv"] = parameter_set(member).encode("utf-8")
@@ -63,7 +66,7 @@ def structure(members: Members) -> str:
     """Return the text of ``SystemStructure.ssd``; the step goes to tools that read OSP annotations."""
     scenario = members.scenario
     fed = {target for _, target in members.connections}
-    variables = [v for m in members.all for v in _signals(m, fed)]
+    units = {p.unit.name: p.unit for m in members.all for _, p in _signals(m, fed) if p.unit is not None}
     head = {
         "xmlns:ssd": _SSD,
         "xmlns:ssc": _SSC,
@@ -83,7 +86,7 @@ def structure(members: Members) -> str:
         "    </ssd:Elements>",
         *_connections(members.connections),
         "  </ssd:System>",
-        *_units("ssd", variables),
+        *_units("ssd", units),
         f"  <ssd:DefaultExperiment{_attributes(experiment)}>",
         "    <ssd:Annotations>",
         '      <ssc:Annotation type="com.opensimulationplatform">',
@@ -101,10 +104,13 @@ def structure(members: Members) -> str:
 def parameter_set(member: Member) -> str:
     """Return the text of the SSV with the values that the scenario gives a member.
 
-    Enumerations are left out, libcosim ends the process at one: the FMU has them as its start values.
+    Enumerations are left out where the FMU has them as its start values: libcosim ends the process at one.
     """
     variables = _settable(member)
-    head = {"xmlns:ssv": _SSV, "xmlns:ssc": _SSC, "version": "1.0", "name": member.name}
+    known = member.file.units
+    units = {v.unit: known[v.unit] for v in variables if v.unit in known}
+    # one name for all: Ecos applies the sets of a name that it is told
+    head = {"xmlns:ssv": _SSV, "xmlns:ssc": _SSC, "version": "1.0", "name": "start"}
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         f"<ssv:ParameterSet{_attributes(head)}>",
@@ -114,29 +120,31 @@ def parameter_set(member: Member) -> str:
             for v in variables
         ),
         "  </ssv:Parameters>",
-        *_units("ssv", variables),
+        *_units("ssv", units),
         "</ssv:ParameterSet>",
     ]
     return "\n".join(lines) + "\n"
 
 
-def _settable(member: Member) -> list[Variable]:
-    table = member.block.table
-    return [table[name] for name in member.start if table[name].enumeration is None]
+def _settable(member: Member) -> list[FmuVariable]:
+    variables = [member.file.variables[name] for name in member.start]
+    return [v for v in variables if member.block is None or v.type != "Enumeration"]
 
 
 def _component(member: Member, fed: Container[str]) -> list[str]:
     attributes = {
         "name": member.name,
-        "description": member.block.description,
+        "description": member.file.model.description or None,
         "type": "application/x-fmu-sharedlibrary",
         "source": f"resources/{member.name}.fmu",
         "implementation": "CoSimulation",
     }
     lines = [f"      <ssd:Component{_attributes(attributes)}>", "        <ssd:Connectors>"]
-    for v in _signals(member, fed):
-        where = _attributes({"name": v.name, "kind": v.role, "description": v.description})
-        lines.append(f"          <ssd:Connector{where}>{_type(v)}</ssd:Connector>")
+    for kind, port in _signals(member, fed):
+        where = _attributes({"name": port.name, "kind": kind, "description": port.description or None})
+        unit = port.unit.name if port.unit is not None and port.unit.exponents is not None else None
+        of_type = f"<ssc:{port.type}{_attributes({'unit': unit})}/>"
+        lines.append(f"          <ssd:Connector{where}>{of_type}</ssd:Connector>")
     lines.append("        </ssd:Connectors>")
     if _settable(member):
         binding = {"type": "application/x-ssp-parameter-set", "source": f"resources/{member.name}.ssv"}
@@ -148,17 +156,15 @@ def _component(member: Member, fed: Container[str]) -> list[str]:
     return [*lines, "      </ssd:Component>"]
 
 
-def _signals(member: Member, fed: Container[str]) -> list[Variable]:
-    """Outputs and the inputs in `fed`.
+def _signals(member: Member, fed: Container[str]) -> list[tuple[str, Port]]:
+    """The inputs in `fed` and all outputs, each with its kind.
 
     An input that nothing feeds keeps its start value; FMPy cannot load one that is listed, and libcosim
     knows no enumerations as connectors, so parameters are left to the SSV.
     """
-    return [
-        v
-        for v in member.block.table
-        if v.role == "output" or (v.role == "input" and f"{member.name}.{v.name}" in fed)
-    ]
+    description = member.file.description
+    inputs = [("input", p) for p in description.inputs if f"{member.name}.{p.name}" in fed]
+    return inputs + [("output", p) for p in description.outputs]
 
 
 def _connections(pairs: Iterable[tuple[str, str]]) -> list[str]:
@@ -170,23 +176,28 @@ def _connections(pairs: Iterable[tuple[str, str]]) -> list[str]:
     return ["    <ssd:Connections>", *lines, "    </ssd:Connections>"] if lines else []
 
 
-def _type(v: Variable) -> str:
-    return f"<ssc:{v.type}{_attributes({'unit': v.unit if v.type == 'Real' else None})}/>"
+def _value(member: Member, v: FmuVariable) -> str:
+    number = member.start[v.name] if v.type == "String" else member.number(v.name)
+    kinds = {"Real": float, "Integer": int, "Boolean": bool, "String": str}
+    if v.type == "Enumeration":
+        items = {value: item for item, value in member.file.enumerations[v.name].items()}
+        return f"<ssv:Enumeration{_attributes({'value': items[int(number)]})}/>"
+    unit = v.unit if v.unit in member.file.units else None
+    return f"<ssv:{v.type}{_attributes({'value': kinds[v.type](number), 'unit': unit})}/>"
 
 
-def _value(member: Member, v: Variable) -> str:
-    number = member.number(v.name)
-    if v.type == "Real":
-        return f"<ssv:Real{_attributes({'value': float(number), 'unit': v.unit})}/>"
-    return f"<ssv:{v.type}{_attributes({'value': bool(number) if v.type == 'Boolean' else int(number)})}/>"
-
-
-def _units(space: str, variables: Iterable[Variable]) -> list[str]:
-    lines = [
-        f"    <ssc:Unit{_attributes({'name': unit})}>"
-        f"<ssc:BaseUnit{_attributes(SI_UNITS[unit][0])}/></ssc:Unit>"
-        for unit in sorted({v.unit for v in variables if v.type == "Real"})
-    ]
+def _units(space: str, units: Mapping[str, UnitOf]) -> list[str]:
+    lines = []
+    for name, unit in sorted(units.items()):
+        if unit.exponents is None:
+            continue
+        base: dict[str, object] = {k: e for k, e in zip(BASE_UNITS, unit.exponents, strict=True) if e}
+        base |= {
+            k: v for k, v, usual in (("factor", unit.factor, 1.0), ("offset", unit.offset, 0.0)) if v != usual
+        }
+        lines.append(
+            f"    <ssc:Unit{_attributes({'name': name})}><ssc:BaseUnit{_attributes(base)}/></ssc:Unit>"
+        )
     return [f"  <{space}:Units>", *lines, f"  </{space}:Units>"] if lines else []
 
 

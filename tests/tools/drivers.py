@@ -59,7 +59,7 @@ def _libcosim(execution, step: float, stop: float, names: list[str]) -> dict[str
 def ecos_ssp(file: str, step: float, stop: float, names: list[str]) -> dict[str, list[float]]:
     EcosSimulation = _ecos().EcosSimulation
     with EcosSimulation(ssp_path=file, step_size=step) as simulation:
-        return _ecos_run(simulation, step, stop, names)
+        return _ecos_run(simulation, step, stop, names, parameter_set="start")
 
 
 def ecos_fmu(file: str, step: float, stop: float, names: list[str]) -> dict[str, list[float]]:
@@ -80,8 +80,10 @@ def _ecos():
     return ecospy
 
 
-def _ecos_run(simulation, step: float, stop: float, names: list[str]) -> dict[str, list[float]]:
-    simulation.init()
+def _ecos_run(
+    simulation, step: float, stop: float, names: list[str], parameter_set: str | None = None
+) -> dict[str, list[float]]:
+    simulation.init(parameter_set=parameter_set)
     result: dict[str, list[float]] = {"time": [], **{n: [] for n in names}}
     for _ in range(round(stop / step)):
         simulation.step(1)

@@ -13,6 +13,8 @@ import numpy.typing as npt
 import pytest
 from tools.conftest import RunTool, require
 
+from interarea.cosim.artefacts import block_fmu
+from interarea.cosim.fmu_file import FmuFile
 from interarea.cosim.members import Member, members_of
 from interarea.cosim.run import Controllers, run_scenario
 from interarea.cosim.scenario import load_scenario
@@ -38,14 +40,18 @@ SCENARIO = {
 
 
 @pytest.fixture(scope="module")
-def members(two_area: Case, hand_controller: Controller) -> dict[str, Member]:
+def members(two_area: Case, hand_controller: Controller, cache: Path) -> dict[str, Member]:
     """Return each kind with start values under which its outputs move: an event, an input, an outage."""
     events = load_scenario(SCENARIO).event
     channel = {"u": 0.7, "latency": 0.1, "outage[1].start": 0.5, "outage[1].end": 0.8}
+    parts = {
+        "plant": (plant_block(two_area), event_parameters(two_area, events)),
+        "controller": (hand_controller.block(two_area.omega_b), {"G2_dw": 0.02}),
+        "channel": (channel_block(), channel),
+    }
     return {
-        "plant": Member("plant", plant_block(two_area), event_parameters(two_area, events)),
-        "controller": Member("controller", hand_controller.block(two_area.omega_b), {"G2_dw": 0.02}),
-        "channel": Member("channel", channel_block(), channel),
+        kind: Member(kind, FmuFile(block_fmu(block, cache)), block, start)
+        for kind, (block, start) in parts.items()
     }
 
 

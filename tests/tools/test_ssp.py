@@ -10,13 +10,17 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from fmu_runner import decay_block
 from lxml import etree
 from tools.conftest import RunTool
 
 from interarea.cosim.cli import main
+from interarea.cosim.container import container_block
+from interarea.cosim.errors import ScenarioError
 from interarea.cosim.run import Controllers, run_scenario
 from interarea.cosim.scenario import load_scenario
 from interarea.cosim.ssp import write_ssp
+from interarea.fmu_build import build_fmu
 from interarea.fmu_build.compile import host_platform
 
 STEP, STOP, LATENCY = 0.01, 3.0, 0.1
@@ -121,6 +125,56 @@ def test_tools_give_the_trajectory_of_held_inputs(
         assert peak > 0.0
         assert np.max(np.abs(found[column] - held[column][1:])) <= 1e-12 * peak, column
         assert np.max(np.abs(found[column] - exact[column][1:])) <= 0.05 * peak, column
+
+
+@pytest.fixture(scope="module")
+def foreign(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the SSP of a scenario without a case: two FMUs taken as they are, one channel."""
+    folder = tmp_path_factory.mktemp("foreign")
+    build_fmu(decay_block(), folder, cache=cache)
+    (folder / "pair.toml").write_text(
+        """
+        stop_s = 1.0
+        step_s = 0.01
+        connections = [["first.y", "line", "second.u"]]
+        [fmus.first]
+        file = "decay.fmu"
+        start = { rate = 2.0 }
+        [fmus.second]
+        file = "decay.fmu"
+        start = { "kick.size" = 0.0 }
+        [channels.line]
+        latency_s = 0.1
+        """,
+        encoding="utf-8",
+    )
+    return write_ssp(load_scenario(folder / "pair.toml"), folder / "pair.ssp", cache=cache)
+
+
+def test_fmus_of_others_go_in_as_they_are(foreign: Path) -> None:
+    with zipfile.ZipFile(foreign) as parts:
+        assert parts.read("resources/first.fmu") == foreign.with_name("decay.fmu").read_bytes()
+        values = etree.fromstring(parts.read("resources/first.ssv"))
+        found = {p.get("name"): (p[0].get("value"), p[0].get("unit")) for p in values.iter("{*}Parameter")}
+    assert found == {"rate": ("2.0", "1/s")}
+
+
+@pytest.mark.tools
+@pytest.mark.parametrize("driver", ["libcosim_ssp", "ecos_ssp"])
+def test_tools_take_start_values_from_the_parameter_sets(
+    driver: str, foreign: Path, run_tool: RunTool
+) -> None:
+    """y = exp(-2 t) in the first FMU, whose own rate is 1, and the same 0.1 s later out of the channel."""
+    found = run_tool(driver, foreign, 0.01, 1.0, ["first.y", "line.y"])
+    t = found["time"]
+    assert np.allclose(found["first.y"], np.exp(-2.0 * t), rtol=1e-6)
+    late = t > 0.12
+    assert np.allclose(found["line.y"][late], np.exp(-2.0 * (t[late] - 0.1)), rtol=1e-3)
+
+
+def test_container_refuses_fmus_of_others(foreign: Path, cache: Path) -> None:
+    with pytest.raises(ScenarioError, match=r"first, second are FMUs of others, which no block can hold"):
+        container_block(load_scenario(foreign.with_name("pair.toml")), cache=cache)
 
 
 def test_command_writes_it_for_the_platforms_asked_for(

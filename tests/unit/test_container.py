@@ -226,7 +226,7 @@ def test_archive_is_valid_and_its_sources_stand_alone(container: Path) -> None:
 
 def test_loops_that_one_block_cannot_hold(cache: Path, by_hand: Controllers) -> None:
     loop = members_of(load_scenario(scenario(latency_s=0.1)), cache=cache, controllers=by_hand)
-    members = [LoopMember(m.name, m.block, pack_record(record_entries(m.block))) for m in loop.all]
+    members = [LoopMember(m.name, b, pack_record(record_entries(b))) for m in loop.all if (b := m.block)]
     settings = {"step_s": 0.01, "stop_s": 1.0}
     with pytest.raises(ValueError, match=r"remote.y -> plant.G1_vs \(channel -> plant\) is not possible"):
         loop_block("x", members, [("remote.y", "plant.G1_vs")], **settings)
