@@ -1,4 +1,4 @@
-"""The page of a sweep: it draws what the rows say, its margins agree with the exact ones, it loads nothing."""
+"""The page of a sweep: it draws what the rows say, its margins are the exact ones, it loads nothing."""
 
 from __future__ import annotations
 
