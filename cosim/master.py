@@ -43,7 +43,7 @@ from .loops import iterate_loop
 from .participant import Participant
 from .signals import Signal
 from .timing import clock_of, step_and_reason
-from .trajectory import Trajectory
+from .trajectory import Records, Trajectory
 from .wiring import Inputs, make_nodes, make_signals
 
 Loops = Literal["auto", "iterate", "extrapolate"]
@@ -250,6 +250,13 @@ class Master:
         StepError : as `step`. GraphError : engine = "kernel" where it cannot be had.
         ScenarioError : `until_s` lies before the present time.
         """
+        self.advance(until_s, progress=progress)
+        return self.trajectory
+
+    def advance(
+        self, until_s: float | None = None, *, progress: Callable[[float, float], object] | None = None
+    ) -> None:
+        """Do what `run` does without making a table of the results."""
         until = self.clock.stop if until_s is None else to_ticks(until_s, "until_s")
         stop_s = seconds(self.clock.stop)
         self._cancelled = False
@@ -296,6 +303,11 @@ class Master:
         """Results up to now: every output of every participant."""
         n, columns, ports = self._rows, self._columns, self._ports
         return Trajectory.of_records(self._times[:n], self._records[:n], columns, ports, engine=self.ran)
+
+    @property
+    def records(self) -> Records:
+        """Results up to now as plain arrays: what a sweep measures, without the cost of a table."""
+        return Records(self._times[: self._rows].copy(), self._records[: self._rows].T.copy(), self._columns)
 
     # -- saving ---------------------------------------------------------------------------
 

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+_LEAST_SQUARED = 1e-6  #: rank tolerance down to which the squared Hankel matrix is exact enough
 
 
 @dataclass(frozen=True)
@@ -121,15 +122,14 @@ def ring_down(
     hankel = np.hstack(
         [np.lib.stride_tricks.sliding_window_view(data[:, k], rows).T for k in range(data.shape[1])]
     )
-    left, sigma, _ = np.linalg.svd(hankel, full_matrices=False)
-    order = max(1, min(int(np.sum(sigma > rank_tolerance * sigma[0])), max_order))
-    basis = left[:, :order]
-    shift = np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)[0]
+    basis = _signal_space(hankel, rank_tolerance, max_order)
+    shift = _shift_of(basis)
     discrete = np.linalg.eigvals(shift)
     discrete = discrete[np.abs(discrete) > 1e-6]
     poles = np.log(discrete.astype(complex)) / step
     powers = np.exp(np.outer(time_s - time_s[0], poles))
-    amplitudes = np.linalg.lstsq(powers, values.astype(complex), rcond=None)[0]
+    orthogonal, triangle = np.linalg.qr(powers)
+    amplitudes = np.linalg.lstsq(triangle, orthogonal.conj().T @ values, rcond=None)[0]
     misfit = float(np.max(np.abs(values - (powers @ amplitudes).real) / np.where(used, scale, 1.0)))
     modes = [
         RingDownMode(complex(p), tuple(2.0 * amplitudes[k]))
@@ -142,6 +142,47 @@ def ring_down(
     }
     modes.sort(key=lambda mode: -weight[id(mode)])
     return RingDown(tuple(modes), window, misfit)
+
+
+def _signal_space(hankel: Array, rank_tolerance: float, max_order: int) -> Array:
+    """Return the left singular vectors of a Hankel matrix above the tolerance, (rows, order <= max_order).
+
+    They are the leading eigenvectors of H H^T, found by subspace iteration from a fixed start, since the
+    spectrum falls fast; where that has not settled after six rounds, among all eigenvectors.
+    """
+    if rank_tolerance < _LEAST_SQUARED:  # squaring the matrix would drown what is that small
+        left, sigma, _ = np.linalg.svd(hankel, full_matrices=False)
+        return np.asarray(left[:, : max(1, min(int(np.sum(sigma > rank_tolerance * sigma[0])), max_order))])
+    gram = hankel @ hankel.T
+    n = len(gram)
+    width = min(n, max_order + 12)
+    floor = rank_tolerance**2
+    if width < n:
+        start = np.random.Generator(np.random.PCG64(1)).standard_normal((n, width))
+        space = np.linalg.qr(gram @ start)[0]
+        before = np.zeros(width)
+        for _ in range(6):
+            image = gram @ space
+            values, vectors = np.linalg.eigh(space.T @ image)
+            kept = (values > floor * values[-1]) & (np.arange(width) >= width - max_order)
+            change = np.abs(values[kept] - before[kept])
+            if np.all(change <= 1e-9 * values[kept]):
+                return np.asarray(space @ vectors[:, kept][:, ::-1])
+            before = values
+            space = np.linalg.qr(image)[0]
+    values, vectors = np.linalg.eigh(gram)
+    kept = (values > floor * values[-1]) & (np.arange(n) >= n - max_order)
+    return np.asarray(vectors[:, kept][:, ::-1])
+
+
+def _shift_of(basis: Array) -> Array:
+    """Return the matrix that shifts an orthonormal basis by one row, by least squares."""
+    last = basis[-1]
+    rest = 1.0 - float(last @ last)
+    if rest > 1e-8:  # the inverse of basis[:-1]^T basis[:-1] = I - last last^T in closed form
+        product = basis[:-1].T @ basis[1:]
+        return np.asarray(product + np.outer(last, last @ product) / rest)
+    return np.asarray(np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)[0])
 
 
 def match_modes(

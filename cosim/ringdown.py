@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from . import metrics as m
 from .scenario import Scenario
-from .trajectory import Trajectory
+from .trajectory import Curves, Trajectory
 
 if TYPE_CHECKING:
     from interarea.models.case import Case
@@ -25,7 +25,7 @@ _LEAST_WINDOW_S = 4.0
 _SKIP_S = 0.25  # after the last disturbance: fast, well damped modes die out
 
 
-def swing_signal(trajectory: Trajectory, case: Case) -> tuple[str, Array]:
+def swing_signal(trajectory: Curves, case: Case) -> tuple[str, Array]:
     """Return name and values of the speed difference that a run is judged by, pu.
 
     G2 against G4 where these exist (``dw24``), else the mean speed of the first area against the last.
@@ -62,7 +62,7 @@ def fit_window(scenario: Scenario) -> tuple[float, float]:
 
 
 def ring_down_of(
-    trajectory: Trajectory, case: Case, window_s: tuple[float, float], step_s: float
+    trajectory: Curves, case: Case, window_s: tuple[float, float], step_s: float
 ) -> tuple[dict[str, m.RingDownMode], m.RingDown]:
     """Fit the machines' speeds (their common motion taken out) in a window; return named modes and the fit.
 

@@ -77,16 +77,23 @@ class Point:
     controller_start: Mapping[str, float] = field(default_factory=dict)
 
 
-def point_of(sweep: Sweep, values: Mapping[str, Value], *, seed: int | None = None) -> Point:
+def point_of(
+    sweep: Sweep,
+    values: Mapping[str, Value],
+    *,
+    seed: int | None = None,
+    base: Mapping[str, Any] | None = None,
+) -> Point:
     """Return the point of a sweep where its parameters have `values`.
 
-    seed : sets the seeds of all channels, as a parameter on `seed` does.
+    seed : sets the seeds of all channels, as a parameter on `seed` does. base : the scenario's table, when it
+        is at hand.
 
     Raises
     ------
     ScenarioError, SweepError : values that make no scenario.
     """
-    table = copy.deepcopy(scenario_document(sweep.base))
+    table = copy.deepcopy(dict(base) if base is not None else scenario_document(sweep.base))
     case, operating, entries = str(table["case"]), {}, {}
     gain, start = 1.0, {}
     for name, value in values.items():

@@ -19,7 +19,7 @@ from .run import Loop, packet_counts
 from .sweep_plan import SweepPlan
 from .sweep_spec import Sweep
 from .sweep_values import Value
-from .trajectory import Trajectory
+from .trajectory import Curves, Trajectory
 
 #: kinds of failure: a value that makes no scenario, an FMU's error, NaN, computing too long, a worker lost
 FAILURES = ("invalid", "fmu", "not finite", "time limit", "worker died", "internal")
@@ -114,7 +114,7 @@ def failed_row(sweep: Sweep, run: int, failure: str, reason: str) -> Row:
     return row | {"status": "failed", "failure": failure, "reason": " ".join(reason.split())[:500]}
 
 
-def measure(loop: Loop, curves: Trajectory, wanted: Sequence[str], modes: Sequence[str]) -> Row:
+def measure(loop: Loop, curves: Curves, wanted: Sequence[str], modes: Sequence[str]) -> Row:
     """Return the metrics of a finished run, by column."""
     scenario, case, time = loop.scenario, loop.case, curves.time_s
     _, signal = swing_signal(curves, case)
@@ -152,7 +152,7 @@ def measure(loop: Loop, curves: Trajectory, wanted: Sequence[str], modes: Sequen
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
 
 
-def _saturated(loop: Loop, curves: Trajectory, end_s: float) -> bool:
+def _saturated(loop: Loop, curves: Curves, end_s: float) -> bool:
     """Whether a control is at its limit in the last quarter: a swing that neither grows nor decays."""
     controller = loop.master.participants.get("controller")
     if not isinstance(controller, FmuParticipant) or "limit" not in controller.file.variables:

@@ -27,8 +27,9 @@ from .run import EVENT_SLOTS, Loop, Wiring, wire
 from .sweep_plan import SweepPlan
 from .sweep_point import CaseChange, Point, point_of
 from .sweep_rows import Outcome, Row, failed_row, measure, start_row, trajectory_table
+from .sweep_spec import scenario_document
 from .sweep_values import Search, Value
-from .trajectory import Trajectory
+from .trajectory import Curves
 
 if TYPE_CHECKING:
     from interarea.design.bank import ControllerBank
@@ -84,6 +85,7 @@ class Runner:
         ] = {}
         self._cases: dict[str, Case] = {}
         self._channel: FmuFile | None = None
+        self._document = scenario_document(plan.sweep.base)
         self.on_start: Callable[[], object] = _nothing  #: called when FMUs are ready and computing begins
 
     def __enter__(self) -> Runner:
@@ -101,7 +103,7 @@ class Runner:
                 return Outcome(self._search(run, values))
             loop, curves = self.simulate(values)
             row = start_row(run, values) | measure(loop, curves, sweep.metrics, self.plan.modes)
-            return Outcome(row, self._wanted(run, curves, loop))
+            return Outcome(row, self._wanted(run, row, loop))
         except TimeUpError as error:
             return self._failed(run, "time limit", error)
         except StepError as error:
@@ -118,14 +120,14 @@ class Runner:
             ours = type(error).__module__.startswith("interarea")
             return self._failed(run, "invalid" if ours else "internal", error)
 
-    def simulate(self, values: Mapping[str, Value], *, seed: int | None = None) -> tuple[Loop, Trajectory]:
+    def simulate(self, values: Mapping[str, Value], *, seed: int | None = None) -> tuple[Loop, Curves]:
         """Run the point where the sweep's parameters have `values`, all channels seeded from `seed` if given.
 
         Raises
         ------
         TimeUpError, StepError, ScenarioError, CaseError, PowerFlowError
         """
-        point = point_of(self.plan.sweep, values, seed=seed)
+        point = point_of(self.plan.sweep, values, seed=seed, base=self._document)
         loop = self._loop(point)
         self.on_start()
         limit = self.plan.sweep.time_limit_s
@@ -136,7 +138,8 @@ class Runner:
                 raise TimeUpError(f"more than {limit:g} s of computing, at t = {now_s:g} of {stop_s:g} s")
 
         loop.master.start()
-        return loop, loop.master.run(progress=watch)
+        loop.master.advance(progress=watch)
+        return loop, loop.master.records
 
     def edge(
         self, values: Mapping[str, Value], name: str, search: Search
@@ -203,13 +206,19 @@ class Runner:
         reason = str(error) if failure != "internal" else f"{type(error).__name__}: {error}"
         return Outcome(failed_row(self.plan.sweep, run, failure, reason))
 
-    def _wanted(self, run: int, curves: Trajectory, loop: Loop) -> Any:
+    def _wanted(self, run: int, row: Row, loop: Loop) -> Any:
         keep = self.plan.sweep.trajectories.keep
         if keep == "none":
             return None
-        if keep == "unstable" and measure(loop, curves, ("stable",), ())["stable"]:
-            return None
-        return trajectory_table(self.plan.sweep, run, curves)
+        if keep == "unstable":
+            stable = (
+                row["stable"]
+                if "stable" in row
+                else measure(loop, loop.master.records, ("stable",), ())["stable"]
+            )
+            if stable:
+                return None
+        return trajectory_table(self.plan.sweep, run, loop.master.trajectory)
 
     def _search(self, run: int, values: dict[str, Value]) -> Row:
         assert self.plan.sweep.searched is not None

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,38 @@ import pyarrow.parquet as pq
 from .participant import Port
 
 TIME = "time_s"
+
+
+class Curves(Protocol):
+    """What metrics need of results: one array for each column."""
+
+    @property
+    def data(self) -> Any: ...
+
+    @property
+    def time_s(self) -> npt.NDArray[np.float64]: ...
+
+    def __getitem__(self, column: str) -> npt.NDArray[np.float64]: ...
+
+
+class Records:
+    """Results without a table: `data` maps columns to arrays (points,)."""
+
+    def __init__(
+        self, times_s: npt.NDArray[np.float64], values: npt.NDArray[np.float64], columns: Sequence[str]
+    ) -> None:
+        self.data: dict[str, npt.NDArray[np.float64]] = {
+            TIME: times_s,
+            **dict(zip(columns, values, strict=True)),
+        }
+
+    @property
+    def time_s(self) -> npt.NDArray[np.float64]:
+        return self.data[TIME]
+
+    def __getitem__(self, column: str) -> npt.NDArray[np.float64]:
+        """Return one column."""
+        return self.data[column]
 
 
 @dataclass(frozen=True)

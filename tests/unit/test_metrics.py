@@ -78,3 +78,18 @@ def test_a_uniform_window_drops_extra_points_only() -> None:
     grid, values = m.uniform(time, np.column_stack([np.sin(time)]), 1.0, 5.0, 0.1)
     assert grid[0] == 1.0 and grid[-1] == pytest.approx(5.0)
     np.testing.assert_allclose(values[:, 0], np.sin(grid), atol=1e-13)
+
+
+def test_the_signal_space_is_that_of_the_singular_vectors() -> None:
+    # A swing with a limit cycle's harmonics and noise: the spectrum falls slowly, the hard case.
+    noise = np.random.default_rng(5).standard_normal((len(T), 4))
+    shape = np.array([1.0, 0.9, -0.8, -1.0])
+    for level in (0.0, 1e-3, 0.3):
+        values = np.outer(swing(0.05, 0.6) + 0.1 * swing(0.01, 1.8), shape) + level * noise
+        hankel = np.hstack([np.lib.stride_tricks.sliding_window_view(values[:, k], 180).T for k in range(4)])
+        left, sigma, _ = np.linalg.svd(hankel, full_matrices=False)
+        order = min(int(np.sum(sigma > 1e-4 * sigma[0])), 24)
+        space = m._signal_space(hankel, 1e-4, 24)
+        assert space.shape == (180, order)
+        np.testing.assert_allclose(np.abs(np.diag(left[:, :4].T @ space[:, :4])), 1.0, atol=1e-9)
+        assert np.linalg.norm(left[:, :order].T @ space, 2) == pytest.approx(1.0, abs=1e-9)
