@@ -47,6 +47,7 @@ from .trajectory import Records, Trajectory
 from .wiring import Inputs, make_nodes, make_signals
 
 Loops = Literal["auto", "iterate", "extrapolate"]
+Progress = Callable[[float, float], object]
 INPUTS: tuple[Inputs, ...] = ("hermite", "linear", "hold-jacobi", "hold-gauss-seidel")
 LOOPS: tuple[Loops, ...] = ("auto", "iterate", "extrapolate")
 Engine = Literal["auto", "kernel", "python"]
@@ -230,16 +231,12 @@ class Master:
             self._record(step.end)
         return True
 
-    def run(
-        self, until_s: float | None = None, *, progress: Callable[[float, float], object] | None = None
-    ) -> Trajectory:
+    def run(self, until_s: float | None = None, *, progress: Progress | None = None) -> Trajectory:
         """Step to `until_s` (default: the end) and return the trajectory; see `advance`."""
         self.advance(until_s, progress=progress)
         return self.trajectory
 
-    def advance(
-        self, until_s: float | None = None, *, progress: Callable[[float, float], object] | None = None
-    ) -> None:
+    def advance(self, until_s: float | None = None, *, progress: Progress | None = None) -> None:
         """Step to `until_s` (default: the end); `trajectory` has the results whenever they are wanted.
 
         progress : called with (present time, stop time) after each step in Python, and at least every 20 ms
@@ -250,13 +247,6 @@ class Master:
         StepError : as `step`. GraphError : engine = "kernel" where it cannot be had.
         ScenarioError : `until_s` lies before the present time.
         """
-        self.advance(until_s, progress=progress)
-        return self.trajectory
-
-    def advance(
-        self, until_s: float | None = None, *, progress: Callable[[float, float], object] | None = None
-    ) -> None:
-        """Do what `run` does without making a table of the results."""
         until = self.clock.stop if until_s is None else to_ticks(until_s, "until_s")
         stop_s = seconds(self.clock.stop)
         self._cancelled = False
