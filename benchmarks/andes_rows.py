@@ -1,4 +1,4 @@
-"""A case and its events as rows of ANDES models, so that both tools get the same numbers.
+"""A case and its events as rows of ANDES models [Cui2021], so that both tools get the same numbers.
 
 How a case maps, and what does not:
 

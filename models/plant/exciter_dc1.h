@@ -3,7 +3,7 @@
 #include "plan.h"
 #include "scalar.h"
 /* Rotating exciter with a commutator and its regulator.
- *                         [Kundur1994, sec. 8.6; IEEE421.5, type DC1A; IEEET1, IEEEX1 of PSS/E]
+ *                         [Kundur1994, sec. 8.6; IEEE4215, type DC1A; IEEET1, IEEEX1 of PSS/E]
  *
  *     T_R dv/dt   = Vt - v
  *     e           = Vref + vs + u - v - K_F s/(1 + s T_F) Efd

@@ -4,7 +4,7 @@
 #include "plan.h"
 #include "scalar.h"
 /* Bus-fed static exciter: the field voltage cannot exceed what the terminal
- * voltage and the commutation drop leave.         [IEEE421.5, type ST1A; EXST1 of PSS/E]
+ * voltage and the commutation drop leave.         [IEEE4215, type ST1A; EXST1 of PSS/E]
  *
  *     T_R dv/dt   = Vt - v
  *     y           = (Vref + vs + u - v) (1 + s T_C)/(1 + s T_B)
