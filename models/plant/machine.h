@@ -30,6 +30,25 @@
 typedef struct { const num *delta, *slip, *eq1, *ed1, *eq2, *ed2; } MachineStates;
 typedef struct { num *delta, *slip, *eq1, *ed1, *eq2, *ed2; } MachineRates;
 
+/* Fills the rows of the table that follow from the others, once at the start. */
+static inline void machine_prepare(double *table, size_t n, size_t sixth)
+{
+    for (size_t k = 0; k < n; ++k) {
+        double *m = table + k;
+        m[M_PER_RATIO * n] = 1.0 / m[M_RATIO * n];
+        m[M_PER_2H * n] = 1.0 / (2.0 * m[M_H * n]);
+        if (k >= sixth) continue;
+        m[M_LEAK_D * n] = 1.0 / (m[M_XD1 * n] - m[M_XL * n]);
+        m[M_LEAK_Q * n] = 1.0 / (m[M_XQ1 * n] - m[M_XL * n]);
+        m[M_A * n] = (m[M_XD2 * n] - m[M_XL * n]) * m[M_LEAK_D * n];
+        m[M_B * n] = (m[M_XQ2 * n] - m[M_XL * n]) * m[M_LEAK_Q * n];
+        m[M_PER_TD01 * n] = 1.0 / m[M_TD01 * n];
+        m[M_PER_TD02 * n] = 1.0 / m[M_TD02 * n];
+        m[M_PER_TQ01 * n] = 1.0 / m[M_TQ01 * n];
+        m[M_PER_TQ02 * n] = 1.0 / m[M_TQ02 * n];
+    }
+}
+
 /* States lie quantity by quantity at the start of x, of the first `sixth` machines
  * all six, of the classical ones after them only the first two. */
 static inline MachineStates machine_states(const num *x, size_t n, size_t sixth)
@@ -66,14 +85,14 @@ static inline void machine_terminal(const real *table, size_t n, size_t sixth, M
                                     const num *i_re, const num *i_im,
                                     num *id, num *iq, num *vd, num *vq, num *vt)
 {
-    const real *ratio = table + M_RATIO * n, *Ra = table + M_RA * n;
+    const real *per_ratio = table + M_PER_RATIO * n, *Ra = table + M_RA * n;
     const real *Xd2 = table + M_XD2 * n, *Xq2 = table + M_XQ2 * n;
 
     for (size_t k = 0; k < n; ++k) {
         const num iq_system = i_re[k] * cosine[k] + i_im[k] * sine[k];
         const num id_system = i_re[k] * sine[k] - i_im[k] * cosine[k];
-        iq[k] = iq_system / ratio[k];
-        id[k] = id_system / ratio[k];
+        iq[k] = iq_system * per_ratio[k];
+        id[k] = id_system * per_ratio[k];
         const num ed2 = k < sixth ? x.ed2[k] : NUM(0.0);
         const num eq2 = k < sixth ? x.eq2[k] : NUM(table[M_EFD0 * n + k]);
         vd[k] = ed2 - Ra[k] * id[k] + Xq2[k] * iq[k];
@@ -85,43 +104,40 @@ static inline void machine_terminal(const real *table, size_t n, size_t sixth, M
 /* Field current of machine k in per unit of the field voltage that holds it, Xad ifd. */
 static inline num machine_field_current(const real *table, size_t n, size_t k, MachineStates x, num id)
 {
-    const real Xl = table[M_XL * n + k], Xd1 = table[M_XD1 * n + k], Xd2 = table[M_XD2 * n + k];
-    const real leak = 1.0 / (Xd1 - Xl);
-    return x.eq1[k] + (table[M_XD * n + k] - Xd1)
-        * ((Xd2 - Xl) * leak * id + (x.eq1[k] - x.eq2[k]) * leak);
+    return x.eq1[k] + (table[M_XD * n + k] - table[M_XD1 * n + k])
+        * (table[M_A * n + k] * id + (x.eq1[k] - x.eq2[k]) * table[M_LEAK_D * n + k]);
 }
 
 static inline void machine_derivatives(const real *table, size_t n, size_t sixth, real omega_b,
                                        MachineStates x, const num *id, const num *iq,
                                        const num *efd, const num *pm, MachineRates dx)
 {
-    const real *Xl = table + M_XL * n;
     const real *Xd = table + M_XD * n, *Xd1 = table + M_XD1 * n, *Xd2 = table + M_XD2 * n;
     const real *Xq = table + M_XQ * n, *Xq1 = table + M_XQ1 * n, *Xq2 = table + M_XQ2 * n;
-    const real *Td01 = table + M_TD01 * n, *Td02 = table + M_TD02 * n;
-    const real *Tq01 = table + M_TQ01 * n, *Tq02 = table + M_TQ02 * n;
-    const real *H = table + M_H * n, *D = table + M_D * n;
+    const real *A = table + M_A * n, *B = table + M_B * n;
+    const real *leak_d = table + M_LEAK_D * n, *leak_q = table + M_LEAK_Q * n;
+    const real *per_Td01 = table + M_PER_TD01 * n, *per_Td02 = table + M_PER_TD02 * n;
+    const real *per_Tq01 = table + M_PER_TQ01 * n, *per_Tq02 = table + M_PER_TQ02 * n;
+    const real *per_2H = table + M_PER_2H * n, *D = table + M_D * n;
 
     for (size_t k = sixth; k < n; ++k) {
         dx.delta[k] = omega_b * x.slip[k];
-        dx.slip[k] = (pm[k] - table[M_EFD0 * n + k] * iq[k] - D[k] * x.slip[k]) / (2.0 * H[k]);
+        dx.slip[k] = (pm[k] - table[M_EFD0 * n + k] * iq[k] - D[k] * x.slip[k]) * per_2H[k];
     }
     for (size_t k = 0; k < sixth; ++k) {
-        const real leak_d = 1.0 / (Xd1[k] - Xl[k]), leak_q = 1.0 / (Xq1[k] - Xl[k]);
-        const real a = (Xd2[k] - Xl[k]) * leak_d, b = (Xq2[k] - Xl[k]) * leak_q;
         const num Te = x.ed2[k] * id[k] + x.eq2[k] * iq[k] + (Xq2[k] - Xd2[k]) * id[k] * iq[k];
         const num deq = x.eq1[k] - x.eq2[k], ded = x.ed1[k] - x.ed2[k];
         const num eq1 = (efd[k] - x.eq1[k]
-                         - (Xd[k] - Xd1[k]) * (a * id[k] + deq * leak_d)) / Td01[k];
+                         - (Xd[k] - Xd1[k]) * (A[k] * id[k] + deq * leak_d[k])) * per_Td01[k];
         const num ed1 = (-x.ed1[k]
-                         + (Xq[k] - Xq1[k]) * (b * iq[k] - ded * leak_q)) / Tq01[k];
+                         + (Xq[k] - Xq1[k]) * (B[k] * iq[k] - ded * leak_q[k])) * per_Tq01[k];
 
         dx.delta[k] = omega_b * x.slip[k];
-        dx.slip[k] = (pm[k] - Te - D[k] * x.slip[k]) / (2.0 * H[k]);
+        dx.slip[k] = (pm[k] - Te - D[k] * x.slip[k]) * per_2H[k];
         dx.eq1[k] = eq1;
         dx.ed1[k] = ed1;
-        dx.eq2[k] = a * eq1 + (deq - (Xd1[k] - Xd2[k]) * id[k]) / Td02[k];
-        dx.ed2[k] = b * ed1 + (ded + (Xq1[k] - Xq2[k]) * iq[k]) / Tq02[k];
+        dx.eq2[k] = A[k] * eq1 + (deq - (Xd1[k] - Xd2[k]) * id[k]) * per_Td02[k];
+        dx.ed2[k] = B[k] * ed1 + (ded + (Xq1[k] - Xq2[k]) * iq[k]) * per_Tq02[k];
     }
 }
 #endif

@@ -159,7 +159,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
     const size_t n = plan.n_machine, n_parameter = (size_t)counts[C_PARAMETER];
     read_network(&r, &plan, counts, &net);
     (void)reals(&r, "plant.base", 2);
-    (void)reals(&r, "machine.table", M_ROWS * n);
+    (void)reals(&r, "machine.table", M_GIVEN * n);
     (void)reals(&r, "exciter.table", E_ROWS * plan.n_exciter);
     (void)integers(&r, "exciter.kind", plan.n_exciter, 100);
     (void)integers(&r, "exciter.machine", plan.n_exciter, n);
@@ -208,7 +208,8 @@ static void read_tables(const Record *record, const Plan *plan, const Network *n
     Reader r = { record, NULL };
     const size_t n = plan->n_machine, e = plan->n_exciter, s = plan->n_stabilizer, g = plan->n_governor;
 
-    copy_reals(memory + plan->machine, reals(&r, "machine.table", M_ROWS * n), M_ROWS * n);
+    copy_reals(memory + plan->machine, reals(&r, "machine.table", M_GIVEN * n), M_GIVEN * n);
+    machine_prepare(memory + plan->machine, n, plan->n_sixth);
     copy_integers(memory + plan->machine_bus, net->machine_bus, n);
     copy_reals(memory + plan->exciter, reals(&r, "exciter.table", E_ROWS * e), E_ROWS * e);
     copy_integers(memory + plan->exciter_of, integers(&r, "exciter.kind", e, 100), e);

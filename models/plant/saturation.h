@@ -97,16 +97,16 @@ static inline void saturation_terminal(const real *row, size_t k, num isd, num i
 static inline void saturation_rates(const real *table, size_t n, size_t k, num id, num iq, num isd, num isq,
                                     MachineRates dx)
 {
-    const real Xl = table[M_XL * n + k], Xd1 = table[M_XD1 * n + k], Xq1 = table[M_XQ1 * n + k];
-    const real Xd2 = table[M_XD2 * n + k], Xq2 = table[M_XQ2 * n + k];
-    const real a = (Xd2 - Xl) / (Xd1 - Xl), b = (Xq2 - Xl) / (Xq1 - Xl);
-    const num eq1 = -(table[M_XD * n + k] - Xd1) * a * isd / table[M_TD01 * n + k];
-    const num ed1 = (table[M_XQ * n + k] - Xq1) * b * isq / table[M_TQ01 * n + k];
+    const real Xd1 = table[M_XD1 * n + k], Xq1 = table[M_XQ1 * n + k];
+    const real Xd2 = table[M_XD2 * n + k], Xq2 = table[M_XQ2 * n + k], Xl = table[M_XL * n + k];
+    const real A = table[M_A * n + k], B = table[M_B * n + k];
+    const num eq1 = -(table[M_XD * n + k] - Xd1) * A * isd * table[M_PER_TD01 * n + k];
+    const num ed1 = (table[M_XQ * n + k] - Xq1) * B * isq * table[M_PER_TQ01 * n + k];
 
-    dx.slip[k] -= ((Xq2 - Xl) * isq * id - (Xd2 - Xl) * isd * iq) / (2.0 * table[M_H * n + k]);
+    dx.slip[k] -= ((Xq2 - Xl) * isq * id - (Xd2 - Xl) * isd * iq) * table[M_PER_2H * n + k];
     dx.eq1[k] += eq1;
     dx.ed1[k] += ed1;
-    dx.eq2[k] += a * eq1 - (Xd1 - Xd2) * isd / table[M_TD02 * n + k];
-    dx.ed2[k] += b * ed1 + (Xq1 - Xq2) * isq / table[M_TQ02 * n + k];
+    dx.eq2[k] += A * eq1 - (Xd1 - Xd2) * isd * table[M_PER_TD02 * n + k];
+    dx.ed2[k] += B * ed1 + (Xq1 - Xq2) * isq * table[M_PER_TQ02 * n + k];
 }
 #endif
