@@ -75,6 +75,34 @@ def test_shipped_controllers_hold_their_figures_on_the_independent_model(
     assert found.loss_criterion["G2_dw"] < 1.0
 
 
+@pytest.mark.slow
+def test_two_actuators_hold_with_any_one_signal_lost() -> None:
+    plants = {name: speeds_in_rad(p, OMEGA_B) for name, p in independent_family().items()}
+    K = shipped_controller("two_actuators").system
+    signals = ("G1_dw", "G2_dw", "G3_dw", "G4_dw")
+    losses = ["", *(f"+L:{name}" for name in signals)]
+    conditions = [condition_of_many(late + lost, signals) for late in ("N", "s100") for lost in losses]
+    found = judge_family(
+        plants, K, conditions, worst_swing=0.26, inter_area=0.26, effort_cap=0.16, fastest_pole=300.0
+    )
+    assert found.violations == ()
+    assert len(found.rows) == 50
+    assert set(found.loss_criterion) == set(signals)
+    assert max(found.loss_criterion.values()) < 1.0
+
+
+def test_each_of_two_actuators_sees_its_own_area_only() -> None:
+    K = shipped_controller("two_actuators").system
+    assert K.nstates == 8
+    gain = np.abs(np.array([K(1j * w) for w in (0.5, 3.9, 7.5)]))
+    own = np.array([[True, True, False, False], [False, False, True, True]])
+    assert list(K.output_labels) == ["G2_vs", "G4_vs"]
+    assert list(K.input_labels) == ["G1_dw", "G2_dw", "G3_dw", "G4_dw"]
+    assert gain[:, own].min() > 1e-4
+    assert gain[:, ~own].max() == 0.0
+    assert np.abs(K(0.0)).max() < 1e-9
+
+
 @pytest.mark.parametrize("name", ["robust", "robust_linear", "robust_latency"])
 def test_shipped_controllers_hold_at_operating_points_that_no_design_saw(name: str) -> None:
     unseen = {
