@@ -228,6 +228,8 @@ def explain(master: Master, delays: Mapping[str, Delays] | None = None) -> str:
         "order of a step: "
         + " | ".join(" <-> ".join(x.members) if x.is_loop else x.members[0] for x in g.groups),
     ]
+    if master.ran:
+        lines.append(f"stepped by: {master.ran}")
     lines += [
         f"loop without a channel: {' <-> '.join(x.members)}, {master.how(x)}" for x in g.groups if x.is_loop
     ]

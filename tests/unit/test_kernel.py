@@ -89,6 +89,17 @@ def test_the_kernel_gives_the_bits_of_the_reference(
         assert loop.result(slow).packets.rows == counted
 
 
+def test_the_engine_that_ran_is_in_the_result(cache: Path, by_hand: Controllers) -> None:
+    with assembled(cache, by_hand) as loop:
+        loop.master.advance(until_s=0.2)
+        assert loop.master.trajectory.engine == "kernel"
+        assert "stepped by: kernel" in loop.result().explain()
+        loop.master.engine = "python"
+        loop.master.advance(until_s=0.3)
+        assert "stepped by: kernel, then python" in loop.result().explain()
+        assert loop.master.trajectory.time_s[-1] == 0.3
+
+
 def test_a_loop_without_a_channel_is_iterated_by_the_kernel(cache: Path, by_hand: Controllers) -> None:
     with assembled(cache, by_hand, channels={"remote": REMOTE}) as loop:
         run = loop.master.run()
