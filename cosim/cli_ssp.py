@@ -29,19 +29,33 @@ def build(
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
     ],
+    controller: Annotated[
+        str | None,
+        typer.Option("--controller", metavar="NAME", help="this controller's FMU too, and a channel's"),
+    ] = None,
     platforms: Platforms = None,
 ) -> None:
     """Build the plant FMU of a case, complete: documentation, sources and cross-check files."""
     from interarea.models.case import load_case
+    from interarea.models.channel_block import channel_block
     from interarea.models.plant_block import plant_block
 
     from .artefacts import block_fmu, complete_fmu, default_cache, place
+    from .run import controller_of
+    from .scenario import load_scenario
 
     cache = default_cache()
-    with busy("building the plant FMU"):
-        loaded = load_case(case)
-        made = complete_fmu(block_fmu(plant_block(loaded), cache, platforms=names_of(platforms)), cache)
-    typer.echo(place(made, out / f"{loaded.name}.fmu"))
+    loaded = load_case(case)
+    blocks = {loaded.name: plant_block(loaded)}
+    if controller is not None:
+        named = load_scenario({"case": case, "controller": controller, "stop_s": 1.0})
+        made = controller_of(named, loaded, cache, None)
+        if made is not None:
+            blocks |= {"channel": channel_block(), made.name: made.block(loaded.omega_b)}
+    with busy("building FMUs"):
+        for name, block in blocks.items():
+            fmu = complete_fmu(block_fmu(block, cache, platforms=names_of(platforms)), cache)
+            typer.echo(place(fmu, out / f"{name}.fmu"))
 
 
 def ssp(

@@ -29,7 +29,7 @@ def write_container(
     """Write plant, channels and controller of `scenario` as one co-simulation FMU; return its path.
 
     The scenario's events, latencies and outages are its parameters `plant.event[k].*`,
-    `CHANNEL.latency`, ...; arguments as in `write_ssp`.
+    `CHANNEL.latency`, ...; arguments as in `write_ssp`. Where it can run here it has cross-check files.
 
     Raises
     ------

@@ -108,6 +108,16 @@ def test_missing_compilers(binaries: Path, monkeypatch: pytest.MonkeyPatch) -> N
     compiling._compiler_of.cache_clear()
 
 
+def test_a_c_file_inside_another_becomes_a_header(tmp_path: Path) -> None:
+    """So no tool that compiles every .c of sources/ compiles it a second time."""
+    (tmp_path / "inner.c").write_text("int inner(void);\n")
+    (tmp_path / "outer.c").write_text('#include "inner.c"\n')
+    files = source_files((tmp_path / "outer.c",))
+    assert files["inner_c.h"] == b"int inner(void);\n"
+    assert files["outer.c"] == b'#include "inner_c.h"\n'
+    assert "inner.c" not in files
+
+
 def test_unknown_platform_and_missing_include(binaries: Path, tmp_path: Path) -> None:
     with pytest.raises(BuildError, match="unknown platform 'amiga'; allowed: linux64"):
         compile_binary("decay", (DECAY_C,), "amiga", cache=binaries)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from fmu_runner import Runner
 from scipy.signal import lsim
 
 from interarea.cosim.artefacts import complete_fmu
+from interarea.cosim.cli import main
 from interarea.fmu_build import BuildError, build_fmu
 from interarea.fmu_build.cross_check import add_cross_check
 
@@ -115,3 +117,17 @@ def test_fmu_that_cannot_run_here(fmus: dict[str, Path], tmp_path: Path, cache: 
     with pytest.raises(BuildError, match=r"foreign.fmu: the cross-check run failed"):
         add_cross_check(foreign, tmp_path / "never.fmu")
     assert not (tmp_path / "never.fmu").exists()
+
+
+def test_build_writes_plant_channel_and_controller_complete(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    words = ["interarea", "build", "two-area-thesis", "--controller", "robust", "--out", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert not stopped.value.code
+    printed = [Path(line) for line in capfd.readouterr().out.split()]
+    assert [f.name for f in printed] == ["two-area-thesis.fmu", "channel.fmu", "robust.fmu"]
+    for fmu in printed:
+        assert table_of(fmu, "_ref.csv")[1].shape[0] == 2001
