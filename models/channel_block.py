@@ -140,7 +140,7 @@ def channel_block(
         description="Communication channel: exact latency, packets, loss, outages, rule on loss",
         table=VariableTable(variables),
         data={"capacity": np.array([capacity], dtype=np.int32)},
-        sources=(_FOLDER / "channel.c", _FOLDER / "history.c", _FOLDER / "packets.c"),
+        sources=(_FOLDER / "channel.c", _FOLDER / "history.c", _FOLDER / "packets.c", _FOLDER / "random.c"),
         step_s=step_s,
         model_exchange=False,
         documentation={"Behaviour": _BEHAVIOUR, **(documentation or {})},

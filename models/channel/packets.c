@@ -1,30 +1,13 @@
 #include "packets.h"
 
 #include <math.h>
-#include <stdint.h>
 #include <stdio.h>
+
+#include "random.h"
 
 enum { STREAM_JITTER = 1, STREAM_TABLE, STREAM_STATE, STREAM_LOSS };
 enum { DUE = 0, STAMP = 1, FATE = 2, PACKET_SIZE = 3 };
 enum { FATE_ARRIVES = 0, FATE_LOST = 1, FATE_TOO_LATE = 2 };
-
-/* The finaliser of SplitMix64. */
-static uint64_t mixed(uint64_t z)
-{
-    z = (z ^ (z >> 30)) * UINT64_C(0xbf58476d1ce4e5b9);
-    z = (z ^ (z >> 27)) * UINT64_C(0x94d049bb133111eb);
-    return z ^ (z >> 31);
-}
-
-double packet_random(int seed, double packet, unsigned stream)
-{
-    const uint64_t golden = UINT64_C(0x9e3779b97f4a7c15);
-    uint64_t z = mixed((uint64_t)(uint32_t)seed + golden);
-
-    z = mixed(z + golden * (uint64_t)stream);
-    z = mixed(z + golden * (uint64_t)(int64_t)packet);
-    return (double)(z >> 11) * (1.0 / 9007199254740992.0);
-}
 
 BlockStatus packets_check(const Block *b, BlockMessage *message)
 {

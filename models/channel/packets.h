@@ -8,9 +8,6 @@
  * when there is none. */
 int outage_at(const Block *b, double t, double *since);
 
-/* A number in [0, 1) that depends on nothing but seed, packet and stream. */
-double packet_random(int seed, double packet, unsigned stream);
-
 BlockStatus packets_check(const Block *b, BlockMessage *message);
 void packets_start(Block *b, double t);
 /* Sends and receives everything up to time `end`; `now` is the last instant at
