@@ -3,6 +3,7 @@
     python benchmarks/lmi_engine.py                     # every order, Clarabel up to n = 16 (minutes)
     python benchmarks/lmi_engine.py --clarabel-up-to 11
     python benchmarks/lmi_engine.py --random 300        # random plants against their Riccati levels
+    python benchmarks/lmi_engine.py --ftc               # every half-step of the study's fault-tolerant design
 
 Structured: median of `--repeats` runs, interleaved with Clarabel's one run (default settings). Every row says
 whether the point returned is strictly feasible by its own eigenvalues, not by the engine's word.
@@ -29,9 +30,15 @@ from lmi_problems import (
 from scipy.linalg import lapack
 from threadpoolctl import threadpool_limits
 
+from interarea.cosim.artefacts import default_cache, linear_plant
+from interarea.design import synthesis_ftc
 from interarea.design.clarabel_engine import solve_clarabel
 from interarea.design.interior_point import solve_structured
+from interarea.design.linearise import remove_reference
 from interarea.design.problem import Problem, Solution
+from interarea.design.solve import usable
+from interarea.design.study_designs import design_ftc
+from interarea.models.case import load_case
 
 #: Times Clarabel that the structured engine has to reach, by order.
 WANTED = {11: 30.0, 14: 50.0, 16: 100.0}
@@ -118,16 +125,71 @@ def random_plants(count: int) -> dict[str, object]:
     }
 
 
+def ftc_half_steps() -> dict[str, object]:
+    """Solve each half-step of the study's fault-tolerant design with both engines, default settings.
+
+    The half-steps are those that the structured engine takes; Clarabel's own iteration takes others, and
+    mostly none to its end: a half-step whose answer is not strictly feasible ends it. So the two are given
+    the same problems, and every row says what each makes of it.
+    """
+    case, cache = load_case("two-area-thesis"), default_cache()
+    plant = remove_reference(linear_plant(case, cache))
+    recorded: list[tuple[Problem, Solution, float]] = []
+    inner = synthesis_ftc.solve
+
+    def recording(problem: Problem, engine: str = "structured") -> Solution:
+        times = []
+        for _ in range(3):
+            start = time.process_time()
+            found = inner(problem, engine)
+            times.append(time.process_time() - start)
+        recorded.append((problem, found, min(times)))
+        return found
+
+    synthesis_ftc.solve = recording
+    try:
+        design_ftc(plant, omega_b=case.omega_b)
+    finally:
+        synthesis_ftc.solve = inner
+    own = other = 0.0
+    usable_ones = 0
+    print("  #     m  structured (s)     objective   Clarabel (s)     objective  status             usable")
+    for k, (problem, found, seconds) in enumerate(recorded, start=1):
+        start = time.process_time()
+        said = solve_clarabel(problem)
+        taken = time.process_time() - start
+        good = bool(said.values) and usable(problem, said)
+        own, other, usable_ones = own + seconds, other + taken, usable_ones + good
+        m = sum(v.size for v in problem.variables) + len(problem.scalars)
+        print(
+            f"{k:3d} {m:5d}  {seconds:14.3f}  {found.objective:12.8f}  {taken:13.2f}  "
+            f"{said.objective:12.8f}  {said.status:17s}  {'yes' if good else 'no'}",
+            flush=True,
+        )
+    return {
+        "half-steps": len(recorded),
+        "structured seconds": own,
+        "Clarabel seconds": other,
+        "ratio": other / own,
+        "usable answers of Clarabel": usable_ones,
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--orders", type=int, nargs="*", default=list(ORDERS))
     parser.add_argument("--clarabel-up-to", type=int, default=16)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--random", type=int, default=0, metavar="COUNT")
+    parser.add_argument("--ftc", action="store_true", help="half-steps of the fault-tolerant design")
     parser.add_argument("--out", type=Path, help="write the rows as JSON")
     arguments = parser.parse_args()
     if arguments.random:
         print(json.dumps(random_plants(arguments.random), indent=2))
+        return
+    if arguments.ftc:
+        with threadpool_limits(1):
+            print(json.dumps(ftc_half_steps(), indent=2))
         return
     rows = []
     print("   n     m  status   its  seconds   floor      gap   margin     objective  Clarabel (s)  times")
