@@ -15,6 +15,7 @@ from .check_runs import Drive, Tell
 _Vector = npt.NDArray[np.float64]
 _MOST_KNOWNS = 200  #: larger FMUs are sampled evenly
 _EPS = float(np.finfo(float).eps)
+_ROUNDING = 1e-10  #: relative; changes below it are no dependency
 
 
 @dataclass
@@ -111,7 +112,9 @@ def dependencies(library: Library, tell: Tell) -> None:
                     if unknown.dependencies is None or known.index in unknown.dependencies:
                         continue
                     names = moved_by.setdefault(point.unknowns[k].name, [])
-                    if values[k] != rest[k] and known.name not in names:
+                    usual = max(abs(values[k]), abs(rest[k]), point.unknowns[k].number("nominal") or 0.0)
+                    # a network solved by iteration from the last solution moves by rounding errors
+                    if abs(values[k] - rest[k]) > _ROUNDING * usual and known.name not in names:
                         names.append(known.name)
     for name, names in moved_by.items():
         if names:

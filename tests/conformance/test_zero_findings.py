@@ -24,6 +24,7 @@ pytestmark = pytest.mark.slow
 FMUS: dict[str, Callable[[Case, Path], Path]] = {
     "plant": plant_fmu,
     "plant of New England": lambda case, cache: plant_fmu(load_case("new-england"), cache),
+    "plant of NETS-NYPS": lambda case, cache: plant_fmu(load_case("nets-nyps"), cache),
     "channel": lambda case, cache: channel_fmu(cache),
     "wdc": lambda case, cache: controller_fmu(design_controller(case, "wdc", cache), case.omega_b, cache),
     "cc": lambda case, cache: controller_fmu(design_controller(case, "cc", cache), case.omega_b, cache),
