@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -59,6 +60,9 @@ def container_block(scenario: Scenario, *, cache: Path, controllers: Controllers
         )
     members = [(m, m.baked(step_s=loop.step_s)) for m in loop.all]
     provenance = {f"{m.name}: {k}": v for m, block in members for k, v in block.provenance.items()}
+    rows = (f"<tr><td>{html.escape(a)}</td><td>{html.escape(b)}</td></tr>" for a, b in loop.connections)
+    documentation = {"Connections": f"<table><tr><th>from</th><th>to</th></tr>{''.join(rows)}</table>"}
+    documentation |= {f"{m.name}: {k}": v for m, block in members for k, v in block.documentation.items()}
     try:
         return loop_block(
             _identifier(scenario.name),
@@ -67,6 +71,7 @@ def container_block(scenario: Scenario, *, cache: Path, controllers: Controllers
             step_s=loop.step_s,
             stop_s=scenario.stop_s,
             description=scenario.title,
+            documentation=documentation,
             provenance={"scenario": scenario.name, **provenance},
         )
     except ValueError as error:

@@ -13,6 +13,9 @@ from fmu_blocks import blocks
 from fmu_runner import decay_block
 from lxml import etree
 
+from interarea.cosim.container import container_block
+from interarea.cosim.run import Controllers
+from interarea.cosim.scenario import load_scenario
 from interarea.design.shipped import shipped_controller
 from interarea.fmu_build import build_fmu
 from interarea.fmu_build.compile import host_platform
@@ -87,3 +90,17 @@ def test_equations_are_those_of_the_block_not_of_the_fmi_layer() -> None:
     assert equations_of(sources) == {"lag.h": "A lag [Kundur1994]:\n\n    T dx/dt = u - x"}
     assert list(references_in(equations_of(sources)["lag.h"])) == ["Kundur1994"]
     assert references_in("nothing cited here") == {}
+
+
+def test_container_documents_its_members_and_connections(
+    cache: Path, by_hand: Controllers, tmp_path: Path, two_area: Case
+) -> None:
+    table = {"case": "two-area-thesis", "controller": "ftc", "stop_s": 1.0}
+    table |= {"channels": {"remote": {"signal": "G2_dw", "latency_s": 0.1}}}
+    block = container_block(load_scenario(table), cache=cache, controllers=by_hand)
+    page = html.unescape(page_of(build_fmu(block, tmp_path, cache=cache)))
+    assert "<td>plant.G2_dw</td><td>remote.u</td>" in page
+    assert "<td>controller.G4_vs</td><td>plant.G4_vs</td>" in page
+    assert "<h2>controller: Equations</h2>" in page
+    assert "2H  d slip/dt  = Tm - Te - D slip" in page
+    assert two_area.hash in page
