@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import logging
 from ctypes import c_double, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 from interarea.fmu_build.compile import compile_library, gather_sources, host_platform
 from interarea.fmu_build.errors import BuildError
 
+_log = logging.getLogger("interarea")
 _SOURCE = Path(__file__).resolve().parent / "kernel.c"
 
 #: codes of kernel.h
@@ -137,3 +139,18 @@ def load_kernel(folder: Path | None = None) -> ctypes.CDLL:
         return _library(path)
     except OSError as error:
         raise BuildError(f"cannot load the kernel {path}: {error}") from error
+
+
+_told: set[str] = set()
+
+
+def kernel_or_reason() -> tuple[ctypes.CDLL | None, str]:
+    """Return the kernel, or None and why it cannot be had, which is logged once."""
+    try:
+        return load_kernel(), ""
+    except BuildError as error:
+        reason = str(error).partition("\n")[0]
+    if reason not in _told:
+        _log.warning("stepping in Python, which gives the same results but is slower: %s", reason)
+        _told.add(reason)
+    return None, reason

@@ -21,15 +21,12 @@ can, with the same bits.
 
 from __future__ import annotations
 
-import logging
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-
-from interarea.fmu_build.errors import BuildError
 
 from .clock import Step, seconds, to_ticks
 from .early_return import EARLY, Early, rolled_back, too_short
@@ -38,7 +35,7 @@ from .graph import Graph, Group, build_graph
 from .initialise import initialise
 from .instances import FmuParticipant
 from .kernel import Kernel, why_not
-from .kernel_build import load_kernel
+from .kernel_build import kernel_or_reason
 from .loops import iterate_loop
 from .participant import Participant
 from .signals import Signal
@@ -52,7 +49,6 @@ INPUTS: tuple[Inputs, ...] = ("hermite", "linear", "hold-jacobi", "hold-gauss-se
 LOOPS: tuple[Loops, ...] = ("auto", "iterate", "extrapolate")
 Engine = Literal["auto", "kernel", "python"]
 ENGINES: tuple[Engine, ...] = ("auto", "kernel", "python")
-_log = logging.getLogger("interarea")
 
 
 @dataclass(frozen=True)
@@ -354,12 +350,9 @@ class Master:
                 return self._kernel
             self._kernel = None
         reason = why_not(self.nodes)
-        try:
-            library = None if reason else load_kernel()
-        except BuildError as error:
-            reason = str(error).partition("\n")[0]
-            _log.warning("stepping in Python, which gives the same results but is slower: %s", reason)
-            library = None
+        library = None
+        if not reason:
+            library, reason = kernel_or_reason()
         if library is None:
             if self.engine == "kernel":
                 raise GraphError(f'engine = "kernel" cannot step this: {reason}; use engine = "auto"')
