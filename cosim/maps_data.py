@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from interarea.design.bank import ControllerBank
 from interarea.design.delay import DelayError, delay_margin
 from interarea.design.linearise import linearise, remove_reference, speeds_in_rad
 from interarea.fmu_build.open import open_plant
@@ -238,6 +239,8 @@ def certified_margin(
     start = {**values, name: 0.0 if search is None else search.low}
     point = point_of(sweep, start)
     controller = runner.plan.controller(point.change.case, point.scenario.controller)
+    if isinstance(controller, ControllerBank):
+        raise ValueError("a bank has no single certified margin: see its switching certificate")
     if controller is None:
         raise ValueError("there is no controller, so no loop that latency could upset")
     case, path = runner.plant_of(start)

@@ -293,7 +293,8 @@ class Master:
     @property
     def records(self) -> Records:
         """Results up to now as plain arrays: what a sweep measures, without the cost of a table."""
-        return Records(self._times[: self._rows].copy(), self._records[: self._rows].T.copy(), self._columns)
+        n, columns, ports = self._rows, self._columns, self._ports
+        return Records(self._times[:n].copy(), self._records[:n].T.copy(), columns, ports)
 
     # -- saving ---------------------------------------------------------------------------
 

@@ -16,8 +16,8 @@ Paths (the first word says where):
 
 from __future__ import annotations
 
-import copy
 import math
+import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -82,18 +82,18 @@ def point_of(
     values: Mapping[str, Value],
     *,
     seed: int | None = None,
-    base: Mapping[str, Any] | None = None,
+    base: bytes | None = None,
 ) -> Point:
     """Return the point of a sweep where its parameters have `values`.
 
-    seed : sets the seeds of all channels, as a parameter on `seed` does. base : the scenario's table, when it
-        is at hand.
+    seed : sets the seeds of all channels, as a parameter on `seed` does. base : `packed` scenario of
+        the sweep, when it is at hand.
 
     Raises
     ------
     ScenarioError, SweepError : values that make no scenario.
     """
-    table = copy.deepcopy(dict(base) if base is not None else scenario_document(sweep.base))
+    table = pickle.loads(packed(sweep) if base is None else base)  # a fresh copy, and the fastest
     case, operating, entries = str(table["case"]), {}, {}
     gain, start = 1.0, {}
     for name, value in values.items():
@@ -119,6 +119,11 @@ def point_of(
     scenario = load_scenario(table | {"folder": sweep.base.folder})
     change = CaseChange(str(case), tuple(sorted(operating.items())), tuple(sorted(entries.items())))
     return Point(scenario, change, gain, start)
+
+
+def packed(sweep: Sweep) -> bytes:
+    """Return the table of the scenario that a sweep varies, to be copied for each run."""
+    return pickle.dumps(scenario_document(sweep.base))
 
 
 def check_paths(sweep: Sweep, case: Case, controller_parameters: set[str]) -> None:

@@ -25,9 +25,8 @@ from .instances import Value as Start
 from .kernel_build import load_kernel
 from .run import EVENT_SLOTS, Loop, Wiring, wire
 from .sweep_plan import SweepPlan
-from .sweep_point import CaseChange, Point, point_of
+from .sweep_point import CaseChange, Point, packed, point_of
 from .sweep_rows import Outcome, Row, failed_row, measure, start_row, trajectory_table
-from .sweep_spec import scenario_document
 from .sweep_values import Search, Value
 from .trajectory import Curves
 
@@ -85,7 +84,7 @@ class Runner:
         ] = {}
         self._cases: dict[str, Case] = {}
         self._channel: FmuFile | None = None
-        self._document = scenario_document(plan.sweep.base)
+        self._packed = packed(plan.sweep)
         self.on_start: Callable[[], object] = _nothing  #: called when FMUs are ready and computing begins
 
     def __enter__(self) -> Runner:
@@ -127,7 +126,7 @@ class Runner:
         ------
         TimeUpError, StepError, ScenarioError, CaseError, PowerFlowError
         """
-        point = point_of(self.plan.sweep, values, seed=seed, base=self._document)
+        point = point_of(self.plan.sweep, values, seed=seed, base=self._packed)
         loop = self._loop(point)
         self.on_start()
         limit = self.plan.sweep.time_limit_s

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -108,7 +109,7 @@ class Sweep(Table):
 
     # -- which run is which ---------------------------------------------------------------
 
-    @property
+    @cached_property
     def axes(self) -> tuple[tuple[str, int], ...]:
         """Axes of the sweep, slowest first: (parameter, size), and ("", samples) for what is sampled.
 

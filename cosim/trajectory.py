@@ -30,17 +30,26 @@ class Curves(Protocol):
 
     def __getitem__(self, column: str) -> npt.NDArray[np.float64]: ...
 
+    def reals_of(self, instance: str) -> list[str]: ...
+
 
 class Records:
     """Results without a table: `data` maps columns to arrays (points,)."""
 
     def __init__(
-        self, times_s: npt.NDArray[np.float64], values: npt.NDArray[np.float64], columns: Sequence[str]
+        self,
+        times_s: npt.NDArray[np.float64],
+        values: npt.NDArray[np.float64],
+        columns: Sequence[str],
+        ports: Sequence[Port],
     ) -> None:
-        self.data: dict[str, npt.NDArray[np.float64]] = {
-            TIME: times_s,
-            **dict(zip(columns, values, strict=True)),
-        }
+        self.data: dict[str, npt.NDArray[np.float64]] = {TIME: times_s}
+        self.data |= dict(zip(columns, values, strict=True))
+        self._reals = [c for c, p in zip(columns, ports, strict=True) if p.type == "Real"]
+
+    def reals_of(self, instance: str) -> list[str]:
+        """Return the columns of an instance's Real outputs."""
+        return [c for c in self._reals if c.startswith(f"{instance}.")]
 
     @property
     def time_s(self) -> npt.NDArray[np.float64]:
