@@ -28,6 +28,7 @@ from interarea.models.events import event_of
 from interarea.models.plant_block import event_parameters, plant_block
 
 from .channels import ChannelLine, hold_packets
+from .concentrators import ConcentratorLine, SignalWay
 from .errors import GraphError, ScenarioError, nearest, one_line
 from .fmu_file import FmuFile
 from .graph import end_of
@@ -43,6 +44,7 @@ from .worker import WorkerParticipant
 if TYPE_CHECKING:
     from interarea.design.controller import Controller
 
+Line = ChannelLine | ConcentratorLine
 _SLOTS = 8  # of events that the plant FMU of a case has
 
 
@@ -74,7 +76,7 @@ class System:
         self.stop_s, self.start_s, self.step_s = stop_s, start_s, step_s
         self.options, self.arrivals = options, arrivals
         self.cache = default_cache() if cache is None else cache
-        self.channels: dict[str, ChannelLine] = {}
+        self.channels: dict[str, Line] = {}
         self.connections: list[tuple[str, str]] = []
         self.latency_s: dict[str, float] = {}
         self._participants: dict[str, Participant] = {}
@@ -178,6 +180,30 @@ class System:
         self.channels[name] = line
         self.latency_s[name] = line.least_latency_s
         self._marks += line.marks_s
+        return self
+
+    def concentrator(self, name: str, signals: Sequence[Mapping[str, Any]], **keys: Any) -> System:
+        """Add a concentrator: inputs ``u1``.., aligned outputs ``y1``.., ``valid1``.., ``age`` and counts.
+
+        signals : of each the keys of `SignalWay`. keys : of `ConcentratorLine`.
+
+        Raises
+        ------
+        ScenarioError : a key or value that it does not take.
+        """
+        from interarea.models.concentrator_block import concentrator_block
+
+        from .artefacts import block_fmu
+
+        try:
+            line = ConcentratorLine.model_validate({"signals": tuple(signals), **keys})
+        except ValidationError as error:
+            text = one_line(error, lambda at: (ConcentratorLine, SignalWay)[len(at) > 1].model_fields)
+            raise ScenarioError(f"concentrators.{name}.{text}") from None
+        file = self._file(block_fmu(concentrator_block(len(line.signals)), self.cache))
+        self.add(hold_packets(FmuParticipant(name, file, line.parameters(name)), line))
+        self.channels[name] = line
+        self.latency_s[name] = line.least_latency_s
         return self
 
     # -- what connects and disturbs them --------------------------------------------------
@@ -288,10 +314,9 @@ class System:
 
     def self_test(self, master: Master | None = None) -> SelfTest:
         """Measure the latency of every connection; compare with the ledger (module `self_test`)."""
-        from .artefacts import channel_fmu
-
-        file = self._file(channel_fmu(self.cache)) if self.channels else None
-        return self_test_of(self.master() if master is None else master, self.channels, file, self.arrivals)
+        parts = {n: p for n, p in self._participants.items() if n in self.channels}
+        files = {n: p.file for n, p in parts.items() if isinstance(p, FmuParticipant)}
+        return self_test_of(self.master() if master is None else master, self.channels, files, self.arrivals)
 
     # -- private --------------------------------------------------------------------------
 
@@ -339,9 +364,7 @@ def pairs_of(path: Sequence[str], channels: Collection[str]) -> list[tuple[str, 
     return list(zip(ends[::2], ends[1::2], strict=True))
 
 
-def points_of(
-    channels: Iterable[ChannelLine], arrivals: str, start_s: float, stop_s: float
-) -> tuple[int, ...]:
+def points_of(channels: Iterable[Line], arrivals: str, start_s: float, stop_s: float) -> tuple[int, ...]:
     """Return the ticks that are communication points because a packet comes out of a channel."""
     if arrivals == "grid":
         return ()
@@ -349,15 +372,13 @@ def points_of(
 
 
 def self_test_of(
-    master: Master, channels: Mapping[str, ChannelLine], file: FmuFile | None, arrivals: str
+    master: Master, channels: Mapping[str, Line], files: Mapping[str, FmuFile], arrivals: str
 ) -> SelfTest:
-    """Return the self-test of a master whose `channels` are instances of `file`."""
+    """Return the self-test of a master whose `channels` are instances of `files`."""
     lines = {name: line.steady for name, line in channels.items()}
 
     def fresh(name: str) -> Participant:
-        if file is None:
-            raise GraphError(f"self-test: {name} needs the FMU of a channel, got none")
-        return hold_packets(FmuParticipant(name, file, lines[name].parameters(name)), lines[name])
+        return hold_packets(FmuParticipant(name, files[name], lines[name].parameters(name)), lines[name])
 
     return self_test(
         master,

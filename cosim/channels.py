@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Protocol, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
@@ -221,7 +221,14 @@ class ChannelLine(Table):
         return float(np.mean(waits)) / TICKS_PER_SECOND
 
 
-def hold_packets(participant: Participant, line: ChannelLine) -> Participant:
+class Reporting(Protocol):
+    """Anything that sends packets when its reporting interval is positive."""
+
+    @property
+    def reporting_interval_s(self) -> float: ...
+
+
+def hold_packets(participant: Participant, line: Reporting) -> Participant:
     """Make the outputs of a channel's instance discrete when it sends packets, and continuous when not.
 
     Between two arrivals the output of such a channel stays what it is: held, never drawn as a line.

@@ -157,9 +157,9 @@ class Loop:
 
     def self_test(self) -> SelfTest:
         """Measure the latency of every connection; compare with the ledger (module `self_test`)."""
-        instances = [p for n, p in self.master.participants.items() if n in self.channels]
-        file = instances[0].file if instances and isinstance(instances[0], FmuParticipant) else None
-        return self_test_of(self.master, self.scenario.channels, file, self.scenario.master.arrivals)
+        parts = {n: p for n, p in self.master.participants.items() if n in self.channels}
+        files = {n: p.file for n, p in parts.items() if isinstance(p, FmuParticipant)}
+        return self_test_of(self.master, self.scenario.channels, files, self.scenario.master.arrivals)
 
 
 def system_of(scenario: Scenario, *, cache: Path | None = None) -> System:

@@ -7,6 +7,7 @@ from fmu_runner import decay_block
 
 from interarea.models.case import load_case
 from interarea.models.channel_block import channel_block
+from interarea.models.concentrator_block import concentrator_block
 from interarea.models.controller_block import controller_block
 from interarea.models.plant_block import plant_block
 from interarea.models.supervisor_block import supervisor_block
@@ -34,5 +35,6 @@ def blocks() -> dict[str, Block]:
             ["G4_vs"],
         ),
         "channel": channel_block(),
+        "concentrator": concentrator_block(2),
         "plant": plant_block(load_case("two-area-thesis")),
     }
