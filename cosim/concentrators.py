@@ -66,7 +66,7 @@ class ConcentratorLine(Table):
 
     @property
     def least_latency_s(self) -> float:
-        """The least time from input to output, s: the slowest signal without jitter, or the end of the wait."""
+        """The least time from input to output, s: the slowest signal, or the end of the wait."""
         ways = [s.latency_s for s in self.signals]
         end = (min(ways) if self.relative else 0.0) + self.wait_s
         return self.latency_s + min(max(ways), end)

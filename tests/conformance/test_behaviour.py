@@ -10,11 +10,12 @@ import pytest
 from fmu_runner import Runner
 from scipy.linalg import expm
 
-INPUT = {"decay": "u", "controller": "G2_dw", "channel": "u", "plant": "G1_vs"}
+INPUT = {"decay": "u", "controller": "G2_dw", "channel": "u", "concentrator": "u1", "plant": "G1_vs"}
 PARAMETERS = {
     "decay": {"kicking": 1},
     "controller": {"limit": 0.02},
     "channel": {"latency": 0.123, "outage[1].start": 0.5, "outage[1].end": 0.7, "on_loss": 1},
+    "concentrator": {"latency[1]": 0.03, "jitter[1]": 0.1, "loss[1]": 0.3, "seed": 4, "wait": 0.08},
     "plant": {
         "event[1].kind": 1,
         "event[1].target": 8,
