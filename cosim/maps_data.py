@@ -243,6 +243,8 @@ def certified_margin(
         raise ValueError("a bank has no single certified margin: see its switching certificate")
     if controller is None:
         raise ValueError("there is no controller, so no loop that latency could upset")
+    if isinstance(controller, ControllerBank):
+        raise ValueError("the linear loop of a bank changes with its supervisor: no one margin")
     case, path = runner.plant_of(start)
     with open_plant(path) as plant:
         system = speeds_in_rad(remove_reference(linearise(plant)), case.omega_b)

@@ -143,13 +143,20 @@ def measure(loop: Loop, curves: Curves, wanted: Sequence[str], modes: Sequence[s
     if "energy" in wanted:
         row["energy"] = m.energy(time, signal)
     if "effort" in wanted:
-        controls = curves.reals_of("controller")
+        controls = control_columns(loop)
         row["effort"] = float(sum(m.energy(time, curves[c]) for c in controls))
     if "packets" in wanted:
         counts = [packet_counts(loop.master.participants[n]) for n in loop.channels]
         for column, name in PACKETS.items():
             row[column] = int(sum(c.get(name, 0.0) for c in counts))
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
+
+
+def control_columns(loop: Loop) -> list[str]:
+    """Return the columns of the control signals: the Reals that the controller puts out."""
+    controller = loop.master.participants.get("controller")
+    ports = () if controller is None else controller.description.outputs
+    return [f"controller.{p.name}" for p in ports if p.type == "Real"]
 
 
 def _saturated(loop: Loop, curves: Curves, end_s: float) -> bool:
@@ -159,7 +166,7 @@ def _saturated(loop: Loop, curves: Curves, end_s: float) -> bool:
         return False
     limit = controller.value_of("limit") * (1.0 - 1e-9)
     late = curves.time_s >= end_s + 0.75 * (curves.time_s[-1] - end_s)
-    controls = [curves[c][late] for c in curves.reals_of("controller")]
+    controls = [curves[c][late] for c in control_columns(loop)]
     return any(len(u) > 0 and float(abs(u).max()) >= limit for u in controls)
 
 

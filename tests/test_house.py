@@ -94,6 +94,12 @@ def test_every_test_asserts_something(path: Path) -> None:
             assert re.search(r"assert|raises|check_", text), f"{_name(path)}: {node.name} asserts nothing"
 
 
+def test_names_of_test_files_differ() -> None:
+    """pytest imports test files by their bare name: two of one name cannot be collected together."""
+    names = [p.name for p in (ROOT / "tests").rglob("test_*.py")]
+    assert sorted(names) == sorted(set(names))
+
+
 def test_no_registry_host_and_no_path_of_one_machine_is_committed() -> None:
     tracked = subprocess.run(
         ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False
