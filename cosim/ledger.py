@@ -225,6 +225,7 @@ def explain(master: Master, delays: Mapping[str, Delays] | None = None) -> str:
         f"step {1e3 * master.step_s:g} ms ({master.step_reason}), {len(master.clock.steps)} steps, "
         f"inputs: {master.inputs}",
         "events at " + (", ".join(f"{m / 1e9:.9g}" for m in master.clock.marks) or "none") + " s",
+        *([f"packets come out at {n} more points"] if (n := len(master.clock.points)) else []),
         "order of a step: "
         + " | ".join(" <-> ".join(x.members) if x.is_loop else x.members[0] for x in g.groups),
     ]

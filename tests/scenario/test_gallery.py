@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from interarea.cosim.run import assemble
 from interarea.cosim.scenario import load_scenario, scenario_names
 
 DESIGNED = ("wdc", "cc", "ftc", "active")
@@ -31,6 +32,13 @@ def test_the_outcome_is_the_stated_one(name: str, scenario: Any) -> None:
         assert expect.settling_time_s[0] <= settled <= expect.settling_time_s[1]
     if expect.peak_dw24 is not None:
         assert expect.peak_dw24[0] <= run.metrics.peak <= expect.peak_dw24[1]
+
+
+@pytest.mark.parametrize("name", [_case(n) for n in scenario_names()])
+def test_every_connection_has_the_latency_that_the_ledger_states(name: str) -> None:
+    with assemble(load_scenario(name)) as loop:
+        measured = loop.self_test()
+    assert measured.passed and measured.worst_s <= 1e-6, str(measured)
 
 
 def test_a_scenario_runs_once(scenario: Any) -> None:

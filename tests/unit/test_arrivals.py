@@ -10,6 +10,7 @@ from participants import Linear
 
 from interarea.cosim.build import System
 from interarea.cosim.channels import ChannelLine
+from interarea.design.controller import Controller
 from interarea.models.channel_packets import packets_of
 
 RATE = 2.0
@@ -95,6 +96,29 @@ def test_arrivals_are_not_recorded_and_a_channel_without_packets_adds_no_point()
     assert len(master.clock.steps) == 200 + 2 * len(master.clock.points)
     plain = system(0.01, {"latency_s": 0.0437}).master()
     assert len(plain.clock.steps) == 200
+
+
+def test_both_engines_give_the_same_bits_where_packets_come_out(hand_controller: Controller) -> None:
+    """Channel and concentrator, random latency, loss, late frames: kernel and Python reference."""
+    runs = []
+    for engine in ("kernel", "python"):
+        made = System(stop_s=1.5, engine=engine).plant("two-area-thesis").controller(hand_controller)
+        made.channel(
+            "line",
+            latency_s=0.0437,
+            reporting_interval_s=0.02,
+            jitter_s=0.01,
+            loss={"kind": "bernoulli", "rate": 0.1},
+        )
+        made.concentrator("pdc", [{"latency_s": 0.02, "jitter_s": 0.05}, {"latency_s": 0.03}], wait_s=0.06)
+        made.connect("plant.G2_dw", "line", "controller.G2_dw").connect("plant.G1_dw", "pdc.u2")
+        made.connect("plant.G4_dw", "pdc.u1").connect("pdc.y1", "controller.G4_dw")
+        made.connect("controller.G4_vs", "plant.G4_vs")
+        made.event("vref_pulse", machine="G1", size_pu=0.02, start_s=0.5, end_s=0.7)
+        runs.append(made.run())
+    assert runs[0].data.equals(runs[1].data)
+    assert "packets come out at" in runs[0].explain()
+    assert runs[0].packets["line"]["dropped"] > 0 and runs[0].packets["pdc"]["late"] > 0
 
 
 def test_the_end_of_holding_is_a_communication_point() -> None:
