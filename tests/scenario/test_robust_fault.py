@@ -9,6 +9,8 @@ import pytest
 
 from interarea.cosim.robust_design import family_cases, load_design
 from interarea.cosim.run import run_scenario
+from interarea.cosim.synchronism import after_fault
+from interarea.design.shipped import shipped_controller
 from interarea.models.case import Case
 from interarea.models.export_toml import export_toml
 
@@ -51,3 +53,18 @@ def test_good_eigenvalues_do_not_keep_synchronism(tmp_path: Path) -> None:
     # robust_linear holds 0.24 under every linear condition, yet the weakest point slips after the fault
     data = after_the_fault(CASES["tie +100"], "robust_linear", tmp_path, trip=True)
     assert (data["plant.G2_delta"] - data["plant.G4_delta"]).abs().max() > 3.1416
+
+
+@pytest.mark.slow
+def test_the_certificate_of_two_actuators_says_where_synchronism_is_lost(cache: Path) -> None:
+    table, K = load_design("two_actuators"), shipped_controller("two_actuators")
+    assert table.fault is not None
+    assert K.certificate is not None
+    said = {(run["point"], *run["lost"]): run["passed"] for run in K.certificate["faults"]}
+    assert len(said) == 20
+    cases = family_cases(table)
+    for point in ("circuit out", "tie +100", "tie reversed"):
+        for lost in table.signals:
+            run = after_fault(K, point, cases[point], table.fault, [lost], cache)
+            assert run.passed == said[point, lost]
+    assert all(passed for key, passed in said.items() if key[0] != "tie +100")
