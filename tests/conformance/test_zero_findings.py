@@ -9,8 +9,16 @@ from pathlib import Path
 
 import pytest
 from fmpy.validation import validate_fmu
+from fmu_blocks import blocks
 
-from interarea.cosim.artefacts import active_bank, channel_fmu, controller_fmu, design_controller, plant_fmu
+from interarea.cosim.artefacts import (
+    active_bank,
+    block_fmu,
+    channel_fmu,
+    controller_fmu,
+    design_controller,
+    plant_fmu,
+)
 from interarea.cosim.container import write_container
 from interarea.cosim.run import Controllers
 from interarea.cosim.scenario import load_scenario
@@ -26,6 +34,7 @@ FMUS: dict[str, Callable[[Case, Path], Path]] = {
     "plant of New England": lambda case, cache: plant_fmu(load_case("new-england"), cache),
     "plant of NETS-NYPS": lambda case, cache: plant_fmu(load_case("nets-nyps"), cache),
     "channel": lambda case, cache: channel_fmu(cache),
+    "concentrator": lambda case, cache: block_fmu(blocks()["concentrator"], cache),
     "wdc": lambda case, cache: controller_fmu(design_controller(case, "wdc", cache), case.omega_b, cache),
     "cc": lambda case, cache: controller_fmu(design_controller(case, "cc", cache), case.omega_b, cache),
     "ftc": lambda case, cache: controller_fmu(design_controller(case, "ftc", cache), case.omega_b, cache),

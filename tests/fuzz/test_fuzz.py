@@ -14,7 +14,14 @@ from fuzz_blocks import fuzz_block
 from fuzz_build import Compiler, build_driver, sanitizing_compiler
 
 SOURCES = ("fuzz.c", "fuzz_calls.c")
-CALLS = {"controller": 300_000, "supervisor": 200_000, "channel": 100_000, "plant": 100_000, "loop": 20_000}
+CALLS = {
+    "controller": 300_000,
+    "supervisor": 200_000,
+    "channel": 100_000,
+    "concentrator": 100_000,
+    "plant": 100_000,
+    "loop": 20_000,
+}
 
 pytestmark = pytest.mark.slow
 
