@@ -56,7 +56,7 @@ def test_good_eigenvalues_do_not_keep_synchronism(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_certificate_of_two_actuators_says_where_synchronism_is_lost(cache: Path) -> None:
+def test_two_actuators_keep_synchronism_whichever_signal_is_lost(cache: Path) -> None:
     table, K = load_design("two_actuators"), shipped_controller("two_actuators")
     assert table.fault is not None
     assert K.certificate is not None
@@ -67,4 +67,4 @@ def test_the_certificate_of_two_actuators_says_where_synchronism_is_lost(cache: 
         for lost in table.signals:
             run = after_fault(K, point, cases[point], table.fault, [lost], cache)
             assert run.passed == said[point, lost]
-    assert all(passed for key, passed in said.items() if key[0] != "tie +100")
+    assert all(said.values())
