@@ -32,9 +32,15 @@ types: $(VENV)/installed-test
 	cd build/typecheck && ../../$(BIN)/python -m mypy --config-file ../../pyproject.toml \
 	    -p interarea.models -p interarea.fmu_build -p interarea.design -p interarea.cosim
 
-bench: $(VENV)/installed-test
+bench: $(VENV)/installed-bench
 	$(BIN)/python benchmarks/lmi_engine.py
 	$(BIN)/python benchmarks/unseen_points.py
+	$(BIN)/python benchmarks/bench_master.py
+	$(BIN)/python benchmarks/bench_plant.py
+	$(BIN)/python benchmarks/bench_batch.py
+	$(BIN)/python benchmarks/bench_sweep.py
+	$(BIN)/python benchmarks/bench_export.py --cold
+	$(BIN)/python benchmarks/compare_andes.py
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
@@ -47,6 +53,10 @@ $(VENV)/installed: $(VENV)/bin/python pyproject.toml
 $(VENV)/installed-test: $(VENV)/bin/python pyproject.toml
 	$(BIN)/pip install --quiet -e ".[test,cluster]"
 	touch $@ $(VENV)/installed
+
+$(VENV)/installed-bench: $(VENV)/installed-test
+	$(BIN)/pip install --quiet -e ".[test,cluster,bench]"
+	touch $@
 
 clean:
 	rm -rf build out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
