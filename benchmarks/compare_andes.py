@@ -5,7 +5,7 @@
 ANDES comes with the extra `bench`; it may live in another environment, whose interpreter
 `--andes-python` names. What remains of the trajectories' difference is the instant of ANDES's events,
 which lie in a step of 1e-4 s of their own and so act 5e-5 s late; shifted by that, 2e-5 of the peak.
-Exit code 1 when a difference passes what the issue allows.
+Exit code 1 when a difference passes what is allowed.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ def test_cases_lists_the_bundled_cases(interarea) -> None:  # type: ignore[no-un
 
 
 def test_modes_prints_what_an_independent_code_has(interarea) -> None:  # type: ignore[no-untyped-def]
-    """Eigenvalues of kundur-thyristor-z by another program, to 3 digits (issue 2)."""
+    """Eigenvalues of kundur-thyristor-z by another program, to 3 digits."""
     code, out, _ = interarea("modes", "kundur-thyristor-z", "--json")
     found = json.loads(out)
     assert code == 0 and found["case"] == "kundur-thyristor-z"

@@ -195,7 +195,7 @@ def test_a_small_pulse_through_the_nonlinear_loop_is_the_linear_response(
 
 @pytest.mark.slow
 def test_the_whole_study(tmp_path: Path, cache: Path) -> None:
-    """What issue 2 asks of the result, on real FMUs."""
+    """What the study must show, on real FMUs."""
     stages: dict[str, float] = {}
     study = run_study("thesis", tmp_path, lambda stage, done: stages.__setitem__(stage, done))
     assert stages == dict.fromkeys(STAGES, 1.0)
