@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import struct
-import xml.etree.ElementTree as ET
 import subprocess
+import xml.etree.ElementTree as ET
 import zipfile
 import zlib
 from dataclasses import replace
