@@ -104,7 +104,8 @@ def _name(amplitudes: npt.NDArray[np.complex128], areas: npt.NDArray[np.int_]) -
     largest = max(inside, key=lambda a: inside[a])
     total = between + sum(inside.values())
     if between >= inside[largest]:
-        return "inter-area", float(between / total)
+        # a shape that is nothing at all swings nowhere: its share is none
+        return "inter-area", float(between / total) if total > 0.0 else 0.0
     return f"local area {largest}", inside[largest] / total
 
 
