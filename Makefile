@@ -34,6 +34,7 @@ types: $(VENV)/installed-test
 
 bench: $(VENV)/installed-bench
 	$(BIN)/python benchmarks/lmi_engine.py
+	$(BIN)/python benchmarks/lmi_engine.py --ftc
 	$(BIN)/python benchmarks/unseen_points.py
 	$(BIN)/python benchmarks/bench_master.py
 	$(BIN)/python benchmarks/bench_plant.py
