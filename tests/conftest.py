@@ -8,10 +8,15 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from interarea.cosim.run import Controllers
 from interarea.design.controller import Controller
 from interarea.models.case import Case, load_case
+
+# how long one example takes says nothing on a machine that is busy
+settings.register_profile("interarea", deadline=None)
+settings.load_profile("interarea")
 
 
 @pytest.fixture(scope="session")

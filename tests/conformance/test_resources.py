@@ -92,6 +92,7 @@ def test_uri_of_any_folder_name(name: str, decay: Path, tmp_path: Path) -> None:
         assert run.start().get("x") == 1.0
 
 
+@pytest.mark.slow
 def test_machine_without_a_binary(tmp_path: Path) -> None:
     here = fmpy.platform
     other = "win64" if here != "win64" else "linux64"

@@ -165,3 +165,76 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
     *state = NULL;
     return fmi2OK;
 }
+
+/* The standard asks for every function; this FMU has no use for these. */
+fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Integer v[])
+{
+    (void)c, (void)r, (void)n, (void)v;
+    return fmi2Error;
+}
+fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Boolean v[])
+{
+    (void)c, (void)r, (void)n, (void)v;
+    return fmi2Error;
+}
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2String v[])
+{
+    (void)c, (void)r, (void)n, (void)v;
+    return fmi2Error;
+}
+fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer v[])
+{
+    (void)c, (void)r, (void)n, (void)v;
+    return fmi2Error;
+}
+fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Boolean v[])
+{
+    (void)c, (void)r, (void)n, (void)v;
+    return fmi2Error;
+}
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2String v[])
+{
+    (void)c, (void)r, (void)n, (void)v;
+    return fmi2Error;
+}
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate s, size_t *n)
+{
+    (void)c, (void)s, (void)n;
+    return fmi2Error;
+}
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate s, fmi2Byte b[], size_t n)
+{
+    (void)c, (void)s, (void)b, (void)n;
+    return fmi2Error;
+}
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte b[], size_t n, fmi2FMUstate *s)
+{
+    (void)c, (void)b, (void)n, (void)s;
+    return fmi2Error;
+}
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference u[], size_t n, const fmi2ValueReference k[], size_t m,
+                                    const fmi2Real dk[], fmi2Real du[])
+{
+    (void)c, (void)u, (void)n, (void)k, (void)m, (void)dk, (void)du;
+    return fmi2Error;
+}
+fmi2Status fmi2CancelStep(fmi2Component c)
+{
+    (void)c;
+    return fmi2Error;
+}
+fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind k, fmi2Status *v)
+{
+    (void)c, (void)k, (void)v;
+    return fmi2Error;
+}
+fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind k, fmi2Integer *v)
+{
+    (void)c, (void)k, (void)v;
+    return fmi2Error;
+}
+fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind k, fmi2String *v)
+{
+    (void)c, (void)k, (void)v;
+    return fmi2Error;
+}
