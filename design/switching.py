@@ -21,7 +21,7 @@ from typing import Any
 
 import control
 import numpy as np
-from scipy.linalg import expm, solve_continuous_lyapunov
+from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
 
 from .bank import ControllerBank
 from .errors import UncertifiedDesign
@@ -101,7 +101,7 @@ class BankLoop:
 
     def mixed(self, weights: Mapping[str, float], trust: Matrix) -> Matrix:
         """Return the loop for weights of the members and of the signals."""
-        A_K = _diagonal([K[0] for K in self.members.values()])
+        A_K = block_diag(*(K[0] for K in self.members.values()))
         B_K = np.vstack([K[1] for K in self.members.values()]) * trust
         C_K = np.hstack([weights.get(name, 0.0) * K[2] for name, K in self.members.items()])
         D_K = sum(weights.get(name, 0.0) * K[3] for name, K in self.members.items()) * trust
@@ -298,7 +298,7 @@ def _reachable_rate(
 
 def _coordinates(loops: list[Matrix], parts: list[Matrix]) -> Matrix:
     """T of coordinates z = T x in which the loops are alike in size: parts balanced, then one mean V."""
-    T = _diagonal(parts)
+    T = block_diag(*parts)
     inverse = np.linalg.inv(T)
     eye = np.eye(len(T))
     P = np.sum([solve_continuous_lyapunov((T @ A @ inverse).T, -eye) for A in loops], axis=0)
@@ -322,13 +322,3 @@ def _condition(P: Matrix) -> float:
     """Condition number of P in units in which its diagonal is 1."""
     unit = np.sqrt(np.diag(P))
     return float(np.linalg.cond(P / np.outer(unit, unit)))
-
-
-def _diagonal(matrices: list[Matrix]) -> Matrix:
-    n = sum(len(M) for M in matrices)
-    total = np.zeros((n, n))
-    first = 0
-    for M in matrices:
-        total[first : first + len(M), first : first + len(M)] = M
-        first += len(M)
-    return total
