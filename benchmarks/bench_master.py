@@ -26,6 +26,7 @@ from typing import Any
 
 from chain.peers import PEERS, Route, plain_c
 from chain.trivial import H, trivial_fmu
+from study_loop import SCENARIO
 
 from interarea.cosim.fmu_file import FmuFile
 from interarea.cosim.instances import FmuParticipant
@@ -44,17 +45,6 @@ KERNEL_HELD, KERNEL, PYTHON_HELD, PYTHON = (
     "interarea Python, cubic inputs",
 )
 PLAIN = "plain C loop"
-SCENARIO: dict[str, Any] = {
-    "case": "two-area-thesis",
-    "controller": "wdc",
-    "stop_s": 20.0,
-    "step_s": 0.01,
-    "channels": {
-        "remote": {"signal": "G2_dw", "latency_s": 0.1},
-        "local": {"signal": "G4_dw", "latency_s": 0.1},
-    },
-    "event": [{"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.0, "end_s": 1.2}],
-}
 
 
 def our_route(file: FmuFile, n: int, inputs: str, engine: str) -> Route:

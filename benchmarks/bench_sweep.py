@@ -23,6 +23,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from study_loop import SCENARIO
+
 from interarea.cosim import sweep_local
 from interarea.cosim.artefacts import default_cache
 from interarea.cosim.master import Master
@@ -34,17 +36,6 @@ from interarea.cosim.sweep_run import Runner
 from interarea.cosim.sweep_spec import load_sweep
 
 WANTED_RATIO, WANTED_OVERHEAD, WANTED_SCALING = 1.3, 0.05, 1.8
-SCENARIO: dict[str, Any] = {
-    "case": "two-area-thesis",
-    "controller": "wdc",
-    "stop_s": 20.0,
-    "step_s": 0.01,
-    "channels": {
-        "remote": {"signal": "G2_dw", "latency_s": 0.1},
-        "local": {"signal": "G4_dw", "latency_s": 0.1},
-    },
-    "event": [{"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.0, "end_s": 1.2}],
-}
 
 
 def document(runs: int) -> dict[str, Any]:
