@@ -39,7 +39,6 @@ controller undelayed.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -55,6 +54,7 @@ from .clock import to_ticks
 from .early_return import Early
 from .errors import ScenarioError, nearest, one_line
 from .master import Loops
+from .toml_file import read_toml
 from .wiring import Inputs
 
 BUNDLED = Path(__file__).parent / "scenarios"
@@ -220,12 +220,7 @@ def load_scenario(source: str | Path | Mapping[str, Any] | Scenario) -> Scenario
             )
     if not path.is_file():
         raise ScenarioError(f"{path}: no such scenario file")
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path.name}: is no TOML: {error}") from None
-    except RecursionError:
-        raise ScenarioError(f"{path.name}: is no TOML: nested too deeply") from None
+    table = read_toml(path, ScenarioError)
     return _checked({"name": path.stem, **table}, path.name, path.parent)
 
 

@@ -7,7 +7,6 @@ and found again by the hash of what it came from (`artefacts.py`).
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -48,6 +47,7 @@ from .study_figures import DW24, StudyParts, save_figures
 from .study_loss import mean_latency_s, mean_square_rows, monte_carlo_rows
 from .study_runs import run_all, scenario_documents
 from .terminal import StageProgress
+from .toml_file import read_toml
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
 PREFIX = "study_"
@@ -249,12 +249,7 @@ def load_study(name: str) -> Mapping[str, Any]:
         raise ScenarioError(
             f"study {name!r} is neither bundled nor a TOML file; {nearest(name, study_names())}"
         )
-    try:
-        spec = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path.name}: is no TOML: {error}") from None
-    except RecursionError:
-        raise ScenarioError(f"{path.name}: is no TOML: nested too deeply") from None
+    spec = read_toml(path, ScenarioError)
     missing = [key for key in KEYS if key not in spec]
     if missing:
         raise ScenarioError(

@@ -23,7 +23,6 @@ Listed values and ranges form a grid, each cell of which has `samples` runs when
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -34,6 +33,7 @@ from pydantic import Field, ValidationError, model_validator
 from .errors import ScenarioError, SweepError, nearest
 from .scenario import Scenario, load_scenario
 from .sweep_values import Interval, Parameter, Range, Search, Table, Value
+from .toml_file import read_toml
 
 METRICS = (
     "stable", "damping", "frequency", "settling_time", "peak", "energy", "effort", "packets", "fit_error",
@@ -222,12 +222,7 @@ def load_sweep(source: str | Path | Mapping[str, Any]) -> Sweep:
     path = Path(source)
     if not path.is_file():
         raise SweepError(f"{path}: no such sweep file")
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SweepError(f"{path.name}: is no TOML: {error}") from None
-    except RecursionError:
-        raise SweepError(f"{path.name}: is nested too deeply") from None
+    table = read_toml(path, SweepError)
     return sweep_of({"name": path.stem, **table}, path.name, path.parent)
 
 
