@@ -156,6 +156,10 @@ class _Cluster:
                     ) from None
                 time.sleep(1.0)
 
+    def _forgotten(self) -> bool:
+        """Whether the scheduler is another one: dask reconnects by itself, and what it was given is gone."""
+        return any(blob.status not in ("pending", "finished") for blob in self.blobs.values())
+
     def _drop(self) -> None:
         if self.client is not None:
             with suppress(Exception):
@@ -173,7 +177,7 @@ class _Cluster:
     def more(self) -> bool:
         """Whether anything is left, and hand out what the cluster can take."""
         try:
-            if self.client.status != "running":
+            if self.client.status != "running" or self._forgotten():
                 self._reconnect()
             if time.monotonic() - self.looked > 2.0:
                 self._look()

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -137,9 +137,24 @@ def test_the_rows_are_those_of_local_processes_though_a_worker_dies(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("by_itself", [False, True])
 def test_a_scheduler_that_is_restarted_loses_nothing(
-    document: Any, finished: Any, cache: Path, cluster: Cluster, tmp_path: Path
+    document: Any,
+    finished: Any,
+    cache: Path,
+    cluster: Cluster,
+    monkeypatch: pytest.MonkeyPatch,
+    by_itself: bool,
 ) -> None:
+    """Also when dask found the new scheduler by itself before the sweep looked: its files are gone then."""
+    clients: list[Any] = []
+    connect = sweep_cluster._Cluster.connect
+
+    def watched(self: Any, timeout_s: float, workers_s: float) -> None:
+        connect(self, timeout_s, workers_s)
+        clients.append(self.client)
+
+    monkeypatch.setattr(sweep_cluster._Cluster, "connect", watched)
     cluster.start_scheduler()
     cluster.start_worker()
     rows: dict[int, Any] = {}
@@ -149,14 +164,27 @@ def test_a_scheduler_that_is_restarted_loses_nothing(
             assert outcome.row["run"] not in rows
             rows[outcome.row["run"]] = outcome.row
         if rows and not restarted:
-            assert cluster.scheduler is not None
-            cluster.scheduler.kill()
-            cluster.scheduler.wait()
-            cluster.start_scheduler()
-            cluster.start_worker()
             restarted = True
+            _restart(cluster)
+            if by_itself:
+                _wait_until(lambda: clients[0].status in ("running", "closed"))
     assert restarted
     assert [rows[k]["energy"] for k in range(12)] == list(finished[1].energy)
+
+
+def _restart(cluster: Cluster) -> None:
+    assert cluster.scheduler is not None
+    cluster.scheduler.kill()
+    cluster.scheduler.wait()
+    cluster.start_scheduler()
+    cluster.start_worker()
+
+
+def _wait_until(reached: Callable[[], bool]) -> None:
+    end = time.monotonic() + 60.0
+    while not reached() and time.monotonic() < end:
+        time.sleep(0.05)
+    assert reached()
 
 
 @pytest.mark.slow
