@@ -90,7 +90,7 @@ def test_size() -> None:
     assert len({e.name for e in ENTRIES}) == len(ENTRIES)
 
 
-@pytest.mark.timeout(30)
+@pytest.mark.timeout(120)
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda e: e.name)
 def test_one_clear_line(entry: Entry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file, out = tmp_path / f"wrong{entry.suffix}", tmp_path / "out"
@@ -135,7 +135,7 @@ def archives(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return {".fmu": fmu.read_bytes(), ".ssp": ssp.read_bytes()}
 
 
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(120)
 @pytest.mark.parametrize("suffix", [".fmu", ".ssp"])
 @pytest.mark.parametrize("k", range(12))
 def test_damaged_archives_are_found(
@@ -150,7 +150,7 @@ def test_damaged_archives_are_found(
     assert [p.name for p in tmp_path.rglob("*")] == [file.name]
 
 
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(120)
 @pytest.mark.parametrize("k", range(6))
 def test_a_damaged_controller_fmu_is_one_line(
     k: int, archives: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
