@@ -232,7 +232,9 @@ def explain(master: Master, delays: Mapping[str, Delays] | None = None) -> str:
     if master.ran:
         lines.append(f"stepped by: {master.ran}")
     lines += [
-        f"loop without a channel: {' <-> '.join(x.members)}, {master.how(x)}" for x in g.groups if x.is_loop
+        f"loop without a channel: {' <-> '.join(x.members)}, {master.stepping.how(x)}"
+        for x in g.groups
+        if x.is_loop
     ]
     for e in g.unconnected:
         start = master.participants[e.instance].description.input_of[e.variable].start

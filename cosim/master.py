@@ -31,22 +31,20 @@ import numpy as np
 from .clock import Step, seconds, to_ticks
 from .early_return import EARLY, Early, rolled_back, too_short
 from .errors import GraphError, ScenarioError, StepError
-from .graph import Graph, Group, build_graph
+from .graph import Graph, build_graph
 from .initialise import initialise
 from .instances import FmuParticipant
 from .kernel import Kernel, why_not
 from .kernel_build import kernel_or_reason
 from .loops import iterate_loop
 from .participant import Participant
-from .signals import Signal
+from .stepping import LOOPS, Loops, Stepping
 from .timing import clock_of, step_and_reason
 from .trajectory import Records, Trajectory
 from .wiring import Inputs, make_nodes, make_signals
 
-Loops = Literal["auto", "iterate", "extrapolate"]
 Progress = Callable[[float, float], object]
 INPUTS: tuple[Inputs, ...] = ("hermite", "linear", "hold-jacobi", "hold-gauss-seidel")
-LOOPS: tuple[Loops, ...] = ("auto", "iterate", "extrapolate")
 Engine = Literal["auto", "kernel", "python"]
 ENGINES: tuple[Engine, ...] = ("auto", "kernel", "python")
 
@@ -127,6 +125,7 @@ class Master:
             else step_and_reason(self.latency_s.values(), [stop_s, *marks])
         )
         self.inputs, self.loops, self.tolerance, self.substeps = inputs, loops, tolerance, substeps
+        holds = inputs.startswith("hold")
         self.clock = clock_of(
             descriptions,
             start_s=start_s,
@@ -134,8 +133,8 @@ class Master:
             step_s=self.step_s,
             marks_s=marks,
             latency_ticks=ticks,
-            edges=not self._holds,
-            points=() if self._holds else points,
+            edges=not holds,
+            points=() if holds else points,
         )
         self.graph: Graph = build_graph(descriptions, pairs, step_ticks=self.clock.step, latency_ticks=ticks)
         self._initial_graph = build_graph(
@@ -145,16 +144,15 @@ class Master:
         self.nodes = make_nodes(self.participants, self.graph, self.signals, inputs, substeps)
         self.residual = 0.0  #: of the initial values, relative
         self.repeated = 0  #: loop steps done again since the start
-        self._order: list[Group] = self._groups()
-        self._iterated = {g.members for g in self._order if g.torn and self._iterates(g)}
+        self.stepping = Stepping(descriptions, self.graph, self.signals, inputs, loops, tolerance)
         #: per group: its nodes, and when it is iterated its torn signals
         self._plan = [
             (
                 g,
                 [self.nodes[n] for n in g.members],
-                self._torn_signals(g) if g.members in self._iterated else None,
+                self.stepping.torn_signals(g) if g.members in self.stepping.iterated else None,
             )
-            for g in self._order
+            for g in self.stepping.groups
         ]
         self._index = -1
         outputs = [(n, p) for n, d in descriptions.items() for p in d.outputs]
@@ -363,9 +361,9 @@ class Master:
             library,
             self.nodes,
             self.signals,
-            self._order,
-            self._torn_signals,
-            self._iterated,
+            self.stepping.groups,
+            self.stepping.torn_signals,
+            self.stepping.iterated,
             self.clock.steps,
             tolerance=self.tolerance,
             times=self._times,
@@ -392,42 +390,6 @@ class Master:
             engine = f"python ({self._why_python})"
         if engine not in self.ran:
             self.ran = f"{self.ran}, then {engine}" if self.ran else engine
-
-    @property
-    def _holds(self) -> bool:
-        return self.inputs.startswith("hold")
-
-    def _groups(self) -> list[Group]:
-        if self.inputs == "hold-jacobi":  # nobody waits for anybody
-            return [Group((name,)) for name in self.participants]
-        return list(self.graph.groups)
-
-    def _torn_signals(self, group: Group) -> list[Signal]:
-        """The signals of a loop that run against its order and are not held."""
-        torn = {str(c.source) for c in group.torn}
-        return [s for s in self.signals if s.name in torn and s.kind != "held"]
-
-    def _iterates(self, group: Group) -> bool:
-        """Whether a loop is iterated: not with held inputs, not when told to extrapolate."""
-        if self._holds or self.loops == "extrapolate":
-            return False
-        able = all(self.participants[n].description.saves_state for n in group.members)
-        if self.loops == "iterate" and not able:
-            lame = [n for n in group.members if not self.participants[n].description.saves_state]
-            raise GraphError(
-                f"loop {' -> '.join(group.members)}: {', '.join(lame)} cannot save its state "
-                '(canGetAndSetFMUstate), so the step cannot be iterated; use loops = "extrapolate"'
-            )
-        return able
-
-    def how(self, group: Group) -> str:
-        """Return in words what is done with a loop."""
-        if self._holds:
-            return "inputs held, not iterated"
-        if self._iterates(group):
-            return f"iterated with saved states to {self.tolerance:g} of the largest value"
-        lame = [n for n in group.members if not self.participants[n].description.saves_state]
-        return "extrapolated" + (f": {', '.join(lame)} cannot save its state" if lame else "")
 
     def _record(self, tick: int) -> None:
         row: list[float] = []

@@ -53,7 +53,7 @@ from .channels import ChannelLine, Seconds, Table
 from .clock import to_ticks
 from .early_return import Early
 from .errors import ScenarioError, nearest, one_line
-from .master import Loops
+from .stepping import Loops
 from .toml_file import read_toml
 from .wiring import Inputs
 
