@@ -33,7 +33,7 @@ from .plots import save_figure
 from .report import inline_svg
 from .ringdown import swing_signal
 from .sweep_plan import SweepPlan, code_version
-from .sweep_rows import FAILURES, control_columns
+from .sweep_rows import FAILURES
 from .sweep_run import Runner
 from .sweep_spec import Sweep
 from .sweep_store import read_plan, read_rows
@@ -187,7 +187,7 @@ def _curves(plan: SweepPlan, rows: pd.DataFrame, runner: Runner, count: int) -> 
         values = plan.sweep.values(run)
         loop, curves = runner.simulate(values)
         _, swing = swing_signal(curves, loop.case)
-        controls = {c.partition(".")[2]: curves[c] for c in control_columns(loop)}
+        controls = {c.partition(".")[2]: curves[c] for c in curves.reals_of("controller")}
         row = rows[rows.run == run].iloc[0]
         verdict = "" if "stable" not in row else "stable" if row["stable"] else "not stable"
         found.append((f"run {run}, {verdict}: {point_text(values)}", curves.time_s.copy(), swing, controls))

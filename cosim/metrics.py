@@ -16,6 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+_SUSTAINED = 0.005  #: share by which a swing must shrink from one quarter to the next
+_SETTLED = 0.02  #: of the peak: what remains within is no swing any more
+_AT_LIMIT = 1e-3  #: how near to its limit a control counts as at it
 _LEAST_SQUARED = 1e-6  #: rank tolerance down to which the squared Hankel matrix is exact enough
 
 
@@ -49,7 +52,7 @@ class RingDown:
 class Metrics:
     """What a run reached. `methods` says for each number its window and method.
 
-    stable : no signal leaves the run larger than it was (see `is_stable`).
+    stable : the swing decays, is no sustained oscillation, and no control ends at its limit (`is_stable`).
     damping_ratio : mode -> damping ratio of the ring-down. frequency_hz : mode -> Hz.
     settling_time_s : from the last event to where the signal stays within 2 % of its peak; None: it does not.
     peak : largest |signal|, pu. energy : integral of its square, pu^2 s. effort : of the controls, pu^2 s.
@@ -229,13 +232,34 @@ def energy(time_s: Array, signal: Array, start_s: float = 0.0) -> float:
     return float(np.trapezoid(signal[after] ** 2, time_s[after]))
 
 
-def is_stable(time_s: Array, signal: Array, start_s: float) -> bool:
-    """Whether |signal| decays after `start_s`: its largest value in the last quarter is below that of the
-    second quarter of what follows `start_s`, and below 1e-9 counts as decayed."""
+def is_stable(
+    time_s: Array,
+    signal: Array,
+    start_s: float,
+    *,
+    controls: Sequence[Array] = (),
+    limit_pu: float | None = None,
+) -> bool:
+    """Whether a swing decays after `start_s`, of which the second, third and last quarters are compared.
+
+    Its largest value in the last quarter is below that in the second (below 1e-9 is nothing any more); it is
+    no sustained oscillation: the last quarter is at least 0.5 % below the third, unless it lies within 2 % of
+    the run's peak; and no control is at its limit in the last quarter, where a swing would neither grow nor
+    decay.
+
+    Parameters
+    ----------
+    controls : control signals, pu, on the same points. limit_pu : of their magnitude; None: they have none.
+    """
     span = time_s[-1] - start_s
-    second = (time_s >= start_s + 0.25 * span) & (time_s < start_s + 0.5 * span)
     last = time_s >= start_s + 0.75 * span
-    if not np.any(second) or not np.any(last):
+    third = (time_s >= start_s + 0.5 * span) & ~last
+    second = (time_s >= start_s + 0.25 * span) & (time_s < start_s + 0.5 * span)
+    if not (np.any(second) and np.any(third) and np.any(last)):
         return True
-    early, late = float(np.max(np.abs(signal[second]))), float(np.max(np.abs(signal[last])))
-    return bool(late < early or late < 1e-9)
+    reached = np.inf if limit_pu is None else (1.0 - _AT_LIMIT) * limit_pu
+    if any(np.max(np.abs(u[last])) >= reached for u in controls):
+        return False
+    a2, a3, a4 = (float(np.max(np.abs(signal[part]))) for part in (second, third, last))
+    settled = _SETTLED * float(np.max(np.abs(signal)))
+    return bool(a4 < 1e-9 or (a4 < a2 and (a4 <= settled or a4 <= (1.0 - _SUSTAINED) * a3)))

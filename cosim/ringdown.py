@@ -109,16 +109,18 @@ def _name(amplitudes: npt.NDArray[np.complex128], areas: npt.NDArray[np.int_]) -
     return f"local area {largest}", inside[largest] / total
 
 
-def run_metrics(trajectory: Trajectory, case: Case, scenario: Scenario, step_s: float) -> m.Metrics:
-    """Return the metrics of a run."""
+def run_metrics(
+    trajectory: Trajectory, case: Case, scenario: Scenario, step_s: float, limit_pu: float | None = None
+) -> m.Metrics:
+    """Return the metrics of a run; `limit_pu`: of the control signals, None where they have none."""
     time = trajectory.time_s
     name, signal = swing_signal(trajectory, case)
     end = disturbance_end_s(scenario)
     window = fit_window(scenario)
     window = (window[0], min(window[1], float(time[-1])))
     named, fit = ring_down_of(trajectory, case, window, step_s) if window[1] > window[0] else ({}, None)
-    controls = trajectory.reals_of("controller")
-    effort = float(sum(m.energy(time, trajectory[c]) for c in controls))
+    controls = [trajectory[c] for c in trajectory.reals_of("controller")]
+    effort = float(sum(m.energy(time, u) for u in controls))
     error = 0.0 if fit is None else fit.error
     text = (
         f"matrix pencil on the speeds less their mean, {window[0]:g} to {window[1]:g} s, "
@@ -126,7 +128,7 @@ def run_metrics(trajectory: Trajectory, case: Case, scenario: Scenario, step_s: 
     )
     return m.Metrics(
         signal=name,
-        stable=m.is_stable(time, signal, end),
+        stable=m.is_stable(time, signal, end, controls=controls, limit_pu=limit_pu),
         damping_ratio={n: mode.damping_ratio for n, mode in named.items()},
         frequency_hz={n: mode.frequency_hz for n, mode in named.items()},
         settling_time_s=m.settling_time_s(time, signal, end),
@@ -137,7 +139,8 @@ def run_metrics(trajectory: Trajectory, case: Case, scenario: Scenario, step_s: 
         methods={
             "damping_ratio": text,
             "frequency_hz": text,
-            "stable": f"largest |{name}| of the last quarter against the second quarter after {end:g} s",
+            "stable": f"largest |{name}| in quarters of the time after {end:g} s: the last below the second, "
+            "and 0.5 % below the third or within 2 % of the peak; no control at its limit in the last",
             "settling_time_s": f"from {end:g} s to the last time |{name}| exceeds 2 % of its peak",
             "peak": f"largest |{name}| of the run",
             "energy": f"integral of {name}^2 over the run, trapezoids",

@@ -50,7 +50,7 @@ class Run(Result):
 
     @property
     def stable(self) -> bool:
-        """Whether the swing between the areas decays."""
+        """Whether the swing between the areas decays, and is no oscillation that goes on (`is_stable`)."""
         return self.metrics.stable
 
     def damping_ratio(
@@ -152,8 +152,16 @@ class Loop:
             explanation=explain(self.master, delays),
             scenario=self.scenario,
             case=self.case,
-            metrics=run_metrics(done, self.case, self.scenario, self.master.step_s),
+            metrics=run_metrics(done, self.case, self.scenario, self.master.step_s, self.control_limit_pu),
         )
+
+    @property
+    def control_limit_pu(self) -> float | None:
+        """Bound of the magnitude of the control signals; None where the controller tells none."""
+        controller = self.master.participants.get(_CONTROLLER)
+        if not isinstance(controller, FmuParticipant) or "limit" not in controller.file.variables:
+            return None
+        return controller.value_of("limit")
 
     def self_test(self) -> SelfTest:
         """Measure the latency of every connection; compare with the ledger (module `self_test`)."""

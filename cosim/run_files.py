@@ -45,7 +45,7 @@ def run_plot(run: Run) -> Figure:
     """Draw a run: the speed difference it is judged by, speeds of the machines, controls if there are any."""
     curves = run.trajectory
     name, swing = swing_signal(curves, run.case)
-    controls = [c for c in map(str, curves.data) if c.startswith("controller.") and c.endswith("_vs")]
+    controls = curves.reals_of("controller")
     rows = 3 if controls else 2
     figure, axes = new_figure(rows, 1, height=1.4 * rows + 0.5, sharex=True)
     axes[0].plot(curves.time_s, 1e3 * swing, color=SERIES[0])

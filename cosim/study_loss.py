@@ -101,7 +101,7 @@ def monte_carlo_rows(
             {
                 "controller": name,
                 "runs": len(mine),
-                "stable": sum(bool(r.metrics["stable"]) and not r.metrics["at_limit"] for r in mine),
+                "stable": sum(bool(r.metrics["stable"]) for r in mine),
                 "settling_time_s": _spread([r.metrics["settling_time_s"] for r in mine]),
                 "inter_area": _spread([r.metrics["damping_ratio"].get("inter-area") for r in mine]),
             }

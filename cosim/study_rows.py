@@ -93,7 +93,7 @@ def scenario_row(run: StudyRun) -> dict[str, Any]:
     m = run.metrics
     return {
         "title": run.title,
-        "stable": bool(m["stable"]) and not m["at_limit"],
+        "stable": bool(m["stable"]),
         "damping_ratio": m["damping_ratio"].get("inter-area"),
         "modes": m["damping_ratio"],
         "settling_time_s": m["settling_time_s"],

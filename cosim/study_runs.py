@@ -177,27 +177,21 @@ def _run_into(document: Document, folder: Path, cache: Path) -> None:
         run = run_scenario(load_scenario(document), cache=cache)
     artefact(folder.parent, folder.name, "trajectory", ".parquet", run.trajectory.write_parquet)
     numbers = run.metrics.as_dict()
-    numbers["late_damping"], numbers["at_limit"] = _late(run)
+    numbers["late_damping"] = _late_damping(run)
     text = json.dumps(numbers, indent=1, default=str)
     artefact(folder.parent, folder.name, "metrics", ".json", lambda p: p.write_text(text, encoding="utf-8"))
 
 
-def _late(run: Run) -> tuple[float | None, bool]:
-    """Return the damping ratio of what swings longest, and whether the control still reaches its limit late.
-
-    The first: strongest mode of dw24 from 4 s after the last disturbance on; None when the control is at its
-    limit, or nothing is left. Late: the last quarter of the run.
+def _late_damping(run: Run) -> float | None:
+    """Return the damping ratio of what swings longest: the strongest mode of dw24 from 4 s after the last
+    disturbance on; None when a control has been at its limit, or nothing is left.
     """
     curves, scenario = run.trajectory, run.scenario
-    time = curves.time_s
-    controls = [c for c in map(str, curves.data) if c.startswith("controller.") and c.endswith("_vs")]
-    last = time >= 0.75 * time[-1]
-    limit = max((float(np.max(np.abs(curves[c]))) for c in controls), default=0.0)
-    at_limit = any(float(np.max(np.abs(curves[c][last]))) >= 0.999 * DEFAULT_LIMIT for c in controls)
+    largest = max((float(np.max(np.abs(curves[c]))) for c in curves.reals_of("controller")), default=0.0)
     _, signal = swing_signal(curves, run.case)
     start = round(disturbance_end_s(scenario) + LATE_S, 6)
-    if limit >= 0.999 * DEFAULT_LIMIT or start + 3.0 > scenario.stop_s:
-        return None, at_limit
-    grid, values = uniform(time, signal[:, None], start, min(start + 8.0, scenario.stop_s), 0.05)
+    if largest >= 0.999 * DEFAULT_LIMIT or start + 3.0 > scenario.stop_s:
+        return None
+    grid, values = uniform(curves.time_s, signal[:, None], start, min(start + 8.0, scenario.stop_s), 0.05)
     swings = [m for m in ring_down(grid, values).modes if 0.1 <= m.frequency_hz <= 2.5]
-    return (swings[0].damping_ratio if swings else None), at_limit
+    return swings[0].damping_ratio if swings else None

@@ -13,7 +13,6 @@ from typing import Any
 import pyarrow as pa
 
 from . import metrics as m
-from .instances import FmuParticipant
 from .ringdown import disturbance_end_s, fit_window, ring_down_of, swing_signal
 from .run import Loop, packet_counts
 from .sweep_plan import SweepPlan
@@ -75,7 +74,7 @@ def schema_of(plan: SweepPlan) -> pa.Schema:
                 "stable",
                 pa.bool_(),
                 "",
-                "the swing between the areas decays and no control ends at its limit",
+                "the swing between the areas decays (does not just go on) and no control ends at its limit",
             )
         )
     for kind, unit in (("damping", "1"), ("frequency", "Hz")):
@@ -121,7 +120,8 @@ def measure(loop: Loop, curves: Curves, wanted: Sequence[str], modes: Sequence[s
     end = disturbance_end_s(scenario)
     row: Row = {}
     if "stable" in wanted:
-        row["stable"] = m.is_stable(time, signal, end) and not _saturated(loop, curves, end)
+        controls = [curves[c] for c in curves.reals_of("controller")]
+        row["stable"] = m.is_stable(time, signal, end, controls=controls, limit_pu=loop.control_limit_pu)
     if {"damping", "frequency", "fit_error"} & set(wanted):
         window = fit_window(scenario)
         window = (window[0], min(window[1], float(time[-1])))
@@ -143,31 +143,13 @@ def measure(loop: Loop, curves: Curves, wanted: Sequence[str], modes: Sequence[s
     if "energy" in wanted:
         row["energy"] = m.energy(time, signal)
     if "effort" in wanted:
-        controls = control_columns(loop)
-        row["effort"] = float(sum(m.energy(time, curves[c]) for c in controls))
+        controls = [curves[c] for c in curves.reals_of("controller")]
+        row["effort"] = float(sum(m.energy(time, u) for u in controls))
     if "packets" in wanted:
         counts = [packet_counts(loop.master.participants[n]) for n in loop.channels]
         for column, name in PACKETS.items():
             row[column] = int(sum(c.get(name, 0.0) for c in counts))
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
-
-
-def control_columns(loop: Loop) -> list[str]:
-    """Return the columns of the control signals: the Reals that the controller puts out."""
-    controller = loop.master.participants.get("controller")
-    ports = () if controller is None else controller.description.outputs
-    return [f"controller.{p.name}" for p in ports if p.type == "Real"]
-
-
-def _saturated(loop: Loop, curves: Curves, end_s: float) -> bool:
-    """Whether a control is at its limit in the last quarter: a swing that neither grows nor decays."""
-    controller = loop.master.participants.get("controller")
-    if not isinstance(controller, FmuParticipant) or "limit" not in controller.file.variables:
-        return False
-    limit = controller.value_of("limit") * (1.0 - 1e-9)
-    late = curves.time_s >= end_s + 0.75 * (curves.time_s[-1] - end_s)
-    controls = [curves[c][late] for c in control_columns(loop)]
-    return any(len(u) > 0 and float(abs(u).max()) >= limit for u in controls)
 
 
 def trajectory_table(sweep: Sweep, run: int, curves: Trajectory) -> pa.Table:

@@ -54,6 +54,17 @@ def test_windows_can_be_chosen_and_unknown_modes_are_refused(ring_down: Run) -> 
         ring_down.damping_ratio("interarea")
 
 
+def test_a_limit_cycle_at_the_output_limit_is_not_stable() -> None:
+    """Latency beyond the margin: the swing grows until the limit holds it, and then even shrinks a little."""
+    late = {s: {"signal": f"{s}_dw", "latency_s": 0.5} for s in ("G2", "G4")}
+    run = run_scenario(document(channels=late, stop_s=30.0))
+    swing, time = np.abs(run["plant.G2_dw"] - run["plant.G4_dw"]), run.trajectory.time_s
+    quarters = [float(np.max(swing[(time >= t) & (time < t + 7.2)])) for t in (8.4, 15.6, 22.8)]
+    assert quarters == sorted(quarters, reverse=True) and quarters[2] > 0.9 * quarters[0]
+    assert not run.stable
+    assert run_scenario(document(channels={}, stop_s=30.0)).stable
+
+
 def test_nothing_moves_before_the_event(ring_down: Run) -> None:
     before = ring_down.trajectory.time_s < 1.0
     for machine in "G1", "G2", "G3", "G4":
