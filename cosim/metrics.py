@@ -1,10 +1,9 @@
 """Numbers that say how a run went, each with the window and the method it was taken by.
 
 Ring-down damping: after the last disturbance the signals are sums of decaying
-oscillations. The matrix pencil (Hua and Sarkar 1990) finds their poles from
-uniformly sampled windows of several signals at once: the singular vectors of
-a Hankel matrix span the signal space, and shifting it by one sample gives the
-poles as eigenvalues. Modes are told apart by shape, not by position.
+oscillations. The matrix pencil (`pencil`) finds their poles from uniformly
+sampled windows of several signals at once. Modes are told apart by shape, not
+by position.
 """
 
 from __future__ import annotations
@@ -15,11 +14,12 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from . import pencil
+
 Array = npt.NDArray[np.float64]
 _SUSTAINED = 0.005  #: share by which a swing must shrink from one quarter to the next
 _SETTLED = 0.02  #: of the peak: what remains within is no swing any more
 _AT_LIMIT = 1e-3  #: how near to its limit a control counts as at it
-_LEAST_SQUARED = 1e-6  #: rank tolerance down to which the squared Hankel matrix is exact enough
 
 
 @dataclass(frozen=True)
@@ -76,23 +76,23 @@ class Metrics:
 
 
 def uniform(
-    time_s: Array, values: Array, start_s: float, stop_s: float, step_s: float
+    time_s: Array, signals: Sequence[Array], start_s: float, stop_s: float, step_s: float
 ) -> tuple[Array, Array]:
-    """Return a window of `values` (points, signals) on a uniform grid.
+    """Return a window of `signals`, each (points,), on a uniform grid: times, values (times, signals).
 
     Grid points of a run are on the grid already; extra points at events are left out, and only where a grid
     point is missing is it interpolated (straight line).
     """
     n = int(np.floor((stop_s - start_s) / step_s + 1e-9)) + 1
     grid: Array = start_s + step_s * np.arange(n, dtype=np.float64)
-    window = np.empty((n, values.shape[1]))
-    for k in range(values.shape[1]):
-        window[:, k] = np.interp(grid, time_s, values[:, k])
+    window = np.empty((n, len(signals)))
+    for k, signal in enumerate(signals):
+        window[:, k] = np.interp(grid, time_s, signal)
     return grid, window
 
 
 def ring_down(
-    time_s: Array, values: Array, *, rank_tolerance: float = 1e-4, max_order: int = 24, pencil: float = 0.4
+    time_s: Array, values: Array, *, rank_tolerance: float = 1e-4, max_order: int = 24, share: float = 0.4
 ) -> RingDown:
     """Fit decaying oscillations to uniformly sampled signals by the matrix pencil.
 
@@ -100,7 +100,7 @@ def ring_down(
     ----------
     time_s : (points,) uniform. values : (points, signals), each in its own unit.
     rank_tolerance : singular values below this times the largest are noise.
-    max_order : most poles. pencil : pencil parameter over the number of points.
+    max_order : most poles. share : pencil parameter over the number of points.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def ring_down(
         raise ValueError(f"ring_down: {n} points are too few; at least 10 are needed")
     steps = np.diff(time_s)
     step = (time_s[-1] - time_s[0]) / (n - 1)
-    if not np.allclose(steps, step, rtol=1e-6, atol=0.0):
+    if not np.max(np.abs(steps - step)) <= 1e-6 * abs(step):
         raise ValueError("ring_down: the times are not uniform; use `uniform` first")
     window = (float(time_s[0]), float(time_s[-1]))
     scale = np.max(np.abs(values), axis=0)
@@ -120,72 +120,17 @@ def ring_down(
     if not np.any(used):
         return RingDown((), window, 0.0)
     data = values[:, used] / scale[used]
-    length = int(pencil * n)
-    rows = n - length
-    hankel = np.hstack(
-        [np.lib.stride_tricks.sliding_window_view(data[:, k], rows).T for k in range(data.shape[1])]
-    )
-    basis = _signal_space(hankel, rank_tolerance, max_order)
-    shift = _shift_of(basis)
-    discrete = np.linalg.eigvals(shift)
-    discrete = discrete[np.abs(discrete) > 1e-6]
-    poles = np.log(discrete.astype(complex)) / step
-    powers = np.exp(np.outer(time_s - time_s[0], poles))
-    orthogonal, triangle = np.linalg.qr(powers)
-    amplitudes = np.linalg.lstsq(triangle, orthogonal.conj().T @ values, rcond=None)[0]
-    misfit = float(np.max(np.abs(values - (powers @ amplitudes).real) / np.where(used, scale, 1.0)))
+    basis = pencil.signal_space(data, n - int(share * n), rank_tolerance, max_order)
+    poles = pencil.poles_of(basis, step)
+    amplitudes, misfit = pencil.amplitudes_of(time_s, values, poles)
+    per_unit = np.where(used, scale, 1.0)
+    strength = np.max(np.abs(amplitudes) / per_unit, axis=1)
+    swings = np.flatnonzero((poles.imag > 1e-6) & (poles.imag < 0.9 * np.pi / step))
     modes = [
-        RingDownMode(complex(p), tuple(2.0 * amplitudes[k]))
-        for k, p in enumerate(poles)
-        if p.imag > 1e-6 and p.imag < 0.9 * np.pi / step
+        RingDownMode(complex(poles[k]), tuple(amplitudes[k].tolist()))
+        for k in sorted(swings.tolist(), key=lambda k: -strength[k])
     ]
-    weight = {
-        id(mode): float(np.max(np.abs(np.array(mode.amplitudes)) / np.where(used, scale, np.inf)))
-        for mode in modes
-    }
-    modes.sort(key=lambda mode: -weight[id(mode)])
-    return RingDown(tuple(modes), window, misfit)
-
-
-def _signal_space(hankel: Array, rank_tolerance: float, max_order: int) -> Array:
-    """Return the left singular vectors of a Hankel matrix above the tolerance, (rows, order <= max_order).
-
-    They are the leading eigenvectors of H H^T, found by subspace iteration from a fixed start, since the
-    spectrum falls fast; where that has not settled after six rounds, among all eigenvectors.
-    """
-    if rank_tolerance < _LEAST_SQUARED:  # squaring the matrix would drown what is that small
-        left, sigma, _ = np.linalg.svd(hankel, full_matrices=False)
-        return np.asarray(left[:, : max(1, min(int(np.sum(sigma > rank_tolerance * sigma[0])), max_order))])
-    gram = hankel @ hankel.T
-    n = len(gram)
-    width = min(n, max_order + 12)
-    floor = rank_tolerance**2
-    if width < n:
-        start = np.random.Generator(np.random.PCG64(1)).standard_normal((n, width))
-        space = np.linalg.qr(gram @ start)[0]
-        before = np.zeros(width)
-        for _ in range(6):
-            image = gram @ space
-            values, vectors = np.linalg.eigh(space.T @ image)
-            kept = (values > floor * values[-1]) & (np.arange(width) >= width - max_order)
-            change = np.abs(values[kept] - before[kept])
-            if np.all(change <= 1e-9 * values[kept]):
-                return np.asarray(space @ vectors[:, kept][:, ::-1])
-            before = values
-            space = np.linalg.qr(image)[0]
-    values, vectors = np.linalg.eigh(gram)
-    kept = (values > floor * values[-1]) & (np.arange(n) >= n - max_order)
-    return np.asarray(vectors[:, kept][:, ::-1])
-
-
-def _shift_of(basis: Array) -> Array:
-    """Return the matrix that shifts an orthonormal basis by one row, by least squares."""
-    last = basis[-1]
-    rest = 1.0 - float(last @ last)
-    if rest > 1e-8:  # the inverse of basis[:-1]^T basis[:-1] = I - last last^T in closed form
-        product = basis[:-1].T @ basis[1:]
-        return np.asarray(product + np.outer(last, last @ product) / rest)
-    return np.asarray(np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)[0])
+    return RingDown(tuple(modes), window, float(np.max(np.abs(misfit) / per_unit)))
 
 
 def match_modes(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -70,43 +71,49 @@ def ring_down_of(
     inside area k is ``local area k``; of each the strongest. Mixtures, as harmonics of a large swing, have
     no name.
     """
-    speeds = np.column_stack([trajectory[f"plant.{g.name}_dw"] for g in case.machines])
-    speeds = speeds - speeds.mean(axis=1, keepdims=True)
+    columns = [f"plant.{g.name}_dw" for g in case.machines]
     spacing = max(1, round(_SAMPLE_S / step_s)) * step_s
     start = np.ceil(window_s[0] / step_s - 1e-9) * step_s
-    time, values = m.uniform(trajectory.time_s, speeds, float(start), window_s[1], spacing)
+    time, values = m.uniform(
+        trajectory.time_s, [trajectory[c] for c in columns], float(start), window_s[1], spacing
+    )
     if len(time) < 10:
         return {}, m.RingDown((), window_s, 0.0)
-    fit = m.ring_down(time, values)
-    areas = np.array([g.area for g in case.machines])
+    fit = m.ring_down(time, values - values.mean(axis=1, keepdims=True))
+    inside = [mode for mode in fit.modes if _BAND_HZ[0] <= mode.frequency_hz <= _BAND_HZ[1]]
+    if not inside:
+        return {}, fit
+    shapes = np.array([mode.amplitudes for mode in inside])
+    sizes = np.max(np.abs(shapes), axis=1)
+    strongest = np.maximum.accumulate(sizes)
     named: dict[str, m.RingDownMode] = {}
-    strongest = 0.0
-    for mode in fit.modes:
-        size = float(np.max(np.abs(mode.amplitudes)))
-        if not _BAND_HZ[0] <= mode.frequency_hz <= _BAND_HZ[1]:
-            continue
-        strongest = max(strongest, size)
-        name, purity = _name(np.array(mode.amplitudes), areas)
-        if size >= _LEAST_STRENGTH * strongest and purity >= _LEAST_PURITY:
-            named.setdefault(name, mode)
+    for k, (name, purity) in enumerate(_names(shapes, [g.area for g in case.machines])):
+        if sizes[k] >= _LEAST_STRENGTH * strongest[k] and purity >= _LEAST_PURITY:
+            named.setdefault(name, inside[k])
     return named, fit
 
 
-def _name(amplitudes: npt.NDArray[np.complex128], areas: npt.NDArray[np.int_]) -> tuple[str, float]:
-    """Return the name of a shape and the share of the motion that the name covers."""
-    between = 0.0
+def _names(shapes: npt.NDArray[np.complex128], areas: Sequence[int]) -> list[tuple[str, float]]:
+    """Return the name of each shape, (modes, machines), and the share of the motion that the name covers."""
+    count = shapes.shape[1]
+    rest = shapes - shapes.sum(axis=1, keepdims=True) / count
+    between = np.zeros(len(shapes))
     inside = {}
-    mean = amplitudes.mean()
-    for area in sorted(set(areas.tolist())):
-        part = amplitudes[areas == area]
-        between += len(part) * abs(part.mean() - mean) ** 2
-        inside[area] = float(np.sum(np.abs(part - part.mean()) ** 2))
-    largest = max(inside, key=lambda a: inside[a])
+    for area in sorted(set(areas)):
+        part = rest[:, [k for k, a in enumerate(areas) if a == area]]
+        mean = part.sum(axis=1, keepdims=True) / part.shape[1]
+        between += part.shape[1] * np.abs(mean[:, 0]) ** 2
+        inside[area] = np.sum(np.abs(part - mean) ** 2, axis=1)
     total = between + sum(inside.values())
-    if between >= inside[largest]:
+    local = np.array(list(inside.values()))
+    largest = np.argmax(local, axis=0)
+    found = []
+    for k, all_motion in enumerate(total):
+        own = local[largest[k], k]
+        name = "inter-area" if between[k] >= own else f"local area {list(inside)[largest[k]]}"
         # a shape that is nothing at all swings nowhere: its share is none
-        return "inter-area", float(between / total) if total > 0.0 else 0.0
-    return f"local area {largest}", inside[largest] / total
+        found.append((name, float(max(between[k], own) / all_motion) if all_motion > 0.0 else 0.0))
+    return found
 
 
 def run_metrics(

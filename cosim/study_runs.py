@@ -192,6 +192,6 @@ def _late_damping(run: Run) -> float | None:
     start = round(disturbance_end_s(scenario) + LATE_S, 6)
     if largest >= 0.999 * DEFAULT_LIMIT or start + 3.0 > scenario.stop_s:
         return None
-    grid, values = uniform(curves.time_s, signal[:, None], start, min(start + 8.0, scenario.stop_s), 0.05)
+    grid, values = uniform(curves.time_s, [signal], start, min(start + 8.0, scenario.stop_s), 0.05)
     swings = [m for m in ring_down(grid, values).modes if 0.1 <= m.frequency_hz <= 2.5]
     return swings[0].damping_ratio if swings else None

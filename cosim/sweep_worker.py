@@ -29,9 +29,11 @@ def work(
     tempfile.tempdir = str(scratch)
     from threadpoolctl import threadpool_limits
 
+    from .heap import keep_freed_memory
     from .sweep_plan import plan_of_document
     from .sweep_run import Runner
 
+    keep_freed_memory()
     with threadpool_limits(1), Runner(plan_of_document(document), cache, scratch) as runner:
         try:
             while (runs := pipe.recv()) is not None:

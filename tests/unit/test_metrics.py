@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from interarea.cosim import metrics as m
+from interarea.cosim import pencil
 
 T = 0.05 * np.arange(300)
 
@@ -96,21 +97,44 @@ def test_a_control_at_its_limit_in_the_end_is_not_stable() -> None:
 
 def test_a_uniform_window_drops_extra_points_only() -> None:
     time = np.sort(np.append(T, [1.2345, 3.3333]))
-    grid, values = m.uniform(time, np.column_stack([np.sin(time)]), 1.0, 5.0, 0.1)
+    grid, values = m.uniform(time, [np.sin(time)], 1.0, 5.0, 0.1)
     assert grid[0] == 1.0 and grid[-1] == pytest.approx(5.0)
     np.testing.assert_allclose(values[:, 0], np.sin(grid), atol=1e-13)
 
 
-def test_the_signal_space_is_that_of_the_singular_vectors() -> None:
+def hankel_of(values: np.ndarray, rows: int) -> np.ndarray:
+    return np.hstack([np.lib.stride_tricks.sliding_window_view(x, rows).T for x in values.T])
+
+
+@given(st.integers(2, 30), st.integers(0, 40), st.integers(1, 5), st.integers(0, 2**32 - 1))
+def test_the_product_of_windows_is_that_of_the_hankel_matrix(
+    rows: int, more: int, signals: int, seed: int
+) -> None:
+    values = np.random.default_rng(seed).standard_normal((rows + more, signals))
+    hankel = hankel_of(values, rows)
+    product = np.triu(pencil.windows_product(values, rows))
+    np.testing.assert_allclose(product, np.triu(hankel @ hankel.T), atol=1e-12 * (1 + rows + more))
+
+
+@pytest.mark.parametrize("level", [0.0, 1e-9, 1e-3, 0.3])
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-7])
+def test_the_signal_space_is_that_of_the_singular_vectors(level: float, tolerance: float) -> None:
     # A swing with a limit cycle's harmonics and noise: the spectrum falls slowly, the hard case.
     noise = np.random.default_rng(5).standard_normal((len(T), 4))
     shape = np.array([1.0, 0.9, -0.8, -1.0])
-    for level in (0.0, 1e-3, 0.3):
-        values = np.outer(swing(0.05, 0.6) + 0.1 * swing(0.01, 1.8), shape) + level * noise
-        hankel = np.hstack([np.lib.stride_tricks.sliding_window_view(values[:, k], 180).T for k in range(4)])
-        left, sigma, _ = np.linalg.svd(hankel, full_matrices=False)
-        order = min(int(np.sum(sigma > 1e-4 * sigma[0])), 24)
-        space = m._signal_space(hankel, 1e-4, 24)
-        assert space.shape == (180, order)
-        np.testing.assert_allclose(np.abs(np.diag(left[:, :4].T @ space[:, :4])), 1.0, atol=1e-9)
-        assert np.linalg.norm(left[:, :order].T @ space, 2) == pytest.approx(1.0, abs=1e-9)
+    values = np.outer(swing(0.05, 0.6) + 0.1 * swing(0.01, 1.8), shape) + level * noise
+    left, sigma, _ = np.linalg.svd(hankel_of(values, 180), full_matrices=False)
+    order = min(int(np.sum(sigma > tolerance * sigma[0])), 24)
+    space = pencil.signal_space(values, 180, tolerance, 24)
+    assert space.shape == (180, order)
+    np.testing.assert_allclose(space.T @ space, np.eye(order), atol=1e-12)
+    np.testing.assert_allclose(np.abs(np.diag(left[:, :4].T @ space[:, :4])), 1.0, atol=1e-9)
+    assert np.linalg.norm(left[:, :order].T @ space, 2) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_amplitudes_have_size_and_phase_of_the_swings_they_come_from() -> None:
+    values = np.column_stack([2.0 * swing(0.1, 0.6, 0.4) + 3.0 * np.exp(-0.2 * T), -swing(0.1, 0.6, 0.4)])
+    fit = m.ring_down(T, values)
+    (mode,) = fit.modes
+    np.testing.assert_allclose(mode.amplitudes, np.array([2.0, -1.0]) * np.exp(0.4j), rtol=1e-7)
+    assert fit.error <= 1e-9
