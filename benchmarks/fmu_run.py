@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import dataclasses
 import shutil
 import tempfile
 import time
@@ -32,7 +31,7 @@ class PlantSlave:
         substep_s: float = 0.001,
         parameters: Mapping[str, float] | None = None,
     ) -> None:
-        block = dataclasses.replace(plant_block(case), internal_step_s=substep_s)
+        block = plant_block(case, solver_step_s=substep_s)
         self.folder = Path(tempfile.mkdtemp(prefix="plant-slave-"))
         path = build_fmu(block, self.folder / "plant.fmu", cache=default_cache())
         description = fmpy.read_model_description(str(path))

@@ -160,7 +160,7 @@ def block_fmu(block: Block, cache: Path, *, platforms: Sequence[str] | None = No
         block.kind,
         block.name,
         block.description,
-        [block.step_s, block.stop_s, block.internal_step_s, block.model_exchange],
+        [block.step_s, block.stop_s, block.longest_step_s, block.model_exchange],
         dict(block.documentation),
         dict(block.provenance),
         variables,

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from interarea.models.plant_block import BATCH_SOURCES
 from interarea.models.record import pack_record
-from interarea.models.variables import Block
+from interarea.models.variables import STEP_PARAMETER, Block
 
 from .compile import compile_library, gather_sources, host_platform
 from .errors import BuildError, FmuError
@@ -48,7 +48,7 @@ class _Batch(ctypes.Structure):
         ("n_steps", ctypes.c_size_t),
         ("start", ctypes.c_double),
         ("step", ctypes.c_double),
-        ("substep", ctypes.c_double),
+        ("substep", _Real),
         ("status", _Integer),
         ("ended", _Real),
         ("message", ctypes.c_char_p),
@@ -149,7 +149,7 @@ class PlantBatch:
         ----------
         scenarios : start values of each: parameters and events as `event_parameters` gives them, states.
         stop_s, step_s : s; the last step ends at or just after `stop_s`.
-        substep_s : longest Runge-Kutta step, s; default: that of the block's FMU.
+        substep_s : longest Runge-Kutta step, s; default: the `solver.step` of each scenario.
         start_states : (states, scenarios) instead of the operating point.
         inputs : (steps, inputs, scenarios), constant over each step; default zero.
         lanes : 1, 2, 4 or 8 side by side; default as many as the processor has. A plant with ports
@@ -171,6 +171,8 @@ class PlantBatch:
             raise ValueError(f"lanes = {lanes}, allowed: {LANES}")
         u = None if inputs is None else self._array("inputs", inputs, (steps, self._layout.u, n))
         y = np.full((steps + 1, self._layout.y, n), np.nan)
+        own = [v.name for v in self._table.of_role("parameter")].index(STEP_PARAMETER)
+        substeps = np.array(p[own]) if substep_s is None else np.full(n, substep_s, dtype=float)
         status, ended = np.zeros(n, dtype=np.intc), np.zeros(n)
         texts = ctypes.create_string_buffer(_MESSAGE_SIZE * n)
         work, keep = self._work(wide)
@@ -186,7 +188,7 @@ class PlantBatch:
             n_steps=steps,
             start=0.0,
             step=step_s,
-            substep=self.block.internal_step_s if substep_s is None else substep_s,
+            substep=_real(substeps),
             status=status.ctypes.data_as(_Integer),
             ended=_real(ended),
             message=ctypes.cast(texts, ctypes.c_char_p),

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from interarea.models.record import pack_record
-from interarea.models.variables import Block, Enumeration, Variable
+from interarea.models.variables import STEP_PARAMETER, Block, Enumeration, Variable
 
 RECORD_FORMAT = 1  #: read by c/fmi2_instantiate.c
 
@@ -101,10 +101,12 @@ def _tables(block: Block) -> dict[str, npt.ArrayLike | bytes]:
     """Entries of the record that the FMI layer reads."""
     table = block.table
     reals, integers = table.reals, table.integers
-    return {
+    step = [table.value_reference(STEP_PARAMETER)] if STEP_PARAMETER in table else []
+    chosen = {"internal_step.parameter": np.array(step, dtype=np.int32)} if step else {}
+    return chosen | {
         "format": np.array([RECORD_FORMAT], dtype=np.int32),
         "layout": table.layout(),
-        "internal_step": np.array([block.internal_step_s], dtype=np.float64),
+        "internal_step": np.array([block.longest_step_s], dtype=np.float64),
         "start.real": table.start_reals(),
         "min.real": np.array([_bound(v, v.min, -np.inf) for v in reals], dtype=np.float64),
         "max.real": np.array([_bound(v, v.max, np.inf) for v in reals], dtype=np.float64),

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from .channel_block import channel_block
 from .plant_block import SOURCES as PLANT_SOURCES
-from .variables import Block, Role, Variable, VariableTable
+from .variables import STEP_PARAMETER, Block, Role, Variable, VariableTable
 
 _HERE = Path(__file__).resolve().parent
 _SOURCES = tuple(
@@ -76,13 +76,17 @@ def loop_block(
     _check(name, members, by_name)
     pairs = list(connections)
     _check_pairs(name, pairs, by_name)
-    integrated = [m.block.internal_step_s for m in members if m.block.kind != "channel"]
+    controllers = [m.block.longest_step_s for m in members if m.block.kind not in ("plant", "channel")]
+    parameters = [v for m in members for v in m.block.table.of_role("parameter")]
+    own_step = next(k for k, v in enumerate(parameters) if v.name == STEP_PARAMETER)
+    integrated = min([*controllers, float(parameters[own_step].start or 0.0)])
     data: dict[str, npt.NDArray[np.float64] | npt.NDArray[np.int32] | bytes] = {
         "loop.kinds": np.array([_KINDS[m.block.kind] for m in members], dtype=np.int32),
         "loop.wire": _wires(members, pairs, integers=False),
         "loop.flag": _wires(members, pairs, integers=True),
         "loop.step": np.array([step_s]),
-        "loop.internal": np.array([min(integrated)]),
+        "loop.internal": np.array([min(controllers, default=1.0)]),
+        "loop.solver": np.array([own_step], dtype=np.int32),
         **{f"member.{k}.record": m.record for k, m in enumerate(members)},
     }
     return Block(
@@ -98,7 +102,7 @@ def loop_block(
         ),
         step_s=step_s,
         stop_s=stop_s,
-        internal_step_s=min(integrated),
+        internal_step_s=integrated,
         model_exchange=False,
         documentation={"Behaviour": _BEHAVIOUR, **(documentation or {})},
         provenance=dict(provenance or {}),

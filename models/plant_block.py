@@ -16,7 +16,7 @@ from .events import check_events, target_index
 from .network import branch_stamp, bus_index, load_power, machine_bus_index, shunt_admittance
 from .plant_ports import port_table
 from .plant_tables import NO_LIMIT, Device, Parameter, in_plant_order, machine_table, network_states
-from .variables import Block, Enumeration, Variable, VariableTable
+from .variables import STEP_PARAMETER, Block, Enumeration, Variable, VariableTable
 
 _HERE = Path(__file__).parent
 SOURCES = tuple(
@@ -64,13 +64,21 @@ _SAME_AS = {"vref_step": "vref_pulse", "pm_step": "pm_pulse"}
 EVENT_REALS = ("start", "end", "size", "size_q", "r", "x")
 
 
-def plant_block(case: Case, *, event_slots: int = 8) -> Block:
+#: Shortest and longest value of the parameter `solver.step`, s.
+SOLVER_STEP_S = (1e-6, 0.1)
+_STEP_TEXT = (
+    "longest Runge-Kutta step inside a communication step (co-simulation; in model exchange the importer "
+    "integrates); stable below about 2.5 times the shortest time constant"
+)
+
+
+def plant_block(case: Case, *, event_slots: int = 8, solver_step_s: float = 0.001) -> Block:
     """Return the plant of `case` as a block with `event_slots` slots for events.
 
     Inputs `G1_vs` .. (pu, at the exciter's summing point); outputs per machine `G1_dw` (pu speed deviation),
     `G1_delta` (rad, against the centre of inertia), `G1_pe` (pu on the base of the case), `G1_vt` (pu), then
     `tie_p`; locals: bus voltages, field voltages, mechanical powers; parameters: gains, times and limits
-    of the controls, which keep the equilibrium, and the event slots.
+    of the controls, which keep the equilibrium, `solver.step` (start `solver_step_s`) and the event slots.
 
     Raises
     ------
@@ -78,9 +86,14 @@ def plant_block(case: Case, *, event_slots: int = 8) -> Block:
     """
     if not 0 <= event_slots <= 1000:
         raise CaseError(f"{case.name}: event_slots = {event_slots}, allowed: 0 to 1000")
+    if not SOLVER_STEP_S[0] <= solver_step_s <= SOLVER_STEP_S[1]:
+        low, high = SOLVER_STEP_S
+        raise CaseError(f"{case.name}: solver_step_s = {solver_step_s}, allowed: {low} to {high}")
     original, case = case, in_plant_order(case)
     point = operating_point(case)
-    devices = ((1, point.exciters), (2, point.stabilizers), (3, point.governors))
+    solver = Device(0, 0, [solver_step_s])  # of no machine: the FMI layer reads its parameter, the plant does not
+    solver.parameters = [Parameter(STEP_PARAMETER, 0, "s", _STEP_TEXT, *SOLVER_STEP_S)]
+    devices = ((1, point.exciters), (2, point.stabilizers), (3, point.governors), (0, (solver,)))
     parameters = [
         (table, k, device, parameter)
         for table, group in devices

@@ -30,6 +30,10 @@ INTEGER_ROLES: tuple[Role, ...] = ("input", "output", "local", "parameter")
 UNITS = ("1", "pu", "pu/s", "s", "1/s", "rad", "rad/s", "rad/s2", "Hz", "deg")
 
 
+#: Name of the parameter by which a block lets its user choose the longest step of its integration.
+STEP_PARAMETER = "solver.step"
+
+
 @dataclass(frozen=True)
 class Enumeration:
     """A named set of integer values, e.g. what a channel does on loss."""
@@ -141,9 +145,22 @@ class Block:
     sources: tuple[Path, ...]  #: C files; headers are found beside them
     step_s: float = 0.01  #: communication step of the DefaultExperiment
     stop_s: float = 20.0
-    #: longest Runge-Kutta step inside a communication step; 1 ms keeps a static exciter's T_A = 1 ms
-    #: accurate to 1e-6 through a fault, 2 ms only stable
-    internal_step_s: float = 0.001
+    #: longest Runge-Kutta step inside a communication step of a block without `solver.step`; None: 1 ms
+    internal_step_s: float | None = None
     model_exchange: bool = True
     documentation: Mapping[str, str] = field(default_factory=dict)  #: heading -> HTML fragment
     provenance: Mapping[str, str] = field(default_factory=dict)  #: source, case hash, method
+
+    def __post_init__(self) -> None:
+        if self.internal_step_s is not None and STEP_PARAMETER in self.table:
+            raise ValueError(
+                f"block {self.name}: internal_step_s = {self.internal_step_s:g}, allowed: None, because its "
+                f"parameter {STEP_PARAMETER} says how long its steps are; give that another start value"
+            )
+
+    @property
+    def longest_step_s(self) -> float:
+        """Longest Runge-Kutta step inside a communication step, s: the start of `solver.step`, if there is one."""
+        if STEP_PARAMETER in self.table:
+            return float(self.table[STEP_PARAMETER].start or 0.0)
+        return 0.001 if self.internal_step_s is None else self.internal_step_s

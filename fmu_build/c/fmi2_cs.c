@@ -88,7 +88,7 @@ static int step_is_sane(Instance *c, double begin, double step, const char *call
 {
     const RunState *run = c->run;
     const double slack = 1e-9 * (1.0 + fabs(run->time)) + 1e-6 * step;
-    const double longest = c->internal_step * (double)SOLVER_MAX_SUBSTEPS;
+    const double longest = *c->internal_step * (double)SOLVER_MAX_SUBSTEPS;
 
     if (!isfinite(begin) || !isfinite(step) || !(step > 0.0))
         instance_report(c, fmi2Error, call, "communication point %g with step %g; a finite point and a "

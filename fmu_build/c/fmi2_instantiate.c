@@ -51,7 +51,7 @@ static int read_tables(Instance *c, char *why)
     n->n_iy = (size_t)layout[6]; n->n_iw = (size_t)layout[7]; n->n_ip = (size_t)layout[8];
     c->n_real = 2 * n->n_x + n->n_u + n->n_y + n->n_w + n->n_p;
     c->n_integer = n->n_iu + n->n_iy + n->n_iw + n->n_ip;
-    c->internal_step = step[0];
+    c->internal_step = step;
     c->start_real = record_f64(&c->record, "start.real", &k[3]);
     c->min_real = record_f64(&c->record, "min.real", &k[4]);
     c->max_real = record_f64(&c->record, "max.real", &k[5]);
@@ -68,6 +68,12 @@ static int read_tables(Instance *c, char *why)
             snprintf(why, WHY_SIZE, "resources/model.bin: an array of variables does not fit `layout`");
             return 1;
         }
+    }
+    const int32_t *parameter = record_i32(&c->record, "internal_step.parameter", &k[0]);
+    c->step_parameter = k[0] == 1 && parameter[0] >= 0 ? (size_t)parameter[0] : c->n_real;
+    if (k[0] > 0 && !(c->step_parameter < c->n_real)) {
+        snprintf(why, WHY_SIZE, "resources/model.bin: `internal_step.parameter` is no variable");
+        return 1;
     }
     c->nominal_x = record_f64(&c->record, "nominal.x", &k[0]);
     if (!count_is(c->nominal_x, k[0], n->n_x)) {
@@ -113,6 +119,7 @@ static int allocate(Instance *c, const BlockNeeds *needs)
     b->u_order = c->integer + c->n_integer;
     b->scratch = c->work + 6 * n->n_x + 2 * n->n_u + n->n_y;
     b->record = &c->record;
+    if (c->step_parameter < c->n_real) c->internal_step = c->real + c->step_parameter;
     return 0;
 }
 

@@ -124,6 +124,11 @@ static int usable(const Instance *c, const StateHead *head)
     const int own = c->type == fmi2ModelExchange ? MODE_EVENT | MODE_CONTINUOUS
                                                  : MODE_STEP_COMPLETE | MODE_STEP_FAILED;
     memcpy(&run, head + 1, sizeof run);
+    if (c->step_parameter < c->n_real) {
+        double step;
+        memcpy(&step, (const unsigned char *)(head + 1) + sizeof run + c->step_parameter * sizeof step, sizeof step);
+        if (!(step >= c->min_real[c->step_parameter] && step <= c->max_real[c->step_parameter])) return 0;
+    }
     return (run.mode & (both | own)) != 0 && (run.mode & (run.mode - 1)) == 0;
 }
 

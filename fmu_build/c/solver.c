@@ -45,7 +45,7 @@ static BlockStatus runge_kutta_step(Instance *c, double begin, double t, double 
 static BlockStatus integrate(Instance *c, double begin, double from, double to, BlockMessage *message)
 {
     const double length = to - from;
-    const double wanted = ceil(length / c->internal_step - 1e-9);
+    const double wanted = ceil(length / *c->internal_step - 1e-9);
     const long count = wanted < 1.0 ? 1 : (long)wanted;
 
     for (long k = 0; k < count; ++k) {

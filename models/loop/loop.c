@@ -96,12 +96,16 @@ static BlockStatus read_members(Loop *l, const Record *record, const BlockLayout
     return BLOCK_OK;
 }
 
-static BlockStatus read_wiring(Loop *l, const Record *record, BlockMessage *message)
+static BlockStatus read_wiring(Loop *l, const Record *record, size_t n_p, BlockMessage *message)
 {
-    size_t count[4];
+    size_t count[4], n_solver;
     const double *step = record_f64(record, "loop.step", &count[0]);
     const double *internal = record_f64(record, "loop.internal", &count[1]);
+    const int32_t *solver = record_i32(record, "loop.solver", &n_solver);
 
+    if (solver == NULL || n_solver != 1 || solver[0] < 0 || (size_t)solver[0] >= n_p)
+        return unfit(message, "`loop.solver`");
+    l->solver = (size_t)solver[0];
     l->wire = record_i32(record, "loop.wire", &count[2]);
     l->flag = record_i32(record, "loop.flag", &count[3]);
     if (step == NULL || count[0] != 1 || !(step[0] >= 1e-6 && step[0] <= 1e3)) return unfit(message, "`loop.step`");
@@ -124,13 +128,15 @@ BlockStatus loop_open(Loop *l, Block *b, const Record *record, const BlockLayout
     size_t p = 0, iy = 0, ip = 0;
     BlockStatus status = read_members(l, record, n, b == NULL, &scratch, memory, message);
 
-    if (status == BLOCK_OK) status = read_wiring(l, record, message);
+    if (status == BLOCK_OK) status = read_wiring(l, record, n->n_p, message);
     if (status != BLOCK_OK) return status;
     l->n_memory = M_MARKS + LOOP_MARKS + 3 * l->n_y + l->n_x + l->n_members;
     l->n_scratch = l->n_members + l->n_x + l->n_iy + 6 * l->n_y + WORK_VECTORS * l->n_x + l->n_u + l->n_y + scratch;
     l->outer = b;
     if (b == NULL) return BLOCK_OK;
 
+    if (!(b->p[l->solver] >= 1e-7)) return unfit(message, "the plant's longest step");
+    if (b->p[l->solver] < l->internal_step) l->internal_step = b->p[l->solver];
     l->slope = b->memory + M_MARKS + LOOP_MARKS;
     l->bend = l->slope + l->n_y;
     l->state = l->bend + 2 * l->n_y;

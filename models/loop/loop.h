@@ -43,7 +43,8 @@ typedef struct {
     const int32_t *wire;                    /* per input: the output that feeds it, or -1 */
     const int32_t *flag;                    /* the same of integer inputs and outputs    */
     int64_t step;                           /* ns                                        */
-    double internal_step;                   /* s                                         */
+    double internal_step;                   /* longest Runge-Kutta step, s: the controllers' or the plant's own */
+    size_t solver;                          /* parameter that holds the plant's          */
     double *slope, *bend;                   /* SAVED per output: 1st; 2nd and 3rd derivative */
     double *state;                          /* SAVED x of all members, one after the other */
     double *members;                        /* SAVED u, integer inputs, memory of each member */

@@ -130,7 +130,7 @@ static void next_segment(Lane *lane, Batch *b)
         lane->done = 0;
         lane->count = 0;
         if (lane->to > lane->from) {
-            const double wanted = ceil((lane->to - lane->from) / b->substep - 1e-9);
+            const double wanted = ceil((lane->to - lane->from) / b->substep[lane->scenario] - 1e-9);
             lane->count = wanted < 1.0 ? 1 : (long)wanted;
             return;
         }
@@ -340,9 +340,10 @@ BlockStatus batch_run(Batch *b, size_t lanes, BlockMessage *message)
     if (status != BLOCK_OK) return status;
     if ((lanes != 1 && lanes != 2 && lanes != 4 && lanes != 8) || lanes > batch_lanes())
         return plant_fail(message, BLOCK_ERROR, "batch: %zu lanes, allowed here: 1, 2, .. %zu", lanes, batch_lanes());
-    if (!(b->step > 0.0 && b->substep > 0.0 && b->step / b->substep <= MOST_SUBSTEPS))
-        return plant_fail(message, BLOCK_ERROR, "batch: step = %g s, substep = %g s, allowed: above 0",
-                          b->step, b->substep);
+    for (size_t k = 0; k < b->n; ++k)
+        if (!(b->step > 0.0 && b->substep[k] > 0.0 && b->step / b->substep[k] <= MOST_SUBSTEPS))
+            return plant_fail(message, BLOCK_ERROR, "batch: step = %g s, substep = %g s, allowed: above 0",
+                              b->step, b->substep[k]);
 
     double *at = b->work;
     Vector v = { lanes, needs.n_memory, { l, NULL, NULL, NULL, NULL, NULL, NULL, NULL }, NULL, NULL };

@@ -30,7 +30,8 @@ typedef struct {
     const double *u;       /* n_steps x n_u x n, constant over each step, or null   */
     double *y;             /* (n_steps + 1) x n_y x n                               */
     size_t n_steps;
-    double start, step, substep;
+    double start, step;
+    const double *substep; /* n: longest Runge-Kutta step of each                   */
     int *status;           /* n: BLOCK_OK, or what ended the scenario               */
     double *ended;         /* n: last good time; after it y is NaN                  */
     BlockMessage *message; /* n                                                     */

@@ -15,7 +15,7 @@ enum {
     C_MACHINE, C_SIXTH, C_BUS, C_BRANCH, C_LOAD, C_EXCITER, C_STABILIZER, C_GOVERNOR,
     C_TIE, C_SLOT, C_ITEM, C_PARAMETER, C_PORT, C_COUNTS
 };
-enum { TABLE_EXCITER = 1, TABLE_STABILIZER, TABLE_GOVERNOR };
+enum { TABLE_SOLVER, TABLE_EXCITER, TABLE_STABILIZER, TABLE_GOVERNOR };
 
 BlockStatus plant_fail(BlockMessage *message, BlockStatus status, const char *format, ...)
 {
@@ -265,6 +265,7 @@ static BlockStatus read_parameters(const Block *b, const Plan *plan, double *mem
         if (!(value >= range[k] && value <= range[n + k]))
             return plant_fail(message, BLOCK_ERROR, "parameter %s = %g, allowed: %g to %g",
                               plant_name(names, k, name), value, range[k], range[n + k]);
+        if (table[k] == TABLE_SOLVER) continue;   /* the FMI layer's own */
         const size_t start = table[k] == TABLE_EXCITER ? plan->exciter
             : table[k] == TABLE_STABILIZER ? plan->stabilizer : plan->governor;
         const size_t rows = table[k] == TABLE_EXCITER ? (size_t)E_ROWS
