@@ -24,16 +24,16 @@ class _Chain:
     def lag(self, name: str, T: float, start: float, description: str, unit: str = "pu") -> None:
         """1/(1 + sT): the output is the state; without T the signal passes."""
         if T > 0.0:
-            self.signal = self._state(name, start, description, unit)
+            self.signal = self._state(name, T, start, description, unit)
 
     def lead_lag(self, name: str, T2: float, start: float, description: str, unit: str = "pu") -> None:
         """(1 + sT1)/(1 + sT2): the output is a mix of the input and the state."""
         if T2 > 0.0:
-            self.signal |= self._state(name, start, description, unit)
+            self.signal |= self._state(name, T2, start, description, unit)
 
-    def _state(self, name: str, start: float, description: str, unit: str) -> frozenset[str]:
+    def _state(self, name: str, T: float, start: float, description: str, unit: str) -> frozenset[str]:
         own = frozenset({f"{self.prefix}.{name}"})
-        entry = State(f"{self.prefix}.{name}", start, unit, description, self.signal | own)
+        entry = State(f"{self.prefix}.{name}", start, unit, description, self.signal | own, T)
         self.device.states.append(entry)
         return own
 

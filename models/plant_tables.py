@@ -6,6 +6,7 @@ the order in which its C function meets them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -20,13 +21,14 @@ NO_LIMIT = 1e30  #: stands for an absent limit
 
 @dataclass(frozen=True)
 class State:
-    """One continuous state: start value at the operating point and what its derivative depends on."""
+    """One continuous state: value at the operating point, what its derivative depends on, time constant."""
 
     name: str
     start: float
     unit: str
     description: str
     depends_on: frozenset[str]
+    time_s: float = math.inf  #: of a lag or lead-lag; a machine's own stand in its table
 
 
 @dataclass(frozen=True)

@@ -160,7 +160,7 @@ class Block:
 
     @property
     def longest_step_s(self) -> float:
-        """Longest Runge-Kutta step inside a communication step, s: the start of `solver.step`, if there is one."""
+        """Longest Runge-Kutta step inside a communication step, s: the start of `solver.step` if any."""
         if STEP_PARAMETER in self.table:
             return float(self.table[STEP_PARAMETER].start or 0.0)
         return 0.001 if self.internal_step_s is None else self.internal_step_s

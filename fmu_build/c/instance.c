@@ -230,8 +230,9 @@ fmi2Status instance_check_finite(Instance *c, const char *call)
 
     for (size_t i = 0; i < n->n_x; ++i)
         if (!isfinite(c->real[i]))
-            return instance_report(c, fmi2Error, call, "at time %.9g s state %s became %g",
-                                   c->run->time, instance_real_name(c, i), c->real[i]);
+            return instance_report(c, fmi2Error, call, "at time %.9g s state %s became %g%s",
+                                   c->run->time, instance_real_name(c, i), c->real[i],
+                                   c->step_parameter < c->n_real ? "; try a shorter solver.step" : "");
     for (size_t i = outputs; i < outputs + n->n_y; ++i)
         if (!isfinite(c->real[i]))
             return instance_report(c, fmi2Error, call, "at time %.9g s output %s became %g",

@@ -224,7 +224,8 @@ static void record(Lane *lane, Batch *b, size_t step, const double *y, size_t st
         BlockMessage message;
         lane->time = step == 0 ? b->start : b->start + b->step * (double)(step - 1);
         (void)snprintf(message.text, sizeof message.text,
-                       "an output is not finite after t = %.9g s", lane->time);
+                       "an output is not finite after t = %.9g s; try a shorter substep than %g s", lane->time,
+                       b->substep[lane->scenario]);
         end_lane(lane, b, BLOCK_ERROR, &message);
     }
     if (!lane->real) return;

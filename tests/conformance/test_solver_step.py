@@ -1,0 +1,169 @@
+"""`solver.step`: the Runge-Kutta step that a user chooses, its default, its limits."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from fmu_runner import Runner
+
+from interarea.fmu_build import build_fmu
+from interarea.fmu_build.batch import PlantBatch
+from interarea.fmu_build.render import record_entries
+from interarea.models.case import CaseError, load_case
+from interarea.models.channel_block import channel_block
+from interarea.models.controller_block import controller_block
+from interarea.models.events import events_of
+from interarea.models.loop_block import LoopMember, loop_block
+from interarea.models.plant_block import event_parameters, plant_block
+from interarea.models.record import pack_record
+
+CASE = "kundur-thyristor"
+STEPS_S = (0.02, 0.01, 0.005, 0.0025)
+TIMES = np.arange(0.0, 2.001, 0.04)
+
+
+def pulse() -> dict[str, float | int]:
+    """A small pulse of a set-point: no limit is reached, so the method keeps its order."""
+    row = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.005, "start_s": 0.2, "end_s": 0.6}
+    return event_parameters(load_case(CASE), events_of([row], where="test"))
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Path:
+    return build_fmu(plant_block(load_case(CASE)), tmp_path_factory.mktemp("step") / "plant.fmu", cache=cache)
+
+
+def speeds(fmu: Path, **start: float) -> np.ndarray:
+    with Runner(fmu) as run:
+        return run.start(pulse() | start).run(TIMES, "G1_dw")
+
+
+def with_step(fmu: Path, step_s: float) -> np.ndarray:
+    with Runner(fmu) as run:
+        return run.start(pulse() | {"solver.step": step_s}).run(TIMES, "G1_dw")
+
+
+def test_errors_fall_with_the_fourth_power_of_the_step(fmu: Path) -> None:
+    exact = with_step(fmu, 0.0005)
+    errors = [np.abs(with_step(fmu, h) - exact).max() for h in STEPS_S]
+    assert errors[0] < 1e-6
+    for coarse, fine in itertools.pairwise(errors):
+        assert 11.0 < coarse / fine < 25.0, errors  # 16 in the limit of short steps
+
+
+def test_a_step_set_is_a_step_built_in(fmu: Path, cache: Path, tmp_path: Path) -> None:
+    other = build_fmu(plant_block(load_case(CASE), solver_step_s=0.004), tmp_path / "plant.fmu", cache=cache)
+    np.testing.assert_array_equal(speeds(other), with_step(fmu, 0.004))
+    np.testing.assert_array_equal(speeds(fmu), with_step(fmu, 0.001))
+    assert "0.004 s (the\nparameter <code>solver.step</code>)" in page(other)
+
+
+def page(fmu: Path) -> str:
+    return (Path(fmpy.extract(str(fmu))) / "documentation" / "index.html").read_text()
+
+
+def test_the_step_travels_with_the_state(fmu: Path) -> None:
+    """A state saved with one step and put into an instance with another goes on with its own."""
+    with Runner(fmu) as first, Runner(fmu) as second:
+        first.start(pulse() | {"solver.step": 0.02})
+        second.start(pulse())
+        first.step(0.0, 0.4)
+        saved = first.fmu.getFMUstate()
+        restored = second.fmu.deSerializeFMUstate(first.fmu.serializeFMUstate(saved))
+        second.fmu.setFMUstate(restored)
+        assert second.get("solver.step") == 0.02
+        for run in (first, second):
+            run.step(0.4, 0.4)
+        assert first.get("G1_dw") == second.get("G1_dw")
+        for run, state in ((first, saved), (second, restored)):
+            run.fmu.freeFMUstate(state)
+
+
+@pytest.mark.parametrize("value", [0.0, -0.001, 0.2, float("nan")])
+def test_a_step_out_of_range_is_refused(fmu: Path, value: float) -> None:
+    with Runner(fmu) as run:
+        with pytest.raises(Exception, match="fmi2SetReal"):
+            run.start({"solver.step": value})
+        assert "solver.step was set to" in run.log[-1]
+
+
+def test_the_step_is_fixed_once_the_run_has_begun(fmu: Path) -> None:
+    with Runner(fmu) as run:
+        run.start()
+        with pytest.raises(Exception, match="fmi2SetReal"):
+            run.set_of({"solver.step": 0.002})
+        assert "solver.step cannot be set in this state" in run.log[-1]
+
+
+def test_a_step_beyond_stability_is_told(cache: Path, tmp_path: Path) -> None:
+    """T_A = 1 ms puts a pole at -1001 1/s: steps of 4 ms grow without bound, whoever takes them."""
+    block = plant_block(load_case("two-area-thesis"))
+    fault = {"kind": "bus_fault", "bus": 8, "x_pu": 1e-4, "start_s": 0.1, "end_s": 0.2}
+    start = event_parameters(load_case("two-area-thesis"), events_of([fault], where="test"))
+    with Runner(build_fmu(block, tmp_path / "plant.fmu", cache=cache)) as run:
+        run.start(start | {"solver.step": 0.004})
+        with pytest.raises(Exception, match="fmi2DoStep"):
+            run.run(np.arange(0.0, 2.0, 0.02), "G1_dw")
+        assert "try a shorter solver.step" in run.log[-1]
+    alone = PlantBatch(block, cache=cache).run([start | {"solver.step": 0.004}], stop_s=2.0, step_s=0.02)
+    assert "try a shorter substep than 0.004 s" in alone.errors[0]
+
+
+def test_model_exchange_leaves_steps_to_its_importer(fmu: Path) -> None:
+    rates = []
+    for step in (0.0005, 0.05):
+        with Runner(fmu, "me") as run:
+            run.start(pulse() | {"solver.step": step})
+            rates.append(run.every_real())
+    assert np.sum(rates[0] != rates[1]) == 1  # the parameter itself
+
+
+def test_a_batch_takes_the_step_of_each_scenario(fmu: Path, cache: Path) -> None:
+    batch = PlantBatch(plant_block(load_case(CASE)), cache=cache)
+    rows = [pulse() | {"solver.step": h} for h in STEPS_S] + [pulse()]
+    run = batch.run(rows, stop_s=TIMES[-1], step_s=0.04)
+    alone = batch.run(rows, stop_s=TIMES[-1], step_s=0.04, lanes=1)
+    np.testing.assert_array_equal(run.outputs, alone.outputs)
+    for k, h in enumerate((*STEPS_S, 0.001)):
+        np.testing.assert_allclose(run.of("G1_dw")[:, k], with_step(fmu, h), rtol=0, atol=1e-13)
+        one = batch.run([pulse()], stop_s=TIMES[-1], step_s=0.04, substep_s=h)
+        np.testing.assert_array_equal(one.outputs[:, :, 0], run.outputs[:, :, k])
+
+
+def test_the_default_is_a_millisecond_or_the_shortest_time_constant() -> None:
+    case = load_case(CASE)
+    fast = case.with_changes({"machines": {"G2": {"exciter": {"TR": 0.0003}}}}, name="fast")
+    assert plant_block(case).longest_step_s == 0.001
+    assert plant_block(fast).longest_step_s == 0.0003
+    assert plant_block(fast).table["solver.step"].start == 0.0003
+    with pytest.raises(CaseError, match=r"solver_step_s = 0.5, allowed: 1e-06 to 0.1"):
+        plant_block(case, solver_step_s=0.5)
+    with pytest.raises(ValueError, match=r"parameter solver.step says"):
+        plant_block(case).__class__(**{**vars(plant_block(case)), "internal_step_s": 0.002})
+
+
+def test_a_loop_takes_the_step_of_its_plant(cache: Path, tmp_path: Path) -> None:
+    one = np.ones((1, 1))
+    controller = controller_block("lag", -10.0 * one, 10.0 * one, one, 0.0 * one, ["G2_dw"], ["G1_vs"])
+    blocks = {"plant": plant_block(load_case(CASE)), "controller": controller, "remote": channel_block()}
+    members = [LoopMember(name, block, pack_record(record_entries(block))) for name, block in blocks.items()]
+    wires = [
+        ("plant.G2_dw", "remote.u"),
+        ("remote.y", "controller.G2_dw"),
+        ("controller.G1_vs", "plant.G1_vs"),
+    ]
+    loop = loop_block("loop", members, wires, step_s=0.02, stop_s=2.0)
+    assert loop.longest_step_s == 0.001
+    path = build_fmu(loop, tmp_path / "loop.fmu", cache=cache)
+    start = {f"plant.{name}": value for name, value in pulse().items()} | {"remote.latency": 0.05}
+    found = []
+    for h in (0.00025, 0.001, 0.002, 0.01):
+        with Runner(path) as run:
+            found.append(run.start(start | {"plant.solver.step": h}).run(TIMES, "G1_dw"))
+    errors = [np.abs(dw - found[0]).max() for dw in found[1:]]
+    assert 0.0 < 50.0 * errors[0] < 10.0 * errors[1] < 1e-10
+    np.testing.assert_array_equal(found[3], found[2])  # the controller's own step is 2 ms
