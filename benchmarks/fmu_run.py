@@ -22,16 +22,17 @@ from interarea.models.plant_block import event_parameters, plant_block
 
 
 class PlantSlave:
-    """The plant FMU of `case` with its events; integrates in substeps of `substep_s` at most."""
+    """The plant FMU of `case` with its events; substeps of `substep_s` at most, None: the FMU's default."""
 
     def __init__(
         self,
         case: Case,
         events: Iterable[Any] = (),
-        substep_s: float = 0.001,
+        substep_s: float | None = None,
         parameters: Mapping[str, float] | None = None,
     ) -> None:
-        block = plant_block(case, solver_step_s=substep_s)
+        block = plant_block(case)
+        chosen = {} if substep_s is None else {"solver.step": substep_s}
         self.folder = Path(tempfile.mkdtemp(prefix="plant-slave-"))
         path = build_fmu(block, self.folder / "plant.fmu", cache=default_cache())
         description = fmpy.read_model_description(str(path))
@@ -44,7 +45,7 @@ class PlantSlave:
             instanceName="plant",
         )
         self.slave.instantiate()
-        for name, value in (event_parameters(case, events) | dict(parameters or {})).items():
+        for name, value in (event_parameters(case, events) | dict(parameters or {}) | chosen).items():
             if types[name] == "Real":
                 self.slave.setReal([self.references[name]], [float(value)])
             else:
