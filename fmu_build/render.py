@@ -102,7 +102,9 @@ def _tables(block: Block) -> dict[str, npt.ArrayLike | bytes]:
     table = block.table
     reals, integers = table.reals, table.integers
     step = [table.value_reference(STEP_PARAMETER)] if STEP_PARAMETER in table else []
-    chosen = {"internal_step.parameter": np.array(step, dtype=np.int32)} if step else {}
+    chosen: dict[str, npt.ArrayLike | bytes] = {}
+    if step:
+        chosen["internal_step.parameter"] = np.array(step, dtype=np.int32)
     return chosen | {
         "format": np.array([RECORD_FORMAT], dtype=np.int32),
         "layout": table.layout(),
