@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
+from fractions import Fraction
 from functools import lru_cache
 from typing import Annotated, Any, Literal, Self
 
@@ -18,7 +19,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.special import ndtri
 
 Value = float | int | bool | str | tuple[Any, ...]
-_MOST_LISTED = 10_000_000
 TIME_DIGITS = 9  # the clock's tick is 1 ns: sampled times are rounded to it
 
 
@@ -58,19 +58,22 @@ class Range(Table):
         if self.count is not None:
             return self.count
         assert self.step is not None
-        steps = (self.stop - self.start) / self.step
-        return math.floor(steps * (1.0 + 1e-12) + 1e-9) + 1
+        return math.floor((_exact(self.stop) - _exact(self.start)) / _exact(self.step)) + 1
 
     def value(self, k: int) -> float:
-        """Return value number `k`; decimal steps stay decimal (0.3, not 0.30000000000000004)."""
+        """Return value number `k`, computed in fractions: 3 steps of 0.1 are 0.3, not 0.30000000000000004."""
+        first, last = _exact(self.start), _exact(self.stop)
         if self.step is not None:
-            return _decimal(self.start + k * self.step)
+            return float(first + k * _exact(self.step))
         assert self.count is not None
-        return _decimal(_between(self.start, self.stop, k / max(1, self.count - 1), self.scale))
+        share = Fraction(k, max(1, self.count - 1))
+        if self.scale == "log" and 0 < share < 1:
+            return float(f"{_between(self.start, self.stop, float(share), self.scale):.12g}")
+        return float(first + share * (last - first))
 
 
 class Interval(Table):
-    """Between `low` and `high`, uniform on a linear or log scale; `digits` rounds (decimal places)."""
+    """Between `low` and `high`, uniform on a linear or log scale; rounded to `digits` decimal places."""
 
     low: float
     high: float
@@ -124,9 +127,7 @@ class Draw(Table):
             assert self.low is not None and self.high is not None
             return _between(self.low, self.high, u, self.scale)
         value = self.mean + self.deviation * float(ndtri(u))
-        low = -math.inf if self.low is None else self.low
-        high = math.inf if self.high is None else self.high
-        return min(max(value, low), high)
+        return _clipped(value, self.low, self.high)
 
 
 class Search(Table):
@@ -212,17 +213,17 @@ class Parameter(Table):
             cell = int(_permutation(seed, name, samples)[k])
             u = (cell + unit_draw(seed, name, k)) / samples
             value: Any = _between(spread.low, spread.high, u, spread.scale)
-            digits = spread.digits
+            digits, low, high = spread.digits, spread.low, spread.high
         else:
             assert self.random is not None
             value = self.random.at(unit_draw(seed, name, k))
-            digits = self.random.digits
+            digits, low, high = self.random.digits, self.random.low, self.random.high
             if isinstance(value, list):
                 value = tuple(value)
         if isinstance(value, float):
             if digits is None and is_time:
                 digits = TIME_DIGITS
-            value = value if digits is None else round(value, digits)
+            value = _clipped(value if digits is None else round(value, digits), low, high)
         return value  # type: ignore[no-any-return]
 
     def probes(self) -> Sequence[Value]:
@@ -269,5 +270,10 @@ def _check_scale(scale: str, low: float, high: float) -> None:
         raise ValueError(f"scale = 'log' from {low:g} to {high:g}, allowed: both above 0")
 
 
-def _decimal(value: float) -> float:
-    return float(f"{value:.12g}")
+def _exact(value: float) -> Fraction:
+    """Return the number that is written as this double is."""
+    return Fraction(repr(value))
+
+
+def _clipped(value: float, low: float | None, high: float | None) -> float:
+    return min(max(value, -math.inf if low is None else low), math.inf if high is None else high)
