@@ -25,7 +25,7 @@ from .scenario import NAMED_CONTROLLERS, load_scenario
 from .sweep_point import check_paths, check_values
 from .sweep_spec import LARGEST, Sweep, sweep_of
 
-FORMAT = 1  #: of the result folder
+FORMAT = 2  #: of the result folder
 
 
 def code_version() -> str:

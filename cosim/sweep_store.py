@@ -2,12 +2,13 @@
 
     DIR/manifest.json         specification and version
     DIR/sweep.json            the plan: scenario, cases, controllers; enough to repeat any run
-    DIR/runs/part-*.parquet   one row for each finished run
+    DIR/runs/part-*.parquet   one row for each finished run; the name ends with a checksum
     DIR/trajectories/part-*   where the sweep keeps them, one part beside each part of rows
     DIR/summary.json          counts, once all runs are there
 
 A part is written beside its place, forced to disk and renamed; what a killed process leaves is swept away at
-the next start. A row in a part is final, and a run is in one part only.
+the next start. A row in a part is final, and a run is in one part only; a part that is not what was written
+is found at the next start and its runs are done again.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import errno
 import json
 import os
 import shutil
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -149,27 +151,33 @@ class SweepStore:
             self._write("sweep.json", self.plan.document())
             self._write("manifest.json", _manifest(self.plan))
         self._next = 0
-        for part in sorted((self.folder / _ROWS).glob("part-*.parquet")):
-            self._next = max(self._next, int(part.stem.split("-")[1]) + 1)
+        curves = {_number(p): p for p in (self.folder / _CURVES).glob("part-*.parquet")}
+        kept = set()
+        for part in parts_of(self.folder):
+            number = _number(part)
+            self._next = max(self._next, number + 1)
             try:
+                _check_part(part)
+                if number in curves:
+                    _check_part(curves[number])
                 runs = pq.read_table(part, columns=["run"]).column("run").to_numpy()
-            except (OSError, pa.ArrowException) as error:
+            except (OSError, pa.ArrowException, SweepError) as error:
                 self.dropped.append(f"{part.name}: {error}")
                 part.unlink()
                 continue
             if np.any(self.done[runs]):
                 raise SweepError(f"{part}: has runs that another part has too; remove one of them")
             self.done[runs] = True
-        for part in (self.folder / _CURVES).glob("part-*.parquet"):
-            if not (self.folder / _ROWS / part.name).exists():
-                part.unlink()  # its rows never came: those runs are done again
+            kept.add(number)
+        for number, part in curves.items():
+            if number not in kept:
+                part.unlink()  # its rows never came, or are gone: those runs are done again
 
     def _place(self, table: pa.Table, kind: str, number: int) -> None:
-        path = self.folder / kind / f"part-{number:06d}.parquet"
-        partial = path.with_name(f".{path.name}.partial")
+        partial = self.folder / kind / f".part-{number:06d}.parquet.partial"
         try:
             pq.write_table(table, partial, compression="zstd")
-            _settle(partial, path)
+            _settle(partial, partial.with_name(f"part-{number:06d}-{_checksum(partial)}.parquet"))
         except OSError:
             partial.unlink(missing_ok=True)
             raise
@@ -221,12 +229,14 @@ def read_rows(folder: Path) -> pd.DataFrame:
 
     Raises
     ------
-    SweepError : no results there.
+    SweepError : no results there, or damaged ones.
     """
-    parts = sorted((folder / _ROWS).glob("part-*.parquet"))
+    parts = parts_of(folder)
     if not parts:
         raise SweepError(f"{folder}: no finished runs here")
     try:
+        for part in parts:
+            _check_part(part)
         table = pa.concat_tables([pq.read_table(p) for p in parts])
     except (OSError, pa.ArrowException) as error:
         raise SweepError(f"{folder / _ROWS}: cannot be read: {error}") from None
@@ -235,9 +245,17 @@ def read_rows(folder: Path) -> pd.DataFrame:
 
 
 def read_trajectory(folder: Path, run: int) -> pd.DataFrame | None:
-    """Return the stored trajectory of a run, or None when it was not kept."""
+    """Return the stored trajectory of a run, or None when it was not kept.
+
+    Raises
+    ------
+    SweepError : a part that cannot be read.
+    """
     for part in sorted((folder / _CURVES).glob("part-*.parquet")):
-        table = pq.read_table(part, filters=[("run", "=", run)])
+        try:
+            table = pq.read_table(part, filters=[("run", "=", run)])
+        except (OSError, pa.ArrowException) as error:
+            raise SweepError(f"{part}: cannot be read: {error}") from None
         if table.num_rows:
             curves: pd.DataFrame = table.drop_columns(["run"]).to_pandas()
             return curves
@@ -248,7 +266,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
     """Return counts over the finished runs: ok, failed by kind, stable."""
     failures: dict[str, int] = {}
     rows = stable = unstable = 0
-    for part in sorted((folder / _ROWS).glob("part-*.parquet")):
+    for part in parts_of(folder):
         names = pq.read_schema(part).names
         table = pq.read_table(part, columns=[c for c in ("failure", "stable") if c in names])
         rows += table.num_rows
@@ -362,3 +380,24 @@ def _locked(path: Path) -> Any:
 def parts_of(folder: Path) -> Sequence[Path]:
     """Return the parts of rows that are there."""
     return sorted((folder / _ROWS).glob("part-*.parquet"))
+
+
+def _number(part: Path) -> int:
+    return int(part.stem.split("-")[1])
+
+
+def _checksum(path: Path) -> str:
+    """Return the CRC-32 of a file: what a disk or a copy spoils does not keep it."""
+    value = 0
+    with path.open("rb") as file:
+        while piece := file.read(1 << 20):
+            value = zlib.crc32(piece, value)
+    return f"{value:08x}"
+
+
+def _check_part(path: Path) -> None:
+    """Raise SweepError when a part is not what its name says was written."""
+    if path.stem.split("-")[2:] != [_checksum(path)]:
+        raise SweepError(
+            f"{path}: is damaged; give the command of the sweep again, which does its runs again"
+        )
