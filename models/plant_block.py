@@ -35,6 +35,8 @@ SOURCES = tuple(
 BATCH_SOURCES = tuple(
     _HERE / f"plant/{name}.c" for name in ("batch", "batch_plain", "batch_avx2", "batch_avx512")
 )
+#: what FMUs stepped side by side need besides (block/block_group.h)
+GROUP_SOURCES = (*BATCH_SOURCES, _HERE / "plant/plant_group.c")
 
 #: Value of each kind in the FMI enumeration; plant/plant.h counts alike.
 EVENT_CODES = {

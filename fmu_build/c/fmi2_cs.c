@@ -83,8 +83,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component component, const fmi2Value
     return fmi2OK;
 }
 
-/* Whether the step can be tried; reports why not. */
-static int step_is_sane(Instance *c, double begin, double step, const char *call)
+int step_is_sane(Instance *c, double begin, double step, const char *call)
 {
     const RunState *run = c->run;
     const double slack = 1e-9 * (1.0 + fabs(run->time)) + 1e-6 * step;
@@ -109,8 +108,7 @@ static int step_is_sane(Instance *c, double begin, double step, const char *call
     return 0;
 }
 
-/* Inputs stay where the step left them; derivatives must be given anew. */
-static void consume_input_derivatives(Instance *c, double elapsed)
+void step_consume_inputs(Instance *c, double elapsed)
 {
     for (size_t i = 0; i < c->block.layout.n_u; ++i) {
         double *p = c->u_poly + 4 * i;
@@ -148,10 +146,11 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real communication_point, fmi
     }
     if (status == BLOCK_DISCARD) {
         if (c->undo != NULL) memcpy(c->run, c->undo, c->saved_size);
+        ++c->memory_written;
         c->run->mode = MODE_STEP_FAILED;
     }
     if (status != BLOCK_OK) return instance_report_block(c, status, call, &message);
-    consume_input_derivatives(c, step);
+    step_consume_inputs(c, step);
     c->run->outputs_fresh = block_is_sampled;
     c->run->derivatives_fresh = 0;
     result = instance_refresh_outputs(c, call);

@@ -68,6 +68,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate state)
         || head->model != model_of(c))
         return instance_report(c, fmi2Error, call, "the state was not saved by an instance of this FMU");
     memcpy(c->run, head + 1, c->saved_size);
+    ++c->memory_written;
     return fmi2OK;
 }
 

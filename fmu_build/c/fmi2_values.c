@@ -7,11 +7,15 @@
 
 /* Makes computed values current before a read. In initialization mode this is
  * a full start, since parameters may decide the states. */
-static fmi2Status refresh(Instance *c, int outputs, int derivatives, const char *call)
+static fmi2Status refresh(Instance *c, int outputs, int locals, int derivatives, const char *call)
 {
     fmi2Status status = fmi2OK;
 
-    if (c->run->mode == MODE_TERMINATED || c->run->mode == MODE_ERROR) return fmi2OK;
+    if (locals && c->run->outputs_fresh == FRESH_BUT_LOCALS && c->run->mode != MODE_ERROR) {
+        c->run->outputs_fresh = STALE;
+        status = instance_refresh_outputs(c, call);
+    }
+    if (status != fmi2OK || c->run->mode == MODE_TERMINATED || c->run->mode == MODE_ERROR) return status;
     if (c->run->mode == MODE_INITIALIZATION && !c->run->outputs_fresh)
         status = instance_initialise(c, call);
     else if (outputs)
@@ -36,21 +40,23 @@ fmi2Status fmi2GetReal(fmi2Component component, const fmi2ValueReference referen
 {
     static const char call[] = "fmi2GetReal";
     Instance *c = component;
-    int outputs = 0, derivatives = 0;
-    size_t first_output, first_parameter;
+    int outputs = 0, locals = 0, derivatives = 0;
+    size_t first_output, first_local, first_parameter;
     fmi2Status status;
 
     if (!instance_allowed(c, MODES_READ, call)) return fmi2Error;
     if (count > 0 && (references == NULL || values == NULL)) return null_array(c, call);
     first_output = 2 * c->block.layout.n_x + c->block.layout.n_u;
+    first_local = first_output + c->block.layout.n_y;
     first_parameter = c->n_real - c->block.layout.n_p;
     for (size_t i = 0; i < count; ++i) {
         if (references[i] >= c->n_real) return unknown(c, call, references[i], "Real");
-        if (references[i] >= first_output) outputs |= references[i] < first_parameter;
+        if (references[i] >= first_local) locals |= references[i] < first_parameter;
+        else if (references[i] >= first_output) outputs = 1;
         else derivatives |= references[i] >= c->block.layout.n_x
                             && references[i] < 2 * c->block.layout.n_x;
     }
-    status = refresh(c, outputs, derivatives, call);
+    status = refresh(c, outputs | locals, locals, derivatives, call);
     for (size_t i = 0; i < count; ++i) values[i] = c->real[references[i]];
     return status;
 }
@@ -66,7 +72,7 @@ static fmi2Status get_integers(Instance *c, const fmi2ValueReference references[
         if (references[i] >= c->n_integer
             || (c->type_integer[references[i]] == TYPE_BOOLEAN) != booleans)
             return unknown(c, call, references[i], booleans ? "Boolean" : "Integer or Enumeration");
-    status = refresh(c, count > 0, 0, call);
+    status = refresh(c, count > 0, count > 0, 0, call);
     for (size_t i = 0; i < count; ++i) values[i] = c->integer[references[i]];
     return status;
 }

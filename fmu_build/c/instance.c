@@ -163,6 +163,7 @@ const char *instance_integer_name(const Instance *c, size_t reference)
 void instance_reset_values(Instance *c)
 {
     memset(c->run, 0, c->saved_size);
+    ++c->memory_written;
     c->run->mode = MODE_INSTANTIATED;
     c->run->last_event = -INFINITY;
     for (size_t i = 0; i < c->n_real; ++i) c->real[i] = c->start_real[i];
@@ -182,6 +183,7 @@ fmi2Status instance_initialise(Instance *c, const char *call)
     if ((status = block_needs(b->record, &b->layout, &needs, &message)) != BLOCK_OK)
         return instance_report_block(c, BLOCK_ERROR, call, &message);
     memset(b->memory, 0, needs.n_memory * sizeof(double));
+    ++c->memory_written;
     c->run->time = c->run->start_time;
     c->run->last_event = -INFINITY;
     status = block_start(b, c->run->time, &message);

@@ -24,6 +24,9 @@ enum {
     MODES_READ = MODE_INITIALIZATION | MODES_RUNNING | MODE_STEP_FAILED | MODE_TERMINATED | MODE_ERROR
 };
 
+/* Whether computed values belong to the present states and inputs. */
+typedef enum { STALE = 0, FRESH = 1, FRESH_BUT_LOCALS = 2 } Fresh;
+
 /* The scalars of a run that an FMU state carries; the arrays follow it in the
  * same piece of memory. */
 typedef struct {
@@ -31,7 +34,7 @@ typedef struct {
     double last_event;          /* events up to this time have been handled    */
     double step_failed_at;      /* last successful time of a discarded step    */
     int32_t mode, stop_defined;
-    int32_t outputs_fresh, derivatives_fresh;
+    int32_t outputs_fresh, derivatives_fresh;   /* Fresh                       */
 } RunState;
 
 /* When a variable may be set: `flags.real`, `flags.integer` of the record. */
@@ -67,6 +70,7 @@ typedef struct {
     const int32_t *flags_real, *flags_integer, *type_integer;
     const double *internal_step;  /* longest substep, s: in the record, or a parameter's value in `real` */
     size_t step_parameter;        /* that parameter's value reference, n_real if there is none */
+    unsigned long memory_written;   /* how often block.memory was: for those who keep copies */
 } Instance;
 
 /* instance.c */
@@ -87,6 +91,11 @@ fmi2Status instance_initialise(Instance *c, const char *call);
 fmi2Status instance_refresh_outputs(Instance *c, const char *call);
 fmi2Status instance_refresh_derivatives(Instance *c, const char *call);
 fmi2Status instance_check_finite(Instance *c, const char *call);
+
+/* fmi2_cs.c: whether a step can be tried, reports why not; after a step the inputs
+ * stay where it left them and their derivatives must be given anew. */
+int step_is_sane(Instance *c, double begin, double step, const char *call);
+void step_consume_inputs(Instance *c, double elapsed);
 
 /* resource.c: reads `model.bin` out of the folder that a FMI resource location
  * names. Returns null and writes what is wrong into why. */

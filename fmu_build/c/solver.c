@@ -82,6 +82,7 @@ BlockStatus solver_advance(Instance *c, double begin, double end, BlockMessage *
         }
         solver_inputs(c, stop - begin, b->u);
         instance_log_event(c, "event at time %.9g s", event);
+        ++c->memory_written;
         if ((status = block_event(b, event, b->x, message)) != BLOCK_OK) return status;
         run->last_event = event;
     }

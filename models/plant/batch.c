@@ -151,7 +151,7 @@ static void get(const double *group, double *lane, size_t n, size_t lanes, size_
 /* Several lanes: a Runge-Kutta step of all that have one to do; the others rest (h = 0). */
 typedef struct {
     size_t lanes, n_memory;
-    BatchGroup group;
+    BlockGroup group;
     BatchStep *step, *outputs;
 } Vector;
 
@@ -347,7 +347,7 @@ BlockStatus batch_run(Batch *b, size_t lanes, BlockMessage *message)
                               b->step, b->substep[k]);
 
     double *at = b->work;
-    Vector v = { lanes, needs.n_memory, { l, NULL, NULL, NULL, NULL, NULL, NULL, NULL }, NULL, NULL };
+    Vector v = { lanes, needs.n_memory, { .layout = l }, NULL, NULL };
     v.step = lanes == 8 ? batch_step_8 : lanes == 4 ? batch_step_4 : batch_step_2;
     v.outputs = lanes == 8 ? batch_outputs_8 : lanes == 4 ? batch_outputs_4 : batch_outputs_2;
     v.group.h = at;        at += lanes;

@@ -11,6 +11,7 @@
  *
  * Arrays hold the scenario last: x[state * n + k], y[(step * n_y + output) * n + k]. */
 #include "plant.h"
+#include "../block/block_group.h"
 
 #if defined _WIN32
 #define BATCH_API __declspec(dllexport)
@@ -49,13 +50,8 @@ BATCH_API size_t batch_work(const BlockLayout *layout, const BlockNeeds *needs, 
  * is BLOCK_ERROR. */
 BATCH_API BlockStatus batch_run(Batch *batch, size_t lanes, BlockMessage *message);
 
-/* One Runge-Kutta step of a group: arrays of n doubles per lane, lane last; h: one
- * for each lane, 0 where it has nothing to do. y unless null: outputs before it. */
-typedef struct {
-    const BlockLayout *layout;
-    double *memory, *x, *u, *y, *k, *scratch;  /* k: 5 x n_x */
-    double *h;
-} BatchGroup;
-typedef void BatchStep(const BatchGroup *group);
+/* batch_group.h over 2, 4 and 8 scenarios: a Runge-Kutta step, the outputs, the rates. */
+typedef void BatchStep(const BlockGroup *group);
 BatchStep batch_step_2, batch_step_4, batch_step_8, batch_outputs_2, batch_outputs_4, batch_outputs_8;
+BatchStep batch_rates_2, batch_rates_4, batch_rates_8;
 #endif

@@ -16,6 +16,7 @@
 #define PART(a) (a)
 #define BATCH_STEP batch_step_8
 #define BATCH_OUTPUTS batch_outputs_8
+#define BATCH_RATES batch_rates_8
 #if !defined __x86_64__ && defined __GNUC__ && !defined __clang__
 #pragma GCC diagnostic ignored "-Wpsabi"
 #endif

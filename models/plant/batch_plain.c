@@ -11,4 +11,5 @@
 #define PART(a) (a)
 #define BATCH_STEP batch_step_2
 #define BATCH_OUTPUTS batch_outputs_2
+#define BATCH_RATES batch_rates_2
 #include "batch_group.h"

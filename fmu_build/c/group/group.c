@@ -1,0 +1,321 @@
+/* See group.h. A lane is a cursor over its instance's step: stretches between
+ * events, each a whole number of substeps, as in solver.c. */
+#include "group.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "block_group.h"
+#include "instance.h"
+
+enum { ALIGNMENT = 8, ELAPSED = 3 };  /* doubles */
+enum { GUID_ROOM = 64 };
+static const char CALL[] = "fmi2DoStep";
+
+typedef struct {
+    Instance *c;            /* whose step it is                                    */
+    size_t place;           /* in the caller's arrays                              */
+    int failed;             /* repeats its step alone                              */
+    int events;             /* how many it has met: then c->undo holds the step's start */
+    double point, step;     /* as the caller gave them                             */
+    double begin, end;
+    double time, last_event;
+    double from, to, event; /* stretch under way, the event at its end or infinity */
+    long count, done;       /* substeps of the stretch                             */
+} Lane;
+
+typedef struct {
+    size_t lanes, n_memory;
+    BlockLayout layout;
+    char guid[GUID_ROOM];
+    BlockGroup group;
+    double *u_poly, *elapsed;
+    Lane lane[GROUP_MOST_LANES];
+    const Instance *owner[GROUP_MOST_LANES];        /* whose memory the lane holds */
+    unsigned long written[GROUP_MOST_LANES];        /* and as of when              */
+} Group;
+
+static size_t aligned(size_t doubles)
+{
+    return (doubles + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
+}
+
+static size_t head_size(void)
+{
+    return aligned((sizeof(Group) + sizeof(double) - 1) / sizeof(double));
+}
+
+size_t interarea_group_lanes(void)
+{
+    return block_group_lanes();
+}
+
+static int needs_of(const Instance *c, BlockNeeds *needs)
+{
+    BlockMessage message;
+    return block_needs(&c->record, &c->block.layout, needs, &message) == BLOCK_OK;
+}
+
+size_t interarea_group_size(fmi2Component like, size_t lanes)
+{
+    const Instance *c = like;
+    const BlockLayout *l = &c->block.layout;
+    BlockNeeds needs;
+    size_t guid;
+
+    if ((lanes != 2 && lanes != 4 && lanes != 8) || c->type != fmi2CoSimulation) return 0;
+    if (!block_group_fits(&c->block) || !needs_of(c, &needs)) return 0;
+    (void)record_text(&c->record, "guid", &guid);
+    if (guid > GUID_ROOM) return 0;
+    /* a number of each lane: memory; x and k; u and its polynomial; y; scratch; h; elapsed */
+    return sizeof(double)
+           * (head_size() + lanes * (needs.n_memory + 6 * l->n_x + 5 * l->n_u + l->n_y + needs.n_scratch + 1 + ELAPSED)
+              + 9 * ALIGNMENT);
+}
+
+void interarea_group_open(void *work, fmi2Component like, size_t lanes)
+{
+    const Instance *c = like;
+    Group *g = work;
+    const BlockLayout *l = &g->layout;
+    double *at = (double *)work + head_size();
+    BlockNeeds needs = {0, 0};
+    size_t size;
+    const char *guid = record_text(&c->record, "guid", &size);
+
+    (void)needs_of(c, &needs);
+    memset(g, 0, sizeof *g);
+    g->lanes = lanes;
+    g->n_memory = needs.n_memory;
+    g->layout = c->block.layout;
+    memcpy(g->guid, guid, size < GUID_ROOM ? size : GUID_ROOM);
+    g->group.layout = l;
+    g->group.memory = at;   at += aligned(lanes * needs.n_memory);
+    g->group.x = at;        at += aligned(lanes * l->n_x);
+    g->group.k = at;        at += aligned(lanes * 5 * l->n_x);
+    g->group.u = at;        at += aligned(lanes * l->n_u);
+    g->group.y = at;        at += aligned(lanes * l->n_y);
+    g->group.scratch = at;  at += aligned(lanes * needs.n_scratch);
+    g->group.h = at;        at += aligned(lanes);
+    g->u_poly = at;         at += aligned(lanes * 4 * l->n_u);
+    g->elapsed = at;        at += aligned(lanes * ELAPSED);
+    memset((double *)work + head_size(), 0, (size_t)((char *)at - (char *)((double *)work + head_size())));
+    g->group.u_poly = g->u_poly;
+    g->group.elapsed = g->elapsed;
+}
+
+static void put(double *group, const double *lane, size_t n, size_t lanes, size_t k)
+{
+    for (size_t i = 0; i < n; ++i) group[i * lanes + k] = lane[i];
+}
+
+static void get(const double *group, double *lane, size_t n, size_t lanes, size_t k)
+{
+    for (size_t i = 0; i < n; ++i) lane[i] = group[i * lanes + k];
+}
+
+/* Whether an instance can go in lane k: it is of the FMU that the group was opened for. */
+static int belongs(const Group *g, const Instance *c, size_t k)
+{
+    size_t size;
+    const char *guid;
+
+    if (g->owner[k] == c) return 1;
+    guid = record_text(&c->record, "guid", &size);
+    return size <= GUID_ROOM && memcmp(guid, g->guid, size) == 0 && block_group_fits(&c->block);
+}
+
+/* Puts the instance's memory into lane k unless it is there. */
+static void load_memory(Group *g, const Instance *c, size_t k)
+{
+    if (g->owner[k] == c && g->written[k] == c->memory_written) return;
+    put(g->group.memory, c->block.memory, g->n_memory, g->lanes, k);
+    g->owner[k] = c;
+    g->written[k] = c->memory_written;
+}
+
+/* The event at the end of the stretch; 0 when it cannot be handled. */
+static int meet_event(Group *g, Lane *lane, size_t k)
+{
+    Instance *c = lane->c;
+    BlockMessage message;
+
+    if (lane->events++ == 0) memcpy(c->undo, c->run, c->saved_size);
+    get(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
+    c->run->time = lane->time;
+    solver_inputs(c, lane->time - lane->begin, c->block.u);
+    ++c->memory_written;
+    if (block_event(&c->block, lane->event, c->block.x, &message) != BLOCK_OK) return 0;
+    c->run->last_event = lane->last_event = lane->event;
+    put(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
+    load_memory(g, c, k);
+    return 1;
+}
+
+/* The next stretch, ending at an event or at the step's end: solver_advance. */
+static void next_stretch(Group *g, Lane *lane, size_t k)
+{
+    const double slack = 1e-9 * (lane->end - lane->begin);
+
+    lane->count = lane->done = 0;
+    for (;;) {
+        if (lane->event < INFINITY && !meet_event(g, lane, k)) break;
+        const double after = lane->last_event > lane->time ? lane->last_event : lane->time;
+        const double event = block_next_event(&lane->c->block, after);
+        const int reached = event <= lane->end + slack;
+        if (reached && (!(event > after) || lane->events > SOLVER_MAX_SUBSTEPS)) break;
+        lane->event = reached ? event : INFINITY;
+        lane->from = lane->time;
+        lane->to = reached && event < lane->end ? event : lane->end;
+        if (lane->to > lane->from) {
+            const double wanted = ceil((lane->to - lane->from) / lane->c->internal_step - 1e-9);
+            lane->count = wanted < 1.0 ? 1 : (long)wanted;
+            return;
+        }
+        if (!reached) return;
+    }
+    lane->failed = 1;
+}
+
+static void begin_lane(Group *g, Lane *lane, size_t k)
+{
+    Instance *c = lane->c;
+
+    for (size_t i = 0; i < g->layout.n_u; ++i) c->u_poly[4 * i] = c->block.u[i];
+    put(g->u_poly, c->u_poly, 4 * g->layout.n_u, g->lanes, k);
+    put(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
+    load_memory(g, c, k);
+    lane->begin = lane->time = c->run->time;
+    lane->end = lane->point + lane->step;
+    lane->last_event = c->run->last_event;
+    lane->event = INFINITY;
+    lane->events = lane->failed = 0;
+    next_stretch(g, lane, k);
+}
+
+/* Substeps of all lanes until none has any left; a lane without rests (h = 0). */
+static void advance(Group *g, size_t n)
+{
+    const size_t lanes = g->lanes;
+
+    for (;;) {
+        int busy = 0;
+        for (size_t k = 0; k < n; ++k) {
+            const Lane *lane = &g->lane[k];
+            const int runs = !lane->failed && lane->done < lane->count;
+            const double length = lane->to - lane->from;
+            const double h = runs ? length / (double)lane->count : 0.0;
+            const double t = runs ? lane->from + length * ((double)lane->done / (double)lane->count) : 0.0;
+            g->group.h[k] = h;
+            g->elapsed[k] = t - lane->begin;
+            g->elapsed[lanes + k] = t + h / 2.0 - lane->begin;
+            g->elapsed[2 * lanes + k] = t + h - lane->begin;
+            busy |= runs;
+        }
+        if (!busy) return;
+        block_group_step(&g->group, lanes);
+        for (size_t k = 0; k < n; ++k) {
+            Lane *lane = &g->lane[k];
+            if (lane->failed || lane->done == lane->count || ++lane->done < lane->count) continue;
+            lane->time = lane->to;
+            if (lane->event < INFINITY) next_stretch(g, lane, k);
+        }
+    }
+}
+
+static int finite_lane(const double *x, size_t n, size_t lanes, size_t k)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < n; ++i) sum += fabs(x[i * lanes + k]);
+    return sum <= 1e300;
+}
+
+/* Writes the end of the step into the instance. */
+static void accept(Group *g, const Lane *lane, size_t k)
+{
+    Instance *c = lane->c;
+
+    if (lane->events > 0) {
+        const RunState *run = c->undo;
+        double after = run->last_event > run->time ? run->last_event : run->time;
+        for (int i = 0; i < lane->events; ++i) {
+            after = block_next_event(&c->block, after);
+            instance_log_event(c, "event at time %.9g s", after);
+        }
+    }
+    get(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
+    get(g->group.y, c->block.y, g->layout.n_y, g->lanes, k);
+    c->run->time = lane->time;
+    c->run->last_event = lane->last_event;
+    step_consume_inputs(c, lane->step);
+    c->run->outputs_fresh = FRESH_BUT_LOCALS;
+    c->run->derivatives_fresh = STALE;
+}
+
+/* Back to the start of the step, then the FMU's own code, which says why it ends. */
+static fmi2Status repeat_alone(Lane *lane)
+{
+    Instance *c = lane->c;
+
+    if (lane->events > 0) {
+        memcpy(c->run, c->undo, c->saved_size);
+        ++c->memory_written;
+    }
+    return fmi2DoStep(c, lane->point, lane->step, fmi2True);
+}
+
+static void finish(Group *g, size_t n, int rates, fmi2Status status[])
+{
+    const BlockLayout *l = &g->layout;
+    const size_t lanes = g->lanes;
+
+    for (size_t k = 0; k < n; ++k) {
+        Lane *lane = &g->lane[k];
+        solver_inputs(lane->c, lane->step, lane->c->work);
+        put(g->group.u, lane->c->work, l->n_u, lanes, k);
+    }
+    block_group_outputs(&g->group, lanes, rates);
+    for (size_t k = 0; k < n; ++k) {
+        Lane *lane = &g->lane[k];
+        if (lane->failed || !finite_lane(g->group.x, l->n_x, lanes, k) || !finite_lane(g->group.y, l->n_y, lanes, k)) {
+            status[lane->place] = repeat_alone(lane);
+            continue;
+        }
+        accept(g, lane, k);
+        if (rates) {
+            get(g->group.k, lane->c->block.dx, l->n_x, lanes, k);
+            lane->c->run->derivatives_fresh = FRESH;
+        }
+        status[lane->place] = fmi2OK;
+    }
+}
+
+void interarea_group_step(void *work, size_t n, const fmi2Component c[], const fmi2Real point[],
+                          const fmi2Real step[], int rates, fmi2Status status[])
+{
+    Group *g = work;
+
+    for (size_t i = 0; i < n;) {
+        size_t taken = 0;
+        for (; i < n && taken < g->lanes; ++i) {
+            Lane *lane = &g->lane[taken];
+            Instance *instance = c[i];
+            if (n == 1 || instance == NULL || !belongs(g, instance, taken)) {
+                status[i] = fmi2DoStep(instance, point[i], step[i], fmi2True);
+                continue;
+            }
+            status[i] = fmi2Error;
+            if (!instance_allowed(instance, MODE_STEP_COMPLETE, CALL)) continue;
+            if (!step_is_sane(instance, point[i], step[i], CALL)) continue;
+            lane->c = instance;
+            lane->place = i;
+            lane->point = point[i];
+            lane->step = step[i];
+            begin_lane(g, lane, taken++);
+        }
+        if (taken == 0) continue;
+        for (size_t k = taken; k < g->lanes; ++k) g->group.h[k] = 0.0;
+        advance(g, taken);
+        finish(g, taken, rates, status);
+    }
+}

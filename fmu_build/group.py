@@ -1,0 +1,82 @@
+"""FMUs of the plant side by side: a library that is their binary and steps several instances at once."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from ctypes import c_size_t, c_void_p
+from pathlib import Path
+
+from interarea.models.plant_block import GROUP_SOURCES, SOURCES
+
+from .compile import compile_library, fmi_sources, gather_sources, host_platform, record_source
+from .errors import BuildError
+
+_SOURCE = Path(__file__).resolve().parent / "c" / "group" / "group.c"
+_ALIGNMENT = 64
+
+
+class GroupLibrary:
+    """The functions of c/group/group.h; the same file serves as binary of every plant FMU of this version.
+
+    Instances made with it give the bits of those made with the FMU's own binary.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        c = self._c = ctypes.CDLL(str(path))
+        c.interarea_group_lanes.restype = c.interarea_group_size.restype = c_size_t
+        c.interarea_group_size.argtypes = [c_void_p, c_size_t]
+        c.interarea_group_open.argtypes = [c_void_p, c_void_p, c_size_t]
+        c.interarea_group_open.restype = None
+        #: instances that this processor steps at once
+        self.lanes = int(c.interarea_group_lanes())
+        #: address of `interarea_group_step`
+        self.step = int(ctypes.cast(c.interarea_group_step, c_void_p).value or 0)
+
+    def work(self, component: int, count: int) -> GroupWork | None:
+        """Return the memory in which up to `count` instances like `component` are stepped at once.
+
+        None: they go one by one (a plant whose network iterates, a component of another kind, one alone).
+        component : address of an instance made with this library, initialised.
+        """
+        lanes = next((n for n in (2, 4, 8) if n >= min(count, self.lanes)), self.lanes)
+        size = self._c.interarea_group_size(component, lanes) if count > 1 else 0
+        return GroupWork(self._c, component, lanes, int(size)) if size else None
+
+
+class GroupWork:
+    """Memory of one group; it knows instances by their addresses, so `open` it again for other ones."""
+
+    def __init__(self, library: ctypes.CDLL, component: int, lanes: int, size: int) -> None:
+        self.lanes = lanes
+        self._library = library
+        self._buffer = ctypes.create_string_buffer(size + _ALIGNMENT)
+        address = ctypes.addressof(self._buffer)
+        self.address = address + -address % _ALIGNMENT
+        self.open(component)
+
+    def open(self, component: int) -> None:
+        """Prepare for instances like `component`."""
+        self._library.interarea_group_open(self.address, component, self.lanes)
+
+
+@functools.cache
+def _loaded(path: Path) -> GroupLibrary:
+    try:
+        return GroupLibrary(path)
+    except OSError as error:
+        raise BuildError(f"cannot load the plants' library {path}: {error}") from error
+
+
+def plant_group(*, cache: Path | None = None) -> GroupLibrary:
+    """Return the library that steps plants side by side, compiled when the cache does not hold it.
+
+    cache : folder of compiled binaries; default ``$INTERAREA_CACHE``, else the user's cache folder.
+
+    Raises
+    ------
+    BuildError : no compiler, a platform without one, or a library that cannot be loaded.
+    """
+    sources = gather_sources((*fmi_sources(), *SOURCES, record_source(), *GROUP_SOURCES, _SOURCE))
+    return _loaded(compile_library("plant-group", sources, host_platform(), cache=cache))
