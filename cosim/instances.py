@@ -10,6 +10,8 @@ from typing import Any, NoReturn
 import fmpy.fmi2 as fmi2
 from fmpy import calloc, free
 
+from interarea.fmu_build.group import GroupLibrary
+
 from .early_return import EarlyReturn, go_on, reached_s
 from .errors import GraphError, StepError, nearest
 from .fmu_file import FmuFile, FmuVariable
@@ -27,14 +29,25 @@ class FmuParticipant:
     Enumeration parameters take the item's name or its number. The numbers pass through ctypes
     buffers made once, and each call goes to the FMU's function directly.
 
+    group : library to use for the FMU's own binary, with which several instances can be stepped at once
+        (`plant_group`); only for FMUs that were built of the same sources.
+
     Raises
     ------
     GraphError : a start value for an unknown variable, of the wrong type, or on an output.
     """
 
-    def __init__(self, name: str, file: FmuFile, start: Mapping[str, Value] | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        file: FmuFile,
+        start: Mapping[str, Value] | None = None,
+        *,
+        group: GroupLibrary | None = None,
+    ) -> None:
         self.name = name
         self.file = file
+        self.group = group
         self.description: Description = file.description
         self.set_start(start or {})
         self._fmu: Any = None
@@ -142,6 +155,7 @@ class FmuParticipant:
                 guid=model.guid,
                 modelIdentifier=model.coSimulation.modelIdentifier,
                 unzipDirectory=str(self.file.folder),
+                libraryPath=None if self.group is None else str(self.group.path),
                 requireFunctions=False,
             )
         except Exception as error:

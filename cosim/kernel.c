@@ -15,7 +15,7 @@
 #endif
 
 #include "kernel_loop.h"
-#include "kernel_signal.h"
+#include "kernel_node.h"
 
 #if defined _WIN32
 #define EXPORT __declspec(dllexport)
@@ -24,242 +24,54 @@
 #endif
 
 EXPORT int32_t kernel_run(Kernel *k, int64_t until);
+EXPORT int32_t kernel_run_together(Kernel *const k[], const int64_t until[], int32_t n, double budget,
+                                   int32_t code[]);
 EXPORT int32_t kernel_layout(int32_t *sizes, int32_t room);
 
 enum { MAX_SWEEPS = 50 };
 static const double LEAST_SCALE = 1e-4; /* of the nominal value: loops.py */
 
+enum { UNDER_WAY = -1, MOST_RUNS = 64 };
+
 typedef struct {
     int64_t start, end;
     double start_s, length_s;
     double *row;                    /* outputs at its end                       */
-    int edge;
+    int edge, recorded;
 } Step;
+
+/* The clock of all runs of a call: looked at after 1, 2, 4 .. 64 steps while these are short. */
+typedef struct {
+    double begin, looked, budget;
+    int stride, since, over;
+} Watch;
+
+/* What a run does next. */
+typedef enum { AT_POINT, AT_GROUP, AT_NODE, AT_PART, WAITING, STEPPED } Place;
+
+/* One run on its way through the steps. Where it waits for a node to be stepped, it
+ * can wait for other runs. */
+typedef struct {
+    Kernel *k;
+    Watch *watch;
+    int64_t until, length;
+    double length_s;                /* of `length`                              */
+    int code;                       /* UNDER_WAY, or why it ended               */
+    int alone;                      /* there is no other run to wait for        */
+    Place at;
+    Step step;
+    int group, member, sweep;
+    Secant secant;
+    KernelNode *node;               /* under way: its part, when that ends      */
+    int parts;
+    int64_t part, part_end;
+    double time, time_length;       /* step that the node waits for             */
+    fmi2Status status;              /* what it returned                         */
+} Run;
 
 static double larger(double a, double b)
 {
     return b > a ? b : a;
-}
-
-static int call_failed(Kernel *k, const KernelNode *node, int call, fmi2Status status)
-{
-    k->node = (int32_t)(node - k->nodes);
-    k->call = call;
-    k->status = (int32_t)status;
-    return KERNEL_CALL_FAILED;
-}
-
-/* Sets the inputs from u (Reals) and the others' signals, and derivatives up to `order` from du. */
-static int send(Kernel *k, KernelNode *node, int order)
-{
-    fmi2Status status;
-
-    if (node->n_u_real > 0) {
-        const size_t n = (size_t)node->n_u_real;
-        status = node->set_real(node->component, node->u_reference, n, node->u);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_SET_REAL, status);
-        if (order > 0) {
-            status = node->set_derivatives(node->component, node->du_reference, n * (size_t)order,
-                                           node->du_order, node->du);
-            if (status > fmi2Warning) return call_failed(k, node, CALL_SET_DERIVATIVES, status);
-        }
-    }
-    for (int i = node->n_u_real; i < node->n_u; ++i) {
-        const KernelFeed *feed = node->feeds + i;
-        const int value = (int)(feed->gain * k->signals[feed->signal].d[0] + feed->offset);
-        status = feed->type == TYPE_BOOLEAN
-                     ? node->set_boolean(node->component, node->u_reference + i, 1, &value)
-                     : node->set_integer(node->component, node->u_reference + i, 1, &value);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_SET_INTEGER, status);
-    }
-    return KERNEL_OK;
-}
-
-static int do_step(Kernel *k, KernelNode *node, double time, double length)
-{
-    const fmi2Status status = node->do_step(node->component, time, length, fmi2True);
-
-    if (status > fmi2Warning) {
-        node->time = time;
-        if (status == fmi2Discard && k->discarded != NULL
-            && k->discarded((int32_t)(node - k->nodes), time, length) == 0) {
-            node->time = time + length;
-            return KERNEL_OK;
-        }
-        return call_failed(k, node, CALL_DO_STEP, status);
-    }
-    node->time = time + length;
-    return KERNEL_OK;
-}
-
-/* The step in one piece, its inputs as polynomials (order 0: held). */
-static int advance_whole(Kernel *k, KernelNode *node, const Step *step)
-{
-    const int order = node->order;
-    double *du = node->du;
-    int code;
-
-    for (int i = 0; i < node->n_u_real; ++i) {
-        const KernelFeed *feed = node->feeds + i;
-        const double *d = k->signals[feed->signal].d;
-        node->u[i] = feed->gain == 1.0 && feed->offset == 0.0 ? d[0] : feed->gain * d[0] + feed->offset;
-        for (int m = 1; m <= order; ++m) *du++ = feed->gain * d[m];
-    }
-    code = send(k, node, order);
-    return code == KERNEL_OK ? do_step(k, node, step->start_s, step->length_s) : code;
-}
-
-/* The step in parts; in each the mean of the inputs over the part is held. */
-static int advance_in_parts(Kernel *k, KernelNode *node, const Step *step)
-{
-    const int64_t length = step->end - step->start, n = node->substeps;
-    int64_t now = step->start;
-    int code;
-
-    for (int64_t part = 1; part <= n; ++part) {
-        const int64_t end = step->start + length * part / n;
-        const double a = seconds(now - step->start), b = seconds(end - step->start);
-        if (end == now) continue;
-        for (int i = 0; i < node->n_u_real; ++i) {
-            const KernelFeed *feed = node->feeds + i;
-            node->u[i] = feed->gain * mean_between(k->signals[feed->signal].d, a, b) + feed->offset;
-        }
-        if ((code = send(k, node, 0)) != KERNEL_OK) return code;
-        if ((code = do_step(k, node, seconds(now), seconds(end - now))) != KERNEL_OK) return code;
-        now = end;
-    }
-    for (int i = 0; i < node->n_u_real; ++i) {
-        const KernelFeed *feed = node->feeds + i;
-        node->u[i] = feed->gain * value_at(k->signals[feed->signal].d, step->length_s) + feed->offset;
-    }
-    return send(k, node, 0);
-}
-
-static int receive(Kernel *k, KernelNode *node, const Step *step)
-{
-    double *y = node->y = step->row + node->column;
-    const int n_real = node->n_real, n_integer = node->n_integer, n_boolean = node->n_boolean;
-    const int32_t *place = node->y_place;
-    fmi2Status status;
-
-    if (n_real > 0) {
-        const int direct = n_real == node->n_y;
-        status = node->get_real(node->component, node->y_reference, (size_t)n_real, direct ? y : node->y_real);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_GET_REAL, status);
-        if (!direct)
-            for (int i = 0; i < n_real; ++i) y[place[i]] = node->y_real[i];
-    }
-    if (n_integer > 0) {
-        status = node->get_integer(node->component, node->y_reference + n_real, (size_t)n_integer,
-                                   node->y_integer);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_GET_INTEGER, status);
-    }
-    if (n_boolean > 0) {
-        status = node->get_boolean(node->component, node->y_reference + n_real + n_integer,
-                                   (size_t)n_boolean, node->y_integer + n_integer);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_GET_INTEGER, status);
-    }
-    for (int i = 0; i < n_integer + n_boolean; ++i) y[place[n_real + i]] = (double)node->y_integer[i];
-    if (node->n_dy > 0) {
-        status = node->get_derivatives(node->component, node->dy_reference, (size_t)node->n_dy,
-                                       node->dy_order, node->dy);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_GET_DERIVATIVES, status);
-    }
-    for (int i = 0; i < node->n_y; ++i)
-        if (!isfinite(y[i])) {
-            k->node = (int32_t)(node - k->nodes);
-            return KERNEL_NOT_FINITE;
-        }
-    return KERNEL_OK;
-}
-
-static int advance(Kernel *k, KernelNode *node, const Step *step)
-{
-    int code = node->substeps > 1 && node->n_u > 0 && !step->edge ? advance_in_parts(k, node, step)
-                                                                  : advance_whole(k, node, step);
-
-    if (code != KERNEL_OK || (code = receive(k, node, step)) != KERNEL_OK) return code;
-    for (int i = 0; i < node->n_signals; ++i) {
-        KernelSignal *s = k->signals + node->first_signal + i;
-        signal_know(s, step->start, step->length_s, step->edge, node->y[s->index],
-                    s->slope >= 0 ? node->dy[s->slope] : 0.0);
-    }
-    return KERNEL_OK;
-}
-
-static int advance_members(Kernel *k, const KernelGroup *group, const Step *step)
-{
-    int code = KERNEL_OK;
-
-    for (int i = 0; i < group->count && code == KERNEL_OK; ++i)
-        code = advance(k, k->nodes + k->members[group->first + i], step);
-    return code;
-}
-
-static int save_members(Kernel *k, const KernelGroup *group)
-{
-    for (int i = 0; i < group->count; ++i) {
-        KernelNode *node = k->nodes + k->members[group->first + i];
-        const fmi2Status status = node->get_state(node->component, &node->state);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_GET_STATE, status);
-    }
-    return KERNEL_OK;
-}
-
-static int restore_members(Kernel *k, const KernelGroup *group)
-{
-    for (int i = 0; i < group->count; ++i) {
-        KernelNode *node = k->nodes + k->members[group->first + i];
-        const fmi2Status status = node->set_state(node->component, node->state);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_SET_STATE, status);
-    }
-    return KERNEL_OK;
-}
-
-/* Steps the members until the torn signals end as supposed: loops.py. */
-static int iterate(Kernel *k, const KernelGroup *group, const Step *step)
-{
-    const int n = group->n_torn;
-    const int32_t *torn = k->torn + group->torn;
-    const double h = step->length_s;
-    Secant secant = secant_of(k->work, 2 * n);
-    double error = 0.0;
-    int code = save_members(k, group);
-
-    if (code != KERNEL_OK) return code;
-    for (int i = 0; i < n; ++i) {
-        const KernelSignal *s = k->signals + torn[i];
-        secant.x[2 * i] = value_at(s->d, h);
-        secant.x[2 * i + 1] = h * slope_at(s->d, h);
-    }
-    for (int sweep = 0; sweep < MAX_SWEEPS; ++sweep) {
-        if (sweep > 0) {
-            if ((code = restore_members(k, group)) != KERNEL_OK) return code;
-            for (int i = 0; i < n; ++i)
-                signal_know(k->signals + torn[i], step->start, h, step->edge, secant.x[2 * i],
-                            secant.x[2 * i + 1] / h);
-        }
-        if ((code = advance_members(k, group, step)) != KERNEL_OK) return code;
-        error = 0.0;
-        for (int i = 0; i < n; ++i) {
-            const KernelSignal *s = k->signals + torn[i];
-            const double scale = larger(larger(s->peak, fabs(s->v1)), LEAST_SCALE * s->nominal);
-            const double value = s->v1 - secant.x[2 * i];
-            const double slope =
-                s->kind == KIND_HERMITE && !step->edge ? h * s->s1 - secant.x[2 * i + 1] : 0.0;
-            secant.r[2 * i] = value;
-            secant.r[2 * i + 1] = slope;
-            error = larger(larger(error, fabs(value) / scale), fabs(slope) / scale / 8.0);
-        }
-        if (error <= k->tolerance) {
-            k->repeated += sweep;
-            return KERNEL_OK;
-        }
-        secant_correct(&secant);
-    }
-    k->group = (int32_t)(group - k->groups);
-    k->value = error;
-    return KERNEL_NOT_SETTLED;
 }
 
 static double now_s(void)
@@ -274,58 +86,327 @@ static double now_s(void)
 #endif
 }
 
-static int run(Kernel *k, int64_t until)
+/* The node will be stepped from `time` over `length`: at once, or with those of other runs. */
+static int step_node(Run *r, double time, double length)
 {
-    const double begin = now_s();
-    double looked = begin, start_s = seconds(k->points[k->index]), length_s = 0.0;
-    int64_t length = 0;
-    int stride = 1, since = 0;
+    KernelNode *node = r->node;
 
-    while (k->index < until) {
-        const int64_t start = k->points[k->index], end = k->points[k->index + 1];
-        const int flags = k->flags[k->index], edge = (flags & STEP_EDGE) != 0;
-        const int recorded = (flags & STEP_RECORDED) != 0;
-        Step step = {start, end, start_s, 0.0, k->spare, edge};
-
-        if (k->stop != 0) return KERNEL_STOPPED;
-        if (++since > stride) {
-            const double now = now_s();
-            if (now - begin > k->budget) return KERNEL_PAUSED;
-            stride = now - looked > 1e-3 ? 1 : stride < 64 ? 2 * stride : 64;
-            looked = now;
-            since = 1;
-        }
-        if (end - start != length) {
-            length = end - start;
-            length_s = seconds(length);
-        }
-        step.length_s = length_s;
-        if (recorded) step.row = k->records + k->row * k->n_columns;
-        for (int i = 0; i < k->n_signals; ++i) signal_begin(k->signals + i, start, edge);
-        for (int i = 0; i < k->n_groups; ++i) {
-            const KernelGroup *group = k->groups + i;
-            const int code = group->iterated ? iterate(k, group, &step) : advance_members(k, group, &step);
-            if (code != KERNEL_OK) return code;
-        }
-        for (int i = 0; i < k->n_signals; ++i) signal_accept(k->signals + i, end, length_s, edge);
-        ++k->index;
-        start_s = seconds(end);
-        if (recorded) k->times[k->row++] = start_s;
-    }
+    r->time = time;
+    r->time_length = length;
+    r->at = WAITING;
+    if (!r->alone && node->together != NULL) return KERNEL_OK;
+    r->status = node->do_step(node->component, time, length, fmi2True);
+    r->at = STEPPED;
     return KERNEL_OK;
 }
 
-/* Steps until `k->index` is `until`, or something needs attention. The clock is
- * looked at after 1, 2, 4 .. 64 steps while these are short. */
-int32_t kernel_run(Kernel *k, int64_t until)
+/* Looks at what stepping the node gave. */
+static int node_stepped(Run *r)
 {
-    const int code = run(k, until);
+    Kernel *k = r->k;
+    KernelNode *node = r->node;
 
+    r->at = AT_PART;
+    if (r->status > fmi2Warning) {
+        node->time = r->time;
+        if (r->status != fmi2Discard || k->discarded == NULL
+            || k->discarded((int32_t)(node - k->nodes), r->time, r->time_length) != 0)
+            return call_failed(k, node, CALL_DO_STEP, r->status);
+    }
+    node->time = r->time + r->time_length;
+    return KERNEL_OK;
+}
+
+/* The node has reached the end of the step. */
+static int end_node(Run *r)
+{
+    Kernel *k = r->k;
+    KernelNode *node = r->node;
+    const Step *step = &r->step;
+    const int code = receive(k, node, step);
+
+    if (code != KERNEL_OK) return code;
+    for (int i = 0; i < node->n_signals; ++i) {
+        KernelSignal *s = k->signals + node->first_signal + i;
+        signal_know(s, step->start, step->length_s, step->edge, node->y[s->index],
+                    s->slope >= 0 ? node->dy[s->slope] : 0.0);
+    }
+    ++r->member;
+    r->at = AT_NODE;
+    return KERNEL_OK;
+}
+
+/* The next part of the step; in each the mean of the inputs over the part is held. */
+static int begin_part(Run *r)
+{
+    KernelNode *node = r->node;
+    const Step *step = &r->step;
+    const int64_t length = step->end - step->start, n = node->substeps, now = r->part_end;
+    int code;
+
+    if (!r->parts) return end_node(r);
+    if (r->part == n) {
+        code = send_end(r->k, node, step->length_s);
+        return code == KERNEL_OK ? end_node(r) : code;
+    }
+    r->part_end = step->start + length * ++r->part / n;
+    if (r->part_end == now) return KERNEL_OK;
+    code = send_mean(r->k, node, seconds(now - step->start), seconds(r->part_end - step->start));
+    return code == KERNEL_OK ? step_node(r, seconds(now), seconds(r->part_end - now)) : code;
+}
+
+static int begin_node(Run *r, const KernelGroup *group)
+{
+    KernelNode *node = r->node = r->k->nodes + r->k->members[group->first + r->member];
+    int code;
+
+    r->parts = node->substeps > 1 && node->n_u > 0 && !r->step.edge;
+    if (r->parts) {
+        r->part = 0;
+        r->part_end = r->step.start;
+        r->at = AT_PART;
+        return KERNEL_OK;
+    }
+    code = send_whole(r->k, node);
+    return code == KERNEL_OK ? step_node(r, r->step.start_s, r->step.length_s) : code;
+}
+
+/* Loops are stepped until the torn signals end as supposed: loops.py. */
+static int begin_loop(Run *r, const KernelGroup *group)
+{
+    Kernel *k = r->k;
+    const double h = r->step.length_s;
+    const int code = save_members(k, group);
+
+    r->secant = secant_of(k->work, 2 * group->n_torn);
+    for (int i = 0; i < group->n_torn; ++i) {
+        const KernelSignal *s = k->signals + k->torn[group->torn + i];
+        r->secant.x[2 * i] = value_at(s->d, h);
+        r->secant.x[2 * i + 1] = h * slope_at(s->d, h);
+    }
+    r->sweep = 0;
+    return code;
+}
+
+/* Compares what came out of a loop with what was supposed: goes on, or once more from the start. */
+static int end_loop(Run *r, const KernelGroup *group)
+{
+    Kernel *k = r->k;
+    Secant *secant = &r->secant;
+    const Step *step = &r->step;
+    const double h = step->length_s;
+    const int n = group->n_torn;
+    double error = 0.0;
+    int code;
+
+    for (int i = 0; i < n; ++i) {
+        const KernelSignal *s = k->signals + k->torn[group->torn + i];
+        const double scale = larger(larger(s->peak, fabs(s->v1)), LEAST_SCALE * s->nominal);
+        const double value = s->v1 - secant->x[2 * i];
+        const double slope =
+            s->kind == KIND_HERMITE && !step->edge ? h * s->s1 - secant->x[2 * i + 1] : 0.0;
+        secant->r[2 * i] = value;
+        secant->r[2 * i + 1] = slope;
+        error = larger(larger(error, fabs(value) / scale), fabs(slope) / scale / 8.0);
+    }
+    if (error <= k->tolerance) {
+        k->repeated += r->sweep;
+        ++r->group;
+        r->at = AT_GROUP;
+        return KERNEL_OK;
+    }
+    if (++r->sweep == MAX_SWEEPS) {
+        k->group = (int32_t)(group - k->groups);
+        k->value = error;
+        return KERNEL_NOT_SETTLED;
+    }
+    secant_correct(secant);
+    if ((code = restore_members(k, group)) != KERNEL_OK) return code;
+    for (int i = 0; i < n; ++i)
+        signal_know(k->signals + k->torn[group->torn + i], step->start, h, step->edge, secant->x[2 * i],
+                    secant->x[2 * i + 1] / h);
+    r->member = 0;
+    return KERNEL_OK;
+}
+
+static int end_step(Run *r)
+{
+    Kernel *k = r->k;
+    const Step *step = &r->step;
+
+    for (int i = 0; i < k->n_signals; ++i) signal_accept(k->signals + i, step->end, step->length_s, step->edge);
+    ++k->index;
+    if (step->recorded) k->times[k->row++] = seconds(step->end);
+    r->at = AT_POINT;
+    return KERNEL_OK;
+}
+
+static int time_is_up(Watch *w)
+{
+    if (!w->over && ++w->since > w->stride) {
+        const double now = now_s();
+        w->over = now - w->begin > w->budget;
+        w->stride = now - w->looked > 1e-3 ? 1 : w->stride < 64 ? 2 * w->stride : 64;
+        w->looked = now;
+        w->since = 1;
+    }
+    return w->over;
+}
+
+static int begin_step(Run *r)
+{
+    Kernel *k = r->k;
+    Step *step = &r->step;
+
+    if (k->index >= r->until) {
+        r->code = KERNEL_OK;
+        return KERNEL_OK;
+    }
+    if (k->stop != 0) return KERNEL_STOPPED;
+    if (time_is_up(r->watch)) return KERNEL_PAUSED;
+    step->start = k->points[k->index];
+    step->end = k->points[k->index + 1];
+    step->edge = (k->flags[k->index] & STEP_EDGE) != 0;
+    step->recorded = (k->flags[k->index] & STEP_RECORDED) != 0;
+    if (step->end - step->start != r->length) {
+        r->length = step->end - step->start;
+        r->length_s = seconds(r->length);
+    }
+    step->start_s = seconds(step->start);
+    step->length_s = r->length_s;
+    step->row = step->recorded ? k->records + k->row * k->n_columns : k->spare;
+    for (int i = 0; i < k->n_signals; ++i) signal_begin(k->signals + i, step->start, step->edge);
+    r->group = 0;
+    r->at = AT_GROUP;
+    return KERNEL_OK;
+}
+
+static int begin_group(Run *r)
+{
+    const KernelGroup *group = r->k->groups + r->group;
+
+    if (r->group == r->k->n_groups) return end_step(r);
+    r->member = 0;
+    r->at = AT_NODE;
+    return group->iterated ? begin_loop(r, group) : KERNEL_OK;
+}
+
+static int next_member(Run *r)
+{
+    const KernelGroup *group = r->k->groups + r->group;
+
+    if (r->member < group->count) return begin_node(r, group);
+    if (group->iterated) return end_loop(r, group);
+    ++r->group;
+    r->at = AT_GROUP;
+    return KERNEL_OK;
+}
+
+/* Goes on until the run ends or waits. */
+static void go_on(Run *r)
+{
+    while (r->code == UNDER_WAY && r->at != WAITING) {
+        const int code = r->at == AT_POINT ? begin_step(r)
+                         : r->at == AT_GROUP ? begin_group(r)
+                         : r->at == AT_NODE ? next_member(r)
+                         : r->at == AT_PART ? begin_part(r)
+                                            : node_stepped(r);
+        if (code != KERNEL_OK) r->code = code;
+    }
+}
+
+/* Steps the waiting node of run `first` and of all after it whose nodes go together with it. */
+static void step_together(Run *runs, int first, int n)
+{
+    void *const work = runs[first].node->work;
+    fmi2Component component[MOST_RUNS];
+    double time[MOST_RUNS], length[MOST_RUNS];
+    fmi2Status status[MOST_RUNS];
+    Run *member[MOST_RUNS];
+    size_t count = 0;
+    int slopes = 0;
+
+    for (int i = first; i < n; ++i) {
+        Run *r = runs + i;
+        if (r->code != UNDER_WAY || r->at != WAITING || r->node->work != work) continue;
+        component[count] = r->node->component;
+        time[count] = r->time;
+        length[count] = r->time_length;
+        slopes |= r->node->n_dy > 0;
+        member[count++] = r;
+    }
+    runs[first].node->together(work, count, component, time, length, slopes, status);
+    for (size_t i = 0; i < count; ++i) {
+        member[i]->status = status[i];
+        member[i]->at = STEPPED;
+    }
+}
+
+static void end_run(Kernel *k)
+{
     for (int i = 0; i < k->n_nodes; ++i) {
         const KernelNode *node = k->nodes + i;
         if (node->y != node->y_home) memcpy(node->y_home, node->y, (size_t)node->n_y * sizeof node->y[0]);
     }
-    return code;
+}
+
+static Run new_run(Kernel *k, int64_t until, Watch *watch, int alone)
+{
+    Run r;
+
+    memset(&r, 0, sizeof r);
+    r.k = k;
+    r.watch = watch;
+    r.until = until;
+    r.code = UNDER_WAY;
+    r.alone = alone;
+    r.at = AT_POINT;
+    return r;
+}
+
+static Watch new_watch(double budget)
+{
+    const double begin = now_s();
+    const Watch w = {begin, begin, budget, 1, 0, 0};
+    return w;
+}
+
+/* Steps until `k->index` is `until`, or something needs attention. */
+int32_t kernel_run(Kernel *k, int64_t until)
+{
+    Watch watch = new_watch(k->budget);
+    Run r = new_run(k, until, &watch, 1);
+
+    go_on(&r);
+    end_run(k);
+    return r.code;
+}
+
+/* kernel_run of n runs: nodes that go together are stepped at once, of as many runs as
+ * wait for one. Runs need not be at the same time, nor of the same structure. Returns
+ * -1 when there are more than 64. */
+int32_t kernel_run_together(Kernel *const k[], const int64_t until[], int32_t n, double budget, int32_t code[])
+{
+    Watch watch = new_watch(budget);
+    Run runs[MOST_RUNS];
+    int waiting = 1;
+
+    if (n > MOST_RUNS) return -1;
+    for (int i = 0; i < n; ++i) runs[i] = new_run(k[i], until[i], &watch, 0);
+    while (waiting) {
+        waiting = 0;
+        for (int i = 0; i < n; ++i) go_on(runs + i);
+        for (int i = 0; i < n; ++i)
+            if (runs[i].code == UNDER_WAY && runs[i].at == WAITING) {
+                step_together(runs, i, n);
+                waiting = 1;
+            }
+    }
+    for (int i = 0; i < n; ++i) {
+        end_run(k[i]);
+        code[i] = runs[i].code;
+    }
+    return 0;
 }
 
 /* Sizes of the structures, for whoever mirrors them; returns how many there are. */

@@ -48,6 +48,11 @@ typedef struct {
     int32_t signal, type;
 } KernelFeed;
 
+/* fmi2DoStep of several instances at once (group.h): status[i] for component c[i] from
+ * time[i] over length[i]; slopes: output slopes will be read. */
+typedef void KernelTogether(void *work, size_t n, const fmi2Component c[], const fmi2Real time[],
+                            const fmi2Real length[], int slopes, fmi2Status status[]);
+
 /* One FMU instance and its place in the graph: node.py, instances.py. */
 typedef struct {
     fmi2Component component;
@@ -62,6 +67,8 @@ typedef struct {
     fmi2GetRealOutputDerivativesTYPE *get_derivatives;
     fmi2GetFMUstateTYPE *get_state;
     fmi2SetFMUstateTYPE *set_state;
+    KernelTogether *together;       /* or null: it is stepped alone             */
+    void *work;                     /* of `together`; nodes with the same one go together */
     fmi2FMUstate state;             /* before the step, of a member of a loop   */
     double time;                    /* end of its last step, as the FMU was told */
 

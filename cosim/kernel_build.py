@@ -77,7 +77,7 @@ class KernelNode(ctypes.Structure):
     _fields_ = [
         ("component", c_void_p),
         *_fields(c_void_p, " ".join(FUNCTIONS)),
-        ("state", c_void_p),
+        *_fields(c_void_p, "together work state"),
         ("time", c_double),
         *_fields(c_void_p, "feeds u_reference u du_reference du_order du"),
         *_fields(c_void_p, "y y_home y_place y_reference y_real y_integer dy dy_reference dy_order"),
@@ -115,6 +115,14 @@ def _library(path: Path) -> ctypes.CDLL:
     library = ctypes.CDLL(str(path))
     library.kernel_run.argtypes = [ctypes.POINTER(KernelRun), c_int64]
     library.kernel_run.restype = c_int32
+    library.kernel_run_together.argtypes = [
+        ctypes.POINTER(c_void_p),
+        ctypes.POINTER(c_int64),
+        c_int32,
+        c_double,
+        ctypes.POINTER(c_int32),
+    ]
+    library.kernel_run_together.restype = c_int32
     sizes = (c_int32 * len(_MIRRORED))()
     count = library.kernel_layout(sizes, len(_MIRRORED))
     if count != len(_MIRRORED) or list(sizes) != [ctypes.sizeof(s) for s in _MIRRORED]:
