@@ -123,7 +123,7 @@ static int end_node(Run *r)
     Kernel *k = r->k;
     KernelNode *node = r->node;
     const Step *step = &r->step;
-    const int code = receive(k, node, step);
+    const int code = receive(k, node, step->row);
 
     if (code != KERNEL_OK) return code;
     for (int i = 0; i < node->n_signals; ++i) {

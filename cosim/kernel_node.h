@@ -74,9 +74,10 @@ static int send_end(Kernel *k, KernelNode *node, double length_s)
     return send(k, node, 0);
 }
 
-static int receive(Kernel *k, KernelNode *node, const Step *step)
+/* Reads the outputs into their columns of `row`, and the slopes. */
+static int receive(Kernel *k, KernelNode *node, double *row)
 {
-    double *y = node->y = step->row + node->column;
+    double *y = node->y = row + node->column;
     const int n_real = node->n_real, n_integer = node->n_integer, n_boolean = node->n_boolean;
     const int32_t *place = node->y_place;
     fmi2Status status;
