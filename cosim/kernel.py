@@ -5,7 +5,7 @@ same records as the Python reference. What the master remembers of each signal
 is copied in before a stretch of steps and back after it, so that either can go
 on where the other stopped, at any communication point. One call runs for at
 most 20 ms, without the interpreter lock; between calls Python handles Ctrl-C
-and tells progress.
+and tells progress. Several kernels can run in one call (`run_kernels`).
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from .node import Node
 from .signals import Signal
 
 _BUDGET_S = 0.02
+MOST_TOGETHER = 64  #: kernel.c
 Records = npt.NDArray[np.float64]
 
 
@@ -101,32 +102,16 @@ class Kernel:
         run.times, run.records = times.ctypes.data, records.ctypes.data
         run.spare = self._at(_array(c_double, [0.0] * records.shape[1]))
         run.work = self._at((c_double * max(1, most * most + 6 * most))())
-        run.tolerance, run.budget = tolerance, _BUDGET_S
+        run.tolerance = tolerance
         run.n_nodes, run.n_signals, run.n_groups = len(self._nodes), len(signals), len(groups)
         run.n_columns = records.shape[1]
 
     # -- running --------------------------------------------------------------------------
 
-    def run(self, index: int, row: int, until: int) -> None:
-        """Step from step number `index` towards `until` for at most 20 ms; rows are written from `row` on.
-
-        A step that an FMU discards is handed to its participant, as the reference does.
-
-        `index`, `row` and `repeated` then say how far it came, also after an exception.
-
-        Raises
-        ------
-        StepError : an FMU failed, an output is not finite, a loop does not settle.
-        """
+    def begin(self, index: int, row: int) -> None:
+        """Prepare for `run_kernels` from step number `index` on; rows are written from `row` on."""
         run = self._run
         run.index, run.row, run.repeated = index, row, 0
-        self._load()
-        try:
-            code = self._library.kernel_run(byref(run), until)
-        finally:
-            self._store()
-        if code not in (built.OK, built.PAUSED, built.STOPPED):
-            self._fail(code)
 
     def cancel(self, stop: bool = True) -> None:
         """Make a run that another thread is in return after its present step; False: forget it."""
@@ -150,6 +135,20 @@ class Kernel:
     def fits(self) -> bool:
         """Whether the participants are still the instances this was made for."""
         return self.components == _components(self._nodes)
+
+    @property
+    def participants(self) -> list[FmuParticipant]:
+        """Participants by number."""
+        return [node.participant for node in self._nodes]  # type: ignore[misc]
+
+    def join(self, number: int, step: int, work: int) -> None:
+        """Step participant `number` by the function at `step`, with the others that join `work`."""
+        self._k_nodes[number].together, self._k_nodes[number].work = step, work
+
+    def leave(self) -> None:
+        """Step every participant alone again."""
+        for mirror in self._k_nodes:
+            mirror.together = mirror.work = None
 
     def close(self) -> None:
         """Free the FMU states that iterating loops left, while the instances live."""
@@ -250,6 +249,16 @@ class Kernel:
             return 1
         return 0
 
+    def _error(self, code: int) -> Exception | None:
+        """Return what a run that ended with `code` has to raise."""
+        if code in (built.OK, built.PAUSED, built.STOPPED):
+            return None
+        try:
+            self._fail(code)
+        except Exception as error:
+            return error
+        return None
+
     def _fail(self, code: int) -> None:
         if self._raised is not None:
             raised, self._raised = self._raised, None
@@ -262,6 +271,33 @@ class Kernel:
         if code == built.NOT_FINITE:
             node.check(step.end)
         node.participant.fail(built.CALLS[run.call], run.status)  # type: ignore[attr-defined]
+
+
+def run_kernels(
+    kernels: Sequence[Kernel], until: Sequence[int], *, budget_s: float = _BUDGET_S
+) -> list[Exception | None]:
+    """Let each kernel step towards its step number `until`, for at most `budget_s` in all; return errors.
+
+    Participants that joined the same group (`Kernel.join`) are stepped at once. A step that an FMU discards
+    is handed to its participant, as the reference does. `index`, `row` and `repeated` of each kernel then say
+    how far it came. Errors are StepErrors: an FMU failed, an output is not finite, a loop does not settle.
+    """
+    n = len(kernels)
+    codes = (c_int32 * n)()
+    for kernel in kernels:
+        kernel._load()
+    try:
+        if n == 1:
+            kernels[0]._run.budget = budget_s
+            codes[0] = kernels[0]._library.kernel_run(byref(kernels[0]._run), until[0])
+        else:
+            runs = (c_void_p * n)(*(addressof(k._run) for k in kernels))
+            if kernels[0]._library.kernel_run_together(runs, (c_int64 * n)(*until), n, budget_s, codes):
+                raise ValueError(f"{n} runs together, allowed: {MOST_TOGETHER}")
+    finally:
+        for kernel in kernels:
+            kernel._store()
+    return [kernel._error(code) for kernel, code in zip(kernels, codes, strict=True)]
 
 
 def _components(nodes: Sequence[Node]) -> list[int]:

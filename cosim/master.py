@@ -34,7 +34,7 @@ from .errors import GraphError, ScenarioError, StepError
 from .graph import Graph, build_graph
 from .initialise import initialise
 from .instances import FmuParticipant
-from .kernel import Kernel, why_not
+from .kernel import Kernel, run_kernels, why_not
 from .kernel_build import kernel_or_reason
 from .loops import iterate_loop
 from .participant import Participant
@@ -262,6 +262,37 @@ class Master:
             if progress is not None:
                 progress(self.time_s, stop_s)
 
+    # -- for `together` -------------------------------------------------------------------
+
+    def hand_over(self) -> Kernel | None:
+        """Start if need be and make the kernel begin where this stands; None: Python has to step.
+
+        What the kernel then does is to be followed (`follow`).
+        """
+        self._cancelled = False
+        if self._index < 0:
+            self.start()
+        kernel = self._compiled()
+        if kernel is not None:
+            self._note("kernel")
+            kernel.begin(self._index, self._rows)
+        return kernel
+
+    def follow(self, kernel: Kernel) -> None:
+        """Go where the kernel has come to."""
+        self._index, self._rows = kernel.index, kernel.row
+        self.repeated += kernel.repeated
+
+    def refuse(self, error: Exception) -> None:
+        """Put the results so far into the error of a step."""
+        if isinstance(error, StepError):
+            error.trajectory = self.trajectory
+
+    @property
+    def cancelled(self) -> bool:
+        """Whether `cancel` was called since the steps under way began."""
+        return self._cancelled
+
     def cancel(self) -> None:
         """Make `run` return after the step it is in; to be called by `progress` or from another thread."""
         self._cancelled = True
@@ -374,15 +405,12 @@ class Master:
     def _stretch(self, kernel: Kernel, last: int) -> None:
         """Let the kernel step for a while."""
         self._note("kernel")
-        try:
-            kernel.run(self._index, self._rows, last)
-        except StepError as error:
-            self._index, self._rows = kernel.index, kernel.row
-            error.trajectory = self.trajectory
-            raise
-        finally:
-            self._index, self._rows = kernel.index, kernel.row
-            self.repeated += kernel.repeated
+        kernel.begin(self._index, self._rows)
+        error = run_kernels([kernel], [last])[0]
+        self.follow(kernel)
+        if error is not None:
+            self.refuse(error)
+            raise error
 
     def _note(self, engine: str) -> None:
         """Remember who steps."""
