@@ -406,8 +406,10 @@ class Master:
         """Let the kernel step for a while."""
         self._note("kernel")
         kernel.begin(self._index, self._rows)
-        error = run_kernels([kernel], [last])[0]
-        self.follow(kernel)
+        try:
+            error = run_kernels([kernel], [last])[0]
+        finally:  # Ctrl-C too
+            self.follow(kernel)
         if error is not None:
             self.refuse(error)
             raise error

@@ -64,11 +64,14 @@ def _step(
     steps = {number: len(masters[number].clock.steps) for number, _ in under_way}
     while under_way:
         kernels = [kernel for _, kernel in under_way]
-        errors = run_kernels(kernels, [steps[number] for number, _ in under_way], budget_s=_BUDGET_S)
+        try:
+            errors = run_kernels(kernels, [steps[number] for number, _ in under_way], budget_s=_BUDGET_S)
+        finally:  # Ctrl-C too
+            for number, kernel in under_way:
+                masters[number].follow(kernel)
         going: list[tuple[int, Kernel]] = []
         for (number, kernel), error in zip(under_way, errors, strict=True):
             master = masters[number]
-            master.follow(kernel)
             if error is not None:
                 master.refuse(error)
             elif watch is not None:
