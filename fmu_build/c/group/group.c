@@ -168,7 +168,7 @@ static void next_stretch(Group *g, Lane *lane, size_t k)
         lane->from = lane->time;
         lane->to = reached && event < lane->end ? event : lane->end;
         if (lane->to > lane->from) {
-            const double wanted = ceil((lane->to - lane->from) / lane->c->internal_step - 1e-9);
+            const double wanted = ceil((lane->to - lane->from) / *lane->c->internal_step - 1e-9);
             lane->count = wanted < 1.0 ? 1 : (long)wanted;
             return;
         }
