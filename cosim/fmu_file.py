@@ -68,7 +68,9 @@ class FmuFile:
     def folder(self) -> Path:
         """The unpacked FMU."""
         if self._folder is None:
-            self._folder = Path(tempfile.mkdtemp(prefix="interarea-fmu-", dir=self._scratch))
+            # absolute: the FMU is told where its resources are by a URI
+            made = tempfile.mkdtemp(prefix="interarea-fmu-", dir=self._scratch)
+            self._folder = Path(made).absolute()
             atexit.register(self.close)
             with zipfile.ZipFile(self.path) as archive:
                 archive.extractall(self._folder)

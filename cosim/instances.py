@@ -170,7 +170,7 @@ class FmuParticipant:
             self._fmu.freeLibrary()
             self._fmu = None
             raise StepError(
-                "returned no instance",
+                f"returned no instance ({error})",
                 instance=self.name,
                 call="fmi2Instantiate",
                 time_s=None,
