@@ -1,4 +1,4 @@
-"""What a person does first, and does wrong first: relative folders, wrong files, full pipes, strange terminals."""
+"""What a person does first, and does wrong first: relative folders, wrong files, closed pipes."""
 
 from __future__ import annotations
 
