@@ -140,7 +140,7 @@ def _exciter(m: Machine, efd: float) -> Row:
             )
         wide = {"VIMAX": FAR, "VIMIN": -FAR, "VRMAX": FAR, "VRMIN": -FAR, "KC": 0.0, "KF": 0.0, "TF": 1.0}
         return "EXST1", row | {"TR": e.TR, "TC": TC, "TB": TB, "KA": e.KA, "TA": e.TA} | wide
-    if e.kind != "dc1" or e.KE == "self-excited":
+    if e.kind != "dc1":
         raise ValueError(f"machines.{m.name}.exciter: {e.kind} is not represented")
     if e.TB:
         raise ValueError(f"machines.{m.name}.exciter.TB = {e.TB:g}: IEEET1 has no lead-lag, allowed: 0")
@@ -149,7 +149,8 @@ def _exciter(m: Machine, efd: float) -> Row:
     saturation = {"E1": 0.0, "SE1": 0.0, "E2": 0.0, "SE2": 0.0}
     for number, volts in ((1, 0.99 * efd), (2, 1.01 * efd)) if e.Aex else ():
         saturation |= {f"E{number}": volts, f"SE{number}": e.Aex * math.exp(e.Bex * volts)}
-    return "IEEET1", row | {"KA": e.KA, "KE": e.KE, "KF": e.KF} | times | limits | saturation
+    KE = -e.Aex * math.exp(e.Bex * efd) if e.KE == "self-excited" else e.KE
+    return "IEEET1", row | {"KA": e.KA, "KE": KE, "KF": e.KF} | times | limits | saturation
 
 
 def _stabilizer(m: Machine) -> Row:

@@ -1,14 +1,16 @@
 """Other readings of Kundur's Example 12.6 beside its printed swing modes; the stabilizer those need.
 
-    python benchmarks/book_readings.py
+    python benchmarks/book_readings.py [--andes-python PYTHON]
 
 Reads book_readings.toml. The first column of numbers tells how far the farthest of the six printed
 numbers is, in half units of its last digit: 1 or less reaches the digits. Exit code 1 when a mode
-is not the one recorded there.
+is not the one recorded there. With --andes-python, ANDES 2.0 gives two readings more, without saturation
+of the machines: the stabilizers on the machines' speed and on the frequency of their buses.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 import tomllib
 from collections.abc import Iterator, Sequence
@@ -17,6 +19,8 @@ from typing import Any
 
 import control
 import numpy as np
+from andes_rows import load_mix, rows_of
+from compare_andes import ask, unsaturated
 
 from interarea.cosim.artefacts import default_cache, linear_plant
 from interarea.design.modes import modes_of
@@ -76,8 +80,39 @@ def stabilizer_of_the_book(s: complex) -> complex:
     return 20 * 10 * s / (1 + 10 * s) * (1 + 0.05 * s) / (1 + 0.02 * s) * (1 + 3 * s) / (1 + 5.4 * s)
 
 
+def on_bus_frequency(rows: list[tuple[str, dict[str, Any]]]) -> list[tuple[str, dict[str, Any]]]:
+    """Return ANDES's rows with every stabilizer on the frequency of its machine's bus, filtered by 1 ms."""
+    bus_of = {row["gen"]: row["bus"] for model, row in rows if model == "GENROU"}
+    meters = [
+        ("BusFreq", {"idx": f"{name} frequency", "bus": bus, "Tf": 1e-3, "Tw": 1e-3, "fn": 60.0})
+        for name, bus in bus_of.items()
+    ]
+    changed = [
+        (model, row | {"MODE": 2, "busf": row["idx"].replace("stabilizer", "frequency")})
+        if model == "IEEEST"
+        else (model, row)
+        for model, row in rows
+    ]
+    network = [pair for pair in changed if pair[0] != "IEEEST"]
+    return network + meters + [pair for pair in changed if pair[0] == "IEEEST"]
+
+
+def modes_in_andes(python: str) -> None:
+    """Print the swing modes of the stabilized example in ANDES, by speed and by bus frequency."""
+    case = unsaturated(load_case("kundur-pss"))
+    problem = {"loads": load_mix(case), "frequency_hz": case.frequency_hz, "base_mva": case.base_mva}
+    print(f"\n{case.name} in ANDES")
+    for what, rows in (("speed", rows_of(case)), ("bus frequency", on_bus_frequency(rows_of(case)))):
+        found = [complex(*pair) for pair in ask(python, problem | {"rows": rows})["eigenvalues"]]
+        swing = sorted((z for z in found if 2.5 < z.imag < 10.0 and z.real > -3.2), key=lambda z: z.imag)
+        print(f"  stabilizers on {what:71}", *(f"{z.real:8.4f}{z.imag:+8.4f}j" for z in swing))
+
+
 def main() -> int:
     """Print the tables; return 1 when a recorded mode does not come out."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--andes-python", help="interpreter that has ANDES 2.0")
+    options = parser.parse_args()
     differs, last = 0, ""
     for name, what, change, recorded, _ in readings():
         wanted = printed(name)
@@ -100,6 +135,8 @@ def main() -> int:
         needed = stabilizer_needed(system, pole, given)
         numbers = (f"{abs(z):7.3f} {np.degrees(np.angle(z)):6.2f}" for z in (needed, given))
         print(f"  {pole:+.3f}   ", "     ".join(numbers))
+    if options.andes_python:
+        modes_in_andes(options.andes_python)
     return int(differs)
 
 
