@@ -39,7 +39,7 @@ from .participant import Participant
 from .result import Result
 from .self_test import SelfTest, self_test
 from .trajectory import Trajectory
-from .worker import WorkerParticipant
+from .worker import participant_of
 
 if TYPE_CHECKING:
     from interarea.design.controller import Controller
@@ -136,19 +136,27 @@ class System:
         return self.add(FmuParticipant(name, self._file(fmu)))
 
     def fmu(
-        self, name: str, file: str | Path, *, latency_s: float = 0.0, isolate: bool = False, **start: Value
+        self,
+        name: str,
+        file: str | Path,
+        *,
+        latency_s: float = 0.0,
+        isolate: bool = False,
+        time_limit_s: float | None = None,
+        **start: Value,
     ) -> System:
         """Add any FMI 2.0 co-simulation FMU with start values for its parameters, states or inputs.
 
         latency_s : a promise that its inputs need at least that long to reach its outputs.
         isolate : run it in a process of its own, which it may crash (`WorkerParticipant`).
+        time_limit_s : longest time one call may take there; default `TIME_LIMIT_S`.
 
         Raises
         ------
-        GraphError : see `FmuFile` and `FmuParticipant`.
+        GraphError : see `FmuFile` and `FmuParticipant`. ScenarioError : a time limit without isolate.
         """
-        kind = WorkerParticipant if isolate else FmuParticipant
-        return self.add(kind(name, self._file(Path(file)), start), latency_s=latency_s)
+        made = participant_of(name, self._file(Path(file)), start, isolate=isolate, time_limit_s=time_limit_s)
+        return self.add(made, latency_s=latency_s)
 
     def add(self, participant: Participant, *, latency_s: float = 0.0) -> System:
         """Add a participant of any kind; `latency_s` as in `fmu`."""

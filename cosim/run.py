@@ -27,7 +27,7 @@ from .ringdown import fit_window, ring_down_of, run_metrics
 from .scenario import Scenario, load_scenario
 from .self_test import SelfTest
 from .trajectory import Trajectory
-from .worker import WorkerParticipant
+from .worker import participant_of
 
 if TYPE_CHECKING:
     from interarea.design.bank import ControllerBank
@@ -186,7 +186,7 @@ def system_of(scenario: Scenario, *, cache: Path | None = None) -> System:
     )
     for name, table in scenario.fmus.items():
         file = scenario.folder / table.file
-        system.fmu(name, file, latency_s=table.latency_s, isolate=table.isolate, **table.start)
+        system.fmu(name, file, latency_s=table.latency_s, **table.process, **table.start)
     for name, channel in scenario.channels.items():
         system.channel(name, channel)
     for path in scenario.connections:
@@ -250,9 +250,9 @@ def assemble(
         controller=_controller_file(scenario, case, folder, controllers),
         channel=FmuFile(artefacts.channel_fmu(folder)) if scenario.channels else None,
     )
-    isolated = {n for n, fmu in scenario.fmus.items() if fmu.isolate}
+    processes = {n: fmu.process for n, fmu in scenario.fmus.items()}
     participants = [
-        (WorkerParticipant if n in isolated else FmuParticipant)(n, file, start)
+        participant_of(n, file, start, **processes.get(n, {}))
         for n, (file, start) in wiring.instances.items()
     ]
     return Loop(scenario, case, wiring.master(scenario, participants), list(scenario.channels))

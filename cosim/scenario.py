@@ -25,7 +25,8 @@ FMUs of one's own, whatever made them, with the plant or without a case:
     file = "mine.fmu"                  # beside the scenario
     start = {gain = 3.0}               # optional
     latency_s = 0.0                    # optional: at least so long from input to output
-    isolate = false                    # optional: in a process of its own, which it may crash
+    isolate = true                     # optional: in a process of its own, which it may crash
+    time_limit_s = 60.0                # optional, of one call of an isolated FMU
 
 A channel takes besides: reporting_interval_s (packets; needed by what follows), jitter_s (uniform),
 latency = {kind = "gamma", shape, scale_s} | {kind = "empirical", quantiles_s} on top of latency_s,
@@ -69,6 +70,18 @@ class FmuTable(Table):
     start: Mapping[str, float | int | bool | str] = {}
     latency_s: Seconds = 0.0
     isolate: bool = False  #: in a process of its own, which it may crash
+    time_limit_s: Annotated[float, Field(gt=0.0)] | None = None  #: of one call there
+
+    @model_validator(mode="after")
+    def _limited(self) -> Self:
+        if self.time_limit_s is not None and not self.isolate:
+            raise ValueError("time_limit_s ends calls of an isolated FMU; set isolate = true")
+        return self
+
+    @property
+    def process(self) -> dict[str, Any]:
+        """Where it runs, as `participant_of` takes it."""
+        return {"isolate": self.isolate, "time_limit_s": self.time_limit_s}
 
 
 class ChannelTable(ChannelLine):

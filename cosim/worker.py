@@ -2,27 +2,32 @@
 
 The parent side is a participant like any other; each call travels as a pickle over the pipes of
 ``python -m interarea.cosim.worker`` (some 50 microseconds), so isolate what is not trusted, not everything.
-What the FMU prints and logs goes to a file that only an error quotes.
+What the FMU prints and logs goes to a file that only an error quotes. A call that takes longer than the time
+limit fails the run as a crash does: the process is killed.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import pickle
 import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+import threading
+import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
-from .errors import StepError
+from .errors import ScenarioError, StepError
 from .fmu_file import FmuFile
 from .instances import FmuParticipant, Value
 
 _PATIENCE_S = 5.0
+TIME_LIMIT_S = 60.0  #: of one call, by default
 #: FMI calls by the method that makes them, for errors
 _CALL_OF = {
     "begin": "instantiating the FMU",
@@ -37,10 +42,24 @@ _CALL_OF = {
 
 
 class WorkerParticipant(FmuParticipant):
-    """An instance of `file` that lives in a worker process; otherwise as `FmuParticipant`."""
+    """An instance of `file` that lives in a worker process; otherwise as `FmuParticipant`.
 
-    def __init__(self, name: str, file: FmuFile, start: Mapping[str, Value] | None = None) -> None:
+    time_limit_s : longest time that one call may take, s.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        file: FmuFile,
+        start: Mapping[str, Value] | None = None,
+        *,
+        time_limit_s: float = TIME_LIMIT_S,
+    ) -> None:
+        if not time_limit_s > 0.0:
+            raise ScenarioError(f"{name}: time_limit_s = {time_limit_s:g}, allowed: above 0")
+        self.time_limit_s = time_limit_s
         self._process: subprocess.Popen[bytes] | None = None
+        self._watch: _Watch | None = None
         self._said: IO[bytes] | None = None
         self._unsent: tuple[int, list[float], list[float]] | None = None
         super().__init__(name, file, start)
@@ -106,6 +125,9 @@ class WorkerParticipant(FmuParticipant):
     def close(self) -> None:
         """End the instance and its worker."""
         process, self._process = self._process, None
+        if self._watch is not None:
+            self._watch.end()
+            self._watch = None
         if process is not None:
             assert process.stdin is not None and process.stdout is not None
             with contextlib.suppress(OSError):  # it may be dead
@@ -131,6 +153,8 @@ class WorkerParticipant(FmuParticipant):
             stdout=subprocess.PIPE,
             stderr=self._said,
         )
+        self._watch = _Watch(self._process)
+        self._watch.start()
         self._ask("open", self.name, str(self.file.path.resolve()))
 
     def _ask(self, method: str, *arguments: Any) -> Any:
@@ -138,27 +162,90 @@ class WorkerParticipant(FmuParticipant):
 
         Raises
         ------
-        StepError : as the call says, or the worker died in it.
+        StepError : as the call says, or the worker died in it, or it took too long and was killed.
         """
         process = self._process
         if process is None:
             raise self._died(method, "the instance has ended")
-        assert process.stdin is not None and process.stdout is not None
+        assert process.stdin is not None and process.stdout is not None and self._watch is not None
         unsent, self._unsent = self._unsent, None
+        watch = self._watch
+        # how long an interpreter takes to start says nothing about the FMU
+        limit_s = max(self.time_limit_s, TIME_LIMIT_S) if method == "open" else self.time_limit_s
         try:
-            pickle.dump((method, arguments, unsent, self.stops_early), process.stdin)
-            process.stdin.flush()
-            failed, result = pickle.load(process.stdout)
+            with watch.over(limit_s):
+                pickle.dump((method, arguments, unsent, self.stops_early), process.stdin)
+                process.stdin.flush()
+                failed, result = pickle.load(process.stdout)
         except (EOFError, OSError, pickle.UnpicklingError) as error:
             process.wait()
+            if watch.fired:
+                what = f"no answer within {limit_s:g} s, so its process was killed"
+                raise self._died(method, what, advice="allow more with time_limit_s") from error
             raise self._died(method, f"the FMU crashed its process ({_death(process.returncode)})") from error
         if failed:
             raise result
         return result
 
-    def _died(self, method: str, what: str) -> StepError:
+    def _died(self, method: str, what: str, *, advice: str = "") -> StepError:
         call = _CALL_OF.get(method, "starting the worker process")
-        return StepError(what, instance=self.name, call=call, time_s=self.time_s, last_log=self.last_log())
+        log = self.last_log()
+        return StepError(what, instance=self.name, call=call, time_s=self.time_s, last_log=log, advice=advice)
+
+
+def participant_of(
+    name: str,
+    file: FmuFile,
+    start: Mapping[str, Value],
+    *,
+    isolate: bool = False,
+    time_limit_s: float | None = None,
+) -> FmuParticipant:
+    """Return an instance of `file`: in this process, or with `isolate` in one of its own.
+
+    Raises
+    ------
+    ScenarioError : a time limit for what is not isolated, or none above 0.
+    """
+    if isolate:
+        return WorkerParticipant(
+            name, file, start, time_limit_s=TIME_LIMIT_S if time_limit_s is None else time_limit_s
+        )
+    if time_limit_s is not None:
+        raise ScenarioError(f"{name}: time_limit_s ends calls of an isolated FMU; set isolate = true")
+    return FmuParticipant(name, file, start)
+
+
+class _Watch(threading.Thread):
+    """Kills a process that is still in one call when the time for it is over; `fired` tells."""
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        super().__init__(daemon=True)
+        self._watched = process
+        self._until = math.inf
+        self._ended = threading.Event()
+        self.fired = False
+
+    @contextlib.contextmanager
+    def over(self, limit_s: float) -> Iterator[None]:
+        """Watch one call, which may take `limit_s`."""
+        self._until = time.monotonic() + limit_s
+        try:
+            yield
+        finally:
+            self._until = math.inf
+
+    def run(self) -> None:
+        """Look four times a second."""
+        while not self._ended.wait(0.25):
+            if time.monotonic() > self._until:
+                self.fired = True
+                self._watched.kill()
+                return
+
+    def end(self) -> None:
+        """Stop watching."""
+        self._ended.set()
 
 
 def _death(code: int) -> str:

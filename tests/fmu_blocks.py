@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 from fmu_runner import decay_block
 
+from interarea.fmu_build.render import record_entries
 from interarea.models.case import load_case
 from interarea.models.channel_block import channel_block
 from interarea.models.concentrator_block import concentrator_block
 from interarea.models.controller_block import controller_block
+from interarea.models.loop_block import LoopMember, loop_block
 from interarea.models.plant_block import plant_block
+from interarea.models.record import pack_record
 from interarea.models.supervisor_block import supervisor_block
 from interarea.models.variables import Block
 
@@ -21,6 +24,7 @@ C = np.array([[0.5, 0.0, 1.0]])
 def blocks() -> dict[str, Block]:
     """Return one block of every kind."""
     controller = controller_block("controller", A, B, C, np.zeros((1, 2)), ["G2_dw", "G4_dw"], ["G4_vs"])
+    plant = plant_block(load_case("two-area-thesis"))
     return {
         "decay": decay_block(),
         "controller": controller,
@@ -36,5 +40,19 @@ def blocks() -> dict[str, Block]:
         ),
         "channel": channel_block(),
         "concentrator": concentrator_block(2),
-        "plant": plant_block(load_case("two-area-thesis")),
+        "plant": plant,
+        "loop": closed_loop(plant, controller),
     }
+
+
+def closed_loop(plant: Block, controller: Block) -> Block:
+    """Return the loop of a plant, a channel for one signal and a controller, as one block."""
+    blocks = {"plant": plant, "controller": controller, "remote": channel_block()}
+    members = [LoopMember(name, block, pack_record(record_entries(block))) for name, block in blocks.items()]
+    wires = [
+        ("plant.G2_dw", "remote.u"),
+        ("remote.y", "controller.G2_dw"),
+        ("plant.G4_dw", "controller.G4_dw"),
+        ("controller.G4_vs", "plant.G4_vs"),
+    ]
+    return loop_block("loop", members, wires, step_s=0.01, stop_s=2.0)

@@ -10,19 +10,29 @@ import pytest
 from fmu_runner import Runner
 from scipy.linalg import expm
 
-INPUT = {"decay": "u", "controller": "G2_dw", "channel": "u", "concentrator": "u1", "plant": "G1_vs"}
+#: the input that is driven; a loop has none
+INPUT = {
+    "decay": "u",
+    "controller": "G2_dw",
+    "channel": "u",
+    "concentrator": "u1",
+    "plant": "G1_vs",
+    "loop": None,
+}
+FAULT = {
+    "event[1].kind": 1,
+    "event[1].target": 8,
+    "event[1].start": 0.3,
+    "event[1].end": 0.35,
+    "event[1].x": 1e-4,
+}
 PARAMETERS = {
     "decay": {"kicking": 1},
     "controller": {"limit": 0.02},
     "channel": {"latency": 0.123, "outage[1].start": 0.5, "outage[1].end": 0.7, "on_loss": 1},
     "concentrator": {"latency[1]": 0.03, "jitter[1]": 0.1, "loss[1]": 0.3, "seed": 4, "wait": 0.08},
-    "plant": {
-        "event[1].kind": 1,
-        "event[1].target": 8,
-        "event[1].start": 0.3,
-        "event[1].end": 0.35,
-        "event[1].x": 1e-4,
-    },
+    "plant": FAULT,
+    "loop": {f"plant.{name}": value for name, value in FAULT.items()} | {"remote.latency": 0.123},
 }
 
 
@@ -35,8 +45,9 @@ def drive(run: Runner, kind: str, first: int, last: int, h: float = 0.05) -> np.
     rows = []
     for k in range(first, last):
         t = k * h
-        run.set_of({INPUT[kind]: 0.05 * np.sin(5 * t)})
-        run.slopes(INPUT[kind], 0.25 * np.cos(5 * t))
+        if (name := INPUT[kind]) is not None:
+            run.set_of({name: 0.05 * np.sin(5 * t)})
+            run.slopes(name, 0.25 * np.cos(5 * t))
         run.step(t, h)
         rows.append(run.every_real())
     return np.array(rows)

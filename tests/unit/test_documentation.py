@@ -43,7 +43,7 @@ def test_plant_page_states_equations_works_case_and_platform(plant: Path, two_ar
     assert f"binaries in this archive: {host_platform()}" in page
 
 
-@pytest.mark.parametrize("kind", ["decay", "controller", "channel", "plant"])
+@pytest.mark.parametrize("kind", ["decay", "controller", "channel", "plant", "loop"])
 def test_page_is_well_formed_and_names_every_variable(kind: str, tmp_path: Path) -> None:
     block = blocks()[kind]
     page = page_of(build_fmu(block, tmp_path))

@@ -11,8 +11,9 @@ import pytest
 from whims import whims_fmu
 
 from interarea.cosim.build import System
-from interarea.cosim.errors import GraphError, StepError
+from interarea.cosim.errors import GraphError, ScenarioError, StepError
 from interarea.cosim.run import run_system
+from interarea.cosim.scenario import load_scenario
 from interarea.cosim.worker import WorkerParticipant
 
 
@@ -82,6 +83,34 @@ def test_early_returns_of_an_isolated_fmu(whims: Path, early: str) -> None:
         runs.append(system.run().data)
     assert runs[0].equals(runs[1])
     assert runs[0]["a.y"].iloc[-1] == pytest.approx(1.5, rel=1e-12)
+
+
+def test_an_fmu_that_hangs_is_ended_and_may_run_again(whims: Path) -> None:
+    system = System(stop_s=1.0, step_s=0.1)
+    system.fmu("stuck", whims, isolate=True, time_limit_s=1.0, u=1.0, hang_at=0.45)
+    with system.master() as master:
+        with pytest.raises(
+            StepError,
+            match=r"stuck: fmi2DoStep at t = 0\.4 s: no answer within 1 s.*allow more with time_limit_s",
+        ) as caught:
+            master.run()
+        run = caught.value.trajectory
+        assert run is not None and run.time_s[-1] == 0.4
+        part = master.participants["stuck"]
+        assert isinstance(part, WorkerParticipant)
+        part.set_start({"u": 1.0})
+        master.start()
+        np.testing.assert_allclose(master.run()["stuck.y"][-1], 1.0, rtol=1e-12)
+
+
+def test_a_time_limit_needs_a_process_and_is_positive(whims: Path) -> None:
+    system = System(stop_s=1.0, step_s=0.1)
+    with pytest.raises(ScenarioError, match="set isolate = true"):
+        system.fmu("a", whims, time_limit_s=1.0)
+    with pytest.raises(ScenarioError, match="time_limit_s = -1, allowed: above 0"):
+        system.fmu("a", whims, isolate=True, time_limit_s=-1.0)
+    with pytest.raises(ScenarioError, match=r"fmus\.a.*set isolate = true"):
+        load_scenario({"stop_s": 1.0, "fmus": {"a": {"file": str(whims), "time_limit_s": 1.0}}})
 
 
 def test_values_can_be_read_and_no_process_is_left(whims: Path) -> None:

@@ -12,7 +12,7 @@ _DEGREES = (
     '<UnitDefinitions><Unit name="deg"><BaseUnit rad="1" factor="0.017453292519943295"/></Unit>'
     "</UnitDefinitions>"
 )
-PARAMETERS = ("early_at", "kick", "longest", "end_at", "nan_at", "abort_at", "back_at", "x0")
+PARAMETERS = ("early_at", "kick", "longest", "end_at", "nan_at", "abort_at", "back_at", "hang_at", "x0")
 
 
 def whims_fmu(folder: Path, *, saves_state: bool = True, unit: str = "") -> Path:

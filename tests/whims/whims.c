@@ -1,5 +1,5 @@
 /* An integrator dx/dt = u, y = x, FMI 2.0 co-simulation, that does on demand what no FMU should or few do:
- * return early from a step, refuse long steps, ask to end, give NaN, abort. All times in s, 1e30 = never. */
+ * return early from a step, refuse long steps, ask to end, give NaN, abort, hang. All times in s, 1e30 = never. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -7,7 +7,7 @@
 
 #include "fmi2Functions.h"
 
-enum { U, Y, EARLY_AT, KICK, LONGEST, END_AT, NAN_AT, ABORT_AT, BACK_AT, X0, COUNT };
+enum { U, Y, EARLY_AT, KICK, LONGEST, END_AT, NAN_AT, ABORT_AT, BACK_AT, HANG_AT, X0, COUNT };
 
 typedef struct {
     double v[COUNT], du[3], t, last;
@@ -109,6 +109,10 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_se
     if (v[ABORT_AT] < end) {
         m->call.logger(m->call.componentEnvironment, "whims", fmi2Error, "logStatusError", "about to abort");
         abort();
+    }
+    while (v[HANG_AT] < end) {
+        /* a memory barrier of sorts: the compiler must not assume that this ends */
+        *(volatile double *)&m->last = t;
     }
     if (v[BACK_AT] < end) {
         m->last = t - 1.0;
