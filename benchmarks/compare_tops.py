@@ -1,0 +1,142 @@
+"""Power flow and swing modes of the plant FMU against tops on the same data.
+
+    python benchmarks/compare_tops.py --tops-python PYTHON [--json FILE]
+
+tops (PyPI, 0.3.0) is the dynamic simulator of H. Haugdal [Haugdal2024]; it wants an environment of its own.
+Each grid is run twice there: with tops's machine and with the sixth-order machine of this project in its
+place (20 lines in tops_run.py). What is left in the second column are network, loads, power flow, controls
+and linearisation, which are then the same; the first column tells what tops's machine itself changes:
+
+- its subtransient circuits do not act back on the transient ones (no leakage reactance);
+- its mechanical input is a power, the torque is power over speed: damping of Pm/(2H) per machine;
+- no armature resistance (set to 0 here too).
+
+Exit code 1 when a bus voltage or, with the machine replaced, a swing mode differs by more than allowed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+from compare_andes import PSS, TGOV1, impedance_loads
+from tops_rows import LEAKAGE, case_from, tables_of
+
+from interarea.cosim.artefacts import default_cache, linear_plant
+from interarea.models.case import Case, load_case
+from interarea.models.powerflow import solve_powerflow
+
+SEXS = {"kind": "static", "KA": 200.0, "TA": 0.02, "TR": 0.0, "Efd_min": -5.0, "Efd_max": 5.0}
+SEXS_TGR = SEXS | {"kind": "static_tgr", "TC": 1.0, "TB": 10.0}
+MANUAL = {"kind": "constant"}
+#: name -> (case, controls of all machines; None: the case's own)
+CASES: dict[str, tuple[str, Mapping[str, Any] | None]] = {
+    "two-area, constant Efd": ("kundur-thyristor-z", {"exciter": MANUAL}),
+    "two-area, static + PSS": ("kundur-thyristor-z", {"exciter": SEXS, "stabilizer": PSS}),
+    "two-area, gain reduction + TGOV1": ("kundur-thyristor-z", {"exciter": SEXS_TGR, "governor": TGOV1}),
+    "new-england, constant Efd": ("new-england", {"exciter": MANUAL}),
+    "nets-nyps, static exciters": ("nets-nyps-no-pss", None),
+    "nets-nyps, static + PSS": ("nets-nyps", None),
+}
+#: grids that come with tops, their machines at constant field voltage
+GRIDS = ("k2a", "ieee39", "n44")
+ALLOWED_VOLTAGE_PU = 1e-8
+ALLOWED_EIGENVALUE = 1e-5  #: 1/s, swing modes, with the same machine
+
+
+def without_resistance(case: Case, controls: Mapping[str, Any] | None) -> Case:
+    """The case with loads as impedances, no armature resistance and these controls on every machine."""
+    change = {m.name: {"Ra": 0.0} | dict(controls or {}) for m in case.machines}
+    return impedance_loads(case).with_changes({"machines": change})
+
+
+def ask(python: str, problem: Mapping[str, Any]) -> dict[str, Any]:
+    """Run tops in the interpreter `python` and return what it found; RuntimeError with its words."""
+    script = str(Path(__file__).with_name("tops_run.py"))
+    problem = {"leakage": LEAKAGE} | dict(problem)
+    done = subprocess.run(
+        [python, script], input=json.dumps(problem), capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        last = done.stderr.strip().splitlines()[-1:] or ["no message"]
+        raise RuntimeError(f"tops in {python}: {last[0]} (pip install tops there, name it by --tops-python)")
+    return dict(json.loads(done.stdout))
+
+
+def swing_modes(case: Case) -> list[complex]:
+    """The swing modes of the plant FMU (1 < Im < 15 rad/s, Re > -3.2 1/s), by frequency."""
+    poles = np.linalg.eigvals(linear_plant(case, default_cache()).A)
+    return sorted((complex(z) for z in poles if 1.0 < z.imag < 15.0 and z.real > -3.2), key=lambda z: z.imag)
+
+
+def differences(case: Case, found: Mapping[str, Any]) -> tuple[float, float]:
+    """Largest differences of a complex bus voltage (pu, slack angles alike) and of a swing mode (1/s)."""
+    flow = solve_powerflow(case)
+    ours = np.array([flow.voltage(bus.number) for bus in case.buses])
+    theirs = np.array([complex(*z) for z in found["v"]])
+    slack = next(k for k, b in enumerate(case.buses) if b.number == _slack_bus(case))
+    theirs = theirs * (ours[slack] / theirs[slack] / abs(ours[slack] / theirs[slack]))
+    poles = np.array([complex(*z) for z in found["eigenvalues"]])
+    return float(abs(theirs - ours).max()), float(max(abs(poles - z).min() for z in swing_modes(case)))
+
+
+def _slack_bus(case: Case) -> int:
+    return next(m.bus for m in case.machines if m.slack)
+
+
+def main() -> int:
+    """Print one line per grid; return 1 when something differs by more than allowed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--tops-python", default=sys.executable)
+    parser.add_argument("--json", type=Path, help="write the numbers there")
+    options = parser.parse_args()
+    python, results, worst = options.tops_python, {}, 0
+    print(
+        f"{'':36} {'machines':>8} {'modes':>6} {'power flow':>11} {'same machine':>13} {'tops machine':>13}"
+    )
+    runs = [(name, None) for name in CASES] + [(f"{grid} of tops, constant Efd", grid) for grid in GRIDS]
+    for name, grid in runs:
+        if grid is None:
+            case = without_resistance(load_case(CASES[name][0]), CASES[name][1])
+            problem: dict[str, Any] = {"tables": tables_of(case)}
+        else:
+            problem = {"grid": grid}
+        same = ask(python, problem | {"machine": "sixth order"})
+        own = ask(python, problem | {"machine": "tops"})
+        if grid is not None:
+            case = case_from(grid, same["tables"])
+        volts, mode = differences(case, same)
+        row = {
+            "machines": len(case.machines),
+            "modes": len(swing_modes(case)),
+            "power_flow_pu": volts,
+            "same_machine": mode,
+            "tops_machine": differences(case, own)[1],
+            "rest": same["rest"],
+        }
+        row["passed"] = volts <= ALLOWED_VOLTAGE_PU and mode <= ALLOWED_EIGENVALUE
+        worst |= not row["passed"]
+        results[name] = row
+        print(
+            f"{name:36} {row['machines']:8d} {row['modes']:6d} {volts:11.1e} {mode:13.1e} "
+            f"{row['tops_machine']:13.1e} {'' if row['passed'] else 'DIFFERS'}",
+            flush=True,
+        )
+    if options.json:
+        options.json.write_text(json.dumps({"tops": same["version"], "runs": results}, indent=1))
+    return int(worst)
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except RuntimeError as error:
+        sys.exit(f"compare_tops: {error}")
