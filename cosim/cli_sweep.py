@@ -55,6 +55,7 @@ def sweep(
     typer.echo(
         f"{summary['runs']} runs: {summary['ok']} ok ({summary['stable']} stable, "
         f"{summary['unstable']} not), {summary['failed']} failed{f' ({failures})' if failures else ''}"
+        + (f"; {summary['forked']} went on from a saved state" if summary["forked"] else "")
     )
     typer.echo(out)
 
@@ -93,6 +94,7 @@ class _Display:
         self._last = now
         left = "" if p.left_s is None else f", {_duration(p.left_s)} left"
         failed = f", {p.failed} failed" if p.failed else ""
+        failed += f", {p.forked} forked" if p.forked else ""
         text = (
             f"{p.done} of {p.size} runs ({100.0 * p.done / p.size:.0f} %){failed}, {p.rate:.1f} runs/s{left}"
         )

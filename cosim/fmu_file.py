@@ -76,6 +76,10 @@ class FmuFile:
                 archive.extractall(self._folder)
         return self._folder
 
+    def start_of(self, name: str) -> float:
+        """Return the start value that modelDescription.xml gives a variable, 0 where it gives none."""
+        return next(_number(v.start, float, 0.0) for v in self.model.modelVariables if v.name == name)
+
     def close(self) -> None:
         """Remove the unpacked files."""
         if self._folder is not None:

@@ -137,6 +137,19 @@ class FmuParticipant:
         self._call("fmi2ExitInitializationMode", status, self.time_s)
         self._initialised = True
 
+    def resume(self, state: c_void_p, time_s: float) -> None:
+        """Go on from a state that any instance of the same FMU has saved at `time_s`."""
+        if self._fmu is None:
+            self._instantiate()
+        self.restore(state)
+        self._initialised = True
+        self.time_s = time_s
+
+    def change(self, values: Mapping[str, Value]) -> None:
+        """Set tunable parameters of a running instance; `set_start` is for the next `begin`."""
+        for name, value in values.items():
+            self._set(self._variable(name), value, self.time_s or 0.0)
+
     def close(self) -> None:
         """Terminate and free the instance."""
         if self._fmu is None:

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from .clock import Step, seconds, to_ticks
 from .early_return import EARLY, Early, rolled_back, too_short
@@ -57,6 +58,17 @@ class Saved:
     states: Mapping[str, object]
     signals: tuple[tuple[object, ...], ...]
     rows: int
+
+
+@dataclass(frozen=True)
+class Fork:
+    """A beginning that several masters can share: the state after it, what was recorded and counted."""
+
+    saved: Saved
+    ends: list[int]
+    times: npt.NDArray[np.float64]
+    records: npt.NDArray[np.float64]
+    counts: tuple[float, int, int, str]
 
 
 class Master:
@@ -171,7 +183,7 @@ class Master:
         self._kernel: Kernel | None = None
         self._why_python = "early returns are rolled back" if early == "roll back" else ""
         self._cancelled = False
-        self._ends = [s.end for s in self.clock.steps]
+        self.ends = [s.end for s in self.clock.steps]
 
     # -- running --------------------------------------------------------------------------
 
@@ -179,6 +191,11 @@ class Master:
     def time_s(self) -> float:
         """Present time."""
         return seconds(self.clock.start if self._index <= 0 else self.clock.steps[self._index - 1].end)
+
+    @property
+    def index(self) -> int:
+        """Number of steps done; -1 before the start."""
+        return self._index
 
     @property
     def finished(self) -> bool:
@@ -246,14 +263,14 @@ class Master:
         self._cancelled = False
         if self._index < 0:
             self.start()
-        now = self.clock.start if self._index == 0 else self._ends[self._index - 1]
+        now = self.clock.start if self._index == 0 else self.ends[self._index - 1]
         if until < now:
             raise ScenarioError(
                 f"until_s = {until_s!r}: time does not go backwards from {seconds(now)} s; "
                 "restore a saved state, or start again"
             )
         kernel = self._compiled()
-        last = bisect_right(self._ends, until)
+        last = bisect_right(self.ends, until)
         while self._index < last and not self._cancelled:
             if kernel is None:
                 self.step()
@@ -351,6 +368,30 @@ class Master:
         """Free the participants' part of `saved`."""
         for n, p in self.participants.items():
             p.release(saved.states[n])
+
+    def fork(self) -> Fork:
+        """Return the beginning up to now, for `take_over`; `release` its `saved` when it is not needed."""
+        saved = self.save()
+        counts = (self.residual, self.repeated, self.rolled_back, self.ran)
+        times, records = self._times[: saved.rows].copy(), self._records[: saved.rows].copy()
+        return Fork(saved, self.ends[: saved.index], times, records, counts)
+
+    def take_over(self, fork: Fork) -> bool:
+        """Go on from another master's beginning as if it were this one's; both have the same structure.
+
+        False: nothing was done: other communication points up to there, or an FMU in another process.
+        """
+        saved = fork.saved
+        if self.ends[: saved.index] != fork.ends or len(self._stopping) < len(self.participants):
+            return False
+        for p in self._stopping:
+            p.resume(saved.states[p.name], seconds(fork.ends[-1] if fork.ends else self.clock.start))
+        for s, kept in zip(self.signals, saved.signals, strict=True):
+            s.paste(kept)
+        self._index, self._rows = saved.index, saved.rows
+        self._times[: saved.rows], self._records[: saved.rows] = fork.times, fork.records
+        self.residual, self.repeated, self.rolled_back, self.ran = fork.counts
+        return True
 
     # -- private --------------------------------------------------------------------------
 

@@ -263,7 +263,7 @@ def compute(runs: list[int], names: list[str], *blobs: Any) -> list[Outcome]:
         )
     runner = _runner(plan, given)
     try:
-        return [runner.outcome(run) for run in runs]
+        return list(runner.outcomes(runs))
     except OSError as error:
         raise SweepError(f"a worker cannot write: {error.filename}: {error.strerror}") from None
 

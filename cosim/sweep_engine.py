@@ -26,12 +26,13 @@ _TASK = 200
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a sweep stands: runs there, all, failed (since the start of this command), runs per second."""
+    """Where a sweep stands: runs there, all, runs per second; of this command's runs failed and forked."""
 
     done: int
     size: int
     failed: int
     rate: float
+    forked: int = 0
 
     @property
     def left_s(self) -> float | None:
@@ -106,11 +107,12 @@ def _collect(
     waiting: list[Outcome] = []
     last = time.monotonic()
     ticks: deque[tuple[float, int]] = deque([(last, store.count)])
-    failed = 0
+    failed = forked = 0
     try:
         for some in outcomes:
             waiting += some
             failed += sum(o.row["status"] == "failed" for o in some)
+            forked += sum(o.forked for o in some)
             now = time.monotonic()
             if len(waiting) >= _PART_ROWS or (waiting and now - last > _PART_S):
                 store.append(waiting)
@@ -122,7 +124,7 @@ def _collect(
                     ticks.popleft()
                 span = now - ticks[0][0]
                 rate = (done - ticks[0][1]) / span if span > 0.0 else 0.0
-                progress(Progress(done, len(store.done), failed, rate))
+                progress(Progress(done, len(store.done), failed, rate, forked))
     except OSError as error:
         if error.errno in FULL:
             raise explained(error, store.folder, store.count, len(store.done)) from error

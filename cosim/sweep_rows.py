@@ -33,10 +33,11 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Row of a run; `trajectory` only where the sweep keeps it."""
+    """Row of a run; `trajectory` only where the sweep keeps it; `forked`: started where another run was."""
 
     row: Row
     trajectory: pa.Table | None = None
+    forked: bool = False
 
 
 def column_of_mode(kind: str, mode: str) -> str:

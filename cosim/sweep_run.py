@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import errno
+import math
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +19,23 @@ from interarea.models.case import Case
 from interarea.models.plant_block import plant_block
 
 from .artefacts import channel_fmu, controller_fmu, plant_fmu
+from .clock import seconds
 from .errors import ScenarioError, StepError
 from .fmu_file import FmuFile
 from .instances import FmuParticipant
 from .instances import Value as Start
 from .kernel_build import load_kernel
 from .run import EVENT_SLOTS, Loop, Wiring, wire
+from .sweep_forks import (
+    Beginning,
+    Job,
+    acts_of,
+    beginning_of,
+    in_order,
+    late_parameters,
+    places_to_save,
+    taken_over,
+)
 from .sweep_plan import SweepPlan
 from .sweep_point import CaseChange, Point, packed, point_of
 from .sweep_rows import Outcome, Row, failed_row, measure, start_row, trajectory_table
@@ -58,13 +70,23 @@ class _Plant:
 
 @dataclass
 class _Kept:
-    """Live instances for one structure (case, controller, channels), and the loop made of them last."""
+    """Live instances for one structure (case, controller, channels), and the loop made of them last.
+
+    beginnings : states that runs to come start from, earliest first.
+    """
 
     participants: dict[str, FmuParticipant] = field(default_factory=dict)
     key: Any = None
-    loop: Loop | None = None
+    loop: Loop = field(init=False)
+    beginnings: list[Beginning] = field(default_factory=list)
+
+    def release(self, after_s: float = -math.inf) -> None:
+        """Free the beginnings that reach beyond `after_s`."""
+        while self.beginnings and self.beginnings[-1].until_s > after_s:
+            self.loop.master.release(self.beginnings.pop().fork.saved)
 
     def close(self) -> None:
+        self.release()
         for p in self.participants.values():
             p.close()
 
@@ -85,7 +107,11 @@ class Runner:
         self._cases: dict[str, Case] = {}
         self._channel: FmuFile | None = None
         self._packed = packed(plan.sweep)
-        self.on_start: Callable[[], object] = _nothing  #: called when FMUs are ready and computing begins
+        self._late = late_parameters(plan.sweep)
+        self._run = -1
+        self.shares = True  #: whether runs start from states that others left
+        self.on_build: Callable[[int], object] = _nothing  #: called with a run that is begun
+        self.on_start: Callable[[int], object] = _nothing  #: called when its FMUs are ready to compute
 
     def __enter__(self) -> Runner:
         return self
@@ -95,29 +121,13 @@ class Runner:
 
     def outcome(self, run: int) -> Outcome:
         """Return what run number `run` gives; a failure is an outcome, only a full disk is raised."""
-        sweep = self.plan.sweep
-        try:
-            values = sweep.values(run)
-            if sweep.searched is not None:
-                return Outcome(self._search(run, values))
-            loop, curves = self.simulate(values)
-            row = start_row(run, values) | measure(loop, curves, sweep.metrics, self.plan.modes)
-            return Outcome(row, self._wanted(run, row, loop))
-        except TimeUpError as error:
-            return self._failed(run, "time limit", error)
-        except StepError as error:
-            kind = "not finite" if any(f" is {v}" in str(error) for v in ("nan", "inf", "-inf")) else "fmu"
-            self._free_instances()  # after an FMU's error its instance is not to be trusted
-            return self._failed(run, kind, error)
-        except MemoryError:
-            raise
-        except OSError as error:
-            if error.errno in _FULL:
-                raise
-            return self._failed(run, "internal", error)
-        except Exception as error:  # a failing run is a row, never the end of a sweep
-            ours = type(error).__module__.startswith("interarea")
-            return self._failed(run, "invalid" if ours else "internal", error)
+        return next(self.outcomes([run]))
+
+    def outcomes(self, runs: Sequence[int]) -> Iterator[Outcome]:
+        """Yield what `runs` give, each once, in the order in which they share most (see `sweep_forks`)."""
+        jobs = self._jobs(runs)
+        for k in range(len(jobs)):
+            yield self._outcome(jobs, k)
 
     def simulate(self, values: Mapping[str, Value], *, seed: int | None = None) -> tuple[Loop, Curves]:
         """Run the point where the sweep's parameters have `values`, all channels seeded from `seed` if given.
@@ -126,19 +136,11 @@ class Runner:
         ------
         TimeUpError, StepError, ScenarioError, CaseError, PowerFlowError
         """
-        point = point_of(self.plan.sweep, values, seed=seed, base=self._packed)
-        loop = self._loop(point)
-        self.on_start()
-        limit = self.plan.sweep.time_limit_s
-        end = time.monotonic() + limit
-
-        def watch(now_s: float, stop_s: float) -> None:
-            if time.monotonic() > end:
-                raise TimeUpError(f"more than {limit:g} s of computing, at t = {now_s:g} of {stop_s:g} s")
-
-        loop.master.start()
-        loop.master.advance(progress=watch)
-        return loop, loop.master.records
+        kept, _ = self._ready(point_of(self.plan.sweep, values, seed=seed, base=self._packed))
+        self.on_start(self._run)
+        kept.loop.master.start()
+        kept.loop.master.advance(progress=self._watch())
+        return kept.loop, kept.loop.master.records
 
     def edge(
         self, values: Mapping[str, Value], name: str, search: Search
@@ -194,6 +196,84 @@ class Runner:
         self._channel = None
         self._controllers.clear()
 
+    # -- one run --------------------------------------------------------------------------
+
+    def _jobs(self, runs: Sequence[int]) -> list[Job]:
+        """Return the runs as jobs, in the order in which they are to be made."""
+        sweep = self.plan.sweep
+        jobs = [Job(run, sweep.values(run)) for run in runs]
+        if not (self._late and self.shares and len(jobs) > 1):
+            return jobs
+        described = []
+        for job in jobs:
+            base = tuple(v for name, v in job.values.items() if name not in self._late)
+            with suppress(Exception):  # what is wrong with a point is told when it is run
+                point = point_of(sweep, job.values, base=self._packed)
+                job = replace(job, point=point, base=base, acts=acts_of(point.scenario))
+            described.append(job)
+        return in_order(described)
+
+    def _outcome(self, jobs: Sequence[Job], k: int) -> Outcome:
+        """Return what a job gives: prepare its FMUs, start them, advance, measure."""
+        job, sweep = jobs[k], self.plan.sweep
+        run, values = job.run, dict(job.values)
+        self._run = run
+        self.on_build(run)
+        try:
+            if sweep.searched is not None:
+                return Outcome(self._search(run, values))
+            point = job.point or point_of(sweep, values, base=self._packed)
+            kept, wiring = self._ready(point)
+            self.on_start(run)
+            forked = self._started(kept, job, wiring)
+            self._advance(kept, jobs, k, wiring)
+            loop = kept.loop
+            row = start_row(run, values) | measure(loop, loop.master.records, sweep.metrics, self.plan.modes)
+            return Outcome(row, self._wanted(run, row, loop), forked)
+        except TimeUpError as error:
+            return self._failed(run, "time limit", error)
+        except StepError as error:
+            kind = "not finite" if any(f" is {v}" in str(error) for v in ("nan", "inf", "-inf")) else "fmu"
+            self._free_instances()  # after an FMU's error its instance is not to be trusted
+            return self._failed(run, kind, error)
+        except MemoryError:
+            raise
+        except OSError as error:
+            if error.errno in _FULL:
+                raise
+            return self._failed(run, "internal", error)
+        except Exception as error:  # a failing run is a row, never the end of a sweep
+            ours = type(error).__module__.startswith("interarea")
+            return self._failed(run, "invalid" if ours else "internal", error)
+
+    def _started(self, kept: _Kept, job: Job, wiring: Wiring) -> bool:
+        """Start a job's master; return whether it starts from what another job left."""
+        if kept.beginnings and taken_over(kept.beginnings[-1], job, kept.loop.master, wiring):
+            return True
+        kept.release()
+        kept.loop.master.start()
+        return False
+
+    def _advance(self, kept: _Kept, jobs: Sequence[Job], k: int, wiring: Wiring) -> None:
+        """Step a job's master to its end, leaving its state on the way where later jobs start from it."""
+        master, watch = kept.loop.master, self._watch()
+        for place in places_to_save(jobs, k, master):
+            master.advance(seconds(master.ends[place - 1]), progress=watch)
+            kept.beginnings.append(beginning_of(jobs[k], master, wiring))
+        master.advance(progress=watch)
+        kept.release(jobs[k].like_next_s)
+
+    def _watch(self) -> Callable[[float, float], None]:
+        """Return what ends a run that computes too long."""
+        limit = self.plan.sweep.time_limit_s
+        end = time.monotonic() + limit
+
+        def watch(now_s: float, stop_s: float) -> None:
+            if time.monotonic() > end:
+                raise TimeUpError(f"more than {limit:g} s of computing, at t = {now_s:g} of {stop_s:g} s")
+
+        return watch
+
     # -- private --------------------------------------------------------------------------
 
     def _free_instances(self) -> None:
@@ -225,7 +305,8 @@ class Runner:
         good, bad, counted = self.edge(values, name, search)
         return start_row(run, values) | {name: good, f"{name}_unstable": bad, "evaluations": counted}
 
-    def _loop(self, point: Point) -> Loop:
+    def _ready(self, point: Point) -> tuple[_Kept, Wiring]:
+        """Return live instances with the start values of a point, wired into a loop."""
         scenario = point.scenario
         slots = max(EVENT_SLOTS, len(scenario.event))
         plant = self._plant(point.change, slots)
@@ -243,11 +324,11 @@ class Runner:
             scenario.master,
             wiring.connections,
         )
-        if kept.loop is None or kept.key != key:
+        if kept.key != key:
             master = wiring.master(scenario, kept.participants.values())
             kept.loop, kept.key = Loop(scenario, plant.case, master, list(scenario.channels)), key
         kept.loop.scenario = scenario
-        return kept.loop
+        return kept, wiring
 
     def _instances(self, structure: Any, wiring: Wiring) -> _Kept:
         kept = self._kept.pop(structure, None) or _Kept()
@@ -303,7 +384,7 @@ class Runner:
         return FmuFile(path, scratch=self.scratch)
 
 
-def _nothing() -> None:
+def _nothing(_run: int) -> None:
     pass
 
 

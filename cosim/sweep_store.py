@@ -39,6 +39,7 @@ except ImportError:  # no such locks on this system: two sweeps in one folder go
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 _ROWS, _CURVES, _WORK, _LOCK = "runs", "trajectories", ".work", ".lock"
+_FORKED = b"forked"  # in the metadata of a part: how many of its runs started from a saved state
 
 
 class SweepStore:
@@ -103,6 +104,8 @@ class SweepStore:
             return 0
         chosen = [fresh[run] for run in sorted(fresh)]
         table = pa.Table.from_pylist([_fitted(o.row, self.schema) for o in chosen], schema=self.schema)
+        notes = {**(self.schema.metadata or {}), _FORKED: str(sum(o.forked for o in chosen)).encode()}
+        table = table.replace_schema_metadata(notes)
         curves = [o.trajectory for o in chosen if o.trajectory is not None]
         number = self._next
         try:
@@ -263,11 +266,13 @@ def read_trajectory(folder: Path, run: int) -> pd.DataFrame | None:
 
 
 def summary_of(folder: Path) -> dict[str, Any]:
-    """Return counts over the finished runs: ok, failed by kind, stable."""
+    """Return counts over the finished runs: ok, failed by kind, stable, started from a saved state."""
     failures: dict[str, int] = {}
-    rows = stable = unstable = 0
+    rows = stable = unstable = forked = 0
     for part in parts_of(folder):
-        names = pq.read_schema(part).names
+        schema = pq.read_schema(part)
+        names = schema.names
+        forked += int((schema.metadata or {}).get(_FORKED, b"0"))
         table = pq.read_table(part, columns=[c for c in ("failure", "stable") if c in names])
         rows += table.num_rows
         for kind in table.column("failure").to_pylist():
@@ -285,6 +290,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
         "failures": dict(sorted(failures.items())),
         "stable": stable,
         "unstable": unstable,
+        "forked": forked,
     }
 
 

@@ -11,7 +11,7 @@ import signal
 import tempfile
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -45,13 +45,13 @@ def work(
             pipe.send(("error", error.errno, f"{error.filename or scratch}: {error.strerror or error}"))
 
 
-def _serve(pipe: Connection, runner: Any, runs: Iterable[int]) -> None:
+def _serve(pipe: Connection, runner: Any, runs: Sequence[int]) -> None:
     rows: list[Any] = []
     sent = time.monotonic()
-    for run in runs:
-        pipe.send(("build", run))
-        runner.on_start = lambda run=run: pipe.send(("start", run))
-        rows.append(runner.outcome(run))
+    runner.on_build = lambda run: pipe.send(("build", run))
+    runner.on_start = lambda run: pipe.send(("start", run))
+    for outcome in runner.outcomes(runs):
+        rows.append(outcome)
         if len(rows) >= _SEND_ROWS or time.monotonic() - sent > _SEND_S:
             pipe.send(("rows", rows))
             rows, sent = [], time.monotonic()

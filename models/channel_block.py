@@ -97,12 +97,10 @@ def channel_block(
         )
     ]
     for k in range(1, OUTAGES + 1):
-        variables += [
-            Variable(f"outage[{k}].start", "parameter", f"Start of outage {k}", unit="s", start=1e30),
-            Variable(
-                f"outage[{k}].end", "parameter", f"End of outage {k}, itself outside", unit="s", start=1e30
-            ),
-        ]
+        for key, text in (("start", f"Start of outage {k}"), ("end", f"End of outage {k}, itself outside")):
+            variables.append(
+                Variable(f"outage[{k}].{key}", "parameter", text, unit="s", start=1e30, tunable=True)
+            )
     variables += [
         Variable(name, "parameter", text, unit=in_unit, start=0.0, min=0.0, max=most)
         for name, text, in_unit, most in (

@@ -96,7 +96,7 @@ def plant_block(case: Case, *, event_slots: int = 8, solver_step_s: float | None
     `G1_delta` (rad, against the centre of inertia), `G1_pe` (pu on the base of the case), `G1_vt` (pu), then
     `tie_p`; locals: bus voltages, field voltages, mechanical powers; parameters: gains, times and limits
     of the controls, which keep the equilibrium, `solver.step` (start `solver_step_s`; None: `default_step_s`)
-    and the event slots.
+    and the event slots. A slot that is set anew while the plant runs counts from the next event on.
 
     Raises
     ------
@@ -264,15 +264,25 @@ def _event_variables(slots: int) -> list[Variable]:
     variables = []
     for k in range(1, slots + 1):
         for key, (unit, text, start) in texts.items():
-            variables.append(Variable(f"event[{k}].{key}", "parameter", text, unit=unit, start=start))
+            name = f"event[{k}].{key}"
+            variables.append(Variable(name, "parameter", text, unit=unit, start=start, tunable=True))
         name = f"event[{k}].kind"
         variables.append(
-            Variable(name, "parameter", "what happens", type="Enumeration", start=0, enumeration=kind)
+            Variable(
+                name,
+                "parameter",
+                "what happens",
+                type="Enumeration",
+                start=0,
+                enumeration=kind,
+                tunable=True,
+            )
         )
         text = (
             "number of the bus, branch, machine, load or shunt in the case, from 1; classical machines last"
         )
-        variables.append(Variable(f"event[{k}].target", "parameter", text, type="Integer", start=1))
+        name = f"event[{k}].target"
+        variables.append(Variable(name, "parameter", text, type="Integer", start=1, tunable=True))
     return variables
 
 

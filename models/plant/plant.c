@@ -415,7 +415,9 @@ BlockStatus block_event(Block *b, double t, double *x, BlockMessage *message)
 
     (void)x;
     if (!prepared(b, &plan, &net)) return not_started(message);
-    return event_apply(b, &plan, &net, t, message);
+    /* the slots may have been set anew since the start */
+    const BlockStatus status = event_check(b, &plan, &net, message);
+    return status == BLOCK_OK ? event_apply(b, &plan, &net, t, message) : status;
 }
 
 BlockStatus block_step(Block *b, double t, double h, const double *u_poly, double *dy,
