@@ -137,7 +137,7 @@ class FmuParticipant:
         self._call("fmi2ExitInitializationMode", status, self.time_s)
         self._initialised = True
 
-    def resume(self, state: c_void_p, time_s: float) -> None:
+    def resume(self, state: Any, time_s: float) -> None:
         """Go on from a state that any instance of the same FMU has saved at `time_s`."""
         if self._fmu is None:
             self._instantiate()
