@@ -23,11 +23,9 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from .clock import Step, seconds, to_ticks
 from .early_return import EARLY, Early, rolled_back, too_short
@@ -48,27 +46,6 @@ Progress = Callable[[float, float], object]
 INPUTS: tuple[Inputs, ...] = ("hermite", "linear", "hold-jacobi", "hold-gauss-seidel")
 Engine = Literal["auto", "kernel", "python"]
 ENGINES: tuple[Engine, ...] = ("auto", "kernel", "python")
-
-
-@dataclass(frozen=True)
-class Saved:
-    """A master between two steps: states of all participants and what the master itself remembers."""
-
-    index: int
-    states: Mapping[str, object]
-    signals: tuple[tuple[object, ...], ...]
-    rows: int
-
-
-@dataclass(frozen=True)
-class Fork:
-    """A beginning that several masters can share: the state after it, what was recorded and counted."""
-
-    saved: Saved
-    ends: list[int]
-    times: npt.NDArray[np.float64]
-    records: npt.NDArray[np.float64]
-    counts: tuple[float, int, int, str]
 
 
 class Master:

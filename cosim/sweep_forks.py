@@ -16,8 +16,9 @@ from itertools import pairwise
 from .clock import seconds, to_ticks
 from .instances import FmuParticipant
 from .instances import Value as Start
-from .master import Fork, Master
+from .master import Master
 from .run import Wiring
+from .saved import Fork
 from .scenario import Scenario
 from .sweep_point import Point
 from .sweep_spec import Sweep
