@@ -137,11 +137,10 @@ class FmuParticipant:
         self._call("fmi2ExitInitializationMode", status, self.time_s)
         self._initialised = True
 
-    def resume(self, state: Any, time_s: float) -> None:
-        """Go on from a state that any instance of the same FMU has saved at `time_s`."""
+    def resume(self, time_s: float) -> None:
+        """Be ready to `restore` what any instance of the same FMU has saved at `time_s`, begun or not."""
         if self._fmu is None:
             self._instantiate()
-        self.restore(state)
         self._initialised = True
         self.time_s = time_s
 

@@ -37,6 +37,7 @@ from .kernel import Kernel, run_kernels, why_not
 from .kernel_build import kernel_or_reason
 from .loops import iterate_loop
 from .participant import Participant
+from .saved import Fork, Saved
 from .stepping import LOOPS, Loops, Stepping
 from .timing import clock_of, step_and_reason
 from .trajectory import Records, Trajectory
@@ -327,9 +328,7 @@ class Master:
             self.start()
         for n, p in self.participants.items():
             if not p.description.saves_state:
-                raise GraphError(
-                    f"{n} cannot save its state (canGetAndSetFMUstate): a run with it cannot be forked"
-                )
+                raise GraphError(f"{n} cannot save its state (canGetAndSetFMUstate): no fork of this run")
         states = {n: p.save() for n, p in self.participants.items()}
         return Saved(self._index, states, tuple(s.copy() for s in self.signals), self._rows)
 
@@ -355,17 +354,13 @@ class Master:
 
     def take_over(self, fork: Fork) -> bool:
         """Go on from another master's beginning as if it were this one's; both have the same structure.
-
-        False: nothing was done: other communication points up to there, or an FMU in another process.
-        """
+        False: nothing was done: other communication points up to there, or an FMU in another process."""
         saved = fork.saved
         if self.ends[: saved.index] != fork.ends or len(self._stopping) < len(self.participants):
             return False
         for p in self._stopping:
-            p.resume(saved.states[p.name], seconds(fork.ends[-1] if fork.ends else self.clock.start))
-        for s, kept in zip(self.signals, saved.signals, strict=True):
-            s.paste(kept)
-        self._index, self._rows = saved.index, saved.rows
+            p.resume(seconds(fork.ends[-1] if fork.ends else self.clock.start))
+        self.restore(saved)
         self._times[: saved.rows], self._records[: saved.rows] = fork.times, fork.records
         self.residual, self.repeated, self.rolled_back, self.ran = fork.counts
         return True
