@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -17,13 +17,15 @@ from .cli_modes import modes
 from .cli_run import run
 from .cli_ssp import build, container, ssp
 from .cli_sweep import maps, sweep
-from .terminal import busy, complain, print_table, stage_progress
+from .terminal import busy, complain, print_table, stage_progress, steady_streams
 
 if TYPE_CHECKING:
     import control
 
     from interarea.design.modes import Modes
     from interarea.models.case import Case
+
+INTERRUPTED = 130  #: exit code after Ctrl-C, as shells have it
 
 app = typer.Typer(
     name="interarea",
@@ -92,8 +94,10 @@ def study(
     name: Annotated[str, typer.Argument(metavar="NAME", help="bundled study or TOML file")] = "thesis",
 ) -> None:
     """Run a whole study: FMUs, designs, co-simulations, figures, report.html and study.json."""
+    from .destination import folder_for
     from .study import STAGES, run_study
 
+    folder_for(out)
     with stage_progress(STAGES) as progress:
         summary = run_study(name, out, progress)
     typer.echo(out / "study.json")
@@ -137,13 +141,22 @@ def _print_json(value: Mapping[str, Any]) -> None:
 
 def main() -> None:
     """Run the command line: exit code 0, 2 for a mistake of the user, 1 for a fault of ours."""
+    steady_streams()
     try:
         app()
     except KeyboardInterrupt:
-        print("interarea: stopped", file=sys.stderr)
-        sys.exit(130)
+        _stopped()
+    except SystemExit as ended:
+        if ended.code == INTERRUPTED:
+            _stopped()
+        raise
     except Exception as error:  # the one place where every error ends as one line
         sys.exit(complain(error))
+
+
+def _stopped() -> NoReturn:
+    print("interarea: stopped", file=sys.stderr)
+    sys.exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -16,26 +16,33 @@ if TYPE_CHECKING:
     from interarea.design.family import FamilyCertificate
     from interarea.models.case import Case
 
+    from .robust_design import DesignTable
+
 DesignFile = Annotated[
     str | None,
     typer.Option(
         "--spec",
         metavar="SPEC.toml",
-        help="design (file or bundled name) whose family judges [default: the controller's own, else robust]",
+        help="design (file or bundled name) whose family judges; default: the controller's own, else robust",
         show_default=False,
     ),
 ]
 
 
 def design(
-    spec: Annotated[str, typer.Argument(metavar="SPEC.toml", help="design file, or a bundled name")],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.json", show_default=False)],
+    spec: Annotated[
+        str, typer.Argument(metavar="SPEC.toml", help="design file, or a bundled name", show_default=False)
+    ],
+    out: Annotated[
+        Path,
+        typer.Option("--out", metavar="FILE.json", help="file for the controller", show_default=False),
+    ],
     against: Annotated[
         list[str] | None,
         typer.Option("--against", metavar="CONTROLLER", help="compare with this one too (may be repeated)"),
     ] = None,
     plots: Annotated[
-        Path | None, typer.Option("--plots", metavar="FOLDER", help="draw the alternatives into it")
+        Path | None, typer.Option("--plots", metavar="DIR", help="draw the alternatives into it")
     ] = None,
 ) -> None:
     """Design a fixed-order controller for a family; exit code 1 if it misses what was asked.
@@ -47,16 +54,21 @@ def design(
     from .artefacts import default_cache
     from .controller_file import any_controller
     from .design_comparison import HEADER, compare, save_comparison
+    from .destination import file_for, folder_for
     from .robust_design import load_design, run_design
 
     table, cache = load_design(spec), default_cache()
+    file_for(out)
+    if plots is not None:
+        folder_for(plots, "--plots")
     omega_b = load_case(table.case).omega_b
     others = {name: any_controller(name, omega_b).system for name in against or ()}
     done = run_design(table, cache, progress=lambda what, value: typer.echo(f"{what}: {value:.4f}", err=True))
     made = done.controller
+    out.parent.mkdir(parents=True, exist_ok=True)
     made.save(out)
     found = _certificate_of(made)
-    _show(made.name, found)
+    _show(made.name, found, table)
     with busy("comparing the alternatives"):
         alternatives = compare(table, {made.name: made.system, **done.tried, **others}, cache)
         drawn = save_comparison(table, alternatives, cache, plots) if plots is not None else ()
@@ -80,10 +92,14 @@ def _certificate_of(made: Controller) -> FamilyCertificate:
 def certify(
     controller: Annotated[
         str,
-        typer.Argument(metavar="CONTROLLER", help="shipped name, active, JSON file, or FMU"),
+        typer.Argument(
+            metavar="CONTROLLER", help="shipped name, `active`, JSON file, or FMU", show_default=False
+        ),
     ],
     spec: DesignFile = None,
-    case: Annotated[str | None, typer.Option("--case", help="another case than the design's")] = None,
+    case: Annotated[
+        str | None, typer.Option("--case", metavar="CASE", help="another case than the design's")
+    ] = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
     """Recompute a controller's certificate on full plants with exact latency; exit code 1 if it fails.
@@ -113,6 +129,8 @@ def certify(
         return
     made = any_controller(controller, omega_b)
     own = specification_of(made) if spec is None else None
+    if own is None and spec is None:
+        typer.echo(f"{controller} names no family of its own: judged by that of `robust`", err=True)
     if own is not None:
         table = own if case is None else own.model_copy(update={"case": case})
     with busy(f"certifying {controller}"):
@@ -120,7 +138,7 @@ def certify(
     if json_:
         typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
     else:
-        _show(made.name, found)
+        _show(made.name, found, table)
     if not found.passed:
         raise typer.Exit(1)
 
@@ -150,7 +168,7 @@ def _certify_bank(bank: ControllerBank, case: Case, json_: bool) -> None:
         )
 
 
-def _show(name: str, found: FamilyCertificate) -> None:
+def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
     print_table(
         f"{name}: full plants, exact latency",
         ("operating point", "condition", "stable", "worst swing", "inter-area", "rightmost (1/s)"),
@@ -166,6 +184,7 @@ def _show(name: str, found: FamilyCertificate) -> None:
             for row in found.rows
         ],
     )
+    typer.echo("; ".join(f"{condition.name}: {condition.in_words}" for condition in table.family()))
     typer.echo(
         f"worst swing {found.worst_swing:.4f}, inter-area {found.inter_area:.4f}, effort {found.effort:.4f}, "
         f"fastest pole {found.fastest_pole:.1f} rad/s"

@@ -25,6 +25,13 @@ def import_grid(
     from interarea.models.import_psse import import_psse
     from interarea.models.powerflow import solve_powerflow
 
+    from .destination import file_for
+
+    file_for(out)
+    if not grid.exists():
+        raise CaseError(f"{grid}: no such file, wanted: .raw (PSS/E version 33) or .m (MATPOWER)")
+    if grid.is_dir():
+        raise CaseError(f"{grid}: is a folder, wanted: .raw (PSS/E version 33) or .m (MATPOWER)")
     if grid.suffix.lower() == ".m":
         if dyr is not None:
             raise CaseError(f"{dyr}: dynamic data goes with a RAW file, not with MATPOWER")
@@ -34,6 +41,7 @@ def import_grid(
     else:
         raise CaseError(f"{grid}: suffix {grid.suffix!r}, allowed: .raw (PSS/E version 33), .m (MATPOWER)")
     flow = solve_powerflow(case)
+    out.parent.mkdir(parents=True, exist_ok=True)
     export_toml(case, out)
     typer.echo(out)
     typer.echo(
@@ -60,9 +68,13 @@ def export(
     from interarea.models.export_toml import export_toml
     from interarea.models.powerflow import solve_powerflow
 
+    from .destination import file_for
+
+    file_for(out)
     loaded = load_case(case)
     if tie_flow or circuit_out or load_scale != 1.0:
         loaded = operating_variant(loaded, tie_flow_mw=tie_flow, out=circuit_out or (), load_scale=load_scale)
     solve_powerflow(loaded)
+    out.parent.mkdir(parents=True, exist_ok=True)
     export_toml(loaded, out)
     typer.echo(out)

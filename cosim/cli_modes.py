@@ -40,7 +40,9 @@ def modes(
         list[str] | None, typer.Option("--circuit-out", metavar="BRANCH", help="branch out of service")
     ] = None,
     load_scale: Annotated[float, typer.Option("--load-scale", metavar="FACTOR", help="on every load")] = 1.0,
-    plot: Annotated[Path | None, typer.Option("--plot", metavar="DIR", help="compass plots there")] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="DIR", help="draw compass plots into it")
+    ] = None,
 ) -> None:
     """Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes."""
     from interarea.design.modes import modes_of
@@ -48,8 +50,11 @@ def modes(
     from interarea.models.case_variants import operating_variant
 
     from .artefacts import default_cache, linear_plant
+    from .destination import folder_for
     from .sensitivities import parameter_sensitivities
 
+    if plot is not None:
+        folder_for(plot, "--plot")
     cache = default_cache()
     with busy(f"linearising the plant FMU of {case}"):
         loaded = load_case(case)
@@ -143,7 +148,13 @@ def _print_shapes(found: Modes, case: Case) -> None:
         "speeds of the machines (size, angle in degrees)",
         ("mode", *machines),
         [
-            (name, *(f"{abs(z):.2f} {np.degrees(np.angle(z)):+.0f}°" for z in map(mode.shape.get, machines)))  # type: ignore[arg-type]
+            (
+                name,
+                *(
+                    f"{abs(z):.2f} {round(float(np.degrees(np.angle(z)))):+d}°"
+                    for z in map(mode.shape.get, machines)
+                ),
+            )  # type: ignore[arg-type]
             for name, mode in found.items()
         ],
     )

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 def run(
     scenario: Annotated[
-        Path, typer.Argument(metavar="SCENARIO.toml", help="scenario file", show_default=False)
+        str,
+        typer.Argument(metavar="SCENARIO.toml", help="scenario file, or a bundled name", show_default=False),
     ],
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
@@ -36,12 +37,15 @@ def run(
     With --self-test and no --out only the self-test is done.
     """
     from .artefacts import default_cache
+    from .destination import folder_for
     from .run import run_system
     from .run_files import write_result
     from .scenario import load_scenario
 
     if out is None and not self_test:
         raise typer.BadParameter("a folder for the results is needed, or --self-test", param_hint="--out")
+    if out is not None:
+        folder_for(out)
     loaded = load_scenario(scenario)
     tested = None
     if self_test:

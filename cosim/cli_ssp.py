@@ -31,7 +31,9 @@ def build(
     ],
     controller: Annotated[
         str | None,
-        typer.Option("--controller", metavar="NAME", help="this controller's FMU too, and a channel's"),
+        typer.Option(
+            "--controller", metavar="CONTROLLER", help="the FMU of this controller too, and that of a channel"
+        ),
     ] = None,
     platforms: Platforms = None,
 ) -> None:
@@ -41,11 +43,13 @@ def build(
     from interarea.models.plant_block import plant_block
 
     from .artefacts import block_fmu, complete_fmu, default_cache, place
+    from .destination import folder_for
     from .run import controller_of
     from .scenario import load_scenario
 
     cache = default_cache()
     loaded = load_case(case)
+    folder_for(out)
     blocks = {loaded.name: plant_block(loaded)}
     if controller is not None:
         named = load_scenario({"case": case, "controller": controller, "stop_s": 1.0})
@@ -60,15 +64,19 @@ def build(
 
 def ssp(
     scenario: ScenarioFile,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.ssp", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE.ssp", help="archive to write", show_default=False)
+    ],
     platforms: Platforms = None,
 ) -> None:
     """Write plant, channels and controller of a scenario, wired and parametrised, as one SSP 1.0 archive."""
     from .artefacts import default_cache
+    from .destination import file_for
     from .scenario import load_scenario
     from .ssp import write_ssp
 
     loaded = load_scenario(scenario)
+    file_for(out)
     with busy(f"writing {out}"):
         made = write_ssp(loaded, out, cache=default_cache(), platforms=names_of(platforms))
     typer.echo(made)
@@ -85,15 +93,17 @@ def names_of(platforms: str | None) -> list[str] | None:
 
 def container(
     scenario: ScenarioFile,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.fmu", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.fmu", help="FMU to write", show_default=False)],
     platforms: Platforms = None,
 ) -> None:
     """Write plant, channels and controller of a scenario as one FMU that simulates by itself."""
     from .artefacts import default_cache
     from .container import write_container
+    from .destination import file_for
     from .scenario import load_scenario
 
     loaded = load_scenario(scenario)
+    file_for(out)
     with busy(f"writing {out}"):
         made = write_container(loaded, out, cache=default_cache(), platforms=names_of(platforms))
     typer.echo(made)

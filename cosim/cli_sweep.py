@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from pathlib import Path
@@ -14,6 +15,7 @@ from .errors import SweepError
 if TYPE_CHECKING:
     from .sweep_engine import Progress
 
+_ADDRESS = re.compile(r"[a-z]+://[^/\s]+:\d+")
 _EVERY_S = 10.0  # a line of progress where there is no terminal
 
 
@@ -35,6 +37,7 @@ def sweep(
     large: Annotated[bool, typer.Option("--large", help="confirm a very large number of runs")] = False,
 ) -> None:
     """Run a scenario over many parameters; a sweep that was stopped goes on where it was."""
+    from .destination import folder_for
     from .sweep_engine import run_sweep
 
     if workers is not None and not workers >= 1:
@@ -43,13 +46,18 @@ def sweep(
         raise SweepError(
             "--workers and --scheduler: the scheduler has workers of its own, allowed: one of the two"
         )
+    if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
+        raise SweepError(
+            f"--scheduler = {scheduler}, allowed: tcp://HOST:PORT, as `dask scheduler` prints it"
+        )
+    folder_for(out)
     show = _Display()
     try:
         summary = run_sweep(spec, out, workers=workers, scheduler=scheduler, large=large, progress=show)
     except KeyboardInterrupt:
         show.end()
-        print(f"interarea: stopped; the same command goes on with what is in {out}", file=sys.stderr)
-        raise typer.Exit(130) from None
+        print(f"the same command goes on with what is in {out}", file=sys.stderr)
+        raise
     show.end()
     failures = ", ".join(f"{count} {kind}" for kind, count in summary["failures"].items())
     typer.echo(
@@ -57,7 +65,20 @@ def sweep(
         f"{summary['unstable']} not), {summary['failed']} failed{f' ({failures})' if failures else ''}"
         + (f"; {summary['forked']} went on from a saved state" if summary["forked"] else "")
     )
+    if summary["failed"]:
+        print(_commonest(out), file=sys.stderr)
     typer.echo(out)
+    if not summary["ok"]:
+        raise typer.Exit(1)
+
+
+def _commonest(out: Path) -> str:
+    """Return why most of the runs that failed did."""
+    from .sweep_store import read_rows
+
+    rows = read_rows(out)
+    reasons = rows.loc[rows.status == "failed", "reason"].value_counts()
+    return f"most failed so ({reasons.iloc[0]}): {reasons.index[0]}"
 
 
 def maps(
@@ -69,13 +90,19 @@ def maps(
     worst: Annotated[int, typer.Option("--worst", metavar="N", help="worst runs that are drawn")] = 6,
 ) -> None:
     """Draw the maps of a sweep: stability, margins certified and simulated, worst runs; one page."""
+    from .destination import file_for
     from .maps import write_maps
     from .terminal import busy
 
     if not 0 <= worst <= 50:
         raise SweepError(f"--worst = {worst}, allowed: 0 to 50")
+    if folder.exists() and not folder.is_dir():
+        raise SweepError(f"{folder}: is a file, wanted: the folder of a sweep's results (its --out)")
+    if not folder.exists():
+        raise SweepError(f"{folder}: no such folder, wanted: that of a sweep's results (its --out)")
+    page = file_for(out or folder / "maps.html")
     with busy(f"drawing {folder}"):
-        page = write_maps(folder, out or folder / "maps.html", worst=worst)
+        page = write_maps(folder, page, worst=worst)
     typer.echo(page)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from interarea.design.controller import RECORD, Controller, ControllerError
 from interarea.design.shipped import shipped_controller, shipped_names
 
+from .errors import nearest
 from .fmu_file import read_description
 
 
@@ -26,8 +27,14 @@ def any_controller(name: str, omega_b: float) -> Controller:
     if name in shipped_names():
         return shipped_controller(name)
     path = Path(name)
+    if path.is_dir():
+        raise ControllerError(f"controller {name}: is a folder, wanted: a JSON file or an FMU")
     if path.suffix == ".fmu":
         return _from_fmu(path, omega_b)
+    if not path.exists() and not path.suffix:
+        raise ControllerError(
+            f"controller {name!r} is neither shipped nor a file; {nearest(name, (*shipped_names(), 'active'))}"
+        )
     return Controller.load(path)
 
 

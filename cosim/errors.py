@@ -20,6 +20,10 @@ class GraphError(ValueError):
     """Connections that do not fit the participants they name."""
 
 
+class DestinationError(ValueError):
+    """A place where results cannot be written."""
+
+
 class SweepError(ValueError):
     """A sweep that cannot run as written, or results that do not belong to it."""
 

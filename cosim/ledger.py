@@ -184,7 +184,9 @@ class PacketLedger:
             return "no channel counts packets"
         lines = []
         for name, counts in self.rows.items():
-            cells = ", ".join(f"{key} {value:.6g}" for key, value in counts.items())
+            cells = ", ".join(
+                f"{key} {value:.6g}{' s' if key.startswith('age') else ''}" for key, value in counts.items()
+            )
             lines.append(f"{name}: {cells}")
         return "\n".join(lines)
 

@@ -80,11 +80,11 @@ def inline_svg(path: Path, key: str) -> str:
 def _number(value: float | None, digits: int = 3) -> str:
     if value is None:
         return "–"
-    return f"{value:.{digits}f}".replace("-", "−")
+    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")  # + 0: no "−0.0"
 
 
 def _percent(value: float | None, digits: int = 1) -> str:
-    return "–" if value is None else f"{100.0 * value:.{digits}f} %".replace("-", "−")
+    return "–" if value is None else f"{_number(100.0 * value, digits)}\N{NO-BREAK SPACE}%"
 
 
 def _seconds(value: float | None) -> str:

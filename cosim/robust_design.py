@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -23,8 +22,9 @@ from interarea.models.case import Case, load_case
 from interarea.models.case_variants import operating_variant
 
 from .artefacts import linear_plant
-from .errors import ScenarioError
+from .errors import ScenarioError, nearest
 from .synchronism import FaultTable, after_fault, predicted_drive
+from .toml_file import read_toml
 
 Positive = Annotated[float, Field(gt=0.0)]
 _OFFSETS = (BandOffsets().omega, BandOffsets().offset)
@@ -173,23 +173,30 @@ def load_design(path: str | Path) -> DesignTable:
     path = Path(path)
     bundled = Path(__file__).parent / "templates" / f"design_{path}.toml"
     file = bundled if not path.suffix and bundled.exists() else path
+    if not file.exists():
+        raise ScenarioError(
+            f"design {str(path)!r} is neither a file nor bundled; {nearest(str(path), design_names())}"
+        )
+    raw = read_toml(file, "design", ScenarioError)
     try:
-        table = DesignTable.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
+        table = DesignTable.model_validate(raw)
         table.spec()
-    except FileNotFoundError as error:
-        raise ScenarioError(f"design {path}: no such file; bundled: {', '.join(design_names())}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ScenarioError(f"{path}: is no TOML: {error}") from error
-    except RecursionError:
-        raise ScenarioError(f"{path}: is no TOML: nested too deeply") from None
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        said = f"{key} = {first['input']!r}: {first['msg'].lower()}" if key else first["msg"]
-        raise ScenarioError(f"{path}: {said}") from error
+        raise ScenarioError(f"{path}: {_said(error)}") from error
     except ValueError as error:
         raise ScenarioError(f"{path}: {error}") from error
     return table
+
+
+def _said(error: ValidationError) -> str:
+    """Return the first failure of a design in one line, and every key that is missing."""
+    rows = error.errors()
+    missing = [".".join(map(str, row["loc"])) for row in rows if row["type"] == "missing"]
+    if missing:
+        return f"{', '.join(missing)} missing; a bundled design shows a whole one"
+    first = rows[0]
+    key = ".".join(str(part) for part in first["loc"])
+    return f"{key} = {first['input']!r}: {first['msg'].lower()}" if key else first["msg"]
 
 
 def design_names() -> list[str]:
@@ -298,18 +305,16 @@ def certify(table: DesignTable, controller: Controller, cache: Path) -> FamilyCe
 
 
 def specification_of(controller: Controller) -> DesignTable | None:
-    """Return the design that a controller carries in its record, None where it carries none.
+    """Return the design for a family that a controller carries in its record, None where it carries none.
+
+    The designs of the study are for one operating point: their records name no conditions.
 
     Raises ScenarioError where the record is there and is no design.
     """
     given = controller.design.get("specification")
-    if given is None:
+    if given is None or (isinstance(given, Mapping) and "conditions" not in given and "point" not in given):
         return None
     try:
         return DesignTable.model_validate(given)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise ScenarioError(
-            f"controller {controller.name}: its specification: {key}: {first['msg'].lower()}"
-        ) from error
+        raise ScenarioError(f"controller {controller.name}: its specification: {_said(error)}") from error

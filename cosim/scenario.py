@@ -231,10 +231,10 @@ def load_scenario(source: str | Path | Mapping[str, Any] | Scenario) -> Scenario
                 f"scenario {str(source)!r} is neither a file nor bundled; "
                 f"{nearest(str(source), scenario_names())}"
             )
-    if not path.is_file():
+    if not path.exists():
         raise ScenarioError(f"{path}: no such scenario file")
-    table = read_toml(path, ScenarioError)
-    return _checked({"name": path.stem, **table}, path.name, path.parent)
+    table = read_toml(path, "scenario", ScenarioError)
+    return _checked({"name": path.stem, **table}, str(path), path.parent)
 
 
 def scenario_names() -> list[str]:

@@ -249,10 +249,8 @@ def load_study(name: str) -> Mapping[str, Any]:
         raise ScenarioError(
             f"study {name!r} is neither bundled nor a TOML file; {nearest(name, study_names())}"
         )
-    spec = read_toml(path, ScenarioError)
+    spec = read_toml(path, "study", ScenarioError)
     missing = [key for key in KEYS if key not in spec]
     if missing:
-        raise ScenarioError(
-            f"{path.name}: {', '.join(missing)} missing; study_thesis.toml shows a whole study"
-        )
+        raise ScenarioError(f"{path}: {', '.join(missing)} missing; study_thesis.toml shows a whole study")
     return spec

@@ -220,10 +220,10 @@ def load_sweep(source: str | Path | Mapping[str, Any]) -> Sweep:
     if isinstance(source, Mapping):
         return sweep_of(dict(source), "sweep", Path())
     path = Path(source)
-    if not path.is_file():
+    if not path.exists():
         raise SweepError(f"{path}: no such sweep file")
-    table = read_toml(path, SweepError)
-    return sweep_of({"name": path.stem, **table}, path.name, path.parent)
+    table = read_toml(path, "sweep", SweepError)
+    return sweep_of({"name": path.stem, **table}, str(path), path.parent)
 
 
 def sweep_of(table: Mapping[str, Any], where: str, folder: Path) -> Sweep:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import codecs
+import io
 import os
 import sys
 import traceback
@@ -16,6 +18,30 @@ from rich.table import Table
 StageProgress = Callable[[str, float], None]
 
 DEBUG_VARIABLE = "INTERAREA_DEBUG"
+
+_PLAIN = {"±": "+-", "°": " deg", "−": "-", "–": "-", "→": "->", "Δ": "d", "ω": "w", "ζ": "zeta", "✓": "ok"}
+
+
+def steady_streams() -> None:
+    """Let stdout and stderr take every character and every caller.
+
+    What the encoding of a terminal does not have is written in plain letters; a stream that is closed is
+    replaced by one that swallows.
+    """
+    codecs.register_error("interarea", _in_plain_letters)
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  (until the end)
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="interarea")
+
+
+def _in_plain_letters(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    lost = error.object[error.start : error.end]
+    return "".join(_PLAIN.get(c) or c.encode("ascii", "backslashreplace").decode() for c in lost), error.end
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

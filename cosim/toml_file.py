@@ -6,17 +6,34 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from interarea.models.toml_kind import other_kind
 
-def read_toml(path: Path, error: type[Exception]) -> dict[str, Any]:
+
+def read_toml(path: Path, wanted: str, error: type[Exception]) -> dict[str, Any]:
     """Return the tables of a file.
+
+    wanted : "scenario", "sweep", "study" or "design", for who gives a file of another kind.
 
     Raises
     ------
-    error : not TOML, not UTF-8, or nested too deeply; names the file. OSError : it cannot be read.
+    error : a folder, an archive, not TOML, not UTF-8, nested too deeply, or plainly of another kind; names the
+        file. OSError : it cannot be read.
     """
+    if path.is_dir():
+        raise error(f"{path}: is a folder, wanted: a {wanted} file")
+    content = path.read_bytes()
+    if content.startswith(b"PK\x03\x04"):
+        raise error(
+            f"{path}: is no TOML but an archive, as an FMU or SSP is (`interarea check`), "
+            f"wanted: a {wanted} file"
+        )
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        table = tomllib.loads(content.decode("utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
-        raise error(f"{path.name}: is no TOML: {fault}") from None
+        raise error(f"{path}: is no TOML: {fault}") from None
     except RecursionError:
-        raise error(f"{path.name}: is no TOML: nested too deeply") from None
+        raise error(f"{path}: is no TOML: nested too deeply") from None
+    other = other_kind(table, wanted)
+    if other is not None:
+        raise error(f"{path}: {other}")
+    return table

@@ -21,6 +21,22 @@ class Condition:
                     f"condition {self.name!r}: latency of {signal} is {latency!r} s; finite and not negative"
                 )
 
+    @property
+    def in_words(self) -> str:
+        """What is lost and what is late, in words.
+
+        >>> Condition("L+s100", ("G2_dw",), {"G4_dw": 0.1}).in_words
+        'G2_dw lost, G4_dw 100 ms late'
+        >>> Condition("N").in_words
+        'every signal at once'
+        """
+        late: dict[float, list[str]] = {}
+        for signal, latency in self.latency_s_of.items():
+            late.setdefault(latency, []).append(signal)
+        parts = [f"{' and '.join(self.lost)} lost"] if self.lost else []
+        parts += [f"{' and '.join(names)} {1e3 * value:g} ms late" for value, names in late.items()]
+        return ", ".join(parts) or "every signal at once"
+
 
 def condition_of(code: str, local: str, remote: str) -> Condition:
     """Return the condition of a short code, for one local and one remote signal.

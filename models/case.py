@@ -31,10 +31,11 @@ from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from .case_errors import CaseError, nearest, one_line
+from .case_errors import CaseError, nearest, one_line, reason
 from .case_schema import Branch, Bus, Load, Machine, Shunt, Tie
 from .case_schema_controls import Positive
 from .events import Event, check_events, events_of
+from .toml_kind import other_kind
 
 Named = TypeVar("Named", Branch, Load, Machine, Shunt)
 
@@ -242,6 +243,9 @@ def _document(name_or_path: str | Path, seen: tuple[str, ...], beside: Path | No
         raise CaseError(f"{where}: not valid TOML: {error}{hint}") from None
     except RecursionError:
         raise CaseError(f"{where}: not valid TOML: nested too deeply") from None
+    other = other_kind(raw, "case")
+    if other is not None:
+        raise CaseError(f"{where}: {other}")
     if "base" not in raw:
         return raw
     if where in seen:
@@ -263,11 +267,13 @@ def _text(name_or_path: str | Path, beside: Path | None) -> tuple[str, str, Path
         try:
             return path.read_text(encoding="utf-8"), str(path), path.parent
         except (OSError, UnicodeDecodeError) as error:
-            raise CaseError(f"{path}: the case file cannot be read: {error}") from None
+            raise CaseError(f"{path}: the case file cannot be read: {reason(error)}") from None
     known = case_names()
     if name not in known:
         hint = "(or give the path of a .toml file)"
-        raise CaseError(f"case {name!r} does not exist; {nearest(name, known)} {hint}")
+        there = Path(name).exists()
+        what = f"{name}: is no .toml file, so no case" if there else f"case {name!r} does not exist"
+        raise CaseError(f"{what}; {nearest(name, known)} {hint}")
     return (BUNDLED / f"{name}.toml").read_text(encoding="utf-8"), name, None
 
 

@@ -27,6 +27,16 @@ def nearest(name: object, known: Iterable[object]) -> str:
     )
 
 
+def reason(error: Exception) -> str:
+    """Return why a file cannot be read, without the number and the path that Python adds.
+
+    >>> reason(FileNotFoundError(2, "No such file or directory", "grid.raw"))
+    'no such file or directory'
+    """
+    text = error.strerror if isinstance(error, OSError) else None
+    return f"{text[0].lower()}{text[1:]}" if text else str(error)
+
+
 def one_line(error: ValidationError, path_of: Callable[[tuple[int | str, ...]], list[str]]) -> str:
     """Return the first failure of a pydantic `error` in one line; `path_of` turns its location into words."""
     first = error.errors()[0]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from .case import Case, CaseError, case_of
+from .case_errors import reason
 
 _COLUMNS = {"bus": 13, "gen": 8, "branch": 11}
 #: columns that are read and must be finite; limits, costs and ratings may be Inf
@@ -38,7 +39,7 @@ def import_matpower(path: str | Path, *, name: str | None = None, frequency_hz: 
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
-        raise CaseError(f"{path}: cannot be read: {error}") from None
+        raise CaseError(f"{path}: cannot be read: {reason(error)}") from None
     lines = [line.split("%")[0] for line in text.splitlines()]
     version = re.search(r"mpc\.version\s*=\s*['\"]?([^'\";]+)", "\n".join(lines))
     if version is None or version.group(1).strip() != "2":

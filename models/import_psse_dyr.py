@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from .case import CaseError
+from .case_errors import reason
 from .import_psse_records import Record, split_fields
 
 
@@ -81,7 +82,7 @@ def _records(path: Path) -> list[Record]:
     try:
         lines = path.read_text(encoding="latin-1").splitlines()
     except OSError as error:
-        raise CaseError(f"{path}: cannot be read: {error}") from None
+        raise CaseError(f"{path}: cannot be read: {reason(error)}") from None
     records: list[Record] = []
     words: tuple[str, ...] = ()
     where = ""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .case import CaseError
+from .case_errors import reason
 
 SECTIONS = (
     "bus",
@@ -99,7 +100,7 @@ def read_raw(path: Path) -> tuple[Record, dict[str, list[Record]]]:
     try:
         lines = path.read_text(encoding="latin-1").splitlines()
     except OSError as error:
-        raise CaseError(f"{path}: cannot be read: {error}") from None
+        raise CaseError(f"{path}: cannot be read: {reason(error)}") from None
     if not lines:
         raise CaseError(f"{path}:1: the file is empty, allowed: a PSS/E RAW file of version 33")
     header = Record(split_fields(lines[0]), f"{path}:1")

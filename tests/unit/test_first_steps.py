@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -9,8 +12,13 @@ import pytest
 
 from interarea.cosim.artefacts import channel_fmu, default_cache
 from interarea.cosim.cli import main
+from interarea.cosim.destination import folder_for
+from interarea.cosim.errors import DestinationError
 from interarea.cosim.fmu_file import FmuFile
+from interarea.cosim.report import _number, _percent
 from interarea.cosim.sweep_store import read_rows
+from interarea.cosim.terminal import steady_streams
+from interarea.models.case import load_case
 
 SWEEP = """
 [scenario]
@@ -56,9 +64,155 @@ def test_an_fmu_is_unpacked_to_an_absolute_place(tmp_path: Path, monkeypatch: py
     file.close()
 
 
+@pytest.mark.slow
 def test_a_sweep_into_a_folder_named_from_here(interarea) -> None:  # type: ignore[no-untyped-def]
     Path("two.toml").write_text(SWEEP, encoding="utf-8")
     code, out, err = interarea("sweep", "two.toml", "--out", "out/two", "--workers", 1)
     assert code == 0, err
     assert "2 runs: 2 ok" in out
     assert list(read_rows(Path("out/two")).status) == ["ok", "ok"]
+
+
+@pytest.fixture
+def kinds() -> dict[str, str]:
+    """One file of each kind in the folder of the call: kind -> file."""
+    Path("empty.toml").write_text("", encoding="utf-8")
+    Path("folder").mkdir()
+    Path("loop.fmu").write_bytes(b"PK\x03\x04 and so on")
+    Path("sweep.toml").write_text(SWEEP, encoding="utf-8")
+    Path("scenario.toml").write_text('case = "two-area-thesis"\nstop_s = 1.0\n', encoding="utf-8")
+    Path("case.toml").write_text('base = "kundur-manual"\n', encoding="utf-8")
+    return {name.split(".")[0]: name for name in os.listdir()}
+
+
+@pytest.mark.parametrize(
+    ("command", "wanted"),
+    [("run", "scenario"), ("ssp", "scenario"), ("sweep", "sweep"), ("study", "study"), ("design", "design")],
+)
+def test_a_file_of_another_kind_is_named_as_what_it_is(interarea, kinds, command: str, wanted: str) -> None:  # type: ignore[no-untyped-def]
+    words = {
+        "empty": "is empty",
+        "folder": "folder" if command != "study" else "neither",
+        "loop": "archive" if command != "study" else "neither",
+        "sweep": "is a sweep (`interarea sweep`)",
+        "scenario": "is a scenario (`interarea run`)",
+        "case": "is a case",
+    }
+    for kind, name in kinds.items():
+        if kind == wanted:
+            continue
+        code, out, err = interarea(command, name, "--out", "results")
+        assert code == 2 and out == "" and err.count("\n") == 1, err
+        assert words[kind] in err and wanted in err and name in err, err
+        assert not Path("results").exists()
+
+
+def test_a_case_command_names_what_it_was_given(interarea, kinds) -> None:  # type: ignore[no-untyped-def]
+    for kind, word in {"sweep": "is a sweep", "loop": "is no .toml file", "empty": "is empty"}.items():
+        code, _, err = interarea("modes", kinds[kind])
+        assert code == 2 and word in err and err.count("\n") == 1
+    assert "no such file" in interarea("modes", "missing.toml")[2]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("run", "scenario.toml", "--out"),
+        ("study", "--out"),
+        ("sweep", "sweep.toml", "--out"),
+        ("build", "two-area-thesis", "--out"),
+        ("modes", "two-area-thesis", "--plot"),
+        ("design", "robust", "--out", "x.json", "--plots"),
+    ],
+)
+def test_a_folder_that_cannot_be_is_refused_before_any_work(interarea, kinds, monkeypatch, arguments) -> None:  # type: ignore[no-untyped-def]
+    forbidden = pytest.fail
+    monkeypatch.setattr("interarea.cosim.artefacts.linear_plant", forbidden)
+    monkeypatch.setattr("interarea.cosim.artefacts.block_fmu", forbidden)
+    before = sorted(Path().rglob("*"))
+    for place in ("empty.toml", "empty.toml/below"):
+        code, out, err = interarea(*arguments, place)
+        assert code == 2 and out == "" and err.count("\n") == 1
+        assert f"{arguments[-1]} {place}" in err and "wanted: a folder" in err
+    assert sorted(Path().rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("ssp", "scenario.toml", "--out"),
+        ("container", "scenario.toml", "--out"),
+        ("export", "two-area-thesis", "--out"),
+        ("import", "grid.raw", "--out"),
+        ("design", "robust", "--out"),
+    ],
+)
+def test_a_file_that_cannot_be_is_refused_before_any_work(interarea, kinds, arguments) -> None:  # type: ignore[no-untyped-def]
+    for place, word in (
+        ("folder", "is a folder"),
+        ("empty.toml/x", "is a file"),
+        (os.devnull, "no ordinary"),
+    ):
+        code, out, err = interarea(*arguments, place)
+        assert code == 2 and out == "" and err.count("\n") == 1
+        assert f"--out {place}" in err and word in err
+
+
+def test_permission_is_looked_at_at_the_nearest_folder_there_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda path, _: Path(path) != tmp_path)
+    for place in (tmp_path / "a" / "b", tmp_path):
+        with pytest.raises(DestinationError, match=f"no permission to write in {tmp_path}, wanted"):
+            folder_for(place)
+    (tmp_path / "mine").mkdir()
+    assert folder_for(tmp_path / "mine" / "x") == tmp_path / "mine" / "x"
+
+
+def test_export_makes_the_folders_above_its_file(interarea) -> None:  # type: ignore[no-untyped-def]
+    code, out, _ = interarea("export", "two-area-thesis", "--out", "new/folder/case.toml")
+    assert code == 0 and out.strip() == "new/folder/case.toml"
+    assert load_case("new/folder/case.toml").hash == load_case("two-area-thesis").hash
+
+
+def outside(*arguments: str, **environment: str) -> subprocess.Popen[str]:
+    """Start the command as a process of its own."""
+    command = [sys.executable, "-m", "interarea.cosim.cli", *arguments]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | environment
+    )
+
+
+@pytest.mark.slow
+def test_a_terminal_without_our_letters_gets_plain_ones() -> None:
+    process = outside("modes", "two-area-thesis", "--shapes", PYTHONIOENCODING="ascii")
+    out, err = process.communicate()
+    assert process.returncode == 0 and err == ""
+    assert "-0.3164 +- 3.9127j" in out and "1.00 +0 deg" in out
+
+
+def test_closed_streams_do_no_harm(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", None)
+    monkeypatch.setattr(sys, "stderr", None)
+    steady_streams()
+    print("nobody reads this")
+    assert sys.stdout.name == sys.stderr.name == os.devnull
+
+
+@pytest.mark.slow
+def test_a_stopped_command_says_so_and_leaves_nothing(tmp_path: Path) -> None:
+    """Ctrl-C as soon as the command tells of its first stage."""
+    out = tmp_path / "out"
+    process = outside("study", "--out", str(out))
+    assert process.stderr is not None
+    assert process.stderr.readline() == "plant: done\n"
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate()
+    assert process.returncode == 130
+    assert err.splitlines()[-1] == "interarea: stopped" and "Traceback" not in err
+    assert not (out / "study.json").exists()
+
+
+def test_negative_zero_is_zero_in_a_report() -> None:
+    assert _number(-0.0004) == "0.000" and _number(-0.25) == "−0.250"
+    assert _percent(-0.0004).replace("\N{NO-BREAK SPACE}", " ") == "0.0 %"
