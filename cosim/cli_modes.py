@@ -142,19 +142,17 @@ def _print_modes(title: str, found: Modes, count: int) -> None:
     )
 
 
+def _size_and_angle(entry: complex) -> str:
+    return f"{abs(entry):.2f} {round(float(np.degrees(np.angle(entry)))):+d}°"
+
+
 def _print_shapes(found: Modes, case: Case) -> None:
     machines = [m.name for m in case.machines]
     print_table(
         "speeds of the machines (size, angle in degrees)",
         ("mode", *machines),
         [
-            (
-                name,
-                *(
-                    f"{abs(z):.2f} {round(float(np.degrees(np.angle(z)))):+d}°"
-                    for z in map(mode.shape.get, machines)
-                ),
-            )  # type: ignore[arg-type]
+            (name, *(_size_and_angle(mode.shape[machine]) for machine in machines))
             for name, mode in found.items()
         ],
     )

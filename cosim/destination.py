@@ -1,4 +1,4 @@
-"""Where results go, looked at before anything is computed: a run of minutes must not end at a folder's door."""
+"""Where results go, looked at before anything is computed: minutes of work must not end at its door."""
 
 from __future__ import annotations
 
@@ -14,9 +14,7 @@ def folder_for(path: Path, option: str = "--out") -> Path:
     Raises DestinationError, naming `option`.
     """
     if path.exists() and not path.is_dir():
-        raise DestinationError(
-            f"{option} {path}: is a file, wanted: a folder (it is made if it is not there)"
-        )
+        raise DestinationError(f"{option} {path}: is a file, wanted: a folder (made if not there)")
     _require_room(path, path, option)
     return path
 

@@ -84,7 +84,8 @@ class SelfTest:
         width = max([len(str(r.connection)) for r in self.rows], default=10)
         lines = [f"{'self-test (ms)':<{width}}  {'stated':>12} {'measured':>12} {'difference':>12}"]
         for r in self.rows:
-            numbers = f"{1e3 * r.stated_s:12.6f} {round(1e3 * r.measured_s, 6) + 0.0:12.6f} {1e3 * r.difference_s:12.1e}"
+            measured = round(1e3 * r.measured_s, 6) + 0.0  # no "-0.000000"
+            numbers = f"{1e3 * r.stated_s:12.6f} {measured:12.6f} {1e3 * r.difference_s:12.1e}"
             tag = "" if abs(r.height - 1.0) <= 1e-5 else f"  impulse {r.height:.6g} times as high as sent"
             lines.append(
                 f"{r.connection!s:<{width}}  {numbers}  {'' if r.agrees else 'DIFFERS'}{tag}".rstrip()

@@ -16,8 +16,8 @@ def read_toml(path: Path, wanted: str, error: type[Exception]) -> dict[str, Any]
 
     Raises
     ------
-    error : a folder, an archive, not TOML, not UTF-8, nested too deeply, or plainly of another kind; names the
-        file. OSError : it cannot be read.
+    error : a folder, an archive, not TOML, not UTF-8, nested too deeply, or plainly of another kind; names
+        the file. OSError : it cannot be read.
     """
     if path.is_dir():
         raise error(f"{path}: is a folder, wanted: a {wanted} file")

@@ -16,7 +16,7 @@ KINDS: Mapping[str, tuple[frozenset[str], str]] = {
 
 
 def other_kind(table: Mapping[str, Any], wanted: str) -> str | None:
-    """Return what `table` is if it plainly is not a `wanted`: the end of a sentence about the file, else None.
+    """Return what `table` is, as the end of a sentence about its file, where it plainly is not a `wanted`.
 
     >>> other_kind({"case": "two-area-thesis", "stop_s": 20.0}, "sweep")
     'is a scenario (`interarea run`), wanted: a sweep'

@@ -82,7 +82,7 @@ def kinds() -> dict[str, str]:
     Path("sweep.toml").write_text(SWEEP, encoding="utf-8")
     Path("scenario.toml").write_text('case = "two-area-thesis"\nstop_s = 1.0\n', encoding="utf-8")
     Path("case.toml").write_text('base = "kundur-manual"\n', encoding="utf-8")
-    return {name.split(".")[0]: name for name in os.listdir()}
+    return {path.stem: path.name for path in Path().iterdir()}
 
 
 @pytest.mark.parametrize(
