@@ -84,7 +84,7 @@ def _number(value: float | None, digits: int = 3) -> str:
 
 
 def _percent(value: float | None, digits: int = 1) -> str:
-    return "–" if value is None else f"{_number(100.0 * value, digits)}\N{NO-BREAK SPACE}%"
+    return "–" if value is None else f"{_number(100.0 * value, digits)} %"
 
 
 def _seconds(value: float | None) -> str:
