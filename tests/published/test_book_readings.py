@@ -12,6 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import book_readings
+import book_search
 
 from interarea.cosim.artefacts import plant_fmu
 from interarea.design.linearise import linearise
@@ -80,3 +81,13 @@ def test_dynawo_s_stabilized_modes(cache):
         ours = {"natural_hz": abs(mode.eigenvalue) / (2 * np.pi), "damping_ratio": mode.damping_ratio}
         for quantity, value in ours.items():
             assert value == printed.approx_printed(row[quantity], row["gap"][quantity]), quantity
+
+
+def test_the_search_finds_the_constants_that_gave_the_modes(cache):
+    """From the modes of a reading with two constants changed, by the plant without stabilizers alone."""
+    change = {"machines": {"defaults": {"exciter": {"KA": 180.0}, "stabilizer": {"Tw": 2.0}}}}
+    found = modes(load_case("kundur-pss").with_changes(change), cache)
+    row = book_search.Row([found[mode].eigenvalue for mode in book_readings.NAMES])
+    norm, constants = row.fit(("KA", "Tw"), starts=1)
+    assert norm < 1e-4
+    assert constants == pytest.approx({"KA": 180.0, "Tw": 2.0}, rel=1e-5)

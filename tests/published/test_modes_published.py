@@ -135,7 +135,11 @@ def test_large_grids_rest_at_their_power_flow(cache, name):
 
 @pytest.mark.parametrize(("name", "areas", "locals_"), [("new-england", 1, 8), ("nets-nyps", 4, 11)])
 def test_large_grids_have_the_known_number_of_modes(modes, name, areas, locals_):
-    """N - 1 swing modes; between the five areas of NETS-NYPS four, of .2 to .8 Hz.  [Pal2005, ch. 4]"""
+    """N - 1 swing modes; between the five areas of NETS-NYPS four, of .2 to .8 Hz.
+
+    [Pal2005, ch. 4; SinghPal2013, Table 4, on other exciters: 15 modes, four of them of .31 to .78 Hz]
+    New England has two areas here, and so one: G10, which stands for the neighbours, against all others.
+    """
     found = modes(name)
     inter = [mode for key, mode in found.items() if key.startswith("inter-area")]
     assert len(inter) == areas
