@@ -259,9 +259,17 @@ def assemble(
 
 
 def wire(
-    scenario: Scenario, case: Case, *, plant: FmuFile, controller: FmuFile | None, channel: FmuFile | None
+    scenario: Scenario,
+    case: Case,
+    *,
+    plant: FmuFile,
+    controller: FmuFile | None,
+    channel: FmuFile | None,
+    own: Mapping[str, FmuFile] | None = None,
 ) -> Wiring:
     """Return which instances of the three FMUs a scenario needs, with which start values, connected how.
+
+    own : instance -> FMU of the user's; default: opened where the scenario says.
 
     Raises
     ------
@@ -310,7 +318,8 @@ def wire(
             )
             connections.append((f"{_PLANT}.{signal}", f"{_CONTROLLER}.{signal}"))
     for name, fmu in scenario.fmus.items():
-        instances[name] = (FmuFile(scenario.folder / fmu.file), dict(fmu.start))
+        file = FmuFile(scenario.folder / fmu.file) if own is None else own[name]
+        instances[name] = (file, dict(fmu.start))
     for path in scenario.connections:
         connections += [pair for pair in pairs_of(path, scenario.channels) if pair not in connections]
     return Wiring(instances, tuple(connections))

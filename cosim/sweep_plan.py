@@ -7,9 +7,10 @@ designed for, so nothing is designed anew for a changed operating point.
 from __future__ import annotations
 
 import json
+import shutil
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,18 @@ from interarea.design.bank import ControllerBank, load_controller
 from interarea.design.controller import Controller
 from interarea.models.case import Case, case_of, load_case
 
-from .artefacts import active_bank, code_hash, content_hash, design_controller, numerics_versions, source_hash
+from .artefacts import (
+    active_bank,
+    artefact,
+    code_hash,
+    content_hash,
+    design_controller,
+    file_hash,
+    numerics_versions,
+    source_hash,
+)
 from .errors import ScenarioError, SweepError
+from .fmu_file import FmuFile
 from .run import Controllers
 from .scenario import NAMED_CONTROLLERS, load_scenario
 from .sweep_point import check_paths, check_values
@@ -41,13 +52,15 @@ def code_version() -> str:
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """`cases`: name -> document; `controllers`: "CASE/NAME" -> what a controller file holds."""
+    """`cases`: name -> document; `controllers`: "CASE/NAME" -> what a controller file holds; `fmus`: of the
+    user's own, instance -> content hash of its file, which is in the cache (`own_fmu`)."""
 
     sweep: Sweep
     cases: Mapping[str, Mapping[str, Any]]
     controllers: Mapping[str, Mapping[str, Any]]
     modes: tuple[str, ...]
     version: str
+    fmus: Mapping[str, str] = field(default_factory=dict)
 
     def case(self, name: str) -> Case:
         """Return a case of the sweep."""
@@ -71,6 +84,7 @@ class SweepPlan:
             "cases": dict(self.cases),
             "controllers": dict(self.controllers),
             "modes": list(self.modes),
+            "fmus": dict(self.fmus),
         }
 
     @cached_property
@@ -129,7 +143,26 @@ def plan_sweep(
         {key: _content(controller) for key, controller in made.items()},
         modes,
         code_version(),
+        {name: _kept_fmu(folder / fmu.file, cache) for name, fmu in sweep.base.fmus.items()},
     )
+
+
+def own_fmu(cache: Path, key: str) -> Path:
+    """Return where in the cache the user's FMU with content hash `key` is."""
+    return cache / "own" / f"{key}.fmu"
+
+
+def _kept_fmu(path: Path, cache: Path) -> str:
+    """Copy an FMU of the user's into the cache, from where it goes to all workers; return its hash.
+
+    Raises
+    ------
+    GraphError : no such file, or no FMU that the master can step.
+    """
+    FmuFile(path).close()
+    key = file_hash(path)
+    artefact(cache, "own", key, ".fmu", lambda place: shutil.copyfile(path, place))
+    return key
 
 
 def plan_of_document(document: Mapping[str, Any]) -> SweepPlan:
@@ -140,6 +173,7 @@ def plan_of_document(document: Mapping[str, Any]) -> SweepPlan:
         document["controllers"],
         tuple(document["modes"]),
         document["version"],
+        document["fmus"],
     )
 
 

@@ -26,6 +26,7 @@ from .instances import FmuParticipant
 from .instances import Value as Start
 from .kernel_build import load_kernel
 from .run import EVENT_SLOTS, Loop, Wiring, wire
+from .scenario import Scenario
 from .sweep_forks import (
     Beginning,
     Job,
@@ -36,11 +37,12 @@ from .sweep_forks import (
     places_to_save,
     taken_over,
 )
-from .sweep_plan import SweepPlan
+from .sweep_plan import SweepPlan, own_fmu
 from .sweep_point import CaseChange, Point, packed, point_of
 from .sweep_rows import Outcome, Row, failed_row, measure, start_row, trajectory_table
 from .sweep_values import Search, Value
 from .trajectory import Curves
+from .worker import participant_of
 
 if TYPE_CHECKING:
     from interarea.design.bank import ControllerBank
@@ -106,6 +108,7 @@ class Runner:
         ] = {}
         self._cases: dict[str, Case] = {}
         self._channel: FmuFile | None = None
+        self._own: dict[str, FmuFile] = {}
         self._packed = packed(plan.sweep)
         self._late = late_parameters(plan.sweep)
         self._run = -1
@@ -190,10 +193,11 @@ class Runner:
         for plant in self._plants.values():
             plant.close()
         self._plants.clear()
-        for file in (self._channel, *(f for _, f in self._controllers.values())):
+        for file in (self._channel, *self._own.values(), *(f for _, f in self._controllers.values())):
             if file is not None:
                 file.close()
         self._channel = None
+        self._own.clear()
         self._controllers.clear()
 
     # -- one run --------------------------------------------------------------------------
@@ -312,10 +316,12 @@ class Runner:
         plant = self._plant(point.change, slots)
         controller = self._controller(point.change.case, scenario.controller)
         channel = self._channel_file() if scenario.channels else None
-        wiring = wire(scenario, plant.case, plant=plant.file, controller=controller, channel=channel)
+        own = {name: self._own_file(name) for name in scenario.fmus}
+        wiring = wire(scenario, plant.case, plant=plant.file, controller=controller, channel=channel, own=own)
         if controller is not None:
             wiring.instances["controller"][1].update(_controller_start(controller, point))
-        kept = self._instances((point.change, slots, scenario.controller, tuple(wiring.instances)), wiring)
+        structure = (point.change, slots, scenario.controller, tuple(wiring.instances))
+        kept = self._instances(structure, wiring, scenario)
         key = (
             scenario.stop_s,
             scenario.step_s,
@@ -330,13 +336,14 @@ class Runner:
         kept.loop.scenario = scenario
         return kept, wiring
 
-    def _instances(self, structure: Any, wiring: Wiring) -> _Kept:
+    def _instances(self, structure: Any, wiring: Wiring, scenario: Scenario) -> _Kept:
         kept = self._kept.pop(structure, None) or _Kept()
         for name, (file, start) in wiring.instances.items():
             if name in kept.participants:
                 kept.participants[name].set_start(start)
             else:
-                kept.participants[name] = FmuParticipant(name, file, start)
+                process = scenario.fmus[name].process if name in scenario.fmus else {}
+                kept.participants[name] = participant_of(name, file, start, **process)
         self._kept[structure] = kept
         while len(self._kept) > _KEPT:
             self._kept.popitem(last=False)[1].close()
@@ -380,6 +387,11 @@ class Runner:
             self._channel = self._open(channel_fmu(self.cache))
         return self._channel
 
+    def _own_file(self, name: str) -> FmuFile:
+        if name not in self._own:
+            self._own[name] = self._open(own_fmu(self.cache, self.plan.fmus[name]))
+        return self._own[name]
+
     def _open(self, path: Path) -> FmuFile:
         return FmuFile(path, scratch=self.scratch)
 
@@ -396,6 +408,7 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
     files = [channel_fmu(cache)]
     with suppress(BuildError):  # without it Python steps the FMUs
         files.append(Path(load_kernel(cache)._name))
+    files += [own_fmu(cache, key) for key in dict.fromkeys(plan.fmus.values())]
     cases = {name: plan.case(name) for name in plan.cases}
     block = plant_block(next(iter(cases.values())))
     files.append(compile_binary(block.kind, block.sources, host_platform(), cache=cache))
