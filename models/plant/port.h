@@ -99,11 +99,7 @@ static inline flag port_iterate(real *memory, const Plan *plan, const num *ed2, 
             rest[n + p] = e_im[m + p] - (d[2] * w.v_re[p] + d[3] * w.v_im[p]);
         }
         for (size_t p = 0; p < 2 * n; ++p) next[p] = b[p];
-        for (size_t q = 0; q < 2 * n; ++q) {
-            const real *z = from_j + 2 * n * q;
-            const num r = rest[q];
-            for (size_t p = 0; p < 2 * n; ++p) next[p] += z[p] * r;
-        }
+        num_add_product(from_j, 2 * n, 2 * n, rest, next);
         for (size_t p = 0; p < n; ++p) {
             moved += num_size(next[p] - w.v_re[p]) + num_size(next[n + p] - w.v_im[p]);
             w.v_re[p] = num_pick(open, next[p], w.v_re[p]);
