@@ -32,78 +32,28 @@ typedef int flag;
 #define PART(a) (a)
 #endif
 
-/* sin and cos to about 1 ulp for |x| < 1e6: x = k pi/2 + r, |r| <= pi/4, with
- * pi/2 in three pieces of at most 33 bits (k times the first two is exact),
- * then the Taylor polynomials, whose remainders are below 1e-18 on that range. */
-static inline void real_sincos(double x, double *s, double *c)
-{
-    const double magic = 6755399441055744.0; /* 1.5 2^52: adding it rounds to an integer */
-    const double shifted = x * 0.63661977236758138 + magic;
-    const double k = shifted - magic;
-    uint64_t quadrant;
-    memcpy(&quadrant, &shifted, sizeof quadrant);
-
-    double r = x - k * 1.57079632673412561417e+00;
-    r -= k * 6.07710050630396597660e-11;
-    r -= k * 2.02226624879595063154e-21;
-
-    const double q = r * r, p = q * q;
-    const double sr = r + r * q * (-1.0 / 6 + q * (1.0 / 120) + p * (-1.0 / 5040 + q * (1.0 / 362880)
-        + p * (-1.0 / 39916800 + q * (1.0 / 6227020800.0) + p * (-1.0 / 1307674368000.0
-        + q * (1.0 / 355687428096000.0)))));
-    const double cr = 1.0 - q * (0.5 - q * (1.0 / 24) + p * (1.0 / 720 - q * (1.0 / 40320)
-        + p * (1.0 / 3628800 - q * (1.0 / 479001600.0) + p * (1.0 / 87178291200.0
-        - q * (1.0 / 20922789888000.0)))));
-
-    const double a = (quadrant & 1u) != 0 ? cr : sr;
-    const double b = (quadrant & 1u) != 0 ? sr : cr;
-    *s = (quadrant & 2u) != 0 ? -a : a;
-    *c = ((quadrant + 1u) & 2u) != 0 ? -b : b;
-}
-
-/* exp to about 1 ulp: x = k ln 2 + r, |r| <= 0.35, ln 2 in two pieces (k times the
- * first is exact), then the Taylor polynomial (remainder below 1e-18). Beyond
- * +-700 it stays at exp(+-700); a NaN stays a NaN. */
-static inline double real_exp(double x)
-{
-    const double magic = 6755399441055744.0;
-    const double bounded = x > 700.0 ? 700.0 : x < -700.0 ? -700.0 : x;
-    const double shifted = bounded * 1.4426950408889634 + magic, k = shifted - magic;
-    double r = bounded - k * 6.93147180369123816490e-01;
-    r -= k * 1.90821492927058770002e-10;
-    const double tail = r * (1.0 + r * (1.0 / 2 + r * (1.0 / 6 + r * (1.0 / 24 + r * (1.0 / 120
-        + r * (1.0 / 720 + r * (1.0 / 5040 + r * (1.0 / 40320 + r * (1.0 / 362880
-        + r * (1.0 / 3628800 + r * (1.0 / 39916800 + r * (1.0 / 479001600.0
-        + r * (1.0 / 6227020800.0)))))))))))));
-    uint64_t bits;
-    double power;
-    memcpy(&bits, &shifted, sizeof bits);
-    bits = ((bits + 1023u) & 2047u) << 52;   /* 2^k */
-    memcpy(&power, &bits, sizeof power);
-    return power + power * tail;
-}
-
-/* ln x to about 2 ulp for normal x > 0 (else NaN): x = 2^k m, m near 1, and the
- * series of artanh((m - 1)/(m + 1)). */
-static inline double real_log(double x)
+static inline uint64_t real_bits(double a)
 {
     uint64_t bits;
-    double m;
-    if (!(x >= 2.3e-308 && x <= 1.7e308)) return NAN;
-    memcpy(&bits, &x, sizeof bits);
-    double k = (double)(int)(bits >> 52) - 1023.0;
-    bits = (bits & 0xFFFFFFFFFFFFFu) | 0x3FF0000000000000u;
-    memcpy(&m, &bits, sizeof m);
-    if (m > 1.4142135623730951) {
-        m *= 0.5;
-        k += 1.0;
-    }
-    const double s = (m - 1.0) / (m + 1.0), q = s * s;
-    const double tail = q * (1.0 / 3 + q * (1.0 / 5 + q * (1.0 / 7 + q * (1.0 / 9 + q * (1.0 / 11
-        + q * (1.0 / 13 + q * (1.0 / 15 + q * (1.0 / 17 + q * (1.0 / 19 + q * (1.0 / 21
-        + q * (1.0 / 23)))))))))));
-    return k * 6.93147180369123816490e-01 + (2.0 * s + (2.0 * s * tail + k * 1.90821492927058770002e-10));
+    memcpy(&bits, &a, sizeof bits);
+    return bits;
 }
+
+static inline double real_of_bits(uint64_t bits)
+{
+    double a;
+    memcpy(&a, &bits, sizeof a);
+    return a;
+}
+
+#define E_NAME(f) real_##f
+#define E_NUM double
+#define E_WORD uint64_t
+#define E_ALL(a) (a)
+#define E_PICK(c, a, b) ((c) ? (a) : (b))
+#define E_BITS(a) real_bits(a)
+#define E_OF(w) real_of_bits(w)
+#include "elementary.h"
 
 #if defined PLANT_LANES
 #include "lanes.h"   /* NUM, FIRST, flags and the functions below for several scenarios */
