@@ -3,10 +3,9 @@
 #include <math.h>
 #include <stdio.h>
 
+#include "../block/sampled.h"
 #include "history.h"
 #include "packets.h"
-
-const int block_is_sampled = 1;
 
 static size_t capacity_of(const Record *record)
 {
@@ -155,31 +154,4 @@ BlockStatus block_directional(Block *b, double t, const double *x, const double 
     vy[0] = weight * vu[0];
     vy[1] = 0.0;
     return BLOCK_OK;
-}
-
-double block_next_event(const Block *b, double t)
-{
-    (void)b, (void)t;
-    return INFINITY;
-}
-
-BlockStatus block_event(Block *b, double t, double *x, BlockMessage *message)
-{
-    (void)b, (void)t, (void)x, (void)message;
-    return BLOCK_OK;
-}
-
-BlockStatus block_derivatives(Block *b, double t, const double *x, const double *u, double *dx,
-                              BlockMessage *message)
-{
-    (void)b, (void)t, (void)x, (void)u, (void)dx, (void)message;
-    return BLOCK_OK;
-}
-
-BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, double *y,
-                          BlockMessage *message)
-{
-    (void)b, (void)t, (void)x, (void)u, (void)y;
-    snprintf(message->text, sizeof message->text, "channel: outputs are made by steps");
-    return BLOCK_ERROR;
 }

@@ -3,10 +3,9 @@
 #include <math.h>
 #include <stdio.h>
 
+#include "../block/sampled.h"
 #include "../channel/history.h"
 #include "../channel/random.h"
-
-const int block_is_sampled = 1;
 
 static const double SLACK = 1e-10; /* s; instants closer than this count as equal */
 static const unsigned FIRST_STREAM = 16;
@@ -191,31 +190,4 @@ BlockStatus block_directional(Block *b, double t, const double *x, const double 
     if (vy != NULL)
         for (size_t j = 0; j < b->layout.n_y; ++j) vy[j] = 0.0;
     return BLOCK_OK;
-}
-
-double block_next_event(const Block *b, double t)
-{
-    (void)b, (void)t;
-    return INFINITY;
-}
-
-BlockStatus block_event(Block *b, double t, double *x, BlockMessage *message)
-{
-    (void)b, (void)t, (void)x, (void)message;
-    return BLOCK_OK;
-}
-
-BlockStatus block_derivatives(Block *b, double t, const double *x, const double *u, double *dx,
-                              BlockMessage *message)
-{
-    (void)b, (void)t, (void)x, (void)u, (void)dx, (void)message;
-    return BLOCK_OK;
-}
-
-BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, double *y,
-                          BlockMessage *message)
-{
-    (void)b, (void)t, (void)x, (void)u, (void)y;
-    snprintf(message->text, sizeof message->text, "concentrator: outputs are made by steps");
-    return BLOCK_ERROR;
 }

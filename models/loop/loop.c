@@ -5,7 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
-const int block_is_sampled = 1;
+#include "../block/sampled.h"
 
 enum { WORK_VECTORS = 5 };
 
@@ -283,31 +283,4 @@ BlockStatus block_directional(Block *b, double t, const double *x, const double 
     (void)t, (void)x, (void)u, (void)vx, (void)vu, (void)vdx, (void)message;
     if (vy != NULL) memset(vy, 0, b->layout.n_y * sizeof(double));
     return BLOCK_OK;
-}
-
-double block_next_event(const Block *b, double t)
-{
-    (void)b, (void)t;
-    return INFINITY;
-}
-
-BlockStatus block_event(Block *b, double t, double *x, BlockMessage *message)
-{
-    (void)b, (void)t, (void)x, (void)message;
-    return BLOCK_OK;
-}
-
-BlockStatus block_derivatives(Block *b, double t, const double *x, const double *u, double *dx,
-                              BlockMessage *message)
-{
-    (void)b, (void)t, (void)x, (void)u, (void)dx, (void)message;
-    return BLOCK_OK;
-}
-
-BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, double *y,
-                          BlockMessage *message)
-{
-    (void)b, (void)t, (void)x, (void)u, (void)y;
-    snprintf(message->text, sizeof message->text, "loop: outputs are made by steps");
-    return BLOCK_ERROR;
 }
