@@ -23,6 +23,7 @@ SOURCES = tuple(
     _HERE / name
     for name in (
         "plant/plant.c",
+        "plant/tables.c",
         "plant/flow.c",
         "plant/tangent.c",
         "plant/event.c",

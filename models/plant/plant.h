@@ -30,6 +30,14 @@ BlockStatus plant_fail(BlockMessage *message, BlockStatus status, const char *fo
 /* Name number `k` (0-based) of a list with one name a line, into text. */
 const char *plant_name(const char *names, size_t k, char text[64]);
 
+/* tables.c. plant_read: the counts and the network; plant_check: every other array, by
+ * its length and what it refers to; plant_tables: numbers and parameters into memory. */
+BlockStatus plant_read(const Record *record, const BlockLayout *layout, Plan *plan, Network *network,
+                       BlockMessage *message);
+BlockStatus plant_check(const Record *record, const BlockLayout *layout, const Plan *plan,
+                        BlockMessage *message);
+BlockStatus plant_tables(Block *b, const Plan *plan, const Network *network, BlockMessage *message);
+
 /* event.c */
 BlockStatus event_check(const Block *b, const Plan *plan, const Network *network, BlockMessage *message);
 double event_next(const Block *b, const Plan *plan, double t);
