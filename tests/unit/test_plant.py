@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from plant_shim import BlockFailure, BlockShim
 
-from interarea.models.case import load_case
+from interarea.models.case import case_names, load_case
+from interarea.models.equilibrium import operating_point
 from interarea.models.events import events_of
-from interarea.models.plant_block import event_parameters, plant_block
+from interarea.models.plant_block import event_parameters, plant_block, shortest_time_s
 from interarea.models.powerflow import solve_powerflow
 
 CASES = ("two-area-thesis", "kundur-thyristor-z")
@@ -268,3 +269,14 @@ def test_a_tripped_machine_gives_no_power_and_stands_still():
     assert dx[plant.state_names.index("G1.slip")] < 0.0  # the others take its load
     inertia = {m.name: m.H * m.base_mva for m in load_case("two-area-thesis").machines if m.name != "G2"}
     assert sum(h * values[f"{name}_delta"] for name, h in inertia.items()) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", case_names())
+def test_the_default_is_stable_in_every_case(name: str) -> None:
+    """The fastest pole lies within 1.2 of the inverse of the shortest time constant, and RK4 takes it."""
+    case = load_case(name)
+    block = plant_block(case)
+    poles = np.linalg.eigvals(BlockShim(block).jacobians()[0])
+    assert np.abs(poles).max() * shortest_time_s(operating_point(case)) < 1.2
+    z = block.longest_step_s * poles[poles.real < -1e-3]
+    assert np.all(np.abs(1.0 + z + z**2 / 2 + z**3 / 6 + z**4 / 24) < 1.0)
