@@ -12,12 +12,12 @@ from interarea.models.plant_block import GROUP_SOURCES, SOURCES
 from .compile import compile_library, fmi_sources, gather_sources, host_platform, record_source
 from .errors import BuildError
 
-_SOURCE = Path(__file__).resolve().parent / "c" / "group" / "group.c"
+_SOURCE = Path(__file__).resolve().parent / "c" / "group" / "fmu_group.c"
 _ALIGNMENT = 64
 
 
 class GroupLibrary:
-    """The functions of c/group/group.h; the same file serves as binary of every plant FMU of this version.
+    """The functions of c/group/fmu_group.h; the same file serves as binary of every plant FMU of this version.
 
     Instances made with it give the bits of those made with the FMU's own binary.
     """
@@ -69,6 +69,11 @@ def _loaded(path: Path) -> GroupLibrary:
         raise BuildError(f"cannot load the plants' library {path}: {error}") from error
 
 
+def group_sources() -> tuple[Path, ...]:
+    """Return the C files of the library."""
+    return (*fmi_sources(), *SOURCES, record_source(), *GROUP_SOURCES, _SOURCE)
+
+
 def plant_group(*, cache: Path | None = None) -> GroupLibrary:
     """Return the library that steps plants side by side, compiled when the cache does not hold it.
 
@@ -78,5 +83,5 @@ def plant_group(*, cache: Path | None = None) -> GroupLibrary:
     ------
     BuildError : no compiler, a platform without one, or a library that cannot be loaded.
     """
-    sources = gather_sources((*fmi_sources(), *SOURCES, record_source(), *GROUP_SOURCES, _SOURCE))
+    sources = gather_sources(group_sources())
     return _loaded(compile_library("plant-group", sources, host_platform(), cache=cache))

@@ -7,6 +7,7 @@ static num *lanes_of(double *a) { return (num *)(void *)a; }
 /* solver_inputs of the FMU; `at`: 0 begin, 1 middle, 2 end of the step. */
 static void stage_inputs(const BlockGroup *g, size_t at)
 {
+    if (g->u_poly == NULL) return;
     const num elapsed = ((const num *)(const void *)g->elapsed)[at], *p = (const num *)(const void *)g->u_poly;
     num *u = lanes_of(g->u);
 
@@ -17,22 +18,22 @@ static void stage_inputs(const BlockGroup *g, size_t at)
 void BATCH_STEP(const BlockGroup *g)
 {
     const size_t n = g->layout->n_x;
-    const int moves = g->u_poly != NULL;
     num *memory = lanes_of(g->memory), *x = lanes_of(g->x), *u = lanes_of(g->u), *scratch = lanes_of(g->scratch);
     num *k1 = lanes_of(g->k), *k2 = k1 + n, *k3 = k2 + n, *k4 = k3 + n, *at = k4 + n;
     const num h = *lanes_of(g->h);
 
-    if (moves) stage_inputs(g, 0);
+    stage_inputs(g, 0);
     (void)NAME(plant_flow)(memory, x, u, k1, scratch);
     for (size_t i = 0; i < n; ++i) at[i] = x[i] + h / 2.0 * k1[i];
-    if (moves) stage_inputs(g, 1);
+    stage_inputs(g, 1);
     (void)NAME(plant_flow)(memory, at, u, k2, scratch);
     for (size_t i = 0; i < n; ++i) at[i] = x[i] + h / 2.0 * k2[i];
     (void)NAME(plant_flow)(memory, at, u, k3, scratch);
     for (size_t i = 0; i < n; ++i) at[i] = x[i] + h * k3[i];
-    if (moves) stage_inputs(g, 2);
+    stage_inputs(g, 2);
     (void)NAME(plant_flow)(memory, at, u, k4, scratch);
-    const flag runs = num_above(h, NUM(0.0));
+    flag runs;   /* lane by lane: gcc 12 cannot compile the comparison of vectors here */
+    for (size_t i = 0; i < PLANT_LANES; ++i) runs[i] = h[i] > 0.0 ? -1 : 0;
     for (size_t i = 0; i < n; ++i)
         x[i] = num_pick(runs, x[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]), x[i]);
 }

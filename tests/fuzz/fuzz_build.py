@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from interarea.fmu_build.compile import record_source, source_files
+from interarea.fmu_build.compile import gather_sources, record_source, source_files
 from interarea.fmu_build.render import render
 from interarea.models.variables import Block
 
@@ -101,10 +101,22 @@ class Driver:
         return done.stdout + (done.stderr if before else "")
 
 
-def build_driver(block: Block, sources: tuple[str, ...], compiler: Compiler, folder: Path) -> Driver:
-    """Compile `sources` of this folder with the block; prepare a sound and a damaged resources folder."""
+def build_driver(
+    block: Block,
+    sources: tuple[str, ...],
+    compiler: Compiler,
+    folder: Path,
+    *,
+    of_binary: tuple[Path, ...] = (),
+) -> Driver:
+    """Compile `sources` of this folder with the block; prepare a sound and a damaged resources folder.
+
+    of_binary : C files of the block's binary, when it is another one than that of its FMU.
+    """
     files = source_files((*block.sources, record_source()))
     description, record = render(block, files)
+    if of_binary:
+        files = gather_sources(of_binary)
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
         (folder / name).write_bytes(content)

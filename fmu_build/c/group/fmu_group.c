@@ -1,6 +1,6 @@
-/* See group.h. A lane is a cursor over its instance's step: stretches between
+/* See fmu_group.h. A lane is a cursor over its instance's step: stretches between
  * events, each a whole number of substeps, as in solver.c. */
-#include "group.h"
+#include "fmu_group.h"
 
 #include <math.h>
 #include <string.h>
@@ -59,14 +59,15 @@ static int needs_of(const Instance *c, BlockNeeds *needs)
 size_t interarea_group_size(fmi2Component like, size_t lanes)
 {
     const Instance *c = like;
-    const BlockLayout *l = &c->block.layout;
+    const BlockLayout *l;
     BlockNeeds needs;
     size_t guid;
 
-    if ((lanes != 2 && lanes != 4 && lanes != 8) || c->type != fmi2CoSimulation) return 0;
+    if (c == NULL || (lanes != 2 && lanes != 4 && lanes != 8) || c->type != fmi2CoSimulation) return 0;
     if (!block_group_fits(&c->block) || !needs_of(c, &needs)) return 0;
     (void)record_text(&c->record, "guid", &guid);
     if (guid > GUID_ROOM) return 0;
+    l = &c->block.layout;
     /* a number of each lane: memory; x and k; u and its polynomial; y; scratch; h; elapsed */
     return sizeof(double)
            * (head_size() + lanes * (needs.n_memory + 6 * l->n_x + 5 * l->n_u + l->n_y + needs.n_scratch + 1 + ELAPSED)

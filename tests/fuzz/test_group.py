@@ -1,0 +1,37 @@
+"""Plants stepped side by side against twins stepped alone, at random, under ASan and UBSan."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from fuzz_blocks import fuzz_block
+from fuzz_build import Driver, build_driver, sanitizing_compiler
+
+from interarea.fmu_build.group import group_sources
+
+ROUNDS = 1500
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def driver(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Driver:
+    compiler = sanitizing_compiler()
+    if compiler is None:
+        pytest.skip("no compiler here has the runtime of a sanitizer (tried $CC, gcc, clang, cc, zig)")
+    block, folder = fuzz_block("plant", cache), tmp_path_factory.mktemp("group")
+    return build_driver(block, ("group_steps.c",), compiler, folder, of_binary=group_sources())
+
+
+@pytest.mark.parametrize("lanes", [2, 4, 8])
+def test_twins_stay_twins(lanes: int, driver: Driver) -> None:
+    said = driver.run(20261121 + lanes, ROUNDS, lanes)
+    if "lanes at most" in said:
+        pytest.skip(f"this processor has {said.strip()}")
+    counts = {word: int(n) for n, word in re.findall(r"(\d+) (steps|failed|lines)", said)}
+    # most steps go well, some fail, and many events and refusals were told
+    assert counts["steps"] > 5 * ROUNDS, said
+    assert 0.01 * counts["steps"] < counts["failed"] < 0.5 * counts["steps"], said
+    assert counts["lines"] > 0.05 * counts["steps"], said
