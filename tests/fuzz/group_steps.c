@@ -44,7 +44,7 @@ static double unit(void) { return (double)(bits() >> 11) * 0x1p-53; }
 
 static void fail(const char *what, size_t k)
 {
-    printf("broken: %s (twin %zu)\n", what, k);
+    fprintf(stderr, "broken: %s (twin %zu)\n", what, k);
     abort();
 }
 

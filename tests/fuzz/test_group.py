@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import fuzz_build
 import pytest
 from fuzz_blocks import fuzz_block
-from fuzz_build import Driver, build_driver, sanitizing_compiler
+from fuzz_build import Driver, build_driver, plain_compiler, sanitizing_compiler
 
 from interarea.fmu_build.group import group_sources
 
@@ -35,3 +36,35 @@ def test_twins_stay_twins(lanes: int, driver: Driver) -> None:
     assert counts["steps"] > 5 * ROUNDS, said
     assert 0.01 * counts["steps"] < counts["failed"] < 0.5 * counts["steps"], said
     assert counts["lines"] > 0.05 * counts["steps"], said
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("g->owner[k] == c && g->written[k] == c->memory_written", "g->owner[k] == c"),
+        ("c->run->derivatives_fresh = STALE;", ""),
+        ("step_consume_inputs(c, lane->step);", ""),
+    ],
+)
+def test_a_seeded_mistake_is_found(
+    old: str, new: str, tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The comparison is worth its time only if it notices."""
+    original = fuzz_build.gather_sources
+
+    def changed(sources: tuple[Path, ...]) -> dict[str, bytes]:
+        files = original(sources)
+        assert files["fmu_group.c"].count(old.encode()) >= 1
+        files["fmu_group.c"] = files["fmu_group.c"].replace(old.encode(), new.encode())
+        return files
+
+    monkeypatch.setattr(fuzz_build, "gather_sources", changed)
+    made = build_driver(
+        fuzz_block("plant", cache),
+        ("group_steps.c",),
+        plain_compiler(),
+        tmp_path,
+        of_binary=group_sources(),
+    )
+    with pytest.raises(AssertionError, match="broken"):
+        made.run(1, ROUNDS, 2)

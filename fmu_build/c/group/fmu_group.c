@@ -247,7 +247,6 @@ static void accept(Group *g, const Lane *lane, size_t k)
     get(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     get(g->group.y, c->block.y, g->layout.n_y, g->lanes, k);
     c->run->time = lane->time;
-    c->run->last_event = lane->last_event;
     step_consume_inputs(c, lane->step);
     c->run->outputs_fresh = FRESH_BUT_LOCALS;
     c->run->derivatives_fresh = STALE;
