@@ -17,7 +17,7 @@ _ALIGNMENT = 64
 
 
 class GroupLibrary:
-    """The functions of c/group/fmu_group.h; the same file serves as binary of every plant FMU of this version.
+    """The functions of c/group/fmu_group.h; the file also serves as binary of plant FMUs of this version.
 
     Instances made with it give the bits of those made with the FMU's own binary.
     """

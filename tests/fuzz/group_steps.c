@@ -218,7 +218,7 @@ int main(int argc, char **argv)
             if (below(30) == 0) set_event(t, k, below(SLOTS));     /* refused once it runs */
             if (t->broken && below(4) != 0) continue;               /* a call that is not allowed */
             if (k == leave_out) continue;
-            send(t, k);
+            if (below(5) != 0) send(t, k);
             c[n] = t->beside;
             point[n] = t->time;
             step[n] = some_step();
