@@ -346,6 +346,7 @@ def _data(
         "machine.names": _lines(m.name for m in case.machines),
         "port.table": ports,
         "state.machine": _int(_machine_of_states(case, point)),
+        "output.state": _int(_states_of_outputs(case, point)),
         "tie.branch": _int(tie),
         "tie.end": _int(ends),
         "parameter.table": _int(table for table, _, _, _ in parameters),
@@ -364,6 +365,12 @@ def _data(
         arrays |= _device_arrays(word, devices, point.state_names)
     arrays["exciter.input"] = _int(range(len(point.exciters)))
     return arrays
+
+
+def _states_of_outputs(case: Case, point: OperatingPoint) -> list[int]:
+    """Of each output the state that it is, -1 where it is none; read by the FMI layer."""
+    state_of = {f"{m.name}_dw": point.state_names.index(f"{m.name}.slip") for m in case.machines}
+    return [state_of.get(variable.name, -1) for variable in _outputs(case)]
 
 
 def _machine_of_states(case: Case, point: OperatingPoint) -> list[int]:

@@ -37,6 +37,15 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component component, const fmi2ValueR
     return fmi2OK;
 }
 
+/* Whether each of these outputs, numbered from `first`, is a state: its slope is that state's. */
+static int are_states(const Instance *c, const fmi2ValueReference references[], size_t count, size_t first)
+{
+    if (c->output_state == NULL) return 0;
+    for (size_t i = 0; i < count; ++i)
+        if (c->output_state[references[i] - first] < 0) return 0;
+    return 1;
+}
+
 /* dy/dt along the solution and the inputs' slopes. */
 static fmi2Status output_slopes(Instance *c, double *slopes, const char *call)
 {
@@ -75,6 +84,12 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component component, const fmi2Value
         if (orders[i] != 1)
             return instance_report(c, fmi2Error, call, "order %d of %s; only order 1 is offered", orders[i],
                                    instance_real_name(c, references[i]));
+    }
+    if (are_states(c, references, count, first)) {
+        status = instance_refresh_derivatives(c, call);
+        for (size_t i = 0; i < count && status == fmi2OK; ++i)
+            values[i] = c->block.dx[c->output_state[references[i] - first]];
+        return status;
     }
     slopes = c->work + 6 * c->block.layout.n_x + 2 * c->block.layout.n_u;
     status = output_slopes(c, slopes, call);

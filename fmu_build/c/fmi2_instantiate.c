@@ -75,6 +75,16 @@ static int read_tables(Instance *c, char *why)
         snprintf(why, WHY_SIZE, "resources/model.bin: `internal_step.parameter` is no variable");
         return 1;
     }
+    c->output_state = record_i32(&c->record, "output.state", &k[0]);
+    if (k[0] > 0 && k[0] != n->n_y) {
+        snprintf(why, WHY_SIZE, "resources/model.bin: `output.state` does not fit `layout`");
+        return 1;
+    }
+    for (size_t i = 0; i < k[0]; ++i)
+        if (c->output_state[i] >= 0 && (size_t)c->output_state[i] >= n->n_x) {
+            snprintf(why, WHY_SIZE, "resources/model.bin: `output.state` points outside the states");
+            return 1;
+        }
     c->nominal_x = record_f64(&c->record, "nominal.x", &k[0]);
     if (!count_is(c->nominal_x, k[0], n->n_x)) {
         snprintf(why, WHY_SIZE, "resources/model.bin: `nominal.x` does not fit `layout`");

@@ -68,6 +68,7 @@ typedef struct {
     const double *start_real, *min_real, *max_real, *nominal_x;
     const int32_t *start_integer, *min_integer, *max_integer;
     const int32_t *flags_real, *flags_integer, *type_integer;
+    const int32_t *output_state;    /* the state that an output is, -1 where it is none; or null */
     const double *internal_step;  /* longest substep, s: in the record, or a parameter's value in `real` */
     size_t step_parameter;        /* that parameter's value reference, n_real if there is none */
     unsigned long memory_written;   /* how often block.memory was: for those who keep copies */
