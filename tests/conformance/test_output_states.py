@@ -1,4 +1,4 @@
-"""Outputs that are states: their slopes are read off the derivatives, the same bits as by the complex step."""
+"""Outputs that are states: their slopes are read off the derivatives, to the bit as by the complex step."""
 
 from __future__ import annotations
 
