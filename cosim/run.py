@@ -185,8 +185,8 @@ def system_of(scenario: Scenario, *, cache: Path | None = None) -> System:
         **scenario.master.options,
     )
     for name, table in scenario.fmus.items():
-        file = scenario.folder / table.file
-        system.fmu(name, file, latency_s=table.latency_s, **table.process, **table.start)
+        file = FmuFile(scenario.folder / table.file)
+        system.add(participant_of(name, file, table.start, **table.process), latency_s=table.latency_s)
     for name, channel in scenario.channels.items():
         system.channel(name, channel)
     for path in scenario.connections:

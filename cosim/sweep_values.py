@@ -213,7 +213,9 @@ class Parameter(Table):
             cell = int(_permutation(seed, name, samples)[k])
             u = (cell + unit_draw(seed, name, k)) / samples
             value: Any = _between(spread.low, spread.high, u, spread.scale)
-            digits, low, high = spread.digits, spread.low, spread.high
+            digits = spread.digits
+            low: float | None = spread.low
+            high: float | None = spread.high
         else:
             assert self.random is not None
             value = self.random.at(unit_draw(seed, name, k))
