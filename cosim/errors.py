@@ -6,25 +6,27 @@ import difflib
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
+from interarea.models.case_errors import OneLineError
+
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
     from .trajectory import Trajectory
 
 
-class ScenarioError(ValueError):
+class ScenarioError(OneLineError):
     """A scenario that cannot be run as written: file, key, value, what is allowed."""
 
 
-class GraphError(ValueError):
+class GraphError(OneLineError):
     """Connections that do not fit the participants they name."""
 
 
-class DestinationError(ValueError):
+class DestinationError(OneLineError):
     """A place where results cannot be written."""
 
 
-class SweepError(ValueError):
+class SweepError(OneLineError):
     """A sweep that cannot run as written, or results that do not belong to it."""
 
 
@@ -80,7 +82,8 @@ def nearest(name: str, known: Iterable[str]) -> str:
 def one_line(error: ValidationError, keys_at: Callable[[tuple[int | str, ...]], Iterable[str]]) -> str:
     """Return the first failure of a pydantic model in one line; `keys_at`: location -> keys allowed there."""
     first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
+    # the forms that a value may have are no words of the file
+    key = ".".join(str(part) for part in first["loc"] if part not in ("str", "tuple[str, ...]"))
     if first["type"] == "value_error":
         text = first["msg"].removeprefix("Value error, ")
         return f"{key}: {text}" if key else text

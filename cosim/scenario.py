@@ -248,6 +248,9 @@ def _checked(table: dict[str, Any], where: str, folder: Path) -> Scenario:
         if not isinstance(tables, list | tuple):
             raise ScenarioError(f"{where}: event = {tables!r}, allowed: [[event]] tables")
         plain = [e for e in tables if isinstance(e, Mapping)]
+        for k, e in enumerate(tables, start=1):
+            if not isinstance(e, Mapping | BaseModel):
+                raise ScenarioError(f"{where}: event {k} = {e!r}, allowed: a table")
         events = events_of(plain, where=where) if len(plain) == len(tables) else tuple(tables)
         return Scenario.model_validate({"folder": folder, **table, "event": events})
     except CaseError as error:

@@ -30,7 +30,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from .errors import ScenarioError, SweepError, nearest
+from .errors import ScenarioError, SweepError, nearest, one_line
 from .scenario import Scenario, load_scenario
 from .sweep_values import Interval, Parameter, Range, Search, Table, Value
 from .toml_file import read_toml
@@ -248,25 +248,9 @@ def sweep_of(table: Mapping[str, Any], where: str, folder: Path) -> Sweep:
     try:
         return Sweep.model_validate({**raw, "base": base})
     except ValidationError as error:
-        raise SweepError(f"{where}: {_one_line(error)}") from None
+        raise SweepError(f"{where}: {one_line(error, _keys)}") from None
     except ScenarioError as error:
         raise SweepError(f"{where}: {error}") from None
-
-
-def _one_line(error: ValidationError) -> str:
-    first = error.errors()[0]
-    loc = tuple(part for part in first["loc"] if part not in ("str", "tuple[str, ...]"))
-    key = ".".join(str(part) for part in loc)
-    if first["type"] == "value_error":
-        text = first["msg"].removeprefix("Value error, ")
-        return f"{key}: {text}" if key else text
-    if first["type"] == "missing":
-        return f"{key} is missing"
-    if first["type"] == "extra_forbidden":
-        return f"{key} = {first['input']!r}: no such key; {nearest(str(loc[-1]), _keys(loc))}"
-    if first["type"] == "literal_error":
-        return f"{key} = {first['input']!r}, allowed: {first['ctx']['expected']}"
-    return f"{key} = {first['input']!r}, allowed: {first['msg'].removeprefix('Input should be ')}"
 
 
 def _keys(location: tuple[int | str, ...]) -> list[str]:

@@ -156,7 +156,7 @@ _FORMS = ("values", "range", "latin_hypercube", "random", "bisect")
 class Parameter(Table):
     """One `[parameters.NAME]` table: where the value goes (`path`, default: the name) and which values."""
 
-    path: str | tuple[str, ...] | None = None
+    path: str | Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     values: tuple[Any, ...] | None = None
     range: Range | None = None
     latin_hypercube: Interval | None = None

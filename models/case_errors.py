@@ -7,8 +7,20 @@ from collections.abc import Callable, Iterable
 
 from pydantic import ValidationError
 
+_LONGEST = 900  #: characters of a message; what a wrong file holds may be as long as it likes
 
-class CaseError(ValueError):
+
+class OneLineError(ValueError):
+    """A mistake of the user's, told in one line whatever the wrong file has in it."""
+
+    def __init__(self, text: str) -> None:
+        line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+        if len(line) > _LONGEST:
+            line = f"{line[: _LONGEST // 2]} ... {line[5 - _LONGEST // 2 :]}"
+        super().__init__(line)
+
+
+class CaseError(OneLineError):
     """A case, or what is asked of it, is wrong: one line with file, key, value and what is allowed."""
 
 

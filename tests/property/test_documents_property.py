@@ -82,12 +82,12 @@ SWEEP["scenario"]["channels"] = {
 def toml(value: Any) -> str:
     """Write a value as TOML; tables inline. JSON's strings and numbers are TOML's too."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{json.dumps(k)} = {toml(v)}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{toml(k)} = {toml(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(toml(v) for v in value) + "]"
     if isinstance(value, float):
         return repr(value)
-    return json.dumps(value).replace("\x7f", "\\u007f")
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def file_of(table: dict[str, Any], folder: str) -> Path:
@@ -169,7 +169,7 @@ SPOILT = st.one_of(
         [
             -1,
             0,
-            -1e-9,
+            -1e-09,
             1e308,
             10**30,
             float("nan"),
@@ -183,8 +183,6 @@ SPOILT = st.one_of(
             "a.b",
             [],
             {},
-        ]
-        + [
             [[]],
             [{}],
             {"": 1},
