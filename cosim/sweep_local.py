@@ -6,7 +6,6 @@ import multiprocessing
 import os
 import shutil
 import signal
-import time
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -18,7 +17,7 @@ from typing import Any
 from .errors import SweepError
 from .sweep_plan import SweepPlan
 from .sweep_rows import Outcome, failed_row
-from .sweep_worker import work
+from .sweep_worker import STATUS_SIZE, UnderWay, work
 
 _KILLED, _CRASHED = 5, 2  # deaths with the same run under way before it counts as the cause
 _USELESS = 3  # workers that end before their first run
@@ -33,9 +32,10 @@ class _Worker:
         context = _context()
         for attempt in range(_USELESS):
             self.pipe, theirs = context.Pipe()
+            shared = context.RawArray("d", STATUS_SIZE)
             their_end, self._lifeline = context.Pipe(duplex=False)
             self.process: BaseProcess = context.Process(
-                target=work, args=(theirs, their_end, plan, cache, self.scratch), daemon=True
+                target=work, args=(theirs, their_end, shared, plan, cache, self.scratch), daemon=True
             )
             try:
                 self.process.start()
@@ -46,10 +46,10 @@ class _Worker:
             finally:
                 theirs.close()
                 their_end.close()
+        self.under_way = UnderWay(shared)
         self.todo: dict[int, None] = {}
-        self.run: int | None = None
-        self.since: float | None = None  #: when the present run began to compute
         self.served = False
+        self.overdue: list[int] = []  #: the runs that it was killed for
 
     def give(self, runs: list[int]) -> None:
         self.todo = dict.fromkeys(runs)
@@ -93,6 +93,7 @@ class _Pool:
         self.document = plan.document()
         self.workers: list[_Worker] = []
         self.again: deque[int] = deque()  # of workers that died
+        self.alone: deque[int] = deque()  # of those that were under way together
         self.deaths: Counter[tuple[int, bool]] = Counter()
         self.started = self.useless = 0
         self.limit_s = plan.sweep.time_limit_s + max(_GRACE_S, 0.5 * plan.sweep.time_limit_s)
@@ -115,12 +116,9 @@ class _Pool:
         pipes: dict[Any, _Worker] = {w.pipe: w for w in self.workers}
         for pipe in wait(list(pipes), timeout=0.5):
             self._listen(pipes[pipe], found)
-        now = time.monotonic()
         for worker in self.workers:
-            if worker.since is not None and now - worker.since > self.limit_s and worker.run is not None:
-                found.append(self._failed(worker.run, "time limit", "did not come back from an FMU's call"))
-                worker.todo.pop(worker.run, None)
-                worker.run = worker.since = None
+            if worker.under_way.seconds > self.limit_s and not worker.overdue:
+                worker.overdue = worker.under_way.runs
                 worker.kill()
         return found
 
@@ -129,10 +127,7 @@ class _Pool:
         try:
             while pipe.poll():
                 message = pipe.recv()
-                if message[0] in ("build", "start"):
-                    worker.run = message[1]
-                    worker.since = time.monotonic() if message[0] == "start" else None
-                elif message[0] == "rows":
+                if message[0] == "rows":
                     worker.served = True
                     for outcome in message[1]:
                         if outcome.row["run"] in worker.todo:
@@ -143,7 +138,6 @@ class _Pool:
                         message[1], os.strerror(message[1]) if message[1] else message[2], message[2]
                     )
                 else:
-                    worker.run = worker.since = None
                     if (runs := self._next()) is None:
                         self._dismiss(worker)
                         return
@@ -152,11 +146,22 @@ class _Pool:
             self._bury(worker, found)
 
     def _bury(self, worker: _Worker, found: list[Outcome]) -> None:
-        """A worker died: its runs are done again, but for one that keeps killing workers."""
+        """A worker died: its runs are done again, but for one that keeps killing workers.
+
+        Of several runs under way together each is done alone then, which shows which of them it is.
+        """
         worker.process.join()
         code = worker.process.exitcode
-        run = worker.run
-        if run is not None and run in worker.todo:
+        under_way = [run for run in worker.under_way.runs if run in worker.todo]
+        if len(under_way) > 1:
+            self.alone.extend(under_way)
+            for run in under_way:
+                del worker.todo[run]
+        elif under_way and worker.overdue == under_way:
+            del worker.todo[under_way[0]]
+            found.append(self._failed(under_way[0], "time limit", "did not come back from an FMU's call"))
+        elif under_way:
+            run = under_way[0]
             killed = code == -signal.SIGKILL if hasattr(signal, "SIGKILL") else False
             self.deaths[run, killed] += 1
             if self.deaths[run, killed] >= (_KILLED if killed else _CRASHED):
@@ -188,6 +193,8 @@ class _Pool:
         worker.give(runs)
 
     def _next(self) -> list[int] | None:
+        if self.alone:
+            return [self.alone.popleft()]
         runs: list[int] = []
         while len(runs) < self.task:
             run = self.again.popleft() if self.again else next(self.runs, None)

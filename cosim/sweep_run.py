@@ -111,10 +111,9 @@ class Runner:
         self._own: dict[str, FmuFile] = {}
         self._packed = packed(plan.sweep)
         self._late = late_parameters(plan.sweep)
-        self._run = -1
         self.shares = True  #: whether runs start from states that others left
-        self.on_build: Callable[[int], object] = _nothing  #: called with a run that is begun
-        self.on_start: Callable[[int], object] = _nothing  #: called when its FMUs are ready to compute
+        self.on_build: Callable[..., object] = _nothing  #: called with the run (or runs) that are begun
+        self.on_start: Callable[[], object] = _nothing  #: called when their FMUs are ready to compute
 
     def __enter__(self) -> Runner:
         return self
@@ -140,7 +139,7 @@ class Runner:
         TimeUpError, StepError, ScenarioError, CaseError, PowerFlowError
         """
         kept, _ = self._ready(point_of(self.plan.sweep, values, seed=seed, base=self._packed))
-        self.on_start(self._run)
+        self.on_start()
         kept.loop.master.start()
         kept.loop.master.advance(progress=self._watch())
         return kept.loop, kept.loop.master.records
@@ -221,14 +220,13 @@ class Runner:
         """Return what a job gives: prepare its FMUs, start them, advance, measure."""
         job, sweep = jobs[k], self.plan.sweep
         run, values = job.run, dict(job.values)
-        self._run = run
         self.on_build(run)
         try:
             if sweep.searched is not None:
                 return Outcome(self._search(run, values))
             point = job.point or point_of(sweep, values, base=self._packed)
             kept, wiring = self._ready(point)
-            self.on_start(run)
+            self.on_start()
             forked = self._started(kept, job, wiring)
             self._advance(kept, jobs, k, wiring)
             loop = kept.loop
@@ -396,7 +394,7 @@ class Runner:
         return FmuFile(path, scratch=self.scratch)
 
 
-def _nothing(_run: int) -> None:
+def _nothing(*_runs: int) -> None:
     pass
 
 

@@ -1,7 +1,8 @@
 """A worker process of a sweep: takes lists of runs from a pipe, sends back what they gave.
 
-Messages to the main process: ("build", run) and ("start", run) before a run, ("rows", outcomes), ("done",)
-after a list, ("error", errno, text) when the disk is full. When the main process is gone the worker ends.
+Messages to the main process: ("rows", outcomes), ("done",) after a list, ("error", errno, text) when the disk
+is full. Which runs are under way stands in memory that both share. When the main process is gone the worker
+ends.
 """
 
 from __future__ import annotations
@@ -17,10 +18,46 @@ from pathlib import Path
 from typing import Any
 
 _SEND_ROWS, _SEND_S = 50, 1.0
+_TOGETHER = 64  # runs under way at once
+STATUS_SIZE = 2 + _TOGETHER
+
+
+class UnderWay:
+    """The runs under way and since when they compute, in `STATUS_SIZE` doubles that two processes share."""
+
+    def __init__(self, shared: Any) -> None:
+        self._shared = shared
+
+    def build(self, *runs: int) -> None:
+        """Note that runs are being prepared, which has no time limit; none: nothing is under way."""
+        self._shared[1] = 0.0
+        self._shared[0] = 0.0
+        self._shared[2 : 2 + len(runs)] = [float(run) for run in runs]
+        self._shared[0] = float(len(runs))
+
+    def start(self) -> None:
+        """Note that these runs now compute."""
+        self._shared[1] = time.monotonic()
+
+    @property
+    def runs(self) -> list[int]:
+        """The runs under way."""
+        return [int(run) for run in self._shared[2 : 2 + int(self._shared[0])]]
+
+    @property
+    def seconds(self) -> float:
+        """How long they have been computing; 0 before."""
+        since = self._shared[1]
+        return time.monotonic() - since if since else 0.0
 
 
 def work(
-    pipe: Connection, lifeline: Connection, document: dict[str, Any], cache: Path, scratch: Path
+    pipe: Connection,
+    lifeline: Connection,
+    shared: Any,
+    document: dict[str, Any],
+    cache: Path,
+    scratch: Path,
 ) -> None:
     """Serve `pipe` until it says None; temporary files go into `scratch` (the main process removes it)."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the main process's business
@@ -37,7 +74,7 @@ def work(
     with threadpool_limits(1), Runner(plan_of_document(document), cache, scratch) as runner:
         try:
             while (runs := pipe.recv()) is not None:
-                _serve(pipe, runner, runs)
+                _serve(pipe, runner, runs, UnderWay(shared))
                 pipe.send(("done",))
         except EOFError:
             return
@@ -45,16 +82,17 @@ def work(
             pipe.send(("error", error.errno, f"{error.filename or scratch}: {error.strerror or error}"))
 
 
-def _serve(pipe: Connection, runner: Any, runs: Sequence[int]) -> None:
+def _serve(pipe: Connection, runner: Any, runs: Sequence[int], under_way: UnderWay) -> None:
     rows: list[Any] = []
     sent = time.monotonic()
-    runner.on_build = lambda run: pipe.send(("build", run))
-    runner.on_start = lambda run: pipe.send(("start", run))
+    runner.on_build = under_way.build
+    runner.on_start = under_way.start
     for outcome in runner.outcomes(runs):
         rows.append(outcome)
         if len(rows) >= _SEND_ROWS or time.monotonic() - sent > _SEND_S:
             pipe.send(("rows", rows))
             rows, sent = [], time.monotonic()
+    under_way.build()
     if rows:
         pipe.send(("rows", rows))
 

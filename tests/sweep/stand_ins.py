@@ -9,15 +9,19 @@ from pathlib import Path
 from typing import Any
 
 from interarea.cosim.sweep_rows import Outcome, start_row
+from interarea.cosim.sweep_worker import UnderWay
 
 
-def crashing_work(pipe: Connection, lifeline: Connection, document: Any, cache: Path, scratch: Path) -> None:
+def crashing_work(
+    pipe: Connection, lifeline: Connection, shared: Any, document: Any, cache: Path, scratch: Path
+) -> None:
     """Stand in for a worker whose run 2 ends the process, and whose run 4 never comes back."""
     del lifeline, document, cache, scratch
+    under_way = UnderWay(shared)
     while (runs := pipe.recv()) is not None:
         for run in runs:
-            pipe.send(("build", run))
-            pipe.send(("start", run))
+            under_way.build(run)
+            under_way.start()
             if run == 2:
                 os.kill(os.getpid(), signal.SIGSEGV)
             if run == 4:
@@ -26,6 +30,26 @@ def crashing_work(pipe: Connection, lifeline: Connection, document: Any, cache: 
         pipe.send(("done",))
 
 
-def idle_work(pipe: Connection, lifeline: Connection, document: Any, cache: Path, scratch: Path) -> None:
+def together_work(
+    pipe: Connection, lifeline: Connection, shared: Any, document: Any, cache: Path, scratch: Path
+) -> None:
+    """Stand in for a worker that has three runs under way at once; run 4 ends its process each time."""
+    del lifeline, document, cache, scratch
+    under_way = UnderWay(shared)
+    while (runs := pipe.recv()) is not None:
+        for k in range(0, len(runs), 3):
+            some = runs[k : k + 3]
+            under_way.build(*some)
+            under_way.start()
+            if 4 in some:
+                os.kill(os.getpid(), signal.SIGSEGV)
+            pipe.send(("rows", [Outcome(start_row(run, {})) for run in some]))
+        under_way.build()
+        pipe.send(("done",))
+
+
+def idle_work(
+    pipe: Connection, lifeline: Connection, shared: Any, document: Any, cache: Path, scratch: Path
+) -> None:
     """Stand in for a worker that cannot start."""
-    del pipe, lifeline, document, cache, scratch
+    del pipe, lifeline, shared, document, cache, scratch

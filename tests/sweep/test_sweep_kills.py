@@ -66,6 +66,17 @@ def test_a_run_that_kills_its_worker_or_hangs_is_a_row(
     assert "SIGSEGV" in rows[2]["reason"]
 
 
+def test_of_runs_under_way_together_only_the_one_that_kills_the_worker_fails(
+    document: Any, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sweep_local, "work", stand_ins.together_work)
+    plan = plan_sweep(load_sweep(document()), cache)
+    found = sweep_local.local_outcomes(plan, range(9), cache=cache, scratch=tmp_path, workers=2, task=6)
+    rows = [o.row for some in found for o in some]
+    assert sorted(row["run"] for row in rows) == list(range(9))
+    assert [(row["run"], row["failure"]) for row in rows if row["failure"]] == [(4, "worker died")]
+
+
 def test_workers_that_cannot_start_end_the_sweep(
     document: Any, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
