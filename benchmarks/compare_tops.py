@@ -31,6 +31,7 @@ from compare_andes import PSS, TGOV1, impedance_loads
 from tops_rows import LEAKAGE, case_from, tables_of
 
 from interarea.cosim.artefacts import default_cache, linear_plant
+from interarea.design.modes import modes_of
 from interarea.models.case import Case, load_case
 from interarea.models.powerflow import solve_powerflow
 
@@ -88,6 +89,14 @@ def differences(case: Case, found: Mapping[str, Any]) -> tuple[float, float]:
     return float(abs(theirs - ours).max()), float(max(abs(poles - z).min() for z in swing_modes(case)))
 
 
+def inter_area_modes(case: Case, tables: Mapping[str, Any], bus: str) -> list[float]:
+    """Frequencies of the inter-area modes, Hz, the machines at `bus` (tops's name) being the second area."""
+    number = [row[0] for row in tables["buses"][1:]].index(bus) + 1
+    areas = {m.name: 2 if m.bus == number else 1 for m in case.machines}
+    modes = modes_of(linear_plant(case, default_cache()), areas)
+    return [mode.frequency_hz for name, mode in modes.items() if name.startswith("inter-area")]
+
+
 def _slack_bus(case: Case) -> int:
     return next(m.bus for m in case.machines if m.slack)
 
@@ -114,7 +123,7 @@ def main() -> int:
         if grid is not None:
             case = case_from(grid, same["tables"])
         volts, mode = differences(case, same)
-        row = {
+        row: dict[str, Any] = {
             "machines": len(case.machines),
             "modes": len(swing_modes(case)),
             "power_flow_pu": volts,
@@ -122,6 +131,8 @@ def main() -> int:
             "tops_machine": differences(case, own)[1],
             "rest": same["rest"],
         }
+        if grid == "ieee39":
+            row["inter_area_hz"] = inter_area_modes(case, same["tables"], "39")
         row["passed"] = volts <= ALLOWED_VOLTAGE_PU and mode <= ALLOWED_EIGENVALUE
         worst |= not row["passed"]
         results[name] = row
@@ -130,6 +141,8 @@ def main() -> int:
             f"{row['tops_machine']:13.1e} {'' if row['passed'] else 'DIFFERS'}",
             flush=True,
         )
+    found = ", ".join(f"{f:.3f} Hz" for f in results["ieee39 of tops, constant Efd"]["inter_area_hz"])
+    print(f"inter-area modes of ieee39 of tops, bus 39 against the rest: {found}")
     if options.json:
         options.json.write_text(json.dumps({"tops": same["version"], "runs": results}, indent=1))
     return int(worst)

@@ -88,6 +88,6 @@ def test_the_search_finds_the_constants_that_gave_the_modes(cache):
     change = {"machines": {"defaults": {"exciter": {"KA": 180.0}, "stabilizer": {"Tw": 2.0}}}}
     found = modes(load_case("kundur-pss").with_changes(change), cache)
     row = book_search.Row([found[mode].eigenvalue for mode in book_readings.NAMES])
-    norm, constants = row.fit(("KA", "Tw"), starts=1)
-    assert norm < 1e-4
+    left, constants = row.fit(("KA", "Tw"), starts=1)
+    assert left < 1e-3
     assert constants == pytest.approx({"KA": 180.0, "Tw": 2.0}, rel=1e-5)
