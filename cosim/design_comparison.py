@@ -22,7 +22,17 @@ from interarea.design.family import FamilyCertificate
 from interarea.design.linearise import select, speeds_in_rad
 from interarea.models.case import load_case
 
-from .plots import DASHES, INK, MUTED, SERIES, STYLE, frequency_response, new_figure, save_figure
+from .plots import (
+    DASHES,
+    INK,
+    MUTED,
+    SERIES,
+    STYLE,
+    frequency_response,
+    label_columns,
+    new_figure,
+    save_figure,
+)
 from .robust_design import DesignTable, family_plants, judge
 
 #: s; common latency of every signal along the root loci
@@ -85,7 +95,9 @@ def root_locus_figure(G: control.StateSpace, alternatives: tuple[Alternative, ..
     columns = min(len(alternatives), 3)
     rows = -(-len(alternatives) // columns)
     figure, axes = new_figure(rows, columns, height=0.5 + 2.4 * rows, sharex=True, sharey=True, squeeze=False)
-    shade = mpl.colormaps["viridis"]
+    shade = mpl.colors.LinearSegmentedColormap.from_list(  # without the yellow that white swallows
+        "latency", mpl.colormaps["viridis"](np.linspace(0.0, 0.85, 64))
+    )
     with mpl.rc_context(STYLE):
         for axis, one in zip(axes.ravel(), alternatives, strict=False):
             for latency in LATENCIES_S:
@@ -95,19 +107,16 @@ def root_locus_figure(G: control.StateSpace, alternatives: tuple[Alternative, ..
                 axis.plot(z.real, z.imag, ".", ms=4, color=shade(latency / LATENCIES_S[-1]))
             for zeta in (0.1, 0.2, 0.3):
                 radius = np.array([0.0, 12.0])
-                axis.plot(-zeta * radius, np.sqrt(1 - zeta**2) * radius, color=MUTED, lw=0.5, ls=":")
+                axis.plot(-zeta * radius, np.sqrt(1 - zeta**2) * radius, color=MUTED, lw=0.9, ls=":")
             axis.axvline(0.0, color=INK, lw=0.8)
             axis.set(xlim=(-3.0, 0.6), ylim=(0.0, 12.0), title=one.name)
-        for axis in axes.ravel()[len(alternatives) :]:
-            axis.set_visible(False)
-        for axis in axes[-1]:
-            axis.set_xlabel("Re (1/s)")
+        label_columns(axes, len(alternatives), "Re (1/s)")
         for axis in axes[:, 0]:
             axis.set_ylabel("Im (rad/s)")
         scale = mpl.cm.ScalarMappable(mpl.colors.Normalize(0.0, 1e3 * LATENCIES_S[-1]), shade)
         bar = figure.colorbar(scale, ax=axes.ravel().tolist(), shrink=0.8, label="latency (ms)")
         bar.outline.set_visible(False)
-        figure.suptitle(f"{point}: roots over latency, dotted 10, 20, 30 % damping", fontsize=9)
+        figure.suptitle(f"{point}: roots over latency; dotted: damping 0.1, 0.2, 0.3", fontsize=9)
     return figure
 
 
@@ -118,7 +127,7 @@ def gain_figure(alternatives: tuple[Alternative, ...]) -> Figure:
             a.name: np.linalg.norm(frequency_response(a.system, _OMEGA), 2, axis=(1, 2)).astype(float)
             for a in alternatives
         },
-        "largest singular value of K",
+        "largest singular value of K (pu s/rad)",
         logarithmic=True,
     )
 
@@ -150,7 +159,7 @@ def effort_figure(alternatives: tuple[Alternative, ...], effort_cap: float, wors
         axes.set_xlim(0.0, 1.05 * max(right, axes.get_xlim()[1]))
         axes.set_ylim(0.0, 1.1 * axes.get_ylim()[1])
         axes.fill_between([0.0, right], worst_swing, axes.get_ylim()[1], color=MUTED, alpha=0.12, lw=0)
-        axes.set_xlabel("effort (pu per rad/s)")
+        axes.set_xlabel("effort (pu s/rad)")
         axes.set_ylabel("damping ratio over the family")
         axes.set_title("dots: worst swing mode; triangles: inter-area; shaded: what is asked")
         axes.legend()

@@ -35,7 +35,8 @@ def one_line_diagram(flow: PowerFlow, position_of: Mapping[int, Sequence[float]]
                 offset = 0.16 * (k - (len(parallel) - 1) / 2)
                 axes.plot([xa, xb], [ya + offset, yb + offset], color=INK, linewidth=1.0, zorder=1)
             power = sum(flow.flow(branch.name, a) for branch in parallel).real * case.base_mva
-            middle = ((xa + xb) / 2, (ya + yb) / 2 + 0.16)
+            lean = -0.22 * np.sign((yb - ya) * (xb - xa))  # off a line that slopes
+            middle = ((xa + xb) / 2 + lean, (ya + yb) / 2 + 0.16)
             arrow = "→" if (power > 0) == (xb > xa) else "←"
             text = f"{arrow} {abs(power):.0f}" if abs(xb - xa) > 0.3 else f"{abs(power):.0f}"
             axes.text(*middle, text, ha="center", va="bottom", fontsize=7.5, color=SERIES[0])
@@ -43,7 +44,7 @@ def one_line_diagram(flow: PowerFlow, position_of: Mapping[int, Sequence[float]]
             x, y = position_of[bus.number]
             axes.plot([x, x], [y - 0.28, y + 0.28], color=INK, linewidth=2.6, solid_capstyle="butt", zorder=3)
             v = flow.voltage(bus.number)
-            label = f"{abs(v):.3f}\n{np.degrees(np.angle(v)):.1f}°"
+            label = f"{abs(v):.3f}\n{np.degrees(np.angle(v)):.1f}°".replace("-", "−")
             axes.text(x, y - 0.34, label, ha="center", va="top", fontsize=6.5, color=MUTED)
             axes.text(x, y + 0.32, str(bus.number), ha="center", va="bottom", fontsize=8, weight="bold")
         for machine, power in zip(case.machines, flow.generation, strict=True):

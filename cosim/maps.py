@@ -73,7 +73,7 @@ def write_maps(
         drawn = _draw(plan.sweep, rows, margins, curves)
         svg = {}
         for key, figure in drawn.items():
-            file = save_figure(figure, Path(scratch) / f"{key}.svg")
+            file = save_figure(figure, Path(scratch) / f"{key}.svg", transparent=True)
             svg[key] = Markup(inline_svg(file, key))  # our own SVG
         text = _render(plan, rows, margins, svg, folder)
     partial = path.with_name(f".{path.name}.partial")

@@ -72,13 +72,16 @@ def new_figure(rows: int = 1, cols: int = 1, *, height: float = 2.6, **kwargs: A
     return figure, axes
 
 
-def save_figure(figure: Figure, path: Path) -> Path:
-    """Write a figure: SVG with outlines for text and no date, PNG at 160 dpi, by the path's suffix."""
+def save_figure(figure: Figure, path: Path, *, transparent: bool = False) -> Path:
+    """Write a figure: SVG with outlines for text and no date, PNG at 160 dpi, by the path's suffix.
+
+    transparent : for a page that brings its own light or dark ground; by itself a figure stands on white.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     metadata = {"Date": None, "Creator": "interarea"} if path.suffix == ".svg" else None
     partial = path.with_name(f".partial-{path.name}")
     with mpl.rc_context(STYLE):
-        figure.savefig(partial, transparent=path.suffix == ".svg", metadata=metadata, dpi=160)
+        figure.savefig(partial, transparent=transparent, metadata=metadata, dpi=160)
     return partial.replace(path)
 
 
@@ -208,6 +211,7 @@ def bode_plot(systems: Mapping[str, control.StateSpace], omega: Array) -> Figure
                 axes[1, j].semilogx(omega, phase, color=SERIES[k], linestyle=DASHES[k])
             axes[0, j].set_title(f"from {signal_label(name)}")
             _frequency_axis(axes[1, j], omega)
+        figure.get_layout_engine().set(wspace=0.08)  # the last label of one column from the first of the next
         axes[0, 0].set_ylabel("gain (dB)")
         axes[1, 0].set_ylabel("phase (deg)")
         axes[0, 0].legend()
@@ -251,40 +255,57 @@ def time_plot(
     marks: Mapping[str, float] | None = None,
     height: float = 2.5,
 ) -> Figure:
-    """Draw time responses on one axis; `marks` names instants with a vertical line (s)."""
+    """Draw time responses on one axis, names above it; `marks` names instants with a vertical line (s)."""
     figure, axes = new_figure(height=height)
     with mpl.rc_context(STYLE):
         for k, (label, (time, value)) in enumerate(curves.items()):
             axes.plot(time, scale * np.asarray(value), color=SERIES[k], linestyle=DASHES[k], label=label)
-        _time_axis(axes, curves, span_s, marks or {})
+        _time_axis(axes, curves, span_s, scale)
+        for label, at in (marks or {}).items():
+            mark_instant(axes, at, label)
         axes.set_ylabel(ylabel)
-        axes.legend(loc="upper right", ncols=min(3, len(curves)))
+        figure.legend(loc="outside upper right", ncols=min(4, len(curves)))
     return figure
 
 
+def mark_instant(axes: Axes, at_s: float, label: str) -> None:
+    """Draw a vertical line at `at_s` and its name above the axes, where no curve is."""
+    axes.axvline(at_s, color=MUTED, linewidth=0.9, linestyle=(0, (2, 2)))
+    axes.annotate(
+        label,
+        (at_s, 1.0),
+        xycoords=("data", "axes fraction"),
+        xytext=(0, 2),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+        fontsize=7.5,
+        color=MUTED,
+    )
+
+
 def _time_axis(
-    axes: Axes, curves: Mapping[str, Curve], span_s: tuple[float, float] | None, marks: Mapping[str, float]
+    axes: Axes, curves: Mapping[str, Curve], span_s: tuple[float, float] | None, scale: float
 ) -> None:
     first = np.asarray(next(iter(curves.values()))[0])
     start, end = span_s or (float(first[0]), float(first[-1]))
     axes.set_xlim(start, end)
     if span_s is not None:
         shown = [np.asarray(v)[(np.asarray(t) >= start) & (np.asarray(t) <= end)] for t, v in curves.values()]
-        top = max(float(np.max(np.abs(v))) for v in shown) * 1e3 * 1.1
+        top = max(float(np.max(np.abs(v))) for v in shown) * scale * 1.1
         axes.set_ylim(-top, top)
-    for label, at in marks.items():
-        axes.axvline(at, color=MUTED, linewidth=0.9, linestyle=(0, (2, 2)))
-        axes.annotate(
-            label,
-            (at, 0.98),
-            xycoords=("data", "axes fraction"),
-            xytext=(3, -8),
-            textcoords="offset points",
-            fontsize=7.5,
-            color=MUTED,
-        )
     axes.xaxis.set_major_locator(MaxNLocator(10, integer=end - start >= 5))
     axes.set_xlabel("time (s)")
+
+
+def label_columns(axes: Any, used: int, xlabel: str) -> None:
+    """Hide the panels beyond the first `used` of a grid; label the time or frequency under every column."""
+    for panel in axes.flat[used:]:
+        panel.set_visible(False)
+    columns = axes.shape[1]
+    for panel in axes.flat[max(0, used - columns) : used]:
+        panel.tick_params(labelbottom=True)
+        panel.set_xlabel(xlabel)
 
 
 def latency_panels(curves: Mapping[str, Curve], reference: tuple[str, Curve]) -> Figure:
@@ -298,16 +319,15 @@ def latency_panels(curves: Mapping[str, Curve], reference: tuple[str, Curve]) ->
     peak = 2.0e3 * float(np.max(np.abs(np.asarray(y0))))
     with mpl.rc_context(STYLE):
         for panel, (name, (time, value)) in zip(axes.flat, curves.items(), strict=False):
-            panel.plot(t0, 1e3 * np.asarray(y0), color=MUTED, linewidth=0.9, label=label)
             panel.plot(time, 1e3 * np.asarray(value), color=SERIES[0], linewidth=1.2, label="with latency")
+            panel.plot(
+                t0, 1e3 * np.asarray(y0), color=SERIES[1], linestyle=DASHES[1], linewidth=0.9, label=label
+            )
             panel.set_title(name, fontsize=8, pad=2)
             panel.set_ylim(-peak, peak)
             panel.set_xlim(float(np.asarray(t0)[0]), float(np.asarray(t0)[-1]))
             panel.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-        for panel in axes.flat[len(curves) :]:
-            panel.set_visible(False)
-        for panel in axes[-1]:
-            panel.set_xlabel("time (s)")
+        label_columns(axes, len(curves), "time (s)")
         handles, labels = axes[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper right", ncols=2)
         figure.supylabel(r"$\Delta\omega_{24}$ ($10^{-3}$ pu)", fontsize=9)
@@ -355,7 +375,7 @@ def latency_damping_plot(
                     color=MUTED,
                 )
         axes.set_xlabel("latency (ms)")
-        axes.set_ylabel("least damping ratio of the swing modes")
+        axes.set_ylabel("least damping ratio, swing modes")
         figure.legend(loc="outside upper center", ncols=2 if measured else len(exact), fontsize=8)
     return figure
 

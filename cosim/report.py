@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from .claims import judge_loops, judge_modes, judge_statements
 from .plots import GRID, INK, MUTED, SERIES
@@ -45,7 +45,7 @@ def render_report(study: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
         loops=judge_loops(study),
         corrections=published()["correction"],
         titles=titles,
-        svg={key: Markup(inline_svg(path, key)) for key, path in figures.items()},
+        svg={key: Markup(inline_svg(path, key, titles.get(key))) for key, path in figures.items()},
     )
 
 
@@ -59,8 +59,11 @@ def write_report(study: Mapping[str, Any], figures: Mapping[str, Path], path: Pa
     return path
 
 
-def inline_svg(path: Path, key: str) -> str:
-    """Return an SVG file as an element for a page: ids unique by `key`, colours of the theme."""
+def inline_svg(path: Path, key: str, title: str | None = None) -> str:
+    """Return an SVG file as an element for a page: ids unique by `key`, colours of the theme.
+
+    title : what a screen reader says of it; default the key.
+    """
     text = path.read_text(encoding="utf-8")
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
@@ -74,7 +77,9 @@ def inline_svg(path: Path, key: str) -> str:
     width = re.search(r'width="([\d.]+)pt"', head)
     head = re.sub(r'\s(?:width|height)="[^"]*"', "", head)
     style = f' style="max-width:{float(width.group(1)) * 4 / 3:.0f}px"' if width else ""
-    return re.sub(r"\n\s*", "\n", f'{head} role="img" aria-label="figure {key}"{style}>{body}').strip()
+    return re.sub(
+        r"\n\s*", "\n", f'{head} role="img" aria-label="{escape(title or f"figure {key}")}"{style}>{body}'
+    ).strip()
 
 
 def _number(value: float | None, digits: int = 3) -> str:

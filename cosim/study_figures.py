@@ -38,6 +38,7 @@ from .study_runs import WIRINGS, StudyRun
 
 Array = npt.NDArray[np.float64]
 DW24 = {"dw24": {"G2_dw": 1.0, "G4_dw": -1.0}}
+MICRO: Any = {"scale": 1e6, "ylabel": r"$\Delta\omega_{24}$ ($10^{-6}$ pu)"}
 #: frequencies of the design figures, rad/s
 OMEGA: Array = np.logspace(-1.0, 2.0, 400)
 
@@ -70,7 +71,7 @@ def save_figures(parts: StudyParts, folder: Path, progress: Callable[[float], No
     for k, (key, draw) in enumerate(recipes.items()):
         prefix = "figure-" if key[0].isdigit() else ""
         path = folder / f"{prefix}{key.replace('.', '-')}.svg"
-        files[key] = path if path.exists() else save_figure(draw(), path)
+        files[key] = path if path.exists() else save_figure(draw(), path, transparent=True)
         progress((k + 1) / len(recipes))
     return files
 
@@ -173,7 +174,10 @@ def _time_figures(p: StudyParts) -> Iterator[tuple[str, Callable[[], Figure]]]:
     yield (
         "5.24",
         compare(
-            {"normal": "ftc-pulse", "remote lost at 10 s": "ftc-lost-10s"}, marks=lost, span_s=(9.0, 15.0)
+            {"normal": "ftc-pulse", "remote lost at 10 s": "ftc-lost-10s"},
+            marks=lost,
+            span_s=(9.0, 15.0),
+            **MICRO,
         ),
     )
     yield "5.25", compare({"CC": "cc-pulse", "FTC": "ftc-pulse"})

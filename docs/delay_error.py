@@ -190,11 +190,13 @@ def figure_of(found: dict[bool, dict[str, list[float]]]) -> Figure:
             style = {"color": SERIES[k], "linestyle": DASHES[k], "marker": "o", "markersize": 3}
             ax.loglog([1e3 * h for h in STEPS_S], row, label=INPUTS[inputs], **style)
         ax.set_xlabel("communication step H (ms)")
-        ax.set_title("both signals 100 ms late" if synchronous else "G2 100 ms late, G4 direct")
+        ax.set_title(
+            "both signals 100 ms late" if synchronous else "G2 100 ms late, G4 direct", fontsize=9, loc="left"
+        )
         ax.set_xticks([1e3 * h for h in STEPS_S], [f"{1e3 * h:g}" for h in STEPS_S])
         ax.minorticks_off()
     axes[0].set_ylabel("largest dw24 error over peak")
-    axes[0].legend(loc="lower right", fontsize=7)
+    axes[0].legend(loc="lower right", fontsize=7, frameon=False)
     return figure
 
 

@@ -29,7 +29,7 @@ def main(results: Path, target: Path) -> None:
             data["time_s"].to_numpy(),
             (data["plant.G2_dw"] - data["plant.G4_dw"]).to_numpy(),
         )
-    save_figure(time_plot(curves), target)
+    save_figure(time_plot(curves, marks={"signal lost": 1.5}), target)
 
 
 if __name__ == "__main__":
