@@ -235,7 +235,7 @@ def _render(
         margins=[(m, kind_of(sweep, m.name), point_text(m.values)) for m in margins],
         maps=[key for key in order if key in svg],
         svg=svg,
-        columns=["run", *columns],
+        columns=[(c, labels.get(c) or _SHOWN.get(c, c)) for c in ["run", *columns]],
         worst=worst,
         version=plan.version,
         specification=plan.hash,
@@ -244,7 +244,15 @@ def _render(
     )
 
 
-_SHOWN = ("stable", "damping_inter_area", "settling_time_s", "peak", "effort", "packets_lost")
+#: columns beside the parameters, as a reader calls them
+_SHOWN = {
+    "stable": "stable",
+    "damping_inter_area": "damping ratio, inter-area",
+    "settling_time_s": "settling time (s)",
+    "peak": "peak (pu)",
+    "effort": "effort (pu² s)",
+    "packets_lost": "packets lost",
+}
 
 
 def _range(sweep: Sweep, name: str) -> str:

@@ -150,15 +150,22 @@ def worst_figure(curves: Sequence[tuple[str, Array, Array, Mapping[str, Array]]]
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(1.45 * WIDTH, 1.35 * len(curves) + 0.4), layout="constrained")
         axes = figure.subplots(len(curves), 2, squeeze=False, sharex=True)
-        for row, (title, time, swing, controls) in zip(axes, curves, strict=True):
+        for place, (row, (title, time, swing, controls)) in enumerate(zip(axes, curves, strict=True)):
             row[0].plot(time, 1e3 * swing, color=SERIES[0], linewidth=1.1)
             row[0].set_title(title, fontsize=8)
             row[0].set_ylabel("10⁻³ pu")
             for k, (name, values) in enumerate(controls.items()):
                 row[1].plot(time, values, color=SERIES[(k + 1) % len(SERIES)], linewidth=1.1, label=name)
             row[1].set_ylabel("control (pu)")
-            if controls:
-                row[1].legend(loc="upper right", fontsize=7)
+            if controls and place == 0:  # above the axes, where no curve is
+                row[1].legend(
+                    loc="lower right",
+                    bbox_to_anchor=(1.0, 1.0),
+                    borderaxespad=0.0,
+                    ncols=len(controls),
+                    fontsize=7,
+                )
+            row[0].set_xlim(float(time[0]), float(time[-1]))
         for axis in axes[-1]:
             axis.set_xlabel("time (s)")
     return figure

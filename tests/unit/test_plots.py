@@ -77,3 +77,24 @@ def test_one_line_diagram_names_every_bus_and_machine() -> None:
 def test_generalised_plant_diagram_has_its_four_boxes() -> None:
     words = {text.get_text() for text in generalised_plant_diagram().axes[0].texts}
     assert {"K(s)", "G(s)", "W$_1$(s)", "W$_2$(s)"} <= words
+
+
+def test_a_marks_name_stands_above_the_axes_and_the_legend_beside_no_curve() -> None:
+    t = np.linspace(0.0, 20.0, 200)
+    figure = plots.time_plot({"a": (t, np.sin(t)), "b": (t, np.cos(t))}, marks={"signal lost": 1.5})
+    figure.canvas.draw()
+    (axes,) = figure.axes
+    top = axes.get_window_extent().y1
+    (legend,) = figure.legends
+    name = next(text for text in axes.texts if text.get_text() == "signal lost")
+    assert name.get_window_extent().y0 >= top
+    assert legend.get_window_extent().y0 >= top
+    assert not legend.get_window_extent().overlaps(name.get_window_extent())
+
+
+def test_every_column_of_latency_panels_has_its_time_axis() -> None:
+    t = np.linspace(0.0, 20.0, 200)
+    figure = plots.latency_panels({f"{k} ms": (t, np.sin(t)) for k in range(3)}, ("none", (t, np.cos(t))))
+    shown = [a for a in figure.axes if a.get_visible()]
+    assert [a.get_xlabel() for a in shown] == ["", "time (s)", "time (s)"]
+    assert [a.xaxis.get_tick_params()["labelbottom"] for a in shown] == [False, True, True]
