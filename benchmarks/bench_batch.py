@@ -1,9 +1,11 @@
 """What a batch gains: CPU time of many scenarios of one grid, one at a time over several side by side.
 
-    python benchmarks/bench_batch.py [--scenarios 64] [--repeat 5] [--case two-area-thesis]
+    python benchmarks/bench_batch.py [--scenarios 64] [--repeat 5] [--case two-area-thesis --case nets-nyps]
 
 Every scenario has a fault of its own. The widths alternate within one process and the least CPU time of
-the repeats counts, so that other load of the machine cancels. All widths give the same bits.
+the repeats counts, so that other load of the machine cancels. All widths give the same bits. Where loads or
+saturation need the Newton solve, each scenario has matrices of its own: 35 KB in the 68-bus system, which
+one scenario keeps in the first-level cache and four do not, so that those wait for the second.
 """
 
 from __future__ import annotations
@@ -34,33 +36,40 @@ def faults(case: Case, count: int) -> list[dict[str, float | int]]:
     return rows
 
 
-def main() -> int:
-    """Print the table; return 1 when AVX2 is there and gains less than the target."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenarios", type=int, default=64)
-    parser.add_argument("--repeat", type=int, default=5)
-    parser.add_argument("--case", default="two-area-thesis")
-    options = parser.parse_args()
-    case = load_case(options.case)
+def measure(case: Case, scenarios: int, repeat: int) -> bool:
+    """Print a line for each width; whether AVX2 gains the target (or is not there)."""
     batch = PlantBatch(plant_block(case))
-    rows = faults(case, options.scenarios)
+    rows = faults(case, scenarios)
     widths = [lanes for lanes in LANES if lanes <= batch.widest]
     cpu = dict.fromkeys(widths, np.inf)
     results = {}
-    for _ in range(options.repeat):
+    for _ in range(repeat):
         for lanes in widths:
             begin = time.process_time()
             results[lanes] = batch.run(rows, stop_s=STOP_S, step_s=STEP_S, lanes=lanes)
             cpu[lanes] = min(cpu[lanes], time.process_time() - begin)
     for lanes in widths:
         same = np.array_equal(results[lanes].outputs, results[1].outputs, equal_nan=True)
-        per_second = 1e6 * cpu[lanes] / (options.scenarios * STOP_S)
-        gain = cpu[1] / cpu[lanes]
+        per_second = 1e6 * cpu[lanes] / (scenarios * STOP_S)
         note = "same bits" if same else "OTHER BITS"
         print(
-            f"{case.name}: {lanes} side by side  x {gain:5.2f}  {per_second:7.1f} us per simulated s  {note}"
+            f"{case.name}: {lanes} side by side  x {cpu[1] / cpu[lanes]:5.2f}  "
+            f"{per_second:7.1f} us per simulated s  {note}",
+            flush=True,
         )
-    return int(4 in cpu and not cpu[1] / cpu[4] >= TARGET)
+    return 4 not in cpu or cpu[1] / cpu[4] >= TARGET
+
+
+def main() -> int:
+    """Print the table; return 1 when AVX2 is there and gains less than the target."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenarios", type=int, default=64)
+    parser.add_argument("--repeat", type=int, default=5)
+    parser.add_argument("--case", action="append", help="may be repeated (default: two-area-thesis)")
+    options = parser.parse_args()
+    cases = [load_case(name) for name in options.case or ["two-area-thesis"]]
+    reached = [measure(case, options.scenarios, options.repeat) for case in cases]
+    return int(not all(reached))
 
 
 if __name__ == "__main__":

@@ -116,15 +116,15 @@ def against_size(small: Case, large: Case, repeat: int) -> float:
     return min(cost[large.name]) / min(cost[small.name])
 
 
-def batch_gain(case: Case, repeat: int) -> dict[int, float]:
+def batch_gain(case: Case, repeat: int, scenarios: int) -> dict[int, float]:
     """Scenarios per CPU second with several side by side over one at a time, by their number."""
     batch = PlantBatch(plant_block(case), cache=default_cache())
-    scenarios = faults(case, 64)
+    rows = faults(case, scenarios)
     cost = {lanes: np.inf for lanes in LANES if lanes <= batch.widest}
     for _ in range(repeat):
         for lanes in cost:
             begin = time.process_time()
-            batch.run(scenarios, stop_s=5.0, step_s=0.02, lanes=lanes)
+            batch.run(rows, stop_s=5.0, step_s=0.02, lanes=lanes)
             cost[lanes] = min(cost[lanes], time.process_time() - begin)
     return {lanes: cost[1] / value for lanes, value in cost.items()}
 
@@ -164,10 +164,11 @@ def main() -> int:
     line("FMU / plain C loop, 1 ms steps", against_plain_loop(case, options.repeat), 1.5, False)
     large = impedance_loads(load_case("nets-nyps-no-pss"))
     line("16 machines (68 buses) / 4 machines", against_size(case, large, options.repeat), 8.0, False)
-    gains = batch_gain(load_case("two-area-thesis"), options.repeat)
-    for lanes in (4, 8):
-        if lanes in gains:
-            line(f"batch of {lanes} side by side / scalar throughput", gains[lanes], 3.0, True)
+    for name, scenarios in (("two-area-thesis", 64), ("new-england", 32), ("nets-nyps", 8)):
+        gains = batch_gain(load_case(name), options.repeat, scenarios)
+        for lanes in (4, 8):
+            if lanes in gains:
+                line(f"batch of {lanes} side by side / scalar throughput, {name}", gains[lanes], 3.0, True)
     if options.json:
         options.json.write_text(json.dumps(numbers, indent=1))
     return missed

@@ -7,6 +7,7 @@ apply to all its rows:
     title = "..."
     frequency_hz = 60.0
     base_mva = 100.0
+    solver_step_s = 0.002       # optional: longest Runge-Kutta step of the plant FMU
     [branches]
     source = "Kundur1994, Ex. 12.6"
     "7-8 a" = { from = 7, to = 8, r = 0.011, x = 0.11, b = 0.1925 }
@@ -48,6 +49,7 @@ ROW_TABLES = {"buses": "number", "branches": "name", "shunts": "name", "loads": 
 RESERVED = ("source", "defaults")  #: keys of a table of rows that are not ids
 
 REMOVED = "none"  #: what stands in place of a row, a stabilizer, a tie that is taken out
+SOLVER_STEP_S = (1e-6, 0.1)  #: least and longest Runge-Kutta step of a plant, s
 BUNDLED = Path(__file__).parent / "cases"  #: folder of the cases that come with the package
 
 
@@ -67,6 +69,9 @@ class Case(BaseModel):
     source: str
     frequency_hz: Positive
     base_mva: Positive
+    solver_step_s: Annotated[float, Field(ge=SOLVER_STEP_S[0], le=SOLVER_STEP_S[1])] | None = (
+        None  #: see plant_block
+    )
     sources: dict[str, str] = {}  #: table -> "KEY, where"
     buses: Annotated[tuple[Bus, ...], Field(min_length=1)]
     branches: tuple[Branch, ...] = ()
@@ -86,7 +91,10 @@ class Case(BaseModel):
     @cached_property
     def hash(self) -> str:
         """Content hash (hex): changes with any name or number, not with titles and sources."""
-        text = json.dumps(_without_words(self.model_dump(mode="json")), sort_keys=True)
+        content = _without_words(self.model_dump(mode="json"))
+        if self.solver_step_s is None:
+            del content["solver_step_s"]
+        text = json.dumps(content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @property
@@ -117,7 +125,7 @@ class Case(BaseModel):
 
     def document(self) -> dict[str, Any]:
         """Return the case in the form of its file: tables keyed by row id."""
-        scalars = {"name", "title", "source", "frequency_hz", "base_mva", "tie", "event"}
+        scalars = {"name", "title", "source", "frequency_hz", "base_mva", "solver_step_s", "tie", "event"}
         raw = {
             k: v
             for k, v in self.model_dump(by_alias=True, exclude_none=True).items()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .case import Case, CaseError
+from .case import SOLVER_STEP_S, Case, CaseError
 from .equilibrium import OperatingPoint, operating_point
 from .events import check_events, target_index
 from .network import branch_stamp, bus_index, load_power, machine_bus_index, shunt_admittance
@@ -68,8 +68,6 @@ _SAME_AS = {"vref_step": "vref_pulse", "pm_step": "pm_pulse"}
 EVENT_REALS = ("start", "end", "size", "size_q", "r", "x")
 
 
-#: Shortest and longest value of the parameter `solver.step`, s.
-SOLVER_STEP_S = (1e-6, 0.1)
 _STEP_TEXT = (
     "longest Runge-Kutta step inside a communication step (co-simulation; in model exchange the importer "
     "integrates); it must stay well below 2.78 over the fastest pole, about 2.4 shortest time constants"
@@ -106,14 +104,15 @@ def _integration(point: OperatingPoint, step_s: float) -> str:
     )
 
 
-def plant_block(case: Case, *, event_slots: int = 8, solver_step_s: float | None = None) -> Block:
+def plant_block(case: Case, *, event_slots: int = 8) -> Block:
     """Return the plant of `case` as a block with `event_slots` slots for events.
 
     Inputs `G1_vs` .. (pu, at the exciter's summing point); outputs per machine `G1_dw` (pu speed deviation),
     `G1_delta` (rad, against the centre of inertia), `G1_pe` (pu on the base of the case), `G1_vt` (pu), then
     `tie_p`; locals: bus voltages, field voltages, mechanical powers; parameters: gains, times and limits
-    of the controls, which keep the equilibrium, `solver.step` (start `solver_step_s`; None: `default_step_s`)
-    and the event slots. A slot that is set anew while the plant runs counts from the next event on.
+    of the controls, which keep the equilibrium, `solver.step` (start: the case's `solver_step_s`, else
+    `default_step_s`) and the event slots. A slot that is set anew while the plant runs counts from the next
+    event on.
 
     Raises
     ------
@@ -123,10 +122,7 @@ def plant_block(case: Case, *, event_slots: int = 8, solver_step_s: float | None
         raise CaseError(f"{case.name}: event_slots = {event_slots}, allowed: 0 to 1000")
     original, case = case, in_plant_order(case)
     point = operating_point(case)
-    step_s = default_step_s(point) if solver_step_s is None else solver_step_s
-    if not SOLVER_STEP_S[0] <= step_s <= SOLVER_STEP_S[1]:
-        low, high = SOLVER_STEP_S
-        raise CaseError(f"{case.name}: solver_step_s = {step_s}, allowed: {low} to {high}")
+    step_s = default_step_s(point) if case.solver_step_s is None else case.solver_step_s
     solver = Device(0, 0, [step_s])  # of no machine: the FMI layer reads its parameter, the plant does not
     solver.parameters = [Parameter(STEP_PARAMETER, 0, "s", _STEP_TEXT, *SOLVER_STEP_S)]
     devices = ((1, point.exciters), (2, point.stabilizers), (3, point.governors), (0, (solver,)))

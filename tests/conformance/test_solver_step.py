@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import tomllib
 from pathlib import Path
 
 import fmpy
@@ -13,10 +14,11 @@ from fmu_runner import Runner
 from interarea.fmu_build import build_fmu
 from interarea.fmu_build.batch import PlantBatch
 from interarea.fmu_build.render import record_entries
-from interarea.models.case import CaseError, load_case
+from interarea.models.case import CaseError, case_of, load_case
 from interarea.models.channel_block import channel_block
 from interarea.models.controller_block import controller_block
 from interarea.models.events import events_of
+from interarea.models.export_toml import export_toml
 from interarea.models.loop_block import LoopMember, loop_block
 from interarea.models.plant_block import event_parameters, plant_block
 from interarea.models.record import pack_record
@@ -56,7 +58,11 @@ def test_errors_fall_with_the_fourth_power_of_the_step(fmu: Path) -> None:
 
 
 def test_a_step_set_is_a_step_built_in(fmu: Path, cache: Path, tmp_path: Path) -> None:
-    other = build_fmu(plant_block(load_case(CASE), solver_step_s=0.004), tmp_path / "plant.fmu", cache=cache)
+    other = build_fmu(
+        plant_block(load_case(CASE).with_changes({"solver_step_s": 0.004})),
+        tmp_path / "plant.fmu",
+        cache=cache,
+    )
     np.testing.assert_array_equal(speeds(other), with_step(fmu, 0.004))
     np.testing.assert_array_equal(speeds(fmu), with_step(fmu, 0.001))
     assert "0.004 s (the\nparameter <code>solver.step</code>)" in page(other)
@@ -134,14 +140,23 @@ def test_a_batch_takes_the_step_of_each_scenario(fmu: Path, cache: Path) -> None
         np.testing.assert_array_equal(one.outputs[:, :, 0], run.outputs[:, :, k])
 
 
+def test_a_case_may_say_its_step() -> None:
+    """A case without it keeps the hash it had; with it, it comes back from its own file."""
+    case = load_case(CASE)
+    chosen = case.with_changes({"solver_step_s": 0.005})
+    assert plant_block(chosen).table["solver.step"].start == 0.005
+    assert chosen.hash != case.hash == chosen.with_changes({"solver_step_s": "none"}).hash
+    assert case_of(tomllib.loads(export_toml(chosen)), where="test").hash == chosen.hash
+
+
 def test_the_default_is_a_millisecond_or_the_shortest_time_constant() -> None:
     case = load_case(CASE)
     fast = case.with_changes({"machines": {"G2": {"exciter": {"TR": 0.0003}}}}, name="fast")
     assert plant_block(case).longest_step_s == 0.001
     assert plant_block(fast).longest_step_s == 0.0003
     assert plant_block(fast).table["solver.step"].start == 0.0003
-    with pytest.raises(CaseError, match=r"solver_step_s = 0.5, allowed: 1e-06 to 0.1"):
-        plant_block(case, solver_step_s=0.5)
+    with pytest.raises(CaseError, match=r"solver_step_s.*0\.1"):
+        case.with_changes({"solver_step_s": 0.5})
     with pytest.raises(ValueError, match=r"parameter solver.step says"):
         plant_block(case).__class__(**{**vars(plant_block(case)), "internal_step_s": 0.002})
 
