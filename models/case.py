@@ -50,6 +50,7 @@ RESERVED = ("source", "defaults")  #: keys of a table of rows that are not ids
 
 REMOVED = "none"  #: what stands in place of a row, a stabilizer, a tie that is taken out
 SOLVER_STEP_S = (1e-6, 0.1)  #: least and longest Runge-Kutta step of a plant, s
+SolverStep = Annotated[float, Field(ge=SOLVER_STEP_S[0], le=SOLVER_STEP_S[1])]
 BUNDLED = Path(__file__).parent / "cases"  #: folder of the cases that come with the package
 
 
@@ -69,9 +70,7 @@ class Case(BaseModel):
     source: str
     frequency_hz: Positive
     base_mva: Positive
-    solver_step_s: Annotated[float, Field(ge=SOLVER_STEP_S[0], le=SOLVER_STEP_S[1])] | None = (
-        None  #: see plant_block
-    )
+    solver_step_s: SolverStep | None = None  #: of the plant FMU; None: its default
     sources: dict[str, str] = {}  #: table -> "KEY, where"
     buses: Annotated[tuple[Bus, ...], Field(min_length=1)]
     branches: tuple[Branch, ...] = ()
