@@ -1,14 +1,15 @@
 """Power flow and swing modes of the plant FMU against tops on the same data.
 
-    python benchmarks/compare_tops.py --tops-python PYTHON [--json FILE]
+    python benchmarks/compare_tops.py [--tops-python PYTHON] [--json FILE]
 
-tops (PyPI, 0.3.0) is the dynamic simulator of H. Haugdal [Haugdal2024]; it wants an environment of its own.
-Each grid is run twice there: with tops's machine and with the sixth-order machine of this project in its
-place (20 lines in tops_run.py). What is left in the second column are network, loads, power flow, controls
-and linearisation, which are then the same; the first column tells what tops's machine itself changes:
+tops, the dynamic simulator of H. Haugdal [Haugdal2024], comes with the extra `bench`; it may live in another
+environment, whose interpreter `--tops-python` names. Each grid is run twice there: with tops's machine and
+with the sixth-order machine of this project in its place (20 lines in tops_run.py). What is left in the column
+"same machine" comes from network, loads, power flow, controls and linearisation; the column "tops machine"
+tells what tops's machine itself changes:
 
 - its subtransient circuits do not act back on the transient ones (no leakage reactance);
-- its mechanical input is a power, the torque is power over speed: damping of Pm/(2H) per machine;
+- its mechanical input is a power, the torque is power over speed: a damping torque of Pm per pu speed;
 - no armature resistance (set to 0 here too).
 
 Exit code 1 when a bus voltage or, with the machine replaced, a swing mode differs by more than allowed.
