@@ -4,7 +4,7 @@
 
 tops, the dynamic simulator of H. Haugdal [Haugdal2024], comes with the extra `bench`; it may live in another
 environment, whose interpreter `--tops-python` names. Each grid is run twice there: with tops's machine and
-with the sixth-order machine of this project in its place (20 lines in tops_run.py). What is left in the column
+with the sixth-order machine of this project in its place (20 lines in tops_run.py). What is left in column
 "same machine" comes from network, loads, power flow, controls and linearisation; the column "tops machine"
 tells what tops's machine itself changes:
 
