@@ -4,11 +4,11 @@
     python benchmarks/bench_sweep.py --runs 10000 --andes-python PYTHON    # ten minutes on two idle cores
     python benchmarks/bench_sweep.py --runs 0 --no-peers --memory 100000   # memory of the whole engine
 
-Runs are closed loops of 20 s: plant, two channels, controller, H = 10 ms; what is varied acts from the start,
-so that no run goes on from another's state (those that do have a line of their own). Ratios within one process
-take turns and the least processor time of all rounds counts, so other load of the machine cancels as far as it
-can; what the clock on the wall measures (runs per second, two workers against one) needs an idle machine.
-ANDES runs the same plant alone, after a line trip: no channels, no controller.
+Runs are closed loops of 20 s: plant, two channels, controller, H = 10 ms; what is varied acts from the
+start, so that no run goes on from another's state (those that do have a line of their own). Ratios within
+one process take turns and the least processor time of all rounds counts, so other load of the machine cancels
+as far as it can; what the clock on the wall measures (runs per second, two workers against one) needs an idle
+machine. ANDES runs the same plant alone, after a line trip: no channels, no controller.
 """
 
 from __future__ import annotations
