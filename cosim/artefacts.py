@@ -198,6 +198,13 @@ def plant_fmu(case: Case, cache: Path) -> Path:
     return block_fmu(plant_block(case), cache)
 
 
+def concentrator_fmu(signals: int, cache: Path) -> Path:
+    """Return the FMU of a concentrator of so many signals."""
+    from interarea.models.concentrator_block import concentrator_block
+
+    return block_fmu(concentrator_block(signals), cache)
+
+
 def channel_fmu(cache: Path) -> Path:
     """Return the FMU of one channel; latency, outages and the rule on loss are its parameters."""
     from interarea.models.channel_block import channel_block

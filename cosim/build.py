@@ -28,7 +28,7 @@ from interarea.models.events import event_of
 from interarea.models.plant_block import event_parameters, plant_block
 
 from .channels import ChannelLine, hold_packets
-from .concentrators import ConcentratorLine, SignalWay
+from .concentrators import ConcentratorLine
 from .errors import GraphError, ScenarioError, nearest, one_line
 from .fmu_file import FmuFile
 from .graph import end_of
@@ -190,7 +190,13 @@ class System:
         self._marks += line.marks_s
         return self
 
-    def concentrator(self, name: str, signals: Sequence[Mapping[str, Any]], **keys: Any) -> System:
+    def concentrator(
+        self,
+        name: str,
+        signals: Sequence[Mapping[str, Any]] = (),
+        line: ConcentratorLine | None = None,
+        **keys: Any,
+    ) -> System:
         """Add a concentrator: inputs ``u1``.., aligned outputs ``y1``.., ``valid1``.., ``age`` and counts.
 
         signals : of each the keys of `SignalWay`. keys : of `ConcentratorLine`.
@@ -199,16 +205,15 @@ class System:
         ------
         ScenarioError : a key or value that it does not take.
         """
-        from interarea.models.concentrator_block import concentrator_block
+        from .artefacts import concentrator_fmu
 
-        from .artefacts import block_fmu
-
-        try:
-            line = ConcentratorLine.model_validate({"signals": tuple(signals), **keys})
-        except ValidationError as error:
-            text = one_line(error, lambda at: (ConcentratorLine, SignalWay)[len(at) > 1].model_fields)
-            raise ScenarioError(f"concentrators.{name}.{text}") from None
-        file = self._file(block_fmu(concentrator_block(len(line.signals)), self.cache))
+        if line is None:
+            try:
+                line = ConcentratorLine.model_validate({"signals": tuple(signals), **keys})
+            except ValidationError as error:
+                text = one_line(error, ConcentratorLine.keys_at)
+                raise ScenarioError(f"concentrators.{name}.{text}") from None
+        file = self._file(concentrator_fmu(len(line.signals), self.cache))
         self.add(hold_packets(FmuParticipant(name, file, line.parameters(name)), line))
         self.channels[name] = line
         self.latency_s[name] = line.least_latency_s

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from collections.abc import Sequence
+from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -34,6 +35,13 @@ class ConcentratorLine(Table):
     latency_s: Seconds = 0.0
     on_loss: Literal["zero", "hold"] = "zero"
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+
+    @classmethod
+    def keys_at(cls, location: Sequence[int | str]) -> list[str]:
+        """Return the keys allowed where `location` points into the table, for errors."""
+        way = cls.model_fields["signals"].annotation
+        inside = len(location) > 1 and location[0] == "signals"
+        return list((get_args(way)[0] if inside else cls).model_fields)
 
     @field_validator("reporting_interval_s", "latency_s", "wait_s")
     @classmethod
@@ -70,6 +78,11 @@ class ConcentratorLine(Table):
         ways = [s.latency_s for s in self.signals]
         end = (min(ways) if self.relative else 0.0) + self.wait_s
         return self.latency_s + min(max(ways), end)
+
+    @property
+    def timing(self) -> tuple[object, ...]:
+        """All of it that a master's clock and order depend on."""
+        return (self.least_latency_s, self)
 
     @property
     def marks_s(self) -> tuple[float, ...]:

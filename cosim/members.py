@@ -9,6 +9,7 @@ from typing import Any
 
 from interarea.models.case import load_case
 from interarea.models.channel_block import channel_block
+from interarea.models.concentrator_block import concentrator_block
 from interarea.models.plant_block import plant_block
 from interarea.models.variables import Block, VariableTable
 
@@ -68,6 +69,7 @@ def members_of(scenario: Scenario, *, cache: Path, controllers: Controllers | No
     from . import artefacts
 
     blocks: dict[str, Block] = {"channel": channel_block()} if scenario.channels else {}
+    blocks |= {n: concentrator_block(len(c.signals)) for n, c in scenario.concentrators.items()}
     foreign: dict[str, FmuFile] = {}
     if scenario.case:
         case = load_case(scenario.case_path)
@@ -87,6 +89,7 @@ def members_of(scenario: Scenario, *, cache: Path, controllers: Controllers | No
             plant=files["plant"],
             controller=files.get("controller"),
             channel=files.get("channel"),
+            concentrators=files,
         )
         instances, connections = dict(wiring.instances), wiring.connections
     else:
@@ -95,13 +98,14 @@ def members_of(scenario: Scenario, *, cache: Path, controllers: Controllers | No
         instances |= {
             n: (files["channel"], c.parameters(f"{where}.{n}")) for n, c in scenario.channels.items()
         }
+        instances |= {n: (files[n], c.parameters(n)) for n, c in scenario.concentrators.items()}
         pairs = [pair for path in scenario.connections for pair in pairs_of(path, scenario.channels)]
         connections = tuple(dict.fromkeys(pairs))
     of_file = {id(file): blocks.get(kind) for kind, file in files.items()}
     members = tuple(
         Member(name, file, of_file.get(id(file)), start) for name, (file, start) in instances.items()
     )
-    latencies = [c.least_latency_s for c in scenario.channels.values()]
+    latencies = [c.least_latency_s for c in scenario.lines.values()]
     instants = [scenario.stop_s, *scenario.marks_s]
     step_s = choose_step(latencies, instants) if scenario.step_s is None else scenario.step_s
     return Members(scenario, members, connections, step_s)

@@ -144,7 +144,7 @@ class Loop:
     def result(self, trajectory: Trajectory | None = None) -> Run:
         """Return the run so far as a `Run`."""
         done = self.master.trajectory if trajectory is None else trajectory
-        delays = {n: c.delays(self.master.clock) for n, c in self.scenario.channels.items()}
+        delays = {n: c.delays(self.master.clock) for n, c in self.scenario.lines.items()}
         return Run(
             trajectory=done,
             ledger=delay_ledger(self.master, delays),
@@ -167,7 +167,7 @@ class Loop:
         """Measure the latency of every connection; compare with the ledger (module `self_test`)."""
         parts = {n: p for n, p in self.master.participants.items() if n in self.channels}
         files = {n: p.file for n, p in parts.items() if isinstance(p, FmuParticipant)}
-        return self_test_of(self.master, self.scenario.channels, files, self.scenario.master.arrivals)
+        return self_test_of(self.master, self.scenario.lines, files, self.scenario.master.arrivals)
 
 
 def system_of(scenario: Scenario, *, cache: Path | None = None) -> System:
@@ -189,6 +189,8 @@ def system_of(scenario: Scenario, *, cache: Path | None = None) -> System:
         system.add(participant_of(name, file, table.start, **table.process), latency_s=table.latency_s)
     for name, channel in scenario.channels.items():
         system.channel(name, channel)
+    for name, table in scenario.concentrators.items():
+        system.concentrator(name, line=table)
     for path in scenario.connections:
         system.connect(*path)
     return system
@@ -203,9 +205,10 @@ class Wiring:
 
     def master(self, scenario: Scenario, participants: Collection[FmuParticipant]) -> Master:
         """Return the master that steps `participants` (one for each instance) as `scenario` says."""
+        lines = scenario.lines
         for p in participants:
-            if p.name in scenario.channels:
-                hold_packets(p, scenario.channels[p.name])
+            if p.name in lines:
+                hold_packets(p, lines[p.name])
         return Master(
             participants,
             self.connections,
@@ -214,9 +217,9 @@ class Wiring:
             marks_s=scenario.marks_s,
             latency_s={
                 **{n: f.latency_s for n, f in scenario.fmus.items() if f.latency_s},
-                **{n: c.least_latency_s for n, c in scenario.channels.items()},
+                **{n: c.least_latency_s for n, c in lines.items()},
             },
-            points=points_of(scenario.channels.values(), scenario.master.arrivals, 0.0, scenario.stop_s),
+            points=points_of(lines.values(), scenario.master.arrivals, 0.0, scenario.stop_s),
             **scenario.master.options,
         )
 
@@ -249,13 +252,17 @@ def assemble(
         plant=FmuFile(plant_file),
         controller=_controller_file(scenario, case, folder, controllers),
         channel=FmuFile(artefacts.channel_fmu(folder)) if scenario.channels else None,
+        concentrators={
+            n: FmuFile(artefacts.concentrator_fmu(len(c.signals), folder))
+            for n, c in scenario.concentrators.items()
+        },
     )
     processes = {n: fmu.process for n, fmu in scenario.fmus.items()}
     participants = [
         participant_of(n, file, start, **processes.get(n, {}))
         for n, (file, start) in wiring.instances.items()
     ]
-    return Loop(scenario, case, wiring.master(scenario, participants), list(scenario.channels))
+    return Loop(scenario, case, wiring.master(scenario, participants), list(scenario.lines))
 
 
 def wire(
@@ -265,10 +272,12 @@ def wire(
     plant: FmuFile,
     controller: FmuFile | None,
     channel: FmuFile | None,
+    concentrators: Mapping[str, FmuFile] | None = None,
     own: Mapping[str, FmuFile] | None = None,
 ) -> Wiring:
-    """Return which instances of the three FMUs a scenario needs, with which start values, connected how.
+    """Return which instances of the FMUs a scenario needs, with which start values, connected how.
 
+    concentrators : the FMU of each that the scenario has.
     own : instance -> FMU of the user's; default: opened where the scenario says.
 
     Raises
@@ -297,17 +306,21 @@ def wire(
         if channel is None:
             raise ScenarioError(f"{scenario.name}: channels.{name} needs the FMU of a channel, got none")
         instances[name] = (channel, table.parameters(f"{scenario.name}: channels.{name}"))
-        if not table.signal:
-            continue  # connected by scenario.connections
-        where = f"{scenario.name}: channels.{name}.signal = {table.signal!r}"
-        _known(table.signal, signals, f"{where} is no output of the plant")
-        connections.append((f"{_PLANT}.{table.signal}", f"{name}.u"))
+    for name, several in scenario.concentrators.items():
+        if name not in (concentrators or {}):
+            raise ScenarioError(f"{scenario.name}: concentrators.{name} needs its FMU, got none")
+        instances[name] = ((concentrators or {})[name], several.parameters(name))
+    for signal, u, y, valid in scenario.signals:  # the others are connected by scenario.connections
+        kind = "channels" if u.endswith(".u") else "concentrators"
+        where = f"{scenario.name}: {kind}.{u.partition('.')[0]}: signal = {signal!r}"
+        _known(signal, signals, f"{where} is no output of the plant")
+        connections.append((f"{_PLANT}.{signal}", u))
         if controller is not None:
-            _known(table.signal, wanted, f"{where} is no input of controller {controller.description.title}")
-            connections.append((f"{name}.y", f"{_CONTROLLER}.{table.signal}"))
-            if f"{table.signal}_valid" in controller.description.input_of:
-                connections.append((f"{name}.valid", f"{_CONTROLLER}.{table.signal}_valid"))
-    fed = {c.signal for c in scenario.channels.values()}
+            _known(signal, wanted, f"{where} is no input of controller {controller.description.title}")
+            connections.append((y, f"{_CONTROLLER}.{signal}"))
+            if f"{signal}_valid" in controller.description.input_of:
+                connections.append((valid, f"{_CONTROLLER}.{signal}_valid"))
+    fed = {signal for signal, *_ in scenario.signals}
     fed |= {path[-1].removeprefix(f"{_CONTROLLER}.") for path in scenario.connections}
     for signal in wanted:
         if signal not in fed:

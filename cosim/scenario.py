@@ -28,6 +28,17 @@ FMUs of one's own, whatever made them, with the plant or without a case:
     isolate = true                     # optional: in a process of its own, which it may crash
     time_limit_s = 60.0                # optional, of one call of an isolated FMU
 
+Several signals through one concentrator (IEEE C37.247), which aligns them by time stamp:
+
+    [concentrators.pdc]
+    wait_s = 0.1                       # longest wait for a set; relative = true: from the first arrival
+    latency_s = 0.02                   # from there on; also reporting_interval_s, on_loss, seed
+    [[concentrators.pdc.signals]]
+    signal = "G2_dw"                   # as of a channel; without it: connections to pdc.u1, from pdc.y1
+    latency_s = 0.03                   # also jitter_s, loss, lost_s = [start, end]
+    [[concentrators.pdc.signals]]
+    signal = "G4_dw"
+
 A channel takes besides: reporting_interval_s (packets; needed by what follows), jitter_s (uniform),
 latency = {kind = "gamma", shape, scale_s} | {kind = "empirical", quantiles_s} on top of latency_s,
 loss = {kind = "bernoulli", rate} | {kind = "gilbert_elliott", good_to_bad, bad_to_good, loss_good, loss_bad},
@@ -48,10 +59,12 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from interarea.design.shipped import shipped_names
 from interarea.models.case_errors import CaseError
+from interarea.models.concentrator_block import MOST_SIGNALS
 from interarea.models.events import events_of
 
 from .channels import ChannelLine, Seconds, Table
 from .clock import to_ticks
+from .concentrators import ConcentratorLine, SignalWay
 from .early_return import Early
 from .errors import ScenarioError, nearest, one_line
 from .stepping import Loops
@@ -91,6 +104,18 @@ class ChannelTable(ChannelLine):
     signal: str = ""
 
 
+class SignalTable(SignalWay):
+    """The way of one signal to a concentrator; `signal` travels from the plant to the controller on it."""
+
+    signal: str = ""
+
+
+class ConcentratorTable(ConcentratorLine):
+    """A concentrator: signals without a name are connected by `connections` (NAME.u1 .., NAME.y1 ..)."""
+
+    signals: Annotated[tuple[SignalTable, ...], Field(min_length=1, max_length=MOST_SIGNALS)]
+
+
 class MasterTable(Table):
     """How the master hands inputs over and what it does with loops (see `Master`)."""
 
@@ -123,6 +148,7 @@ class Scenario(Table):
     stop_s: Annotated[float, Field(gt=0.0)]
     step_s: Annotated[float, Field(gt=0.0)] | None = None
     channels: Mapping[str, ChannelTable] = {}
+    concentrators: Mapping[str, ConcentratorTable] = {}
     fmus: Mapping[str, FmuTable] = {}
     connections: tuple[tuple[str, ...], ...] = ()
     event: tuple[Any, ...] = ()
@@ -159,25 +185,9 @@ class Scenario(Table):
         for path in self.connections:
             if len(path) < 2:
                 raise ValueError(f"connections has {list(path)}, allowed: source, channels, target")
-        signals: dict[str, str] = {}
-        for name in (*self.fmus, *self.channels):
-            if not name.isidentifier() or name in _RESERVED or (name in self.fmus and name in self.channels):
-                raise ValueError(
-                    f"{'channels' if name in self.channels else 'fmus'}.{name}: its name must be "
-                    f"an identifier other than {' and '.join(_RESERVED)}, used once"
-                )
+        self._check_names()
+        self._check_signals()
         for name, channel in self.channels.items():
-            if channel.signal and not self.case:
-                raise ValueError(f"channels.{name}: signal needs a case; connect the channel by connections")
-            if not channel.signal and not any(name in path for path in self.connections):
-                raise ValueError(f"channels.{name}: signal is missing (or name the channel in connections)")
-            if channel.signal in signals:
-                raise ValueError(
-                    f"channels.{name}: signal = {channel.signal!r} already travels through "
-                    f"channels.{signals[channel.signal]}, allowed: one channel for each signal"
-                )
-            if channel.signal:
-                signals[channel.signal] = name
             for start, _ in channel.outages_s:
                 if not start < self.stop_s:
                     raise ValueError(
@@ -186,11 +196,58 @@ class Scenario(Table):
                     )
         return self
 
+    def _check_names(self) -> None:
+        """Raise ValueError for an instance whose name is no name, or that of another."""
+        seen = set(_RESERVED)
+        for kind in ("fmus", "channels", "concentrators"):
+            for name in getattr(self, kind):
+                if not name.isidentifier() or name in seen:
+                    raise ValueError(
+                        f"{kind}.{name}: its name must be an identifier other than "
+                        f"{' and '.join(_RESERVED)}, used once"
+                    )
+                seen.add(name)
+
+    def _check_signals(self) -> None:
+        """Raise ValueError for a way that nothing travels, or a signal that travels twice."""
+        ways = [(f"channels.{n}", c.signal, n) for n, c in self.channels.items()]
+        for name, table in self.concentrators.items():
+            for i, s in enumerate(table.signals, start=1):
+                ways.append((f"concentrators.{name}.signals {i}", s.signal, f"{name}.u{i}"))
+        taken: dict[str, str] = {}
+        for where, signal, end in ways:
+            if signal and not self.case:
+                raise ValueError(f"{where}: signal needs a case; connect {end} by connections")
+            if not signal and not any(end in path for path in self.connections):
+                raise ValueError(f"{where}: signal is missing (or name {end} in connections)")
+            if signal in taken:
+                raise ValueError(
+                    f"{where}: signal = {signal!r} already travels through {taken[signal]}, "
+                    "allowed: one way for each signal"
+                )
+            if signal:
+                taken[signal] = where
+
+    @property
+    def lines(self) -> dict[str, ChannelTable | ConcentratorTable]:
+        """Channels and concentrators by name: whatever delays signals and counts packets."""
+        return {**self.channels, **self.concentrators}
+
+    @property
+    def signals(self) -> list[tuple[str, str, str, str]]:
+        """What travels from the plant to the controller: signal, input, output and flag of its way."""
+        ways = [(c.signal, f"{n}.u", f"{n}.y", f"{n}.valid") for n, c in self.channels.items() if c.signal]
+        for n, table in self.concentrators.items():
+            for i, s in enumerate(table.signals, start=1):
+                if s.signal:
+                    ways.append((s.signal, f"{n}.u{i}", f"{n}.y{i}", f"{n}.valid{i}"))
+        return ways
+
     @property
     def marks_s(self) -> tuple[float, ...]:
         """Instants of events and outages inside the run."""
         times = [t for e in self.event for t in (e.start_s, getattr(e, "end_s", None)) if t is not None]
-        times += [t for c in self.channels.values() for t in c.marks_s]
+        times += [t for c in self.lines.values() for t in c.marks_s]
         return tuple(sorted({t for t in times if 0.0 < t < self.stop_s}))
 
     @property
@@ -270,5 +327,7 @@ def _keys(location: tuple[int | str, ...]) -> list[str]:
         "master": MasterTable,
         "expect": Expectation,
     }
+    if location[0] == "concentrators":
+        return ConcentratorTable.keys_at(location[2:])
     table = tables.get(str(location[0]))
     return list(table.model_fields) if table is not None else []

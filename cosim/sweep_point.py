@@ -114,7 +114,7 @@ def point_of(
             else:
                 _put(table, words, value)
     if seed is not None:
-        for channel, row in table.get("channels", {}).items():
+        for channel, row in {**table.get("channels", {}), **table.get("concentrators", {})}.items():
             row["seed"] = derived_seed(seed, channel)
     scenario = load_scenario(table | {"folder": sweep.base.folder})
     change = CaseChange(str(case), tuple(sorted(operating.items())), tuple(sorted(entries.items())))

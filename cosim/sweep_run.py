@@ -18,7 +18,7 @@ from interarea.fmu_build.package import build_fmu
 from interarea.models.case import Case
 from interarea.models.plant_block import plant_block
 
-from .artefacts import channel_fmu, controller_fmu, plant_fmu
+from .artefacts import channel_fmu, concentrator_fmu, controller_fmu, plant_fmu
 from .clock import seconds
 from .errors import ScenarioError, StepError
 from .fmu_file import FmuFile
@@ -315,7 +315,15 @@ class Runner:
         controller = self._controller(point.change.case, scenario.controller)
         channel = self._channel_file() if scenario.channels else None
         own = {name: self._own_file(name) for name in scenario.fmus}
-        wiring = wire(scenario, plant.case, plant=plant.file, controller=controller, channel=channel, own=own)
+        wiring = wire(
+            scenario,
+            plant.case,
+            plant=plant.file,
+            controller=controller,
+            channel=channel,
+            concentrators={n: self._aligner(len(c.signals)) for n, c in scenario.concentrators.items()},
+            own=own,
+        )
         if controller is not None:
             wiring.instances["controller"][1].update(_controller_start(controller, point))
         structure = (point.change, slots, scenario.controller, tuple(wiring.instances))
@@ -324,13 +332,13 @@ class Runner:
             scenario.stop_s,
             scenario.step_s,
             scenario.marks_s,
-            tuple(c.timing for c in scenario.channels.values()),
+            tuple(c.timing for c in scenario.lines.values()),
             scenario.master,
             wiring.connections,
         )
         if kept.key != key:
             master = wiring.master(scenario, kept.participants.values())
-            kept.loop, kept.key = Loop(scenario, plant.case, master, list(scenario.channels)), key
+            kept.loop, kept.key = Loop(scenario, plant.case, master, list(scenario.lines)), key
         kept.loop.scenario = scenario
         return kept, wiring
 
@@ -385,6 +393,12 @@ class Runner:
             self._channel = self._open(channel_fmu(self.cache))
         return self._channel
 
+    def _aligner(self, signals: int) -> FmuFile:
+        key = f"{signals} signals"  # no name of an FMU of the user's has a blank
+        if key not in self._own:
+            self._own[key] = self._open(concentrator_fmu(signals, self.cache))
+        return self._own[key]
+
     def _own_file(self, name: str) -> FmuFile:
         if name not in self._own:
             self._own[name] = self._open(own_fmu(self.cache, self.plan.fmus[name]))
@@ -407,6 +421,7 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
     with suppress(BuildError):  # without it Python steps the FMUs
         files.append(Path(load_kernel(cache)._name))
     files += [own_fmu(cache, key) for key in dict.fromkeys(plan.fmus.values())]
+    files += [concentrator_fmu(len(c.signals), cache) for c in plan.sweep.base.concentrators.values()]
     cases = {name: plan.case(name) for name in plan.cases}
     block = plant_block(next(iter(cases.values())))
     files.append(compile_binary(block.kind, block.sources, host_platform(), cache=cache))

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import zipfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from interarea.cosim.artefacts import channel_fmu
 from interarea.cosim.build import System
+from interarea.cosim.container import write_container
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.master import INPUTS
+from interarea.cosim.run import run_scenario, run_system
+from interarea.cosim.scenario import load_scenario
+from interarea.cosim.ssp import write_ssp
+from interarea.cosim.sweep_engine import run_sweep
+from interarea.cosim.sweep_store import read_rows
 from interarea.design.controller import Controller
 
 WAYS = [{"latency_s": 0.03}, {"latency_s": 0.08}]
@@ -73,3 +82,112 @@ def test_mistakes_are_refused(keys: dict[str, Any], says: str) -> None:
         System(stop_s=1.0).concentrator("pdc", WAYS, **keys)
     with pytest.raises(ScenarioError, match="did you mean 'latency_s'"):
         System(stop_s=1.0).concentrator("pdc", [{"latency": 0.1}])
+
+
+SCENARIO = """
+case = "two-area-thesis"
+controller = "{controller}"
+stop_s = 2.0
+step_s = 0.01
+[concentrators.pdc]
+wait_s = 0.1
+latency_s = 0.02
+[[concentrators.pdc.signals]]
+signal = "G2_dw"
+latency_s = 0.03
+[[concentrators.pdc.signals]]
+signal = "G4_dw"
+latency_s = 0.08
+[[event]]
+kind = "vref_pulse"
+machine = "G1"
+size_pu = 0.02
+start_s = 0.5
+end_s = 0.7
+"""
+
+
+@pytest.fixture
+def file(hand_controller: Controller, tmp_path: Path) -> Path:
+    saved = hand_controller.save(tmp_path / "by_hand.json")
+    path = tmp_path / "aligned.toml"
+    path.write_text(SCENARIO.format(controller=saved), encoding="utf-8")
+    return path
+
+
+def test_a_scenario_file_names_it(hand_controller: Controller, file: Path, cache: Path) -> None:
+    here = run_scenario(file, cache=cache)
+    there = grid(hand_controller, WAYS, wait_s=0.1, latency_s=0.02).run()
+    for column in ("plant.G2_dw", "controller.G4_vs", "pdc.y1", "pdc.y2", "pdc.age"):
+        np.testing.assert_array_equal(here[column], there[column])
+    text = here.explain()
+    assert "plant.G2_dw -> pdc.u1" in text and "pdc.y2 -> controller.G4_dw" in text
+    assert here.ledger["pdc.u1"].total_s == pytest.approx(0.11)
+    assert here.packets["pdc"]["sent"] == 2 * 101
+    assert here.packets["pdc"] == there.packets["pdc"]
+
+
+def test_a_sweep_varies_what_is_around_it(file: Path, cache: Path, tmp_path: Path) -> None:
+    size = {"path": "event.1.size_pu", "values": [0.02, 0.03]}
+    run_sweep({"scenario": str(file), "parameters": {"size": size}}, tmp_path / "s", workers=1, cache=cache)
+    rows = read_rows(tmp_path / "s")
+    single = run_scenario(file, cache=cache)
+    assert rows.peak[0] == single.metrics.peak and rows.peak[1] > 1.4 * rows.peak[0]
+    assert list(rows.packets_sent) == [202, 202]
+
+
+def test_it_goes_into_an_ssp_and_not_into_one_fmu(file: Path, cache: Path, tmp_path: Path) -> None:
+    scenario = load_scenario(file)
+    ssp = write_ssp(scenario, tmp_path / "loop.ssp", cache=cache)
+    with zipfile.ZipFile(ssp) as archive:
+        assert "resources/pdc.fmu" in archive.namelist()
+        structure = archive.read("SystemStructure.ssd").decode()
+    assert 'startElement="plant" startConnector="G2_dw" endElement="pdc" endConnector="u1"' in structure
+    with pytest.raises(ScenarioError, match="member pdc is a concentrator"):
+        write_container(scenario, tmp_path / "loop.fmu", cache=cache)
+
+
+def test_a_scenario_without_a_case_connects_its_ends(cache: Path) -> None:
+    table: dict[str, Any] = {
+        "stop_s": 1.0,
+        "fmus": {"one": {"file": str(channel_fmu(cache)), "start": {"latency": 0.1}}},
+        "concentrators": {"pdc": {"wait_s": 0.05, "signals": [{"latency_s": 0.02}]}},
+        "connections": [["one.y", "pdc.u1"]],
+    }
+    run = run_system(table, cache=cache)
+    assert run.packets["pdc"]["sent"] == 51
+    assert run.ledger["pdc.u1"].network_s == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"wait": 0.1}, r"concentrators\.pdc\.wait = 0\.1: no such key; did you mean 'wait_s'"),
+        ({"signals": [{"signl": "G2_dw"}]}, r"no such key; did you mean 'signal'"),
+        ({"signals": [{"latency_s": 0.1}]}, r"pdc\.signals 1: signal is missing \(or name pdc\.u1"),
+        (
+            {"signals": [{"signal": "G2_dw"}, {"signal": "G2_dw"}]},
+            "already travels through concentrators.pdc",
+        ),
+        ({"signals": []}, "signals = .*at least 1"),
+        (
+            {"signals": [{"signal": "G9_dw"}]},
+            r"concentrators\.pdc: signal = 'G9_dw' is no output of the plant",
+        ),
+    ],
+)
+def test_a_mistake_in_its_table_is_one_line(cache: Path, change: dict[str, Any], says: str) -> None:
+    table = {"wait_s": 0.1, "signals": [{"signal": "G2_dw"}], **change}
+    document = {"case": "two-area-thesis", "stop_s": 1.0, "concentrators": {"pdc": table}}
+    with pytest.raises(ScenarioError, match=says) as caught:
+        run_scenario(document, cache=cache)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_signal_travels_one_way_and_a_name_is_used_once() -> None:
+    pdc = {"signals": [{"signal": "G2_dw"}]}
+    document = {"case": "two-area-thesis", "stop_s": 1.0, "concentrators": {"pdc": pdc}}
+    with pytest.raises(ScenarioError, match=r"already travels through channels\.remote"):
+        load_scenario(document | {"channels": {"remote": {"signal": "G2_dw"}}})
+    with pytest.raises(ScenarioError, match=r"concentrators\.pdc: its name must be .* used once"):
+        load_scenario(document | {"channels": {"pdc": {"signal": "G4_dw"}}})
