@@ -189,8 +189,8 @@ def system_of(scenario: Scenario, *, cache: Path | None = None) -> System:
         system.add(participant_of(name, file, table.start, **table.process), latency_s=table.latency_s)
     for name, channel in scenario.channels.items():
         system.channel(name, channel)
-    for name, table in scenario.concentrators.items():
-        system.concentrator(name, line=table)
+    for name, several in scenario.concentrators.items():
+        system.concentrator(name, line=several)
     for path in scenario.connections:
         system.connect(*path)
     return system
@@ -311,8 +311,9 @@ def wire(
             raise ScenarioError(f"{scenario.name}: concentrators.{name} needs its FMU, got none")
         instances[name] = ((concentrators or {})[name], several.parameters(name))
     for signal, u, y, valid in scenario.signals:  # the others are connected by scenario.connections
-        kind = "channels" if u.endswith(".u") else "concentrators"
-        where = f"{scenario.name}: {kind}.{u.partition('.')[0]}: signal = {signal!r}"
+        name, _, end = u.partition(".")
+        where = f"channels.{name}.signal" if end == "u" else f"concentrators.{name}: signal"
+        where = f"{scenario.name}: {where} = {signal!r}"
         _known(signal, signals, f"{where} is no output of the plant")
         connections.append((f"{_PLANT}.{signal}", u))
         if controller is not None:

@@ -223,7 +223,7 @@ class Scenario(Table):
             if signal in taken:
                 raise ValueError(
                     f"{where}: signal = {signal!r} already travels through {taken[signal]}, "
-                    "allowed: one way for each signal"
+                    "allowed: one channel for each signal"
                 )
             if signal:
                 taken[signal] = where
