@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,8 +57,7 @@ def to_ticks(value_s: float, what: str) -> int:
     )
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """One communication step, in ticks.
 
     `edge`: a step of one tick before or after a mark, in which signals may
@@ -69,11 +69,11 @@ class Step:
     edge: bool
     recorded: bool
 
-    @cached_property
+    @property
     def start_s(self) -> float:
         return seconds(self.start)
 
-    @cached_property
+    @property
     def length_s(self) -> float:
         return seconds(self.end - self.start)
 
@@ -140,9 +140,9 @@ class Clock:
                 ends |= {t for t in (point, point + 1) if self.start < t < self.stop}
         else:
             ends |= {t for t in self.points if self.start < t < self.stop}
-        found = []
-        now = self.start
-        for end in sorted(ends):
-            found.append(Step(now, end, edge=end in near and end - now == 1, recorded=end in kept))
-            now = end
-        return tuple(found)
+        order = sorted(ends)
+        starts = [self.start, *order[:-1]]
+        return tuple(
+            Step(now, end, end - now == 1 and end in near, end in kept)
+            for now, end in zip(starts, order, strict=True)
+        )

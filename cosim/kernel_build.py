@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import os
 from ctypes import c_double, c_int32, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
@@ -150,12 +151,18 @@ def load_kernel(folder: Path | None = None) -> ctypes.CDLL:
 
 
 _told: set[str] = set()
+_found: dict[tuple[str | None, ...], ctypes.CDLL] = {}  # by what decides where it is and what makes it
+_DECIDES = ("INTERAREA_CACHE", "XDG_CACHE_HOME", "LOCALAPPDATA", "HOME", "CC")
 
 
 def kernel_or_reason() -> tuple[ctypes.CDLL | None, str]:
     """Return the kernel, or None and why it cannot be had, which is logged once."""
+    key = tuple(os.environ.get(name) for name in _DECIDES)
+    if key in _found:
+        return _found[key], ""
     try:
-        return load_kernel(), ""
+        _found[key] = load_kernel()
+        return _found[key], ""
     except BuildError as error:
         reason = str(error).partition("\n")[0]
     if reason not in _told:

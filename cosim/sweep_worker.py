@@ -7,6 +7,7 @@ ends.
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import tempfile
@@ -72,6 +73,8 @@ def work(
 
     keep_freed_memory()
     with threadpool_limits(1), Runner(plan_of_document(document), cache, scratch) as runner:
+        gc.collect()
+        gc.freeze()  # what is loaded stays: the collector need not look through it again and again
         try:
             while (runs := pipe.recv()) is not None:
                 _serve(pipe, runner, runs, UnderWay(shared))
