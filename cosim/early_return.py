@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, Literal
 
 from . import interpolation as ip
@@ -154,7 +153,7 @@ def rolled_back(
             if (not came and too_short(piece)) or times > _MOST_RETURNS:
                 raise
             if after < piece.end:
-                todo.append(replace(piece, start=after, edge=False))
+                todo.append(piece._replace(start=after, edge=False))
             if before < after:
                 todo.append(Step(before, after, edge=True, recorded=False))
             if before > piece.start:
