@@ -239,6 +239,8 @@ class System:
         if plant is None and len(self._plants) == 1:
             plant = next(iter(self._plants))
         if plant not in self._plants:
+            if not self._plants:
+                raise ScenarioError("event: there is no plant yet for it to happen to; add the plant first")
             raise ScenarioError(f"event: plant = {plant!r}; {nearest(str(plant), self._plants)}")
         try:
             found = event_of({"kind": kind, **fields}, where="event") if isinstance(kind, str) else kind

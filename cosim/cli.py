@@ -13,6 +13,7 @@ import typer
 from .cli_check import check
 from .cli_design import certify, design
 from .cli_import import export, import_grid
+from .cli_list import list_bundled
 from .cli_modes import modes
 from .cli_run import run
 from .cli_ssp import build, container, ssp
@@ -43,6 +44,9 @@ OutFolder = Annotated[
     Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON instead of a table")]
+
+
+app.command("list")(list_bundled)
 
 
 @app.command()

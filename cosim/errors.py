@@ -79,6 +79,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"there are: {shown}"
 
 
+_TABLE_WANTED = ("model_type", "model_attributes_type", "dict_type", "mapping_type")
+
+
 def one_line(error: ValidationError, keys_at: Callable[[tuple[int | str, ...]], Iterable[str]]) -> str:
     """Return the first failure of a pydantic model in one line; `keys_at`: location -> keys allowed there."""
     first = error.errors()[0]
@@ -94,5 +97,10 @@ def one_line(error: ValidationError, keys_at: Callable[[tuple[int | str, ...]], 
         return f"{key} = {first['input']!r}: no such key; {hint}"
     if first["type"] == "literal_error":
         return f"{key} = {first['input']!r}, allowed: {first['ctx']['expected']}"
+    if first["type"] in _TABLE_WANTED:
+        own = str(first["loc"][-1])
+        near = [k for k in keys_at(first["loc"]) if k.startswith(f"{own}_")]
+        hint = f"; did you mean {' or '.join(map(repr, near))}?" if near else ""
+        return f"{key} = {first['input']!r}, allowed: a table{hint}"
     allowed = first["msg"].removeprefix("Input should be ")
     return f"{key} = {first['input']!r}, allowed: {allowed}"

@@ -36,13 +36,22 @@ def scenario(request: pytest.FixtureRequest, _scenario_runs: dict[str, Run]) -> 
     """Return a function that runs a scenario (file, bundled name or dict) once and returns its `Run`."""
 
     def run(source: str | Path | Mapping[str, Any] | Scenario) -> Run:
+        __tracebackhide__ = True  # a failing test shows its own lines
+        from .errors import ScenarioError
         from .run import run_scenario
         from .scenario import load_scenario
 
         if isinstance(source, str | Path):
             beside = Path(request.path).parent / source
+            if not beside.is_file() and Path(source).suffix and not Path(source).exists():
+                raise ScenarioError(
+                    f"{source}: no such scenario file, neither beside {request.path.name} nor in {Path.cwd()}"
+                )
             source = beside if beside.is_file() else source
-        loaded = load_scenario(source)
+        try:
+            loaded = load_scenario(source)
+        except ScenarioError as error:
+            raise error.with_traceback(None) from None
         key = json.dumps([loaded.model_dump(mode="json"), _stamp(loaded)], sort_keys=True, default=str)
         if key not in _scenario_runs:
             _scenario_runs[key] = run_scenario(loaded)

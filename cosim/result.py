@@ -13,7 +13,7 @@ from .ledger import DelayLedger, PacketLedger
 from .trajectory import Trajectory
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Result:
     """`trajectory`, delay `ledger`, `packets` and the `explanation` of how it was stepped."""
 
@@ -21,6 +21,9 @@ class Result:
     ledger: DelayLedger
     packets: PacketLedger
     explanation: str
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.trajectory!r})"
 
     @property
     def data(self) -> pd.DataFrame:

@@ -40,13 +40,24 @@ _PLANT, _CONTROLLER = "plant", "controller"
 EVENT_SLOTS = 8  #: of the plant FMU; a scenario with more events gets one of its own
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Run(Result):
     """What a scenario did: `trajectory`, `metrics`, `ledger` (delays), `packets`."""
 
     scenario: Scenario
     case: Case
     metrics: Metrics
+
+    def __repr__(self) -> str:
+        """Return in a line what ran and how it went: pytest shows it where an assertion fails."""
+        loop = f"{self.case.name}, controller {Path(self.scenario.controller).name}"
+        damping = "".join(f", {n} {zeta:.3f}" for n, zeta in sorted(self.metrics.damping_ratio.items()))
+        settled = self.metrics.settling_time_s
+        return (
+            f"Run({self.scenario.name!r}: {loop}, {float(self.trajectory.time_s[-1]):g} s; "
+            f"{'stable' if self.stable else 'not stable'}, damping{damping.removeprefix(',') or ' –'}, "
+            f"{'not settled' if settled is None else f'settled in {settled:.2f} s'})"
+        )
 
     @property
     def stable(self) -> bool:

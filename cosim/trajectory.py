@@ -60,7 +60,7 @@ class Records:
         return self.data[column]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trajectory:
     """`data`: column ``time_s``, then ``INSTANCE.VARIABLE``; `units` and `descriptions` by column.
 
@@ -71,6 +71,11 @@ class Trajectory:
     units: Mapping[str, str]
     descriptions: Mapping[str, str] = field(default_factory=dict)
     engine: str = ""
+
+    def __repr__(self) -> str:
+        time = self.time_s
+        span = f"{time[0]:g} to {time[-1]:g} s" if len(time) else "empty"
+        return f"Trajectory({span}, {len(time)} points, {len(self.data.columns) - 1} signals)"
 
     @classmethod
     def of_records(

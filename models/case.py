@@ -82,6 +82,9 @@ class Case(BaseModel):
         default=(), alias="event"
     )  #: what happens unless a scenario says otherwise
 
+    def __repr__(self) -> str:
+        return f"Case({self.name!r}, {len(self.buses)} buses, {len(self.machines)} machines)"
+
     @property
     def omega_b(self) -> float:
         """Base angular frequency, rad/s."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -11,14 +12,18 @@ from pathlib import Path
 import pytest
 
 from interarea.cosim.artefacts import channel_fmu, default_cache
+from interarea.cosim.build import System
 from interarea.cosim.cli import main
 from interarea.cosim.destination import folder_for
-from interarea.cosim.errors import DestinationError
+from interarea.cosim.errors import DestinationError, ScenarioError
 from interarea.cosim.fmu_file import FmuFile
 from interarea.cosim.report import _number, _percent
+from interarea.cosim.robust_design import load_design
+from interarea.cosim.run import run_scenario
+from interarea.cosim.scenario import NAMED_CONTROLLERS, scenario_names
 from interarea.cosim.sweep_store import read_rows
 from interarea.cosim.terminal import steady_streams
-from interarea.models.case import load_case
+from interarea.models.case import case_names, load_case
 
 SWEEP = """
 [scenario]
@@ -216,3 +221,31 @@ def test_a_stopped_command_says_so_and_leaves_nothing(tmp_path: Path) -> None:
 def test_negative_zero_is_zero_in_a_report() -> None:
     assert _number(-0.0004) == "0.000" and _number(-0.25) == "−0.250"
     assert _percent(-0.0004) == "0.0 %"
+
+
+def test_a_run_says_in_a_line_what_it_was(tmp_path: Path) -> None:
+    """What pytest prints of `run` where an assertion of a user's test fails."""
+    run = run_scenario("ring-down")
+    text = repr(run)
+    assert len(text) < 250 and "\n" not in text
+    assert f"inter-area {run.damping_ratio():.3f}" in text and "'ring-down': two-area-thesis" in text
+    assert repr(run.trajectory) == f"Trajectory(0 to 20 s, 2001 points, {len(run.data.columns) - 1} signals)"
+
+
+def test_a_latency_without_its_unit_is_told_the_key(interarea) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(ScenarioError, match=r"channels.remote.latency = 0.1, allowed: a table.*'latency_s'"):
+        System(stop_s=1.0).channel("remote", latency=0.1)
+    with pytest.raises(ScenarioError, match="add the plant first"):
+        System(stop_s=1.0).event("vref_pulse", machine="G1")
+
+
+def test_everything_listed_is_taken_by_its_command(interarea) -> None:  # type: ignore[no-untyped-def]
+    code, out, _ = interarea("list", "--json")
+    found = json.loads(out)
+    assert code == 0 and all(found.values())
+    assert set(found["cases"]) == set(case_names()) and set(found["scenarios"]) == set(scenario_names())
+    assert set(found["controllers"]) == set(NAMED_CONTROLLERS) - {"none"}
+    for name in found["designs"]:
+        assert load_design(name).name == name
+    _, table, _ = interarea("list")
+    assert all(name in table for rows in found.values() for name in rows)
