@@ -52,17 +52,16 @@ def design(
     from interarea.models.case import load_case
 
     from .artefacts import default_cache
-    from .controller_file import any_controller
     from .design_comparison import HEADER, compare, save_comparison
     from .destination import file_for, folder_for
     from .robust_design import load_design, run_design
 
     table, cache = load_design(spec), default_cache()
+    case = load_case(table.case)
     file_for(out)
     if plots is not None:
         folder_for(plots, "--plots")
-    omega_b = load_case(table.case).omega_b
-    others = {name: any_controller(name, omega_b).system for name in against or ()}
+    others = {name: _named(name, case).system for name in against or ()}
     done = run_design(table, cache, progress=lambda what, value: typer.echo(f"{what}: {value:.4f}", err=True))
     made = done.controller
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -89,11 +88,24 @@ def _certificate_of(made: Controller) -> FamilyCertificate:
     return FamilyCertificate(rows=rows, **record)
 
 
+def _named(name: str, case: Case) -> Controller:
+    """Return a controller by shipped name, JSON file or FMU, or one of the study's (wdc, cc, ftc) for `case`."""
+    from .artefacts import CONTROLLER_NAMES, default_cache, design_controller
+    from .controller_file import any_controller
+
+    if name in CONTROLLER_NAMES:
+        with busy(f"designing {name} for {case.name}"):
+            return design_controller(case, name, default_cache())
+    return any_controller(name, case.omega_b)
+
+
 def certify(
     controller: Annotated[
         str,
         typer.Argument(
-            metavar="CONTROLLER", help="shipped name, `active`, JSON file, or FMU", show_default=False
+            metavar="CONTROLLER",
+            help="a name that `interarea list` shows, JSON file, or FMU",
+            show_default=False,
         ),
     ],
     spec: DesignFile = None,
@@ -111,7 +123,6 @@ def certify(
 
     from .artefacts import active_bank, default_cache
     from .bank_certificate import any_bank
-    from .controller_file import any_controller
     from .robust_design import certify as recompute
     from .robust_design import load_design, specification_of
 
@@ -127,7 +138,7 @@ def certify(
     if bank is not None:
         _certify_bank(bank, load_case(table.case), json_)
         return
-    made = any_controller(controller, omega_b)
+    made = _named(controller, load_case(table.case))
     own = specification_of(made) if spec is None else None
     if own is None and spec is None:
         typer.echo(f"{controller} names no family of its own: judged by that of `robust`", err=True)

@@ -38,7 +38,7 @@ def list_bundled(
 COMMANDS = {
     "cases": "interarea modes | loops | export | build CASE; case = in a scenario",
     "scenarios": "interarea run | ssp | container SCENARIO",
-    "controllers": "interarea certify CONTROLLER; interarea build CASE --controller; controller = in a scenario",
+    "controllers": "interarea certify CONTROLLER | build CASE --controller; controller = in a scenario",
     "designs": "interarea design DESIGN --out FILE.json",
     "studies": "interarea study STUDY --out DIR",
 }

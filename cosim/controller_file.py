@@ -32,7 +32,7 @@ def any_controller(name: str, omega_b: float) -> Controller:
     if path.suffix == ".fmu":
         return _from_fmu(path, omega_b)
     if not path.exists() and not path.suffix:
-        known = nearest(name, (*shipped_names(), "active"))
+        known = nearest(name, (*shipped_names(), "active", "wdc", "cc", "ftc"))
         raise ControllerError(f"controller {name!r} is neither shipped nor a file; {known}")
     return Controller.load(path)
 
