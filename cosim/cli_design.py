@@ -89,7 +89,7 @@ def _certificate_of(made: Controller) -> FamilyCertificate:
 
 
 def _named(name: str, case: Case) -> Controller:
-    """Return a controller by shipped name, JSON file or FMU, or one of the study's (wdc, cc, ftc) for `case`."""
+    """Return a controller: shipped, from a JSON file or an FMU, or the study's of that name for `case`."""
     from .artefacts import CONTROLLER_NAMES, default_cache, design_controller
     from .controller_file import any_controller
 
@@ -209,6 +209,6 @@ def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
         typer.echo(f"fault at {run['point']}, {' and '.join(run['lost']) or 'nothing'} lost: {said}")
     for violation in found.violations:
         typer.echo(f"violated: {violation}")
-    lost = any(not run["synchronism"] for run in found.faults)
-    unasked = " what its design asks for; synchronism is not among it" if lost else ""
+    slips = any(not run["synchronism"] for run in found.faults)
+    unasked = " what its design asks for; synchronism is not among it" if slips else ""
     typer.echo(f"passed{unasked}" if found.passed else "does not pass")

@@ -215,7 +215,7 @@ def _render(
     labels = labels_of(sweep)
     failed = rows[rows.status != "ok"]
     order = [*(f"map-{k}" for k in range(len(svg))), "line"]
-    columns = [c for c in rows if c in sweep.parameters or c in _SHOWN]
+    columns = [str(c) for c in rows if c in sweep.parameters or c in _SHOWN]
     worst = (
         []
         if sweep.searched

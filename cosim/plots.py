@@ -211,7 +211,9 @@ def bode_plot(systems: Mapping[str, control.StateSpace], omega: Array) -> Figure
                 axes[1, j].semilogx(omega, phase, color=SERIES[k], linestyle=DASHES[k])
             axes[0, j].set_title(f"from {signal_label(name)}")
             _frequency_axis(axes[1, j], omega)
-        figure.get_layout_engine().set(wspace=0.08)  # the last label of one column from the first of the next
+        figure.set_layout_engine(
+            "constrained", wspace=0.08
+        )  # the last label of one column from the first of the next
         axes[0, 0].set_ylabel("gain (dB)")
         axes[1, 0].set_ylabel("phase (deg)")
         axes[0, 0].legend()
