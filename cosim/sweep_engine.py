@@ -20,6 +20,7 @@ from .sweep_spec import Sweep, load_sweep
 from .sweep_store import FULL, SweepStore, explained
 
 _PART_ROWS, _PART_S = 500, 5.0
+_PART_SHARE, _PART_LONGEST_S = 0.01, 60.0  # of the time since the start: a week's sweep has few parts too
 _RATE_S = 30.0
 _TASK = 200
 
@@ -105,7 +106,7 @@ def _collect(
 ) -> None:
     """Store outcomes as they come, at the latest after some seconds, and also when interrupted."""
     waiting: list[Outcome] = []
-    last = time.monotonic()
+    begin = last = time.monotonic()
     ticks: deque[tuple[float, int]] = deque([(last, store.count)])
     failed = forked = 0
     try:
@@ -114,7 +115,8 @@ def _collect(
             failed += sum(o.row["status"] == "failed" for o in some)
             forked += sum(o.forked for o in some)
             now = time.monotonic()
-            if len(waiting) >= _PART_ROWS or (waiting and now - last > _PART_S):
+            longest = min(_PART_LONGEST_S, max(_PART_S, _PART_SHARE * (now - begin)))
+            if len(waiting) >= _PART_ROWS or (waiting and now - last > longest):
                 store.append(waiting)
                 waiting, last = [], now
             if progress is not None:
