@@ -84,6 +84,7 @@ class System:
         self._events: dict[str, list[Any]] = {}
         self._marks: list[float] = []
         self._files: dict[Path, FmuFile] = {}
+        self._at_rest = True  # until an instance comes in that may start anywhere
 
     # -- participants ---------------------------------------------------------------------
 
@@ -97,7 +98,7 @@ class System:
         from .artefacts import plant_fmu
 
         loaded = case if isinstance(case, Case) else load_case(case)
-        self.add(FmuParticipant(name, self._file(plant_fmu(loaded, self.cache))))
+        self._put(FmuParticipant(name, self._file(plant_fmu(loaded, self.cache))))
         self._plants[name] = loaded
         return self
 
@@ -133,7 +134,7 @@ class System:
                     f"{nearest(str(controller), known)}"
                 )
         fmu = controller_fmu(controller, case.omega_b, self.cache)
-        return self.add(FmuParticipant(name, self._file(fmu)))
+        return self._put(FmuParticipant(name, self._file(fmu)))
 
     def fmu(
         self,
@@ -160,11 +161,15 @@ class System:
 
     def add(self, participant: Participant, *, latency_s: float = 0.0) -> System:
         """Add a participant of any kind; `latency_s` as in `fmu`."""
+        self._at_rest = False
+        if latency_s:
+            self.latency_s[participant.name] = latency_s
+        return self._put(participant)
+
+    def _put(self, participant: Participant) -> System:
         if participant.name in self._participants:
             raise ScenarioError(f"two instances are named {participant.name!r}; each needs a name of its own")
         self._participants[participant.name] = participant
-        if latency_s:
-            self.latency_s[participant.name] = latency_s
         return self
 
     def channel(self, name: str, line: ChannelLine | None = None, **keys: Any) -> System:
@@ -184,7 +189,7 @@ class System:
                 text = one_line(error, lambda _: ChannelLine.model_fields)
                 raise ScenarioError(f"{where}.{text}") from None
         instance = FmuParticipant(name, self._file(channel_fmu(self.cache)), line.parameters(where))
-        self.add(hold_packets(instance, line))
+        self._put(hold_packets(instance, line))
         self.channels[name] = line
         self.latency_s[name] = line.least_latency_s
         self._marks += line.marks_s
@@ -214,7 +219,7 @@ class System:
                 text = one_line(error, ConcentratorLine.keys_at)
                 raise ScenarioError(f"concentrators.{name}.{text}") from None
         file = self._file(concentrator_fmu(len(line.signals), self.cache))
-        self.add(hold_packets(FmuParticipant(name, file, line.parameters(name)), line))
+        self._put(hold_packets(FmuParticipant(name, file, line.parameters(name)), line))
         self.channels[name] = line
         self.latency_s[name] = line.least_latency_s
         return self
@@ -301,6 +306,7 @@ class System:
             marks_s=self.marks_s,
             points=self.points,
             latency_s=self.latency_s,
+            at_rest=self._at_rest,
             **self.options,
         )
 

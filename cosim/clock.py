@@ -87,7 +87,8 @@ class Clock:
     both known, whichever of the two an FMU reports at the instant itself.
     `points` are instants from which on a held signal has a new value (packets
     that arrive): communication points that are not recorded, with one more a
-    tick later, where slopes of what depends on it are new.
+    tick later, where slopes of what depends on it are new. `kinks` are instants
+    at which slopes jump and nothing else: treated as marks, not recorded.
     """
 
     start: int
@@ -96,6 +97,7 @@ class Clock:
     marks: tuple[int, ...] = ()
     edges: bool = True
     points: tuple[int, ...] = ()
+    kinks: tuple[int, ...] = ()
 
     @classmethod
     def of_seconds(
@@ -132,9 +134,9 @@ class Clock:
         ends = set(kept)
         near: set[int] = set()
         if self.edges:
-            for mark in self.marks:
+            for mark in (*self.marks, *self.kinks):
                 near |= {mark, mark + 1}
-                ends |= {t for t in (mark - 1, mark + 1) if self.start < t < self.stop}
+                ends |= {t for t in (mark - 1, mark, mark + 1) if self.start < t < self.stop}
             for point in self.points:
                 near.add(point + 1)
                 ends |= {t for t in (point, point + 1) if self.start < t < self.stop}

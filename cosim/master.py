@@ -41,10 +41,9 @@ from .saved import Fork, Saved
 from .stepping import LOOPS, Loops, Stepping
 from .timing import clock_of, step_and_reason
 from .trajectory import Records, Trajectory
-from .wiring import Inputs, make_nodes, make_signals
+from .wiring import INPUTS, Inputs, make_nodes, make_signals
 
 Progress = Callable[[float, float], object]
-INPUTS: tuple[Inputs, ...] = ("hermite", "linear", "hold-jacobi", "hold-gauss-seidel")
 Engine = Literal["auto", "kernel", "python"]
 ENGINES: tuple[Engine, ...] = ("auto", "kernel", "python")
 
@@ -67,9 +66,9 @@ class Master:
     substeps : parts of a step for FMUs that take no input derivatives.
     engine : who steps in `run`: ``kernel`` compiled code, for FMUs in this process; ``python`` the reference;
         ``auto`` the kernel where it can, else Python. `ran` says which it was, and why.
-
     early : what follows when an FMU returns early from a step, see `early_return`; ``roll back`` needs every
         FMU to save its state, and Python to step.
+    at_rest : all start where nothing moves (`clock_of`).
 
     Raises
     ------
@@ -93,6 +92,7 @@ class Master:
         substeps: int = 4,
         engine: Engine = "auto",
         early: Early = "go on",
+        at_rest: bool = False,
     ) -> None:
         _one_of("inputs", inputs, INPUTS)
         _one_of("loops", loops, LOOPS)
@@ -125,6 +125,7 @@ class Master:
             latency_ticks=ticks,
             edges=not holds,
             points=() if holds else points,
+            at_rest=at_rest,
         )
         self.graph: Graph = build_graph(descriptions, pairs, step_ticks=self.clock.step, latency_ticks=ticks)
         self._initial_graph = build_graph(

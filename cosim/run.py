@@ -231,6 +231,7 @@ class Wiring:
                 **{n: c.least_latency_s for n, c in lines.items()},
             },
             points=points_of(lines.values(), scenario.master.arrivals, 0.0, scenario.stop_s),
+            at_rest=not scenario.fmus,  # a case starts at its operating point; others anywhere
             **scenario.master.options,
         )
 

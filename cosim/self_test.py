@@ -135,6 +135,7 @@ def self_test(
         tolerance=master.tolerance,
         substeps=master.substeps,
         engine="python",
+        at_rest=True,
     )
     with rig:
         rig.run()

@@ -57,10 +57,13 @@ def clock_of(
     latency_ticks: Mapping[str, int],
     edges: bool,
     points: Iterable[int] = (),
+    at_rest: bool = True,
 ) -> Clock:
     """Return the clock of a run: its marks, each again when it comes out of a channel, and further points.
 
     points : ticks; left out when an FMU takes steps of one length only.
+    at_rest : nothing moves at the start. Otherwise what a channel passes on begins to move with a kink a
+        latency after the start, as the signal before the start is taken to have been what it is there.
 
     Raises
     ------
@@ -82,4 +85,11 @@ def clock_of(
     late = {m + d for m in plain.marks for d in latency_ticks.values()}
     marks = tuple(sorted({*plain.marks, *(m for m in late if m < plain.stop)}))
     inside = tuple(sorted({p for p in points if plain.start < p < plain.stop}))
-    return Clock(plain.start, plain.stop, plain.step, marks, edges=edges, points=inside)
+    first = {plain.start + d for n, d in latency_ticks.items() if d and not _steps_only(descriptions[n])}
+    kinks = () if at_rest else tuple(sorted(t for t in first.difference(marks) if t < plain.stop))
+    return Clock(plain.start, plain.stop, plain.step, marks, edges=edges, points=inside, kinks=kinks)
+
+
+def _steps_only(description: Description) -> bool:
+    """Whether all that comes out is held between instants, such as packets."""
+    return all(p.discrete or p.type != "Real" for p in description.outputs)

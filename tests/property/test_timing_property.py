@@ -30,13 +30,21 @@ steps = st.one_of(
 @given(
     st.integers(0, 10**9), ticks, steps, st.lists(ticks, max_size=4),
     st.lists(st.integers(0, 10**9), max_size=3), st.lists(ticks, max_size=4), st.booleans(),
+    st.booleans(),
 )  # fmt: skip
 def test_every_instant_is_a_communication_point_and_time_only_grows(
-    start: int, length: int, step: int, marks: list[int], latencies: list[int], points: list[int], edges: bool
+    start: int,
+    length: int,
+    step: int,
+    marks: list[int],
+    latencies: list[int],
+    points: list[int],
+    edges: bool,
+    at_rest: bool,
 ) -> None:
     stop = start + length
     clock = clock_of(
-        {"a": PLAIN},
+        {f"c{k}": PLAIN for k in range(3)},
         start_s=seconds(start),
         stop_s=seconds(stop),
         step_s=seconds(step),
@@ -44,6 +52,7 @@ def test_every_instant_is_a_communication_point_and_time_only_grows(
         latency_ticks={f"c{k}": d for k, d in enumerate(latencies)},
         edges=edges,
         points=[start + p for p in points],
+        at_rest=at_rest,
     )
     found = clock.steps
     assert all(isinstance(t, int) for s in found for t in (s.start, s.end))
@@ -57,6 +66,8 @@ def test_every_instant_is_a_communication_point_and_time_only_grows(
     assert wanted | {start + p for p in points if p < length} <= ends
     assert {s.end for s in found if s.recorded} == {*wanted, stop}
     assert all(s.end - s.start == 1 for s in found if s.edge)
+    if edges and not at_rest:  # what is moving at the start shows with a kink
+        assert {start + d for d in latencies if 0 < d < length} <= ends
     if edges:  # what was just before an instant and what is just after are both known
         assert {t for m in inside for t in (m - 1, m + 1) if start < t < stop} <= ends
     for s in found[:50]:

@@ -13,12 +13,12 @@ from interarea.cosim.artefacts import channel_fmu
 from interarea.cosim.build import System
 from interarea.cosim.container import write_container
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.master import INPUTS
 from interarea.cosim.run import run_scenario, run_system
 from interarea.cosim.scenario import load_scenario
 from interarea.cosim.ssp import write_ssp
 from interarea.cosim.sweep_engine import run_sweep
 from interarea.cosim.sweep_store import read_rows
+from interarea.cosim.wiring import INPUTS
 from interarea.design.controller import Controller
 
 WAYS = [{"latency_s": 0.03}, {"latency_s": 0.08}]

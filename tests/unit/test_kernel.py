@@ -120,6 +120,7 @@ def test_any_order_of_declaration_gives_the_same_bits(cache: Path, by_hand: Cont
     for _ in range(2):
         parts, wires = parts[::-1], wires[1:] + wires[:1]
         options: dict[str, Any] = {"stop_s": 2.0, "step_s": 0.01, "marks_s": [0.7, 0.5], "latency_s": latency}
+        options["at_rest"] = True
         with Master(parts, wires, engine="kernel", **options) as again:
             assert again.run().data.equals(first)
 

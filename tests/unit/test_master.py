@@ -217,6 +217,27 @@ def test_steps_of_one_length_refuse_events_off_the_grid() -> None:
         Master([rigid], [], stop_s=1.0, step_s=0.01, marks_s=[0.015])
 
 
+@pytest.mark.parametrize("latency", [0.05, 0.0537])
+def test_a_start_far_from_rest_comes_through_a_channel_with_its_kink(latency: float) -> None:
+    """x'' = -w^2 x from x = 0, x' = w: sin(w (t - latency)) begins at full slope; its integral is exact."""
+    w = 4.0
+    A2, zero = np.array([[0.0, w], [-w, 0.0]]), np.zeros((1, 1))
+    swing = Linear(
+        "swing", A2, np.zeros((2, 1)), np.array([[1.0, 0.0]]), zero, ["u"], ["y"], x0=np.array([0.0, 1.0])
+    )
+    total = Linear("sum", zero, np.ones((1, 1)), np.ones((1, 1)), zero, ["u"], ["y"])
+    wires = [("swing.y", "late.u"), ("late.y", "sum.u")]
+    parts = [swing, total, Delay("late", latency)]
+
+    def error(**options: Any) -> float:
+        run = Master(parts, wires, stop_s=1.0, step_s=0.01, latency_s={"late": latency}, **options).run()
+        exact = (1.0 - np.cos(w * np.maximum(run.time_s - latency, 0.0))) / w
+        assert len(run.time_s) == 101  # the kink is a communication point and no row
+        return float(np.max(np.abs(run["sum.y"] - exact)))
+
+    assert error() < 1e-8 < 1e-6 < error(at_rest=True)  # a tick of 1 ns times the largest value, 1
+
+
 def test_a_jump_inside_a_channel_reaches_the_loop_at_its_instant() -> None:
     """A signal cut to zero at 0.5 s: the integral of what arrives is exact, edges included."""
     ramp = Linear(
