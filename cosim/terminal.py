@@ -117,10 +117,8 @@ def complain(error: BaseException) -> int:
         return 2
     if isinstance(error, OSError):
         reason = error.strerror or line
-        print(
-            f"interarea: {error.filename}: {reason}" if error.filename else f"interarea: {line}",
-            file=sys.stderr,
-        )
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"interarea: {where}{reason}{_of_the_cache(error)}", file=sys.stderr)
         return 2
     kind = type(error).__name__
     print(
@@ -129,3 +127,12 @@ def complain(error: BaseException) -> int:
         file=sys.stderr,
     )
     return 1
+
+
+def _of_the_cache(error: OSError) -> str:
+    """Return what to do when the file at fault is in the artefact cache."""
+    from .artefacts import default_cache
+
+    if error.filename is None or not Path(str(error.filename)).is_relative_to(default_cache()):
+        return ""
+    return " (the cache of FMUs and designs; INTERAREA_CACHE names a folder for it that can be written)"

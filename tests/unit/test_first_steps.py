@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -22,7 +23,7 @@ from interarea.cosim.robust_design import load_design
 from interarea.cosim.run import run_scenario
 from interarea.cosim.scenario import NAMED_CONTROLLERS, scenario_names
 from interarea.cosim.sweep_store import read_rows
-from interarea.cosim.terminal import steady_streams
+from interarea.cosim.terminal import complain, steady_streams
 from interarea.models.case import case_names, load_case
 
 SWEEP = """
@@ -249,3 +250,12 @@ def test_everything_listed_is_taken_by_its_command(interarea) -> None:  # type: 
         assert load_design(name).name == name
     _, table, _ = interarea("list")
     assert all(name in table for rows in found.values() for name in rows)
+
+
+def test_a_cache_that_cannot_be_written_is_named(capsys: pytest.CaptureFixture[str], monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.delenv("INTERAREA_DEBUG", raising=False)
+    refused = PermissionError(errno.EACCES, "Permission denied", str(default_cache() / "plant"))
+    assert complain(refused) == 2
+    assert "INTERAREA_CACHE" in capsys.readouterr().err
+    assert complain(OSError(errno.ENOSPC, "No space left on device")) == 2
+    assert capsys.readouterr().err == "interarea: No space left on device\n"
