@@ -14,6 +14,7 @@ from interarea.models.events import events_of
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import andes_rows
+import bench_plant
 import compare_andes
 
 
@@ -94,6 +95,20 @@ def test_a_missing_tool_is_one_line(tmp_path):
     fake.chmod(0o755)
     with pytest.raises(RuntimeError, match=r"no such tool \(install the extra `bench`"):
         compare_andes.ask(str(fake), {})
+
+
+@pytest.mark.parametrize(("theirs", "counts"), [(2.6e-6, 0.01), (1e-3, 0.01), (1e-9, 0.004), (1e-15, 0.001)])
+def test_the_ratio_that_counts_is_at_the_longest_step_no_less_accurate(capsys, theirs, counts):
+    """Accuracy asked for is 1e-5 pu, or that of the other tool where it does better."""
+    errors = {0.001: 1e-13, 0.004: 3e-11, 0.01: 1e-6, 0.02: 2e-5}
+    ours = {h: {"cpu": 1e-6 / h, "error": e, "ratio": 200.0 * h / 1e-3} for h, e in errors.items()}
+    found = {"andes": {"cpu": 0.2, "error": theirs}, "ours": ours}
+    assert bench_plant.print_against_andes("a fault", found) == counts
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 3 + len(errors)
+    for line, error in zip(lines[3:], errors.values(), strict=True):
+        assert ("too coarse" in line) == (error > min(1e-5, theirs))
+    assert lines[3].endswith("(default)" if theirs > 1e-13 else "(default)  too coarse")
 
 
 @pytest.mark.slow
