@@ -14,8 +14,8 @@ from .artefacts import default_cache
 from .run import Controllers
 from .sweep_local import local_outcomes
 from .sweep_plan import plan_sweep
+from .sweep_prepare import prepare
 from .sweep_rows import Outcome
-from .sweep_run import prepare
 from .sweep_spec import Sweep, load_sweep
 from .sweep_store import FULL, SweepStore, explained
 

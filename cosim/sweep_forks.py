@@ -136,12 +136,21 @@ def places_to_save(jobs: Sequence[Job], k: int, master: Master) -> list[int]:
         lowest = min(lowest, job.like_next_s)
         if lowest >= seconds(master.clock.stop):
             continue  # the same run again
-        index = bisect_right(master.ends, to_ticks(lowest, "time of a fork") - 2) if lowest > 0.0 else 0
-        if index < master.index + _LEAST_STEPS:
+        index = place_of(lowest, master)
+        if index is None:
             break
         if not places or index < places[-1]:
             places.append(index)
     return places[::-1]
+
+
+def place_of(time_s: float, master: Master) -> int | None:
+    """Return the last step before which a state serves runs that differ from `time_s` on.
+
+    None: it is not worth a fork.
+    """
+    index = bisect_right(master.ends, to_ticks(time_s, "time of a fork") - 2) if time_s > 0.0 else 0
+    return index if index >= master.index + _LEAST_STEPS else None
 
 
 def beginning_of(job: Job, master: Master, wiring: Wiring) -> Beginning:

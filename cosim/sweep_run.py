@@ -8,39 +8,38 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from interarea.fmu_build.compile import compile_binary, host_platform
-from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.package import build_fmu
 from interarea.models.case import Case
 from interarea.models.plant_block import plant_block
 
 from .artefacts import channel_fmu, concentrator_fmu, controller_fmu, plant_fmu
 from .clock import seconds
-from .errors import ScenarioError, StepError
+from .errors import StepError
 from .fmu_file import FmuFile
-from .instances import FmuParticipant
-from .instances import Value as Start
-from .kernel_build import load_kernel
 from .run import EVENT_SLOTS, Loop, Wiring, wire
 from .scenario import Scenario
 from .sweep_forks import (
-    Beginning,
     Job,
     acts_of,
     beginning_of,
     in_order,
     late_parameters,
+    place_of,
     places_to_save,
     taken_over,
 )
+from .sweep_group import by_plant, common_s, how_many, lanes_here
+from .sweep_live import Kept, Plant, controller_start
 from .sweep_plan import SweepPlan, own_fmu
 from .sweep_point import CaseChange, Point, packed, point_of
 from .sweep_rows import Outcome, Row, failed_row, measure, start_row, trajectory_table
+from .sweep_search import edge_of
 from .sweep_values import Search, Value
+from .together import advance_together
 from .trajectory import Curves
 from .worker import participant_of
 
@@ -56,43 +55,6 @@ class TimeUpError(RuntimeError):
     """A run computes longer than the sweep allows."""
 
 
-@dataclass
-class _Plant:
-    """A case of the sweep as an FMU; `own` files go when it is no longer needed."""
-
-    case: Case
-    file: FmuFile
-    own: bool
-
-    def close(self) -> None:
-        self.file.close()
-        if self.own:
-            self.file.path.unlink(missing_ok=True)
-
-
-@dataclass
-class _Kept:
-    """Live instances for one structure (case, controller, channels), and the loop made of them last.
-
-    beginnings : states that runs to come start from, earliest first.
-    """
-
-    participants: dict[str, FmuParticipant] = field(default_factory=dict)
-    key: Any = None
-    loop: Loop = field(init=False)
-    beginnings: list[Beginning] = field(default_factory=list)
-
-    def release(self, after_s: float = -math.inf) -> None:
-        """Free the beginnings that reach beyond `after_s`."""
-        while self.beginnings and self.beginnings[-1].until_s > after_s:
-            self.loop.master.release(self.beginnings.pop().fork.saved)
-
-    def close(self) -> None:
-        self.release()
-        for p in self.participants.values():
-            p.close()
-
-
 class Runner:
     """Makes outcomes of runs, one after the other; the same run gives the same outcome whatever ran before.
 
@@ -101,8 +63,8 @@ class Runner:
 
     def __init__(self, plan: SweepPlan, cache: Path, scratch: Path) -> None:
         self.plan, self.cache, self.scratch = plan, cache, scratch
-        self._plants: OrderedDict[tuple[CaseChange, int], _Plant] = OrderedDict()
-        self._kept: OrderedDict[Any, _Kept] = OrderedDict()
+        self._plants: OrderedDict[tuple[CaseChange, int], Plant] = OrderedDict()
+        self._kept: OrderedDict[Any, Kept] = OrderedDict()
         self._controllers: dict[
             tuple[str, str], tuple[Controller | ControllerBank | None, FmuFile | None]
         ] = {}
@@ -111,6 +73,9 @@ class Runner:
         self._own: dict[str, FmuFile] = {}
         self._packed = packed(plan.sweep)
         self._late = late_parameters(plan.sweep)
+        beside = lanes_here(cache)
+        self._library = beside.library
+        self.lanes = beside.count  #: runs that advance side by side at most
         self.shares = True  #: whether runs start from states that others left
         self.on_build: Callable[..., object] = _nothing  #: called with the run (or runs) that are begun
         self.on_start: Callable[[], object] = _nothing  #: called when their FMUs are ready to compute
@@ -128,8 +93,14 @@ class Runner:
     def outcomes(self, runs: Sequence[int]) -> Iterator[Outcome]:
         """Yield what `runs` give, each once, in the order in which they share most (see `sweep_forks`)."""
         jobs = self._jobs(runs)
-        for k in range(len(jobs)):
-            yield self._outcome(jobs, k)
+        k = 0
+        while k < len(jobs):
+            count = how_many(jobs[k:], self.lanes)
+            if count > 1:
+                yield from self._outcomes_together(jobs[k : k + count])
+            else:
+                yield self._outcome(jobs, k)
+            k += count
 
     def simulate(self, values: Mapping[str, Value], *, seed: int | None = None) -> tuple[Loop, Curves]:
         """Run the point where the sweep's parameters have `values`, all channels seeded from `seed` if given.
@@ -162,23 +133,7 @@ class Runner:
                     return False
             return True
 
-        good: float | None = None
-        bad: float | None = None
-        for k in range(search.scan):
-            at = round(search.low + (search.high - search.low) * k / (search.scan - 1), 9)
-            if not stable(at):
-                bad = at
-                break
-            good = at
-        while good is not None and bad is not None and bad - good > search.tolerance:
-            middle = round(0.5 * (good + bad), 9)
-            if middle in (good, bad):
-                break
-            if stable(middle):
-                good = middle
-            else:
-                bad = middle
-        return good, bad, counted
+        return *edge_of(stable, search), counted
 
     def plant_of(self, values: Mapping[str, Value]) -> tuple[Case, Path]:
         """Return the case of a point and its plant FMU (there until other cases are asked for)."""
@@ -203,18 +158,20 @@ class Runner:
 
     def _jobs(self, runs: Sequence[int]) -> list[Job]:
         """Return the runs as jobs, in the order in which they are to be made."""
-        sweep = self.plan.sweep
+        sweep, forks = self.plan.sweep, bool(self._late and self.shares)
         jobs = [Job(run, sweep.values(run)) for run in runs]
-        if not (self._late and self.shares and len(jobs) > 1):
+        if len(jobs) == 1 or sweep.searched is not None or not (forks or self.lanes > 1):
             return jobs
         described = []
         for job in jobs:
             base = tuple(v for name, v in job.values.items() if name not in self._late)
             with suppress(Exception):  # what is wrong with a point is told when it is run
-                point = point_of(sweep, job.values, base=self._packed)
-                job = replace(job, point=point, base=base, acts=acts_of(point.scenario))
+                job = replace(job, point=point_of(sweep, job.values, base=self._packed), base=base)
+                if forks and job.point is not None:
+                    job = replace(job, acts=acts_of(job.point.scenario))
             described.append(job)
-        return in_order(described)
+        jobs = in_order(described) if forks else described
+        return by_plant(jobs) if self.lanes > 1 else jobs
 
     def _outcome(self, jobs: Sequence[Job], k: int) -> Outcome:
         """Return what a job gives: prepare its FMUs, start them, advance, measure."""
@@ -229,26 +186,104 @@ class Runner:
             self.on_start()
             forked = self._started(kept, job, wiring)
             self._advance(kept, jobs, k, wiring)
-            loop = kept.loop
-            row = start_row(run, values) | measure(loop, loop.master.records, sweep.metrics, self.plan.modes)
-            return Outcome(row, self._wanted(run, row, loop), forked)
-        except TimeUpError as error:
-            return self._failed(run, "time limit", error)
-        except StepError as error:
-            kind = "not finite" if any(f" is {v}" in str(error) for v in ("nan", "inf", "-inf")) else "fmu"
-            self._free_instances()  # after an FMU's error its instance is not to be trusted
-            return self._failed(run, kind, error)
-        except MemoryError:
-            raise
-        except OSError as error:
-            if error.errno in _FULL:
-                raise
-            return self._failed(run, "internal", error)
+            return self._measured(job, kept, forked)
         except Exception as error:  # a failing run is a row, never the end of a sweep
-            ours = type(error).__module__.startswith("interarea")
-            return self._failed(run, "invalid" if ours else "internal", error)
+            if isinstance(error, StepError):
+                self._free_instances()  # after an FMU's error its instance is not to be trusted
+            return self._failure(run, error)
 
-    def _started(self, kept: _Kept, job: Job, wiring: Wiring) -> bool:
+    def _outcomes_together(self, jobs: Sequence[Job]) -> Iterator[Outcome]:
+        """Yield what jobs of one plant give, made side by side on instances of their own."""
+        self.on_build(*(job.run for job in jobs))
+        ended: dict[int, Exception | None] = {}
+        ready: list[tuple[Job, Kept, Wiring]] = []
+        for job in jobs:
+            assert job.point is not None
+            try:
+                ready.append((job, *self._ready(job.point, [kept for _, kept, _ in ready])))
+            except Exception as error:
+                ended[job.run] = error
+        self.on_start()
+        watch = self._watch()
+        forked: set[int] = set()
+        begun: list[tuple[Job, Kept]] = []
+        for job, kept, wiring in ready:
+            try:
+                if self._begun(ready, job, kept, wiring, watch):
+                    forked.add(job.run)
+                begun.append((job, kept))
+            except Exception as error:
+                ended[job.run] = error
+        masters = [kept.loop.master for _, kept in begun]
+        found = advance_together(masters, watch=lambda _, now_s, stop_s: watch(now_s, stop_s))
+        ended |= {job.run: error for (job, _), error in zip(begun, found, strict=True)}
+        home = {job.run: kept for job, kept in begun}
+        outcomes = []
+        for job in jobs:
+            try:
+                if (error := ended[job.run]) is not None:
+                    raise error
+                outcomes.append(self._measured(job, home[job.run], job.run in forked))
+            except TimeUpError:  # with company; alone it may be quick enough
+                continue
+            except Exception as error:
+                outcomes.append(self._failure(job.run, error))
+        if any(isinstance(error, StepError) for error in ended.values()):
+            self._free_instances()
+        elif ready:
+            ready[0][1].release(jobs[-1].like_next_s)
+        yield from outcomes
+        for job in jobs:
+            if isinstance(ended[job.run], TimeUpError):
+                yield self._outcome([replace(job, like_next_s=-math.inf)], 0)
+
+    def _begun(
+        self,
+        ready: Sequence[tuple[Job, Kept, Wiring]],
+        job: Job,
+        kept: Kept,
+        wiring: Wiring,
+        watch: Callable[[float, float], None],
+    ) -> bool:
+        """Start one of several masters; return whether from what another job left.
+
+        The first of them leaves its state where the others begin to differ.
+        """
+        first, master = ready[0][1], kept.loop.master
+        if kept is not first:
+            if first.beginnings and taken_over(first.beginnings[-1], job, master, wiring):
+                return True
+            kept.release()
+            master.start()
+            return False
+        forked = self._started(kept, job, wiring)
+        alike_s = min(common_s([job for job, _, _ in ready]), seconds(master.clock.stop))
+        place = place_of(alike_s, master)
+        if place is not None:
+            master.advance(seconds(master.ends[place - 1]), progress=watch)
+            kept.beginnings.append(beginning_of(job, master, wiring))
+        return forked
+
+    def _measured(self, job: Job, kept: Kept, forked: bool) -> Outcome:
+        """Return the outcome of a job that has come to its end."""
+        sweep, loop = self.plan.sweep, kept.loop
+        row = start_row(job.run, dict(job.values))
+        row |= measure(loop, loop.master.records, sweep.metrics, self.plan.modes)
+        return Outcome(row, self._wanted(job.run, row, loop), forked)
+
+    def _failure(self, run: int, error: Exception) -> Outcome:
+        """Return the outcome of a run that ended with `error`; raise what ends the sweep."""
+        if isinstance(error, TimeUpError):
+            return self._failed(run, "time limit", error)
+        if isinstance(error, StepError):
+            kind = "not finite" if any(f" is {v}" in str(error) for v in ("nan", "inf", "-inf")) else "fmu"
+            return self._failed(run, kind, error)
+        if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _FULL):
+            raise error
+        ours = type(error).__module__.startswith("interarea")
+        return self._failed(run, "invalid" if ours and not isinstance(error, OSError) else "internal", error)
+
+    def _started(self, kept: Kept, job: Job, wiring: Wiring) -> bool:
         """Start a job's master; return whether it starts from what another job left."""
         if kept.beginnings and taken_over(kept.beginnings[-1], job, kept.loop.master, wiring):
             return True
@@ -256,7 +291,7 @@ class Runner:
         kept.loop.master.start()
         return False
 
-    def _advance(self, kept: _Kept, jobs: Sequence[Job], k: int, wiring: Wiring) -> None:
+    def _advance(self, kept: Kept, jobs: Sequence[Job], k: int, wiring: Wiring) -> None:
         """Step a job's master to its end, leaving its state on the way where later jobs start from it."""
         master, watch = kept.loop.master, self._watch()
         for place in places_to_save(jobs, k, master):
@@ -307,8 +342,8 @@ class Runner:
         good, bad, counted = self.edge(values, name, search)
         return start_row(run, values) | {name: good, f"{name}_unstable": bad, "evaluations": counted}
 
-    def _ready(self, point: Point) -> tuple[_Kept, Wiring]:
-        """Return live instances with the start values of a point, wired into a loop."""
+    def _ready(self, point: Point, busy: Sequence[Kept] = ()) -> tuple[Kept, Wiring]:
+        """Return live instances with the start values of a point, wired into a loop; none that is `busy`."""
         scenario = point.scenario
         slots = max(EVENT_SLOTS, len(scenario.event))
         plant = self._plant(point.change, slots)
@@ -325,9 +360,9 @@ class Runner:
             own=own,
         )
         if controller is not None:
-            wiring.instances["controller"][1].update(_controller_start(controller, point))
+            wiring.instances["controller"][1].update(controller_start(controller, point))
         structure = (point.change, slots, scenario.controller, tuple(wiring.instances))
-        kept = self._instances(structure, wiring, scenario)
+        kept = self._instances(structure, wiring, scenario, busy)
         key = (
             scenario.stop_s,
             scenario.step_s,
@@ -342,20 +377,25 @@ class Runner:
         kept.loop.scenario = scenario
         return kept, wiring
 
-    def _instances(self, structure: Any, wiring: Wiring, scenario: Scenario) -> _Kept:
-        kept = self._kept.pop(structure, None) or _Kept()
+    def _instances(
+        self, structure: tuple[Any, ...], wiring: Wiring, scenario: Scenario, busy: Sequence[Kept]
+    ) -> Kept:
+        place = sum(any(kept is b for b in busy) for s, kept in self._kept.items() if s[:-1] == structure)
+        structure = (*structure, place)
+        kept = self._kept.pop(structure, None) or Kept()
         for name, (file, start) in wiring.instances.items():
             if name in kept.participants:
                 kept.participants[name].set_start(start)
             else:
                 process = scenario.fmus[name].process if name in scenario.fmus else {}
-                kept.participants[name] = participant_of(name, file, start, **process)
+                group = self._library if name == "plant" else None
+                kept.participants[name] = participant_of(name, file, start, group=group, **process)
         self._kept[structure] = kept
-        while len(self._kept) > _KEPT:
+        while len(self._kept) > _KEPT * self.lanes:
             self._kept.popitem(last=False)[1].close()
         return kept
 
-    def _plant(self, change: CaseChange, slots: int) -> _Plant:
+    def _plant(self, change: CaseChange, slots: int) -> Plant:
         key = (change, slots)
         found = self._plants.pop(key, None)
         if found is None:
@@ -368,7 +408,7 @@ class Runner:
                 build_fmu(block, path, cache=self.cache)
             else:
                 path = plant_fmu(case, self.cache)
-            found = _Plant(case, self._open(path), own)
+            found = Plant(case, self._open(path), own)
         self._plants[key] = found
         while len(self._plants) > _KEPT:
             old, plant = self._plants.popitem(last=False)
@@ -410,39 +450,3 @@ class Runner:
 
 def _nothing(*_runs: int) -> None:
     pass
-
-
-def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
-    """Build FMUs of unchanged cases and controllers, and what FMUs of changed cases are made of.
-
-    Returns the files in `cache` with which runs need no compiler.
-    """
-    files = [channel_fmu(cache)]
-    with suppress(BuildError):  # without it Python steps the FMUs
-        files.append(Path(load_kernel(cache)._name))
-    files += [own_fmu(cache, key) for key in dict.fromkeys(plan.fmus.values())]
-    files += [concentrator_fmu(len(c.signals), cache) for c in plan.sweep.base.concentrators.values()]
-    cases = {name: plan.case(name) for name in plan.cases}
-    block = plant_block(next(iter(cases.values())))
-    files.append(compile_binary(block.kind, block.sources, host_platform(), cache=cache))
-    files += [plant_fmu(case, cache) for case in cases.values()]
-    for key in plan.controllers:
-        case, _, name = key.rpartition("/") if key.partition("/")[0] not in cases else key.partition("/")
-        made = plan.controller(case, name)
-        if made is not None:
-            files.append(controller_fmu(made, cases[case].omega_b, cache))
-    return files
-
-
-def _controller_start(file: FmuFile, point: Point) -> dict[str, Start]:
-    start: dict[str, Start] = {}
-    if point.gain != 1.0:
-        for v in file.model.modelVariables:
-            if v.causality == "parameter" and v.name[:2] in ("C[", "D[") and float(v.start) != 0.0:
-                start[v.name] = point.gain * float(v.start)
-        if not start:
-            raise ScenarioError(
-                f"controller.gain = {point.gain:g}: {file.path.name} has no matrices among its parameters; "
-                "allowed for a single linear controller"
-            )
-    return start | dict(point.controller_start)

@@ -22,6 +22,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
+from interarea.fmu_build.group import GroupLibrary
+
 from .errors import ScenarioError, StepError
 from .fmu_file import FmuFile
 from .instances import FmuParticipant, Value
@@ -200,8 +202,9 @@ def participant_of(
     *,
     isolate: bool = False,
     time_limit_s: float | None = None,
+    group: GroupLibrary | None = None,
 ) -> FmuParticipant:
-    """Return an instance of `file`: in this process, or with `isolate` in one of its own.
+    """Return an instance of `file`: in this process (with `group`), or with `isolate` in one of its own.
 
     Raises
     ------
@@ -213,7 +216,7 @@ def participant_of(
         )
     if time_limit_s is not None:
         raise ScenarioError(f"{name}: time_limit_s ends calls of an isolated FMU; set isolate = true")
-    return FmuParticipant(name, file, start)
+    return FmuParticipant(name, file, start, group=group)
 
 
 class _Watch(threading.Thread):

@@ -19,7 +19,7 @@ from interarea.cosim.errors import SweepError
 from interarea.cosim.sweep_cluster import cluster_outcomes
 from interarea.cosim.sweep_engine import Progress, run_sweep
 from interarea.cosim.sweep_plan import plan_sweep
-from interarea.cosim.sweep_run import prepare
+from interarea.cosim.sweep_prepare import prepare
 from interarea.cosim.sweep_spec import load_sweep
 from interarea.cosim.sweep_store import read_rows
 
