@@ -220,12 +220,13 @@ class Runner:
         home = {job.run: kept for job, kept in begun}
         outcomes = []
         for job in jobs:
-            try:
-                if (error := ended[job.run]) is not None:
-                    raise error
-                outcomes.append(self._measured(job, home[job.run], job.run in forked))
-            except TimeUpError:  # with company; alone it may be quick enough
+            reason = ended[job.run]
+            if isinstance(reason, TimeUpError):  # with company; alone it may be quick enough
                 continue
+            try:
+                if reason is not None:
+                    raise reason
+                outcomes.append(self._measured(job, home[job.run], job.run in forked))
             except Exception as error:
                 outcomes.append(self._failure(job.run, error))
         if any(isinstance(error, StepError) for error in ended.values()):
