@@ -17,6 +17,10 @@ from .sweep_forks import Beginning
 from .sweep_point import Point
 
 
+class TimeUpError(RuntimeError):
+    """A run computes longer than the sweep allows."""
+
+
 @dataclass
 class Plant:
     """A case of the sweep as an FMU; `own` files go when it is no longer needed."""

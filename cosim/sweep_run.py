@@ -33,7 +33,7 @@ from .sweep_forks import (
     taken_over,
 )
 from .sweep_group import by_plant, common_s, how_many, lanes_here
-from .sweep_live import Kept, Plant, controller_start
+from .sweep_live import Kept, Plant, TimeUpError, controller_start
 from .sweep_plan import SweepPlan, own_fmu
 from .sweep_point import CaseChange, Point, packed, point_of
 from .sweep_rows import Outcome, Row, failed_row, measure, start_row, trajectory_table
@@ -49,10 +49,6 @@ if TYPE_CHECKING:
 
 _KEPT = 4  # sets of instances that stay alive
 _FULL = (errno.ENOSPC, errno.EDQUOT)
-
-
-class TimeUpError(RuntimeError):
-    """A run computes longer than the sweep allows."""
 
 
 class Runner:

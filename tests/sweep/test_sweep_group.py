@@ -10,9 +10,10 @@ import pytest
 
 from interarea.cosim.sweep_forks import Job
 from interarea.cosim.sweep_group import by_plant, common_s, how_many, lanes_here
+from interarea.cosim.sweep_live import TimeUpError
 from interarea.cosim.sweep_plan import plan_sweep
 from interarea.cosim.sweep_point import point_of
-from interarea.cosim.sweep_run import Runner, TimeUpError
+from interarea.cosim.sweep_run import Runner
 from interarea.cosim.sweep_spec import load_sweep
 from interarea.fmu_build.group import GroupLibrary
 
