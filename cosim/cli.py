@@ -30,7 +30,6 @@ INTERRUPTED = 130  #: exit code after Ctrl-C, as shells have it
 
 app = typer.Typer(
     name="interarea",
-    help="Wide-area damping of inter-area oscillations: plant and controllers as FMUs, co-simulated.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -44,6 +43,23 @@ OutFolder = Annotated[
     Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON instead of a table")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"interarea {version('interarea')}")
+        raise typer.Exit
+
+
+@app.callback()
+def program(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="print the version")
+    ] = False,
+) -> None:
+    """Wide-area damping of inter-area oscillations: plant and controllers as FMUs, co-simulated."""
 
 
 app.command("list")(list_bundled)
