@@ -206,8 +206,12 @@ def plain(value: Any) -> Any:
 
 
 def document(value: Any) -> str:
-    """Return nested JSON values as an HTML fragment."""
-    if isinstance(value, dict):
+    """Return nested JSON values as an HTML fragment.
+
+    >>> document({"stable": True, "caps": [[0.05, 0.02], [2.5, 0.1]]})
+    '<table><tr><th>stable</th><td>yes</td></tr><tr><th>caps</th><td>0.05, 0.02; 2.5, 0.1</td></tr></table>'
+    """
+    if isinstance(value, dict) and value:
         rows = (f"<tr><th>{html.escape(k)}</th><td>{document(v)}</td></tr>" for k, v in value.items())
         return f"<table>{''.join(rows)}</table>"
     if isinstance(value, list) and value and all(isinstance(row, dict) for row in value):
@@ -215,17 +219,14 @@ def document(value: Any) -> str:
         head = "".join(f"<th>{html.escape(key)}</th>" for key in keys)
         body = ("".join(f"<td>{document(row.get(key, ''))}</td>" for key in keys) for row in value)
         return f"<table><tr>{head}</tr>{''.join(f'<tr>{cells}</tr>' for cells in body)}</table>"
+    if isinstance(value, list) and any(isinstance(v, list) for v in value):
+        return "; ".join(document(v) for v in value)
+    if value is None or value == "" or value == [] or value == {}:
+        return "–"
     if isinstance(value, list):
-        if value and all(isinstance(v, dict) and list(v) == list(value[0]) for v in value):
-            return _document_rows(value)
         return ", ".join(document(v) for v in value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.6g}"
+        return f"{value:.6g}".replace("-", "−")
     return html.escape(str(value))
-
-
-def _document_rows(rows: list[dict[str, Any]]) -> str:
-    """Rows with the same keys as one table."""
-    head = "".join(f"<th>{html.escape(k)}</th>" for k in rows[0])
-    lines = ("".join(f"<td>{document(v)}</td>" for v in row.values()) for row in rows)
-    return f"<table><tr>{head}</tr>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
