@@ -101,10 +101,14 @@ def loops(case: CaseName, json_: AsJson = False) -> None:
         return _print_json({"case": loaded.name, **ranked})
     print_table(
         f"{loaded.name}: loops for the inter-area mode",
-        ("actuator", "signal", "index"),
-        [(r["actuator"], r["signal"], f"{r['index']:.4f}") for r in ranked["ranking"]],
+        ("actuator", "signal", "index", "geometric"),
+        [
+            (r["actuator"], r["signal"], f"{r['index']:.4f}", f"{r['geometric']:.4f}")
+            for r in ranked["ranking"]
+        ],
     )
-    typer.echo(f"coordinates: {ranked['coordinates']}")
+    for line in ranked["coordinates"].split("; "):  # what the two columns are
+        typer.echo(line)
     return None
 
 

@@ -38,7 +38,7 @@ def run(
     """
     from .artefacts import default_cache
     from .destination import folder_for
-    from .run import run_system
+    from .run import Run, run_system
     from .run_files import write_result
     from .scenario import load_scenario
 
@@ -60,6 +60,8 @@ def run(
             typer.echo(result.explain())
         for file in files:
             typer.echo(file)
+        if isinstance(result, Run):
+            typer.echo(result.summary, err=True)
     if tested is not None and not tested.passed:
         raise typer.Exit(1)
 

@@ -50,13 +50,18 @@ class Run(Result):
 
     def __repr__(self) -> str:
         """Return in a line what ran and how it went: pytest shows it where an assertion fails."""
-        loop = f"{self.case.name}, controller {Path(self.scenario.controller).name}"
-        damping = "".join(f", {n} {zeta:.3f}" for n, zeta in sorted(self.metrics.damping_ratio.items()))
+        return f"Run({self.scenario.name!r}: {self.summary})"
+
+    @property
+    def summary(self) -> str:
+        """What ran and how it went, in a line."""
+        damping = ", ".join(f"{n} {zeta:.3f}" for n, zeta in sorted(self.metrics.damping_ratio.items()))
         settled = self.metrics.settling_time_s
         return (
-            f"Run({self.scenario.name!r}: {loop}, {float(self.trajectory.time_s[-1]):g} s; "
-            f"{'stable' if self.stable else 'not stable'}, damping{damping.removeprefix(',') or ' –'}, "
-            f"{'not settled' if settled is None else f'settled in {settled:.2f} s'})"
+            f"{self.case.name}, controller {Path(self.scenario.controller).name}, "
+            f"{float(self.trajectory.time_s[-1]):g} s: {'stable' if self.stable else 'not stable'}, "
+            f"damping {damping or 'not to be read'}, "
+            f"{'not settled' if settled is None else f'settled in {settled:.2f} s'}"
         )
 
     @property
