@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -70,16 +71,9 @@ def ssp(
     platforms: Platforms = None,
 ) -> None:
     """Write plant, channels and controller of a scenario, wired and parametrised, as one SSP 1.0 archive."""
-    from .artefacts import default_cache
-    from .destination import file_for
-    from .scenario import load_scenario
     from .ssp import write_ssp
 
-    loaded = load_scenario(scenario)
-    file_for(out)
-    with busy(f"writing {out}"):
-        made = write_ssp(loaded, out, cache=default_cache(), platforms=names_of(platforms))
-    typer.echo(made)
+    _write(write_ssp, scenario, out, platforms)
 
 
 def names_of(platforms: str | None) -> list[str] | None:
@@ -97,13 +91,19 @@ def container(
     platforms: Platforms = None,
 ) -> None:
     """Write plant, channels and controller of a scenario as one FMU that simulates by itself."""
-    from .artefacts import default_cache
     from .container import write_container
+
+    _write(write_container, scenario, out, platforms)
+
+
+def _write(writer: Callable[..., Path], scenario: str, out: Path, platforms: str | None) -> None:
+    """Have `writer` turn a scenario into the file `out`, and say where it is."""
+    from .artefacts import default_cache
     from .destination import file_for
     from .scenario import load_scenario
 
     loaded = load_scenario(scenario)
     file_for(out)
     with busy(f"writing {out}"):
-        made = write_container(loaded, out, cache=default_cache(), platforms=names_of(platforms))
+        made = writer(loaded, out, cache=default_cache(), platforms=names_of(platforms))
     typer.echo(made)

@@ -53,7 +53,7 @@ def run_plot(run: Run) -> Figure:
     """
     curves = run.trajectory
     name, swing = swing_signal(curves, run.case)
-    controls = [c for c in map(str, curves.data) if c.startswith("controller.") and c.endswith("_vs")]
+    controls = curves.reals_of("controller")
     rows = 3 if controls else 2
     start, end = float(curves.time_s[0]), float(curves.time_s[-1])
     figure, axes = new_figure(rows, 1, height=1.4 * rows + 0.8, sharex=True)
