@@ -140,6 +140,9 @@ def _print_modes(title: str, found: Modes, count: int) -> None:
             for name, mode in found.items()
         ],
     )
+    for mode in found.values():
+        if mode.doubt:
+            typer.echo(mode.doubt)
 
 
 def _size_and_angle(entry: complex) -> str:

@@ -18,6 +18,7 @@ from scipy.optimize import linear_sum_assignment
 
 Matrix = NDArray[np.float64]
 ComplexMatrix = NDArray[np.complex128]
+_AS_WELL = 0.8  #: a fit this near to the best one is as good
 
 
 class ModeError(ValueError):
@@ -34,8 +35,9 @@ class Mode:
     eigenvalue : lambda, 1/s, the one with positive imaginary part.
     shape : machine -> speed in this mode, the largest being 1 with angle 0.
     participation : state -> \|w_i v_i\| / sum \|w_k v_k\|; sums to 1.
-    share : part of the shape's energy that has the named pattern, 0..1.
+    share : part of the machines' motion that has the named pattern, 0..1.
     right, left : v and w, shape (n,).
+    rivals : eigenvalues, 1/s, of modes that the name would fit nearly as well.
     """
 
     name: str
@@ -45,6 +47,13 @@ class Mode:
     share: float
     right: ComplexMatrix
     left: ComplexMatrix
+    rivals: tuple[complex, ...] = ()
+
+    @property
+    def doubt(self) -> str:
+        """Why the name is not certain, in words; empty when it is."""
+        listed = ", ".join(f"{z.real:.4g}{z.imag:+.4g}j" for z in self.rivals)
+        return f"{self.name} could as well be the mode at {listed}" if listed else ""
 
     @property
     def frequency_hz(self) -> float:
@@ -109,17 +118,20 @@ def modes_of(
 ) -> Modes:
     r"""Find and name the N - 1 swing modes of a plant with N machines.
 
-    Electromechanical share of a mode: participation of the machines' angles (states ``*.delta*``) and
-    speeds (the states its outputs ``*_dw`` read). The N - 1 oscillatory modes of the band with the
-    largest share are the swing modes. With speeds s_m in a mode, area means a_k of n_k machines
-    and overall mean a, the shape's energy splits into
+    Swing modes are among the oscillatory modes of the band in which the machines' angles (states
+    ``*.delta*``) and speeds (the states its outputs ``*_dw`` read) take part. With right and left speeds
+    v_m and w_m in a mode, their means in the areas of n_k machines and over all, patterns take part by
 
-    .. math:: \sum_k n_k |a_k - a|^2 \;\text{(between areas)} \quad\text{and}\quad
-              \sum_{m \in k} |s_m - a_k|^2 \;\text{(inside area k)},
+    .. math:: \Big|\sum_k n_k (\bar w_k - \bar w)(\bar v_k - \bar v)\Big| \;\text{(between areas)}
+              \quad\text{and}\quad
+              \Big|\sum_{m \in k} (w_m - \bar w_k)(v_m - \bar v_k)\Big| \;\text{(inside area k)},
 
-    and N - 1 = (areas - 1) + sum (n_k - 1) names are given out so that the total energy in the
-    named patterns is largest. A mode with less than `least_share` in its pattern is
-    called ``mixed``. Several modes of one kind are numbered by frequency: ``inter-area 1``,
+    relative to all states of the mode, and N - 1 = (areas - 1) + sum (n_k - 1) names are given out so that
+    the total is largest. So a controller's own mode, which drives the machines along, is not taken for
+    a swing mode of the closed loop. A mode with less than `least_share` in its pattern is
+    called ``mixed``; one whose name another mode fits nearly as well tells it (`Mode.doubt`). A reduced
+    model has no states that are speeds: there shapes alone decide, v for both, on the N - 1 modes that ring
+    most. Several modes of one kind are numbered by frequency: ``inter-area 1``,
     ``local area 2.1``.
 
     Parameters
@@ -148,24 +160,37 @@ def modes_of(
     participation = np.where(usable, weight / np.where(usable, total, 1.0), 0.0)
 
     low, high = (2.0 * np.pi * f for f in band_hz)
-    candidates = [i for i in np.flatnonzero(usable) if low <= values[i].imag <= high]
     share = _mechanical_share(system, C, participation, values, right)
-    candidates = sorted(candidates, key=lambda i: -share[i])[: len(machines) - 1]
-    if len(candidates) < len(machines) - 1 or not all(share[i] > 0.05 for i in candidates):
-        found = [i for i in candidates if share[i] > 0.05]
-        listed = ", ".join(f"{values[i].real:.4g}{values[i].imag:+.4g}j" for i in found) or "none"
+    inside = [i for i in np.flatnonzero(usable) if low <= values[i].imag <= high]
+    swinging = sorted((i for i in inside if share[i] > 0.05), key=lambda i: -share[i])
+    count = len(machines) - 1
+    if len(swinging) < count:
+        listed = ", ".join(f"{values[i].real:.4g}{values[i].imag:+.4g}j" for i in swinging) or "none"
         raise ModeError(
-            f"{len(machines)} machines have {len(machines) - 1} swing modes, but {len(found)} were found "
+            f"{len(machines)} machines have {count} swing modes, but {len(swinging)} were found "
             f"between {band_hz[0]:g} and {band_hz[1]:g} Hz ({listed}); a machine missing from `areas`, "
             "an overdamped mode, or another band"
         )
-    candidates.sort(key=lambda i: values[i].imag)
-    shapes = [C @ right[:, i] for i in candidates]
-    shapes = [s / s[np.argmax(np.abs(s))] for s in shapes]
-    names, shares = _name_by_shape(shapes, [areas[m] for m in machines], least_share)
+    area_of = [areas[m] for m in machines]
+    states = _speed_states(system, C)
+    if states is None:
+        candidates = sorted(swinging[:count], key=lambda i: values[i].imag)
+        fits = [pattern_energies(C @ right[:, i], area_of) for i in candidates]
+    else:
+        candidates = sorted(swinging, key=lambda i: values[i].imag)
+        coordinate = left[states] / C[np.arange(len(states)), states][:, None]
+        fits = [
+            {k: x / total[i] for k, x in _taking_part(coordinate[:, i], C @ right[:, i], area_of).items()}
+            for i in candidates
+        ]
+    named = _names_of(fits, area_of, least_share)
     labels = list(system.state_labels)
-    found_modes = {
-        name: Mode(
+    found_modes = {}
+    for r, (name, part, rivals) in named.items():
+        i = candidates[r]
+        shape = C @ right[:, i]
+        shape = shape / shape[np.argmax(np.abs(shape))]
+        found_modes[name] = Mode(
             name=name,
             eigenvalue=complex(values[i]),
             shape=dict(zip(machines, (complex(z) for z in shape), strict=True)),
@@ -173,13 +198,12 @@ def modes_of(
             share=part,
             right=right[:, i],
             left=left[:, i],
+            rivals=tuple(complex(values[candidates[k]]) for k in rivals),
         )
-        for name, part, i, shape in zip(names, shares, candidates, shapes, strict=True)
-    }
-    if len(set(areas.values())) > 1 and not any(n.startswith("inter-area") for n in names):
+    if len(set(areas.values())) > 1 and not any(n.startswith("inter-area") for n in found_modes):
         raise ModeError(
             f"no mode in which the areas {sorted(set(areas.values()))} swing against each other; found "
-            f"{', '.join(names)}: are the machines assigned to the right areas?"
+            f"{', '.join(found_modes)}: are the machines assigned to the right areas?"
         )
     order = sorted(found_modes, key=_name_key)
     return Modes({name: found_modes[name] for name in order}, np.asarray(values, dtype=complex))
@@ -226,28 +250,63 @@ def pattern_energies(shape: ComplexMatrix, area_of: list[int]) -> dict[str, floa
     return {name: float(e / total) if total > 0.0 else 0.0 for name, e in energies.items()}
 
 
-def _name_by_shape(
-    shapes: list[ComplexMatrix], area_of: list[int], least_share: float
-) -> tuple[list[str], list[float]]:
-    """Give each shape (sorted by frequency) a name; the names together fit the shapes best."""
+def _speed_states(system: control.StateSpace, C: Matrix) -> list[int] | None:
+    """The state that is each machine's speed; None for a reduced model, where no state is."""
+    if not any(".delta" in name for name in system.state_labels):
+        return None
+    read = [np.flatnonzero(np.abs(row) > 1e-9 * np.max(np.abs(row))) for row in C]
+    return [int(r[0]) for r in read] if all(r.size == 1 for r in read) else None
+
+
+def _taking_part(left: ComplexMatrix, right: ComplexMatrix, area_of: list[int]) -> dict[str, float]:
+    """Participation of each pattern in a mode, from its speeds (machines,) left and right.
+
+    As a state's is |w_i v_i|, that of a pattern is |w^T P v| with the projector P on it: between areas, or
+    inside area k. What a controller drives along swings in v alone, what only acts on it is in w alone.
+    """
+    a = np.asarray(area_of)
+    mean_left, mean_right = left.mean(), right.mean()
+    parts: dict[str, complex] = {"inter-area": 0.0}
+    for k in sorted(set(area_of)):
+        w, v = left[a == k], right[a == k]
+        parts["inter-area"] += w.size * (w.mean() - mean_left) * (v.mean() - mean_right)
+        parts[f"local area {k}"] = np.sum((w - w.mean()) * (v - v.mean()))
+    return {name: float(abs(x)) for name, x in parts.items()}
+
+
+def _names_of(
+    fits: list[dict[str, float]], area_of: list[int], least_share: float
+) -> dict[int, tuple[str, float, list[int]]]:
+    """Give out the names so that they fit best together.
+
+    fits : of each mode, by frequency, how much of each pattern it has. Returns, for the modes that are
+    named: name, share of the named pattern among all, and the modes that the name would fit as well.
+    """
     kinds = ["inter-area"] * (len(set(area_of)) - 1)
     for k in sorted(set(area_of)):
         kinds += [f"local area {k}"] * (area_of.count(k) - 1)
-    energies = [pattern_energies(s, area_of) for s in shapes]
-    gain = np.array([[e[kind] for kind in kinds] for e in energies])
+    gain = np.array([[fit[kind] for kind in kinds] for fit in fits])
     rows, cols = linear_sum_assignment(-gain)
     kind_of = {int(r): kinds[c] for r, c in zip(rows, cols, strict=True)}
-    share = [float(energies[r][kind_of[r]]) for r in range(len(shapes))]
-    final = [kind_of[r] if share[r] >= least_share else "mixed" for r in range(len(shapes))]
-    names = []
-    for r, kind in enumerate(final):
-        same = [i for i, other in enumerate(final) if other == kind]
-        if len(same) == 1:
-            names.append(kind)
-        else:
-            separator = " " if kind in ("inter-area", "mixed") else "."
-            names.append(f"{kind}{separator}{same.index(r) + 1}")
-    return names, share
+    share = {r: fits[r][kind] / max(sum(fits[r].values()), 1e-300) for r, kind in kind_of.items()}
+    final = {r: kind if share[r] >= least_share else "mixed" for r, kind in kind_of.items()}
+    found = {}
+    for r, kind in final.items():
+        same = [other for other in final if final[other] == kind]
+        separator = " " if kind in ("inter-area", "mixed") else "."
+        name = kind if len(same) == 1 else f"{kind}{separator}{same.index(r) + 1}"
+        found[r] = (name, share[r], [k for k in range(len(fits)) if _fits_as_well(k, r, kind_of, fits)])
+    return found
+
+
+def _fits_as_well(k: int, r: int, kind_of: Mapping[int, str], fits: list[dict[str, float]]) -> bool:
+    """Whether mode k could have the name that mode r has: without one of its own, or by an exchange."""
+    kind, other = kind_of[r], kind_of.get(k)
+    if other == kind:
+        return False
+    if other is None:
+        return fits[k][kind] >= _AS_WELL * fits[r][kind]
+    return fits[k][kind] + fits[r][other] >= _AS_WELL * (fits[r][kind] + fits[k][other])
 
 
 def _name_key(name: str) -> tuple[int, str]:

@@ -1,12 +1,16 @@
 """Modes: printed numbers, names by shape, invariance."""
 
+import itertools
+
 import control
 import numpy as np
 import pytest
 from independent.two_area import AREAS, OMEGA_B, linear_plant
 
+from interarea.design.certificate import closed_loop_matrix, swing_poles
 from interarea.design.linearise import remove_reference, speeds_in_rad
 from interarea.design.modes import ModeError, modes_of, pattern_energies
+from interarea.design.shipped import shipped_controller
 
 
 def plant(name: str = "two-area-thesis") -> control.StateSpace:
@@ -132,6 +136,53 @@ def test_missing_modes_and_machines_are_errors() -> None:
         modes_of(plant(), AREAS, band_hz=(3.0, 4.0))
     with pytest.raises(ModeError, match="local area 9"):
         modes_of(plant(), AREAS)["local area 9"]
+
+
+def closed_loop(system: control.StateSpace, name: str, gain: float, lost: tuple[str, ...]) -> tuple:
+    """The plant under a shipped controller with its output scaled; the controller alone."""
+    K = shipped_controller(name).system
+    K = control.ss(K.A, K.B, gain * K.C, gain * K.D, inputs=K.input_labels, outputs=K.output_labels)
+    A = closed_loop_matrix(system, K, lost=lost)
+    own = [f"K.x{i + 1}" for i in range(K.nstates)]
+    C = np.hstack([system.C, np.zeros((system.noutputs, K.nstates))])
+    states = [*system.state_labels, *own]
+    closed = control.ss(
+        A, np.zeros((len(A), 1)), C, 0.0, states=states, inputs=["none"], outputs=system.output_labels
+    )
+    return closed, K
+
+
+@pytest.mark.parametrize("lost", [(), ("G2_dw",)])
+@pytest.mark.parametrize("name", ["robust", "robust_latency", "robust_linear"])
+def test_names_in_a_closed_loop_are_those_followed_from_the_open_one(
+    name: str, lost: tuple[str, ...]
+) -> None:
+    """A controller that drives the machines along has swings of its own: none is taken for one of theirs."""
+    open_loop = plant()
+    for gain in (0.25, 0.5, 0.75, 1.0):
+        closed, K = closed_loop(open_loop, name, gain, lost)
+        followed = swing_poles(open_loop, K, modes_of(open_loop, AREAS), lost=lost)
+        found = modes_of(closed, AREAS)
+        assert {n: m.eigenvalue for n, m in found.items()} == {
+            n: pytest.approx(complex(z.real, abs(z.imag)), abs=1e-6) for n, z in followed.items()
+        }
+
+
+def test_a_name_that_fits_another_mode_as_well_is_told() -> None:
+    """At twice its gain a controller and the machines swing as one: what was not followed is in doubt."""
+    open_loop = plant()
+    differing = 0
+    for name, lost in itertools.product(("robust", "robust_linear", "robust_latency"), ((), ("G2_dw",))):
+        closed, K = closed_loop(open_loop, name, 2.0, lost)
+        followed = swing_poles(open_loop, K, modes_of(open_loop, AREAS), lost=lost)
+        found = modes_of(closed, AREAS)
+        for mode in followed:
+            poles = [complex(z.real, abs(z.imag)) for z in followed.values()]
+            if min(abs(found[mode].eigenvalue - p) for p in poles) > 1e-6:
+                differing += 1
+                assert f"{mode} could as well be the mode at" in found[mode].doubt
+    assert differing > 0
+    assert not any(m.doubt for m in modes_of(open_loop, AREAS).values())
 
 
 def test_pattern_energies_of_pure_patterns() -> None:
