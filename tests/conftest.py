@@ -8,14 +8,20 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from interarea.cosim.run import Controllers
 from interarea.design.controller import Controller
 from interarea.models.case import Case, load_case
 
 # How long one example takes says nothing on a machine that is busy; the same examples on every machine.
-settings.register_profile("interarea", deadline=None, derandomize=True, database=None)
+settings.register_profile(
+    "interarea",
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
 settings.load_profile("interarea")
 
 
