@@ -185,8 +185,18 @@ def outside(*arguments: str, **environment: str) -> subprocess.Popen[str]:
     """Start the command as a process of its own."""
     command = [sys.executable, "-m", "interarea.cosim.cli", *arguments]
     return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | environment
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | environment,
+        preexec_fn=_listen,
     )
+
+
+def _listen() -> None:
+    """Tests that a shell started in the background ignore Ctrl-C, and so would what they start."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @pytest.mark.slow
