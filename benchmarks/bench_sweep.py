@@ -19,6 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ from interarea.cosim.scenario import load_scenario
 from interarea.cosim.sweep_plan import plan_sweep
 from interarea.cosim.sweep_run import Runner
 from interarea.cosim.sweep_spec import load_sweep
+from interarea.cosim.together import advance_together
 
 WANTED_RATIO, WANTED_OVERHEAD, WANTED_SCALING = 1.3, 0.05, 1.8
 SHORT_S = 1.5
@@ -71,7 +73,14 @@ def per_run(rounds: int, scratch: Path) -> dict[str, float]:
         master.start()
         master.advance()
 
+    def rerun_together(masters: list[Master]) -> None:
+        for master in masters:
+            master.start()
+        if failed := [error for error in advance_together(masters) if error is not None]:
+            raise failed[0]
+
     with (
+        ExitStack() as stack,
         assemble(alone) as plant,
         assemble(load_scenario(SCENARIO)) as loop,
         Runner(plan, default_cache(), scratch) as runner,
@@ -79,11 +88,17 @@ def per_run(rounds: int, scratch: Path) -> dict[str, float]:
     ):
         for master in (plant.master, loop.master):
             master.run()
+        plants = [stack.enter_context(assemble(alone)).master for _ in range(8)]
+        loops = [stack.enter_context(assemble(load_scenario(SCENARIO))).master for _ in range(8)]
+        for master in (*plants, *loops):
+            master.participants["plant"].group = runner.library  # type: ignore[attr-defined]
         for each in (runner, simple):
             list(each.outcomes(range(8)))
         for _ in range(rounds):
             clock("plant alone: reset and steps", lambda: rerun(plant.master))
             clock("closed loop: reset and steps", lambda: rerun(loop.master))
+            clock("one of eight plants side by side", lambda: rerun_together(plants), 8)
+            clock("one of eight closed loops side by side", lambda: rerun_together(loops), 8)
             clock("a single run of a sweep", lambda: runner.outcome(1))
             clock("one of eight runs of a sweep", lambda: list(runner.outcomes(range(8))), 8)
             clock("one of eight, stable and peak only", lambda: list(simple.outcomes(range(8))), 8)
@@ -166,6 +181,7 @@ def main() -> int:
         ratio = run / times["plant alone: reset and steps"]
         reached &= ratio <= WANTED_RATIO
         print(f"run / plant alone = {ratio:.2f}, wanted <= {WANTED_RATIO}: {_verdict(ratio <= WANTED_RATIO)}")
+        print(f"run / plant side by side = {run / times['one of eight plants side by side']:.2f}")
         with_forks, without, forked = forks(40, scratch)
         print(
             f"outages from 8 to 12 s after one fault: {with_forks:.2f} ms a run, "

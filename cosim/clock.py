@@ -9,6 +9,7 @@ the decimal time, so 3 steps of 10 ms are 0.03 to the bit.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -144,7 +145,10 @@ class Clock:
             ends |= {t for t in self.points if self.start < t < self.stop}
         order = sorted(ends)
         starts = [self.start, *order[:-1]]
-        return tuple(
-            Step(now, end, end - now == 1 and end in near, end in kept)
-            for now, end in zip(starts, order, strict=True)
-        )
+        edge, recorded = [False] * len(order), [True] * len(order)
+        for t in near & ends:  # few of thousands
+            place = bisect_left(order, t)
+            edge[place] = t - starts[place] == 1
+        for t in ends - kept:
+            recorded[bisect_left(order, t)] = False
+        return tuple(map(Step._make, zip(starts, order, edge, recorded, strict=True)))

@@ -70,7 +70,7 @@ class Runner:
         self._packed = packed(plan.sweep)
         self._late = late_parameters(plan.sweep)
         beside = lanes_here(cache)
-        self._library = beside.library
+        self.library = beside.library  #: that steps plants side by side
         self.lanes = beside.count  #: runs that advance side by side at most
         self.shares = True  #: whether runs start from states that others left
         self.on_build: Callable[..., object] = _nothing  #: called with the run (or runs) that are begun
@@ -385,7 +385,7 @@ class Runner:
                 kept.participants[name].set_start(start)
             else:
                 process = scenario.fmus[name].process if name in scenario.fmus else {}
-                group = self._library if name == "plant" else None
+                group = self.library if name == "plant" else None
                 kept.participants[name] = participant_of(name, file, start, group=group, **process)
         self._kept[structure] = kept
         while len(self._kept) > _KEPT * self.lanes:
