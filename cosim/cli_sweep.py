@@ -78,7 +78,7 @@ def _commonest(out: Path) -> str:
 
     rows = read_rows(out)
     reasons = rows.loc[rows.status == "failed", "reason"].value_counts()
-    return f"most failed so ({reasons.iloc[0]}): {reasons.index[0]}"
+    return f"commonest reason, {reasons.iloc[0]} of {reasons.sum()}: {reasons.index[0]}"
 
 
 def maps(

@@ -269,3 +269,12 @@ def test_a_cache_that_cannot_be_written_is_named(capsys: pytest.CaptureFixture[s
     assert "INTERAREA_CACHE" in capsys.readouterr().err
     assert complain(OSError(errno.ENOSPC, "No space left on device")) == 2
     assert capsys.readouterr().err == "interarea: No space left on device\n"
+
+
+@pytest.mark.slow
+def test_a_sweep_of_which_nothing_runs_says_why(interarea) -> None:  # type: ignore[no-untyped-def]
+    tie = SWEEP.replace("event.1.size_pu", "case.tie_flow_mw").replace("[0.01, 0.02]", "[5000, 6000]")
+    Path("far.toml").write_text(tie, encoding="utf-8")
+    code, out, err = interarea("sweep", "far.toml", "--out", "far", "--workers", 1)
+    assert code == 1 and "2 runs: 0 ok" in out and "2 failed" in out
+    assert "commonest reason, 1 of 2: two-area-thesis-tie-plus-5000: the power flow does not converge" in err
