@@ -1,0 +1,74 @@
+"""The examples in docstrings print what they say; what the pages show of commands and of Python is there."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import pkgutil
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import typer
+
+from interarea.cosim.cli import app
+
+ROOMS = ("models", "design", "fmu_build", "cosim")
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = ["README.md", *sorted(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_examples_in_docstrings_print_what_they_say(room: str) -> None:
+    package = importlib.import_module(f"interarea.{room}")
+    tried = 0
+    for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+        found = doctest.testmod(importlib.import_module(module.name))
+        tried += found.attempted
+        assert found.failed == 0, module.name
+    assert tried > 0
+
+
+def commands(page: str) -> list[list[str]]:
+    """Return the lines of a page's code blocks that call `interarea`, without their comments."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    blocks = re.findall(r"```[a-z]*\n(.*?)```", text, re.DOTALL)
+    lines = [line.split("$ ")[-1] for block in blocks for line in block.splitlines()]
+    return [shlex.split(line, comments=True)[1:] for line in lines if line.startswith("interarea ")]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_command_of_a_page_is_one_of_ours(page: str) -> None:
+    program = typer.main.get_command(app)
+    for name, *arguments in commands(page):
+        command = program.commands[name]  # type: ignore[attr-defined]
+        known = {option for p in command.params for option in (*p.opts, *p.secondary_opts)}
+        assert {a for a in arguments if a.startswith("--")} <= known, (name, arguments)
+
+
+def test_readme_shows_each_command_or_names_it() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    program = typer.main.get_command(app)
+    for name in set(program.commands) - {"cases"}:  # type: ignore[attr-defined]
+        assert f"interarea {name}" in text, name
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_python_on_a_page_imports_what_there_is(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+        compile(block, page, "exec")
+        for module, names in re.findall(r"^ *from (interarea\S*) import (.+)$", block, re.MULTILINE):
+            for name in names.split(","):
+                assert hasattr(importlib.import_module(module), name.strip()), (module, name)
+
+
+@pytest.mark.slow
+def test_the_system_of_readme_runs() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (block,) = [b for b in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "System(" in b]
+    names: dict[str, object] = {}
+    exec(compile(block, "README.md", "exec"), names)
+    assert names["result"].data["time_s"].iloc[-1] == 10.0  # type: ignore[attr-defined]
+    assert re.search(r"remote\.u +100\.000", names["result"].explain())  # type: ignore[attr-defined]
