@@ -39,10 +39,12 @@ bench: $(VENV)/installed-bench
 	-$(BIN)/python benchmarks/unseen_points.py
 	-$(BIN)/python benchmarks/bench_master.py
 	-$(BIN)/python benchmarks/bench_plant.py
-	-$(BIN)/python benchmarks/bench_batch.py
+	-$(BIN)/python benchmarks/bench_batch.py --case two-area-thesis --case new-england --case nets-nyps --scenarios 16
 	-$(BIN)/python benchmarks/bench_sweep.py
 	-$(BIN)/python benchmarks/bench_export.py --cold
 	-$(BIN)/python benchmarks/compare_andes.py
+	-$(BIN)/python benchmarks/compare_tops.py
+	-$(BIN)/python benchmarks/book_readings.py
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
