@@ -47,6 +47,13 @@ void fuzz_call(Fuzz *f);
 void fuzz_broken(const Fuzz *f, const char *what);
 void fuzz_free(Fuzz *f, int slot);
 
+/* Parts of fuzz_call. */
+#define OR_NULL(pointer) (natural || chance(98) ? (pointer) : NULL)
+/* Counts a call, notes an instance that an error broke, and gives the status back. */
+fmi2Status fuzz_told(Fuzz *f, Slot *s, fmi2Status status);
+/* A call on the state of the instance in a slot. */
+void fuzz_save(Fuzz *f, int slot, int natural);
+
 extern const fmi2CallbackFunctions FUZZ_CALLBACKS;
 extern long fuzz_live;              /* pieces of memory now held through the callbacks */
 extern int fuzz_out_of_memory;      /* per mille of allocations that fail               */

@@ -15,7 +15,7 @@ static void counted(Fuzz *f, fmi2Status status)
     else ++f->refused;
 }
 
-static fmi2Status told(Fuzz *f, Slot *s, fmi2Status status)
+fmi2Status fuzz_told(Fuzz *f, Slot *s, fmi2Status status)
 {
     counted(f, status);
     if (s->c == NULL) {
@@ -150,8 +150,6 @@ static void drop(Arrays *a)
     free(a->strings);
 }
 
-#define OR_NULL(pointer) (natural || chance(98) ? (pointer) : NULL)
-
 static void values(Fuzz *f, Slot *s, int natural)
 {
     const int integers = chance(25);
@@ -186,7 +184,7 @@ static void values(Fuzz *f, Slot *s, int natural)
     }
     legal(f, s, status, call % 2 ? ~IN(BROKEN) & ~IN(ENDED) & ~IN(FAILED) : ~IN(INSTANTIATED), sane,
           "a get or set was accepted in the wrong state, of an unknown reference or with a value that is not finite");
-    told(f, s, status);
+    fuzz_told(f, s, status);
     drop(&a);
 }
 
@@ -199,7 +197,7 @@ static void directional(Fuzz *f, Slot *s, int natural)
             known.references[i] += (fmi2ValueReference)f->n_x;
     for (size_t i = 0; i < unknown.count; ++i)
         unknown.references[i] += (fmi2ValueReference)(unknown.references[i] < f->n_x ? f->n_x : f->n_x + f->n_u);
-    told(f, s, fmi2GetDirectionalDerivative(s->c, OR_NULL(unknown.references), unknown.given,
+    fuzz_told(f, s, fmi2GetDirectionalDerivative(s->c, OR_NULL(unknown.references), unknown.given,
                                             OR_NULL(known.references), known.given, OR_NULL(known.seed),
                                             OR_NULL(unknown.reals)));
     drop(&known);
@@ -215,7 +213,7 @@ static void slopes(Fuzz *f, Slot *s, int natural)
         a.references[i] += (fmi2ValueReference)(2 * f->n_x + (set ? 0 : f->n_u));
         a.integers[i] = natural ? set ? 1 + (int)random_below(3) : 1 : (int)random_below(6) - 1;
     }
-    told(f, s, set ? fmi2SetRealInputDerivatives(s->c, OR_NULL(a.references), a.given, OR_NULL(a.integers),
+    fuzz_told(f, s, set ? fmi2SetRealInputDerivatives(s->c, OR_NULL(a.references), a.given, OR_NULL(a.integers),
                                                  OR_NULL(a.reals))
                    : fmi2GetRealOutputDerivatives(s->c, OR_NULL(a.references), a.given, OR_NULL(a.integers),
                                                   OR_NULL(a.reals)));
@@ -229,7 +227,7 @@ static void step(Fuzz *f, Slot *s, int natural)
     fmi2Status status;
 
     if (s->c != NULL && s->type == fmi2CoSimulation && s->phase == STEPPING)
-        told(f, s, fmi2GetRealStatus(s->c, fmi2LastSuccessfulTime, &t));
+        fuzz_told(f, s, fmi2GetRealStatus(s->c, fmi2LastSuccessfulTime, &t));
     if (chance(2)) h = nextafter(t, INFINITY) - t; /* one ulp */
     if (random_below(20000) == 0) h = 2.0;
     if (!natural) {
@@ -239,7 +237,7 @@ static void step(Fuzz *f, Slot *s, int natural)
     }
     status = fmi2DoStep(s->c, t, h, chance(50));
     legal(f, s, status, IN(STEPPING), isfinite(t) && isfinite(h) && h > 0.0, "a step was accepted that cannot be made");
-    told(f, s, status);
+    fuzz_told(f, s, status);
     if (status == fmi2Discard) s->phase = FAILED;
     f->steps += status == fmi2OK;
     if (status == fmi2OK)
@@ -249,77 +247,6 @@ static void step(Fuzz *f, Slot *s, int natural)
             if (fmi2GetReal(s->c, &r, 1, &y) != fmi2OK || !isfinite(y))
                 fuzz_broken(f, "a step was accepted and an output is not finite");
         }
-}
-
-/* Damage may undo itself: then the bytes serialise to what they are. */
-static int repaired(Fuzz *f, size_t k, size_t j)
-{
-    unsigned char *again = calloc(f->kept_size[j], 1);
-    const int same = fmi2SerializeFMUstate(f->slots[f->owner[k]].c, f->states[k], again, f->kept_size[j]) == fmi2OK
-                     && memcmp(again, f->kept[j], f->kept_size[j]) == 0;
-    free(again);
-    return same;
-}
-
-static void save(Fuzz *f, int slot, int natural)
-{
-    Slot *s = &f->slots[slot];
-    const size_t k = random_below(STATES), j = random_below(KEPT);
-    const int own = f->states[k] == NULL || f->owner[k] == slot;
-    size_t size = 0;
-    fmi2FMUstate none = NULL;
-
-    switch (random_below(natural ? 5 : 7)) {
-    case 0:
-        if (!own || (natural && s->phase == BROKEN)) break;
-        if (told(f, s, fmi2GetFMUstate(s->c, OR_NULL(&f->states[k]))) == fmi2OK) {
-            f->owner[k] = slot;
-            f->phase_of[k] = s->phase;
-        }
-        return;
-    case 1:
-        if (natural && f->states[k] == NULL) break;
-        if (told(f, s, fmi2SetFMUstate(s->c, f->states[k])) == fmi2OK) {
-            if (f->states[k] == NULL || f->slots[f->owner[k]].type != s->type)
-                fuzz_broken(f, "a state of the other interface was restored");
-            s->phase = f->phase_of[k];
-            ++f->restored;
-        }
-        return;
-    case 2:
-        if (!own || s->c == NULL) break;
-        told(f, s, fmi2FreeFMUstate(s->c, &f->states[k]));
-        return;
-    case 3:
-        if (natural && f->states[k] == NULL) break;
-        if (told(f, s, fmi2SerializedFMUstateSize(s->c, f->states[k], &size)) != fmi2OK) return;
-        free(f->kept[j]);
-        f->kept_size[j] = size;
-        f->kept[j] = calloc(size, 1);
-        f->kept_phase[j] = f->phase_of[k];
-        f->kept_damaged[j] = 1; /* until all of it is written */
-        if (told(f, s, fmi2SerializeFMUstate(s->c, f->states[k], f->kept[j],
-                                             natural ? size : random_below(size + 1))) == fmi2OK)
-            f->kept_damaged[j] = 0;
-        return;
-    case 4:
-        if (f->kept[j] == NULL || f->states[k] != NULL) break;
-        if (!natural || chance(20)) {
-            f->kept[j][random_below(f->kept_size[j])] ^= (unsigned char)(1u << random_below(8));
-            f->kept_damaged[j] = 1; /* for good: that the same bit changes back is not waited for */
-        }
-        if (told(f, s, fmi2DeSerializeFMUstate(s->c, f->kept[j],
-                                               natural ? f->kept_size[j] : random_below(f->kept_size[j] + 1),
-                                               &f->states[k])) == fmi2OK) {
-            f->owner[k] = slot;
-            f->phase_of[k] = f->kept_phase[j];
-            if (f->kept_damaged[j] && !repaired(f, k, j)) fuzz_broken(f, "a damaged state was accepted");
-        }
-        return;
-    case 5: told(f, s, fmi2SetFMUstate(s->c, NULL)); return;
-    default: break;
-    }
-    told(f, s, fmi2FreeFMUstate(s->c, &none));
 }
 
 static void exchange(Fuzz *f, Slot *s, int natural)
@@ -332,28 +259,28 @@ static void exchange(Fuzz *f, Slot *s, int natural)
     fmi2Status status;
 
     switch (natural && s->phase == EVENT ? 8 : (int)random_below(natural ? 8 : 9)) {
-    case 0: told(f, s, fmi2GetDerivatives(s->c, OR_NULL(x), n)); break;
-    case 1: told(f, s, fmi2GetContinuousStates(s->c, OR_NULL(x), n)); break;
+    case 0: fuzz_told(f, s, fmi2GetDerivatives(s->c, OR_NULL(x), n)); break;
+    case 1: fuzz_told(f, s, fmi2GetContinuousStates(s->c, OR_NULL(x), n)); break;
     case 2:
         if (s->c == NULL || s->type != fmi2ModelExchange || n != f->n_x || fmi2GetContinuousStates(s->c, x, n) != fmi2OK)
             memset(x, 0, n * sizeof(double));
         for (size_t i = 0; i < n; ++i) x[i] = natural ? x[i] + 1e-3 * plausible() : chance(80) ? plausible() : absurd();
         status = fmi2SetContinuousStates(s->c, OR_NULL(x), n);
         legal(f, s, status, IN(CONTINUOUS), n == f->n_x, "states were accepted outside continuous-time mode");
-        told(f, s, status);
+        fuzz_told(f, s, status);
         break;
     case 3:
         status = fmi2SetTime(s->c, t);
         legal(f, s, status, IN(EVENT) | IN(CONTINUOUS), isfinite(t), "a time was accepted that is not finite, or too early");
-        told(f, s, status);
+        fuzz_told(f, s, status);
         break;
-    case 4: told(f, s, fmi2GetNominalsOfContinuousStates(s->c, OR_NULL(x), n)); break;
-    case 5: told(f, s, fmi2GetEventIndicators(s->c, OR_NULL(x), natural ? 0 : n)); break;
-    case 6: told(f, s, fmi2CompletedIntegratorStep(s->c, fmi2True, OR_NULL(&enter), OR_NULL(&end))); break;
+    case 4: fuzz_told(f, s, fmi2GetNominalsOfContinuousStates(s->c, OR_NULL(x), n)); break;
+    case 5: fuzz_told(f, s, fmi2GetEventIndicators(s->c, OR_NULL(x), natural ? 0 : n)); break;
+    case 6: fuzz_told(f, s, fmi2CompletedIntegratorStep(s->c, fmi2True, OR_NULL(&enter), OR_NULL(&end))); break;
     case 7:
-        if (told(f, s, fmi2EnterEventMode(s->c)) == fmi2OK) s->phase = EVENT;
+        if (fuzz_told(f, s, fmi2EnterEventMode(s->c)) == fmi2OK) s->phase = EVENT;
         break;
-    default: f->events += told(f, s, fmi2NewDiscreteStates(s->c, OR_NULL(&info))) == fmi2OK; break;
+    default: f->events += fuzz_told(f, s, fmi2NewDiscreteStates(s->c, OR_NULL(&info))) == fmi2OK; break;
     }
     free(x);
 }
@@ -371,13 +298,13 @@ static void asking(Fuzz *f, Slot *s)
     const size_t n = random_below(5);
 
     switch (random_below(7)) {
-    case 0: told(f, s, fmi2GetStatus(s->c, kind, OR_NULL(&status))); break;
-    case 1: told(f, s, fmi2GetRealStatus(s->c, kind, OR_NULL(&real))); break;
-    case 2: told(f, s, fmi2GetIntegerStatus(s->c, kind, OR_NULL(&integer))); break;
-    case 3: told(f, s, fmi2GetBooleanStatus(s->c, kind, OR_NULL(&boolean))); break;
-    case 4: told(f, s, fmi2GetStringStatus(s->c, kind, OR_NULL(&text))); break;
-    case 5: told(f, s, fmi2CancelStep(s->c)); break;
-    default: told(f, s, fmi2SetDebugLogging(s->c, chance(30), n, OR_NULL(categories + random_below(5 - n + 1)))); break;
+    case 0: fuzz_told(f, s, fmi2GetStatus(s->c, kind, OR_NULL(&status))); break;
+    case 1: fuzz_told(f, s, fmi2GetRealStatus(s->c, kind, OR_NULL(&real))); break;
+    case 2: fuzz_told(f, s, fmi2GetIntegerStatus(s->c, kind, OR_NULL(&integer))); break;
+    case 3: fuzz_told(f, s, fmi2GetBooleanStatus(s->c, kind, OR_NULL(&boolean))); break;
+    case 4: fuzz_told(f, s, fmi2GetStringStatus(s->c, kind, OR_NULL(&text))); break;
+    case 5: fuzz_told(f, s, fmi2CancelStep(s->c)); break;
+    default: fuzz_told(f, s, fmi2SetDebugLogging(s->c, chance(30), n, OR_NULL(categories + random_below(5 - n + 1)))); break;
     }
 }
 
@@ -394,7 +321,7 @@ static void sequence(Fuzz *f, Slot *s, int natural)
     case INSTANTIATED:
         status = fmi2SetupExperiment(s->c, chance(50), absurd(), start, defined, stop);
         legal(f, s, status, IN(INSTANTIATED), isfinite(start), WRONG);
-        if (told(f, s, status) != fmi2OK) return;
+        if (fuzz_told(f, s, status) != fmi2OK) return;
         status = fmi2EnterInitializationMode(s->c);
         legal(f, s, status, IN(INSTANTIATED), 1, WRONG);
         next = INITIALIZATION;
@@ -422,7 +349,7 @@ static void sequence(Fuzz *f, Slot *s, int natural)
         next = INSTANTIATED;
         break;
     }
-    if (told(f, s, status) == fmi2OK) s->phase = next;
+    if (fuzz_told(f, s, status) == fmi2OK) s->phase = next;
 }
 
 /* What a master might do next with an instance in its phase. */
@@ -439,16 +366,16 @@ static void natural_call(Fuzz *f, int slot)
         if (dice < 60) exchange(f, s, 1);
         else if (dice < 70) directional(f, s, 1);
         else if (dice < 85) values(f, s, 1);
-        else save(f, slot, 1);
+        else fuzz_save(f, slot, 1);
         break;
     case STEPPING:
         if (dice < 45) step(f, s, 1);
         else if (dice < 60) slopes(f, s, 1);
         else if (dice < 65) directional(f, s, 1);
         else if (dice < 85) values(f, s, 1);
-        else save(f, slot, 1);
+        else fuzz_save(f, slot, 1);
         break;
-    default: if (dice < 60) sequence(f, s, 1); else save(f, slot, 1); break;
+    default: if (dice < 60) sequence(f, s, 1); else fuzz_save(f, slot, 1); break;
     }
 }
 
@@ -468,7 +395,7 @@ void fuzz_call(Fuzz *f)
     switch (random_below(8)) {
     case 0: case 1: sequence(f, s, 0); break;
     case 2: values(f, s, 0); break;
-    case 3: save(f, slot, 0); break;
+    case 3: fuzz_save(f, slot, 0); break;
     case 4: directional(f, s, 0); break;
     case 5: exchange(f, s, 0); break;
     case 6: slopes(f, s, 0); break;

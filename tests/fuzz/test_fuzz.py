@@ -13,7 +13,7 @@ from fmu_blocks import blocks
 from fuzz_blocks import fuzz_block
 from fuzz_build import Compiler, build_driver, sanitizing_compiler
 
-SOURCES = ("fuzz.c", "fuzz_calls.c")
+SOURCES = ("fuzz.c", "fuzz_calls.c", "fuzz_states.c")
 CALLS = {
     "controller": 300_000,
     "supervisor": 200_000,
