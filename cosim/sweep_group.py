@@ -14,11 +14,12 @@ from interarea.fmu_build.group import GroupLibrary, plant_group
 
 from .run import EVENT_SLOTS
 from .sweep_forks import Job
+from .sweep_live import Kept
 from .sweep_point import CaseChange
 
 #: time of n runs side by side over that of one alone: what they share, what each adds (measured, AVX-512)
 _SHARED, _EACH = 0.9, 0.2
-Plant = tuple[CaseChange, int]
+PlantKey = tuple[CaseChange, int]
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,12 @@ def lanes_here(cache: Path) -> Lanes:
     return Lanes(None, 1)
 
 
-def plant_key(job: Job) -> Plant | None:
+def has_lanes(library: GroupLibrary | None, kept: Kept) -> bool:
+    """Whether the plant among instances that have begun can be stepped with others of its kind."""
+    return library is not None and library.work(kept.participants["plant"].component, 2) is not None
+
+
+def plant_key(job: Job) -> PlantKey | None:
     """Return what decides the plant FMU of a job; None where its point is not known."""
     if job.point is None or job.point.scenario.fmus:
         return None
@@ -46,7 +52,7 @@ def plant_key(job: Job) -> Plant | None:
 
 def by_plant(jobs: Sequence[Job]) -> list[Job]:
     """Return jobs of the same plant after each other, otherwise in the order given."""
-    first: dict[Plant | None, int] = {}
+    first: dict[PlantKey | None, int] = {}
     for job in jobs:
         first.setdefault(plant_key(job), len(first))
     return sorted(jobs, key=lambda job: first[plant_key(job)])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,6 +21,17 @@ from .sweep_point import Point
 
 class TimeUpError(RuntimeError):
     """A run computes longer than the sweep allows."""
+
+
+def watch_of(limit_s: float) -> Callable[[float, float], None]:
+    """Return what ends a run that computes longer than `limit_s` from now."""
+    end = time.monotonic() + limit_s
+
+    def watch(now_s: float, stop_s: float) -> None:
+        if time.monotonic() > end:
+            raise TimeUpError(f"more than {limit_s:g} s of computing, at t = {now_s:g} of {stop_s:g} s")
+
+    return watch
 
 
 @dataclass

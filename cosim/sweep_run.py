@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import math
-import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -32,8 +31,8 @@ from .sweep_forks import (
     places_to_save,
     taken_over,
 )
-from .sweep_group import by_plant, common_s, how_many, lanes_here
-from .sweep_live import Kept, Plant, TimeUpError, controller_start
+from .sweep_group import PlantKey, by_plant, common_s, has_lanes, how_many, lanes_here, plant_key
+from .sweep_live import Kept, Plant, TimeUpError, controller_start, watch_of
 from .sweep_plan import SweepPlan, own_fmu
 from .sweep_point import CaseChange, Point, packed, point_of
 from .sweep_rows import Outcome, Row, failed_row, measure, start_row, trajectory_table
@@ -72,6 +71,7 @@ class Runner:
         beside = lanes_here(cache)
         self.library = beside.library  #: that steps plants side by side
         self.lanes = beside.count  #: runs that advance side by side at most
+        self._alone: set[PlantKey | None] = set()  # plants that gain nothing by company
         self.shares = True  #: whether runs start from states that others left
         self.on_build: Callable[..., object] = _nothing  #: called with the run (or runs) that are begun
         self.on_start: Callable[[], object] = _nothing  #: called when their FMUs are ready to compute
@@ -91,7 +91,7 @@ class Runner:
         jobs = self._jobs(runs)
         k = 0
         while k < len(jobs):
-            count = how_many(jobs[k:], self.lanes)
+            count = 1 if plant_key(jobs[k]) in self._alone else how_many(jobs[k:], self.lanes)
             if count > 1:
                 yield from self._outcomes_together(jobs[k : k + count])
             else:
@@ -211,6 +211,8 @@ class Runner:
             except Exception as error:
                 ended[job.run] = error
         masters = [kept.loop.master for _, kept in begun]
+        if begun and not has_lanes(self.library, begun[0][1]):
+            self._alone.add(plant_key(jobs[0]))
         found = advance_together(masters, watch=lambda _, now_s, stop_s: watch(now_s, stop_s))
         ended |= {job.run: error for (job, _), error in zip(begun, found, strict=True)}
         home = {job.run: kept for job, kept in begun}
@@ -232,6 +234,7 @@ class Runner:
         yield from outcomes
         for job in jobs:
             if isinstance(ended[job.run], TimeUpError):
+                self._alone.add(plant_key(job))
                 yield self._outcome([replace(job, like_next_s=-math.inf)], 0)
 
     def _begun(
@@ -299,14 +302,7 @@ class Runner:
 
     def _watch(self) -> Callable[[float, float], None]:
         """Return what ends a run that computes too long."""
-        limit = self.plan.sweep.time_limit_s
-        end = time.monotonic() + limit
-
-        def watch(now_s: float, stop_s: float) -> None:
-            if time.monotonic() > end:
-                raise TimeUpError(f"more than {limit:g} s of computing, at t = {now_s:g} of {stop_s:g} s")
-
-        return watch
+        return watch_of(self.plan.sweep.time_limit_s)
 
     # -- private --------------------------------------------------------------------------
 
