@@ -98,7 +98,11 @@ def code_hash(module: str) -> str:
 
 def _imports(room: str, source: bytes) -> list[str]:
     found = []
-    for node in ast.walk(ast.parse(source)):
+    todo: list[Any] = list(ast.parse(source).body)
+    while todo:  # statements only: no expression holds an import, and they are most of a tree
+        node = todo.pop()
+        for block in ("body", "orelse", "finalbody", "handlers", "cases"):
+            todo += getattr(node, block, ())
         if isinstance(node, ast.ImportFrom):
             parts = [room] if node.level == 1 else []
             parts += (node.module or "").removeprefix("interarea.").split(".") if node.module else []

@@ -40,6 +40,7 @@ except ImportError:  # no such locks on this system: two sweeps in one folder go
 FULL = (errno.ENOSPC, errno.EDQUOT)
 _ROWS, _CURVES, _WORK, _LOCK = "runs", "trajectories", ".work", ".lock"
 _FORKED = b"forked"  # in the metadata of a part: how many of its runs started from a saved state
+_Kinds = list[tuple[str, type[str] | type[float] | None]]  # a column, and what makes its values fit
 
 
 class SweepStore:
@@ -53,6 +54,7 @@ class SweepStore:
     def __init__(self, folder: Path, plan: SweepPlan) -> None:
         self.folder, self.plan = folder, plan
         self.schema = schema_of(plan)
+        self._kinds = _kinds(self.schema)
         self.done = np.zeros(plan.sweep.size, dtype=bool)
         self.dropped: list[str] = []  #: parts that could not be read; their runs are done again
         try:
@@ -103,7 +105,7 @@ class SweepStore:
         if not fresh:
             return 0
         chosen = [fresh[run] for run in sorted(fresh)]
-        table = pa.Table.from_pylist([_fitted(o.row, self.schema) for o in chosen], schema=self.schema)
+        table = pa.Table.from_pylist([_fitted(o.row, self._kinds) for o in chosen], schema=self.schema)
         notes = {**(self.schema.metadata or {}), _FORKED: str(sum(o.forked for o in chosen)).encode()}
         table = table.replace_schema_metadata(notes)
         curves = [o.trajectory for o in chosen if o.trajectory is not None]
@@ -294,17 +296,24 @@ def summary_of(folder: Path) -> dict[str, Any]:
     }
 
 
-def _fitted(row: dict[str, Any], schema: pa.Schema) -> dict[str, Any]:
+def _fitted(row: dict[str, Any], kinds: _Kinds) -> dict[str, Any]:
     """Return a row with every column of the schema, words where the column holds words."""
     fitted = {}
-    for column in schema:
-        value = row.get(column.name)
-        if value is not None and pa.types.is_string(column.type):
-            value = str(value)
-        elif isinstance(value, int) and pa.types.is_floating(column.type):
-            value = float(value)
-        fitted[column.name] = value
+    for name, kind in kinds:
+        value = row.get(name)
+        if value is not None and kind is not None:
+            value = kind(value)
+        fitted[name] = value
     return fitted
+
+
+def _kinds(schema: pa.Schema) -> _Kinds:
+    """Return the columns with what makes their values fit, where that is needed."""
+    made: _Kinds = []
+    for column in schema:
+        words, number = pa.types.is_string(column.type), pa.types.is_floating(column.type)
+        made.append((column.name, str if words else float if number else None))
+    return made
 
 
 def _manifest(plan: SweepPlan) -> dict[str, Any]:
