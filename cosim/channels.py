@@ -211,7 +211,7 @@ class ChannelLine(Table):
 
     def _waiting_s(self, clock: Clock) -> float:
         due = np.array(self.arrivals(seconds(clock.start), seconds(clock.stop)))
-        ends = np.array([s.end for s in clock.steps])
+        ends = np.array(clock.steps.ends)
         if not due.size:
             return 0.0
         interval = to_ticks(self.reporting_interval_s, "reporting_interval_s")

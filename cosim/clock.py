@@ -9,13 +9,13 @@ the decimal time, so 3 steps of 10 ms are 0.03 to the bit.
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
+import numpy.typing as npt
 
 from .errors import ScenarioError
 
@@ -129,26 +129,49 @@ class Clock:
         return cls(start, stop, step, tuple(m for m in marks if start < m < stop), edges)
 
     @cached_property
-    def steps(self) -> tuple[Step, ...]:
+    def steps(self) -> Steps:
         """All steps of the run in order."""
-        kept = {self.stop, *self.marks, *range(self.start + self.step, self.stop, self.step)}
-        ends = set(kept)
-        near: set[int] = set()
+        grid = np.arange(self.start + self.step, self.stop, self.step, dtype=np.int64)
+        marks = np.array(self.marks, dtype=np.int64)
+        points = np.array(self.points, dtype=np.int64)
+        kept = np.union1d(grid, np.append(marks, self.stop))
+        around = [points]
+        near = np.empty(0, dtype=np.int64)
         if self.edges:
-            for mark in (*self.marks, *self.kinks):
-                near |= {mark, mark + 1}
-                ends |= {t for t in (mark - 1, mark, mark + 1) if self.start < t < self.stop}
-            for point in self.points:
-                near.add(point + 1)
-                ends |= {t for t in (point, point + 1) if self.start < t < self.stop}
-        else:
-            ends |= {t for t in self.points if self.start < t < self.stop}
-        order = sorted(ends)
-        starts = [self.start, *order[:-1]]
-        edge, recorded = [False] * len(order), [True] * len(order)
-        for t in near & ends:  # few of thousands
-            place = bisect_left(order, t)
-            edge[place] = t - starts[place] == 1
-        for t in ends - kept:
-            recorded[bisect_left(order, t)] = False
-        return tuple(map(Step._make, zip(starts, order, edge, recorded, strict=True)))
+            bent = np.append(marks, np.array(self.kinks, dtype=np.int64))
+            around += [points + 1, bent - 1, bent, bent + 1]
+            near = np.concatenate([bent, bent + 1, points + 1])
+        extra = np.concatenate(around)
+        ends = np.union1d(kept, extra[(self.start < extra) & (extra < self.stop)])
+        short = np.diff(ends, prepend=self.start) == 1
+        edge = np.zeros(len(ends), dtype=bool)
+        edge[short] = np.isin(ends[short], near)
+        recorded = np.zeros(len(ends), dtype=bool)
+        recorded[np.searchsorted(ends, kept)] = True
+        return Steps(self.start, ends.tolist(), edge, recorded)
+
+
+class Steps(Sequence[Step]):
+    """Steps that follow one another: `start`, then where each ends, what each is."""
+
+    def __init__(
+        self, start: int, ends: list[int], edge: npt.NDArray[np.bool_], recorded: npt.NDArray[np.bool_]
+    ) -> None:
+        self.start, self.ends, self.edge, self.recorded = start, ends, edge, recorded
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+    @overload
+    def __getitem__(self, k: int) -> Step: ...
+
+    @overload
+    def __getitem__(self, k: slice) -> list[Step]: ...
+
+    def __getitem__(self, k: int | slice) -> Step | list[Step]:
+        """Return step number `k`, or those of a slice."""
+        if isinstance(k, slice):
+            return [self[i] for i in range(*k.indices(len(self)))]
+        k = range(len(self))[k]
+        start = self.ends[k - 1] if k else self.start
+        return Step(start, self.ends[k], bool(self.edge[k]), bool(self.recorded[k]))

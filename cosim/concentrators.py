@@ -114,7 +114,7 @@ class ConcentratorLine(Table):
             if sets.due_s.size:
                 mean = max(0.0, float(np.mean(sets.due_s - sets.stamp_s)) - least)
             due = np.array(self.arrivals(start_s, stop_s))
-            ends = np.array([s.end for s in clock.steps])
+            ends = np.array(clock.steps.ends)
             if due.size:
                 wait = float(np.mean(ends[np.searchsorted(ends, due)] - due)) / TICKS_PER_SECOND
         # rounding of a mean over many sets is no jitter

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import kernel_build as built
-from .clock import Step
+from .clock import Steps
 from .graph import Group
 from .instances import FmuParticipant
 from .loops import not_settled
@@ -54,7 +54,7 @@ class Kernel:
         groups: Sequence[Group],
         torn: Callable[[Group], Sequence[Signal]],
         iterated: Collection[tuple[str, ...]],
-        steps: Sequence[Step],
+        steps: Steps,
         *,
         tolerance: float,
         times: Records,
@@ -97,8 +97,9 @@ class Kernel:
         run.nodes, run.signals = self._at(self._k_nodes), self._at(self._k_signals)
         run.groups = self._at(k_groups)
         run.members, run.torn = self._at(_array(c_int32, members)), self._at(_array(c_int32, against))
-        run.points = self._at(_array(c_int64, [steps[0].start, *(s.end for s in steps)]))
-        run.flags = self._at(_array(c_ubyte, [_flags(s) for s in steps]))
+        run.points = self._at(_array(c_int64, [steps.start, *steps.ends]))
+        flags = built.STEP_EDGE * steps.edge + built.STEP_RECORDED * steps.recorded
+        run.flags = self._at(_array(c_ubyte, flags.tolist()))
         run.times, run.records = times.ctypes.data, records.ctypes.data
         run.spare = self._at(_array(c_double, [0.0] * records.shape[1]))
         run.work = self._at((c_double * max(1, most * most + 6 * most))())
@@ -302,10 +303,6 @@ def run_kernels(
 
 def _components(nodes: Sequence[Node]) -> list[int]:
     return [n.participant.component for n in nodes]  # type: ignore[attr-defined]
-
-
-def _flags(step: Step) -> int:
-    return (built.STEP_EDGE if step.edge else 0) | (built.STEP_RECORDED if step.recorded else 0)
 
 
 def _array(kind: Any, values: Sequence[float]) -> Any:

@@ -149,7 +149,7 @@ class Master:
         outputs = [(n, p) for n, d in descriptions.items() for p in d.outputs]
         self._columns = [f"{n}.{p.name}" for n, p in outputs]
         self._ports = [p for _, p in outputs]
-        rows = 1 + sum(s.recorded for s in self.clock.steps)
+        rows = 1 + int(np.count_nonzero(self.clock.steps.recorded))
         self._recorded = [(p, len(p.description.outputs)) for p in self.participants.values()]
         self._times = np.full(rows, np.nan)
         self._records = np.full((rows, len(outputs)), np.nan)
@@ -162,7 +162,7 @@ class Master:
         self._kernel: Kernel | None = None
         self._why_python = "early returns are rolled back" if early == "roll back" else ""
         self._cancelled = False
-        self.ends = [s.end for s in self.clock.steps]
+        self.ends = self.clock.steps.ends
 
     # -- running --------------------------------------------------------------------------
 
