@@ -127,7 +127,7 @@ def gain_figure(alternatives: tuple[Alternative, ...]) -> Figure:
             a.name: np.linalg.norm(frequency_response(a.system, _OMEGA), 2, axis=(1, 2)).astype(float)
             for a in alternatives
         },
-        "largest singular value of K (pu s/rad)",
+        "largest gain of K (pu s/rad)",
         logarithmic=True,
     )
 
@@ -141,7 +141,7 @@ def sensitivity_figure(G: control.StateSpace, alternatives: tuple[Alternative, .
             loop = frequency_response(picked, _OMEGA) @ frequency_response(one.system, _OMEGA)
             S = np.linalg.inv(np.eye(loop.shape[1]) - loop)
             curves[one.name] = np.linalg.norm(S, 2, axis=(1, 2)).astype(float)
-    return _magnitudes(curves, f"{point}: largest singular value of S")
+    return _magnitudes(curves, f"{point}: largest gain of S")
 
 
 def effort_figure(alternatives: tuple[Alternative, ...], effort_cap: float, worst_swing: float) -> Figure:

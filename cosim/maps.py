@@ -232,7 +232,7 @@ def _render(
         stable=int((ok["stable"] == True).sum()) if "stable" in ok else None,  # noqa: E712
         least=least_damping(ok),
         parameters=[(n, labels[n], _range(sweep, n)) for n in sweep.parameters],
-        margins=[(m, kind_of(sweep, m.name), point_text(m.values)) for m in margins],
+        margins=[(m, labels.get(m.name, m.name), point_text(m.values)) for m in margins],
         maps=[key for key in order if key in svg],
         svg=svg,
         columns=[(c, labels.get(c) or _SHOWN.get(c, c)) for c in ["run", *columns]],
