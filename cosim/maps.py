@@ -15,6 +15,8 @@ import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from interarea.fmu_build.package import write_whole
+
 from . import maps_figures as figures
 from .artefacts import default_cache
 from .maps_data import (
@@ -76,9 +78,7 @@ def write_maps(
             file = save_figure(figure, Path(scratch) / f"{key}.svg", transparent=True)
             svg[key] = Markup(inline_svg(file, key))  # our own SVG
         text = _render(plan, rows, margins, svg, folder)
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(text, encoding="utf-8")
-    return partial.replace(path)
+    return write_whole(path, text.encode("utf-8"))
 
 
 def labels_of(sweep: Sweep) -> dict[str, str]:

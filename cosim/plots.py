@@ -7,6 +7,7 @@ Speeds come in pu and are drawn in thousandths of a pu.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+
+from interarea.fmu_build.package import write_whole
 
 from .compass import rim_angles
 
@@ -77,12 +80,11 @@ def save_figure(figure: Figure, path: Path, *, transparent: bool = False) -> Pat
 
     transparent : for a page that brings its own light or dark ground; by itself a figure stands on white.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     metadata = {"Date": None, "Creator": "interarea"} if path.suffix == ".svg" else None
-    partial = path.with_name(f".partial-{path.name}")
+    drawn = io.BytesIO()
     with mpl.rc_context(STYLE):
-        figure.savefig(partial, transparent=transparent, metadata=metadata, dpi=160)
-    return partial.replace(path)
+        figure.savefig(drawn, format=path.suffix[1:], transparent=transparent, metadata=metadata, dpi=160)
+    return write_whole(path, drawn.getvalue())
 
 
 def frequency_response(system: control.StateSpace, omega: Array) -> npt.NDArray[np.complex128]:

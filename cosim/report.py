@@ -15,6 +15,8 @@ from typing import Any
 import jinja2
 from markupsafe import Markup, escape
 
+from interarea.fmu_build.package import write_whole
+
 from .claims import judge_loops, judge_modes, judge_statements
 from .plots import GRID, INK, MUTED, SERIES
 from .published import TEMPLATES, published
@@ -51,12 +53,7 @@ def render_report(study: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
 
 def write_report(study: Mapping[str, Any], figures: Mapping[str, Path], path: Path) -> Path:
     """Write `render_report` to `path`, as one finished file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    text = render_report(study, figures)
-    partial = path.with_suffix(".partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
-    return path
+    return write_whole(path, render_report(study, figures).encode("utf-8"))
 
 
 def inline_svg(path: Path, key: str, title: str | None = None) -> str:

@@ -20,6 +20,7 @@ from interarea.design.linearise import remove_reference, select, speeds_in_rad
 from interarea.design.loops import rank_loops
 from interarea.design.modes import modes_of
 from interarea.design.reduction import balanced_truncation
+from interarea.fmu_build.package import write_whole
 from interarea.models.case import load_case
 from interarea.models.powerflow import solve_powerflow
 
@@ -191,9 +192,7 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
     write_report(study, figures, out / "report.html")
     done(0.9)
     text = json.dumps(study, indent=1, allow_nan=False)
-    partial = out / ".study.json.partial"
-    partial.write_text(text + "\n", encoding="utf-8")
-    partial.replace(out / "study.json")
+    write_whole(out / "study.json", f"{text}\n".encode())
     done(1.0)
     return study
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from interarea.cosim import plots
 from interarea.cosim.diagrams import generalised_plant_diagram, one_line_diagram
@@ -98,3 +99,26 @@ def test_every_column_of_latency_panels_has_its_time_axis() -> None:
     shown = [a for a in figure.axes if a.get_visible()]
     assert [a.get_xlabel() for a in shown] == ["", "time (s)", "time (s)"]
     assert [a.xaxis.get_tick_params()["labelbottom"] for a in shown] == [False, True, True]
+
+
+def test_two_that_draw_one_figure_at_once_do_not_meet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While one is drawing, another begins and ends with the same file, as two studies do in one cache."""
+    path, alone = tmp_path / "f" / "figure.svg", tmp_path / "alone.svg"
+    figure, axes = plots.new_figure(1, 1)
+    axes.plot([0.0, 1.0], [0.0, 1.0])
+    plots.save_figure(figure, alone)
+    draw = Figure.savefig
+    nested: list[Path] = []
+
+    def savefig(self: Figure, *arguments: object, **options: object) -> None:
+        if not nested:
+            nested.append(path)
+            plots.save_figure(figure, path)
+        draw(self, *arguments, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Figure, "savefig", savefig)
+    assert plots.save_figure(figure, path) == path
+    assert path.read_bytes() == alone.read_bytes()
+    assert [p.name for p in path.parent.iterdir()] == ["figure.svg"]
