@@ -170,5 +170,5 @@ def test_plants_whose_network_iterates_are_found_to_gain_nothing(
         for _ in range(2):
             rows = [o.row for o in runner.outcomes(range(3))]
             assert [row["status"] for row in rows] == ["ok"] * 3
-    if lanes_here(cache).count > 1:
+    if lanes_here(cache).count > 2:
         assert begun == [(0, 1, 2), (0,), (1,), (2,)]

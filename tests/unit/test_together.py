@@ -233,6 +233,24 @@ def test_what_watches_can_end_one_run(masters: list[Master], alone: list[Any]) -
     assert [bits(masters[k]) for k in (0, 2)] == [alone[k] for k in (0, 2)]
 
 
+def test_a_cancelled_run_stops_where_it_is_and_can_go_on(masters: list[Master], alone: list[Any]) -> None:
+    for master in masters[:3]:
+        master.start()
+    original = masters[1].hand_over
+
+    def hand_over_and_cancel() -> Any:
+        kernel = original()
+        masters[1].cancel()
+        return kernel
+
+    masters[1].hand_over = hand_over_and_cancel  # type: ignore[method-assign]
+    assert advance_together(masters[:3]) == [None] * 3
+    assert [m.finished for m in masters[:3]] == [True, False, True]
+    masters[1].hand_over = original  # type: ignore[method-assign]
+    assert advance_together(masters[1:2]) == [None]
+    assert [bits(m) for m in masters[:3]] == alone[:3]
+
+
 def test_plants_whose_network_iterates_go_one_by_one(cache: Path, library: GroupLibrary) -> None:
     loads = {"P_exponent": 1.0, "Q_exponent": 2.0}
     case = load_case("two-area-thesis").with_changes({"loads": {"L7": loads, "L9": loads}})
