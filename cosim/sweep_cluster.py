@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import SweepError
+from .heap import keep_freed_memory
 from .sweep_plan import SweepPlan, code_version, plan_of_document
 from .sweep_rows import Outcome, failed_row
 from .sweep_run import Runner
@@ -288,6 +289,7 @@ def _runner(plan: SweepPlan, files: Mapping[str, bytes]) -> Runner:
                 partial.chmod(0o755)
                 partial.replace(path)
         os.environ.setdefault("INTERAREA_CACHE", str(cache))  # where the kernel's binary is found too
+    keep_freed_memory()
     scratch = Path(tempfile.mkdtemp(prefix="runs-", dir=root))
     _here.runner = Runner(plan, cache, scratch)
     return _here.runner  # type: ignore[no-any-return]
