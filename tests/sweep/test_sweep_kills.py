@@ -46,11 +46,17 @@ def test_a_killed_worker_costs_nothing(document: Any, finished: Any, cache: Path
 @pytest.mark.slow
 def test_kills_at_random_times_leave_every_row_once(tmp_path: Path) -> None:
     file = tmp_path / "sweep.toml"
-    file.write_text(kills.SWEEP.format(losses=10), encoding="utf-8")
+    file.write_text(kills.SWEEP.format(losses=20), encoding="utf-8")
     expected = kills.undisturbed(file)
-    done = kills.disturb(file, tmp_path / "out", 6, random.Random(2), longest_s=6.0)
-    assert done["worker"] + done["main"] >= 3
-    kills.check(tmp_path / "out", expected)
+    chance, made, longest_s = random.Random(2), 0, 4.0
+    for k in range(12):  # however quick the machine is: kills come sooner until there are enough
+        done = kills.disturb(file, tmp_path / str(k), 6, chance, longest_s=longest_s)
+        kills.check(tmp_path / str(k), expected)
+        made += done["worker"] + done["main"]
+        if made >= 3:
+            break
+        longest_s /= 2.0
+    assert made >= 3
 
 
 def test_a_run_that_kills_its_worker_or_hangs_is_a_row(
