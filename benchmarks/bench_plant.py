@@ -146,7 +146,7 @@ def main() -> int:
         missed |= not good
         numbers[f"{what} ({'at least' if above else 'at most'} {target:g})"] = value
         sign = ">=" if above else "<="
-        print(f"{what:62} {value:9.3g}  {sign} {target:<6g} {'' if good else 'MISSED'}", flush=True)
+        print(f"{what:62} {value:9.4g}  {sign} {target:<6g} {'' if good else 'MISSED'}", flush=True)
 
     limited = two_area(RUNS[LIMITS][0])
     for what, variant, table, target in (
