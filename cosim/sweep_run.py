@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from interarea.fmu_build.package import build_fmu
 from interarea.models.case import Case
@@ -22,6 +22,7 @@ from .fmu_file import FmuFile
 from .run import EVENT_SLOTS, Loop, Wiring, wire
 from .scenario import Scenario
 from .sweep_forks import (
+    Beginning,
     Job,
     acts_of,
     beginning_of,
@@ -42,10 +43,6 @@ from .together import advance_together
 from .trajectory import Curves
 from .worker import participant_of
 
-if TYPE_CHECKING:
-    from interarea.design.bank import ControllerBank
-    from interarea.design.controller import Controller
-
 _KEPT = 4  # sets of instances that stay alive
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -60,9 +57,7 @@ class Runner:
         self.plan, self.cache, self.scratch = plan, cache, scratch
         self._plants: OrderedDict[tuple[CaseChange, int], Plant] = OrderedDict()
         self._kept: OrderedDict[Any, Kept] = OrderedDict()
-        self._controllers: dict[
-            tuple[str, str], tuple[Controller | ControllerBank | None, FmuFile | None]
-        ] = {}
+        self._controllers: dict[tuple[str, str], FmuFile] = {}
         self._cases: dict[str, Case] = {}
         self._channel: FmuFile | None = None
         self._own: dict[str, FmuFile] = {}
@@ -143,7 +138,7 @@ class Runner:
         for plant in self._plants.values():
             plant.close()
         self._plants.clear()
-        for file in (self._channel, *self._own.values(), *(f for _, f in self._controllers.values())):
+        for file in (self._channel, *self._own.values(), *self._controllers.values()):
             if file is not None:
                 file.close()
         self._channel = None
@@ -180,7 +175,7 @@ class Runner:
             point = job.point or point_of(sweep, values, base=self._packed)
             kept, wiring = self._ready(point)
             self.on_start()
-            forked = self._started(kept, job, wiring)
+            forked = _started(kept, job, wiring, kept.beginnings)
             self._advance(kept, jobs, k, wiring)
             return self._measured(job, kept, forked)
         except Exception as error:  # a failing run is a row, never the end of a sweep
@@ -250,18 +245,12 @@ class Runner:
         The first of them leaves its state where the others begin to differ.
         """
         first, master = ready[0][1], kept.loop.master
-        if kept is not first:
-            if first.beginnings and taken_over(first.beginnings[-1], job, master, wiring):
-                return True
-            kept.release()
-            master.start()
-            return False
-        forked = self._started(kept, job, wiring)
-        alike_s = min(common_s([job for job, _, _ in ready]), seconds(master.clock.stop))
-        place = place_of(alike_s, master)
-        if place is not None:
-            master.advance(seconds(master.ends[place - 1]), progress=watch)
-            kept.beginnings.append(beginning_of(job, master, wiring))
+        forked = _started(kept, job, wiring, first.beginnings)
+        if kept is first:
+            alike_s = min(common_s([job for job, _, _ in ready]), seconds(master.clock.stop))
+            place = place_of(alike_s, master)
+            if place is not None:
+                _leave(kept, job, wiring, place, watch)
         return forked
 
     def _measured(self, job: Job, kept: Kept, forked: bool) -> Outcome:
@@ -283,20 +272,11 @@ class Runner:
         ours = type(error).__module__.startswith("interarea")
         return self._failed(run, "invalid" if ours and not isinstance(error, OSError) else "internal", error)
 
-    def _started(self, kept: Kept, job: Job, wiring: Wiring) -> bool:
-        """Start a job's master; return whether it starts from what another job left."""
-        if kept.beginnings and taken_over(kept.beginnings[-1], job, kept.loop.master, wiring):
-            return True
-        kept.release()
-        kept.loop.master.start()
-        return False
-
     def _advance(self, kept: Kept, jobs: Sequence[Job], k: int, wiring: Wiring) -> None:
         """Step a job's master to its end, leaving its state on the way where later jobs start from it."""
         master, watch = kept.loop.master, self._watch()
         for place in places_to_save(jobs, k, master):
-            master.advance(seconds(master.ends[place - 1]), progress=watch)
-            kept.beginnings.append(beginning_of(jobs[k], master, wiring))
+            _leave(kept, jobs[k], wiring, place, watch)
         master.advance(progress=watch)
         kept.release(jobs[k].like_next_s)
 
@@ -418,8 +398,8 @@ class Runner:
             made = self.plan.controller(case, name)
             assert made is not None
             base = self._cases.setdefault(case, self.plan.case(case))
-            self._controllers[key] = (made, self._open(controller_fmu(made, base.omega_b, self.cache)))
-        return self._controllers[key][1]
+            self._controllers[key] = self._open(controller_fmu(made, base.omega_b, self.cache))
+        return self._controllers[key]
 
     def _channel_file(self) -> FmuFile:
         if self._channel is None:
@@ -439,6 +419,22 @@ class Runner:
 
     def _open(self, path: Path) -> FmuFile:
         return FmuFile(path, scratch=self.scratch)
+
+
+def _started(kept: Kept, job: Job, wiring: Wiring, left: Sequence[Beginning]) -> bool:
+    """Start a job's master; return whether it starts from the last of what other jobs `left`."""
+    if left and taken_over(left[-1], job, kept.loop.master, wiring):
+        return True
+    kept.release()
+    kept.loop.master.start()
+    return False
+
+
+def _leave(kept: Kept, job: Job, wiring: Wiring, place: int, watch: Callable[[float, float], None]) -> None:
+    """Step a job's master to the step `place` and keep its state there for later jobs."""
+    master = kept.loop.master
+    master.advance(seconds(master.ends[place - 1]), progress=watch)
+    kept.beginnings.append(beginning_of(job, master, wiring))
 
 
 def _nothing(*_runs: int) -> None:

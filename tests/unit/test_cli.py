@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
 
-from interarea.cosim.cli import main
 from interarea.cosim.terminal import DEBUG_VARIABLE, complain
 
 SCENARIO = """
@@ -22,24 +20,6 @@ size_pu = 0.05
 start_s = 0.5
 end_s = 0.7
 """
-
-
-@pytest.fixture
-def interarea(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):  # type: ignore[no-untyped-def]
-    """Return a call of the command: arguments -> (exit code, stdout, stderr)."""
-    monkeypatch.delenv(DEBUG_VARIABLE, raising=False)
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["interarea", *(str(a) for a in arguments)])
-        code = 0
-        try:
-            main()
-        except SystemExit as stopped:
-            code = int(stopped.code or 0)
-        out, err = capfd.readouterr()
-        return code, out, err
-
-    return call
 
 
 def test_cases_lists_the_bundled_cases(interarea) -> None:  # type: ignore[no-untyped-def]

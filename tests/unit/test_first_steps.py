@@ -14,7 +14,6 @@ import pytest
 
 from interarea.cosim.artefacts import channel_fmu, default_cache
 from interarea.cosim.build import System
-from interarea.cosim.cli import main
 from interarea.cosim.destination import folder_for
 from interarea.cosim.errors import DestinationError, ScenarioError
 from interarea.cosim.fmu_file import FmuFile
@@ -44,22 +43,10 @@ values = [0.01, 0.02]
 
 
 @pytest.fixture
-def interarea(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path):  # type: ignore[no-untyped-def]
+def interarea(interarea, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):  # type: ignore[no-untyped-def]
     """Return a call of the command in an empty folder: arguments -> (exit code, stdout, stderr)."""
-    monkeypatch.delenv("INTERAREA_DEBUG", raising=False)
     monkeypatch.chdir(tmp_path)
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["interarea", *(str(a) for a in arguments)])
-        code = 0
-        try:
-            main()
-        except SystemExit as stopped:
-            code = int(stopped.code or 0)
-        out, err = capfd.readouterr()
-        return code, out, err
-
-    return call
+    return interarea
 
 
 def test_an_fmu_is_unpacked_to_an_absolute_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
