@@ -17,10 +17,10 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from interarea.models.case import Case
-from interarea.models.case_schema import Load, Machine
-from interarea.models.equilibrium import operating_point
-from interarea.models.powerflow import solve_powerflow
+from interarea.models.case.case import Case
+from interarea.models.case.schema import Load, Machine
+from interarea.models.grid.equilibrium import operating_point
+from interarea.models.grid.powerflow import solve_powerflow
 
 Row = tuple[str, dict[str, Any]]
 _SHORT_S = 1e-6  #: filter times of IEEEST: with 0 the eigenvalue analysis of ANDES loses the stabilizer

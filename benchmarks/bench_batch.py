@@ -17,9 +17,9 @@ import time
 import numpy as np
 
 from interarea.fmu_build.batch import LANES, PlantBatch
-from interarea.models.case import Case, load_case
-from interarea.models.events import events_of
-from interarea.models.plant_block import event_parameters, plant_block
+from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.case.case import Case, load_case
+from interarea.models.case.events import events_of
 
 STOP_S, STEP_S = 5.0, 0.02
 TARGET = 3.0  #: AVX2 (four side by side) over one at a time

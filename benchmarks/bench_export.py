@@ -20,11 +20,11 @@ import numpy as np
 
 from interarea.fmu_build import build_fmu
 from interarea.fmu_build.compile import PLATFORMS, compile_binary, host_platform
-from interarea.models.case import load_case
-from interarea.models.channel_block import channel_block
-from interarea.models.controller_block import controller_block
-from interarea.models.plant_block import plant_block
-from interarea.models.variables import Block
+from interarea.models.blocks.channel import channel_block
+from interarea.models.blocks.controller import controller_block
+from interarea.models.blocks.plant import plant_block
+from interarea.models.blocks.variables import Block
+from interarea.models.case.case import load_case
 
 EXPORT_LIMIT_S = 0.020
 COLD_LIMIT_S = 180.0

@@ -29,9 +29,9 @@ from plain_loop import PlainPlant
 
 from interarea.cosim.artefacts import default_cache
 from interarea.fmu_build.batch import LANES, PlantBatch
-from interarea.models.case import Case, load_case
-from interarea.models.events import events_of
-from interarea.models.plant_block import plant_block
+from interarea.models.blocks.plant import plant_block
+from interarea.models.case.case import Case, load_case
+from interarea.models.case.events import events_of
 
 ANDES_STEP_S = 0.008
 ACCURACY_PU = 1e-5

@@ -144,7 +144,7 @@ def andes_run(python: str) -> float:
     """Return least milliseconds of processor time of 20 s of the plant alone in ANDES, at 10 ms."""
     from compare_andes import THYRISTOR, TRIP, ask_andes, two_area
 
-    from interarea.models.events import events_of
+    from interarea.models.case.events import events_of
 
     events = events_of(TRIP, where="bench_sweep")
     case = two_area({"exciter": THYRISTOR})

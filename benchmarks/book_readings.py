@@ -24,7 +24,7 @@ from compare_andes import ask, unsaturated
 
 from interarea.cosim.artefacts import default_cache, linear_plant
 from interarea.design.modes import modes_of
-from interarea.models.case import Case, load_case
+from interarea.models.case.case import Case, load_case
 
 HERE = Path(__file__).parent
 PRINTED = HERE.parent / "tests" / "published" / "swing_kundur.toml"

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from book_readings import HALF, printed, stabilizer_needed
 
 from interarea.cosim.artefacts import default_cache, linear_plant
-from interarea.models.case import load_case
+from interarea.models.case.case import load_case
 
 #: constants as printed; TA, TC/TB: lag and gain reduction of the exciter, TS: a lag more in the stabilizer
 PRINTED = {"KA": 200.0, "TR": 0.01, "TA": 0.0, "TC": 0.0, "TB": 0.0, "K": 20.0, "Tw": 10.0}

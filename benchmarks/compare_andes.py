@@ -27,10 +27,10 @@ from andes_rows import load_mix, rows_of
 from fmu_run import PlantSlave
 
 from interarea.cosim.artefacts import default_cache, linear_plant
-from interarea.models.case import Case, load_case
-from interarea.models.events import events_of
-from interarea.models.import_psse import import_psse
-from interarea.models.powerflow import solve_powerflow
+from interarea.models.case.case import Case, load_case
+from interarea.models.case.events import events_of
+from interarea.models.grid.powerflow import solve_powerflow
+from interarea.models.importers.psse import import_psse
 
 CLEARING_S = 1.0 + 8.0 / 60.0
 FAULT = [

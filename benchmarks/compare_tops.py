@@ -33,8 +33,8 @@ from tops_rows import LEAKAGE, case_from, tables_of
 
 from interarea.cosim.artefacts import default_cache, linear_plant
 from interarea.design.modes import modes_of
-from interarea.models.case import Case, load_case
-from interarea.models.powerflow import solve_powerflow
+from interarea.models.case.case import Case, load_case
+from interarea.models.grid.powerflow import solve_powerflow
 
 SEXS = {"kind": "static", "KA": 200.0, "TA": 0.02, "TR": 0.0, "Efd_min": -5.0, "Efd_max": 5.0}
 SEXS_TGR = SEXS | {"kind": "static_tgr", "TC": 1.0, "TB": 10.0}

@@ -17,8 +17,8 @@ from fmpy.fmi2 import FMU2Slave
 
 from interarea.cosim.artefacts import default_cache
 from interarea.fmu_build.package import build_fmu
-from interarea.models.case import Case
-from interarea.models.plant_block import event_parameters, plant_block
+from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.case.case import Case
 
 
 class PlantSlave:

@@ -38,7 +38,7 @@ from interarea.design.linearise import remove_reference
 from interarea.design.problem import Problem, Solution
 from interarea.design.solve import usable
 from interarea.design.study_designs import design_ftc
-from interarea.models.case import load_case
+from interarea.models.case.case import load_case
 
 #: Times Clarabel that the structured engine has to reach, by order.
 WANTED = {11: 30.0, 14: 50.0, 16: 100.0}

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-import interarea.models.record
-from interarea.models.plant_block import plant_block
-from interarea.models.record import pack_record
-from interarea.models.variables import Block
+import interarea.models.blocks.binary_table
+from interarea.models.blocks.binary_table import pack_record
+from interarea.models.blocks.plant import plant_block
+from interarea.models.blocks.variables import Block
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 
@@ -26,7 +26,7 @@ def compiled(block: Block, folder: Path) -> ctypes.CDLL:
     import os
 
     compiler = shlex.split(os.environ.get("CC", "")) or [sys.executable, "-m", "ziglang", "cc"]
-    models = Path(interarea.models.record.__file__).parent
+    models = Path(interarea.models.blocks.binary_table.__file__).parent
     includes = [f"-I{models / name}" for name in ("plant", "block")]
     library = folder / "plain_loop.so"
     sources = [str(Path(__file__).with_name("plain_loop.c")), *map(str, block.sources)]

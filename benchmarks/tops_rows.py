@@ -16,8 +16,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from interarea.models.case import Case, case_of
-from interarea.models.case_schema import Machine
+from interarea.models.case.case import Case, case_of
+from interarea.models.case.schema import Machine
 
 Table = list[list[Any]]
 KV = 100.0  #: one nominal voltage for everything: per unit is per unit

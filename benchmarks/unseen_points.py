@@ -10,8 +10,8 @@ from interarea.cosim.robust_design import load_design
 from interarea.design.family import judge_family
 from interarea.design.linearise import remove_reference, speeds_in_rad
 from interarea.design.shipped import shipped_controller, shipped_names
-from interarea.models.case import load_case
-from interarea.models.case_variants import operating_variant
+from interarea.models.case.case import load_case
+from interarea.models.case.variants import operating_variant
 
 POINTS = {
     "load +5 %": {"load_scale": 1.05},

@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache as forever
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import resolve_name
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,9 +34,9 @@ from interarea.fmu_build.compile import PLATFORMS, host_platform
 from interarea.fmu_build.cross_check import add_cross_check
 from interarea.fmu_build.open import open_plant
 from interarea.fmu_build.package import build_fmu
-from interarea.models.case import Case
-from interarea.models.plant_block import plant_block
-from interarea.models.variables import Block
+from interarea.models.blocks.plant import plant_block
+from interarea.models.blocks.variables import Block
+from interarea.models.case.case import Case
 
 if TYPE_CHECKING:
     from interarea.design.bank import ControllerBank
@@ -84,29 +85,49 @@ def source_hash(room: str, pattern: str = "*.py") -> str:
 
 @forever
 def code_hash(module: str) -> str:
-    """Return the hash of the Python source of `room.module` and of all it imports from this package."""
+    """Return the hash of the Python source of a module of this package and of all it imports from it.
+
+    module : full name; a module's own `__name__`, or the `__module__` of what it defines.
+
+    Raises
+    ------
+    ValueError : no such module; a wrong name must not end in a key that never changes.
+    """
     sources: dict[str, bytes] = {}
     todo = [module]
     while todo:
         name = todo.pop()
-        path = ROOMS / f"{name.replace('.', '/')}.py"
-        if name not in sources and path.exists():
+        path = _source_file(name)
+        if path is not None and name not in sources:
             sources[name] = path.read_bytes()
-            todo += _imports(name.partition(".")[0], sources[name])
+            package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+            todo += _imports(package, sources[name])
+    if module not in sources:
+        raise ValueError(f"{module!r} is no module of this package")
     return content_hash(*(part for name in sorted(sources) for part in (name, sources[name])))
 
 
-def _imports(room: str, source: bytes) -> list[str]:
+def _source_file(name: str) -> Path | None:
+    first, *parts = name.split(".")
+    if first != "interarea" or not parts:
+        return None
+    path = ROOMS.joinpath(*parts)
+    files = (path.with_name(f"{path.name}.py"), path / "__init__.py")
+    return next((file for file in files if file.is_file()), None)
+
+
+def _imports(package: str, source: bytes) -> list[str]:
     found = []
     todo: list[Any] = list(ast.parse(source).body)
     while todo:  # statements only: no expression holds an import, and they are most of a tree
         node = todo.pop()
         for block in ("body", "orelse", "finalbody", "handlers", "cases"):
             todo += getattr(node, block, ())
-        if isinstance(node, ast.ImportFrom):
-            parts = [room] if node.level == 1 else []
-            parts += (node.module or "").removeprefix("interarea.").split(".") if node.module else []
-            found += [".".join(parts), *(".".join([*parts, alias.name]) for alias in node.names)]
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            name = resolve_name("." * node.level + (node.module or ""), package)
+            found += [name, *(f"{name}.{alias.name}" for alias in node.names)]
     return found
 
 
@@ -189,7 +210,7 @@ def complete_fmu(fmu: Path, cache: Path) -> Path:
         here = f"binaries/{PLATFORMS[host_platform()].folder}/"
         if not any(name.startswith(here) for name in archive.namelist()):
             return fmu
-    key = content_hash(file_hash(fmu), code_hash("fmu_build.cross_check"))
+    key = content_hash(file_hash(fmu), code_hash(add_cross_check.__module__))
     return artefact(cache, "complete", f"{fmu.stem}-{key}", ".fmu", lambda p: add_cross_check(fmu, p))
 
 
@@ -204,14 +225,14 @@ def plant_fmu(case: Case, cache: Path) -> Path:
 
 def concentrator_fmu(signals: int, cache: Path) -> Path:
     """Return the FMU of a concentrator of so many signals."""
-    from interarea.models.concentrator_block import concentrator_block
+    from interarea.models.blocks.concentrator import concentrator_block
 
     return block_fmu(concentrator_block(signals), cache)
 
 
 def channel_fmu(cache: Path) -> Path:
     """Return the FMU of one channel; latency, outages and the rule on loss are its parameters."""
-    from interarea.models.channel_block import channel_block
+    from interarea.models.blocks.channel import channel_block
 
     return block_fmu(channel_block(), cache)
 
@@ -220,7 +241,9 @@ def active_bank(case: Case, cache: Path) -> ControllerBank:
     """Return the bank of controllers with its switching certificate, designed when it is new."""
     from interarea.design.bank import ControllerBank
 
-    key = content_hash(file_hash(plant_fmu(case, cache)), code_hash("design.active"), numerics_versions())
+    key = content_hash(
+        file_hash(plant_fmu(case, cache)), code_hash("interarea.design.active"), numerics_versions()
+    )
 
     def make(path: Path) -> Path:
         from interarea.design.active import design_active
@@ -242,7 +265,7 @@ def linear_plant(case: Case, cache: Path) -> control.StateSpace:
     Inputs `G1_vs`.. in pu, outputs as the FMU gives them (speeds in pu); all states in s.
     """
     fmu = plant_fmu(case, cache)
-    key = content_hash(fmu.name, code_hash("design.linearise"), numerics_versions())
+    key = content_hash(fmu.name, code_hash(linearise.__module__), numerics_versions())
 
     def make(path: Path) -> None:
         with open_plant(fmu) as plant:
@@ -284,8 +307,8 @@ def design_controller(case: Case, name: str, cache: Path, *, reduce: bool = True
     key = content_hash(
         [name, reduce],
         file_hash(plant_fmu(case, cache)),
-        code_hash("design.study_designs"),
-        code_hash("design.certificate"),
+        code_hash("interarea.design.study_designs"),
+        code_hash(certificate.__module__),
         numerics_versions(),
     )
     path = artefact(

@@ -11,7 +11,7 @@ import control
 from interarea.design.bank import ControllerBank, bank_of_record, load_controller
 from interarea.design.controller import Controller, ControllerError
 from interarea.design.switching import BankLoop, SwitchingCertificate, proven_decay, switching_certificate
-from interarea.models.record import unpack_record
+from interarea.models.blocks.binary_table import unpack_record
 
 from .fmu_file import read_description
 

@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import ValidationError
 
-from interarea.models.case import Case, load_case
-from interarea.models.case_errors import CaseError
-from interarea.models.events import event_of
-from interarea.models.plant_block import event_parameters, plant_block
+from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.case.case import Case, load_case
+from interarea.models.case.errors import CaseError
+from interarea.models.case.events import event_of
 
 from .channels import ChannelLine, hold_packets
 from .concentrators import ConcentratorLine
@@ -239,7 +239,7 @@ class System:
 
         Raises
         ------
-        ScenarioError, CaseError : see `interarea.models.events`; an unknown target.
+        ScenarioError, CaseError : see `interarea.models.case.events`; an unknown target.
         """
         if plant is None and len(self._plants) == 1:
             plant = next(iter(self._plants))

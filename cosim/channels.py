@@ -9,8 +9,8 @@ from typing import Annotated, Literal, Protocol, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from interarea.models.channel_block import OUTAGES, gamma_quantiles, quantiles_of
-from interarea.models.channel_packets import packets_of
+from interarea.models.blocks.channel import OUTAGES, gamma_quantiles, quantiles_of
+from interarea.models.blocks.packet_schedule import packets_of
 
 from .clock import TICKS_PER_SECOND, Clock, seconds, to_ticks
 from .errors import ScenarioError
@@ -68,7 +68,7 @@ class GilbertElliottLoss(Table):
 
 
 class ChannelLine(Table):
-    """How a channel delays and loses what is sent (semantics: models/channel/channel.h)."""
+    """How a channel delays and loses what is sent (semantics: models/c/channel/channel.h)."""
 
     latency_s: Seconds = 0.0
     on_loss: Literal["zero", "hold", "hold_then_zero"] = "zero"

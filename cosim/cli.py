@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import control
 
     from interarea.design.modes import Modes
-    from interarea.models.case import Case
+    from interarea.models.case.case import Case
 
 INTERRUPTED = 130  #: exit code after Ctrl-C, as shells have it
 
@@ -68,7 +68,7 @@ app.command("list")(list_bundled)
 @app.command()
 def cases(json_: AsJson = False) -> None:
     """List the bundled cases."""
-    from interarea.models.case import case_names, load_case
+    from interarea.models.case.case import case_names, load_case
 
     rows = {}
     for name in case_names():
@@ -149,7 +149,7 @@ app.command()(maps)
 
 def _modes(name: str) -> tuple[Case, control.StateSpace, Modes]:
     from interarea.design.modes import modes_of
-    from interarea.models.case import load_case
+    from interarea.models.case.case import load_case
 
     from .artefacts import default_cache, linear_plant
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from interarea.design.bank import ControllerBank
     from interarea.design.controller import Controller
     from interarea.design.family import FamilyCertificate
-    from interarea.models.case import Case
+    from interarea.models.case.case import Case
 
     from .robust_design import DesignTable
 
@@ -49,7 +49,7 @@ def design(
 
     The starts that were tried are shown beside the result, and so are controllers given by `--against`.
     """
-    from interarea.models.case import load_case
+    from interarea.models.case.case import load_case
 
     from .artefacts import default_cache
     from .design_comparison import HEADER, compare, save_comparison
@@ -119,7 +119,7 @@ def certify(
     What is judged (operating points, losses, latencies, the fault, what is asked) is in the controller's own
     record: the FMU alone is enough.
     """
-    from interarea.models.case import load_case
+    from interarea.models.case.case import load_case
 
     from .artefacts import active_bank, default_cache
     from .bank_certificate import any_bank

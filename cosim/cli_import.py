@@ -19,11 +19,11 @@ def import_grid(
     ] = 60.0,
 ) -> None:
     """Read a grid, solve its power flow and write it as a case file; what is not supported is named."""
-    from interarea.models.case import CaseError
-    from interarea.models.export_toml import export_toml
-    from interarea.models.import_matpower import import_matpower
-    from interarea.models.import_psse import import_psse
-    from interarea.models.powerflow import solve_powerflow
+    from interarea.models.case.case import CaseError
+    from interarea.models.case.write_toml import export_toml
+    from interarea.models.grid.powerflow import solve_powerflow
+    from interarea.models.importers.matpower import import_matpower
+    from interarea.models.importers.psse import import_psse
 
     from .destination import file_for
 
@@ -63,10 +63,10 @@ def export(
     load_scale: Annotated[float, typer.Option("--load-scale", metavar="FACTOR", help="on every load")] = 1.0,
 ) -> None:
     """Write a case, or it at another operating point, as one self-contained case file."""
-    from interarea.models.case import load_case
-    from interarea.models.case_variants import operating_variant
-    from interarea.models.export_toml import export_toml
-    from interarea.models.powerflow import solve_powerflow
+    from interarea.models.case.case import load_case
+    from interarea.models.case.variants import operating_variant
+    from interarea.models.case.write_toml import export_toml
+    from interarea.models.grid.powerflow import solve_powerflow
 
     from .destination import file_for
 

@@ -47,7 +47,7 @@ COMMANDS = {
 def bundled() -> dict[str, dict[str, str]]:
     """Return kind -> name -> title of all that is bundled."""
     from interarea.design.shipped import shipped_controller, shipped_names
-    from interarea.models.case import case_names, load_case
+    from interarea.models.case.case import case_names, load_case
 
     from .robust_design import design_names, load_design
     from .scenario import load_scenario, scenario_names

@@ -15,7 +15,7 @@ from .terminal import busy, print_table
 if TYPE_CHECKING:
     from interarea.design.modes import Mode, Modes
     from interarea.design.sensitivity import Sensitivity
-    from interarea.models.case import Case
+    from interarea.models.case.case import Case
 
 CaseName = Annotated[
     str, typer.Argument(metavar="CASE", help="bundled case or TOML file", show_default=False)
@@ -46,8 +46,8 @@ def modes(
 ) -> None:
     """Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes."""
     from interarea.design.modes import modes_of
-    from interarea.models.case import load_case
-    from interarea.models.case_variants import operating_variant
+    from interarea.models.case.case import load_case
+    from interarea.models.case.variants import operating_variant
 
     from .artefacts import default_cache, linear_plant
     from .destination import folder_for

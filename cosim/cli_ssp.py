@@ -39,9 +39,9 @@ def build(
     platforms: Platforms = None,
 ) -> None:
     """Build the plant FMU of a case, complete: documentation, sources and cross-check files."""
-    from interarea.models.case import load_case
-    from interarea.models.channel_block import channel_block
-    from interarea.models.plant_block import plant_block
+    from interarea.models.blocks.channel import channel_block
+    from interarea.models.blocks.plant import plant_block
+    from interarea.models.case.case import load_case
 
     from .artefacts import block_fmu, complete_fmu, default_cache, place
     from .destination import folder_for

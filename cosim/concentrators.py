@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self, get_args
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from interarea.models.concentrator_block import MOST_SIGNALS, FrameSets, frame_sets
+from interarea.models.blocks.concentrator import MOST_SIGNALS, FrameSets, frame_sets
 
 from .channels import Probability, Seconds, Table
 from .clock import TICKS_PER_SECOND, Clock, seconds, to_ticks
@@ -26,7 +26,7 @@ class SignalWay(Table):
 
 
 class ConcentratorLine(Table):
-    """Several signals aligned by time stamp (semantics: models/concentrator/concentrator.h)."""
+    """Several signals aligned by time stamp (semantics: models/c/concentrator/concentrator.h)."""
 
     signals: Annotated[tuple[SignalWay, ...], Field(min_length=1, max_length=MOST_SIGNALS)]
     reporting_interval_s: Annotated[float, Field(ge=1e-4)] = 0.02

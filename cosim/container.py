@@ -9,9 +9,9 @@ from pathlib import Path
 
 from interarea.fmu_build.package import build_fmu
 from interarea.fmu_build.render import record_entries
-from interarea.models.loop_block import LoopMember, loop_block
-from interarea.models.record import pack_record
-from interarea.models.variables import Block
+from interarea.models.blocks.binary_table import pack_record
+from interarea.models.blocks.container import LoopMember, loop_block
+from interarea.models.blocks.variables import Block
 
 from .errors import ScenarioError
 from .members import members_of

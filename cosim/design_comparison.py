@@ -20,7 +20,7 @@ from interarea.design.certificate import closed_loop_matrix
 from interarea.design.delay import delayed_loop, rightmost_roots
 from interarea.design.family import FamilyCertificate
 from interarea.design.linearise import select, speeds_in_rad
-from interarea.models.case import load_case
+from interarea.models.case.case import load_case
 
 from .plots import (
     DASHES,

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch
 
-from interarea.models.powerflow import PowerFlow
+from interarea.models.grid.powerflow import PowerFlow
 
 from .plots import INK, MUTED, SERIES, STYLE, WIDTH
 

@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
-from interarea.models.case_errors import OneLineError
+from interarea.models.case.errors import OneLineError
 
 if TYPE_CHECKING:
     from pydantic import ValidationError

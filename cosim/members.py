@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from interarea.models.case import load_case
-from interarea.models.channel_block import channel_block
-from interarea.models.concentrator_block import concentrator_block
-from interarea.models.plant_block import plant_block
-from interarea.models.variables import Block, VariableTable
+from interarea.models.blocks.channel import channel_block
+from interarea.models.blocks.concentrator import concentrator_block
+from interarea.models.blocks.plant import plant_block
+from interarea.models.blocks.variables import Block, VariableTable
+from interarea.models.case.case import load_case
 
 from .build import pairs_of
 from .fmu_file import FmuFile

@@ -13,7 +13,7 @@ from .scenario import Scenario
 from .trajectory import Curves, Trajectory
 
 if TYPE_CHECKING:
-    from interarea.models.case import Case
+    from interarea.models.case.case import Case
 
 Array = npt.NDArray[np.float64]
 _BAND_HZ = (0.1, 3.0)  # electromechanical modes

@@ -18,8 +18,8 @@ from interarea.design.modes import modes_of
 from interarea.design.robust import RobustSpec, design_robust
 from interarea.design.robust_check import require_moved
 from interarea.design.smoothed import BandOffsets
-from interarea.models.case import Case, load_case
-from interarea.models.case_variants import operating_variant
+from interarea.models.case.case import Case, load_case
+from interarea.models.case.variants import operating_variant
 
 from .artefacts import linear_plant
 from .errors import ScenarioError, nearest

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from interarea.design.shipped import shipped_names
-from interarea.models.case import load_case
-from interarea.models.plant_block import event_parameters, plant_block
+from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.case.case import load_case
 
 from .build import System, pairs_of, points_of, self_test_of
 from .channels import hold_packets
@@ -32,7 +32,7 @@ from .worker import participant_of
 if TYPE_CHECKING:
     from interarea.design.bank import ControllerBank
     from interarea.design.controller import Controller
-    from interarea.models.case import Case
+    from interarea.models.case.case import Case
 
 Controllers = Callable[[str, Any], "Controller"]
 Array = npt.NDArray[np.float64]

@@ -11,7 +11,7 @@ A scenario file is TOML:
     latency_s = 0.1
     on_loss = "zero"                   # zero | hold | hold_then_zero (for hold_s)
     outages_s = [[10.0, 20.0]]
-    [[event]]                          # interarea.models.events
+    [[event]]                          # interarea.models.case.events
     kind = "vref_pulse"
     machine = "G1"
     size_pu = 0.05
@@ -58,9 +58,9 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from interarea.design.shipped import shipped_names
-from interarea.models.case_errors import CaseError
-from interarea.models.concentrator_block import MOST_SIGNALS
-from interarea.models.events import events_of
+from interarea.models.blocks.concentrator import MOST_SIGNALS
+from interarea.models.case.errors import CaseError
+from interarea.models.case.events import events_of
 
 from .channels import ChannelLine, Seconds, Table
 from .clock import to_ticks

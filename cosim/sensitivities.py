@@ -14,9 +14,9 @@ from interarea.design.modes import modes_of
 from interarea.design.sensitivity import Sensitivity, eigenvalue_sensitivity
 from interarea.fmu_build.open import open_plant
 from interarea.fmu_build.package import build_fmu
-from interarea.models.case import Case
-from interarea.models.case_parameter import parameter_value, with_parameter
-from interarea.models.plant_block import plant_block
+from interarea.models.blocks.plant import plant_block
+from interarea.models.case.case import Case
+from interarea.models.case.parameter_path import parameter_value, with_parameter
 
 from .artefacts import linear_plant
 

@@ -21,8 +21,8 @@ from interarea.design.loops import rank_loops
 from interarea.design.modes import modes_of
 from interarea.design.reduction import balanced_truncation
 from interarea.fmu_build.package import write_whole
-from interarea.models.case import load_case
-from interarea.models.powerflow import solve_powerflow
+from interarea.models.case.case import load_case
+from interarea.models.grid.powerflow import solve_powerflow
 
 from . import study_rows as rows
 from .artefacts import (
@@ -131,7 +131,10 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
         done = stage("latency")
         delayed = spec["latency"]["controller"]
         key = content_hash(
-            fmus["plant"].name, fmus[delayed].name, dict(spec["latency"]), code_hash("cosim.study_delay")
+            fmus["plant"].name,
+            fmus[delayed].name,
+            dict(spec["latency"]),
+            code_hash(latency_analysis.__module__),
         )
         delay = cached_json(
             cache,
@@ -208,7 +211,9 @@ def _packets(
     """Return what packet loss and random latency do: second moments and Monte Carlo, as in study.json."""
     table = spec["packets"]
     key = content_hash(
-        *(fmus[name].name for name in ("plant", *controllers)), dict(table), code_hash("cosim.study_loss")
+        *(fmus[name].name for name in ("plant", *controllers)),
+        dict(table),
+        code_hash(mean_square_rows.__module__),
     )
     rows = cached_json(cache, "packets", key, lambda: mean_square_rows(plant, controllers, table))
     progress(0.3)
@@ -225,7 +230,7 @@ def _figure_key(parts: StudyParts) -> str:
     systems = [*parts.full_controllers.values(), *(c.system for c in parts.controllers.values()), parts.plant]
     matrices = [getattr(system, m) for system in systems for m in "ABCD"]
     runs = [str(run.trajectory) for run in parts.runs.values()]
-    code = code_hash("cosim.study_figures")
+    code = code_hash(save_figures.__module__)
     return content_hash(
         parts.spec, parts.case.hash, runs, parts.delay, code, version("matplotlib"), *matrices
     )

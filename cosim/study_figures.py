@@ -17,8 +17,8 @@ from interarea.design.controller import Controller
 from interarea.design.linearise import select
 from interarea.design.modes import Modes
 from interarea.design.reduction import Reduction
-from interarea.models.case import Case
-from interarea.models.powerflow import PowerFlow
+from interarea.models.case.case import Case
+from interarea.models.grid.powerflow import PowerFlow
 
 from .diagrams import generalised_plant_diagram, one_line_diagram
 from .plots import (

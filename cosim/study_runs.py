@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from interarea.models.case import load_case
+from interarea.models.case.case import load_case
 
 from .artefacts import (
     CONTROLLER_NAMES,
@@ -168,7 +168,7 @@ def _folder(document: Document, cache: Path) -> Path:
     if document["controller"] in CONTROLLER_NAMES:
         controller = design_controller(case, document["controller"], cache)
         parts += [file_hash(controller_fmu(controller, case.omega_b, cache)), file_hash(channel_fmu(cache))]
-    parts += [code_hash("cosim.study_runs"), source_hash("cosim", "*.[ch]")]
+    parts += [code_hash(__name__), source_hash("cosim", "*.[ch]")]
     return cache / "runs" / content_hash(*parts)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from interarea.models.case import Case
+from interarea.models.case.case import Case
 
 from .errors import ScenarioError
 from .fmu_file import FmuFile

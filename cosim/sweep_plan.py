@@ -17,7 +17,7 @@ from typing import Any
 
 from interarea.design.bank import ControllerBank, load_controller
 from interarea.design.controller import Controller
-from interarea.models.case import Case, case_of, load_case
+from interarea.models.case.case import Case, case_of, load_case
 
 from .artefacts import (
     active_bank,
@@ -42,7 +42,7 @@ FORMAT = 2  #: of the result folder
 def code_version() -> str:
     """Return the hash of all code that a run's numbers come from, and of the libraries' versions."""
     return content_hash(
-        code_hash("cosim.sweep_run"),
+        code_hash("interarea.cosim.sweep_run"),
         source_hash("models", "*.[ch]"),
         source_hash("fmu_build", "*.[ch]"),
         source_hash("cosim", "*.[ch]"),

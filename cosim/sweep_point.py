@@ -22,8 +22,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from interarea.models.case import Case
-from interarea.models.case_variants import operating_variant
+from interarea.models.case.case import Case
+from interarea.models.case.variants import operating_variant
 
 from .errors import SweepError, nearest
 from .scenario import ChannelTable, MasterTable, Scenario, load_scenario

@@ -8,7 +8,7 @@ from pathlib import Path
 from interarea.fmu_build.compile import compile_binary, host_platform
 from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.group import plant_group
-from interarea.models.plant_block import plant_block
+from interarea.models.blocks.plant import plant_block
 
 from .artefacts import channel_fmu, concentrator_fmu, controller_fmu, plant_fmu
 from .kernel_build import load_kernel

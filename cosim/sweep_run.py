@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from interarea.fmu_build.package import build_fmu
-from interarea.models.case import Case
-from interarea.models.plant_block import plant_block
+from interarea.models.blocks.plant import plant_block
+from interarea.models.case.case import Case
 
 from .artefacts import channel_fmu, concentrator_fmu, controller_fmu, plant_fmu
 from .clock import seconds

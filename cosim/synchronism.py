@@ -21,8 +21,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.signal import lsim
 
 from interarea.design.controller import Controller
-from interarea.models.case import Case
-from interarea.models.export_toml import export_toml
+from interarea.models.case.case import Case
+from interarea.models.case.write_toml import export_toml
 
 from .artefacts import artefact, code_hash, content_hash, file_hash, plant_fmu
 from .run import run_scenario
@@ -83,9 +83,7 @@ def fault_scenario(
 def uncontrolled_speeds(case: Case, fault: FaultTable, cache: Path) -> tuple[Array, dict[str, Array]]:
     """Return time (s) and machine -> speed deviation (pu) of the fault without control, kept in `cache`."""
     window = fault.model_copy(update={"stop_s": fault.lost_s + 1.5})
-    key = content_hash(
-        file_hash(plant_fmu(case, cache)), window.model_dump(mode="json"), code_hash("cosim.synchronism")
-    )
+    key = content_hash(file_hash(plant_fmu(case, cache)), window.model_dump(mode="json"), code_hash(__name__))
 
     def make(path: Path) -> None:
         with tempfile.TemporaryDirectory() as folder:

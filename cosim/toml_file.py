@@ -6,7 +6,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from interarea.models.toml_kind import other_kind
+from interarea.models.case.file_kind import other_kind
 
 
 def read_toml(path: Path, wanted: str, error: type[Exception]) -> dict[str, Any]:

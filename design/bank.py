@@ -1,6 +1,6 @@
 """A bank of controllers, one for each set of signals that can be trusted: active fault tolerance.
 
-Every controller of the bank runs all the time; the supervisor in C (`models/controller/supervisor.c`)
+Every controller of the bank runs all the time; the supervisor in C (`models/c/controller/supervisor.c`)
 follows the validity flags of the signals and fades from one output to the other.
 """
 
@@ -17,8 +17,8 @@ from typing import Any
 import control
 import numpy as np
 
-from interarea.models.supervisor_block import MAX_BANK, MAX_SIGNALS, Matrices, supervisor_block
-from interarea.models.variables import Block
+from interarea.models.blocks.supervisor import MAX_BANK, MAX_SIGNALS, Matrices, supervisor_block
+from interarea.models.blocks.variables import Block
 
 from .controller import Controller, ControllerError, document, plain
 from .problem import Matrix

@@ -16,8 +16,8 @@ from typing import Any
 import control
 import numpy as np
 
-from interarea.models.controller_block import controller_block
-from interarea.models.variables import Block
+from interarea.models.blocks.controller import controller_block
+from interarea.models.blocks.variables import Block
 
 SCHEMA = 1
 

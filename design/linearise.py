@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from interarea.models.plant_protocol import Plant
+    from interarea.models.blocks.linear_plant import Plant
 
 Matrix = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 r"""Stability of a bank of controllers for every sequence of losses and returns.
 
-With the supervisor of `models/controller/supervisor.c` the loop is at every instant a convex combination of
+With the supervisor of `models/c/controller/supervisor.c` the loop is at every instant a convex combination of
 the loops :math:`A_v` in which one member is active and some set of signals arrives: weights and trust fade
 with one time constant towards the same corners. One :math:`P > 0` with
 

@@ -33,8 +33,8 @@ from interarea.cosim.build import System
 from interarea.cosim.instances import FmuParticipant
 from interarea.cosim.plots import DASHES, SERIES, new_figure, save_figure
 from interarea.design.controller import Controller
-from interarea.models.case import load_case
-from interarea.models.controller_block import controller_block
+from interarea.models.blocks.controller import controller_block
+from interarea.models.case.case import load_case
 
 Array = npt.NDArray[np.float64]
 CASE, LATENCY_S, STOP_S = "two-area-thesis", 0.1, 10.0

@@ -17,9 +17,9 @@ from fmpy.fmi2 import FMU2Slave
 
 from interarea.cosim.artefacts import channel_fmu, controller_fmu, default_cache, plant_fmu
 from interarea.design.controller import Controller
-from interarea.models.case import load_case
-from interarea.models.events import event_of
-from interarea.models.plant_block import event_parameters
+from interarea.models.blocks.plant import event_parameters
+from interarea.models.case.case import load_case
+from interarea.models.case.events import event_of
 
 STEP_S, STOP_S = 0.01, 5.0
 

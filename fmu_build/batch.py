@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from interarea.models.plant_block import BATCH_SOURCES
-from interarea.models.record import pack_record
-from interarea.models.variables import STEP_PARAMETER, Block
+from interarea.models.blocks.binary_table import pack_record
+from interarea.models.blocks.plant import BATCH_SOURCES
+from interarea.models.blocks.variables import STEP_PARAMETER, Block
 
 from .compile import compile_library, gather_sources, host_platform
 from .errors import BuildError, FmuError
@@ -80,8 +80,8 @@ class BatchRun:
 class PlantBatch:
     """The plant of one grid, ready to run many scenarios.
 
-    >>> from interarea.models.case import load_case
-    >>> from interarea.models.plant_block import plant_block
+    >>> from interarea.models.case.case import load_case
+    >>> from interarea.models.blocks.plant import plant_block
     >>> batch = PlantBatch(plant_block(load_case("two-area-thesis")))  # doctest: +SKIP
     >>> run = batch.run([{"G1.exciter.KA": 150.0}, {"G1.exciter.KA": 250.0}], stop_s=1.0)  # doctest: +SKIP
     >>> run.of("G1_dw").shape  # doctest: +SKIP

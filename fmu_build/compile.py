@@ -188,7 +188,7 @@ def _block_folder() -> Path:
     """Folder of block.h and record.c."""
     spec = importlib.util.find_spec("interarea.models")
     assert spec is not None and spec.submodule_search_locations
-    return Path(next(iter(spec.submodule_search_locations))).resolve() / "block"
+    return Path(next(iter(spec.submodule_search_locations))).resolve() / "c" / "block"
 
 
 def compile_binary(

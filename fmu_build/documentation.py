@@ -11,7 +11,7 @@ from pathlib import Path
 
 import jinja2
 
-from interarea.models.variables import Block
+from interarea.models.blocks.variables import Block
 
 from .compile import fmi_headers, fmi_sources
 from .render import SI_UNITS, product_version

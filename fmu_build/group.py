@@ -7,7 +7,7 @@ import functools
 from ctypes import c_size_t, c_void_p
 from pathlib import Path
 
-from interarea.models.plant_block import GROUP_SOURCES, SOURCES
+from interarea.models.blocks.plant import GROUP_SOURCES, SOURCES
 
 from .compile import compile_library, fmi_sources, gather_sources, host_platform, record_source
 from .errors import BuildError

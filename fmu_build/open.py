@@ -19,7 +19,7 @@ Vector = npt.NDArray[np.float64]
 
 
 class PlantFmu:
-    """A model-exchange FMU behind the `interarea.models.plant_protocol.Plant` protocol.
+    """A model-exchange FMU behind the `interarea.models.blocks.linear_plant.Plant` protocol.
 
     Names in the order of the FMU's continuous states, Real inputs and Real
     outputs. Use it as a context manager, or call `close`; the garbage

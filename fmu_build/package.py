@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from interarea.models.variables import Block
+from interarea.models.blocks.variables import Block
 
 from .compile import PLATFORMS, compile_library, host_platform, record_source, source_files
 from .documentation import documentation

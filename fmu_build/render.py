@@ -12,8 +12,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import numpy.typing as npt
 
-from interarea.models.record import pack_record
-from interarea.models.variables import STEP_PARAMETER, Block, Enumeration, Variable
+from interarea.models.blocks.binary_table import pack_record
+from interarea.models.blocks.variables import STEP_PARAMETER, Block, Enumeration, Variable
 
 RECORD_FORMAT = 1  #: read by c/fmi2_instantiate.c
 

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, settings
 
 from interarea.cosim.run import Controllers
 from interarea.design.controller import Controller
-from interarea.models.case import Case, load_case
+from interarea.models.case.case import Case, load_case
 
 # How long one example takes says nothing on a machine that is busy; the same examples on every machine.
 settings.register_profile(

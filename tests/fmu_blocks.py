@@ -6,15 +6,15 @@ import numpy as np
 from fmu_runner import decay_block
 
 from interarea.fmu_build.render import record_entries
-from interarea.models.case import load_case
-from interarea.models.channel_block import channel_block
-from interarea.models.concentrator_block import concentrator_block
-from interarea.models.controller_block import controller_block
-from interarea.models.loop_block import LoopMember, loop_block
-from interarea.models.plant_block import plant_block
-from interarea.models.record import pack_record
-from interarea.models.supervisor_block import supervisor_block
-from interarea.models.variables import Block
+from interarea.models.blocks.binary_table import pack_record
+from interarea.models.blocks.channel import channel_block
+from interarea.models.blocks.concentrator import concentrator_block
+from interarea.models.blocks.container import LoopMember, loop_block
+from interarea.models.blocks.controller import controller_block
+from interarea.models.blocks.plant import plant_block
+from interarea.models.blocks.supervisor import supervisor_block
+from interarea.models.blocks.variables import Block
+from interarea.models.case.case import load_case
 
 A = np.array([[-1.0, 4.0, 0.0], [-4.0, -1.0, 0.5], [0.0, 0.0, -3.0]])
 B = np.array([[0.0, 1.0], [1.0, 0.0], [0.5, -0.5]])

@@ -20,7 +20,7 @@ from fmpy.fmi2 import (
     fmi2CallbackLoggerTYPE,
 )
 
-from interarea.models.variables import Block, Variable, VariableTable
+from interarea.models.blocks.variables import Block, Variable, VariableTable
 
 DECAY_C = Path(__file__).resolve().parent / "conformance" / "blocks" / "decay.c"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from interarea.models.case import Case
+from interarea.models.case.case import Case
 
 
 def raw_text(case: Case) -> str:

@@ -10,7 +10,7 @@ from fmu_runner import decay_block
 
 from interarea.fmu_build import build_fmu
 from interarea.fmu_build.check import check_file
-from interarea.models.variables import Variable, VariableTable
+from interarea.models.blocks.variables import Variable, VariableTable
 
 FAULTY_C = Path(__file__).resolve().parent / "blocks" / "faulty.c"
 

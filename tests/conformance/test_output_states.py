@@ -12,8 +12,8 @@ from fmu_runner import Runner
 from interarea.cosim.artefacts import plant_fmu
 from interarea.cosim.fmu_file import FmuFile
 from interarea.cosim.instances import FmuParticipant
-from interarea.models.case import load_case
-from interarea.models.record import pack_record, unpack_record
+from interarea.models.blocks.binary_table import pack_record, unpack_record
+from interarea.models.case.case import load_case
 
 
 @pytest.mark.parametrize("case", ["two-area-thesis", "new-england"])

@@ -10,9 +10,9 @@ from interarea.cosim.errors import StepError
 from interarea.cosim.fmu_file import FmuFile
 from interarea.cosim.instances import FmuParticipant
 from interarea.fmu_build.batch import PlantBatch
-from interarea.models.case import Case, load_case
-from interarea.models.events import events_of
-from interarea.models.plant_block import event_parameters, plant_block
+from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.case.case import Case, load_case
+from interarea.models.case.events import events_of
 
 #: four times the load as an impedance, three times its power given back: no voltage answers it out of step
 COLLAPSING = {"P_exponent": "none", "P_zip": [4.0, 0.0, -3.0], "Q_exponent": 2.0}

@@ -8,9 +8,9 @@ import fmpy
 import numpy as np
 
 from interarea.fmu_build import build_fmu
-from interarea.models.case import load_case
-from interarea.models.events import events_of
-from interarea.models.plant_block import event_parameters, plant_block
+from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.case.case import load_case
+from interarea.models.case.events import events_of
 
 OUTPUTS = ["G1_dw", "G2_dw", "G4_dw", "G1_delta", "G1_pe", "G1_vt", "tie_p"]
 

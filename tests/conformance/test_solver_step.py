@@ -14,14 +14,14 @@ from fmu_runner import Runner
 from interarea.fmu_build import build_fmu
 from interarea.fmu_build.batch import PlantBatch
 from interarea.fmu_build.render import record_entries
-from interarea.models.case import CaseError, case_of, load_case
-from interarea.models.channel_block import channel_block
-from interarea.models.controller_block import controller_block
-from interarea.models.events import events_of
-from interarea.models.export_toml import export_toml
-from interarea.models.loop_block import LoopMember, loop_block
-from interarea.models.plant_block import event_parameters, plant_block
-from interarea.models.record import pack_record
+from interarea.models.blocks.binary_table import pack_record
+from interarea.models.blocks.channel import channel_block
+from interarea.models.blocks.container import LoopMember, loop_block
+from interarea.models.blocks.controller import controller_block
+from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.case.case import CaseError, case_of, load_case
+from interarea.models.case.events import events_of
+from interarea.models.case.write_toml import export_toml
 
 CASE = "kundur-thyristor"
 STEPS_S = (0.02, 0.01, 0.005, 0.0025)

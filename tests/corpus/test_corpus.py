@@ -37,7 +37,7 @@ from interarea.cosim.cli import main
 from interarea.design.controller import Controller
 from interarea.design.shipped import FOLDER
 from interarea.fmu_build import build_fmu
-from interarea.models.case import load_case
+from interarea.models.case.case import load_case
 
 CASE_FILE = (files("interarea.models") / "cases" / "kundur-manual.toml").read_text(encoding="utf-8")
 DESIGN_FILE = (files("interarea.cosim") / "templates" / "design_robust.toml").read_text(encoding="utf-8")

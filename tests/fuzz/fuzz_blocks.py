@@ -12,7 +12,7 @@ from interarea.cosim.artefacts import default_cache
 from interarea.cosim.container import container_block
 from interarea.cosim.scenario import load_scenario
 from interarea.design.controller import Controller
-from interarea.models.variables import Block
+from interarea.models.blocks.variables import Block
 
 
 def fuzz_block(kind: str, cache: Path | None = None) -> Block:

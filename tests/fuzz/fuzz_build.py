@@ -16,7 +16,7 @@ import numpy as np
 
 from interarea.fmu_build.compile import gather_sources, record_source, source_files
 from interarea.fmu_build.render import render
-from interarea.models.variables import Block
+from interarea.models.blocks.variables import Block
 
 HERE = Path(__file__).resolve().parent
 _PROGRAM = "#include <stdlib.h>\nint main(void) { int *p = malloc(4); *p = 1; free(p); return 0; }\n"

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from interarea.cosim.artefacts import channel_fmu
-from interarea.models.channel_packets import packets_of
+from interarea.models.blocks.packet_schedule import packets_of
 
 COUNTS = ("sent", "delivered", "dropped", "late")
 SLACK_S = 1e-10

@@ -17,10 +17,10 @@ from interarea.cosim.errors import ScenarioError, SweepError
 from interarea.cosim.scenario import load_scenario
 from interarea.cosim.sweep_plan import plan_sweep
 from interarea.cosim.sweep_spec import load_sweep, scenario_document
-from interarea.models.case import Case, case_of, load_case
-from interarea.models.case_errors import CaseError
-from interarea.models.equilibrium import operating_point
-from interarea.models.export_toml import export_toml
+from interarea.models.case.case import Case, case_of, load_case
+from interarea.models.case.errors import CaseError
+from interarea.models.case.write_toml import export_toml
+from interarea.models.grid.equilibrium import operating_point
 
 milliseconds = st.integers(0, 3000).map(lambda n: n / 1000)
 words = st.text(st.characters(codec="utf-8", exclude_characters="\x00"), max_size=12)

@@ -13,7 +13,7 @@ from interarea.cosim import metrics as m
 from interarea.cosim.participant import Port
 from interarea.cosim.ringdown import ring_down_of
 from interarea.cosim.trajectory import Records
-from interarea.models.case import Case
+from interarea.models.case.case import Case
 
 T = 0.05 * np.arange(300)
 SHAPES = {

@@ -18,7 +18,7 @@ from interarea.cosim.artefacts import plant_fmu
 from interarea.design.linearise import linearise
 from interarea.design.modes import Modes, modes_of
 from interarea.fmu_build.open import open_plant
-from interarea.models.case import Case, load_case
+from interarea.models.case.case import Case, load_case
 
 READINGS = list(book_readings.readings())
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import printed
 import pytest
 
-from interarea.models.case import load_case
-from interarea.models.powerflow import PowerFlow, solve_powerflow
+from interarea.models.case.case import load_case
+from interarea.models.grid.powerflow import PowerFlow, solve_powerflow
 
 TABLES = ("powerflow_kundur", "powerflow_tr18", "powerflow_new_england")
 

@@ -11,8 +11,8 @@ from interarea.cosim.robust_design import family_cases, load_design
 from interarea.cosim.run import run_scenario
 from interarea.cosim.synchronism import after_fault
 from interarea.design.shipped import shipped_controller
-from interarea.models.case import Case
-from interarea.models.export_toml import export_toml
+from interarea.models.case.case import Case
+from interarea.models.case.write_toml import export_toml
 
 CASES = family_cases(load_design("robust"))
 

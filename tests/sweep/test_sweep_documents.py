@@ -12,7 +12,7 @@ import pytest
 from interarea.cosim.sweep_plan import plan_sweep
 from interarea.cosim.sweep_point import check_paths
 from interarea.cosim.sweep_spec import METRICS, load_sweep, sweep_of
-from interarea.models.case import Case
+from interarea.models.case.case import Case
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "sweeps.md").read_text(encoding="utf-8")

@@ -20,9 +20,9 @@ from interarea.cosim.run import Controllers, run_scenario
 from interarea.cosim.scenario import load_scenario
 from interarea.design.controller import Controller
 from interarea.fmu_build import build_fmu
-from interarea.models.case import Case
-from interarea.models.channel_block import channel_block
-from interarea.models.plant_block import event_parameters, plant_block
+from interarea.models.blocks.channel import channel_block
+from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.case.case import Case
 
 Array = npt.NDArray[np.float64]
 STEP, STOP = 0.01, 1.5

@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-import interarea.models.record
-from interarea.models.record import pack_record
-from interarea.models.variables import Block
+import interarea.models
+import interarea.models.blocks.binary_table
+from interarea.models.blocks.binary_table import pack_record
+from interarea.models.blocks.variables import Block
 
 FLAGS = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
 _Real = ctypes.POINTER(ctypes.c_double)
@@ -39,7 +40,9 @@ class _Needs(ctypes.Structure):
 
 def _fields_of_block() -> list[tuple[str, type]]:
     """Members of `Block` in the order of block.h, so that the header stays the only place that says it."""
-    text = (Path(interarea.models.record.__file__).parent / "block" / "block.h").read_text()
+    text = (
+        Path(interarea.models.blocks.binary_table.__file__).parents[1] / "c" / "block" / "block.h"
+    ).read_text()
     body = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
     body = re.search(r"typedef struct \{([^}]*)\} Block;", body).group(1)
     kinds = {

@@ -11,7 +11,7 @@ from participants import Linear
 from interarea.cosim.build import System
 from interarea.cosim.channels import ChannelLine
 from interarea.design.controller import Controller
-from interarea.models.channel_packets import packets_of
+from interarea.models.blocks.packet_schedule import packets_of
 
 RATE = 2.0
 

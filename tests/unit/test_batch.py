@@ -10,10 +10,10 @@ from plant_shim import BlockShim
 from interarea.cosim.artefacts import plant_fmu
 from interarea.fmu_build.batch import LANES, PlantBatch
 from interarea.fmu_build.errors import BuildError, FmuError
-from interarea.models.case import load_case
-from interarea.models.channel_block import channel_block
-from interarea.models.events import events_of
-from interarea.models.plant_block import event_parameters, plant_block
+from interarea.models.blocks.channel import channel_block
+from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.case.case import load_case
+from interarea.models.case.events import events_of
 
 CASE = "two-area-thesis"
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from interarea.models.case import load_case
-from interarea.models.events import events_of
+from interarea.models.case.case import load_case
+from interarea.models.case.events import events_of
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import andes_rows

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from interarea.models.case import CaseError, case_names, case_of, load_case
-from interarea.models.case_checks import require_dynamics
-from interarea.models.case_variants import operating_variant
-from interarea.models.export_toml import export_toml
-from interarea.models.powerflow import solve_powerflow
+from interarea.models.case.case import CaseError, case_names, case_of, load_case
+from interarea.models.case.checks import require_dynamics
+from interarea.models.case.variants import operating_variant
+from interarea.models.case.write_toml import export_toml
+from interarea.models.grid.powerflow import solve_powerflow
 
 
 @pytest.mark.parametrize("name", case_names())

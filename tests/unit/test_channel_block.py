@@ -11,7 +11,7 @@ from fmpy.fmi1 import FMICallException
 from fmu_runner import Runner
 
 from interarea.fmu_build import build_fmu
-from interarea.models.channel_block import channel_block
+from interarea.models.blocks.channel import channel_block
 
 
 @pytest.fixture(scope="module")

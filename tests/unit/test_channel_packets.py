@@ -12,8 +12,8 @@ from fmu_runner import Runner
 from scipy.stats import binom
 
 from interarea.fmu_build import build_fmu
-from interarea.models.channel_block import QUANTILES, channel_block, gamma_quantiles, quantiles_of
-from interarea.models.channel_packets import packets_of
+from interarea.models.blocks.channel import QUANTILES, channel_block, gamma_quantiles, quantiles_of
+from interarea.models.blocks.packet_schedule import packets_of
 
 COUNTS = ("sent", "delivered", "dropped", "late")
 ROUGH = {

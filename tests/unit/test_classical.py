@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from plant_shim import BlockFailure, BlockShim
 
-from interarea.models.case import Case, case_of, load_case
-from interarea.models.equilibrium import operating_point
-from interarea.models.events import events_of
-from interarea.models.plant_block import event_parameters, plant_block
+from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.case.case import Case, case_of, load_case
+from interarea.models.case.events import events_of
+from interarea.models.grid.equilibrium import operating_point
 
 TWO = {
     "name": "two-machines",

@@ -68,7 +68,7 @@ def test_second_time_needs_no_compiler(binaries: Path, monkeypatch: pytest.Monke
 
 def test_a_changed_source_is_another_binary(binaries: Path, tmp_path: Path) -> None:
     changed = tmp_path / "decay.c"
-    text = DECAY_C.read_text().replace("../../../models/block/block.h", "block.h")
+    text = DECAY_C.read_text().replace("../../../models/c/block/block.h", "block.h")
     changed.write_text(text + "/* changed */\n")
     names = {compile_binary("decay", (c,), "linux64", cache=binaries).name for c in (DECAY_C, changed)}
     assert len(names) == 2

@@ -14,8 +14,8 @@ from fmu_runner import Runner
 from scipy.stats import binom
 
 from interarea.fmu_build import build_fmu
-from interarea.models.channel_packets import packet_random
-from interarea.models.concentrator_block import concentrator_block, frame_sets
+from interarea.models.blocks.concentrator import concentrator_block, frame_sets
+from interarea.models.blocks.packet_schedule import packet_random
 
 N, STOP_S = 3, 4.0
 COUNTS = ("sent", "delivered", "dropped", "late")

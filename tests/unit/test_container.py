@@ -31,8 +31,8 @@ from interarea.design.bank import ControllerBank
 from interarea.design.controller import Controller
 from interarea.fmu_build.compile import host_platform
 from interarea.fmu_build.render import record_entries
-from interarea.models.loop_block import LoopMember, loop_block
-from interarea.models.record import pack_record
+from interarea.models.blocks.binary_table import pack_record
+from interarea.models.blocks.container import LoopMember, loop_block
 
 Array = npt.NDArray[np.float64]
 TOLERANCE = 2e-5  # of a signal's range

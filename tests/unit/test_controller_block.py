@@ -10,7 +10,7 @@ from fmpy.fmi1 import FMICallException
 from fmu_runner import Runner
 
 from interarea.fmu_build import build_fmu
-from interarea.models.controller_block import controller_block
+from interarea.models.blocks.controller import controller_block
 
 A = np.array([[-1.0, 2.0], [0.0, -3.0]])
 B = np.array([[1.0, 0.5], [0.0, 1.0]])

@@ -11,8 +11,8 @@ from plant_shim import BlockFailure, BlockShim
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from interarea.models.case import CaseError, load_case
-from interarea.models.plant_block import plant_block
+from interarea.models.blocks.plant import plant_block
+from interarea.models.case.case import CaseError, load_case
 
 CASE = "kundur-thyristor-z"
 STATIC = {"kind": "static", "KA": 200.0, "TA": 0.02, "TR": 0.01, "Efd_min": -5.0, "Efd_max": 5.0}

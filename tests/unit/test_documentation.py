@@ -20,7 +20,7 @@ from interarea.design.shipped import shipped_controller
 from interarea.fmu_build import build_fmu
 from interarea.fmu_build.compile import host_platform
 from interarea.fmu_build.documentation import equations_of, references_in
-from interarea.models.case import Case
+from interarea.models.case.case import Case
 
 
 def page_of(fmu: Path) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import interarea.models.record
+import interarea.models.blocks.binary_table
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 HEAD = """#include <math.h>
@@ -56,7 +56,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     for path, text in zip(sources, (ONE, HEAD + SEVERAL), strict=True):
         path.write_text(text)
     compiler = shlex.split(os.environ.get("CC", "")) or [sys.executable, "-m", "ziglang", "cc"]
-    includes = f"-I{Path(interarea.models.record.__file__).parent / 'plant'}"
+    includes = f"-I{Path(interarea.models.__file__).parent / 'c' / 'plant'}"
     output = folder / "elementary.so"
     command = [*compiler, *FLAGS, includes, "-shared", "-fPIC", "-o", str(output), *map(str, sources), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from interarea.models.case import CaseError, load_case
-from interarea.models.equilibrium import operating_point
-from interarea.models.network import machine_bus_index
-from interarea.models.powerflow import solve_powerflow
+from interarea.models.case.case import CaseError, load_case
+from interarea.models.grid.equilibrium import operating_point
+from interarea.models.grid.network import machine_bus_index
+from interarea.models.grid.powerflow import solve_powerflow
 
 
 @pytest.fixture(scope="module")

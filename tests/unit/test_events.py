@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from interarea.models.case import CaseError, load_case
-from interarea.models.events import EVENT_KINDS, check_events, event_of, events_of, target_index
+from interarea.models.case.case import CaseError, load_case
+from interarea.models.case.events import EVENT_KINDS, check_events, event_of, events_of, target_index
 
 GOOD = [
     {"kind": "bus_fault", "bus": 8, "start_s": 1.0, "end_s": 1.1333333, "x_pu": 1e-4},

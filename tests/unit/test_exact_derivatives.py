@@ -7,9 +7,9 @@ import pytest
 from plant_shim import BlockShim
 from scipy.optimize import fsolve
 
-from interarea.models.case import Case, case_of, load_case
-from interarea.models.network import admittance_matrix
-from interarea.models.plant_block import plant_block
+from interarea.models.blocks.plant import plant_block
+from interarea.models.case.case import Case, case_of, load_case
+from interarea.models.grid.network import admittance_matrix
 
 SATURATION = {"Asat": 0.02, "Bsat": 8.0, "psiT1": 0.85, "use": "total"}
 

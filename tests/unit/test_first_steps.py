@@ -23,7 +23,7 @@ from interarea.cosim.run import run_scenario
 from interarea.cosim.scenario import NAMED_CONTROLLERS, scenario_names
 from interarea.cosim.sweep_store import read_rows
 from interarea.cosim.terminal import complain, steady_streams
-from interarea.models.case import case_names, load_case
+from interarea.models.case.case import case_names, load_case
 
 SWEEP = """
 [scenario]

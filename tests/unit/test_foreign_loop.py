@@ -14,7 +14,7 @@ from interarea.cosim.ledger import delay_ledger
 from interarea.cosim.run import Run, run_scenario, run_system
 from interarea.cosim.scenario import load_scenario
 from interarea.fmu_build import build_fmu
-from interarea.models.controller_block import controller_block
+from interarea.models.blocks.controller import controller_block
 
 pythonfmu = pytest.importorskip("pythonfmu.builder")
 

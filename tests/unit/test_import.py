@@ -10,16 +10,16 @@ import pytest
 from grid_text import dyr_text, matpower_text, raw_text
 from plant_shim import BlockShim
 
-from interarea.models.case import Case, CaseError, load_case
-from interarea.models.case_checks import require_dynamics
-from interarea.models.case_variants import operating_variant
-from interarea.models.export_toml import export_toml
-from interarea.models.import_matpower import import_matpower
-from interarea.models.import_psse import import_psse
-from interarea.models.import_psse_records import split_fields
-from interarea.models.network import admittance_matrix
-from interarea.models.plant_block import plant_block
-from interarea.models.powerflow import solve_powerflow
+from interarea.models.blocks.plant import plant_block
+from interarea.models.case.case import Case, CaseError, load_case
+from interarea.models.case.checks import require_dynamics
+from interarea.models.case.variants import operating_variant
+from interarea.models.case.write_toml import export_toml
+from interarea.models.grid.network import admittance_matrix
+from interarea.models.grid.powerflow import solve_powerflow
+from interarea.models.importers.matpower import import_matpower
+from interarea.models.importers.psse import import_psse
+from interarea.models.importers.psse_records import split_fields
 
 Write = Callable[[str, str], Path]
 

@@ -14,7 +14,7 @@ from interarea.cosim.run import Controllers, assemble
 from interarea.cosim.scenario import load_scenario
 from interarea.design.linearise import remove_reference, speeds_in_rad
 from interarea.design.loss import LossyChannel, PacketLoop, critical_loss
-from interarea.models.case import load_case
+from interarea.models.case.case import load_case
 
 T = 0.1
 

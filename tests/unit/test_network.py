@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from interarea.models.case import CaseError, load_case
-from interarea.models.case_schema import Branch
-from interarea.models.network import (
+from interarea.models.case.case import CaseError, load_case
+from interarea.models.case.schema import Branch
+from interarea.models.grid.network import (
     admittance_matrix,
     branch_stamp,
     kron_reduction,

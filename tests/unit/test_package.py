@@ -113,7 +113,7 @@ def test_a_new_design_needs_no_compiler(tmp_path: Path, monkeypatch: pytest.Monk
     """Binaries are generic and cached: new numbers cost a description, a record and a zip."""
     from fmu_blocks import A, B, C
 
-    from interarea.models.controller_block import controller_block
+    from interarea.models.blocks.controller import controller_block
 
     def export(k: int) -> bytes:
         block = controller_block(

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from plant_shim import BlockFailure, BlockShim
 
-from interarea.models.case import case_names, load_case
-from interarea.models.equilibrium import operating_point
-from interarea.models.events import events_of
-from interarea.models.plant_block import event_parameters, plant_block, shortest_time_s
-from interarea.models.powerflow import solve_powerflow
+from interarea.models.blocks.plant import event_parameters, plant_block, shortest_time_s
+from interarea.models.case.case import case_names, load_case
+from interarea.models.case.events import events_of
+from interarea.models.grid.equilibrium import operating_point
+from interarea.models.grid.powerflow import solve_powerflow
 
 CASES = ("two-area-thesis", "kundur-thyristor-z")
 

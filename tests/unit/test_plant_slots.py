@@ -11,9 +11,9 @@ from interarea.cosim.artefacts import plant_fmu
 from interarea.cosim.errors import StepError
 from interarea.cosim.fmu_file import FmuFile
 from interarea.cosim.instances import FmuParticipant
-from interarea.models.case import load_case
-from interarea.models.events import VrefPulse
-from interarea.models.plant_block import EVENT_CODES, event_parameters
+from interarea.models.blocks.plant import EVENT_CODES, event_parameters
+from interarea.models.case.case import load_case
+from interarea.models.case.events import VrefPulse
 
 
 def power_after(plant: FmuParticipant, step_s: float, steps: int) -> float:

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from interarea.cosim import plots
 from interarea.cosim.diagrams import generalised_plant_diagram, one_line_diagram
-from interarea.models.case import load_case
-from interarea.models.powerflow import solve_powerflow
+from interarea.models.case.case import load_case
+from interarea.models.grid.powerflow import solve_powerflow
 
 
 def test_frequency_response_of_a_lag_is_its_closed_form() -> None:

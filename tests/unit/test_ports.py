@@ -7,11 +7,11 @@ import pytest
 from plant_shim import BlockFailure, BlockShim
 from scipy.optimize import fsolve
 
-from interarea.models.case import Case, load_case
-from interarea.models.equilibrium import operating_point
-from interarea.models.events import events_of
-from interarea.models.network import admittance_matrix, bus_index, load_power
-from interarea.models.plant_block import event_parameters, plant_block
+from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.case.case import Case, load_case
+from interarea.models.case.events import events_of
+from interarea.models.grid.equilibrium import operating_point
+from interarea.models.grid.network import admittance_matrix, bus_index, load_power
 
 SATURATED = {"Asat": 0.015, "Bsat": 9.6, "psiT1": 0.9, "use": "total"}
 CHANGES = {

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from interarea.models import powerflow
-from interarea.models.case import Case, CaseError, case_of, load_case
-from interarea.models.network import admittance_matrix
-from interarea.models.powerflow import PowerFlowError, solve_powerflow
+from interarea.models.case.case import Case, CaseError, case_of, load_case
+from interarea.models.grid import powerflow
+from interarea.models.grid.network import admittance_matrix
+from interarea.models.grid.powerflow import PowerFlowError, solve_powerflow
 
 
 def two_buses(P_mw: float, Q_mvar: float, x: float = 0.1) -> Case:

@@ -1,4 +1,4 @@
-"""The record: its layout as documented in models/block/record.h, and what it refuses to hold."""
+"""The record: its layout as documented in models/c/block/record.h, and what it refuses to hold."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import zlib
 import numpy as np
 import pytest
 
-from interarea.models.record import pack_record
+from interarea.models.blocks.binary_table import pack_record
 
 
 def decode(record: bytes) -> dict[str, object]:

@@ -10,8 +10,8 @@ import pytest
 from interarea.cosim.sensitivities import parameter_sensitivities, state_matrix
 from interarea.design.modes import Mode, Modes
 from interarea.design.sensitivity import eigenvalue_sensitivity
-from interarea.models.case import CaseError, load_case
-from interarea.models.case_parameter import parameter_value, with_parameter
+from interarea.models.case.case import CaseError, load_case
+from interarea.models.case.parameter_path import parameter_value, with_parameter
 
 CASE = "kundur-thyristor-z"
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from interarea.cosim import artefacts
 from interarea.cosim.artefacts import (
     artefact,
     code_hash,
@@ -33,7 +34,7 @@ from interarea.design.certificate import swing_poles
 from interarea.design.controller import Controller
 from interarea.design.linearise import remove_reference, select, speeds_in_rad
 from interarea.design.modes import Modes, modes_of
-from interarea.models.case import Case
+from interarea.models.case.case import Case
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +171,33 @@ def test_keys_tell_apart_what_differs() -> None:
     assert content_hash(a.reshape(1, 2)) != content_hash(a)
     assert content_hash("ab", "c") != content_hash("a", "bc")
     assert content_hash({"x": 1, "y": 2}) == content_hash({"y": 2, "x": 1})
-    assert code_hash("design.linearise") != code_hash("design.modes")
+    assert code_hash("interarea.design.linearise") != code_hash("interarea.design.modes")
+
+
+def test_a_key_follows_every_form_of_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A form that is overlooked serves stale designs from the cache: each must reach the file it names."""
+    files = {
+        "design/start.py": "from ..models.sub.deep import value\nfrom . import beside\n",
+        "design/beside.py": "def late():\n    import interarea.models.plain\n"
+        "    from interarea.models import named\n",
+        "models/sub/__init__.py": "",
+        "models/sub/deep.py": "from ..above import value\nfrom .near import value\n",
+        "models/sub/near.py": "from . import cousin\n",
+        **{f"models/{name}.py": "" for name in ("plain", "named", "above", "sub/cousin")},
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    monkeypatch.setattr(artefacts, "ROOMS", tmp_path)
+    fresh = code_hash.__wrapped__
+    before = fresh("interarea.design.start")
+    for name, text in files.items():
+        (tmp_path / name).write_text(text + "# changed\n", encoding="utf-8")
+        assert fresh("interarea.design.start") != before, name
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    assert fresh("interarea.design.start") == before
+    with pytest.raises(ValueError, match="no module of this package"):
+        fresh("interarea.design.moved_away")
 
 
 def test_a_small_pulse_through_the_nonlinear_loop_is_the_linear_response(

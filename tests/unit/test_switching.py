@@ -21,7 +21,7 @@ from interarea.design.switching import (
     proven_decay,
     switching_certificate,
 )
-from interarea.models.case import load_case
+from interarea.models.case.case import load_case
 
 
 def pair(a: float) -> dict[str, np.ndarray]:

@@ -11,8 +11,8 @@ from pydantic import ValidationError
 
 from interarea.cosim.synchronism import FaultTable, after_fault, fault_scenario, mean_drive
 from interarea.design.shipped import shipped_controller
-from interarea.models.case import Case
-from interarea.models.case_variants import operating_variant
+from interarea.models.case.case import Case
+from interarea.models.case.variants import operating_variant
 
 FAULT = FaultTable(bus=8, branch="8-9 a")
 

@@ -19,8 +19,8 @@ from interarea.cosim.run import Controllers, Loop, assemble
 from interarea.cosim.scenario import load_scenario
 from interarea.cosim.together import advance_together
 from interarea.fmu_build.group import GroupLibrary, plant_group
-from interarea.models.case import load_case
-from interarea.models.plant_block import plant_block
+from interarea.models.blocks.plant import plant_block
+from interarea.models.case.case import load_case
 
 REMOTE = {"signal": "G2_dw", "latency_s": 0.1}
 LOCAL = {"signal": "G4_dw", "latency_s": 0.1}

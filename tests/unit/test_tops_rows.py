@@ -12,8 +12,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import compare_tops
 from tops_rows import case_from, tables_of
 
-from interarea.models.case import load_case
-from interarea.models.powerflow import solve_powerflow
+from interarea.models.case.case import load_case
+from interarea.models.grid.powerflow import solve_powerflow
 
 
 @pytest.mark.parametrize("name", ["kundur-thyristor-z", "new-england"])

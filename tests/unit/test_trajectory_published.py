@@ -9,9 +9,9 @@ import printed
 import pytest
 from plant_shim import BlockShim
 
-from interarea.models.case import load_case
-from interarea.models.events import events_of
-from interarea.models.plant_block import event_parameters, plant_block
+from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.case.case import load_case
+from interarea.models.case.events import events_of
 
 KEPT = json.loads((printed.PUBLISHED / "trajectories_andes.json").read_text())
 ALLOWED = 1e-3  #: of the peak of dw24

@@ -3,7 +3,7 @@
 #include <math.h>
 #include <stdio.h>
 
-#include "../../../models/block/block.h"
+#include "../../../models/c/block/block.h"
 
 const int block_is_sampled = 0;
 

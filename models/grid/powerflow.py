@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .case import Case, CaseError
+from ..case.case import Case, CaseError
 from .network import ComplexArray, admittance_matrix, branch_stamp, bus_index, load_power, machine_bus_index
 
 TOLERANCE_PU = 1e-10

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from .channel_packets import packet_random
+from .packet_schedule import packet_random
 from .variables import Block, Enumeration, Variable, VariableTable
 
-_FOLDER = Path(__file__).resolve().parent
+_FOLDER = Path(__file__).resolve().parents[1] / "c"
 _SLACK_S = 1e-10
 _FIRST_STREAM = 16  # of the random numbers, as in concentrator.c
 MOST_SIGNALS = 32

@@ -13,10 +13,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from .case import Case, CaseError, case_of
-from .import_psse_branches import read_branches
-from .import_psse_dyr import machine_dynamics
-from .import_psse_records import Record, read_raw
+from ..case.case import Case, CaseError, case_of
+from .psse_branches import read_branches
+from .psse_dyr import machine_dynamics
+from .psse_records import Record, read_raw
 
 _REFUSED = ("two-terminal dc", "vsc dc", "multi-terminal dc", "FACTS", "GNE", "induction machine")
 

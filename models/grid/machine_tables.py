@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from .case import Case
-from .case_schema import Machine
+from ..case.case import Case
+from ..case.schema import Machine
 
 NO_LIMIT = 1e30  #: stands for an absent limit
 

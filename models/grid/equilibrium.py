@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .case import Case, CaseError
-from .case_checks import require_dynamics
-from .case_schema import Machine
+from ..case.case import Case, CaseError
+from ..case.checks import require_dynamics
+from ..case.schema import Machine
+from .bus_devices import AirGap, air_gap, has_port, port_loads, saturation_factor, saturation_of
+from .control_tables import exciter, governor, stabilizer
+from .machine_tables import Device, MachinePoint, State, network_states
 from .network import admittance_matrix, bus_index, load_power, machine_bus_index, machine_norton_admittance
-from .plant_controls import exciter, governor, stabilizer
-from .plant_ports import AirGap, air_gap, has_port, port_loads, saturation_factor, saturation_of
-from .plant_tables import Device, MachinePoint, State, network_states
 from .powerflow import PowerFlow, solve_powerflow
 
 VOLTAGE_TOLERANCE_PU = 1e-8  #: most by which the dynamic network may differ from the power flow
@@ -72,7 +72,7 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
     CaseError : a machine without dynamic data, a limit that excludes the operating point, or a power flow
         that is not one of this case.
 
-    >>> from interarea.models.case import load_case
+    >>> from interarea.models.case.case import load_case
     >>> point = operating_point(load_case("kundur-thyristor-z"))
     >>> len(point.x0), point.input_names[0]
     (32, 'G1_vs')

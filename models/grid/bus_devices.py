@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .case import Case
-from .case_schema import Load, Machine, Saturation
+from ..case.case import Case
+from ..case.schema import Load, Machine, Saturation
 from .network import load_power
 
 ROWS = 18
@@ -50,7 +50,7 @@ def saturation_factor(machine: Machine, flux: float) -> float:
 
     [Kundur1994, sec. 3.8.2]
 
-    >>> from interarea.models.case import load_case
+    >>> from interarea.models.case.case import load_case
     >>> round(1.0 / (1.0 + saturation_factor(load_case("kundur-manual").machine("G1"), 1.0)), 4)
     0.9623
     """

@@ -10,7 +10,7 @@ from scipy.special import gammaincc, gammaincinv
 
 from .variables import Block, Enumeration, Variable, VariableTable
 
-_FOLDER = Path(__file__).resolve().parent / "channel"
+_FOLDER = Path(__file__).resolve().parents[1] / "c" / "channel"
 
 OUTAGES = 8  #: outage windows of a channel; as in channel.h
 QUANTILES = 33  #: points of a latency distribution, at probabilities 0, 1/32, ..., 1; as in channel.h

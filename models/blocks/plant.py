@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .case import SOLVER_STEP_S, Case, CaseError
-from .equilibrium import OperatingPoint, operating_point
-from .events import check_events, target_index
-from .network import branch_stamp, bus_index, load_power, machine_bus_index, shunt_admittance
-from .plant_ports import port_table
-from .plant_tables import NO_LIMIT, Device, Parameter, in_plant_order, machine_table, network_states
+from ..case.case import SOLVER_STEP_S, Case, CaseError
+from ..case.events import check_events, target_index
+from ..grid.bus_devices import port_table
+from ..grid.equilibrium import OperatingPoint, operating_point
+from ..grid.machine_tables import NO_LIMIT, Device, Parameter, in_plant_order, machine_table, network_states
+from ..grid.network import branch_stamp, bus_index, load_power, machine_bus_index, shunt_admittance
 from .variables import STEP_PARAMETER, Block, Enumeration, Variable, VariableTable
 
-_HERE = Path(__file__).parent
+_HERE = Path(__file__).resolve().parents[1] / "c"
 SOURCES = tuple(
     _HERE / name
     for name in (

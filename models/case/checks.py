@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from .case_errors import CaseError, nearest
+from .errors import CaseError, nearest
 
 if TYPE_CHECKING:
     from .case import Case

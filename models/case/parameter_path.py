@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from .case import Case, CaseError
-from .case_errors import nearest
+from .errors import nearest
 
 _TABLES = ("buses", "branches", "shunts", "loads", "machines")
 
@@ -15,7 +15,7 @@ _TABLES = ("buses", "branches", "shunts", "loads", "machines")
 def parameter_value(case: Case, path: str) -> float:
     """Return the number at `path`: table, row, then field names, joined by dots.
 
-    >>> from interarea.models.case import load_case
+    >>> from interarea.models.case.case import load_case
     >>> parameter_value(load_case("two-area-thesis"), "branches.8-9 a.x")
     0.11
 

@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from .case import CaseError
-from .import_psse_records import Record
+from ..case.case import CaseError
+from .psse_records import Record
 
 
 def read_branches(

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .case import Case, CaseError, case_of
-from .case_errors import reason
+from ..case.case import Case, CaseError, case_of
+from ..case.errors import reason
 
 _COLUMNS = {"bus": 13, "gen": 8, "branch": 11}
 #: columns that are read and must be finite; limits, costs and ratings may be Inf

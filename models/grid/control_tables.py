@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .case import Case, CaseError
-from .case_schema_controls import Tgov1Governor
-from .plant_tables import NO_LIMIT, Device, MachinePoint, Parameter, State, network_states
+from ..case.case import Case, CaseError
+from ..case.control_schema import Tgov1Governor
+from .machine_tables import NO_LIMIT, Device, MachinePoint, Parameter, State, network_states
 
 SHORTEST_S = 1e-6  #: least value a time constant may be set to
 

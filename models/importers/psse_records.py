@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from .case import CaseError
-from .case_errors import reason
+from ..case.case import CaseError
+from ..case.errors import reason
 
 SECTIONS = (
     "bus",

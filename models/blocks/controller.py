@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from .variables import Block, Variable, VariableTable
 
-_SOURCE = Path(__file__).resolve().parent / "controller" / "state_space.c"
+_SOURCE = Path(__file__).resolve().parents[1] / "c" / "controller" / "state_space.c"
 
 
 def controller_block(

@@ -32,11 +32,11 @@ from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from .case_errors import CaseError, nearest, one_line, reason
-from .case_schema import Branch, Bus, Load, Machine, Shunt, Tie
-from .case_schema_controls import Positive
+from .control_schema import Positive
+from .errors import CaseError, nearest, one_line, reason
 from .events import Event, check_events, events_of
-from .toml_kind import other_kind
+from .file_kind import other_kind
+from .schema import Branch, Bus, Load, Machine, Shunt, Tie
 
 Named = TypeVar("Named", Branch, Load, Machine, Shunt)
 
@@ -51,7 +51,7 @@ RESERVED = ("source", "defaults")  #: keys of a table of rows that are not ids
 REMOVED = "none"  #: what stands in place of a row, a stabilizer, a tie that is taken out
 SOLVER_STEP_S = (1e-6, 0.1)  #: least and longest Runge-Kutta step of a plant, s
 SolverStep = Annotated[float, Field(ge=SOLVER_STEP_S[0], le=SOLVER_STEP_S[1])]
-BUNDLED = Path(__file__).parent / "cases"  #: folder of the cases that come with the package
+BUNDLED = Path(__file__).resolve().parents[1] / "cases"  #: folder of the cases that come with the package
 
 
 class Case(BaseModel):
@@ -160,7 +160,7 @@ class Case(BaseModel):
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        from .case_checks import check_whole  # needs Case for its types
+        from .checks import check_whole  # needs Case for its types
 
         check_whole(self)
         check_events(self, self.events)

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from .channel_block import channel_block
-from .plant_block import SOURCES as PLANT_SOURCES
+from .channel import channel_block
+from .plant import SOURCES as PLANT_SOURCES
 from .variables import STEP_PARAMETER, Block, Role, Variable, VariableTable
 
-_HERE = Path(__file__).resolve().parent
+_HERE = Path(__file__).resolve().parents[1] / "c"
 _SOURCES = tuple(
-    _HERE / "loop" / name
+    _HERE / "container" / name
     for name in (
         "loop.c",
         "loop_step.c",

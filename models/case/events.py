@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
-from .case_errors import CaseError, nearest, one_line
+from .errors import CaseError, nearest, one_line
 
 if TYPE_CHECKING:
     from .case import Case
@@ -263,7 +263,7 @@ def check_events(case: Case, events: Iterable[Any]) -> None:
                 switching.append((event.end_s, k, event.branch, True))
         elif event.kind == "branch_reclose":
             switching.append((event.start_s, k, event.branch, True))
-    from .case_checks import islands_of  # shares the types of a case with this module
+    from .checks import islands_of  # shares the types of a case with this module
 
     closed = {b.name: b.in_service for b in case.branches}
     for time in sorted({s[0] for s in switching}):

@@ -19,9 +19,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from .case import CaseError
-from .case_errors import reason
-from .import_psse_records import Record, split_fields
+from ..case.case import CaseError
+from ..case.errors import reason
+from .psse_records import Record, split_fields
 
 
 def machine_dynamics(

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .case import Case, CaseError
-from .case_schema import Load
+from .schema import Load
 
 
 def operating_variant(
@@ -29,7 +29,7 @@ def operating_variant(
     between : names of the two loads; default: the largest load in the area where the tie begins and the
         largest outside that area.
 
-    >>> from interarea.models.case import load_case
+    >>> from interarea.models.case.case import load_case
     >>> variant = operating_variant(load_case("two-area-thesis"), tie_flow_mw=100.0, out=["8-9 a"])
     >>> variant.name, variant.load("L7").P_mw, variant.load("L9").P_mw
     ('two-area-thesis-tie-plus-100-out-8-9-a', 867.0, 1867.0)

@@ -11,7 +11,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from .case_schema_controls import (
+from .control_schema import (
     ConstantExciter,
     Exciter,
     Governor,

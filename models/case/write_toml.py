@@ -18,7 +18,7 @@ def export_toml(case: Case, path: str | Path | None = None) -> str:
 
     Numbers keep every digit; r, x, b are on the base of the case. Loading the text gives the same hash.
 
-    >>> from interarea.models.case import load_case
+    >>> from interarea.models.case.case import load_case
     >>> export_toml(load_case("kundur-manual")).splitlines()[0]
     'name = "kundur-manual"'
 

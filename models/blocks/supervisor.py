@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from .controller_block import _internal_step_s
+from .controller import _internal_step_s
 from .variables import Block, Variable, VariableTable
 
-_SOURCE = Path(__file__).resolve().parent / "controller" / "supervisor.c"
+_SOURCE = Path(__file__).resolve().parents[1] / "c" / "controller" / "supervisor.c"
 MAX_SIGNALS = 6  #: as in supervisor.c
 MAX_BANK = 16  #: as in supervisor.c
 

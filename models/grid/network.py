@@ -11,8 +11,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from .case import Case, CaseError
-from .case_schema import Branch, Load, Shunt
+from ..case.case import Case, CaseError
+from ..case.schema import Branch, Load, Shunt
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -35,7 +35,7 @@ def branch_stamp(branch: Branch) -> ComplexArray:
 
     .. math:: \begin{bmatrix} (y + jb/2)/|t|^2 & -y/t^* \\ -y/t & y + jb/2 \end{bmatrix} .
 
-    >>> from interarea.models.case_schema import Branch
+    >>> from interarea.models.case.schema import Branch
     >>> line = Branch(name="1-2", from_bus=1, to_bus=2, x=0.5)
     >>> [complex(branch_stamp(line)[0, k]).imag for k in (0, 1)]
     [-2.0, 2.0]

@@ -1,0 +1,1 @@
+"""Blocks: the variables and numbers that become an FMU."""
