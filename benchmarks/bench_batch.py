@@ -16,7 +16,7 @@ import time
 
 import numpy as np
 
-from interarea.fmu_build.batch import LANES, PlantBatch
+from interarea.fmu_build.write.plant_batch import LANES, PlantBatch
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import events_of

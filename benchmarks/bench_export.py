@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from interarea.fmu_build import build_fmu
-from interarea.fmu_build.compile import PLATFORMS, compile_binary, host_platform
+from interarea.fmu_build.write.compile import PLATFORMS, compile_binary, host_platform
+from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.controller import controller_block
 from interarea.models.blocks.plant import plant_block

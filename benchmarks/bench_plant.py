@@ -28,7 +28,7 @@ from fmu_run import PlantSlave
 from plain_loop import PlainPlant
 
 from interarea.cosim.artefacts import default_cache
-from interarea.fmu_build.batch import LANES, PlantBatch
+from interarea.fmu_build.write.plant_batch import LANES, PlantBatch
 from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import events_of

@@ -30,10 +30,10 @@ from interarea.design.certificate import certificate
 from interarea.design.linearise import linearise, remove_reference, speeds_in_rad
 from interarea.design.modes import modes_of
 from interarea.design.shipped import shipped_controller, shipped_names
-from interarea.fmu_build.compile import PLATFORMS, host_platform
-from interarea.fmu_build.cross_check import add_cross_check
-from interarea.fmu_build.open import open_plant
-from interarea.fmu_build.package import build_fmu
+from interarea.fmu_build.open.cross_check import add_cross_check
+from interarea.fmu_build.open.plant import open_plant
+from interarea.fmu_build.write.compile import PLATFORMS, host_platform
+from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.plant import plant_block
 from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case
@@ -192,7 +192,7 @@ def block_fmu(block: Block, cache: Path, *, platforms: Sequence[str] | None = No
         *data,
         *(p.read_bytes() for p in block.sources),
         source_hash("models", "*.h"),
-        source_hash("fmu_build"),
+        source_hash("fmu_build/write"),
         source_hash("fmu_build", "*.[ch]"),
         os.environ.get("CC", ""),
         *([] if platforms is None else [list(platforms)]),

@@ -19,7 +19,7 @@ def check(
     ] = True,
 ) -> None:
     """Check an FMU or SSP; one line per finding with its rule and fix; exit code 1 if there are any."""
-    from interarea.fmu_build.check import check_file
+    from interarea.fmu_build.check.check import check_file
 
     with busy(f"checking {file}"):
         report = check_file(file, run=run)

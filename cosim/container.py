@@ -7,8 +7,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from interarea.fmu_build.package import build_fmu
-from interarea.fmu_build.render import record_entries
+from interarea.fmu_build.write.description_xml import record_entries
+from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.container import LoopMember, loop_block
 from interarea.models.blocks.variables import Block

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import fmpy.fmi2 as fmi2
 from fmpy import calloc, free
 
-from interarea.fmu_build.group import GroupLibrary
+from interarea.fmu_build.write.lane_library import GroupLibrary
 
 from .early_return import EarlyReturn, go_on, reached_s
 from .errors import GraphError, StepError, nearest

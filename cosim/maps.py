@@ -15,7 +15,7 @@ import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from interarea.fmu_build.package import write_whole
+from interarea.fmu_build.write.package import write_whole
 
 from . import maps_figures as figures
 from .artefacts import default_cache

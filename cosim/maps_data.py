@@ -16,7 +16,7 @@ import pandas as pd
 from interarea.design.bank import ControllerBank
 from interarea.design.delay import DelayError, delay_margin
 from interarea.design.linearise import linearise, remove_reference, speeds_in_rad
-from interarea.fmu_build.open import open_plant
+from interarea.fmu_build.open.plant import open_plant
 
 from .sweep_point import point_of
 from .sweep_run import Runner

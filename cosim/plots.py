@@ -20,7 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from interarea.fmu_build.package import write_whole
+from interarea.fmu_build.write.package import write_whole
 
 from .compass import rim_angles
 

@@ -15,7 +15,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup, escape
 
-from interarea.fmu_build.package import write_whole
+from interarea.fmu_build.write.package import write_whole
 
 from .claims import judge_loops, judge_modes, judge_statements
 from .plots import GRID, INK, MUTED, SERIES

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from interarea.design.linearise import linearise
 from interarea.design.modes import modes_of
 from interarea.design.sensitivity import Sensitivity, eigenvalue_sensitivity
-from interarea.fmu_build.open import open_plant
-from interarea.fmu_build.package import build_fmu
+from interarea.fmu_build.open.plant import open_plant
+from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import Case
 from interarea.models.case.parameter_path import parameter_value, with_parameter

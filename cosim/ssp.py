@@ -13,8 +13,8 @@ from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-from interarea.fmu_build.package import archive_bytes, build_fmu, write_whole
-from interarea.fmu_build.render import product_version
+from interarea.fmu_build.write.description_xml import product_version
+from interarea.fmu_build.write.package import archive_bytes, build_fmu, write_whole
 
 from .fmu_file import BASE_UNITS, FmuVariable
 from .members import Member, Members, members_of

@@ -20,7 +20,7 @@ from interarea.design.linearise import remove_reference, select, speeds_in_rad
 from interarea.design.loops import rank_loops
 from interarea.design.modes import modes_of
 from interarea.design.reduction import balanced_truncation
-from interarea.fmu_build.package import write_whole
+from interarea.fmu_build.write.package import write_whole
 from interarea.models.case.case import load_case
 from interarea.models.grid.powerflow import solve_powerflow
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 
-from interarea.fmu_build.errors import BuildError
-from interarea.fmu_build.group import GroupLibrary, plant_group
+from interarea.fmu_build.write.errors import BuildError
+from interarea.fmu_build.write.lane_library import GroupLibrary, plant_group
 
 from .run import EVENT_SLOTS
 from .sweep_forks import Job

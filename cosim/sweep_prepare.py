@@ -5,9 +5,9 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from interarea.fmu_build.compile import compile_binary, host_platform
-from interarea.fmu_build.errors import BuildError
-from interarea.fmu_build.group import plant_group
+from interarea.fmu_build.write.compile import compile_binary, host_platform
+from interarea.fmu_build.write.errors import BuildError
+from interarea.fmu_build.write.lane_library import plant_group
 from interarea.models.blocks.plant import plant_block
 
 from .artefacts import channel_fmu, concentrator_fmu, controller_fmu, plant_fmu

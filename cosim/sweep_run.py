@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from interarea.fmu_build.package import build_fmu
+from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import Case
 

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from interarea.fmu_build.group import GroupLibrary, GroupWork
+from interarea.fmu_build.write.lane_library import GroupLibrary, GroupWork
 
 from .clock import seconds
 from .kernel import MOST_TOGETHER, Kernel, run_kernels

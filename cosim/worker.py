@@ -22,7 +22,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
-from interarea.fmu_build.group import GroupLibrary
+from interarea.fmu_build.write.lane_library import GroupLibrary
 
 from .errors import ScenarioError, StepError
 from .fmu_file import FmuFile

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from fmu_runner import decay_block
 
-from interarea.fmu_build.render import record_entries
+from interarea.fmu_build.write.description_xml import record_entries
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.concentrator import concentrator_block

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from fmu_blocks import blocks
 
-from interarea.fmu_build import build_fmu
+from interarea.fmu_build.write.package import build_fmu
 
 
 @pytest.fixture(scope="session")

@@ -17,7 +17,7 @@ from fmu_blocks import blocks
 from fmu_runner import Runner
 from lxml import etree
 
-from interarea.fmu_build import build_fmu
+from interarea.fmu_build.write.package import build_fmu
 
 SCHEMA = Path(fmpy.__file__).parent / "schema" / "fmi2" / "fmi2ModelDescription.xsd"
 

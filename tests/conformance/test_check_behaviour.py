@@ -8,8 +8,8 @@ import pytest
 from fmu_mutation import in_description, mutated
 from fmu_runner import decay_block
 
-from interarea.fmu_build import build_fmu
-from interarea.fmu_build.check import check_file
+from interarea.fmu_build.check.check import check_file
+from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.variables import Variable, VariableTable
 
 FAULTY_C = Path(__file__).resolve().parent / "blocks" / "faulty.c"
@@ -89,10 +89,10 @@ def test_what_a_binary_needs_and_shows(tmp_path: Path) -> None:
     import shutil
     import subprocess
 
-    from interarea.fmu_build.check_binary import check_binaries
-    from interarea.fmu_build.check_description import read_description
-    from interarea.fmu_build.check_finding import Report
-    from interarea.fmu_build.check_images import read_image
+    from interarea.fmu_build.check.binary import check_binaries
+    from interarea.fmu_build.check.description import read_description
+    from interarea.fmu_build.check.finding import Report
+    from interarea.fmu_build.check.images import read_image
 
     if shutil.which("gcc") is None:
         pytest.skip("no gcc here to make such a library with")

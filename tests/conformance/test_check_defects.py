@@ -10,7 +10,7 @@ import pytest
 from fmpy.validation import validate_fmu
 from fmu_mutation import Entries, in_description, mutated
 
-from interarea.fmu_build.check import check_file
+from interarea.fmu_build.check.check import check_file
 
 Edit = Callable[[Entries], None]
 

@@ -12,7 +12,7 @@ from fmu_mutation import Entries, mutated
 from interarea.cosim.run import Controllers
 from interarea.cosim.scenario import load_scenario
 from interarea.cosim.ssp import write_ssp
-from interarea.fmu_build.check import check_file
+from interarea.fmu_build.check.check import check_file
 
 STRUCTURE = "SystemStructure.ssd"
 Edit = Callable[[Entries], None]
@@ -148,8 +148,8 @@ def test_the_same_structure_as_version_1_1(loop: Path, tmp_path: Path) -> None:
 @pytest.fixture
 def _without_validators(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of the FMUs inside have their own tests and cost most of the time."""
-    monkeypatch.setattr("interarea.fmu_build.check.fmpy_rules", lambda *_: None)
-    monkeypatch.setattr("interarea.fmu_build.check.toolbox_rules", lambda *_: None)
+    monkeypatch.setattr("interarea.fmu_build.check.check.fmpy_rules", lambda *_: None)
+    monkeypatch.setattr("interarea.fmu_build.check.check.toolbox_rules", lambda *_: None)
 
 
 @pytest.mark.usefixtures("_without_validators")

@@ -9,7 +9,7 @@ from interarea.cosim.artefacts import plant_fmu
 from interarea.cosim.errors import StepError
 from interarea.cosim.fmu_file import FmuFile
 from interarea.cosim.instances import FmuParticipant
-from interarea.fmu_build.batch import PlantBatch
+from interarea.fmu_build.write.plant_batch import PlantBatch
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import events_of

@@ -7,7 +7,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 
-from interarea.fmu_build import build_fmu
+from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import load_case
 from interarea.models.case.events import events_of

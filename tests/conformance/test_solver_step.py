@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from fmu_runner import Runner
 
-from interarea.fmu_build import build_fmu
-from interarea.fmu_build.batch import PlantBatch
-from interarea.fmu_build.render import record_entries
+from interarea.fmu_build.write.description_xml import record_entries
+from interarea.fmu_build.write.package import build_fmu
+from interarea.fmu_build.write.plant_batch import PlantBatch
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.container import LoopMember, loop_block

@@ -23,7 +23,7 @@ from interarea.cosim.container import write_container
 from interarea.cosim.run import Controllers
 from interarea.cosim.scenario import load_scenario
 from interarea.cosim.ssp import write_ssp
-from interarea.fmu_build.check import check_file
+from interarea.fmu_build.check.check import check_file
 from interarea.models.case.case import Case, load_case
 
 pytestmark = pytest.mark.slow

@@ -36,7 +36,7 @@ from grid_text import dyr_text, matpower_text, raw_text
 from interarea.cosim.cli import main
 from interarea.design.controller import Controller
 from interarea.design.shipped import FOLDER
-from interarea.fmu_build import build_fmu
+from interarea.fmu_build.write.package import build_fmu
 from interarea.models.case.case import load_case
 
 CASE_FILE = (files("interarea.models") / "cases" / "kundur-manual.toml").read_text(encoding="utf-8")

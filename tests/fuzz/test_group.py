@@ -10,7 +10,7 @@ import pytest
 from fuzz_blocks import fuzz_block
 from fuzz_build import Driver, build_driver, plain_compiler, sanitizing_compiler
 
-from interarea.fmu_build.group import group_sources
+from interarea.fmu_build.write.lane_library import group_sources
 
 ROUNDS = 1500
 

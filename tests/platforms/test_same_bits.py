@@ -24,8 +24,8 @@ from interarea.cosim.container import container_block
 from interarea.cosim.members import members_of
 from interarea.cosim.run import Controllers
 from interarea.cosim.scenario import load_scenario
-from interarea.fmu_build import build_fmu
-from interarea.fmu_build.compile import PLATFORMS, fmi_headers
+from interarea.fmu_build.write.compile import PLATFORMS, fmi_headers
+from interarea.fmu_build.write.package import build_fmu
 
 pytestmark = [
     pytest.mark.slow,

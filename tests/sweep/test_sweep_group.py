@@ -15,7 +15,7 @@ from interarea.cosim.sweep_plan import plan_sweep
 from interarea.cosim.sweep_point import point_of
 from interarea.cosim.sweep_run import Runner
 from interarea.cosim.sweep_spec import load_sweep
-from interarea.fmu_build.group import GroupLibrary
+from interarea.fmu_build.write.lane_library import GroupLibrary
 
 FAULT = {"kind": "bus_fault", "bus": 8, "start_s": 0.2, "end_s": 0.25, "x_pu": 0.01}
 PULSE = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.5, "end_s": 1.7}
@@ -110,7 +110,7 @@ def test_without_the_library_runs_go_one_by_one(
     sweep: Any, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from interarea.cosim import sweep_group
-    from interarea.fmu_build.errors import BuildError
+    from interarea.fmu_build.write.errors import BuildError
 
     wanted = rows_of(sweep("latency and loss"), cache, tmp_path, lanes=8)
 

@@ -19,7 +19,7 @@ from tools.conftest import require
 from interarea.cosim.container import container_block
 from interarea.cosim.run import Controllers
 from interarea.cosim.scenario import load_scenario
-from interarea.fmu_build import build_fmu
+from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.variables import Block
 
 pytestmark = [pytest.mark.tools, pytest.mark.slow]

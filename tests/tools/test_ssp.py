@@ -20,8 +20,8 @@ from interarea.cosim.errors import ScenarioError
 from interarea.cosim.run import Controllers, run_scenario
 from interarea.cosim.scenario import load_scenario
 from interarea.cosim.ssp import write_ssp
-from interarea.fmu_build import build_fmu
-from interarea.fmu_build.compile import host_platform
+from interarea.fmu_build.write.compile import host_platform
+from interarea.fmu_build.write.package import build_fmu
 
 STEP, STOP, LATENCY = 0.01, 3.0, 0.1
 SCENARIO = {

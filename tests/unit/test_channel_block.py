@@ -10,7 +10,7 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmu_runner import Runner
 
-from interarea.fmu_build import build_fmu
+from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.channel import channel_block
 
 

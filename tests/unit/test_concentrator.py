@@ -13,7 +13,7 @@ from fmpy.fmi1 import FMICallException
 from fmu_runner import Runner
 from scipy.stats import binom
 
-from interarea.fmu_build import build_fmu
+from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.concentrator import concentrator_block, frame_sets
 from interarea.models.blocks.packet_schedule import packet_random
 

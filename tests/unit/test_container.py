@@ -29,8 +29,8 @@ from interarea.cosim.run import Controllers, run_scenario
 from interarea.cosim.scenario import load_scenario
 from interarea.design.bank import ControllerBank
 from interarea.design.controller import Controller
-from interarea.fmu_build.compile import host_platform
-from interarea.fmu_build.render import record_entries
+from interarea.fmu_build.write.compile import host_platform
+from interarea.fmu_build.write.description_xml import record_entries
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.container import LoopMember, loop_block
 

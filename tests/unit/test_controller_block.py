@@ -9,7 +9,7 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmu_runner import Runner
 
-from interarea.fmu_build import build_fmu
+from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.controller import controller_block
 
 A = np.array([[-1.0, 2.0], [0.0, -3.0]])

@@ -20,8 +20,9 @@ from scipy.signal import lsim
 
 from interarea.cosim.artefacts import complete_fmu
 from interarea.cosim.cli import main
-from interarea.fmu_build import BuildError, build_fmu
-from interarea.fmu_build.cross_check import add_cross_check
+from interarea.fmu_build.open.cross_check import add_cross_check
+from interarea.fmu_build.write.errors import BuildError
+from interarea.fmu_build.write.package import build_fmu
 
 Array = npt.NDArray[np.float64]
 

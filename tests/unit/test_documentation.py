@@ -17,9 +17,9 @@ from interarea.cosim.container import container_block
 from interarea.cosim.run import Controllers
 from interarea.cosim.scenario import load_scenario
 from interarea.design.shipped import shipped_controller
-from interarea.fmu_build import build_fmu
-from interarea.fmu_build.compile import host_platform
-from interarea.fmu_build.documentation import equations_of, references_in
+from interarea.fmu_build.write.compile import host_platform
+from interarea.fmu_build.write.documentation import equations_of, references_in
+from interarea.fmu_build.write.package import build_fmu
 from interarea.models.case.case import Case
 
 

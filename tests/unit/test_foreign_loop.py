@@ -13,7 +13,7 @@ from interarea.cosim.errors import ScenarioError
 from interarea.cosim.ledger import delay_ledger
 from interarea.cosim.run import Run, run_scenario, run_system
 from interarea.cosim.scenario import load_scenario
-from interarea.fmu_build import build_fmu
+from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.controller import controller_block
 
 pythonfmu = pytest.importorskip("pythonfmu.builder")

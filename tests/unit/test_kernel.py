@@ -23,7 +23,7 @@ from interarea.cosim.instances import FmuParticipant
 from interarea.cosim.master import Master
 from interarea.cosim.run import Controllers, Loop, assemble
 from interarea.cosim.scenario import load_scenario
-from interarea.fmu_build.errors import BuildError
+from interarea.fmu_build.write.errors import BuildError
 
 PULSE = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 0.5, "end_s": 0.7}
 FAULT = {"kind": "bus_fault", "bus": 8, "start_s": 0.5033, "end_s": 0.6}

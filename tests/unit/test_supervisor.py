@@ -15,7 +15,7 @@ from interarea.cosim.run import run_scenario
 from interarea.cosim.scenario import load_scenario
 from interarea.design.bank import OFF, ControllerBank, load_controller
 from interarea.design.controller import Controller, ControllerError
-from interarea.fmu_build import build_fmu
+from interarea.fmu_build.write.package import build_fmu
 
 OMEGA_B = 2.0 * np.pi * 60.0
 SIGNALS = ("G2_dw", "G4_dw")

@@ -18,7 +18,7 @@ from interarea.cosim.master import Master
 from interarea.cosim.run import Controllers, Loop, assemble
 from interarea.cosim.scenario import load_scenario
 from interarea.cosim.together import advance_together
-from interarea.fmu_build.group import GroupLibrary, plant_group
+from interarea.fmu_build.write.lane_library import GroupLibrary, plant_group
 from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import load_case
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
-from interarea.fmu_build.compile import compile_library, fmi_headers, host_platform
+from interarea.fmu_build.write.compile import compile_library, fmi_headers, host_platform
 
 _SOURCE = Path(__file__).parent / "whims.c"
 _DEGREES = (

@@ -6,15 +6,15 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from .check_archive import unpack_checked
-from .check_binary import check_binaries
-from .check_delegated import fmpy_rules, toolbox_rules
-from .check_description import read_description
-from .check_finding import CheckError, Finding, Report
-from .check_load import TIMEOUT_S, check_running
-from .check_semantics import check_semantics
-from .check_ssp import STRUCTURE, check_ssp
-from .check_xml import obeys_schema, read_xml
+from .archive import unpack_checked
+from .binary import check_binaries
+from .delegated import fmpy_rules, toolbox_rules
+from .description import read_description
+from .finding import CheckError, Finding, Report
+from .load import TIMEOUT_S, check_running
+from .semantics import check_semantics
+from .ssp import STRUCTURE, check_ssp
+from .xml import obeys_schema, read_xml
 
 __all__ = ["CheckError", "Finding", "Report", "check_file"]
 

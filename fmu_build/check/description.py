@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from .check_ssp_units import Dimension, dimension_of
+from .ssp_units import Dimension, dimension_of
 
 TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")
 

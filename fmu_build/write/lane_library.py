@@ -12,7 +12,7 @@ from interarea.models.blocks.plant import GROUP_SOURCES, SOURCES
 from .compile import compile_library, fmi_sources, gather_sources, host_platform, record_source
 from .errors import BuildError
 
-_SOURCE = Path(__file__).resolve().parent / "c" / "group" / "fmu_group.c"
+_SOURCE = Path(__file__).resolve().parents[1] / "c" / "group" / "fmu_group.c"
 _ALIGNMENT = 64
 
 

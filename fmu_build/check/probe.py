@@ -1,4 +1,4 @@
-"""The process in which an FMU's binary is loaded: `python -m interarea.fmu_build.check_probe REQUEST RESULT`.
+"""The process in which an FMU's binary is loaded: `python -m interarea.fmu_build.check.probe REQUEST RESULT`.
 
 Each topic writes a line when it begins and one when it is done, so that the
 process that started this one knows where it died or hung.
@@ -12,11 +12,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
-from . import check_runs, check_sensitivity
-from .check_description import read_description
-from .check_finding import Report
-from .check_fmi2 import CallFailed, Library
-from .check_xml import read_xml
+from ..open.fmi2 import CallFailed, Library
+from . import runs as check_runs
+from . import sensitivity as check_sensitivity
+from .description import read_description
+from .finding import Report
+from .xml import read_xml
 
 TOPICS: dict[str, Callable[[Library, check_runs.Tell], None]] = {
     "load": check_runs.load,

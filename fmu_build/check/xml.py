@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from .check_finding import Report
+from .finding import Report
 
 MOST_BYTES = 256 << 20
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .check_description import ModelDescription, ScalarVariable, Unknown
-from .check_fmi2 import WARNING, Instance, Library
-from .check_runs import Drive, Tell
+from ..open.fmi2 import WARNING, Instance, Library
+from .description import ModelDescription, ScalarVariable, Unknown
+from .runs import Drive, Tell
 
 _Vector = npt.NDArray[np.float64]
 _MOST_KNOWNS = 200  #: larger FMUs are sampled evenly

@@ -10,11 +10,11 @@ import sys
 import tempfile
 from pathlib import Path
 
-from .check_binary import FOLDERS
-from .check_description import ModelDescription
-from .check_finding import Report
-from .compile import PLATFORMS, host_platform
-from .errors import BuildError
+from ..write.compile import PLATFORMS, host_platform
+from ..write.errors import BuildError
+from .binary import FOLDERS
+from .description import ModelDescription
+from .finding import Report
 
 TIMEOUT_S = 120.0  #: for the topics of one process
 _TOPICS = (
@@ -75,7 +75,7 @@ def _run(todo: list[list[str]], folder: Path, report: Report, timeout_s: float) 
         request, result = Path(scratch) / "request.json", Path(scratch) / "result.jsonl"
         request.write_text(json.dumps({"folder": str(folder.resolve()), "todo": todo}), encoding="utf-8")
         result.touch()
-        command = [sys.executable, "-m", "interarea.fmu_build.check_probe", str(request), str(result)]
+        command = [sys.executable, "-m", "interarea.fmu_build.check.probe", str(request), str(result)]
         try:
             process = subprocess.run(
                 command,

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from .check_description import ModelDescription, read_description
-from .check_finding import Finding, Report
-from .check_ssp_units import Units, unit_definitions
-from .check_xml import obeys_schema, read_xml
+from .description import ModelDescription, read_description
+from .finding import Finding, Report
+from .ssp_units import Units, unit_definitions
+from .xml import obeys_schema, read_xml
 
 SSD = "{http://ssp-standard.org/SSP1/SystemStructureDescription}"
 SSC = "{http://ssp-standard.org/SSP1/SystemStructureCommon}"

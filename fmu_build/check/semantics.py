@@ -7,8 +7,8 @@ import math
 import re
 from pathlib import Path
 
-from .check_description import ModelDescription, ScalarVariable
-from .check_finding import Report
+from .description import ModelDescription, ScalarVariable
+from .finding import Report
 
 _WHERE = "modelDescription.xml"
 _RANGES = {"Integer": (-(2**31), 2**31 - 1), "Enumeration": (-(2**31), 2**31 - 1)}

@@ -18,9 +18,9 @@ import numpy as np
 from interarea.models.blocks.variables import Block
 
 from .compile import PLATFORMS, compile_library, host_platform, record_source, source_files
+from .description_xml import render
 from .documentation import documentation
 from .errors import BuildError
-from .render import render
 
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 _EPOCH = (1980, 1, 1, 0, 0, 0)

@@ -11,7 +11,7 @@ import stat
 import zipfile
 from pathlib import Path, PurePosixPath
 
-from .check_finding import Report
+from .finding import Report
 
 MOST_ENTRIES = 20_000
 MOST_BYTES = 2 << 30  #: unpacked, all entries together

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .check_description import ModelDescription
-from .check_finding import Report
-from .check_images import Image, ImageError, read_image
+from .description import ModelDescription
+from .finding import Report
+from .images import Image, ImageError, read_image
 
 #: Folder of FMI 2.0 (and of FMI 3.0 style names) -> format, machine, suffix.
 FOLDERS = {

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from .errors import BuildError
 
-_C = Path(__file__).resolve().parent / "c"
+_C = Path(__file__).resolve().parents[1] / "c"
 _CODE = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-fno-ident", "-g0")
 _STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .errors import FmuError
+from ..write.errors import FmuError
 
 Vector = npt.NDArray[np.float64]
 

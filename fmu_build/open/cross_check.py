@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .errors import BuildError
-from .package import archive_bytes, write_whole
+from ..write.errors import BuildError
+from ..write.package import archive_bytes, write_whole
 
 Array = npt.NDArray[np.float64]
 _MOST_STEPS = 2000

@@ -14,7 +14,7 @@ import jinja2
 from interarea.models.blocks.variables import Block
 
 from .compile import fmi_headers, fmi_sources
-from .render import SI_UNITS, product_version
+from .description_xml import SI_UNITS, product_version
 
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 _COMMENT = re.compile(r"^/\*(.*?)\*/", re.DOTALL | re.MULTILINE)

@@ -1,0 +1,1 @@
+"""The check of FMUs and SSPs, ours or not."""

@@ -1,0 +1,1 @@
+"""FMUs opened from Python."""
