@@ -31,13 +31,13 @@ from scipy.linalg import lapack
 from threadpoolctl import threadpool_limits
 
 from interarea.cosim.artefacts import default_cache, linear_plant
-from interarea.design import synthesis_ftc
-from interarea.design.clarabel_engine import solve_clarabel
-from interarea.design.interior_point import solve_structured
-from interarea.design.linearise import remove_reference
-from interarea.design.problem import Problem, Solution
-from interarea.design.solve import usable
-from interarea.design.study_designs import design_ftc
+from interarea.design.linear.linearise import remove_reference
+from interarea.design.lmi.clarabel_engine import solve_clarabel
+from interarea.design.lmi.interior_point.engine import solve_structured
+from interarea.design.lmi.problem import Problem, Solution
+from interarea.design.lmi.solve import usable
+from interarea.design.synthesis import fault_tolerant as synthesis_ftc
+from interarea.design.synthesis.study_designs import design_ftc
 from interarea.models.case.case import load_case
 
 #: Times Clarabel that the structured engine has to reach, by order.

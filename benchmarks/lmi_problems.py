@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from interarea.design.problem import BlockLMI, MatrixVariable, Problem, Term
+from interarea.design.lmi.problem import BlockLMI, MatrixVariable, Problem, Term
 
 Matrix = npt.NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from interarea.cosim.artefacts import default_cache, linear_plant
 from interarea.cosim.robust_design import load_design
-from interarea.design.family import judge_family
-from interarea.design.linearise import remove_reference, speeds_in_rad
-from interarea.design.shipped import shipped_controller, shipped_names
+from interarea.design.controllers.bundled import shipped_controller, shipped_names
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.design.robust.operating_points import judge_family
 from interarea.models.case.case import load_case
 from interarea.models.case.variants import operating_variant
 

@@ -26,10 +26,10 @@ from typing import TYPE_CHECKING, Any
 import control
 import numpy as np
 
-from interarea.design.certificate import certificate
-from interarea.design.linearise import linearise, remove_reference, speeds_in_rad
-from interarea.design.modes import modes_of
-from interarea.design.shipped import shipped_controller, shipped_names
+from interarea.design.certificates.closed_loop import certificate
+from interarea.design.controllers.bundled import shipped_controller, shipped_names
+from interarea.design.linear.linearise import linearise, remove_reference, speeds_in_rad
+from interarea.design.modes.modes import modes_of
 from interarea.fmu_build.open.cross_check import add_cross_check
 from interarea.fmu_build.open.plant import open_plant
 from interarea.fmu_build.write.compile import PLATFORMS, host_platform
@@ -39,8 +39,8 @@ from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case
 
 if TYPE_CHECKING:
-    from interarea.design.bank import ControllerBank
-    from interarea.design.controller import Controller
+    from interarea.design.controllers.bank import ControllerBank
+    from interarea.design.controllers.controller import Controller
 
 ROOMS = Path(__file__).resolve().parent.parent
 
@@ -239,14 +239,16 @@ def channel_fmu(cache: Path) -> Path:
 
 def active_bank(case: Case, cache: Path) -> ControllerBank:
     """Return the bank of controllers with its switching certificate, designed when it is new."""
-    from interarea.design.bank import ControllerBank
+    from interarea.design.controllers.bank import ControllerBank
 
     key = content_hash(
-        file_hash(plant_fmu(case, cache)), code_hash("interarea.design.active"), numerics_versions()
+        file_hash(plant_fmu(case, cache)),
+        code_hash("interarea.design.certificates.bank_design"),
+        numerics_versions(),
     )
 
     def make(path: Path) -> Path:
-        from interarea.design.active import design_active
+        from interarea.design.certificates.bank_design import design_active
 
         relative = remove_reference(linear_plant(case, cache))
         return design_active(relative, omega_b=case.omega_b).save(path)
@@ -307,22 +309,20 @@ def design_controller(case: Case, name: str, cache: Path, *, reduce: bool = True
     key = content_hash(
         [name, reduce],
         file_hash(plant_fmu(case, cache)),
-        code_hash("interarea.design.study_designs"),
+        code_hash("interarea.design.synthesis.study_designs"),
         code_hash(certificate.__module__),
         numerics_versions(),
     )
     path = artefact(
         cache, "controllers", f"{name}-{key}", ".json", lambda p: _design(case, name, cache, reduce).save(p)
     )
-    from interarea.design.controller import Controller
+    from interarea.design.controllers.controller import Controller
 
     return Controller.load(path)
 
 
 def _design(case: Case, name: str, cache: Path, reduce: bool) -> Controller:
-    from interarea.design import (
-        study_designs as designs,  # cvxpy loads with it: only who designs waits for that
-    )
+    from interarea.design.synthesis import study_designs as designs
 
     relative = remove_reference(linear_plant(case, cache))
     order = {} if reduce else {"order": relative.nstates}

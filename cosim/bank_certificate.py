@@ -8,9 +8,14 @@ from pathlib import Path
 
 import control
 
-from interarea.design.bank import ControllerBank, bank_of_record, load_controller
-from interarea.design.controller import Controller, ControllerError
-from interarea.design.switching import BankLoop, SwitchingCertificate, proven_decay, switching_certificate
+from interarea.design.certificates.switching import (
+    BankLoop,
+    SwitchingCertificate,
+    proven_decay,
+    switching_certificate,
+)
+from interarea.design.controllers.bank import ControllerBank, bank_of_record, load_controller
+from interarea.design.controllers.controller import Controller, ControllerError
 from interarea.models.blocks.binary_table import unpack_record
 
 from .fmu_file import read_description

@@ -42,7 +42,7 @@ from .trajectory import Trajectory
 from .worker import participant_of
 
 if TYPE_CHECKING:
-    from interarea.design.controller import Controller
+    from interarea.design.controllers.controller import Controller
 
 Line = ChannelLine | ConcentratorLine
 _SLOTS = 8  # of events that the plant FMU of a case has
@@ -111,7 +111,7 @@ class System:
         ------
         ScenarioError : no such controller, or no plant to design it for.
         """
-        from interarea.design.controller import Controller
+        from interarea.design.controllers.controller import Controller
 
         from .artefacts import CONTROLLER_NAMES, controller_fmu, design_controller
 
@@ -121,7 +121,7 @@ class System:
             raise ScenarioError(f"{name}: add the plant first; its case gives the controller its base speed")
         case = next(reversed(self._plants.values()))
         if isinstance(controller, str | Path):
-            from interarea.design.shipped import shipped_names
+            from interarea.design.controllers.bundled import shipped_names
 
             known = (*CONTROLLER_NAMES, *shipped_names())
             if str(controller) in known:

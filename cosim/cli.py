@@ -23,7 +23,7 @@ from .terminal import busy, complain, print_table, stage_progress, steady_stream
 if TYPE_CHECKING:
     import control
 
-    from interarea.design.modes import Modes
+    from interarea.design.modes.modes import Modes
     from interarea.models.case.case import Case
 
 INTERRUPTED = 130  #: exit code after Ctrl-C, as shells have it
@@ -87,9 +87,9 @@ def cases(json_: AsJson = False) -> None:
 @app.command()
 def loops(case: CaseName, json_: AsJson = False) -> None:
     """Rank actuators and signals for the inter-area mode of a case."""
-    from interarea.design.linearise import remove_reference
-    from interarea.design.loops import rank_loops
-    from interarea.design.modes import modes_of
+    from interarea.design.linear.linearise import remove_reference
+    from interarea.design.modes.loop_selection import rank_loops
+    from interarea.design.modes.modes import modes_of
 
     from .study_rows import loop_rows
 
@@ -148,7 +148,7 @@ app.command()(maps)
 
 
 def _modes(name: str) -> tuple[Case, control.StateSpace, Modes]:
-    from interarea.design.modes import modes_of
+    from interarea.design.modes.modes import modes_of
     from interarea.models.case.case import load_case
 
     from .artefacts import default_cache, linear_plant

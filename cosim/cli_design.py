@@ -11,9 +11,9 @@ import typer
 from .terminal import busy, print_table
 
 if TYPE_CHECKING:
-    from interarea.design.bank import ControllerBank
-    from interarea.design.controller import Controller
-    from interarea.design.family import FamilyCertificate
+    from interarea.design.controllers.bank import ControllerBank
+    from interarea.design.controllers.controller import Controller
+    from interarea.design.robust.operating_points import FamilyCertificate
     from interarea.models.case.case import Case
 
     from .robust_design import DesignTable
@@ -80,7 +80,7 @@ def design(
 
 def _certificate_of(made: Controller) -> FamilyCertificate:
     """Return the certificate in a controller's record as what it was."""
-    from interarea.design.family import FamilyCertificate, FamilyRow
+    from interarea.design.robust.operating_points import FamilyCertificate, FamilyRow
 
     record = dict(made.certificate or {})
     del record["passed"]
@@ -156,7 +156,7 @@ def certify(
 
 def _certify_bank(bank: ControllerBank, case: Case, json_: bool) -> None:
     """Print what is proven for every sequence of losses; exit code 1 where a pause between them is needed."""
-    from interarea.design.linearise import remove_reference, speeds_in_rad
+    from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 
     from .artefacts import default_cache, linear_plant
     from .bank_certificate import certify_bank

@@ -46,7 +46,7 @@ COMMANDS = {
 
 def bundled() -> dict[str, dict[str, str]]:
     """Return kind -> name -> title of all that is bundled."""
-    from interarea.design.shipped import shipped_controller, shipped_names
+    from interarea.design.controllers.bundled import shipped_controller, shipped_names
     from interarea.models.case.case import case_names, load_case
 
     from .robust_design import design_names, load_design

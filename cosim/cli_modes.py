@@ -13,8 +13,8 @@ import typer
 from .terminal import busy, print_table
 
 if TYPE_CHECKING:
-    from interarea.design.modes import Mode, Modes
-    from interarea.design.sensitivity import Sensitivity
+    from interarea.design.modes.modes import Mode, Modes
+    from interarea.design.modes.sensitivity import Sensitivity
     from interarea.models.case.case import Case
 
 CaseName = Annotated[
@@ -45,7 +45,7 @@ def modes(
     ] = None,
 ) -> None:
     """Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes."""
-    from interarea.design.modes import modes_of
+    from interarea.design.modes.modes import modes_of
     from interarea.models.case.case import load_case
     from interarea.models.case.variants import operating_variant
 

@@ -12,8 +12,8 @@ from typing import Any
 import control
 import numpy as np
 
-from interarea.design.controller import RECORD, Controller, ControllerError
-from interarea.design.shipped import shipped_controller, shipped_names
+from interarea.design.controllers.bundled import shipped_controller, shipped_names
+from interarea.design.controllers.controller import RECORD, Controller, ControllerError
 
 from .errors import nearest
 from .fmu_file import read_description

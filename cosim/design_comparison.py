@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from interarea.design.certificate import closed_loop_matrix
-from interarea.design.delay import delayed_loop, rightmost_roots
-from interarea.design.family import FamilyCertificate
-from interarea.design.linearise import select, speeds_in_rad
+from interarea.design.certificates.closed_loop import closed_loop_matrix
+from interarea.design.delay.curves import delayed_loop, rightmost_roots
+from interarea.design.linear.linearise import select, speeds_in_rad
+from interarea.design.robust.operating_points import FamilyCertificate
 from interarea.models.case.case import load_case
 
 from .plots import (

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from interarea.design.bank import ControllerBank
-from interarea.design.delay import DelayError, delay_margin
-from interarea.design.linearise import linearise, remove_reference, speeds_in_rad
+from interarea.design.controllers.bank import ControllerBank
+from interarea.design.delay.curves import DelayError, delay_margin
+from interarea.design.linear.linearise import linearise, remove_reference, speeds_in_rad
 from interarea.fmu_build.open.plant import open_plant
 
 from .sweep_point import point_of

@@ -10,14 +10,14 @@ from typing import Annotated, Any
 import control
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from interarea.design.conditions import Condition, condition_of_many
-from interarea.design.controller import Controller
-from interarea.design.family import FamilyCertificate, judge_family
-from interarea.design.linearise import remove_reference, speeds_in_rad
-from interarea.design.modes import modes_of
-from interarea.design.robust import RobustSpec, design_robust
-from interarea.design.robust_check import require_moved
-from interarea.design.smoothed import BandOffsets
+from interarea.design.controllers.controller import Controller
+from interarea.design.delay.signal_conditions import Condition, condition_of_many
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.design.modes.modes import modes_of
+from interarea.design.robust.check_spec import require_moved
+from interarea.design.robust.design import RobustSpec, design_robust
+from interarea.design.robust.operating_points import FamilyCertificate, judge_family
+from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.variants import operating_variant
 

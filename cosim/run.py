@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from interarea.design.shipped import shipped_names
+from interarea.design.controllers.bundled import shipped_names
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import load_case
 
@@ -30,8 +30,8 @@ from .trajectory import Trajectory
 from .worker import participant_of
 
 if TYPE_CHECKING:
-    from interarea.design.bank import ControllerBank
-    from interarea.design.controller import Controller
+    from interarea.design.controllers.bank import ControllerBank
+    from interarea.design.controllers.controller import Controller
     from interarea.models.case.case import Case
 
 Controllers = Callable[[str, Any], "Controller"]
@@ -382,7 +382,7 @@ def controller_of(
         return None
     path = scenario.controller_path
     if path is not None:
-        from interarea.design.bank import load_controller
+        from interarea.design.controllers.bank import load_controller
 
         if not path.is_file():
             raise ScenarioError(

@@ -57,7 +57,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
-from interarea.design.shipped import shipped_names
+from interarea.design.controllers.bundled import shipped_names
 from interarea.models.blocks.concentrator import MOST_SIGNALS
 from interarea.models.case.errors import CaseError
 from interarea.models.case.events import events_of

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from interarea.design.linearise import linearise
-from interarea.design.modes import modes_of
-from interarea.design.sensitivity import Sensitivity, eigenvalue_sensitivity
+from interarea.design.linear.linearise import linearise
+from interarea.design.modes.modes import modes_of
+from interarea.design.modes.sensitivity import Sensitivity, eigenvalue_sensitivity
 from interarea.fmu_build.open.plant import open_plant
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.plant import plant_block

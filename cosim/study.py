@@ -15,11 +15,11 @@ from typing import Any
 import control
 from threadpoolctl import threadpool_limits
 
-from interarea.design.controller import Controller
-from interarea.design.linearise import remove_reference, select, speeds_in_rad
-from interarea.design.loops import rank_loops
-from interarea.design.modes import modes_of
-from interarea.design.reduction import balanced_truncation
+from interarea.design.controllers.controller import Controller
+from interarea.design.linear.linearise import remove_reference, select, speeds_in_rad
+from interarea.design.modes.loop_selection import rank_loops
+from interarea.design.modes.modes import modes_of
+from interarea.design.reduction.balanced import balanced_truncation
 from interarea.fmu_build.write.package import write_whole
 from interarea.models.case.case import load_case
 from interarea.models.grid.powerflow import solve_powerflow

@@ -9,12 +9,12 @@ from typing import Any
 import control
 import numpy as np
 
-from interarea.design.certificate import swing_poles
-from interarea.design.controller import Controller
-from interarea.design.delay import damping_over_latency, delay_margin, delayed_loop, rightmost_roots
-from interarea.design.linearise import speeds_in_rad
-from interarea.design.modes import Modes
-from interarea.design.study_designs import WdcSpec, design_wdc
+from interarea.design.certificates.closed_loop import swing_poles
+from interarea.design.controllers.controller import Controller
+from interarea.design.delay.curves import damping_over_latency, delay_margin, delayed_loop, rightmost_roots
+from interarea.design.linear.linearise import speeds_in_rad
+from interarea.design.modes.modes import Modes
+from interarea.design.synthesis.study_designs import WdcSpec, design_wdc
 
 #: step of the curve, s
 GRID_S = 0.02

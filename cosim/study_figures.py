@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from interarea.design.controller import Controller
-from interarea.design.linearise import select
-from interarea.design.modes import Modes
-from interarea.design.reduction import Reduction
+from interarea.design.controllers.controller import Controller
+from interarea.design.linear.linearise import select
+from interarea.design.modes.modes import Modes
+from interarea.design.reduction.balanced import Reduction
 from interarea.models.case.case import Case
 from interarea.models.grid.powerflow import PowerFlow
 

@@ -13,8 +13,8 @@ from typing import Any
 import control
 import numpy as np
 
-from interarea.design.controller import Controller
-from interarea.design.loss import LossyChannel, OnLoss, PacketLoop, critical_loss
+from interarea.design.controllers.controller import Controller
+from interarea.design.delay.packet_loss import LossyChannel, OnLoss, PacketLoop, critical_loss
 
 from .study_runs import Document, document_of, run_all
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from interarea.design.loops import Loops
-from interarea.design.modes import Modes
-from interarea.design.norms import hinf_of
+from interarea.design.linear.norms import hinf_of
+from interarea.design.modes.loop_selection import Loops
+from interarea.design.modes.modes import Modes
 
 from .study_figures import OMEGA, StudyParts, loop_functions
 from .study_runs import WIRINGS, StudyRun

@@ -15,8 +15,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from interarea.design.bank import ControllerBank, load_controller
-from interarea.design.controller import Controller
+from interarea.design.controllers.bank import ControllerBank, load_controller
+from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import Case, case_of, load_case
 
 from .artefacts import (

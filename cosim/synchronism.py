@@ -20,7 +20,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.signal import lsim
 
-from interarea.design.controller import Controller
+from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import Case
 from interarea.models.case.write_toml import export_toml
 

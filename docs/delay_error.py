@@ -32,7 +32,7 @@ from interarea.cosim.artefacts import (
 from interarea.cosim.build import System
 from interarea.cosim.instances import FmuParticipant
 from interarea.cosim.plots import DASHES, SERIES, new_figure, save_figure
-from interarea.design.controller import Controller
+from interarea.design.controllers.controller import Controller
 from interarea.models.blocks.controller import controller_block
 from interarea.models.case.case import load_case
 

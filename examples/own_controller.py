@@ -8,7 +8,7 @@ import control
 import numpy as np
 
 from interarea.cosim.run import run_scenario
-from interarea.design.controller import Controller
+from interarea.design.controllers.controller import Controller
 
 s = control.tf("s")
 shape = -0.02 * (5 * s / (1 + 5 * s)) * (1 + 0.25 * s) / (1 + 0.05 * s) / (1 + 0.02 * s)

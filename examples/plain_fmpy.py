@@ -16,7 +16,7 @@ import numpy as np
 from fmpy.fmi2 import FMU2Slave
 
 from interarea.cosim.artefacts import channel_fmu, controller_fmu, default_cache, plant_fmu
-from interarea.design.controller import Controller
+from interarea.design.controllers.controller import Controller
 from interarea.models.blocks.plant import event_parameters
 from interarea.models.case.case import load_case
 from interarea.models.case.events import event_of

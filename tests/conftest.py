@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from interarea.cosim.run import Controllers
-from interarea.design.controller import Controller
+from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import Case, load_case
 
 # How long one example takes says nothing on a machine that is busy; the same examples on every machine.

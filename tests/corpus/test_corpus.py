@@ -34,8 +34,8 @@ from corpus.recipe import (
 from grid_text import dyr_text, matpower_text, raw_text
 
 from interarea.cosim.cli import main
-from interarea.design.controller import Controller
-from interarea.design.shipped import FOLDER
+from interarea.design.controllers.bundled import FOLDER
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.case.case import load_case
 

@@ -11,7 +11,7 @@ from fmu_blocks import blocks
 from interarea.cosim.artefacts import default_cache
 from interarea.cosim.container import container_block
 from interarea.cosim.scenario import load_scenario
-from interarea.design.controller import Controller
+from interarea.design.controllers.controller import Controller
 from interarea.models.blocks.variables import Block
 
 

@@ -5,13 +5,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from interarea.design.balancing import difference, matrices
-from interarea.design.norms import frequency_response, hinf_norm, hinf_of
-from interarea.design.reduction import (
-    balanced_truncation,
-    hankel_reduction,
-    singular_perturbation,
-)
+from interarea.design.linear.norms import frequency_response, hinf_norm, hinf_of
+from interarea.design.reduction.balanced import balanced_truncation, hankel_reduction, singular_perturbation
+from interarea.design.reduction.gramians import difference, matrices
 
 
 @st.composite

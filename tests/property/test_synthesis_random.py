@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from independent.riccati import hinf_riccati
 
-from interarea.design.generalized import GeneralizedPlant, scaled
-from interarea.design.riccati import hinf_riccati
-from interarea.design.synthesis import Conditioning, PoleRegion, hinf_region
+from interarea.design.synthesis.generalized_plant import GeneralizedPlant, scaled
+from interarea.design.synthesis.hinf import Conditioning, PoleRegion, hinf_region
 
 
 def random_plant(rng: np.random.Generator, *, badly_scaled: bool) -> GeneralizedPlant:

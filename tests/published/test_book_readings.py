@@ -15,8 +15,8 @@ import book_readings
 import book_search
 
 from interarea.cosim.artefacts import plant_fmu
-from interarea.design.linearise import linearise
-from interarea.design.modes import Modes, modes_of
+from interarea.design.linear.linearise import linearise
+from interarea.design.modes.modes import Modes, modes_of
 from interarea.fmu_build.open.plant import open_plant
 from interarea.models.case.case import Case, load_case
 

@@ -11,9 +11,16 @@ import numpy as np
 import pytest
 from independent.two_area import OMEGA_B, linear_plant
 
-from interarea.design.controller import Controller
-from interarea.design.linearise import remove_reference, select, speeds_in_rad
-from interarea.design.study_designs import CcSpec, FtcSpec, WdcSpec, design_cc_like, design_ftc, design_wdc
+from interarea.design.controllers.controller import Controller
+from interarea.design.linear.linearise import remove_reference, select, speeds_in_rad
+from interarea.design.synthesis.study_designs import (
+    CcSpec,
+    FtcSpec,
+    WdcSpec,
+    design_cc_like,
+    design_ftc,
+    design_wdc,
+)
 
 OPEN_LOOP = {"inter-area": 0.0806, "local 1": 0.2466, "local 2": 0.2041}
 
@@ -108,7 +115,7 @@ def test_designs_are_deterministic(plant: control.StateSpace) -> None:
     ("spec", "word"), [(WdcSpec(plant_order=99), "99"), (CcSpec(actuator="G9_vs"), "G9_vs")]
 )
 def test_bad_specification_is_named(plant: control.StateSpace, spec: WdcSpec | CcSpec, word: str) -> None:
-    from interarea.design.study_designs import design_cc
+    from interarea.design.synthesis.study_designs import design_cc
 
     with pytest.raises(ValueError, match=word):
         if isinstance(spec, WdcSpec):

@@ -10,8 +10,8 @@ import printed
 import pytest
 
 from interarea.cosim.artefacts import plant_fmu
-from interarea.design.linearise import linearise
-from interarea.design.modes import Modes, modes_of
+from interarea.design.linear.linearise import linearise
+from interarea.design.modes.modes import Modes, modes_of
 from interarea.fmu_build.open.plant import open_plant
 from interarea.models.case.case import Case, load_case
 from interarea.models.grid.powerflow import solve_powerflow

@@ -10,7 +10,7 @@ import pytest
 from interarea.cosim.robust_design import family_cases, load_design
 from interarea.cosim.run import run_scenario
 from interarea.cosim.synchronism import after_fault
-from interarea.design.shipped import shipped_controller
+from interarea.design.controllers.bundled import shipped_controller
 from interarea.models.case.case import Case
 from interarea.models.case.write_toml import export_toml
 

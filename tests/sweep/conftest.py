@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from interarea.cosim.sweep_engine import run_sweep
-from interarea.design.controller import Controller
+from interarea.design.controllers.controller import Controller
 
 SCENARIO: dict[str, Any] = {
     "case": "two-area-thesis",

@@ -18,7 +18,7 @@ from interarea.cosim.fmu_file import FmuFile
 from interarea.cosim.members import Member, members_of
 from interarea.cosim.run import Controllers, run_scenario
 from interarea.cosim.scenario import load_scenario
-from interarea.design.controller import Controller
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.plant import event_parameters, plant_block

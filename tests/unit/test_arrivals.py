@@ -10,7 +10,7 @@ from participants import Linear
 
 from interarea.cosim.build import System
 from interarea.cosim.channels import ChannelLine
-from interarea.design.controller import Controller
+from interarea.design.controllers.controller import Controller
 from interarea.models.blocks.packet_schedule import packets_of
 
 RATE = 2.0

@@ -12,13 +12,13 @@ import pytest
 
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.robust_design import load_design, run_design
-from interarea.design.conditions import Condition
+from interarea.design.delay.signal_conditions import Condition
 from interarea.design.errors import InfeasibleDesign
-from interarea.design.modes import Mode, Modes
-from interarea.design.robust import RobustSpec, design_robust
-from interarea.design.robust_check import require_moved
-from interarea.design.synthesis import PoleRegion, conventional
-from interarea.design.synthesis_check import modal_parts
+from interarea.design.modes.modes import Mode, Modes
+from interarea.design.robust.check_spec import require_moved
+from interarea.design.robust.design import RobustSpec, design_robust
+from interarea.design.synthesis.check import modal_parts
+from interarea.design.synthesis.hinf import PoleRegion, conventional
 
 SPEC = RobustSpec(("G2_dw", "G4_dw"), ("G4_vs",), (Condition("N"),), order=2, starts=1)
 TEMPLATES = Path(load_design.__code__.co_filename).parent / "templates"

@@ -11,7 +11,7 @@ from participants import Delay, Linear
 from interarea.cosim.build import System
 from interarea.cosim.errors import GraphError, ScenarioError
 from interarea.cosim.run import run_scenario
-from interarea.design.controller import Controller
+from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import CaseError
 
 PULSE = {"machine": "G1", "size_pu": 0.05, "start_s": 0.5, "end_s": 0.7}

@@ -6,7 +6,7 @@ import control
 import numpy as np
 import pytest
 
-from interarea.design.certificate import (
+from interarea.design.certificates.closed_loop import (
     _delayed_poles,
     certificate,
     closed_loop_matrix,
@@ -14,11 +14,11 @@ from interarea.design.certificate import (
     loss_criterion,
     remote_utilisation,
 )
-from interarea.design.conditions import Condition, condition_of, condition_of_many
-from interarea.design.controller import Controller
-from interarea.design.delay import delayed_loop, track_gain, track_roots
+from interarea.design.controllers.controller import Controller
+from interarea.design.delay.curves import delayed_loop, track_gain, track_roots
+from interarea.design.delay.signal_conditions import Condition, condition_of, condition_of_many
 from interarea.design.errors import UncertifiedDesign
-from interarea.design.modes import Mode, Modes
+from interarea.design.modes.modes import Mode, Modes
 
 
 def first_order_plant() -> control.StateSpace:

@@ -19,7 +19,7 @@ from interarea.cosim.ssp import write_ssp
 from interarea.cosim.sweep_engine import run_sweep
 from interarea.cosim.sweep_store import read_rows
 from interarea.cosim.wiring import INPUTS
-from interarea.design.controller import Controller
+from interarea.design.controllers.controller import Controller
 
 WAYS = [{"latency_s": 0.03}, {"latency_s": 0.08}]
 PULSE = {"machine": "G1", "size_pu": 0.02, "start_s": 0.5, "end_s": 0.7}

@@ -27,8 +27,8 @@ from interarea.cosim.errors import ScenarioError
 from interarea.cosim.members import members_of
 from interarea.cosim.run import Controllers, run_scenario
 from interarea.cosim.scenario import load_scenario
-from interarea.design.bank import ControllerBank
-from interarea.design.controller import Controller
+from interarea.design.controllers.bank import ControllerBank
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.compile import host_platform
 from interarea.fmu_build.write.description_xml import record_entries
 from interarea.models.blocks.binary_table import pack_record

@@ -9,7 +9,7 @@ import control
 import numpy as np
 import pytest
 
-from interarea.design.controller import Controller, ControllerError
+from interarea.design.controllers.controller import Controller, ControllerError
 
 
 def controller() -> Controller:

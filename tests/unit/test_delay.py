@@ -10,8 +10,9 @@ from scipy.linalg import matrix_balance
 from scipy.optimize import brentq
 from scipy.special import lambertw
 
-from interarea.design.certificate import swing_poles
-from interarea.design.delay import (
+from interarea.design.certificates.closed_loop import swing_poles
+from interarea.design.delay.characteristic_roots import DelayedChannel, DelayedLoop, rightmost_roots
+from interarea.design.delay.curves import (
     DelayError,
     damping_over_latency,
     delay_margin,
@@ -20,11 +21,10 @@ from interarea.design.delay import (
     pade,
     stability_map,
 )
-from interarea.design.delay_crossing import delay_margin_of
-from interarea.design.delay_roots import DelayedChannel, DelayedLoop, rightmost_roots
-from interarea.design.linearise import remove_reference, select, speeds_in_rad
-from interarea.design.modes import modes_of
-from interarea.design.study_designs import design_ftc, design_wdc
+from interarea.design.delay.margin import delay_margin_of
+from interarea.design.linear.linearise import remove_reference, select, speeds_in_rad
+from interarea.design.modes.modes import modes_of
+from interarea.design.synthesis.study_designs import design_ftc, design_wdc
 
 INTEGRATOR = control.ss(0.0, 1.0, 1.0, 0.0, inputs=["u"], outputs=["y"])
 

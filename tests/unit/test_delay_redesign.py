@@ -5,9 +5,9 @@ from __future__ import annotations
 from independent.two_area import OMEGA_B, linear_plant
 
 from interarea.cosim.study_delay import least_damping
-from interarea.design.delay import delay_margin
-from interarea.design.linearise import remove_reference, speeds_in_rad
-from interarea.design.study_designs import WdcSpec, design_wdc
+from interarea.design.delay.curves import delay_margin
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.design.synthesis.study_designs import WdcSpec, design_wdc
 
 
 def test_a_design_that_knows_the_latency_keeps_damping_and_margin() -> None:

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from interarea.cosim.cli import app
 from interarea.cosim.design_comparison import Alternative, compare, effort_figure, sensitivity_figure
 from interarea.cosim.robust_design import load_design
-from interarea.design.shipped import shipped_controller
+from interarea.design.controllers.bundled import shipped_controller
 
 SMALL = """
 name = "small"
@@ -88,7 +88,7 @@ def test_sensitivity_of_a_loop_in_closed_form() -> None:
     # K = -1, G = 1/(s+1): S = (s+1)/(s+2)
     G = control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["G4_vs"], outputs=["G4_dw"])
     K = control.ss([[-1e6]], [[-1e3]], [[1e3]], [[0.0]], inputs=["G4_dw"], outputs=["G4_vs"])
-    from interarea.design.family import FamilyCertificate
+    from interarea.design.robust.operating_points import FamilyCertificate
 
     verdict = FamilyCertificate((), 1.0, 1.0, 1.0, 1e6, ())
     line = sensitivity_figure(G, (Alternative("lag", K, verdict),), "base").axes[0].lines[0]

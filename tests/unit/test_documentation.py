@@ -16,7 +16,7 @@ from lxml import etree
 from interarea.cosim.container import container_block
 from interarea.cosim.run import Controllers
 from interarea.cosim.scenario import load_scenario
-from interarea.design.shipped import shipped_controller
+from interarea.design.controllers.bundled import shipped_controller
 from interarea.fmu_build.write.compile import host_platform
 from interarea.fmu_build.write.documentation import equations_of, references_in
 from interarea.fmu_build.write.package import build_fmu

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from interarea.design.interior_point import Progress, solve_structured
-from interarea.design.interior_point_map import AffineMap
-from interarea.design.interior_point_schur import SchurComplement
-from interarea.design.problem import BlockLMI, MatrixVariable, Problem, Solution, Term
+from interarea.design.lmi.interior_point.engine import Progress, solve_structured
+from interarea.design.lmi.interior_point.operators import AffineMap
+from interarea.design.lmi.interior_point.schur import SchurComplement
+from interarea.design.lmi.problem import BlockLMI, MatrixVariable, Problem, Solution, Term
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from lmi_problems import (
@@ -83,7 +83,7 @@ def test_products_kept_apart_give_the_same_map(monkeypatch: pytest.MonkeyPatch) 
     rng = np.random.default_rng(1)
     problem = mixed_problem(rng)
     sparse = AffineMap(problem)
-    monkeypatch.setattr("interarea.design.interior_point_map._ENTRY_S", 1.0)
+    monkeypatch.setattr("interarea.design.lmi.interior_point.operators._ENTRY_S", 1.0)
     dense = AffineMap(problem)
     y = rng.standard_normal(sparse.m)
     for one, other in zip(sparse.apply(y), dense.apply(y), strict=True):

@@ -6,14 +6,14 @@ import pytest
 from independent.two_area import AREAS, OMEGA_B, TwoArea, linear_plant, two_area
 from numpy.typing import NDArray
 
-from interarea.design.linearise import (
+from interarea.design.linear.linearise import (
     LinearisationError,
     linearise,
     remove_reference,
     select,
     speeds_in_rad,
 )
-from interarea.design.norms import frequency_response
+from interarea.design.linear.norms import frequency_response
 
 
 class Pendulum:

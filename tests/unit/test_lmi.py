@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from interarea.design import regions
-from interarea.design.lmi import Affine, Program, affine, bmat, compile_block, linear, trace
-from interarea.design.problem import BlockLMI, MatrixVariable, Problem
-from interarea.design.solve import elastic, infeasibility, solve, violation
+from interarea.design.lmi import regions
+from interarea.design.lmi.expressions import Affine, Program, affine, bmat, compile_block, linear, trace
+from interarea.design.lmi.problem import BlockLMI, MatrixVariable, Problem
+from interarea.design.lmi.solve import elastic, infeasibility, solve, violation
 
 ENGINES = ("structured", "clarabel")
 

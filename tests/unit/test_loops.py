@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from independent.two_area import AREAS, OMEGA_B, linear_plant
 
-from interarea.design.linearise import remove_reference, speeds_in_rad
-from interarea.design.loops import difference_signals, rank_loops
-from interarea.design.modes import ModeError, modes_of
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.design.modes.loop_selection import difference_signals, rank_loops
+from interarea.design.modes.modes import ModeError, modes_of
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ import pytest
 from interarea.cosim.artefacts import linear_plant
 from interarea.cosim.run import Controllers, assemble
 from interarea.cosim.scenario import load_scenario
-from interarea.design.linearise import remove_reference, speeds_in_rad
-from interarea.design.loss import LossyChannel, PacketLoop, critical_loss
+from interarea.design.delay.packet_loss import LossyChannel, PacketLoop, critical_loss
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.models.case.case import load_case
 
 T = 0.1

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from independent.two_area import OMEGA_B, linear_plant
 
-from interarea.design.linearise import remove_reference, select, speeds_in_rad
-from interarea.design.norms import (
+from interarea.design.linear.linearise import remove_reference, select, speeds_in_rad
+from interarea.design.linear.norms import (
     UnstableSystem,
     frequency_response,
     gramian_factor,

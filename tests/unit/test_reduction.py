@@ -6,10 +6,9 @@ import pytest
 from independent.two_area import OMEGA_B, linear_plant
 from scipy.linalg import solve_continuous_are
 
-from interarea.design.balancing import difference, matrices
-from interarea.design.linearise import remove_reference, select, speeds_in_rad
-from interarea.design.norms import frequency_response, hankel_singular_values, hinf_of
-from interarea.design.reduction import (
+from interarea.design.linear.linearise import remove_reference, select, speeds_in_rad
+from interarea.design.linear.norms import frequency_response, hankel_singular_values, hinf_of
+from interarea.design.reduction.balanced import (
     ReductionError,
     balanced_truncation,
     closed_loop_reduction,
@@ -17,6 +16,7 @@ from interarea.design.reduction import (
     singular_perturbation,
     weighted_reduction,
 )
+from interarea.design.reduction.gramians import difference, matrices
 
 
 def two_area(name: str = "two-area-thesis") -> control.StateSpace:

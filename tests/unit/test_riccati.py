@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from independent.riccati import hinf_riccati
 
-from interarea.design.generalized import GeneralizedPlant
-from interarea.design.norms import hinf_of
-from interarea.design.riccati import hinf_riccati
-from interarea.design.synthesis import Conditioning, PoleRegion, hinf_region
+from interarea.design.linear.norms import hinf_of
+from interarea.design.synthesis.generalized_plant import GeneralizedPlant
+from interarea.design.synthesis.hinf import Conditioning, PoleRegion, hinf_region
 
 
 def scalar_plant(a: float) -> GeneralizedPlant:

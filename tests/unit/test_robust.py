@@ -17,11 +17,11 @@ from interarea.cosim.cli import app
 from interarea.cosim.controller_file import any_controller
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.robust_design import load_design, specification_of
-from interarea.design.conditions import condition_of, condition_of_many
-from interarea.design.family import judge_family
-from interarea.design.linearise import remove_reference, speeds_in_rad
-from interarea.design.robust import RobustSpec, build_objective, design_robust
-from interarea.design.shipped import shipped_controller
+from interarea.design.controllers.bundled import shipped_controller
+from interarea.design.delay.signal_conditions import condition_of, condition_of_many
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.design.robust.design import RobustSpec, build_objective, design_robust
+from interarea.design.robust.operating_points import judge_family
 
 
 def independent_plant(tie_pu: float = 0.0, out: tuple[str, ...] = ()) -> control.StateSpace:

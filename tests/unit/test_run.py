@@ -13,7 +13,7 @@ from interarea.cosim.artefacts import linear_plant
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.run import Controllers, Run, assemble, run_scenario
 from interarea.cosim.scenario import load_scenario
-from interarea.design.controller import Controller
+from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import Case, CaseError
 
 PULSE = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.0, "end_s": 1.2}

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from interarea.cosim.sensitivities import parameter_sensitivities, state_matrix
-from interarea.design.modes import Mode, Modes
-from interarea.design.sensitivity import eigenvalue_sensitivity
+from interarea.design.modes.modes import Mode, Modes
+from interarea.design.modes.sensitivity import eigenvalue_sensitivity
 from interarea.models.case.case import CaseError, load_case
 from interarea.models.case.parameter_path import parameter_value, with_parameter
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
-from interarea.design.robust import balanced_parameters
-from interarea.design.smoothed import DesignModel, EffortGrid, Objective
+from interarea.design.robust.design import balanced_parameters
+from interarea.design.robust.smoothed_objective import DesignModel, EffortGrid, Objective
 
 
 @pytest.fixture(scope="module")

@@ -29,11 +29,11 @@ from interarea.cosim.study import STAGES, load_study, run_study, study_names
 from interarea.cosim.study_delay import least_damping
 from interarea.cosim.study_loss import monte_carlo_documents
 from interarea.cosim.study_runs import scenario_documents
-from interarea.design import certificate as certificates
-from interarea.design.certificate import swing_poles
-from interarea.design.controller import Controller
-from interarea.design.linearise import remove_reference, select, speeds_in_rad
-from interarea.design.modes import Modes, modes_of
+from interarea.design.certificates import closed_loop as certificates
+from interarea.design.certificates.closed_loop import swing_poles
+from interarea.design.controllers.controller import Controller
+from interarea.design.linear.linearise import remove_reference, select, speeds_in_rad
+from interarea.design.modes.modes import Modes, modes_of
 from interarea.models.case.case import Case
 
 
@@ -171,7 +171,7 @@ def test_keys_tell_apart_what_differs() -> None:
     assert content_hash(a.reshape(1, 2)) != content_hash(a)
     assert content_hash("ab", "c") != content_hash("a", "bc")
     assert content_hash({"x": 1, "y": 2}) == content_hash({"y": 2, "x": 1})
-    assert code_hash("interarea.design.linearise") != code_hash("interarea.design.modes")
+    assert code_hash("interarea.design.linear.linearise") != code_hash("interarea.design.modes.modes")
 
 
 def test_a_key_follows_every_form_of_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

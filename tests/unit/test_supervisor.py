@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 from interarea.cosim.bank_certificate import bank_from_fmu
 from interarea.cosim.run import run_scenario
 from interarea.cosim.scenario import load_scenario
-from interarea.design.bank import OFF, ControllerBank, load_controller
-from interarea.design.controller import Controller, ControllerError
+from interarea.design.controllers.bank import OFF, ControllerBank, load_controller
+from interarea.design.controllers.controller import Controller, ControllerError
 from interarea.fmu_build.write.package import build_fmu
 
 OMEGA_B = 2.0 * np.pi * 60.0

@@ -10,17 +10,17 @@ import pytest
 from scipy.linalg import expm
 
 from interarea.cosim.artefacts import active_bank, linear_plant
-from interarea.design.bank import ControllerBank
-from interarea.design.controller import Controller
-from interarea.design.errors import UncertifiedDesign
-from interarea.design.linearise import remove_reference, speeds_in_rad
-from interarea.design.switching import (
+from interarea.design.certificates.switching import (
     BankLoop,
     common_lyapunov,
     dwell_time,
     proven_decay,
     switching_certificate,
 )
+from interarea.design.controllers.bank import ControllerBank
+from interarea.design.controllers.controller import Controller
+from interarea.design.errors import UncertifiedDesign
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.models.case.case import load_case
 
 

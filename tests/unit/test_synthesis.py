@@ -9,10 +9,16 @@ import numpy as np
 import pytest
 
 from interarea.design.errors import InfeasibleDesign
-from interarea.design.generalized import GeneralizedPlant, balanced_states, effort_plant, loop_shift, scaled
-from interarea.design.norms import hinf_of
-from interarea.design.recover import recover
-from interarea.design.synthesis import (
+from interarea.design.linear.norms import hinf_of
+from interarea.design.lmi.recover import recover
+from interarea.design.synthesis.generalized_plant import (
+    GeneralizedPlant,
+    balanced_states,
+    effort_plant,
+    loop_shift,
+    scaled,
+)
+from interarea.design.synthesis.hinf import (
     Conditioning,
     PoleRegion,
     conventional,

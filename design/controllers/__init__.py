@@ -1,0 +1,1 @@
+"""Controllers and banks of them, and those that are bundled."""

@@ -1,0 +1,258 @@
+"""A bank of controllers, one for each set of signals that can be trusted: active fault tolerance.
+
+Every controller of the bank runs all the time; the supervisor in C (`models/c/controller/supervisor.c`)
+follows the validity flags of the signals and fades from one output to the other.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+
+from interarea.models.blocks.supervisor import MAX_BANK, MAX_SIGNALS, Matrices, supervisor_block
+from interarea.models.blocks.variables import Block
+
+from ..lmi.problem import Matrix
+from .controller import Controller, ControllerError, document, plain
+
+SCHEMA = 1
+OFF = "off"  #: the member that does nothing, for sets of signals no controller can live on
+
+
+@dataclass(frozen=True)
+class ControllerBank:
+    """Controllers in order of preference; the first whose signals are all trusted is active.
+
+    Attributes
+    ----------
+    name : a C identifier.
+    members : each reads only the signals it needs; all drive the same actuators. Names differ.
+    limit_pu : bound of the magnitude of every output.
+    fade_s : time constant of the bumpless transfer, 0 = at once.
+    loss_s, return_s : how long a flag is down, or up again, before it is believed.
+    design : how it was made, JSON values.
+    certificate : what was proven (`switching.SwitchingCertificate.as_dict`), None before.
+    lyapunov : the matrix of that proof, states of the plant first; None where there is none.
+    """
+
+    name: str
+    members: tuple[Controller, ...]
+    limit_pu: float = 0.15
+    fade_s: float = 0.05
+    loss_s: float = 0.0
+    return_s: float = 1.0
+    design: Mapping[str, Any] = field(default_factory=dict)
+    certificate: Mapping[str, Any] | None = None
+    lyapunov: Matrix | None = None
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier():
+            raise ControllerError(f"bank: name is {self.name!r}, wanted letters, digits and _")
+        names = [member.name for member in self.members]
+        if not 1 <= len(names) < MAX_BANK or len({*names, OFF}) != len(names) + 1:
+            raise ControllerError(
+                f"bank {self.name}: members are {names}, wanted 1 to {MAX_BANK - 1} different names "
+                f"other than {OFF!r}"
+            )
+        for member in self.members:
+            if member.outputs != self.members[0].outputs:
+                raise ControllerError(
+                    f"bank {self.name}: {member.name} drives {', '.join(member.outputs)}, "
+                    f"{names[0]} drives {', '.join(self.members[0].outputs)}; all must drive the same"
+                )
+        if len(self.inputs) > MAX_SIGNALS:
+            raise ControllerError(
+                f"bank {self.name}: {len(self.inputs)} signals, allowed: at most {MAX_SIGNALS}"
+            )
+        for key in ("limit_pu", "fade_s", "loss_s", "return_s"):
+            value = getattr(self, key)
+            least = "positive" if key == "limit_pu" else "not negative"
+            if not (math.isfinite(value) and (value > 0.0 or (value == 0.0 and key != "limit_pu"))):
+                raise ControllerError(f"bank {self.name}: {key} is {value}, wanted finite and {least}")
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of all signals, in the order in which the members name them."""
+        return tuple(dict.fromkeys(signal for member in self.members for signal in member.inputs))
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the actuators."""
+        return self.members[0].outputs
+
+    @property
+    def order(self) -> int:
+        """States of all members together."""
+        return sum(member.order for member in self.members)
+
+    def active(self, trusted: Sequence[str]) -> str:
+        """Return the name of the member that is active while just these signals are trusted."""
+        have = set(trusted)
+        return next((m.name for m in self.members if have.issuperset(m.inputs)), OFF)
+
+    def signal_sets(self) -> list[tuple[str, ...]]:
+        """Return every set of trusted signals, the full one first."""
+        n = len(self.inputs)
+        return [c for size in range(n, -1, -1) for c in itertools.combinations(self.inputs, size)]
+
+    def matrices(self) -> dict[str, Matrices]:
+        """Return member -> (A, B, C, D) with a column of B and D for each signal of the bank; OFF if used."""
+        found: dict[str, Matrices] = {}
+        for member in self.members:
+            K, columns = member.system, [self.inputs.index(s) for s in member.inputs]
+            B, D = np.zeros((K.nstates, len(self.inputs))), np.zeros((K.noutputs, len(self.inputs)))
+            B[:, columns], D[:, columns] = K.B, K.D
+            found[member.name] = (np.asarray(K.A), B, np.asarray(K.C), D)
+        if any(self.active(s) == OFF for s in self.signal_sets()):
+            m, p = len(self.inputs), len(self.outputs)
+            found[OFF] = (np.zeros((0, 0)), np.zeros((0, m)), np.zeros((p, 0)), np.zeros((p, m)))
+        return found
+
+    def block(self, omega_b: float) -> Block:
+        """Return the supervisor's block: speeds in pu, actuators in pu. `omega_b`: base speed, rad/s."""
+        if not (omega_b > 0.0 and math.isfinite(omega_b)):
+            raise ControllerError(f"bank {self.name}: omega_b is {omega_b}, wanted a positive number, rad/s")
+        scale = np.array([omega_b if name.endswith("_dw") else 1.0 for name in self.inputs])
+        bank = {who: (A, B * scale, C, D * scale) for who, (A, B, C, D) in self.matrices().items()}
+        choice = [
+            self.active([s for j, s in enumerate(self.inputs) if word >> j & 1])
+            for word in range(2 ** len(self.inputs))
+        ]
+        documentation = {"Design": document(plain(self.design))}
+        if self.certificate is not None:
+            documentation["Switching certificate"] = document(plain(self.certificate))
+        return supervisor_block(
+            self.name,
+            bank,
+            choice,
+            self.inputs,
+            self.outputs,
+            limit=self.limit_pu,
+            fade_s=self.fade_s,
+            loss_s=self.loss_s,
+            return_s=self.return_s,
+            extra={} if self.lyapunov is None else {"lyapunov": self.lyapunov},
+            documentation=documentation,
+            provenance={"method": str(self.design.get("method", "given")), "order": str(self.order)},
+        )
+
+    def save(self, path: str | Path) -> Path:
+        """Write the bank as JSON; every number survives to the last bit."""
+        data = {
+            "schema": SCHEMA,
+            "kind": "bank",
+            "name": self.name,
+            "limit_pu": self.limit_pu,
+            "fade_s": self.fade_s,
+            "loss_s": self.loss_s,
+            "return_s": self.return_s,
+            "members": [member.as_dict() for member in self.members],
+            "design": plain(self.design),
+            "certificate": None if self.certificate is None else plain(self.certificate),
+            "lyapunov": None if self.lyapunov is None else np.asarray(self.lyapunov).tolist(),
+        }
+        path = Path(path)
+        path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+        return path
+
+    @classmethod
+    def load(cls, path: str | Path) -> ControllerBank:
+        """Read a bank written by `save`. Raises ControllerError naming the file and what is wrong."""
+        made = load_controller(path)
+        if not isinstance(made, ControllerBank):
+            raise ControllerError(f"controller file {path}: one controller, wanted a bank")
+        return made
+
+
+def bank_of_record(
+    name: str,
+    members: Sequence[str],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    arrays: Mapping[str, Any],
+    parameters: Mapping[str, float],
+    omega_b: float,
+) -> ControllerBank:
+    """Return the bank that an FMU holds: `arrays` of its record (pu), `parameters` by name; speeds in rad/s.
+
+    Raises
+    ------
+    ControllerError : the arrays do not fit the names.
+    """
+    m, p = len(inputs), len(outputs)
+    scale = np.array([omega_b if signal.endswith("_dw") else 1.0 for signal in inputs])
+    orders = [int(n) for n in arrays.get("orders", ())]
+    sizes = {"A": [n * n for n in orders], "B": [n * m for n in orders], "C": [p * n for n in orders]}
+    sizes["D"] = [p * m for _ in orders]
+    wrong = [k for k, counts in sizes.items() if len(arrays.get(k, ())) != sum(counts)]
+    if wrong or len(orders) != len(members):
+        raise ControllerError(
+            f"bank {name}: arrays {', '.join(wrong) or 'orders'} do not fit {len(members)} members"
+        )
+    parts = {k: np.split(np.asarray(arrays[k]), np.cumsum(counts)[:-1]) for k, counts in sizes.items()}
+    made = []
+    for k, (who, n) in enumerate(zip(members, orders, strict=True)):
+        if who == OFF:
+            continue
+        B, D = parts["B"][k].reshape(n, m) / scale, parts["D"][k].reshape(p, m) / scale
+        used = [j for j in range(m) if np.any(B[:, j]) or np.any(D[:, j])]
+        system = control.ss(
+            parts["A"][k].reshape(n, n),
+            B[:, used],
+            parts["C"][k].reshape(p, n),
+            D[:, used],
+            inputs=[inputs[j] for j in used],
+            outputs=list(outputs),
+        )
+        made.append(Controller(who, system, parameters["limit"]))
+    P = arrays.get("lyapunov")
+    return ControllerBank(
+        name,
+        tuple(made),
+        parameters["limit"],
+        parameters["fade_time"],
+        parameters["loss_time"],
+        parameters["return_time"],
+        lyapunov=None if P is None else np.asarray(P).reshape(2 * (round(len(P) ** 0.5),)),
+    )
+
+
+def load_controller(path: str | Path) -> Controller | ControllerBank:
+    """Read a controller or a bank of controllers from its JSON file.
+
+    Raises
+    ------
+    ControllerError : names the file and the key at fault.
+    """
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError):
+        return Controller.load(path)  # which says what is wrong with the file
+    if not isinstance(data, dict) or data.get("kind") != "bank":
+        return Controller.load(path)
+    if data.get("schema") != SCHEMA:
+        raise ControllerError(f"bank file {path}: schema is {data.get('schema')!r}, allowed: {SCHEMA}")
+    try:
+        members = tuple(Controller.from_dict(m) for m in data["members"])
+        given = {k: float(data[k]) for k in ("limit_pu", "fade_s", "loss_s", "return_s")}
+        P = data.get("lyapunov")
+        return ControllerBank(
+            data["name"],
+            members,
+            **given,
+            design=data.get("design", {}),
+            certificate=data.get("certificate"),
+            lyapunov=None if P is None else np.array(P, dtype=float),
+        )
+    except KeyError as error:
+        raise ControllerError(f"bank file {path}: missing {error.args[0]}") from error
+    except (TypeError, ValueError) as error:
+        raise ControllerError(f"bank file {path}: {error}") from error

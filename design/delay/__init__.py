@@ -1,0 +1,1 @@
+"""Systems with delays and losses: roots, margins, conditions on signals."""

@@ -1,0 +1,308 @@
+r"""Stability in the mean square when packets are lost at random, by the spectral radius of a second moment.
+
+Signals travel in packets every :math:`T`; between two arrivals what the controller reads is constant. From
+one time stamp to the next the state :math:`z` (plant, controller, packets under way, what is read) moves by
+:math:`z^+ = A_S z`, where :math:`S` is the set of signals whose packet arrives. With losses independent of
+:math:`z`
+
+.. math:: E[z z^T]^+ = \sum_S P(S) A_S E[z z^T] A_S^T
+
+so that the root mean square decays as :math:`\rho^{k/2}` with the spectral radius :math:`\rho` of
+:math:`\sum_S P(S) A_S \otimes A_S`. With bursts (Gilbert and Elliott) there is one second moment for each
+state of the chains [Costa2005]. The rules are those of `models/c/channel/channel.h`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import control
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import expm, solve_discrete_lyapunov
+from scipy.optimize import brentq
+from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
+
+from ..linear.linearise import select
+from ..lmi.problem import Matrix
+
+OnLoss = Literal["zero", "hold"]
+
+
+@dataclass(frozen=True)
+class LossyChannel:
+    """One signal's way: latency, rule on loss and the chance of losing a packet.
+
+    loss_good, loss_bad : chance in the good and in the bad state. good_to_bad, bad_to_good : chance of a
+    change per packet; the default good_to_bad = 0 is independent (Bernoulli) loss with the chance loss_good.
+    """
+
+    latency_s: float = 0.0
+    on_loss: OnLoss = "zero"
+    loss_good: float = 0.0
+    loss_bad: float = 0.0
+    good_to_bad: float = 0.0
+    bad_to_good: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.latency_s < math.inf:
+            raise ValueError(f"channel: latency_s is {self.latency_s}, wanted finite and not negative")
+        if self.on_loss not in ("zero", "hold"):
+            raise ValueError(f"channel: on_loss is {self.on_loss!r}, allowed: zero, hold")
+        for key in ("loss_good", "loss_bad", "good_to_bad", "bad_to_good"):
+            if not 0.0 <= getattr(self, key) <= 1.0:
+                raise ValueError(f"channel: {key} is {getattr(self, key)}, allowed: 0 to 1")
+
+    @property
+    def chain(self) -> tuple[npt.NDArray[np.float64], tuple[float, ...]]:
+        """Transition matrix of the chain (row: from) and the chance of loss in each of its states."""
+        if self.good_to_bad == 0.0:
+            return np.ones((1, 1)), (self.loss_good,)
+        p, q = self.good_to_bad, self.bad_to_good
+        return np.array([[1.0 - p, p], [q, 1.0 - q]]), (self.loss_good, self.loss_bad)
+
+    @property
+    def mean_loss(self) -> float:
+        """Share of the packets that is lost in the long run."""
+        if self.good_to_bad == 0.0:
+            return self.loss_good
+        bad = self.good_to_bad / (self.good_to_bad + self.bad_to_good)
+        return (1.0 - bad) * self.loss_good + bad * self.loss_bad
+
+
+@dataclass(frozen=True)
+class MeanSquare:
+    """What random loss leaves of stability.
+
+    radius : spectral radius of the second moment from packet to packet; below 1 is stable in the mean square.
+    decay_rate : of the root mean square, 1/s. mean_loss : share of lost packets per signal.
+    """
+
+    radius: float
+    decay_rate: float
+    mean_loss: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def stable(self) -> bool:
+        """Whether the second moment decays."""
+        return self.radius < 1.0
+
+
+class PacketLoop:
+    """Plant and controller joined by packets: `step(arriving)` is A_S of the module's text.
+
+    plant : strictly proper, without reference angle. K : u = +K y, inputs named by signal. Signals without an
+    entry in `channels` are read continuously and never lost.
+    """
+
+    def __init__(
+        self,
+        plant: control.StateSpace,
+        K: control.StateSpace,
+        interval_s: float,
+        channels: Mapping[str, LossyChannel],
+    ) -> None:
+        if not (0.0 < interval_s < math.inf):
+            raise ValueError(f"packet loop: interval_s is {interval_s}, wanted finite and positive")
+        unknown = sorted(set(channels) - set(K.input_labels))
+        if unknown:
+            raise ValueError(
+                f"packet loop: channels for {', '.join(unknown)}; the controller reads "
+                f"{', '.join(K.input_labels)}"
+            )
+        G = select(plant, list(K.output_labels), list(K.input_labels))
+        if np.any(G.D):
+            raise ValueError("packet loop: the plant has a direct feedthrough, wanted D = 0")
+        self.interval_s, self.signals = interval_s, tuple(s for s in K.input_labels if s in channels)
+        self.channels = channels
+        columns = [list(K.input_labels).index(s) for s in self.signals]
+        through = [k for k in range(K.ninputs) if k not in columns]
+        C_y = np.asarray(G.C)
+        n, n_K = G.nstates, K.nstates
+        A = np.block([[G.A, G.B @ K.C], [np.zeros((n_K, n)), K.A]])
+        A[:n, :n] += G.B @ K.D[:, through] @ C_y[through]
+        A[n:, :n] += K.B[:, through] @ C_y[through]
+        drive = np.vstack([G.B @ K.D[:, columns], K.B[:, columns]])
+        self._plan(A, drive, np.hstack([C_y[columns], np.zeros((len(columns), n_K))]))
+
+    def _plan(self, A: Matrix, drive: Matrix, C: Matrix) -> None:
+        """Lay out z = (x, what is read, packets under way of each signal, newest first)."""
+        T = self.interval_s
+        whole = {s: math.floor(self.channels[s].latency_s / T + 1e-9) for s in self.signals}
+        rest = {s: max(self.channels[s].latency_s - whole[s] * T, 0.0) for s in self.signals}
+        n, m = len(A), len(self.signals)
+        self.n_x, self.first = n, {}
+        size = n + m
+        for s in self.signals:
+            self.first[s] = size
+            size += whole[s] + 1
+        self.order = size
+        self._sample = np.eye(size)
+        for j, s in enumerate(self.signals):
+            a, last = self.first[s], self.first[s] + whole[s]
+            self._sample[a : last + 1] = 0.0
+            self._sample[a, :n] = C[j]
+            for k in range(a, last):
+                self._sample[k + 1, k] = 1.0
+        self._oldest = {s: self.first[s] + whole[s] for s in self.signals}
+        hold = np.zeros((n + m, n + m))
+        hold[:n, :n], hold[:n, n:] = A, drive
+        instants = sorted({0.0, *(r for r in rest.values() if r < T - 1e-12), T})
+        self._arrivals: list[list[str]] = [[s for s in self.signals if rest[s] == t] for t in instants[:-1]]
+        self._flows = []
+        for start, end in itertools.pairwise(instants):
+            flow = np.eye(size)
+            flow[: n + m, : n + m] = expm(hold * (end - start))
+            self._flows.append(flow)
+
+    def step(self, arriving: Sequence[str]) -> Matrix:
+        """Return A_S: from just before one time stamp to just before the next; `arriving`: S."""
+        total = self._sample
+        for signals, flow in zip(self._arrivals, self._flows, strict=True):
+            jump = np.eye(self.order)
+            for s in signals:
+                row = self.n_x + self.signals.index(s)
+                if s in arriving:
+                    jump[row] = 0.0
+                    jump[row, self._oldest[s]] = 1.0
+                elif self.channels[s].on_loss == "zero":
+                    jump[row] = 0.0
+            total = flow @ jump @ total
+        return np.asarray(total)
+
+    def mean_square(self) -> MeanSquare:
+        """Return the spectral radius of the second moment under the channels' losses."""
+        bursts = any(len(self.channels[s].chain[1]) > 1 for s in self.signals)
+        radius = self._radius_with_bursts() if bursts else self._radius_independent()
+        decay = -math.log(radius) / (2.0 * self.interval_s) if radius > 0.0 else math.inf
+        return MeanSquare(radius, decay, {s: self.channels[s].mean_loss for s in self.signals})
+
+    def _radius_independent(self) -> float:
+        """Independent losses: E[z z^T]^+ = M X M^T + sum_j v_j (g_j^T X g_j) f_j f_j^T.
+
+        What reads one packet reads no other, so A_S is affine in the losses and each D_j = f_j g_j^T, the
+        difference that packet j makes, has rank 1. gamma is an eigenvalue when the matrix of
+        v_j g_i^T X_j g_i, with gamma X_j = M X_j M^T + f_j f_j^T, has the spectral radius 1 [Elia2005].
+        """
+        whole = self.step(self.signals)
+        mean, parts = whole.copy(), []
+        for s in self.signals:
+            p = self.channels[s].loss_good
+            D = whole - self.step([other for other in self.signals if other != s])
+            mean -= p * D
+            U, size, V = np.linalg.svd(D)
+            if p * (1.0 - p) * size[0] > 0.0:
+                parts.append((p * (1.0 - p), U[:, 0] * size[0], V[0]))
+        floor = float(np.abs(np.linalg.eigvals(mean)).max()) ** 2
+        if not parts:
+            return floor
+
+        def gain(gamma: float) -> float:
+            H = np.zeros((len(parts), len(parts)))
+            for column, (v, f, _) in enumerate(parts):
+                X = solve_discrete_lyapunov(mean / math.sqrt(gamma), np.outer(f, f) / gamma)
+                H[:, column] = [v * float(g @ X @ g) for _, _, g in parts]
+            return float(np.abs(np.linalg.eigvals(H)).max())
+
+        low = floor * (1.0 + 1e-9)
+        if not gain(low) > 1.0:
+            return floor  # the losses do not reach the slowest mode
+        high = 2.0 * floor + 1.0
+        while gain(high) > 1.0:
+            low, high = high, 2.0 * high
+        return float(brentq(lambda gamma: math.log(gain(gamma)), low, high, xtol=1e-12, rtol=1e-12))
+
+    def _radius_with_bursts(self) -> float:
+        """One second moment for each state of the chains; Arnoldi on half a second of packets at once."""
+        chains = [self.channels[s].chain for s in self.signals]
+        modes = list(itertools.product(*(range(len(losses)) for _, losses in chains)))
+        sets = [c for k in range(len(self.signals) + 1) for c in itertools.combinations(self.signals, k)]
+        A = {s: self.step(s) for s in sets}
+        odds = np.array([[self._chance(s, mode, chains) for s in sets] for mode in modes])
+        moves = np.array(
+            [
+                [math.prod(float(chains[j][0][a[j], b[j]]) for j in range(len(chains))) for b in modes]
+                for a in modes
+            ]
+        )
+        n, folds = self.order, max(1, round(0.5 / self.interval_s))
+
+        def moment(flat: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+            X = flat.reshape(len(modes), n, n)
+            for _ in range(folds):
+                after = np.zeros_like(X)
+                for k in range(len(modes)):
+                    for S, chance in zip(sets, odds[k], strict=True):
+                        if chance > 0.0:
+                            after[k] += chance * (A[S] @ X[k] @ A[S].T)
+                X = np.einsum("ab,aij->bij", moves, after)
+            return np.asarray(X.ravel())
+
+        return float(_radius(moment, len(modes), n) ** (1.0 / folds))
+
+    def _chance(
+        self,
+        arriving: Sequence[str],
+        mode: Sequence[int],
+        chains: Sequence[tuple[npt.NDArray[np.float64], tuple[float, ...]]],
+    ) -> float:
+        lost = [chains[j][1][mode[j]] for j in range(len(chains))]
+        return math.prod(1.0 - p if s in arriving else p for s, p in zip(self.signals, lost, strict=True))
+
+
+def _radius(
+    moment: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]], modes: int, n: int
+) -> float:
+    """Spectral radius of a map of positive semidefinite matrices to such ones."""
+    start = np.concatenate([np.eye(n).ravel()] * modes)
+    operator = LinearOperator((modes * n * n,) * 2, matvec=moment, dtype=np.float64)
+    if modes * n * n <= 16:
+        dense = np.column_stack([operator @ e for e in np.eye(modes * n * n)])
+        return float(np.abs(np.linalg.eigvals(dense)).max())
+    try:
+        values = eigs(operator, k=1, which="LM", v0=start, return_eigenvectors=False, tol=1e-10)
+        return float(np.abs(values).max())
+    except ArpackNoConvergence as error:
+        raise RuntimeError(
+            "packet loop: the spectral radius of the second moment did not converge; its two largest "
+            "eigenvalues are too close"
+        ) from error
+
+
+def critical_loss(
+    plant: control.StateSpace,
+    K: control.StateSpace,
+    interval_s: float,
+    channels: Mapping[str, LossyChannel],
+    lossy: Sequence[str] | None = None,
+    *,
+    grid: int = 20,
+    tolerance: float = 1e-3,
+) -> float:
+    """Return the least chance of independent loss, the same for all `lossy` signals, that is not stable.
+
+    A loop that lives with no packets at all can be unstable for some share in between, so the chances
+    0, 1/grid, ... are tried first. Returns 1 where none of them is unstable.
+    """
+    lossy = tuple(channels) if lossy is None else tuple(lossy)
+
+    def stable(p: float) -> bool:
+        given = {s: LossyChannel(c.latency_s, c.on_loss, p) if s in lossy else c for s, c in channels.items()}
+        return PacketLoop(plant, K, interval_s, given).mean_square().stable
+
+    low = 0.0
+    for k in range(grid):
+        high = k / grid
+        if not stable(high):
+            break
+        low = high
+    else:
+        return 1.0
+    while high - low > tolerance:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    return low

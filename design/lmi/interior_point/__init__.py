@@ -1,0 +1,1 @@
+"""The structured primal-dual interior-point engine."""

@@ -1,0 +1,1 @@
+"""Modes, sensitivities, and which loop to close."""

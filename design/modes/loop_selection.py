@@ -1,0 +1,197 @@
+"""Which actuator with which signal: how well a mode is reached and seen by each loop.
+
+The geometric index of the literature,
+|b^T w| |c v| / (|b| |w| |c| |v|), changes with the scaling of the states: in raw mixed units it
+says nothing. Ranked is therefore the product of the mode's normalised pole vectors, which no
+change of state coordinates can move; the geometric index is given beside it, in stated coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+
+from ..linear.linearise import select
+from ..linear.norms import frequency_response
+from ..reduction.balanced import balanced_truncation
+from .modes import Mode, ModeError
+
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Loop:
+    r"""One candidate: a signal fed back to an actuator.
+
+    Attributes
+    ----------
+    actuator, signal : such as ``G4_vs`` and ``dw24``.
+    index : controllability * observability, 0..1; what the ranking sorts by.
+    controllability : \|w b_j\| / \|w B\|, the actuator's part in the mode's input pole vector.
+    observability : \|c_i v\| / \|C v\|, the signal's part in the mode's output pole vector.
+    residue : (c v)(w b), unit of the signal per unit of the actuator and second; its angle is the
+        phase a controller has to make up.
+    geometric : the geometric index in the coordinates stated by `Loops.coordinates`.
+    outputs : the signal as weights of plant outputs.
+    """
+
+    actuator: str
+    signal: str
+    index: float
+    controllability: float
+    observability: float
+    residue: complex
+    geometric: float
+    outputs: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Loops:
+    """Ranked candidates for one mode, best first."""
+
+    mode: str
+    ranking: tuple[Loop, ...]
+    coordinates: str
+
+    @property
+    def selected(self) -> Loop:
+        """The best loop."""
+        return self.ranking[0]
+
+
+def difference_signals(areas: Mapping[str, int]) -> dict[str, dict[str, float]]:
+    """Speed differences of all machine pairs in different areas, named as in ``dw24`` (G2 less G4).
+
+    areas : machine name -> area. Machines called G1..G9 give ``dw24``, others ``dw_NAME_NAME``.
+    """
+    signals: dict[str, dict[str, float]] = {}
+    for a, b in combinations(areas, 2):
+        if areas[a] == areas[b]:
+            continue
+        short = all(len(m) == 2 and m[0] == "G" and m[1].isdigit() for m in (a, b))
+        name = f"dw{a[1]}{b[1]}" if short else f"dw_{a}_{b}"
+        signals[name] = {f"{a}_dw": 1.0, f"{b}_dw": -1.0}
+    return signals
+
+
+def rank_loops(
+    system: control.StateSpace,
+    mode: Mode,
+    *,
+    signals: Mapping[str, Mapping[str, float]] | None = None,
+    areas: Mapping[str, int] | None = None,
+    actuators: list[str] | None = None,
+    own_machine: bool = True,
+    order: int = 6,
+    least: float = 1e-9,
+) -> Loops:
+    r"""Rank actuators and signals by how well they reach and see a mode.
+
+    With :math:`A v = \lambda v,\ w^T A = \lambda w^T,\ w^T v = 1` the loop from actuator j to signal i
+    has the residue :math:`R_{ij} = (c_i v)(w^T b_j)`, and the index is
+
+    .. math:: \frac{|w^T b_j|}{\|w^T B\|} \cdot \frac{|c_i v|}{\|C v\|} = \frac{|R_{ij}|}{\|R\|_F},
+
+    taken over all actuators and signals of the call: invariant to the scaling of states and eigenvectors.
+
+    Parameters
+    ----------
+    system : the full plant without reference angle, speeds in one unit.
+    mode : the mode to damp, of this very system.
+    signals : signal name -> {plant output: weight}; default the speed differences between `areas`.
+    areas : machine name -> area, needed when `signals` is not given.
+    actuators : plant inputs; default all ``*_vs``.
+    own_machine : rank a difference only with actuators of its own machines, so that
+        one of its two parts is local (as the wide-area schemes do).
+    order : order of the balanced reduction in whose coordinates the geometric index is taken.
+    least : a mode whose largest residue is below this part of the largest gain the plant has at the
+        mode's frequency cannot be reached or seen.
+
+    Raises
+    ------
+    ModeError : the mode is not of this system, or no candidate reaches and sees it.
+    ValueError : unknown signals or actuators.
+    """
+    if signals is None:
+        if areas is None:
+            raise ValueError("give `signals`, or `areas` to form the speed differences between them")
+        signals = difference_signals(areas)
+    if not signals:
+        raise ValueError("no candidate signals: all machines lie in one area")
+    wanted = [n for n in system.input_labels if n.endswith("_vs")] if actuators is None else actuators
+    picked = select(system, wanted, {name: dict(weights) for name, weights in signals.items()})
+    A, B, C = (np.asarray(M, dtype=float) for M in (picked.A, picked.B, picked.C))
+    if mode.right.size != A.shape[0] or not np.allclose(
+        A @ mode.right,
+        mode.eigenvalue * mode.right,
+        atol=1e-6 * np.linalg.norm(A) * np.linalg.norm(mode.right),
+    ):
+        raise ModeError(
+            f"mode {mode.name!r} is not a mode of this system; take it from modes_of(system, ...)"
+        )
+    reach, see = mode.left @ B, C @ mode.right
+    gain = np.max(np.abs(frequency_response(A, B, C, picked.D, [abs(mode.eigenvalue) + 1e-9])))
+    if not np.max(np.abs(reach)) * np.max(np.abs(see)) > least * gain * abs(mode.eigenvalue):
+        raise ModeError(
+            f"mode {mode.name!r} ({mode.frequency_hz:.3f} Hz) is not both reached by {', '.join(wanted)} "
+            f"(at most {np.max(np.abs(reach)):.2g}) and seen by {', '.join(signals)} "
+            f"(at most {np.max(np.abs(see)):.2g})"
+        )
+    controllability = np.abs(reach) / np.linalg.norm(reach)
+    observability = np.abs(see) / np.linalg.norm(see)
+    geometric, used = _geometric_indices(picked, mode.eigenvalue, order)
+    loops = []
+    for i, (signal, weights) in enumerate(signals.items()):
+        own = {output.removesuffix("_dw") for output in weights}
+        for j, actuator in enumerate(wanted):
+            if own_machine and actuator.removesuffix("_vs") not in own:
+                continue
+            loops.append(
+                Loop(
+                    actuator=actuator,
+                    signal=signal,
+                    index=float(controllability[j] * observability[i]),
+                    controllability=float(controllability[j]),
+                    observability=float(observability[i]),
+                    residue=complex(see[i] * reach[j]),
+                    geometric=float(geometric[i, j]),
+                    outputs=dict(weights),
+                )
+            )
+    if not loops:
+        raise ValueError(
+            f"none of the signals {', '.join(signals)} belongs to a machine of {', '.join(wanted)}; "
+            "pass own_machine=False to rank them all the same"
+        )
+    loops.sort(key=lambda loop: -loop.index)
+    return Loops(
+        mode=mode.name,
+        ranking=tuple(loops),
+        coordinates=(
+            "index: normalised pole vectors of the full plant, free of state coordinates; "
+            f"geometric: balanced coordinates of its reduction to {used} states, "
+            f"inputs {', '.join(wanted)}, outputs {', '.join(signals)}"
+        ),
+    )
+
+
+def _geometric_indices(system: control.StateSpace, eigenvalue: complex, order: int) -> tuple[Matrix, int]:
+    """Geometric index of every (signal, actuator) in balanced coordinates, and the order used."""
+    n = system.nstates
+    for k in range(min(max(order, 1), n), n + 1):
+        reduced = balanced_truncation(system, k).system
+        A, B, C = (np.asarray(M, dtype=float) for M in (reduced.A, reduced.B, reduced.C))
+        values, right = np.linalg.eig(A)
+        i = int(np.argmin(np.abs(values - eigenvalue)))
+        # a reduction that lost the mode measures another one
+        if abs(values[i] - eigenvalue) < 0.1 * abs(eigenvalue) or k == n:
+            break
+    w, v = np.linalg.inv(right)[i], right[:, i]
+    reach = np.abs(w @ B) / (np.linalg.norm(w) * np.maximum(np.linalg.norm(B, axis=0), 1e-300))
+    see = np.abs(C @ v) / (np.linalg.norm(v) * np.maximum(np.linalg.norm(C, axis=1), 1e-300))
+    return np.outer(see, reach), int(A.shape[0])

@@ -1,0 +1,1 @@
+"""Fixed-order design for many operating points."""

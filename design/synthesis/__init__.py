@@ -1,0 +1,1 @@
+"""LMI synthesis of controllers."""

@@ -1,0 +1,211 @@
+"""What a synthesis returns, and the checks before (can the modes move?) and after (does the loop hold?)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import control
+import numpy as np
+
+from ..errors import InfeasibleDesign, UncertifiedDesign
+from ..linear.norms import hinf_of
+from ..lmi.problem import Matrix
+from .generalized_plant import GeneralizedPlant
+from .lmi_form import PoleRegion
+
+#: Share of the largest modal residue below which a mode counts as out of the actuator's reach.
+WEAK_MODE = 1e-2
+UNREACHABLE_MODE = 1e-8
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """A controller that passed the checks on its design plant.
+
+    Attributes
+    ----------
+    controller : u = +K y, inputs and outputs named as in the plant; D = 0.
+    gamma : level the LMIs guarantee (None: no norm was bounded).
+    norm_of : loss pattern -> the norm measured on the closed loop.
+    poles_of : loss pattern -> closed-loop poles on the design plant.
+    region_of : loss pattern -> pole region asked for, and met.
+    solves, seconds, engine : LMI problems solved, their time, by what.
+    facts : further numbers, by name.
+    """
+
+    controller: control.StateSpace
+    gamma: float | None
+    norm_of: Mapping[str, float]
+    poles_of: Mapping[str, Matrix]
+    region_of: Mapping[str, PoleRegion]
+    solves: int
+    seconds: float
+    engine: str
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def damping_ratio(self) -> dict[str, float]:
+        """Least damping ratio per loss pattern on the design plant."""
+        return {name: float(np.min(-p.real / np.abs(p))) for name, p in self.poles_of.items()}
+
+    @property
+    def slowest_pole(self) -> float:
+        """Real part of the controller's rightmost pole, 1/s."""
+        return float(np.linalg.eigvals(self.controller.A).real.max())
+
+    @property
+    def fastest_pole(self) -> float:
+        """Largest modulus of the controller's poles, rad/s."""
+        return float(np.abs(np.linalg.eigvals(self.controller.A)).max())
+
+
+def modal_shares(A: Matrix, B: Matrix, C: Matrix) -> tuple[Matrix, Matrix]:
+    r"""Return the eigenvalues and, for each, controllability times observability as a share of the largest.
+
+    The measure is the modal gain :math:`|C v_k| |w_k^H B| / (|w_k^H v_k| |\mathrm{Re} \lambda_k|)`, which
+    does not depend on coordinates.
+    """
+    values, V = np.linalg.eig(A)
+    W = np.linalg.inv(V)
+    gain = np.linalg.norm(C @ V, axis=0) * np.linalg.norm(W @ B, axis=1)
+    gain = gain / np.maximum(np.abs(values.real), 1e-3 * np.maximum(np.abs(values), 1e-9))
+    return values, gain / max(float(gain.max()), 1e-300)
+
+
+def modal_parts(A: Matrix, B: Matrix, C: Matrix) -> tuple[Matrix, Matrix, Matrix]:
+    r"""Return the eigenvalues, and the controllability and observability of each, 0..1.
+
+    :math:`|w_k^H B| / |w_k|` and :math:`|C v_k| / |v_k|` as shares of the largest: zero exactly for a mode
+    that no input reaches, or no output shows.
+    """
+    values, V = np.linalg.eig(A)
+    W = np.linalg.inv(V)
+    reach = np.linalg.norm(W @ B, axis=1) / np.linalg.norm(W, axis=1)
+    seen = np.linalg.norm(C @ V, axis=0) / np.linalg.norm(V, axis=0)
+    return values, reach / max(float(reach.max()), 1e-300), seen / max(float(seen.max()), 1e-300)
+
+
+def describe_reach(A: Matrix, B: Matrix, C: Matrix, mode: complex) -> str:
+    """Return the controllability and observability of an eigenvalue of A in words."""
+    values, reach, seen = modal_parts(A, B, C)
+    k = int(np.argmin(np.abs(values - mode)))
+    said = f"controllability {reach[k]:.1e}, observability {seen[k]:.1e} of the strongest mode's"
+    return said + ("; it is unstable and stays so" if not mode.real < 0.0 else "")
+
+
+def require_reachable(
+    A: Matrix, B: Matrix, C: Matrix, region: PoleRegion, what: str
+) -> list[tuple[complex, float]]:
+    """Return the open-loop modes outside `region` that are weakly reached: (eigenvalue, share).
+
+    Raises
+    ------
+    InfeasibleDesign
+        If one cannot be moved at all.
+    """
+    values, shares = modal_shares(A, B, C)
+    outside = set(region.outside(values).tolist())
+    weak = [
+        (complex(v), float(s))
+        for v, s in zip(values, shares, strict=True)
+        if v in outside and v.imag >= 0.0 and s < WEAK_MODE
+    ]
+    fixed = [(v, s) for v, s in weak if s < UNREACHABLE_MODE]
+    if fixed:
+        v, s = fixed[0]
+        zeta = -v.real / abs(v)
+        raise InfeasibleDesign(
+            f"{what}: mode {describe_mode(v)} lies outside the region ({region.describe()}) and cannot be "
+            f"moved: controllability x observability is {s:.1e} of the strongest mode's "
+            f"({describe_reach(A, B, C, v)}); the region must "
+            f"hold it (damping ratio <= {zeta:.4f}, decay rate <= {-v.real:.4g} 1/s, radius >= {abs(v):.4g} "
+            "rad/s), or choose another actuator or signal",
+            constraint="controllability",
+            asked=region.damping_ratio,
+            reachable=max(zeta, 0.0) if zeta < region.damping_ratio else region.damping_ratio,
+        )
+    return weak
+
+
+def describe_mode(value: complex) -> str:
+    """Return an eigenvalue as frequency and damping ratio."""
+    if value.imag == 0.0:
+        return f"at {value.real:.4g} 1/s (real)"
+    zeta = -value.real / abs(value)
+    return f"at {abs(value.imag) / (2.0 * np.pi):.4f} Hz (damping ratio {zeta:.4f})"
+
+
+def weak_words(weak: list[tuple[complex, float]]) -> str:
+    """Return the weakly reached modes as the tail of a message."""
+    if not weak:
+        return ""
+    modes = "; ".join(f"{describe_mode(v)}, reached {s:.1e} of the strongest" for v, s in weak[:3])
+    return f"; suspect: mode {modes}"
+
+
+def largest_feasible(
+    feasible: Callable[[float], bool], low: float, high: float, steps: int = 10
+) -> float | None:
+    """Return the largest value in [low, high) found feasible by bisection, None if `low` is not."""
+    if not feasible(low):
+        return None
+    for _ in range(steps):
+        middle = 0.5 * (low + high)
+        if feasible(middle):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def closed_loop_matrices(
+    P: GeneralizedPlant, K: tuple[Matrix, Matrix, Matrix], C2: Matrix, D21: Matrix
+) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    """Return A, B, C, D from w to z of `P` measured through C2, D21 and closed by u = +K y (D_K = 0)."""
+    A_K, B_K, C_K = K
+    A = np.block([[P.A, P.B2 @ C_K], [B_K @ C2, A_K]])
+    B = np.vstack([P.B1, B_K @ D21])
+    C = np.hstack([P.C1, P.D12 @ C_K])
+    return A, B, C, P.D11
+
+
+def checked(
+    P: GeneralizedPlant,
+    K: tuple[Matrix, Matrix, Matrix],
+    pattern_of: Mapping[str, tuple[Matrix, Matrix]],
+    region_of: Mapping[str, PoleRegion],
+    gamma: float | None,
+    *,
+    tolerance: float = 1e-3,
+    what: str,
+) -> tuple[dict[str, Matrix], dict[str, float]]:
+    """Close the loop for every loss pattern and return its poles and norms.
+
+    Raises
+    ------
+    UncertifiedDesign
+        If a pole lies outside its region or a norm above gamma, beyond `tolerance` (relative).
+    """
+    poles_of: dict[str, Matrix] = {}
+    norm_of: dict[str, float] = {}
+    for name, (C2, D21) in pattern_of.items():
+        A, B, C, D = closed_loop_matrices(P, K, C2, D21)
+        if not np.all(np.isfinite(A)):
+            raise UncertifiedDesign(f"{what}: the recovered controller has numbers that are not finite")
+        poles = np.linalg.eigvals(A)
+        bad = region_of[name].outside(poles, tolerance)
+        if bad.size:
+            worst = bad[np.argmax(bad.real)]
+            raise UncertifiedDesign(
+                f"{what}, {name}: closed-loop pole {describe_mode(complex(worst))} lies outside the region "
+                f"the solver claims ({region_of[name].describe()}); loosen the region or the conditioning"
+            )
+        poles_of[name] = poles
+        norm_of[name] = hinf_of(A, B, C, D, tolerance=1e-7).value
+        if gamma is not None and not norm_of[name] <= gamma * (1.0 + tolerance):
+            raise UncertifiedDesign(
+                f"{what}, {name}: the closed loop has norm {norm_of[name]:.6g}, the solver claims {gamma:.6g}"
+            )
+    return poles_of, norm_of

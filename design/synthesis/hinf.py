@@ -1,0 +1,344 @@
+r"""Output-feedback synthesis by LMIs: `wide_area_damping`, `conventional`, `fault_tolerant`.
+
+All return controllers u = +K y of the order of their design plant with D_K = 0,
+recovered, closed and checked (`Synthesis`); none trusts the solver's status.
+
+Conditioning. The bare minimum of gamma has controllers with poles of 1e4 rad/s.
+Every problem therefore minimises ``gamma + eps trace(X + Y) / n``, keeps the
+poles inside a disk, and, where asked or needed, solves a second time at a slightly
+larger gamma for well-conditioned X, Y.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import control
+import numpy as np
+
+from ..errors import InfeasibleDesign, SolverError, UncertifiedDesign
+from ..lmi import regions
+from ..lmi.expressions import Program, bmat, linear, trace
+from ..lmi.problem import Matrix, Problem, Solution
+from ..lmi.recover import recover
+from ..lmi.solve import infeasibility, solve, usable
+from .check import Synthesis, checked, largest_feasible, require_reachable, weak_words
+from .fault_tolerant import fault_tolerant
+from .generalized_plant import GeneralizedPlant, balanced_states, effort_plant, mixed_sensitivity, scaled
+from .lmi_form import PoleRegion, Unknowns, closed_loop, require_region
+
+__all__ = [
+    "Conditioning",
+    "PoleRegion",
+    "Synthesis",
+    "conventional",
+    "fault_tolerant",
+    "hinf_region",
+    "thesis_weights",
+    "wide_area_damping",
+]
+
+
+#: Slacks of gamma tried in turn where the controller at a smaller one cannot be recovered and certified.
+_SLACKS = (1e-3, 1e-2, 0.05, 0.2)
+
+
+@dataclass(frozen=True)
+class Conditioning:
+    """How well-conditioned a controller is preferred to the last digit of gamma.
+
+    Attributes
+    ----------
+    trace_weight : eps in ``gamma + eps trace(X + Y) / n``.
+    gamma_slack : None: the first solution is used, and a second solve (`conditioned_problem`) only
+        where its controller does not pass the check. r: the second solve at (1 + r) times the optimum.
+    """
+
+    trace_weight: float = 1e-3
+    gamma_slack: float | None = None
+
+
+def thesis_weights() -> tuple[control.StateSpace, control.StateSpace]:
+    """Return W1 = 30 / (s + 30) and W2 = 10 s / (s + 100). [Sundaria2016], section 5.1.5"""
+    W1 = control.ss([[-30.0]], [[1.0]], [[30.0]], [[0.0]])
+    W2 = control.ss([[-100.0]], [[1.0]], [[-1000.0]], [[10.0]])
+    return W1, W2
+
+
+def wide_area_damping(
+    G: control.StateSpace,
+    region: PoleRegion,
+    *,
+    weights: tuple[control.StateSpace, control.StateSpace] | None = None,
+    gamma_cap: float | None = 10.0,
+    conditioning: Conditioning | None = None,
+    engine: str = "structured",
+) -> Synthesis:
+    r"""H-infinity mixed sensitivity with a pole region. [Sundaria2016], chapter 3
+
+    .. math:: \min_K \left\| \begin{bmatrix} W_1 S \\ W_2 K S \end{bmatrix} \right\|_\infty,
+              \quad S = (I - G K)^{-1}, \quad \text{poles in the region}
+
+    A speed difference has G(0) = 0, hence S(0) = 1 and no K brings the norm
+    below \|W1(0)\|: with the thesis's weights gamma < 1 is infeasible, K = 0
+    already reaches 1, and the damping comes from the region. gamma is
+    reported as it is.
+
+    Parameters
+    ----------
+    G : design plant, D = 0; speeds in rad/s. Reduced: the controller gets the order of G plus weights.
+    region : where the closed-loop poles must lie.
+    weights : W1, W2, single-input single-output; None: those of the thesis.
+    gamma_cap : largest acceptable norm; None: any.
+    conditioning, engine : see `Conditioning`, `solve`.
+
+    Raises
+    ------
+    InfeasibleDesign, UncertifiedDesign, ValueError
+    """
+    W1, W2 = thesis_weights() if weights is None else weights
+    P = mixed_sensitivity(G, W1, W2)
+    return hinf_region(
+        P, region, gamma_cap=gamma_cap, conditioning=conditioning, engine=engine, what="wide-area damping"
+    )
+
+
+def conventional(
+    G: control.StateSpace,
+    region: PoleRegion,
+    *,
+    effort_cap: float | None = None,
+    conditioning: Conditioning | None = None,
+    engine: str = "structured",
+) -> Synthesis:
+    r"""Least effort with a pole region: min \|K (I - G K)^-1\|. [Sundaria2016], section 4.2.1
+
+    Parameters
+    ----------
+    G : design plant, D = 0; outputs e.g. ``G2_dw``, ``G4_dw`` in rad/s. The weights of the thesis's
+        eq. 5.1 are inert here and left out.
+    region : where the closed-loop poles must lie with every signal there.
+    effort_cap : largest acceptable effort (unit of u per unit of y); None: any.
+
+    Raises
+    ------
+    InfeasibleDesign, UncertifiedDesign, ValueError
+    """
+    return hinf_region(
+        effort_plant(G),
+        region,
+        gamma_cap=effort_cap,
+        conditioning=conditioning,
+        engine=engine,
+        what="conventional control",
+    )
+
+
+def hinf_region(
+    P: GeneralizedPlant,
+    region: PoleRegion,
+    *,
+    gamma_cap: float | None = None,
+    conditioning: Conditioning | None = None,
+    engine: str = "structured",
+    what: str = "H-infinity design",
+) -> Synthesis:
+    """Minimise the norm from w to z of any generalized plant with poles in a region.
+
+    Raises
+    ------
+    InfeasibleDesign
+        Names the constraint at fault, the modes suspected, and the largest damping ratio
+        (or smallest gamma) that is feasible.
+    UncertifiedDesign
+        If the closed loop contradicts the solver.
+    """
+    conditioning = Conditioning() if conditioning is None else conditioning
+    started = time.perf_counter()
+    P = scaled(balanced_states(P))
+    weak = require_reachable(P.A, P.B2, P.C2, region, what)
+
+    problem = region_problem(P, region, conditioning.trace_weight)
+    solution = solve(problem, engine)
+    solves = 1
+    if solution.status not in ("optimal", "almost optimal"):
+        _explain(P, region, problem, solution, weak, engine, what)
+    optimum = solution.scalars["gamma"]
+    if gamma_cap is not None and not optimum <= gamma_cap:
+        raise InfeasibleDesign(
+            f"{what}: the least norm in the region ({region.describe()}) is {optimum:.4g}, allowed is "
+            f"{gamma_cap:.4g}; raise the cap to {1.01 * optimum:.4g} or loosen the region{weak_words(weak)}",
+            constraint="gamma",
+            asked=gamma_cap,
+            reachable=optimum,
+        )
+    slack = conditioning.gamma_slack
+    refusal: UncertifiedDesign | None = None
+    for r in (0.0, *_SLACKS) if slack is None else (slack, *(x for x in _SLACKS if x > slack)):
+        gamma, trial, found = optimum, problem, solution
+        if r > 0.0:
+            gamma = (1.0 + r) * optimum
+            trial = conditioned_problem(P, region, gamma)
+            found = solve(trial, engine)
+            solves += 1
+        if not usable(trial, found):
+            continue
+        try:
+            K = _recover(P, found, what)
+            pattern = {"normal": (P.C2, P.D21)}
+            poles_of, norm_of = checked(P, K, pattern, {"normal": region}, gamma, what=what)
+        except UncertifiedDesign as error:
+            refusal = error if refusal is None else refusal
+            continue
+        return Synthesis(
+            controller=control.ss(*K, np.zeros((P.B2.shape[1], P.C2.shape[0])), **_names(P)),
+            gamma=gamma,
+            norm_of=norm_of,
+            poles_of=poles_of,
+            region_of={"normal": region},
+            solves=solves,
+            seconds=time.perf_counter() - started,
+            engine=engine,
+            facts={
+                "gamma_optimum": optimum,
+                "gamma_slack": r,
+                "gap": found.gap,
+                "iterations": found.iterations,
+                "status": found.status,
+            },
+        )
+    if refusal is not None:
+        raise refusal
+    _explain(P, region, problem, solution, weak, engine, what)
+    raise AssertionError("unreachable")
+
+
+def region_problem(P: GeneralizedPlant, region: PoleRegion, trace_weight: float) -> Problem:
+    """Return ``min gamma + eps trace(X + Y) / n`` with the poles in the region."""
+    program = Program()
+    u = Unknowns.of(program, P)
+    loop = closed_loop(P, u)
+    gamma = program.scalar("gamma")
+    program.require("Lyapunov matrix", loop.N)
+    program.require("norm", regions.hinf(loop.M, loop.Bw, loop.Cz, loop.D, gamma))
+    require_region(program, loop, region)
+    program.minimise(gamma)
+    program.minimise(trace(u.X + u.Y) * (trace_weight / P.order))
+    return program.problem()
+
+
+def conditioned_problem(P: GeneralizedPlant, region: PoleRegion, gamma: float) -> Problem:
+    """Return the second solve: at the norm `gamma`, keep I - X Y away from singular and X, Y small.
+
+    Minimises ``-t + eps trace(X + Y) / n`` with ``[[X, t I], [t I, Y]] >= 0`` and t <= 2: the
+    eigenvalues of X Y are at least t^2.
+    """
+    program = Program()
+    u = Unknowns.of(program, P)
+    loop = closed_loop(P, u)
+    t = program.scalar("t")
+    identity = np.eye(P.order)
+    program.require("Lyapunov matrix", loop.N)
+    program.require("apart", bmat([[u.X, t * identity], [t * identity, u.Y]]))
+    program.require("t <= 2", 2.0 * np.eye(1) - t * np.eye(1))
+    program.require("norm", regions.hinf(loop.M, loop.Bw, loop.Cz, loop.D, gamma))
+    require_region(program, loop, region)
+    program.minimise(linear(t) * -1.0)
+    program.minimise(trace(u.X + u.Y) * (1e-3 / P.order))
+    return program.problem()
+
+
+def _explain(
+    P: GeneralizedPlant,
+    region: PoleRegion,
+    problem: Problem,
+    solution: Solution,
+    weak: list[tuple[complex, float]],
+    engine: str,
+    what: str,
+) -> None:
+    """Raise InfeasibleDesign with the largest feasible damping ratio, or UncertifiedDesign."""
+
+    def feasible(zeta: float) -> bool:
+        trial = region_problem(P, PoleRegion(zeta, region.decay_rate, region.radius), 1e-3)
+        found = solve(trial, engine)
+        return usable(trial, found)
+
+    reachable = largest_feasible(feasible, 0.0, region.damping_ratio) if region.damping_ratio > 0.0 else None
+    if reachable is not None:
+        raise InfeasibleDesign(
+            f"{what}: no controller meets damping ratio >= {region.damping_ratio:.4g} ({region.describe()}); "
+            f"the largest feasible damping ratio is {reachable:.3f}{weak_words(weak)}",
+            constraint="damping_ratio",
+            asked=region.damping_ratio,
+            reachable=reachable,
+        )
+    for name, loosened in (
+        ("decay_rate", PoleRegion(0.0, None, region.radius)),
+        ("radius", PoleRegion(0.0, region.decay_rate, None)),
+    ):
+        if getattr(region, name) is None:
+            continue
+        trial = region_problem(P, loosened, 1e-3)
+        if usable(trial, solve(trial, engine)):
+            asked = getattr(region, name)
+            nearest = _nearest(P, region, name, asked, engine)
+            raise InfeasibleDesign(
+                f"{what}: no controller meets {name} = {asked:.4g} ({region.describe()}); without it the "
+                f"design is feasible, the nearest feasible value is {nearest:.4g}{weak_words(weak)}",
+                constraint=name,
+                asked=asked,
+                reachable=nearest,
+            )
+    try:
+        distance = infeasibility(problem, engine)
+    except SolverError:
+        distance = float("nan")
+    if distance > 0.0:
+        raise InfeasibleDesign(
+            f"{what}: no controller stabilizes the plant (elastic distance {distance:.2g}); "
+            f"check that (A, B2) is stabilizable and (C2, A) detectable{weak_words(weak)}",
+            constraint="stability",
+        )
+    raise UncertifiedDesign(
+        f"{what}: {solution.engine} stopped with {solution.status!r} ({solution.message}) and no strictly "
+        "feasible point, while the problem is not proven infeasible; try the other engine or a milder region"
+    )
+
+
+def _nearest(P: GeneralizedPlant, region: PoleRegion, name: str, asked: float, engine: str) -> float:
+    """Bisect for the feasible decay rate or radius nearest to the one asked for."""
+
+    def feasible(x: float) -> bool:
+        r = (
+            PoleRegion(0.0, x, region.radius)
+            if name == "decay_rate"
+            else PoleRegion(0.0, region.decay_rate, 1 / x)
+        )
+        trial = region_problem(P, r, 1e-3)
+        return usable(trial, solve(trial, engine))
+
+    if name == "decay_rate":
+        return largest_feasible(feasible, 0.0, asked) or 0.0
+    found = largest_feasible(feasible, 1e-4 / asked, 1.0 / asked, steps=14)
+    return float("inf") if found is None else 1.0 / found
+
+
+def _recover(P: GeneralizedPlant, solution: Solution, what: str) -> tuple[Matrix, Matrix, Matrix]:
+    """Recover K of one plant; a singular I - X Y becomes UncertifiedDesign."""
+    v = solution.values
+    try:
+        return recover(P.A, P.B2, P.C2, v["X"], v["Y"], v["A^"], v["B^"], v["C^"])
+    except ValueError as error:
+        raise UncertifiedDesign(f"{what}: {error}") from error
+
+
+def _names(P: GeneralizedPlant) -> dict[str, list[str]]:
+    """Signal names of the controller: y in, u out."""
+    names = {}
+    if P.outputs:
+        names["inputs"] = list(P.outputs)
+    if P.inputs:
+        names["outputs"] = list(P.inputs)
+    return names
