@@ -30,7 +30,7 @@ types: $(VENV)/installed-test
 	rm -rf build/typecheck && mkdir -p build/typecheck
 	$(BIN)/pip install --quiet --no-deps --target build/typecheck .
 	cd build/typecheck && ../../$(BIN)/python -m mypy --config-file ../../pyproject.toml \
-	    -p interarea.models -p interarea.fmu_build -p interarea.design -p interarea.cosim
+	    -p interarea
 
 # A benchmark that misses what it wants says so with exit code 1; the others still run.
 bench: $(VENV)/installed-bench

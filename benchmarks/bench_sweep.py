@@ -27,15 +27,15 @@ from typing import Any
 from study_loop import SCENARIO
 from sweep_cost import cost_of, memory_of
 
-from interarea.cosim.artefacts import default_cache
-from interarea.cosim.heap import keep_freed_memory
-from interarea.cosim.master import Master
-from interarea.cosim.run import assemble
-from interarea.cosim.scenario import load_scenario
-from interarea.cosim.sweep_plan import plan_sweep
-from interarea.cosim.sweep_run import Runner
-from interarea.cosim.sweep_spec import load_sweep
-from interarea.cosim.together import advance_together
+from interarea.cosim.master.lockstep import advance_together
+from interarea.cosim.master.master import Master
+from interarea.cosim.run.artefacts import default_cache
+from interarea.cosim.run.run import assemble
+from interarea.cosim.scenario.scenario import load_scenario
+from interarea.cosim.sweep.plan import plan_sweep
+from interarea.cosim.sweep.runner import Runner
+from interarea.cosim.sweep.spec import load_sweep
+from interarea.cosim.sweep.workers.malloc_tuning import keep_freed_memory
 
 WANTED_RATIO, WANTED_OVERHEAD, WANTED_SCALING = 1.3, 0.05, 1.8
 SHORT_S = 1.5
@@ -129,7 +129,7 @@ def ssp_loop(scratch: Path) -> float:
     """Return least milliseconds of processor time of a `fmpy.simulate_ssp` of the same system."""
     import fmpy.ssp.simulation
 
-    from interarea.cosim.ssp import write_ssp
+    from interarea.cosim.export.ssp import write_ssp
 
     file = write_ssp(load_scenario(SCENARIO), scratch / "loop.ssp", cache=default_cache())
     best = float("inf")

@@ -22,7 +22,7 @@ import numpy as np
 from andes_rows import load_mix, rows_of
 from compare_andes import ask, unsaturated
 
-from interarea.cosim.artefacts import default_cache, linear_plant
+from interarea.cosim.run.artefacts import default_cache, linear_plant
 from interarea.design.modes.modes import modes_of
 from interarea.models.case.case import Case, load_case
 

@@ -30,7 +30,7 @@ from lmi_problems import (
 from scipy.linalg import lapack
 from threadpoolctl import threadpool_limits
 
-from interarea.cosim.artefacts import default_cache, linear_plant
+from interarea.cosim.run.artefacts import default_cache, linear_plant
 from interarea.design.linear.linearise import remove_reference
 from interarea.design.lmi.clarabel_engine import solve_clarabel
 from interarea.design.lmi.interior_point.engine import solve_structured

@@ -19,9 +19,9 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from interarea.cosim import sweep_local
-from interarea.cosim.sweep_engine import Progress, run_sweep
-from interarea.cosim.sweep_worker import work
+from interarea.cosim.sweep.front import Progress, run_sweep
+from interarea.cosim.sweep.workers import pool as sweep_local
+from interarea.cosim.sweep.workers.worker import work
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def measured_work(
     scratch: Path,
 ) -> None:
     """Work as a worker does, and keep what runs take in a file beside the results."""
-    from interarea.cosim.sweep_run import Runner
+    from interarea.cosim.sweep.runner import Runner
 
     outcomes = Runner.outcomes
     notes = scratch.parent.parent.parent / f"cost-{os.getpid()}.json"

@@ -5,8 +5,8 @@ Run `python benchmarks/unseen_points.py`; exact latency on the full plants, cond
 
 from __future__ import annotations
 
-from interarea.cosim.artefacts import default_cache, linear_plant
-from interarea.cosim.robust_design import load_design
+from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.run.artefacts import default_cache, linear_plant
 from interarea.design.controllers.bundled import shipped_controller, shipped_names
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.robust.operating_points import judge_family

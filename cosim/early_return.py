@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable
 from typing import Any, Literal
 
-from . import interpolation as ip
+from . import polynomials as ip
 from .clock import TICKS_PER_SECOND, Step
 from .errors import StepError
 

@@ -23,15 +23,10 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 from scipy.linalg import lu_factor, lu_solve
 
-from interarea.cosim.artefacts import (
-    block_fmu,
-    default_cache,
-    design_controller,
-    linear_plant,
-)
-from interarea.cosim.build import System
-from interarea.cosim.instances import FmuParticipant
-from interarea.cosim.plots import DASHES, SERIES, new_figure, save_figure
+from interarea.cosim.master.instances import FmuParticipant
+from interarea.cosim.plots.curves import DASHES, SERIES, new_figure, save_figure
+from interarea.cosim.run.artefacts import block_fmu, default_cache, design_controller, linear_plant
+from interarea.cosim.run.system import System
 from interarea.design.controllers.controller import Controller
 from interarea.models.blocks.controller import controller_block
 from interarea.models.case.case import load_case

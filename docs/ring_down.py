@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from interarea.cosim.plots import save_figure, time_plot
+from interarea.cosim.plots.curves import save_figure, time_plot
 
 CURVES = {
     "no wide-area control": "none-fault",

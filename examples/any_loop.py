@@ -1,6 +1,6 @@
 """A system put together in Python: plant, controller, a channel with an outage, a pulse."""
 
-from interarea.cosim.build import System
+from interarea.cosim.run.system import System
 
 grid = System(stop_s=20.0)
 grid.plant("two-area-thesis")

@@ -7,7 +7,7 @@ rad/s, the output is in pu and limited to +-0.15 pu by the controller FMU.
 import control
 import numpy as np
 
-from interarea.cosim.run import run_scenario
+from interarea.cosim.run.run import run_scenario
 from interarea.design.controllers.controller import Controller
 
 s = control.tf("s")

@@ -1,6 +1,6 @@
 """The same loop through the Python API."""
 
-from interarea.cosim.run import run_scenario
+from interarea.cosim.run.run import run_scenario
 
 pulse = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.0, "end_s": 1.2}
 late = {name: {"signal": s, "latency_s": 0.1} for name, s in {"remote": "G2_dw", "local": "G4_dw"}.items()}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from interarea.cosim.run import Controllers
+from interarea.cosim.run.run import Controllers
 from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import Case, load_case
 

@@ -5,66 +5,134 @@ from __future__ import annotations
 import ast
 import re
 import subprocess
+import tomllib
+from graphlib import CycleError, TopologicalSorter
+from importlib.util import resolve_name
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("models", "fmu_build", "design", "cosim")
+FLOORS = ("models", "fmu_build", "design", "cosim", "interarea")
 MAY_IMPORT = {
     "models": set(),
     "fmu_build": {"models"},
     "design": {"models"},
     "cosim": {"models", "fmu_build", "design"},
+    "interarea": {"models", "fmu_build", "design", "cosim"},
 }
-PYTHON = [p for room in ROOMS for p in sorted((ROOT / room).rglob("*.py"))]
-SOURCES = PYTHON + [p for room in ROOMS for p in sorted((ROOT / room).rglob("*.[ch]"))]
+#: Inside a floor the rooms have an order too: each imports from those before it and from the floor's files.
+ORDER = {
+    "models": ["case", "grid", "blocks", "importers"],
+    "fmu_build": ["write", "open", "check"],
+    "design": [
+        *("linear", "lmi", "reduction", "modes", "controllers", "delay"),
+        *("synthesis", "certificates", "robust"),
+    ],
+    "cosim": [
+        *("plots", "master", "scenario", "results", "run", "export", "designs"),
+        *("sweep", "maps", "study"),
+    ],
+    "interarea": ["cli"],
+}
+PYTHON = [p for floor in FLOORS for p in sorted((ROOT / floor).rglob("*.py"))]
+SOURCES = PYTHON + [p for floor in FLOORS for p in sorted((ROOT / floor).rglob("*.[ch]"))]
 LONGEST_FILE = 450  # lines: what a person reads in one sitting
+MOST_MODULES = 16  # in a folder: what a person takes in at a glance
 
 
 def _name(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-def _imports(path: Path) -> list[tuple[int, str]]:
-    found = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+def _module(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    full = ".".join(parts if parts[0] == "interarea" else ("interarea", *parts))
+    return full.removesuffix(".__init__")
+
+
+MODULES = {_module(path): path for path in PYTHON}
+
+
+def _imports(path: Path, *, late: bool = True, types: bool = True) -> set[str]:
+    """Return the full names of our modules that a file imports; `late`: inside functions too.
+
+    types : what only a type checker imports as well.
+    """
+    name = _module(path)
+    package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+    found: set[str] = set()
+    todo: list[ast.AST] = list(ast.parse(path.read_text(encoding="utf-8")).body)
+    while todo:
+        node = todo.pop()
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test) and not types:
+            todo += node.orelse
+            continue
         if isinstance(node, ast.Import):
-            found += [(0, alias.name) for alias in node.names]
+            found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            found.append((node.level, node.module or ""))
+            base = resolve_name("." * node.level + (node.module or ""), package)
+            found |= {n if (n := f"{base}.{alias.name}") in MODULES else base for alias in node.names}
+        elif late or not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            todo += ast.iter_child_nodes(node)
     return found
+
+
+def _room(module: str) -> tuple[str, str]:
+    """Return the floor of a module and its room there, "" for the floor's own files."""
+    parts = module.split(".")[1:]
+    if not parts or parts[0] not in FLOORS:
+        parts = ["interarea", *parts]
+    rooms = [
+        r for r in ORDER[parts[0]] if ".".join(parts[1:]).startswith(f"{r}.") or ".".join(parts[1:]) == r
+    ]
+    return parts[0], max(rooms, key=len, default="")
 
 
 @pytest.mark.parametrize("path", PYTHON, ids=_name)
 def test_imports_go_one_way(path: Path) -> None:
-    room = path.relative_to(ROOT).parts[0]
-    for level, module in _imports(path):
-        first, _, rest = module.partition(".")
+    floor, room = _room(_module(path))
+    order = ("", *ORDER[floor])
+    for name in _imports(path):
         # A bare `import cosim` works from the repository root and would make a second copy of every class.
-        assert level > 0 or first not in ROOMS, f"{_name(path)} imports {module!r}; write interarea.{module}"
-        if level == 0 and first == "interarea":
-            other = rest.partition(".")[0]
-            assert other in MAY_IMPORT[room] | {room}, f"{_name(path)}: {room} must not import {other}"
-
-
-@pytest.mark.parametrize("path", PYTHON, ids=_name)
-def test_modules_of_a_room_do_not_import_each_other_in_a_circle(path: Path) -> None:
-    room = path.relative_to(ROOT).parts[0]
-    seen: set[str] = set()
-    todo = [path.stem]
-    while todo:
-        file = ROOT / room / f"{todo.pop()}.py"
-        if not file.exists():
+        assert name.partition(".")[0] not in FLOORS[:-1], (
+            f"{_name(path)} imports {name}: write interarea.{name}"
+        )
+        if not name.startswith("interarea.") or name not in MODULES:
             continue
-        for node in ast.parse(file.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.ImportFrom) and node.level == 1:
-                names = [node.module] if node.module else [alias.name for alias in node.names]
-                for name in filter(None, names):
-                    assert name != path.stem, f"{_name(path)} is imported by {file.name}, which it imports"
-                    if name not in seen:
-                        seen.add(name)
-                        todo.append(name)
+        other, there = _room(name)
+        if other != floor:
+            assert other in MAY_IMPORT[floor], f"{_name(path)}: {floor} must not import {name}"
+        elif there != room and not (floor == "interarea" and room == ""):
+            assert there in order[: order.index(room)], (
+                f"{_name(path)}: {room or floor} must not import {name}"
+            )
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    """Circles through types and inside functions count too: each hides a thing without a room of its own."""
+    sorter = TopologicalSorter({m: _imports(p) & MODULES.keys() - {m} for m, p in MODULES.items()})
+    circle: list[str] = []
+    try:
+        sorter.prepare()
+    except CycleError as error:
+        circle = error.args[1]
+    assert not circle, " -> ".join(circle)
+
+
+@pytest.mark.parametrize("floor", FLOORS)
+def test_a_folder_is_taken_in_at_a_glance(floor: str) -> None:
+    for folder in {p.parent for p in (ROOT / floor).rglob("*.py")}:
+        modules = len(list(folder.glob("*.py")))
+        assert modules <= MOST_MODULES, f"{_name(folder)}: {modules} modules; which belong together?"
+
+
+def test_every_package_is_installed() -> None:
+    """A folder that the list in pyproject.toml lacks is missing from every wheel."""
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"][
+        "packages"
+    ]
+    assert set(listed) == {m for m, p in MODULES.items() if p.name == "__init__.py"}
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=_name)

@@ -10,7 +10,7 @@ exact delays.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import control
 import numpy as np
@@ -25,50 +25,11 @@ from ..linear.norms import frequency_response, gramian_factor
 from ..lmi.solve import one_blas_thread
 from ..reduction.balanced import balanced_truncation
 from ..reduction.gramians import projections
-from .check_spec import check_plants, check_spec
-from .smoothed_objective import Array, BandOffsets, Complex, DesignModel, EffortGrid, Gains, Objective
+from .smoothed_objective import Array, Complex, DesignModel, EffortGrid, Gains, Objective
+from .spec import RobustSpec, check_plants
 
 #: evaluations between two balancings of the controller
 ROUND = 300
-
-
-@dataclass(frozen=True)
-class RobustSpec:
-    """What a robust design must hold, and how hard to try.
-
-    signals : controller inputs (speeds, rad/s), e.g. ("G2_dw", "G4_dw").
-    actuators : controller outputs (pu), e.g. ("G4_vs",).
-    order : states of the controller in all, those of its washouts counted.
-    sees : actuator -> (signals, order) of a decentralised controller; empty = one full controller.
-    effort_cap : (omega, cap) nodes in rad/s and pu per rad/s, log-log interpolated; None = no cap.
-    washout_s : time constant of sT/(1+sT) in series with each output; 0 = none.
-    dc_block : K(0) = 0 by D = C A^-1 B instead of a washout in series: no state is spent on it.
-    slowest_pole, fastest_pole : rad/s, of the controller; with `dc_block` the slowest is the least corner of
-        its high pass.
-    feedthrough : whether D of the controller is free too, which costs no state.
-    """
-
-    signals: tuple[str, ...]
-    actuators: tuple[str, ...]
-    conditions: tuple[Condition, ...]
-    order: int = 6
-    sees: Mapping[str, tuple[tuple[str, ...], int]] = field(default_factory=dict)
-    effort_cap: tuple[tuple[float, float], ...] | None = ((0.05, 0.15), (300.0, 0.15))
-    washout_s: float = 0.0
-    feedthrough: bool = False
-    dc_block: bool = True
-    slowest_pole: float = 0.3
-    fastest_pole: float = 280.0
-    offsets: BandOffsets = field(default_factory=BandOffsets)
-    plant_order: int = 16
-    pade_order: int = 3
-    starts: int = 6
-    evaluations: int = 1800  #: of each start
-    polishes: int = 20  #: rounds of the best start at most; ends when three gain less than 1e-5 in all
-    seed: int = 1
-
-    def __post_init__(self) -> None:
-        check_spec(self)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .description import ModelDescription
+from ..open.description import ModelDescription
 from .finding import Report
 from .images import Image, ImageError, read_image
 

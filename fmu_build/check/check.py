@@ -6,10 +6,10 @@ import tempfile
 import zipfile
 from pathlib import Path
 
+from ..open.description import read_description
 from .archive import unpack_checked
 from .binary import check_binaries
 from .delegated import fmpy_rules, toolbox_rules
-from .description import read_description
 from .finding import CheckError, Finding, Report
 from .load import TIMEOUT_S, check_running
 from .semantics import check_semantics

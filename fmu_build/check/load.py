@@ -10,10 +10,10 @@ import sys
 import tempfile
 from pathlib import Path
 
+from ..open.description import ModelDescription
 from ..write.compile import PLATFORMS, host_platform
 from ..write.errors import BuildError
 from .binary import FOLDERS
-from .description import ModelDescription
 from .finding import Report
 
 TIMEOUT_S = 120.0  #: for the topics of one process

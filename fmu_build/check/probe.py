@@ -12,10 +12,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
+from ..open.description import read_description
 from ..open.fmi2 import CallFailed, Library
 from . import runs as check_runs
 from . import sensitivity as check_sensitivity
-from .description import read_description
 from .finding import Report
 from .xml import read_xml
 

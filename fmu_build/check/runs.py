@@ -10,8 +10,8 @@ from ctypes import byref, c_double, c_int, c_size_t, c_uint, c_void_p
 import numpy as np
 import numpy.typing as npt
 
+from ..open.description import ModelDescription, ScalarVariable
 from ..open.fmi2 import STATUS, WARNING, CallFailed, EventInfo, Instance, Library, numeric, start_time
-from .description import ModelDescription, ScalarVariable
 
 #: Receives rule, where, message, fix.
 Tell = Callable[[str, str, str, str], None]

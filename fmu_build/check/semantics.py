@@ -7,7 +7,7 @@ import math
 import re
 from pathlib import Path
 
-from .description import ModelDescription, ScalarVariable
+from ..open.description import ModelDescription, ScalarVariable
 from .finding import Report
 
 _WHERE = "modelDescription.xml"

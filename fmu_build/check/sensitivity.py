@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from ..open.description import ModelDescription, ScalarVariable, Unknown
 from ..open.fmi2 import WARNING, Instance, Library
-from .description import ModelDescription, ScalarVariable, Unknown
 from .runs import Drive, Tell
 
 _Vector = npt.NDArray[np.float64]

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from .description import ModelDescription, read_description
+from ..open.description import ModelDescription, read_description
+from ..open.units import Units, unit_definitions
 from .finding import Finding, Report
-from .ssp_units import Units, unit_definitions
 from .xml import obeys_schema, read_xml
 
 SSD = "{http://ssp-standard.org/SSP1/SystemStructureDescription}"

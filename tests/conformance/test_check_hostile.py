@@ -13,7 +13,7 @@ import pytest
 from fmu_mutation import Entries, mutated
 from typer.testing import CliRunner
 
-from interarea.cosim.cli import app
+from interarea.cli.app import app
 from interarea.fmu_build.check import archive as check_archive
 from interarea.fmu_build.check.check import CheckError, check_file
 from interarea.fmu_build.check.images import ImageError, read_image

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from fmu_mutation import Entries, mutated
 
-from interarea.cosim.run import Controllers
-from interarea.cosim.scenario import load_scenario
-from interarea.cosim.ssp import write_ssp
+from interarea.cosim.export.ssp import write_ssp
+from interarea.cosim.run.run import Controllers
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.check.check import check_file
 
 STRUCTURE = "SystemStructure.ssd"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from interarea.cosim.artefacts import plant_fmu
 from interarea.cosim.errors import StepError
-from interarea.cosim.fmu_file import FmuFile
-from interarea.cosim.instances import FmuParticipant
+from interarea.cosim.master.fmu_file import FmuFile
+from interarea.cosim.master.instances import FmuParticipant
+from interarea.cosim.run.artefacts import plant_fmu
 from interarea.fmu_build.write.plant_batch import PlantBatch
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import Case, load_case

@@ -11,7 +11,9 @@ import pytest
 from fmpy.validation import validate_fmu
 from fmu_blocks import blocks
 
-from interarea.cosim.artefacts import (
+from interarea.cosim.export.container import write_container
+from interarea.cosim.export.ssp import write_ssp
+from interarea.cosim.run.artefacts import (
     active_bank,
     block_fmu,
     channel_fmu,
@@ -19,10 +21,8 @@ from interarea.cosim.artefacts import (
     design_controller,
     plant_fmu,
 )
-from interarea.cosim.container import write_container
-from interarea.cosim.run import Controllers
-from interarea.cosim.scenario import load_scenario
-from interarea.cosim.ssp import write_ssp
+from interarea.cosim.run.run import Controllers
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.check.check import check_file
 from interarea.models.case.case import Case, load_case
 

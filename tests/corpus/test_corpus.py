@@ -33,14 +33,14 @@ from corpus.recipe import (
 )
 from grid_text import dyr_text, matpower_text, raw_text
 
-from interarea.cosim.cli import main
+from interarea.cli.app import main
 from interarea.design.controllers.bundled import FOLDER
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.case.case import load_case
 
 CASE_FILE = (files("interarea.models") / "cases" / "kundur-manual.toml").read_text(encoding="utf-8")
-DESIGN_FILE = (files("interarea.cosim") / "templates" / "design_robust.toml").read_text(encoding="utf-8")
+DESIGN_FILE = (files("interarea.cosim.designs") / "design_robust.toml").read_text(encoding="utf-8")
 
 
 GRID = load_case("kundur-thyristor")

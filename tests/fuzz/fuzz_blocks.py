@@ -8,9 +8,9 @@ import control
 import numpy as np
 from fmu_blocks import blocks
 
-from interarea.cosim.artefacts import default_cache
-from interarea.cosim.container import container_block
-from interarea.cosim.scenario import load_scenario
+from interarea.cosim.export.container import container_block
+from interarea.cosim.run.artefacts import default_cache
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller
 from interarea.models.blocks.variables import Block
 

@@ -20,10 +20,10 @@ from pathlib import Path
 import fmpy
 import pytest
 
-from interarea.cosim.container import container_block
-from interarea.cosim.members import members_of
-from interarea.cosim.run import Controllers
-from interarea.cosim.scenario import load_scenario
+from interarea.cosim.export.container import container_block
+from interarea.cosim.export.instances import members_of
+from interarea.cosim.run.run import Controllers
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.write.compile import PLATFORMS, fmi_headers
 from interarea.fmu_build.write.package import build_fmu
 

@@ -11,7 +11,7 @@ from fmu_runner import Runner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from interarea.cosim.artefacts import channel_fmu
+from interarea.cosim.run.artefacts import channel_fmu
 from interarea.models.blocks.packet_schedule import packets_of
 
 COUNTS = ("sent", "delivered", "dropped", "late")

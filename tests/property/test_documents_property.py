@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from interarea.cosim.errors import ScenarioError, SweepError
-from interarea.cosim.scenario import load_scenario
-from interarea.cosim.sweep_plan import plan_sweep
-from interarea.cosim.sweep_spec import load_sweep, scenario_document
+from interarea.cosim.scenario.scenario import load_scenario
+from interarea.cosim.sweep.plan import plan_sweep
+from interarea.cosim.sweep.spec import load_sweep, scenario_document
 from interarea.models.case.case import Case, case_of, load_case
 from interarea.models.case.errors import CaseError
 from interarea.models.case.write_toml import export_toml

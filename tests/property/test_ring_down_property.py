@@ -9,9 +9,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from interarea.cosim import metrics as m
 from interarea.cosim.participant import Port
-from interarea.cosim.ringdown import ring_down_of
+from interarea.cosim.results import metrics as m
+from interarea.cosim.results.ringdown import ring_down_of
 from interarea.cosim.trajectory import Records
 from interarea.models.case.case import Case
 

@@ -17,10 +17,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from interarea.cosim.errors import SweepError
-from interarea.cosim.sweep_plan import SweepPlan
-from interarea.cosim.sweep_rows import Outcome, failed_row, start_row
-from interarea.cosim.sweep_spec import load_sweep
-from interarea.cosim.sweep_store import SweepStore, read_rows, read_trajectory, summary_of
+from interarea.cosim.sweep.plan import SweepPlan
+from interarea.cosim.sweep.rows import Outcome, failed_row, start_row
+from interarea.cosim.sweep.spec import load_sweep
+from interarea.cosim.sweep.store import SweepStore, read_rows, read_trajectory, summary_of
 
 RUNS = 12
 

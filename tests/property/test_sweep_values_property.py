@@ -14,10 +14,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from interarea.cosim.errors import SweepError
-from interarea.cosim.sweep_plan import plan_sweep
-from interarea.cosim.sweep_point import OPERATING
-from interarea.cosim.sweep_spec import LARGEST, Sweep, load_sweep, sweep_of
-from interarea.cosim.sweep_values import Interval, Parameter, Range
+from interarea.cosim.sweep.plan import plan_sweep
+from interarea.cosim.sweep.point import OPERATING
+from interarea.cosim.sweep.spec import LARGEST, Sweep, load_sweep, sweep_of
+from interarea.cosim.sweep.values import Interval, Parameter, Range
 
 SCENARIO: dict[str, Any] = {
     "case": "two-area-thesis",

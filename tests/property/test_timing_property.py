@@ -11,12 +11,12 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from interarea.cosim.channels import ChannelLine
 from interarea.cosim.clock import TICKS_PER_SECOND, Clock, seconds, to_ticks
 from interarea.cosim.errors import GraphError
-from interarea.cosim.interpolation import continued, hermite, mean_between, slope_at, through, value_at
+from interarea.cosim.master.step_choice import clock_of, step_and_reason
 from interarea.cosim.participant import Description, Port
-from interarea.cosim.timing import clock_of, step_and_reason
+from interarea.cosim.polynomials import continued, hermite, mean_between, slope_at, through, value_at
+from interarea.cosim.scenario.channels import ChannelLine
 
 PLAIN = Description((), (Port("y"),), {})
 RIGID = Description((), (Port("y"),), {}, variable_step=False)

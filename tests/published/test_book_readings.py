@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import book_readings
 import book_search
 
-from interarea.cosim.artefacts import plant_fmu
+from interarea.cosim.run.artefacts import plant_fmu
 from interarea.design.linear.linearise import linearise
 from interarea.design.modes.modes import Modes, modes_of
 from interarea.fmu_build.open.plant import open_plant

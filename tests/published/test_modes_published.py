@@ -9,7 +9,7 @@ import numpy as np
 import printed
 import pytest
 
-from interarea.cosim.artefacts import plant_fmu
+from interarea.cosim.run.artefacts import plant_fmu
 from interarea.design.linear.linearise import linearise
 from interarea.design.modes.modes import Modes, modes_of
 from interarea.fmu_build.open.plant import open_plant

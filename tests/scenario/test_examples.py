@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from interarea.cosim.run import Controllers, run_scenario
+from interarea.cosim.run.run import Controllers, run_scenario
 from interarea.design.controllers.controller import Controller
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

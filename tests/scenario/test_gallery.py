@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from interarea.cosim.run import assemble
-from interarea.cosim.scenario import load_scenario, scenario_names
+from interarea.cosim.run.run import assemble
+from interarea.cosim.scenario.scenario import load_scenario, scenario_names
 
 DESIGNED = ("wdc", "cc", "ftc", "active")
 

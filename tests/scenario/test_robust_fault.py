@@ -7,9 +7,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from interarea.cosim.robust_design import family_cases, load_design
-from interarea.cosim.run import run_scenario
-from interarea.cosim.synchronism import after_fault
+from interarea.cosim.designs.design_file import family_cases, load_design
+from interarea.cosim.designs.first_swing import after_fault
+from interarea.cosim.run.run import run_scenario
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.models.case.case import Case
 from interarea.models.case.write_toml import export_toml

@@ -26,12 +26,12 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from interarea.cosim.artefacts import default_cache
-from interarea.cosim.sweep_plan import plan_sweep
-from interarea.cosim.sweep_rows import schema_of
-from interarea.cosim.sweep_run import Runner
-from interarea.cosim.sweep_spec import load_sweep
-from interarea.cosim.sweep_store import read_rows
+from interarea.cosim.run.artefacts import default_cache
+from interarea.cosim.sweep.plan import plan_sweep
+from interarea.cosim.sweep.rows import schema_of
+from interarea.cosim.sweep.runner import Runner
+from interarea.cosim.sweep.spec import load_sweep
+from interarea.cosim.sweep.store import read_rows
 
 SWEEP = """
 seed = 1
@@ -89,7 +89,7 @@ def disturb(
     command = [
         sys.executable,
         "-m",
-        "interarea.cosim.cli",
+        "interarea.cli.app",
         "sweep",
         str(file),
         "--out",

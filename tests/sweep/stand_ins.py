@@ -8,8 +8,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from interarea.cosim.sweep_rows import Outcome, start_row
-from interarea.cosim.sweep_worker import UnderWay
+from interarea.cosim.sweep.rows import Outcome, start_row
+from interarea.cosim.sweep.workers.worker import UnderWay
 
 
 def crashing_work(

@@ -12,13 +12,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from interarea.cosim.maps import write_maps
-from interarea.cosim.maps_data import certified_margin, is_grid, map_of, margins_of, pairs_of, worst_runs
-from interarea.cosim.sweep_engine import run_sweep
-from interarea.cosim.sweep_plan import plan_sweep
-from interarea.cosim.sweep_run import Runner
-from interarea.cosim.sweep_spec import load_sweep
-from interarea.cosim.sweep_values import Search
+from interarea.cosim.maps.page import write_maps
+from interarea.cosim.maps.page_data import certified_margin, is_grid, map_of, margins_of, pairs_of, worst_runs
+from interarea.cosim.sweep.front import run_sweep
+from interarea.cosim.sweep.plan import plan_sweep
+from interarea.cosim.sweep.runner import Runner
+from interarea.cosim.sweep.spec import load_sweep
+from interarea.cosim.sweep.values import Search
 
 
 def _rows() -> pd.DataFrame:
@@ -107,7 +107,7 @@ def test_margins_follow_case_and_controller(document: Any, cache: Path, tmp_path
         "controller": {"values": ["ftc", "wdc"]},
     }
     run_sweep(document({"stop_s": 8.0}, parameters=parameters), tmp_path / "s", workers=1, cache=cache)
-    from interarea.cosim.sweep_store import read_plan, read_rows
+    from interarea.cosim.sweep.store import read_plan, read_rows
 
     plan, rows = read_plan(tmp_path / "s"), read_rows(tmp_path / "s")
     with Runner(plan, cache, tmp_path) as runner:

@@ -14,14 +14,14 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from interarea.cosim import sweep_cluster
 from interarea.cosim.errors import SweepError
-from interarea.cosim.sweep_cluster import cluster_outcomes
-from interarea.cosim.sweep_engine import Progress, run_sweep
-from interarea.cosim.sweep_plan import plan_sweep
-from interarea.cosim.sweep_prepare import prepare
-from interarea.cosim.sweep_spec import load_sweep
-from interarea.cosim.sweep_store import read_rows
+from interarea.cosim.sweep.front import Progress, run_sweep
+from interarea.cosim.sweep.plan import plan_sweep
+from interarea.cosim.sweep.prepare import prepare
+from interarea.cosim.sweep.spec import load_sweep
+from interarea.cosim.sweep.store import read_rows
+from interarea.cosim.sweep.workers import dask_cluster as sweep_cluster
+from interarea.cosim.sweep.workers.dask_cluster import cluster_outcomes
 
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.timeout(280)

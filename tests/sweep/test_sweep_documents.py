@@ -9,9 +9,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from interarea.cosim.sweep_plan import plan_sweep
-from interarea.cosim.sweep_point import check_paths
-from interarea.cosim.sweep_spec import METRICS, load_sweep, sweep_of
+from interarea.cosim.sweep.plan import plan_sweep
+from interarea.cosim.sweep.point import check_paths
+from interarea.cosim.sweep.spec import METRICS, load_sweep, sweep_of
 from interarea.models.case.case import Case
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -13,13 +13,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from interarea.cosim.errors import SweepError
-from interarea.cosim.run import run_scenario
-from interarea.cosim.sweep_engine import Progress, run_sweep, task_size
-from interarea.cosim.sweep_plan import plan_sweep
-from interarea.cosim.sweep_point import point_of
-from interarea.cosim.sweep_run import Runner
-from interarea.cosim.sweep_spec import load_sweep
-from interarea.cosim.sweep_store import read_plan, read_rows, read_trajectory
+from interarea.cosim.run.run import run_scenario
+from interarea.cosim.sweep.front import Progress, run_sweep, task_size
+from interarea.cosim.sweep.plan import plan_sweep
+from interarea.cosim.sweep.point import point_of
+from interarea.cosim.sweep.runner import Runner
+from interarea.cosim.sweep.spec import load_sweep
+from interarea.cosim.sweep.store import read_plan, read_rows, read_trajectory
 
 
 def test_a_row_has_the_numbers_of_a_single_run(document: Any, finished: Any, cache: Path) -> None:
@@ -94,7 +94,7 @@ def test_another_specification_is_refused_with_the_difference(
 def test_another_version_is_refused(
     document: Any, finished: Any, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("interarea.cosim.sweep_plan.code_version", lambda: "0123456789abcdef")
+    monkeypatch.setattr("interarea.cosim.sweep.plan.code_version", lambda: "0123456789abcdef")
     with pytest.raises(
         SweepError, match=r"another version of the program \(version: there .*here .0123456789"
     ):

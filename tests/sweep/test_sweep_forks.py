@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from interarea.cosim.sweep_engine import run_sweep
-from interarea.cosim.sweep_forks import Job, alike_until_s, in_order, late_parameters
-from interarea.cosim.sweep_plan import plan_sweep
-from interarea.cosim.sweep_point import Point, point_of
-from interarea.cosim.sweep_run import Runner
-from interarea.cosim.sweep_spec import load_sweep
-from interarea.cosim.sweep_store import read_rows, summary_of
+from interarea.cosim.sweep.front import run_sweep
+from interarea.cosim.sweep.plan import plan_sweep
+from interarea.cosim.sweep.point import Point, point_of
+from interarea.cosim.sweep.runner import Runner
+from interarea.cosim.sweep.shared_start import Job, alike_until_s, in_order, late_parameters
+from interarea.cosim.sweep.spec import load_sweep
+from interarea.cosim.sweep.store import read_rows, summary_of
 
 FAULT = {"kind": "bus_fault", "bus": 8, "start_s": 0.2, "end_s": 0.25, "x_pu": 0.01}
 PULSE = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 2.5, "end_s": 2.7}
@@ -144,7 +144,7 @@ def test_the_time_until_which_runs_are_alike_is_an_ultrametric(given_acts: list[
 def test_the_order_is_only_changed_where_that_saves_time(document: Any) -> None:
     def order(parameters: dict[str, Any], base: dict[str, Any]) -> list[int]:
         sweep = load_sweep(document({"event": [FAULT, PULSE], **base}, parameters=parameters))
-        from interarea.cosim.sweep_forks import acts_of
+        from interarea.cosim.sweep.shared_start import acts_of
 
         late = late_parameters(sweep)
         jobs = []

@@ -14,10 +14,10 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from interarea.cosim import sweep_engine
 from interarea.cosim.errors import SweepError
-from interarea.cosim.sweep_engine import Progress, run_sweep
-from interarea.cosim.sweep_store import read_rows
+from interarea.cosim.sweep import front as sweep_engine
+from interarea.cosim.sweep.front import Progress, run_sweep
+from interarea.cosim.sweep.store import read_rows
 
 SIZE_MB = 48
 

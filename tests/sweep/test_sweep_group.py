@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from interarea.cosim.sweep_forks import Job
-from interarea.cosim.sweep_group import by_plant, common_s, how_many, lanes_here
-from interarea.cosim.sweep_live import TimeUpError
-from interarea.cosim.sweep_plan import plan_sweep
-from interarea.cosim.sweep_point import point_of
-from interarea.cosim.sweep_run import Runner
-from interarea.cosim.sweep_spec import load_sweep
+from interarea.cosim.sweep.lane_batches import by_plant, common_s, how_many, lanes_here
+from interarea.cosim.sweep.live_instances import TimeUpError
+from interarea.cosim.sweep.plan import plan_sweep
+from interarea.cosim.sweep.point import point_of
+from interarea.cosim.sweep.runner import Runner
+from interarea.cosim.sweep.shared_start import Job
+from interarea.cosim.sweep.spec import load_sweep
 from interarea.fmu_build.write.lane_library import GroupLibrary
 
 FAULT = {"kind": "bus_fault", "bus": 8, "start_s": 0.2, "end_s": 0.25, "x_pu": 0.01}
@@ -109,7 +109,7 @@ def test_company_that_computes_too_long_is_made_alone(
 def test_without_the_library_runs_go_one_by_one(
     sweep: Any, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from interarea.cosim import sweep_group
+    from interarea.cosim.sweep import lane_batches as sweep_group
     from interarea.fmu_build.write.errors import BuildError
 
     wanted = rows_of(sweep("latency and loss"), cache, tmp_path, lanes=8)

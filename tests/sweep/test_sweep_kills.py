@@ -15,13 +15,14 @@ import pandas as pd
 import pytest
 import stand_ins
 
-from interarea.cosim import sweep_local, sweep_store
 from interarea.cosim.errors import SweepError
-from interarea.cosim.sweep_engine import Progress, run_sweep
-from interarea.cosim.sweep_plan import plan_sweep
-from interarea.cosim.sweep_rows import Outcome, start_row
-from interarea.cosim.sweep_spec import load_sweep
-from interarea.cosim.sweep_store import SweepStore, read_rows
+from interarea.cosim.sweep import store as sweep_store
+from interarea.cosim.sweep.front import Progress, run_sweep
+from interarea.cosim.sweep.plan import plan_sweep
+from interarea.cosim.sweep.rows import Outcome, start_row
+from interarea.cosim.sweep.spec import load_sweep
+from interarea.cosim.sweep.store import SweepStore, read_rows
+from interarea.cosim.sweep.workers import pool as sweep_local
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
 

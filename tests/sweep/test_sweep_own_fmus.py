@@ -11,12 +11,12 @@ import pytest
 from whims import whims_fmu
 
 from interarea.cosim.errors import GraphError, SweepError
-from interarea.cosim.sweep_engine import run_sweep
-from interarea.cosim.sweep_plan import plan_of_document, plan_sweep
-from interarea.cosim.sweep_run import Runner
-from interarea.cosim.sweep_spec import load_sweep
-from interarea.cosim.sweep_store import read_rows
-from interarea.cosim.worker import WorkerParticipant
+from interarea.cosim.master.isolated import WorkerParticipant
+from interarea.cosim.sweep.front import run_sweep
+from interarea.cosim.sweep.plan import plan_of_document, plan_sweep
+from interarea.cosim.sweep.runner import Runner
+from interarea.cosim.sweep.spec import load_sweep
+from interarea.cosim.sweep.store import read_rows
 
 STOPS = {"stop": {"path": "stop_s", "values": [0.4, 0.8, 0.42]}}
 

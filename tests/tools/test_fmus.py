@@ -13,11 +13,11 @@ import numpy.typing as npt
 import pytest
 from tools.conftest import RunTool, require
 
-from interarea.cosim.artefacts import block_fmu
-from interarea.cosim.fmu_file import FmuFile
-from interarea.cosim.members import Member, members_of
-from interarea.cosim.run import Controllers, run_scenario
-from interarea.cosim.scenario import load_scenario
+from interarea.cosim.export.instances import Member, members_of
+from interarea.cosim.master.fmu_file import FmuFile
+from interarea.cosim.run.artefacts import block_fmu
+from interarea.cosim.run.run import Controllers, run_scenario
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.channel import channel_block

@@ -16,9 +16,9 @@ from fmu_blocks import blocks
 from fmu_runner import Runner
 from tools.conftest import require
 
-from interarea.cosim.container import container_block
-from interarea.cosim.run import Controllers
-from interarea.cosim.scenario import load_scenario
+from interarea.cosim.export.container import container_block
+from interarea.cosim.run.run import Controllers
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.variables import Block
 

@@ -14,12 +14,12 @@ from fmu_runner import decay_block
 from lxml import etree
 from tools.conftest import RunTool
 
-from interarea.cosim.cli import main
-from interarea.cosim.container import container_block
+from interarea.cli.app import main
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.run import Controllers, run_scenario
-from interarea.cosim.scenario import load_scenario
-from interarea.cosim.ssp import write_ssp
+from interarea.cosim.export.container import container_block
+from interarea.cosim.export.ssp import write_ssp
+from interarea.cosim.run.run import Controllers, run_scenario
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.write.compile import host_platform
 from interarea.fmu_build.write.package import build_fmu
 

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from interarea.cosim.cli import main
-from interarea.cosim.terminal import DEBUG_VARIABLE
+from interarea.cli.app import main
+from interarea.cli.terminal import DEBUG_VARIABLE
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from participants import Linear
 
-from interarea.cosim.build import System
-from interarea.cosim.channels import ChannelLine
+from interarea.cosim.run.system import System
+from interarea.cosim.scenario.channels import ChannelLine
 from interarea.design.controllers.controller import Controller
 from interarea.models.blocks.packet_schedule import packets_of
 

@@ -10,18 +10,18 @@ import control
 import numpy as np
 import pytest
 
+from interarea.cosim.designs.design_file import load_design, run_design
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.robust_design import load_design, run_design
 from interarea.design.delay.signal_conditions import Condition
 from interarea.design.errors import InfeasibleDesign
 from interarea.design.modes.modes import Mode, Modes
-from interarea.design.robust.check_spec import require_moved
-from interarea.design.robust.design import RobustSpec, design_robust
+from interarea.design.robust.design import design_robust
+from interarea.design.robust.spec import RobustSpec, require_moved
 from interarea.design.synthesis.check import modal_parts
 from interarea.design.synthesis.hinf import PoleRegion, conventional
 
 SPEC = RobustSpec(("G2_dw", "G4_dw"), ("G4_vs",), (Condition("N"),), order=2, starts=1)
-TEMPLATES = Path(load_design.__code__.co_filename).parent / "templates"
+TEMPLATES = Path(load_design.__code__.co_filename).parent
 
 
 def resonances(*, reached: float = 1.0, seen: float = 1.0, zeta: float = 0.05) -> control.StateSpace:
@@ -129,7 +129,7 @@ def test_a_design_names_an_inter_area_mode_that_its_signal_does_not_show(
     cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # the plant of the case with the signals' rows set to zero
-    from interarea.cosim import robust_design
+    from interarea.cosim.designs import design_file as robust_design
 
     plants = robust_design.family_plants(load_design("robust_linear"), cache)
 

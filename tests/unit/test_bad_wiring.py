@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from whims import whims_fmu
 
-from interarea.cosim.build import System
 from interarea.cosim.errors import GraphError, ScenarioError, StepError
-from interarea.cosim.fmu_file import FmuFile
-from interarea.cosim.run import run_system
+from interarea.cosim.master.fmu_file import FmuFile
+from interarea.cosim.run.run import run_system
+from interarea.cosim.run.system import System
 
 ENGINES = ("kernel", "python")
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from plant_shim import BlockShim
 
-from interarea.cosim.artefacts import plant_fmu
+from interarea.cosim.run.artefacts import plant_fmu
 from interarea.fmu_build.write.errors import BuildError, FmuError
 from interarea.fmu_build.write.plant_batch import LANES, PlantBatch
 from interarea.models.blocks.channel import channel_block

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from participants import Delay, Linear
 
-from interarea.cosim.build import System
 from interarea.cosim.errors import GraphError, ScenarioError
-from interarea.cosim.run import run_scenario
+from interarea.cosim.run.run import run_scenario
+from interarea.cosim.run.system import System
 from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import CaseError
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from interarea.cosim.channels import GammaLatency, GilbertElliottLoss
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.scenario import load_scenario
+from interarea.cosim.scenario.channels import GammaLatency, GilbertElliottLoss
+from interarea.cosim.scenario.scenario import load_scenario
 
 
 def scenario(**keys: Any) -> dict[str, Any]:

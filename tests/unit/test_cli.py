@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from interarea.cosim.terminal import DEBUG_VARIABLE, complain
+from interarea.cli.terminal import DEBUG_VARIABLE, complain
 
 SCENARIO = """
 case = "two-area-thesis"

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from interarea.cosim.compass import rim_angles
-from interarea.cosim.plots import mode_shape_plot
+from interarea.cosim.plots.curves import mode_shape_plot
+from interarea.cosim.plots.label_layout import rim_angles
 
 GAP = 0.2
 

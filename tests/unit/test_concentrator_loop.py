@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from interarea.cosim.artefacts import channel_fmu
-from interarea.cosim.build import System
-from interarea.cosim.container import write_container
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.run import run_scenario, run_system
-from interarea.cosim.scenario import load_scenario
-from interarea.cosim.ssp import write_ssp
-from interarea.cosim.sweep_engine import run_sweep
-from interarea.cosim.sweep_store import read_rows
-from interarea.cosim.wiring import INPUTS
+from interarea.cosim.export.container import write_container
+from interarea.cosim.export.ssp import write_ssp
+from interarea.cosim.master.wiring import INPUTS
+from interarea.cosim.run.artefacts import channel_fmu
+from interarea.cosim.run.run import run_scenario, run_system
+from interarea.cosim.run.system import System
+from interarea.cosim.scenario.scenario import load_scenario
+from interarea.cosim.sweep.front import run_sweep
+from interarea.cosim.sweep.store import read_rows
 from interarea.design.controllers.controller import Controller
 
 WAYS = [{"latency_s": 0.03}, {"latency_s": 0.08}]

@@ -21,12 +21,12 @@ from fmpy.validation import validate_fmu
 from fmu_runner import Runner
 from lxml import etree
 
-from interarea.cosim.cli import main
-from interarea.cosim.container import container_block, write_container
+from interarea.cli.app import main
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.members import members_of
-from interarea.cosim.run import Controllers, run_scenario
-from interarea.cosim.scenario import load_scenario
+from interarea.cosim.export.container import container_block, write_container
+from interarea.cosim.export.instances import members_of
+from interarea.cosim.run.run import Controllers, run_scenario
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.compile import host_platform

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from independent.two_area import OMEGA_B, linear_plant
 
-from interarea.cosim.study_delay import least_damping
+from interarea.cosim.study.delay import least_damping
 from interarea.design.delay.curves import delay_margin
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.synthesis.study_designs import WdcSpec, design_wdc

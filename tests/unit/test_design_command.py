@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from interarea.cosim.cli import app
-from interarea.cosim.design_comparison import Alternative, compare, effort_figure, sensitivity_figure
-from interarea.cosim.robust_design import load_design
+from interarea.cli.app import app
+from interarea.cosim.designs.comparison import Alternative, compare, effort_figure, sensitivity_figure
+from interarea.cosim.designs.design_file import load_design
 from interarea.design.controllers.bundled import shipped_controller
 
 SMALL = """

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from interarea.cosim.cli import app
+from interarea.cli.app import app
 
 ROOMS = ("models", "design", "fmu_build", "cosim")
 ROOT = Path(__file__).resolve().parents[2]

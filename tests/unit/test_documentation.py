@@ -13,9 +13,9 @@ from fmu_blocks import blocks
 from fmu_runner import decay_block
 from lxml import etree
 
-from interarea.cosim.container import container_block
-from interarea.cosim.run import Controllers
-from interarea.cosim.scenario import load_scenario
+from interarea.cosim.export.container import container_block
+from interarea.cosim.run.run import Controllers
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.fmu_build.write.compile import host_platform
 from interarea.fmu_build.write.documentation import equations_of, references_in

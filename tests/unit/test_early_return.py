@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from whims import whims_fmu
 
-from interarea.cosim.build import System
 from interarea.cosim.errors import GraphError, StepError
+from interarea.cosim.run.system import System
 
 ENGINES = ("kernel", "python")
 

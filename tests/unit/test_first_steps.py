@@ -12,17 +12,17 @@ from pathlib import Path
 
 import pytest
 
-from interarea.cosim.artefacts import channel_fmu, default_cache
-from interarea.cosim.build import System
-from interarea.cosim.destination import folder_for
+from interarea.cli.destination import folder_for
+from interarea.cli.terminal import complain, steady_streams
+from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.errors import DestinationError, ScenarioError
-from interarea.cosim.fmu_file import FmuFile
-from interarea.cosim.report import _number, _percent
-from interarea.cosim.robust_design import load_design
-from interarea.cosim.run import run_scenario
-from interarea.cosim.scenario import NAMED_CONTROLLERS, scenario_names
-from interarea.cosim.sweep_store import read_rows
-from interarea.cosim.terminal import complain, steady_streams
+from interarea.cosim.master.fmu_file import FmuFile
+from interarea.cosim.run.artefacts import channel_fmu, default_cache
+from interarea.cosim.run.run import run_scenario
+from interarea.cosim.run.system import System
+from interarea.cosim.scenario.scenario import NAMED_CONTROLLERS, scenario_names
+from interarea.cosim.study.report import _number, _percent
+from interarea.cosim.sweep.store import read_rows
 from interarea.models.case.case import case_names, load_case
 
 SWEEP = """
@@ -120,8 +120,8 @@ def test_a_case_command_names_what_it_was_given(interarea, kinds) -> None:  # ty
 )
 def test_a_folder_that_cannot_be_is_refused_before_any_work(interarea, kinds, monkeypatch, arguments) -> None:  # type: ignore[no-untyped-def]
     forbidden = pytest.fail
-    monkeypatch.setattr("interarea.cosim.artefacts.linear_plant", forbidden)
-    monkeypatch.setattr("interarea.cosim.artefacts.block_fmu", forbidden)
+    monkeypatch.setattr("interarea.cosim.run.artefacts.linear_plant", forbidden)
+    monkeypatch.setattr("interarea.cosim.run.artefacts.block_fmu", forbidden)
     before = sorted(Path().rglob("*"))
     for place in ("empty.toml", "empty.toml/below"):
         code, out, err = interarea(*arguments, place)
@@ -170,7 +170,7 @@ def test_export_makes_the_folders_above_its_file(interarea) -> None:  # type: ig
 
 def outside(*arguments: str, **environment: str) -> subprocess.Popen[str]:
     """Start the command as a process of its own."""
-    command = [sys.executable, "-m", "interarea.cosim.cli", *arguments]
+    command = [sys.executable, "-m", "interarea.cli.app", *arguments]
     return subprocess.Popen(
         command,
         stdout=subprocess.PIPE,

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from interarea.cosim.build import System
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.ledger import delay_ledger
-from interarea.cosim.run import Run, run_scenario, run_system
-from interarea.cosim.scenario import load_scenario
+from interarea.cosim.results.delay_ledger import delay_ledger
+from interarea.cosim.run.run import Run, run_scenario, run_system
+from interarea.cosim.run.system import System
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.controller import controller_block
 

@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from interarea.cosim.errors import GraphError
-from interarea.cosim.graph import build_graph, strongly_connected
+from interarea.cosim.master.graph import build_graph, strongly_connected
 from interarea.cosim.participant import Description, Port, UnitOf
 
 RAD = UnitOf("rad", (0, 0, 0, 0, 0, 0, 0, 1))

@@ -316,7 +316,7 @@ def test_import_command_writes_a_case_that_loads_and_refuses_other_files(
 ):
     import sys
 
-    from interarea.cosim.cli import main
+    from interarea.cli.app import main
 
     def call(*arguments: object) -> tuple[int, str]:
         monkeypatch.setattr(sys, "argv", ["interarea", "import", *map(str, arguments)])
@@ -340,7 +340,7 @@ def test_import_command_writes_a_case_that_loads_and_refuses_other_files(
 def test_export_command_writes_a_variant_that_loads(tmp_path, monkeypatch, capsys):
     import sys
 
-    from interarea.cosim.cli import main
+    from interarea.cli.app import main
 
     out = tmp_path / "variant.toml"
     arguments = ["export", "two-area-thesis", "--out", str(out), "--tie-flow", "50", "--circuit-out", "8-9 a"]

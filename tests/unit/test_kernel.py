@@ -15,14 +15,14 @@ import pytest
 from fmu_runner import decay_block
 from participants import Linear
 
-from interarea.cosim import kernel_build
-from interarea.cosim.artefacts import block_fmu
 from interarea.cosim.errors import GraphError, StepError
-from interarea.cosim.fmu_file import FmuFile
-from interarea.cosim.instances import FmuParticipant
-from interarea.cosim.master import Master
-from interarea.cosim.run import Controllers, Loop, assemble
-from interarea.cosim.scenario import load_scenario
+from interarea.cosim.master.fmu_file import FmuFile
+from interarea.cosim.master.instances import FmuParticipant
+from interarea.cosim.master.kernel import build as kernel_build
+from interarea.cosim.master.master import Master
+from interarea.cosim.run.artefacts import block_fmu
+from interarea.cosim.run.run import Controllers, Loop, assemble
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.write.errors import BuildError
 
 PULSE = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 0.5, "end_s": 0.7}

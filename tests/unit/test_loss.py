@@ -9,9 +9,9 @@ import control
 import numpy as np
 import pytest
 
-from interarea.cosim.artefacts import linear_plant
-from interarea.cosim.run import Controllers, assemble
-from interarea.cosim.scenario import load_scenario
+from interarea.cosim.run.artefacts import linear_plant
+from interarea.cosim.run.run import Controllers, assemble
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.delay.packet_loss import LossyChannel, PacketLoop, critical_loss
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.models.case.case import load_case

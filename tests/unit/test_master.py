@@ -12,8 +12,8 @@ import pytest
 from participants import Delay, Linear, delayed_reference
 
 from interarea.cosim.errors import GraphError, StepError
-from interarea.cosim.ledger import delay_ledger, explain
-from interarea.cosim.master import Master
+from interarea.cosim.master.master import Master
+from interarea.cosim.results.delay_ledger import delay_ledger, explain
 
 TAU, STOP = 0.1, 10.0
 PULSE = (1.0, 1.2)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from interarea.cosim.errors import GraphError, StepError
-from interarea.cosim.fmu_file import FmuFile
-from interarea.cosim.instances import FmuParticipant
-from interarea.cosim.ledger import delay_ledger, explain
-from interarea.cosim.master import Master
+from interarea.cosim.master.fmu_file import FmuFile
+from interarea.cosim.master.instances import FmuParticipant
+from interarea.cosim.master.master import Master
+from interarea.cosim.results.delay_ledger import delay_ledger, explain
 
 pythonfmu = pytest.importorskip("pythonfmu.builder")
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from interarea.cosim import metrics as m
-from interarea.cosim import pencil
+from interarea.cosim.results import matrix_pencil as pencil
+from interarea.cosim.results import metrics as m
 
 T = 0.05 * np.arange(300)
 

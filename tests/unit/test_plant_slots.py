@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from interarea.cosim.artefacts import plant_fmu
 from interarea.cosim.errors import StepError
-from interarea.cosim.fmu_file import FmuFile
-from interarea.cosim.instances import FmuParticipant
+from interarea.cosim.master.fmu_file import FmuFile
+from interarea.cosim.master.instances import FmuParticipant
+from interarea.cosim.run.artefacts import plant_fmu
 from interarea.models.blocks.plant import EVENT_CODES, event_parameters
 from interarea.models.case.case import load_case
 from interarea.models.case.events import VrefPulse

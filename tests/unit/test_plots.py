@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from interarea.cosim import plots
-from interarea.cosim.diagrams import generalised_plant_diagram, one_line_diagram
+from interarea.cosim.plots import curves as plots
+from interarea.cosim.plots.diagrams import generalised_plant_diagram, one_line_diagram
 from interarea.models.case.case import load_case
 from interarea.models.grid.powerflow import solve_powerflow
 

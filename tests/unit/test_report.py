@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from sample_study import sample_study
 
-from interarea.cosim.claims import CHECKS, judge_loops, judge_modes, judge_statements
-from interarea.cosim.plots import SERIES, save_figure, time_plot
-from interarea.cosim.published import PrintedNumber, published
-from interarea.cosim.report import inline_svg, render_report, write_report
+from interarea.cosim.plots.curves import SERIES, save_figure, time_plot
+from interarea.cosim.plots.html import inline_svg
+from interarea.cosim.study.report import render_report, write_report
+from interarea.cosim.study.thesis.claims import CHECKS, judge_loops, judge_modes, judge_statements
+from interarea.cosim.study.thesis.published import PrintedNumber, published
 
 
 @pytest.fixture

@@ -12,16 +12,17 @@ import pytest
 from independent.two_area import LOADS, OMEGA_B, VARIANTS, TwoArea
 from typer.testing import CliRunner
 
-from interarea.cosim.artefacts import controller_fmu
-from interarea.cosim.cli import app
-from interarea.cosim.controller_file import any_controller
+from interarea.cli.app import app
+from interarea.cosim.designs.controller_file import any_controller
+from interarea.cosim.designs.design_file import load_design, specification_of
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.robust_design import load_design, specification_of
+from interarea.cosim.run.artefacts import controller_fmu
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.delay.signal_conditions import condition_of, condition_of_many
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
-from interarea.design.robust.design import RobustSpec, build_objective, design_robust
+from interarea.design.robust.design import build_objective, design_robust
 from interarea.design.robust.operating_points import judge_family
+from interarea.design.robust.spec import RobustSpec
 
 
 def independent_plant(tie_pu: float = 0.0, out: tuple[str, ...] = ()) -> control.StateSpace:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from participants import delayed_reference
 
-from interarea.cosim.artefacts import linear_plant
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.run import Controllers, Run, assemble, run_scenario
-from interarea.cosim.scenario import load_scenario
+from interarea.cosim.run.artefacts import linear_plant
+from interarea.cosim.run.run import Controllers, Run, assemble, run_scenario
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import Case, CaseError
 

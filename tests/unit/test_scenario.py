@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.scenario import load_scenario
+from interarea.cosim.scenario.scenario import load_scenario
 
 FILE = """
 case = "two-area-thesis"

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from interarea.cosim.sensitivities import parameter_sensitivities, state_matrix
+from interarea.cosim.designs.sensitivities import parameter_sensitivities, state_matrix
 from interarea.design.modes.modes import Mode, Modes
 from interarea.design.modes.sensitivity import eigenvalue_sensitivity
 from interarea.models.case.case import CaseError, load_case
@@ -135,7 +135,7 @@ def test_modes_command_prints_shapes_participation_sensitivities_and_writes_plot
 ):
     import sys
 
-    from interarea.cosim.cli import main
+    from interarea.cli.app import main
 
     arguments = ["modes", CASE, "--json", "--participation", "2", "--plot", str(tmp_path)]
     arguments += ["--sensitivity", "machines.G1.exciter.KA", "--circuit-out", "8-9 a", "--load-scale", "0.95"]

@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from interarea.cosim import artefacts
-from interarea.cosim.artefacts import (
+from interarea.cosim.designs.design_file import family_plants, load_design
+from interarea.cosim.errors import ScenarioError
+from interarea.cosim.results.ringdown import swing_signal
+from interarea.cosim.run import artefacts
+from interarea.cosim.run.artefacts import (
     artefact,
     code_hash,
     content_hash,
@@ -20,15 +23,12 @@ from interarea.cosim.artefacts import (
     linear_plant,
     place,
 )
-from interarea.cosim.errors import ScenarioError
-from interarea.cosim.ringdown import swing_signal
-from interarea.cosim.robust_design import family_plants, load_design
-from interarea.cosim.run import Controllers, run_scenario
-from interarea.cosim.scenario import load_scenario
-from interarea.cosim.study import STAGES, load_study, run_study, study_names
-from interarea.cosim.study_delay import least_damping
-from interarea.cosim.study_loss import monte_carlo_documents
-from interarea.cosim.study_runs import scenario_documents
+from interarea.cosim.run.run import Controllers, run_scenario
+from interarea.cosim.scenario.scenario import load_scenario
+from interarea.cosim.study.delay import least_damping
+from interarea.cosim.study.packet_loss import monte_carlo_documents
+from interarea.cosim.study.runs import scenario_documents
+from interarea.cosim.study.study import STAGES, load_study, run_study, study_names
 from interarea.design.certificates import closed_loop as certificates
 from interarea.design.certificates.closed_loop import swing_poles
 from interarea.design.controllers.controller import Controller

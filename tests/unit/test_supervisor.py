@@ -10,9 +10,9 @@ import pytest
 from fmu_runner import Runner
 from scipy.integrate import solve_ivp
 
-from interarea.cosim.bank_certificate import bank_from_fmu
-from interarea.cosim.run import run_scenario
-from interarea.cosim.scenario import load_scenario
+from interarea.cosim.designs.bank_certificate import bank_from_fmu
+from interarea.cosim.run.run import run_scenario
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.bank import OFF, ControllerBank, load_controller
 from interarea.design.controllers.controller import Controller, ControllerError
 from interarea.fmu_build.write.package import build_fmu

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from interarea.cosim.artefacts import active_bank, linear_plant
+from interarea.cosim.run.artefacts import active_bank, linear_plant
 from interarea.design.certificates.switching import (
     BankLoop,
     common_lyapunov,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from interarea.cosim.synchronism import FaultTable, after_fault, fault_scenario, mean_drive
+from interarea.cosim.designs.first_swing import FaultTable, after_fault, fault_scenario, mean_drive
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.models.case.case import Case
 from interarea.models.case.variants import operating_variant

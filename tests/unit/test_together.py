@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from interarea.cosim.errors import StepError
-from interarea.cosim.fmu_file import FmuFile
-from interarea.cosim.instances import FmuParticipant
-from interarea.cosim.master import Master
-from interarea.cosim.run import Controllers, Loop, assemble
-from interarea.cosim.scenario import load_scenario
-from interarea.cosim.together import advance_together
+from interarea.cosim.master.fmu_file import FmuFile
+from interarea.cosim.master.instances import FmuParticipant
+from interarea.cosim.master.lockstep import advance_together
+from interarea.cosim.master.master import Master
+from interarea.cosim.run.run import Controllers, Loop, assemble
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.write.lane_library import GroupLibrary, plant_group
 from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import load_case
@@ -254,7 +254,7 @@ def test_a_cancelled_run_stops_where_it_is_and_can_go_on(masters: list[Master], 
 def test_plants_whose_network_iterates_go_one_by_one(cache: Path, library: GroupLibrary) -> None:
     loads = {"P_exponent": 1.0, "Q_exponent": 2.0}
     case = load_case("two-area-thesis").with_changes({"loads": {"L7": loads, "L9": loads}})
-    from interarea.cosim.artefacts import plant_fmu
+    from interarea.cosim.run.artefacts import plant_fmu
 
     file = FmuFile(plant_fmu(case, cache))
     found = []

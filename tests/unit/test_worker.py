@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from whims import whims_fmu
 
-from interarea.cosim.build import System
 from interarea.cosim.errors import GraphError, ScenarioError, StepError
-from interarea.cosim.run import run_system
-from interarea.cosim.scenario import load_scenario
-from interarea.cosim.worker import WorkerParticipant
+from interarea.cosim.master.isolated import WorkerParticipant
+from interarea.cosim.run.run import run_system
+from interarea.cosim.run.system import System
+from interarea.cosim.scenario.scenario import load_scenario
 
 
 @pytest.fixture(scope="module")

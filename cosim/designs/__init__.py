@@ -1,0 +1,1 @@
+"""Design files, comparison of designs, controllers in files."""

@@ -1,0 +1,320 @@
+"""Robust design and certification from a TOML file: operating points, losses, latencies, what is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import control
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from interarea.design.controllers.controller import Controller
+from interarea.design.delay.signal_conditions import Condition, condition_of_many
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.design.modes.modes import modes_of
+from interarea.design.robust.design import design_robust
+from interarea.design.robust.operating_points import FamilyCertificate, judge_family
+from interarea.design.robust.smoothed_objective import BandOffsets
+from interarea.design.robust.spec import RobustSpec, require_moved
+from interarea.models.case.case import Case, load_case
+from interarea.models.case.variants import operating_variant
+
+from ..errors import ScenarioError, nearest
+from ..run.artefacts import linear_plant
+from ..toml_file import read_toml
+from .first_swing import FaultTable, after_fault, predicted_drive
+
+Positive = Annotated[float, Field(gt=0.0)]
+_OFFSETS = (BandOffsets().omega, BandOffsets().offset)
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class PointTable(_Table):
+    """One operating point, as a change to the case (`models.case_variants`)."""
+
+    name: str
+    tie_flow_mw: float = 0.0
+    out: tuple[str, ...] = ()
+    load_scale: Positive = 1.0
+
+
+Ratio = Annotated[float, Field(ge=-1.0, lt=1.0)]
+
+
+class AskTable(_Table):
+    """What the certificate asks of every operating point under every condition."""
+
+    worst_swing: Ratio = 0.0
+    inter_area: Ratio = 0.0
+    effort: Positive = float("inf")
+    fastest_pole: Positive = float("inf")
+    synchronism: bool = False  #: after the fault of `fault`, at every operating point
+
+
+class PartTable(_Table):
+    """One actuator of a decentralised controller: what it sees, and its order, a washout counted."""
+
+    actuator: str
+    signals: tuple[str, ...] = Field(min_length=1)
+    order: Annotated[int, Field(ge=1, le=20)] = 4
+
+
+class DesignTable(_Table):
+    """A robust design: one controller for a family of operating points, losses and latencies.
+
+    Either one loop (`remote`, `local`, `actuator`, `order`), or one `part` for each actuator.
+    """
+
+    name: str
+    case: str
+    remote: str | None = None
+    local: str | None = None
+    actuator: str | None = None
+    order: Annotated[int, Field(ge=1, le=20)] = 6
+    part: tuple[PartTable, ...] = ()
+    conditions: tuple[str, ...] = Field(min_length=1)
+    point: tuple[PointTable, ...] = Field(min_length=1)
+    washout_s: Annotated[float, Field(ge=0.0)] = 0.0
+    dc_block: bool = True
+    feedthrough: bool = False
+    slowest_pole: Positive = 0.3
+    fastest_pole: Positive = 280.0
+    effort_cap: tuple[tuple[Positive, Positive], ...] = ((0.05, 0.155), (300.0, 0.155))
+    #: (rad/s, damping): how much more than elsewhere the optimisation wants there, piecewise linear
+    offset: tuple[tuple[float, float], ...] = Field(tuple(zip(*_OFFSETS, strict=True)), min_length=2)
+    limit_pu: Positive = 0.15
+    starts: Annotated[int, Field(ge=1)] = 3
+    evaluations: Annotated[int, Field(ge=1)] = 1800
+    polishes: Annotated[int, Field(ge=0)] = 20
+    seed: int = 1
+    ask: AskTable = AskTable()
+    fault: FaultTable | None = None
+    source: str = ""
+
+    @model_validator(mode="after")
+    def _caps_agree(self) -> DesignTable:
+        least = min(cap for _, cap in self.effort_cap)
+        contradictions = (
+            ("ask.effort", self.ask.effort, "every effort_cap", least, self.ask.effort >= least),
+            (
+                "ask.fastest_pole",
+                self.ask.fastest_pole,
+                "slowest_pole",
+                self.slowest_pole,
+                self.ask.fastest_pole > self.slowest_pole,
+            ),
+        )
+        for asked, value, by, bound, agreed in contradictions:
+            if not agreed:
+                raise ValueError(
+                    f"{asked} = {value:g} contradicts {by} ({bound:g}): the certificate would fail"
+                )
+        return self
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the controller's inputs."""
+        if self.part:
+            return tuple(dict.fromkeys(name for part in self.part for name in part.signals))
+        return tuple(name for name in (self.remote, self.local) if name is not None)
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """Names of the controller's outputs."""
+        return tuple(part.actuator for part in self.part) or ((self.actuator,) if self.actuator else ())
+
+    @model_validator(mode="after")
+    def _one_form(self) -> DesignTable:
+        single = {"remote": self.remote, "local": self.local, "actuator": self.actuator}
+        given = [key for key, value in single.items() if value is not None]
+        if self.part and given:
+            raise ValueError(f"give either [[part]] or {', '.join(single)}, got both ({', '.join(given)})")
+        if not self.part and len(given) < len(single):
+            missing = [key for key in single if key not in given]
+            raise ValueError(f"missing {', '.join(missing)} (or one [[part]] for each actuator)")
+        return self
+
+    def family(self) -> tuple[Condition, ...]:
+        """Return the conditions of the codes in `conditions`."""
+        return tuple(condition_of_many(code, self.signals, remote=self.remote) for code in self.conditions)
+
+    def spec(self) -> RobustSpec:
+        """Return what the optimisation is to do."""
+        return RobustSpec(
+            self.signals,
+            self.actuators,
+            self.family(),
+            order=self.order,
+            sees={part.actuator: (part.signals, part.order) for part in self.part},
+            washout_s=self.washout_s,
+            dc_block=self.dc_block,
+            feedthrough=self.feedthrough,
+            slowest_pole=self.slowest_pole,
+            fastest_pole=self.fastest_pole,
+            effort_cap=self.effort_cap,
+            offsets=BandOffsets(*zip(*self.offset, strict=True)),
+            starts=self.starts,
+            evaluations=self.evaluations,
+            polishes=self.polishes,
+            seed=self.seed,
+        )
+
+
+def load_design(path: str | Path) -> DesignTable:
+    """Read and check a design file, or the bundled one of that name.
+
+    Raises ScenarioError naming file, key, value and what is allowed.
+    """
+    path = Path(path)
+    bundled = Path(__file__).parent / f"design_{path}.toml"
+    file = bundled if not path.suffix and bundled.exists() else path
+    if not file.exists():
+        raise ScenarioError(
+            f"design {str(path)!r} is neither a file nor bundled; {nearest(str(path), design_names())}"
+        )
+    raw = read_toml(file, "design", ScenarioError)
+    try:
+        table = DesignTable.model_validate(raw)
+        table.spec()
+    except ValidationError as error:
+        raise ScenarioError(f"{path}: {_said(error)}") from error
+    except ValueError as error:
+        raise ScenarioError(f"{path}: {error}") from error
+    return table
+
+
+def _said(error: ValidationError) -> str:
+    """Return the first failure of a design in one line, and every key that is missing."""
+    rows = error.errors()
+    missing = [".".join(map(str, row["loc"])) for row in rows if row["type"] == "missing"]
+    if missing:
+        return f"{', '.join(missing)} missing; a bundled design shows a whole one"
+    first = rows[0]
+    key = ".".join(str(part) for part in first["loc"])
+    return f"{key} = {first['input']!r}: {first['msg'].lower()}" if key else first["msg"]
+
+
+def design_names() -> list[str]:
+    """Return the names of the bundled design files."""
+    folder = Path(__file__).parent
+    return sorted(p.stem.removeprefix("design_") for p in folder.glob("design_*.toml"))
+
+
+def family_cases(table: DesignTable) -> dict[str, Case]:
+    """Return operating point -> case of a design."""
+    case = load_case(table.case)
+    return {
+        p.name: operating_variant(case, tie_flow_mw=p.tie_flow_mw, out=p.out, load_scale=p.load_scale)
+        for p in table.point
+    }
+
+
+def family_plants(table: DesignTable, cache: Path) -> dict[str, control.StateSpace]:
+    """Return operating point -> full linear plant of its FMU without reference angle, speeds in pu."""
+    cases = family_cases(table)
+    return {name: remove_reference(linear_plant(case, cache)) for name, case in cases.items()}
+
+
+@dataclass(frozen=True)
+class Designed:
+    """A certified controller, and the controllers of the starts that were tried on the way to it."""
+
+    controller: Controller
+    tried: Mapping[str, control.StateSpace]
+
+
+def run_design(
+    table: DesignTable, cache: Path, *, progress: Callable[[str, float], None] | None = None
+) -> Designed:
+    """Design the controller of `table`; its certificate, on full plants with exact latency, comes with it.
+
+    Raises
+    ------
+    InfeasibleDesign : a mode out of reach, or no start that keeps every design model stable.
+    """
+    plants = family_plants(table, cache)
+    omega_b = load_case(table.case).omega_b
+    spec = table.spec()
+    for name, case in family_cases(table).items():
+        require_moved(name, plants[name], spec, modes_of(plants[name], case.areas))
+    made = design_robust(plants, spec, omega_b, progress=progress)
+    facts = {
+        "method": "smoothed worst damping over operating points, losses and latencies",
+        "specification": _recorded(table),
+        "objective": made.objective,
+        "evaluations": made.evaluations,
+    }
+    controller = Controller(table.name, made.system, table.limit_pu, facts)
+    controller = replace(controller, certificate=certify(table, controller, cache).as_dict())
+    return Designed(controller, {f"start {k}": K for k, K in enumerate(made.tried, start=1)})
+
+
+def _recorded(table: DesignTable) -> dict[str, Any]:
+    """Everything of a design as JSON; what is asked without a bound is left out, JSON having no infinity."""
+    data = table.model_dump(mode="json", exclude_none=True)
+    data["ask"] = {key: value for key, value in data["ask"].items() if value != float("inf")}
+    return data
+
+
+def judge(table: DesignTable, K: control.StateSpace, cache: Path) -> FamilyCertificate:
+    """Judge a controller (speeds in rad/s) on the family of a design and by what it asks, no fault run."""
+    omega_b = load_case(table.case).omega_b
+    plants = {name: speeds_in_rad(p, omega_b) for name, p in family_plants(table, cache).items()}
+    return judge_family(
+        plants,
+        K,
+        table.family(),
+        worst_swing=table.ask.worst_swing,
+        inter_area=table.ask.inter_area,
+        effort_cap=table.ask.effort,
+        fastest_pole=table.ask.fastest_pole,
+    )
+
+
+def certify(table: DesignTable, controller: Controller, cache: Path) -> FamilyCertificate:
+    """Judge a controller on the family of a design and by what it asks; its fault is run at every point."""
+    found = judge(table, controller.system, cache)
+    if table.fault is None:
+        return found
+    cases = family_cases(table)
+    losses = list(dict.fromkeys(c.lost for c in table.family() if c.lost)) or [()]
+    drive, predicted = predicted_drive(controller, cases, table.fault, losses, cache)
+    runs = [
+        after_fault(controller, point, case, table.fault, lost, cache)
+        for point, case in cases.items()
+        for lost in losses
+    ]
+    missed = tuple(
+        f"{run.point}, fault with {' and '.join(run.lost) or 'nothing'} lost: "
+        + (f"settled after {run.settled_s:.1f} s" if run.synchronism else "synchronism lost")
+        for run in runs
+        if not run.passed
+    )
+    return replace(
+        found,
+        drive=drive,
+        predicted=predicted,
+        faults=tuple(asdict(run) for run in runs),
+        violations=(*found.violations, *(missed if table.ask.synchronism else ())),
+    )
+
+
+def specification_of(controller: Controller) -> DesignTable | None:
+    """Return the design for a family that a controller carries in its record, None where it carries none.
+
+    The designs of the study are for one operating point: their records name no conditions.
+
+    Raises ScenarioError where the record is there and is no design.
+    """
+    given = controller.design.get("specification")
+    if given is None or (isinstance(given, Mapping) and "conditions" not in given and "point" not in given):
+        return None
+    try:
+        return DesignTable.model_validate(given)
+    except ValidationError as error:
+        raise ScenarioError(f"controller {controller.name}: its specification: {_said(error)}") from error

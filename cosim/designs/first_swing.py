@@ -1,0 +1,172 @@
+"""What eigenvalues do not show: whether the areas stay together after a fault when signals are lost.
+
+After a loss the local signal carries the common rise of speed; a controller that answers it raises the
+voltage of the importing area, with it that area's load, and pulls the areas apart. The predictor costs no
+run of the controller: the speeds of the run *without* control are fed through it, and the mean of its
+output in the second and a half after the loss says how hard it pulls. `after_fault` is the run itself.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import control
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.signal import lsim
+
+from interarea.design.controllers.controller import Controller
+from interarea.models.case.case import Case
+from interarea.models.case.write_toml import export_toml
+
+from ..run.artefacts import artefact, code_hash, content_hash, file_hash, plant_fmu
+from ..run.run import run_scenario
+
+Array = npt.NDArray[np.float64]
+Positive = Annotated[float, Field(gt=0.0)]
+
+#: mean drive (pu) below which synchronism was kept in every run, and above which it was lost in every run of
+#: the two-area system; in between both happened (0.054 lost, 0.059 kept, limits and corners being different)
+KEPT_BELOW, LOST_ABOVE = 0.05, 0.1
+
+
+class FaultTable(BaseModel):
+    """The fault that a controller is tried with: a bus fault, then a branch trip, signals late and lost."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    bus: int
+    branch: str
+    start_s: Positive = 1.0
+    clear_s: Positive = 1.1333333
+    lost_s: Positive = 1.5
+    latency_s: Annotated[float, Field(ge=0.0)] = 0.1
+    stop_s: Positive = 13.0
+    settle_s: Positive = 10.0
+
+
+@dataclass(frozen=True)
+class FaultRow:
+    """One operating point through the fault with the lost signals lost."""
+
+    point: str
+    lost: tuple[str, ...]
+    synchronism: bool
+    largest_angle: float  #: between any two machines, rad
+    settled_s: float  #: after the fault's start; |speed difference| stays below 2 % of its peak from then on
+    passed: bool
+
+
+def fault_scenario(
+    case_file: Path, case: Case, fault: FaultTable, controller: str = "none"
+) -> dict[str, Any]:
+    """Return the scenario of the fault; a branch that is out already is not tripped."""
+    events: list[dict[str, Any]] = [
+        {
+            "kind": "bus_fault",
+            "bus": fault.bus,
+            "start_s": fault.start_s,
+            "end_s": fault.clear_s,
+            "x_pu": 1e-4,
+        }
+    ]
+    if case.branch(fault.branch).in_service:
+        events.append({"kind": "branch_trip", "branch": fault.branch, "start_s": fault.clear_s})
+    return {"case": str(case_file), "controller": controller, "stop_s": fault.stop_s, "event": events}
+
+
+def uncontrolled_speeds(case: Case, fault: FaultTable, cache: Path) -> tuple[Array, dict[str, Array]]:
+    """Return time (s) and machine -> speed deviation (pu) of the fault without control, kept in `cache`."""
+    window = fault.model_copy(update={"stop_s": fault.lost_s + 1.5})
+    key = content_hash(file_hash(plant_fmu(case, cache)), window.model_dump(mode="json"), code_hash(__name__))
+
+    def make(path: Path) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "case.toml"
+            export_toml(case, file)
+            data = run_scenario(fault_scenario(file, case, window), cache=cache).trajectory.data
+        kept: dict[str, Any] = {m.name: data[f"plant.{m.name}_dw"].to_numpy() for m in case.machines}
+        with path.open("wb") as out:
+            np.savez(out, time_s=data["time_s"].to_numpy(), **kept)
+
+    with np.load(artefact(cache, "uncontrolled", key, ".npz", make)) as z:
+        return z["time_s"], {name: z[name] for name in z.files if name != "time_s"}
+
+
+def mean_drive(
+    K: control.StateSpace,
+    time_s: Array,
+    speeds: dict[str, Array],
+    lost: Sequence[str],
+    fault: FaultTable,
+) -> float:
+    """Return the largest mean (pu) over the actuators of K's output, not limited, in 1.5 s after the loss.
+
+    K : inputs ``*_dw`` in rad/s, outputs in pu. speeds : machine -> rad/s. lost : read zero.
+    """
+    u = np.column_stack(
+        [np.zeros_like(time_s) if n in lost else speeds[n.removesuffix("_dw")] for n in K.input_labels]
+    )
+    even = np.arange(time_s[0], time_s[-1], 2e-3)
+    u = np.column_stack([np.interp(even, time_s, column) for column in u.T])
+    _, y, _ = lsim((K.A, K.B, K.C, K.D), u, even)
+    y = y.reshape(even.size, -1)
+    window = (even >= fault.lost_s) & (even <= fault.lost_s + 1.5)
+    return float(y[window].mean(axis=0).max())
+
+
+def predicted_drive(
+    controller: Controller,
+    cases: Mapping[str, Case],
+    fault: FaultTable,
+    losses: Sequence[Sequence[str]],
+    cache: Path,
+) -> tuple[float, str]:
+    """Return the largest mean drive (pu) over operating points and losses, and what follows from it.
+
+    "kept" and "lost" where every run on either side of the thresholds agreed, "uncertain" between them.
+    """
+    worst = -np.inf
+    for case in cases.values():
+        time_s, speeds = uncontrolled_speeds(case, fault, cache)
+        in_rad = {name: case.omega_b * values for name, values in speeds.items()}
+        for lost in losses:
+            worst = max(worst, mean_drive(controller.system, time_s, in_rad, lost, fault))
+    said = "kept" if worst < KEPT_BELOW else "lost" if worst > LOST_ABOVE else "uncertain"
+    return worst, said
+
+
+def after_fault(
+    controller: Controller, point: str, case: Case, fault: FaultTable, lost: Sequence[str], cache: Path
+) -> FaultRow:
+    """Run the fault with every signal of the controller late and `lost` ones gone from `fault.lost_s` on.
+
+    Synchronism: no two machines more than pi apart. Settled: the difference of the first and the last signal
+    of the controller (of the first and the last machine, where it has one) below 2 % of its peak.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        export_toml(case, folder / "case.toml")
+        file = controller.save(folder / "controller.json")
+        document = fault_scenario(folder / "case.toml", case, fault, str(file))
+        document["channels"] = {
+            f"from_{signal}": {
+                "signal": signal,
+                "latency_s": fault.latency_s,
+                "outages_s": [[fault.lost_s, fault.stop_s]] if signal in lost else [],
+            }
+            for signal in controller.inputs
+        }
+        data = run_scenario(document, cache=cache).trajectory.data
+    angles = np.array([data[f"plant.{m.name}_delta"].to_numpy() for m in case.machines])
+    spread = float((angles.max(axis=0) - angles.min(axis=0)).max())
+    names = controller.inputs if len(controller.inputs) > 1 else [f"{m.name}_dw" for m in case.machines]
+    swing = (data[f"plant.{names[0]}"] - data[f"plant.{names[-1]}"]).abs()
+    settled = float(data["time_s"][swing > 0.02 * swing.max()].max()) - fault.start_s
+    kept = bool(spread < np.pi)
+    return FaultRow(point, tuple(lost), kept, spread, settled, kept and settled <= fault.settle_s)

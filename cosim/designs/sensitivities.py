@@ -1,0 +1,52 @@
+"""Sensitivity of a case's swing modes to any number in the case, on plant FMUs."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from interarea.design.linear.linearise import linearise
+from interarea.design.modes.modes import modes_of
+from interarea.design.modes.sensitivity import Sensitivity, eigenvalue_sensitivity
+from interarea.fmu_build.open.plant import open_plant
+from interarea.fmu_build.write.package import build_fmu
+from interarea.models.blocks.plant import plant_block
+from interarea.models.case.case import Case
+from interarea.models.case.parameter_path import parameter_value, with_parameter
+
+from ..run.artefacts import linear_plant
+
+
+def parameter_sensitivities(
+    case: Case, paths: Sequence[str], cache: Path
+) -> dict[str, Mapping[str, Sensitivity]]:
+    """Return path -> mode name -> sensitivity, for numbers of `case` named by path (`machines.G1.H`).
+
+    Every value has its own power flow and operating point: moving a load moves the whole equilibrium.
+
+    Raises
+    ------
+    CaseError : a path that is no number of the case, or a value beside it that the case refuses.
+    """
+    modes = modes_of(linear_plant(case, cache), case.areas)
+    found: dict[str, Mapping[str, Sensitivity]] = {}
+    for path in paths:
+
+        def matrix_of(value: float, path: str = path) -> npt.NDArray[np.float64]:
+            return state_matrix(with_parameter(case, path, value), cache)
+
+        value = parameter_value(case, path)
+        found[path] = eigenvalue_sensitivity(modes, matrix_of, value, parameter=path)
+    return found
+
+
+def state_matrix(case: Case, cache: Path) -> npt.NDArray[np.float64]:
+    """Return A (n, n) of the plant FMU of `case`; only the compiled binary is kept in the cache."""
+    with tempfile.TemporaryDirectory(prefix="interarea-") as folder:
+        path = build_fmu(plant_block(case), Path(folder) / "plant.fmu", platforms=None, cache=cache)
+        with open_plant(path) as plant:
+            return np.asarray(linearise(plant).A, dtype=float)

@@ -1,0 +1,1 @@
+"""The wired loop for other tools: SSP, container FMU."""

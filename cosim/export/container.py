@@ -1,0 +1,83 @@
+"""Write a scenario's whole loop as one FMU that simulates by itself, delays exact inside."""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from interarea.fmu_build.write.description_xml import record_entries
+from interarea.fmu_build.write.package import build_fmu
+from interarea.models.blocks.binary_table import pack_record
+from interarea.models.blocks.container import LoopMember, loop_block
+from interarea.models.blocks.variables import Block
+
+from ..errors import ScenarioError
+from ..run.run import Controllers
+from ..scenario.scenario import Scenario
+from .instances import members_of
+
+
+def write_container(
+    scenario: Scenario,
+    path: Path | str,
+    *,
+    cache: Path,
+    platforms: Sequence[str] | None = None,
+    controllers: Controllers | None = None,
+) -> Path:
+    """Write plant, channels and controller of `scenario` as one co-simulation FMU; return its path.
+
+    The scenario's events, latencies and outages are its parameters `plant.event[k].*`,
+    `CHANNEL.latency`, ...; arguments as in `write_ssp`. Where it can run here it has cross-check files.
+
+    Raises
+    ------
+    ScenarioError, CaseError, BuildError
+    """
+    return build_fmu(
+        container_block(scenario, cache=cache, controllers=controllers),
+        path,
+        platforms=platforms,
+        cache=cache,
+    )
+
+
+def container_block(scenario: Scenario, *, cache: Path, controllers: Controllers | None = None) -> Block:
+    """Return the block that `write_container` builds.
+
+    Raises
+    ------
+    ScenarioError : a loop that one block cannot hold.
+    """
+    loop = members_of(scenario, cache=cache, controllers=controllers)
+    foreign = [m.name for m in loop.all if m.block is None]
+    if foreign:
+        raise ScenarioError(
+            f"{scenario.name}: {', '.join(foreign)} are FMUs of others, which no block can hold; "
+            "write an SSP, or join the FMUs with a tool for containers"
+        )
+    members = [(m, m.baked(step_s=loop.step_s)) for m in loop.all]
+    provenance = {f"{m.name}: {k}": v for m, block in members for k, v in block.provenance.items()}
+    rows = (f"<tr><td>{html.escape(a)}</td><td>{html.escape(b)}</td></tr>" for a, b in loop.connections)
+    documentation = {"Connections": f"<table><tr><th>from</th><th>to</th></tr>{''.join(rows)}</table>"}
+    documentation |= {f"{m.name}: {k}": v for m, block in members for k, v in block.documentation.items()}
+    try:
+        return loop_block(
+            _identifier(scenario.name),
+            [LoopMember(m.name, block, pack_record(record_entries(block))) for m, block in members],
+            loop.connections,
+            step_s=loop.step_s,
+            stop_s=scenario.stop_s,
+            description=scenario.title,
+            documentation=documentation,
+            provenance={"scenario": scenario.name, **provenance},
+        )
+    except ValueError as error:
+        raise ScenarioError(str(error)) from None
+
+
+def _identifier(name: str) -> str:
+    text = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return text if text[:1].isalpha() else f"loop_{text}"

@@ -1,0 +1,1 @@
+"""Stability maps of a sweep on one page."""

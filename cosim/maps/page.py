@@ -1,0 +1,284 @@
+"""One self-contained page for the results of a sweep: maps, margins, worst runs, distributions, failures."""
+
+from __future__ import annotations
+
+import html
+import math
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from interarea.fmu_build.write.package import write_whole
+
+from ..plots.curves import save_figure
+from ..plots.html import inline_svg
+from ..results.ringdown import swing_signal
+from ..run.artefacts import default_cache
+from ..sweep.plan import SweepPlan, code_version
+from ..sweep.rows import FAILURES
+from ..sweep.runner import Runner
+from ..sweep.spec import Sweep
+from ..sweep.store import read_plan, read_rows
+from . import page_figures as figures
+from .page_data import (
+    Margin,
+    facets_of,
+    is_grid,
+    kind_of,
+    least_damping,
+    map_of,
+    margins_of,
+    numeric,
+    pairs_of,
+    worst_runs,
+)
+
+TEMPLATES = Path(__file__).parent
+_UNITS = {"latency": "s", "loss": "share of packets", "tie": "MW"}
+_WORDS = {"latency": "latency", "loss": "loss rate", "tie": "tie flow added"}
+
+
+def write_maps(
+    folder: Path,
+    path: Path,
+    *,
+    worst: int = 6,
+    cache: Path | None = None,
+    progress: Callable[[str], object] | None = None,
+) -> Path:
+    """Write the page of the results in `folder` to `path`, as one finished file.
+
+    worst : runs that are simulated again for their trajectories.
+
+    Raises
+    ------
+    SweepError : no results in `folder`.
+    """
+    tell = progress or _silent
+    plan, rows = read_plan(folder), read_rows(folder)
+    cached = default_cache() if cache is None else cache
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".maps-", dir=path.parent) as scratch:
+        with Runner(plan, cached, Path(scratch)) as runner:
+            tell("margins")
+            margins = margins_of(plan.sweep, rows, runner) if plan.controllers else []
+            tell("worst runs")
+            curves = _curves(plan, rows, runner, worst)
+        tell("figures")
+        drawn = _draw(plan.sweep, rows, margins, curves)
+        svg = {}
+        for key, figure in drawn.items():
+            file = save_figure(figure, Path(scratch) / f"{key}.svg", transparent=True)
+            svg[key] = Markup(inline_svg(file, key))  # our own SVG
+        text = _render(plan, rows, margins, svg, folder)
+    return write_whole(path, text.encode("utf-8"))
+
+
+def labels_of(sweep: Sweep) -> dict[str, str]:
+    """Return the axis label of each parameter: its own label, or what it is, with its unit."""
+    found = {}
+    for name, p in sweep.parameters.items():
+        kind = kind_of(sweep, name)
+        unit = p.unit or _UNITS.get(kind, "")
+        words = p.label or (_WORDS[kind] if kind in _WORDS and name in (kind, _WORDS[kind]) else name)
+        found[name] = f"{words} ({unit})" if unit else words
+    return found
+
+
+def _draw(sweep: Sweep, rows: pd.DataFrame, margins: list[Margin], curves: list[Any]) -> dict[str, Figure]:
+    labels = labels_of(sweep)
+    facet, facet_values = facets_of(sweep, rows)
+    found: dict[str, Figure] = {}
+    for k, (x, y) in enumerate(pairs_of(sweep, rows)):
+        if is_grid(rows, x, y):
+            parts = {str(v or ""): rows if v is None else rows[rows[facet] == v] for v in facet_values}
+            maps = {name: map_of(part, x, y) for name, part in parts.items()}
+            found[f"map-{k}"] = figures.map_figure(maps, labels, _lines(sweep, margins, x, y, facet, maps))
+        else:
+            found[f"map-{k}"] = figures.point_figure(rows, x, y, labels)
+    names = numeric(sweep, rows)
+    if names and "damping_inter_area" in rows and rows["damping_inter_area"].notna().any():
+        sampled = sweep.parameters[names[0]].sampled
+        if not sampled:
+            found["line"] = figures.line_figure(rows, names[0], facet, labels)
+    for kind in ("latency", "loss"):
+        some = [
+            m for m in margins if kind_of(sweep, m.name) == kind and (m.stable is not None or m.certified)
+        ]
+        if some:
+            found[f"margin-{kind}"] = figures.margin_figure(
+                [point_text(m.values, facet) or "as in the scenario" for m in some],
+                [m.certified for m in some],
+                [(m.stable, m.unstable) for m in some],
+                labels[some[0].name],
+            )
+    spread = figures.distribution_figure(rows, facet)
+    if spread is not None:
+        found["distribution"] = spread
+    if curves:
+        found["worst"] = figures.worst_figure(curves)
+    return found
+
+
+def _lines(
+    sweep: Sweep, margins: list[Margin], x: str, y: str, facet: str, maps: Mapping[str, Any]
+) -> dict[str, list[tuple[str, Any, Any]]]:
+    """Return the margins in latency over a map whose first axis is latency: certified and simulated."""
+    found: dict[str, list[tuple[str, Any, Any]]] = {}
+    if kind_of(sweep, x) != "latency":
+        return found
+    for name, one in maps.items():
+        mine = [m for m in margins if m.name == x and (not facet or str(m.values.get(facet)) == name)]
+        along = [m for m in mine if isinstance(m.values.get(y), int | float)]
+        if not along:
+            continue
+        spread = np.array([one.y.min(), one.y.max()])
+        for label, value_of in (
+            ("certified margin (linear)", _certified),
+            ("simulated margin", _simulated),
+        ):
+            known = _known_margins(along, value_of, y, one.x)
+            if not known:
+                continue
+            if len(known) == 1 or len({at for _, at in known}) == 1:
+                if kind_of(sweep, y) == "loss" and label.startswith("sim"):
+                    continue  # found without loss: no line over all losses
+                line = (label, np.full(2, known[0][0]), spread)
+            else:
+                known.sort(key=lambda pair: pair[1])
+                line = (label, np.array([v for v, _ in known]), np.array([at for _, at in known]))
+            found.setdefault(name, []).append(line)
+    return found
+
+
+def _known_margins(
+    margins: list[Margin], value_of: Callable[[Margin], float | None], y: str, x: Any
+) -> list[tuple[float, float]]:
+    """Return (margin, value of parameter `y`) of those that lie within a map's `x`."""
+    found = []
+    for m in margins:
+        value, at = value_of(m), m.values[y]
+        if value is not None and isinstance(at, int | float) and x.min() <= value <= x.max():
+            found.append((float(value), float(at)))
+    return found
+
+
+def _certified(m: Margin) -> float | None:
+    return m.certified
+
+
+def _simulated(m: Margin) -> float | None:
+    return m.stable if m.unstable is not None else None
+
+
+def _curves(plan: SweepPlan, rows: pd.DataFrame, runner: Runner, count: int) -> list[Any]:
+    """Simulate the worst runs again."""
+    found = []
+    for run in worst_runs(rows, count):
+        if plan.sweep.searched is not None:
+            break
+        values = plan.sweep.values(run)
+        loop, curves = runner.simulate(values)
+        _, swing = swing_signal(curves, loop.case)
+        controls = {c.partition(".")[2]: curves[c] for c in curves.reals_of("controller")}
+        row = rows[rows.run == run].iloc[0]
+        verdict = "" if "stable" not in row else "stable" if row["stable"] else "not stable"
+        found.append((f"run {run}, {verdict}: {point_text(values)}", curves.time_s.copy(), swing, controls))
+    return found
+
+
+def point_text(values: Mapping[str, Any], first: str = "") -> str:
+    """Return parameters in words: "controller ftc, latency 0.1"."""
+    names = sorted(values, key=lambda n: n != first)
+    return ", ".join(f"{n} {_plain(values[n])}" for n in names)
+
+
+def _render(
+    plan: SweepPlan, rows: pd.DataFrame, margins: list[Margin], svg: Mapping[str, Markup], folder: Path
+) -> str:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters["plain"] = _plain
+    sweep = plan.sweep
+    labels = labels_of(sweep)
+    failed = rows[rows.status != "ok"]
+    order = [*(f"map-{k}" for k in range(len(svg))), "line"]
+    columns = [str(c) for c in rows if c in sweep.parameters or c in _SHOWN]
+    worst = (
+        []
+        if sweep.searched
+        else rows.set_index("run", drop=False).loc[worst_runs(rows, 12)].to_dict("records")
+    )
+    ok = rows[rows.status == "ok"]
+    return environment.get_template("maps.html.j2").render(
+        sweep=sweep,
+        size=sweep.size,
+        rows=len(rows),
+        ok=len(ok),
+        failures=[(k, int((failed.failure == k).sum())) for k in FAILURES if (failed.failure == k).any()],
+        reasons=[(r.run, r.failure, r.reason) for r in failed.head(8).itertuples()],
+        stable=int((ok["stable"] == True).sum()) if "stable" in ok else None,  # noqa: E712
+        least=least_damping(ok),
+        parameters=[(n, labels[n], _range(sweep, n)) for n in sweep.parameters],
+        margins=[(m, labels.get(m.name, m.name), point_text(m.values)) for m in margins],
+        maps=[key for key in order if key in svg],
+        svg=svg,
+        columns=[(c, labels.get(c) or _SHOWN.get(c, c)) for c in ["run", *columns]],
+        worst=worst,
+        version=plan.version,
+        specification=plan.hash,
+        same_version=plan.version == code_version(),
+        folder=folder.name,
+    )
+
+
+#: columns beside the parameters, as a reader calls them
+_SHOWN = {
+    "stable": "stable",
+    "damping_inter_area": "damping ratio, inter-area",
+    "settling_time_s": "settling time (s)",
+    "peak": "peak (pu)",
+    "effort": "effort (pu² s)",
+    "packets_lost": "packets lost",
+}
+
+
+def _range(sweep: Sweep, name: str) -> str:
+    p = sweep.parameters[name]
+    where = " and ".join(".".join(w) for w in sweep.paths(name))
+    if p.bisect is not None:
+        what = f"searched from {p.bisect.low:g} to {p.bisect.high:g}, to {p.bisect.tolerance:g}"
+    elif p.latin_hypercube is not None:
+        what = f"Latin hypercube, {p.latin_hypercube.low:g} to {p.latin_hypercube.high:g}"
+    elif p.random is not None:
+        what = "random: " + ", ".join(f"{k} = {v}" for k, v in p.random.model_dump(exclude_none=True).items())
+    else:
+        listed = [_plain(p.grid_value(k)) for k in range(min(p.size, 12))]
+        what = ", ".join(listed) + (f", ... ({p.size} values)" if p.size > 12 else "")
+    return f"{where}: {what}"
+
+
+def _plain(value: Any) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "–"
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, float | np.floating):
+        return f"{value:.4g}".replace("-", "−")
+    return html.unescape(str(value))
+
+
+def _silent(_: str) -> None:
+    pass

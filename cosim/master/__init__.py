@@ -1,0 +1,1 @@
+"""The master: steps FMUs on an integer clock, delays exact."""

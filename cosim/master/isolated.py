@@ -1,0 +1,339 @@
+"""An FMU in a process of its own: if it crashes, the run fails with an error and the caller lives.
+
+The parent side is a participant like any other; each call travels as a pickle over the pipes of
+``python -m interarea.cosim.master.isolated`` (some 50 microseconds), so isolate what is not trusted, not
+everything.
+What the FMU prints and logs goes to a file that only an error quotes. A call that takes longer than the time
+limit fails the run as a crash does: the process is killed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+from interarea.fmu_build.write.lane_library import GroupLibrary
+
+from ..errors import ScenarioError, StepError
+from .fmu_file import FmuFile
+from .instances import FmuParticipant, Value
+
+_PATIENCE_S = 5.0
+TIME_LIMIT_S = 60.0  #: of one call, by default
+#: FMI calls by the method that makes them, for errors
+_CALL_OF = {
+    "begin": "instantiating the FMU",
+    "ready": "fmi2ExitInitializationMode",
+    "advance": "fmi2DoStep",
+    "receive": "reading outputs",
+    "save": "fmi2GetFMUstate",
+    "restore": "fmi2SetFMUstate",
+    "release": "fmi2FreeFMUstate",
+    "value_of": "fmi2GetReal",
+}
+
+
+class WorkerParticipant(FmuParticipant):
+    """An instance of `file` that lives in a worker process; otherwise as `FmuParticipant`.
+
+    time_limit_s : longest time that one call may take, s.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        file: FmuFile,
+        start: Mapping[str, Value] | None = None,
+        *,
+        time_limit_s: float = TIME_LIMIT_S,
+    ) -> None:
+        if not time_limit_s > 0.0:
+            raise ScenarioError(f"{name}: time_limit_s = {time_limit_s:g}, allowed: above 0")
+        self.time_limit_s = time_limit_s
+        self._process: subprocess.Popen[bytes] | None = None
+        self._watch: _Watch | None = None
+        self._said: IO[bytes] | None = None
+        self._unsent: tuple[int, list[float], list[float]] | None = None
+        super().__init__(name, file, start)
+
+    def begin(self, start_s: float, stop_s: float) -> None:
+        """Start the worker (again, if it died), instantiate or reset there, enter initialisation."""
+        if self._process is None or self._process.poll() is not None:
+            self._spawn()
+        self._unsent = None
+        start = {name: value for name, (_, value) in self._start.items()}
+        self._ask("set_start", start)
+        self._ask("bind", self.bound_inputs, self.bound_slopes)
+        self.time_s = start_s
+        self._ask("begin", start_s, stop_s)
+
+    def ready(self) -> None:
+        """Leave initialisation."""
+        self._ask("ready")
+
+    def send(self, order: int) -> None:
+        """Keep the inputs for the next call, which takes them along."""
+        self._unsent = (order, list(self.u), list(self.du))
+
+    def advance(self, time_s: float, length_s: float) -> None:
+        """Step from `time_s` over `length_s`."""
+        self.time_s = time_s
+        self._ask("advance", time_s, length_s)
+        self.time_s = time_s + length_s
+
+    def receive(self, slopes: bool) -> None:
+        """Read every output, and the bound slopes if `slopes`."""
+        y, dy = self._ask("receive", slopes)
+        self.y[:] = y
+        if slopes:
+            self.dy[:] = dy
+
+    def save(self) -> Any:
+        """Copy the FMU state; it stays in the worker."""
+        return self._ask("save")
+
+    def restore(self, state: Any) -> None:
+        """Go back to a saved FMU state."""
+        self._ask("restore", state)
+
+    def release(self, state: Any) -> None:
+        """Free a saved FMU state; nothing to do when the worker has died."""
+        if self._process is not None and self._process.poll() is None:
+            self._ask("release", state)
+
+    def value_of(self, name: str) -> float:
+        """Return the present value of any Real, Integer, Boolean or Enumeration variable."""
+        self._variable(name)
+        return float(self._ask("value_of", name))
+
+    def last_log(self) -> str:
+        """Return the last line the FMU logged or printed, or an empty string."""
+        if self._said is None:
+            return ""
+        self._said.seek(0)
+        lines = self._said.read().decode("utf-8", "replace").strip().splitlines()
+        return lines[-1].strip() if lines else ""
+
+    def close(self) -> None:
+        """End the instance and its worker."""
+        process, self._process = self._process, None
+        if self._watch is not None:
+            self._watch.end()
+            self._watch = None
+        if process is not None:
+            assert process.stdin is not None and process.stdout is not None
+            with contextlib.suppress(OSError):  # it may be dead
+                process.stdin.close()  # the worker terminates and frees its FMU at the end of its input
+            try:
+                process.wait(_PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            process.stdout.close()
+        if self._said is not None:
+            self._said.close()
+            self._said = None
+
+    # -- private --------------------------------------------------------------------------
+
+    def _spawn(self) -> None:
+        self.close()
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "interarea.cosim.master.isolated"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._said,
+        )
+        self._watch = _Watch(self._process)
+        self._watch.start()
+        self._ask("open", self.name, str(self.file.path.resolve()))
+
+    def _ask(self, method: str, *arguments: Any) -> Any:
+        """Have the worker do one call and return what it gives.
+
+        Raises
+        ------
+        StepError : as the call says, or the worker died in it, or it took too long and was killed.
+        """
+        process = self._process
+        if process is None:
+            raise self._died(method, "the instance has ended")
+        assert process.stdin is not None and process.stdout is not None and self._watch is not None
+        unsent, self._unsent = self._unsent, None
+        watch = self._watch
+        # how long an interpreter takes to start says nothing about the FMU
+        limit_s = max(self.time_limit_s, TIME_LIMIT_S) if method == "open" else self.time_limit_s
+        try:
+            with watch.over(limit_s):
+                pickle.dump((method, arguments, unsent, self.stops_early), process.stdin)
+                process.stdin.flush()
+                failed, result = pickle.load(process.stdout)
+        except (EOFError, OSError, pickle.UnpicklingError) as error:
+            process.wait()
+            if watch.fired:
+                what = f"no answer within {limit_s:g} s, so its process was killed"
+                raise self._died(method, what, advice="allow more with time_limit_s") from error
+            raise self._died(method, f"the FMU crashed its process ({_death(process.returncode)})") from error
+        if failed:
+            raise result
+        return result
+
+    def _died(self, method: str, what: str, *, advice: str = "") -> StepError:
+        call = _CALL_OF.get(method, "starting the worker process")
+        log = self.last_log()
+        return StepError(what, instance=self.name, call=call, time_s=self.time_s, last_log=log, advice=advice)
+
+
+def participant_of(
+    name: str,
+    file: FmuFile,
+    start: Mapping[str, Value],
+    *,
+    isolate: bool = False,
+    time_limit_s: float | None = None,
+    group: GroupLibrary | None = None,
+) -> FmuParticipant:
+    """Return an instance of `file`: in this process (with `group`), or with `isolate` in one of its own.
+
+    Raises
+    ------
+    ScenarioError : a time limit for what is not isolated, or none above 0.
+    """
+    if isolate:
+        return WorkerParticipant(
+            name, file, start, time_limit_s=TIME_LIMIT_S if time_limit_s is None else time_limit_s
+        )
+    if time_limit_s is not None:
+        raise ScenarioError(f"{name}: time_limit_s ends calls of an isolated FMU; set isolate = true")
+    return FmuParticipant(name, file, start, group=group)
+
+
+class _Watch(threading.Thread):
+    """Kills a process that is still in one call when the time for it is over; `fired` tells."""
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        super().__init__(daemon=True)
+        self._watched = process
+        self._until = math.inf
+        self._ended = threading.Event()
+        self.fired = False
+
+    @contextlib.contextmanager
+    def over(self, limit_s: float) -> Iterator[None]:
+        """Watch one call, which may take `limit_s`."""
+        self._until = time.monotonic() + limit_s
+        try:
+            yield
+        finally:
+            self._until = math.inf
+
+    def run(self) -> None:
+        """Look four times a second."""
+        while not self._ended.wait(0.25):
+            if time.monotonic() > self._until:
+                self.fired = True
+                self._watched.kill()
+                return
+
+    def end(self) -> None:
+        """Stop watching."""
+        self._ended.set()
+
+
+def _death(code: int) -> str:
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return signal.Signals(-code).name
+    except ValueError:
+        return f"signal {-code}"
+
+
+class _Spoken(list[str]):
+    """Log lines that are written down at once: after a crash nobody could ask for them."""
+
+    def append(self, line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+        super().append(line)
+
+
+class _Served(FmuParticipant):
+    """The instance in the worker: states are kept here by number."""
+
+    def __init__(self, name: str, path: str) -> None:
+        super().__init__(name, FmuFile(Path(path)))
+        self._log = _Spoken()
+        self._states: dict[int, Any] = {}
+        self._last_state = 0
+
+    def do(self, method: str, arguments: tuple[Any, ...]) -> Any:
+        """Do one call of the parent."""
+        if method == "save":
+            self._last_state += 1
+            self._states[self._last_state] = self.save()
+            return self._last_state
+        if method == "restore":
+            return self.restore(self._states[arguments[0]])
+        if method == "release":
+            return self.release(self._states.pop(arguments[0]))
+        result = getattr(self, method)(*arguments)
+        return (list(self.y), list(self.dy)) if method == "receive" else result
+
+    def take(self, order: int, u: list[float], du: list[float]) -> None:
+        """Send what the parent had set."""
+        for buffer, values in ((self.u, u), (self.du, du)):
+            for k, value in enumerate(values):
+                buffer[k] = value
+        self.send(order)
+
+
+def serve(calls: IO[bytes], answers: IO[bytes]) -> None:
+    """Answer calls until their end; then end the instance."""
+    served: _Served | None = None
+    try:
+        while True:
+            try:
+                method, arguments, unsent, stops_early = pickle.load(calls)
+            except EOFError:
+                return
+            try:
+                if method == "open":
+                    served, result = _Served(*arguments), None
+                else:
+                    assert served is not None
+                    served.stops_early = stops_early
+                    if unsent is not None:
+                        served.take(*unsent)
+                    result = served.do(method, arguments)
+                answer = (False, result)
+            except Exception as error:
+                answer = (True, error)
+            pickle.dump(answer, answers)
+            answers.flush()
+    finally:
+        if served is not None:
+            served.close()
+            served.file.close()
+
+
+def main() -> None:
+    """Serve over standard input and output; what the FMU prints goes to standard error."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    serve(sys.stdin.buffer, answers)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,449 @@
+"""The master: steps connected participants so that a connection has the latency asked for, no more, no less.
+
+One step from t to t + H, all times whole ticks (`clock`), every known event a communication point:
+
+1. every signal is predicted over the step (`signals`);
+2. channels whose latency covers the step go first: their outputs over the step depend on the past only,
+   and what they are sent at t is exact (value and slope);
+3. the rest follow in dependency order (`graph`), each handed its inputs over the whole step as a cubic
+   (value and three derivatives) or, where an FMU takes none, as means over parts of the step;
+4. a loop without a channel is stepped on predicted signals; when what comes out differs from what was
+   predicted by more than the tolerance, the FMU states are put back and the step is repeated with a
+   better guess (`secant`), until it agrees;
+5. outputs are recorded.
+
+Modes ``hold-jacobi`` and ``hold-gauss-seidel`` hold inputs instead, as most masters do; the delay that
+adds is in the ledger (`ledger`).
+
+`Master.step` is the reference, in Python. `Master.run` does the same in compiled code (`kernel`) where it
+can, with the same bits.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Mapping
+from typing import Literal
+
+import numpy as np
+
+from ..clock import Step, seconds, to_ticks
+from ..early_return import EARLY, Early, rolled_back, too_short
+from ..errors import GraphError, ScenarioError, StepError
+from ..participant import Participant
+from ..trajectory import Records, Trajectory
+from .algebraic_loop import iterate_loop
+from .graph import Graph, build_graph
+from .initial_values import initialise
+from .instances import FmuParticipant
+from .kernel.build import kernel_or_reason
+from .kernel.kernel import Kernel, run_kernels, why_not
+from .snapshot import Fork, Saved
+from .step_choice import clock_of, step_and_reason
+from .stepping import LOOPS, Loops, Stepping
+from .wiring import INPUTS, Inputs, make_nodes, make_signals
+
+Progress = Callable[[float, float], object]
+Engine = Literal["auto", "kernel", "python"]
+ENGINES: tuple[Engine, ...] = ("auto", "kernel", "python")
+
+
+class Master:
+    """Steps `participants` along `connections` from `start_s` to `stop_s`.
+
+    Parameters
+    ----------
+    participants : any number, each with its own name.
+    connections : pairs ("instance.output", "instance.input"), in any order.
+    step_s : communication step H; None: chosen from the latencies (`step_and_reason`).
+    marks_s : instants that must be communication points (events, outages).
+    points : further communication points, ticks: instants at which a held signal changes (`Clock`);
+        left out when all inputs are held, as plain masters do.
+    latency_s : instance -> least time its inputs need to reach its outputs (a promise of that instance).
+    inputs : how inputs are handed over a step. loops : what to do with loops without a channel;
+        ``auto`` iterates where all their FMUs can save their state.
+    tolerance : of loops, relative to the largest value a signal has had.
+    substeps : parts of a step for FMUs that take no input derivatives.
+    engine : who steps in `run`: ``kernel`` compiled code, for FMUs in this process; ``python`` the reference;
+        ``auto`` the kernel where it can, else Python. `ran` says which it was, and why.
+    early : what follows when an FMU returns early from a step, see `early_return`; ``roll back`` needs every
+        FMU to save its state, and Python to step.
+    at_rest : all start where nothing moves (`clock_of`).
+
+    Raises
+    ------
+    GraphError, ScenarioError, StepError
+    """
+
+    def __init__(
+        self,
+        participants: Iterable[Participant],
+        connections: Iterable[tuple[str, str]],
+        *,
+        stop_s: float,
+        step_s: float | None = None,
+        start_s: float = 0.0,
+        marks_s: Iterable[float] = (),
+        points: Iterable[int] = (),
+        latency_s: Mapping[str, float] | None = None,
+        inputs: Inputs = "hermite",
+        loops: Loops = "auto",
+        tolerance: float = 1e-7,
+        substeps: int = 4,
+        engine: Engine = "auto",
+        early: Early = "go on",
+        at_rest: bool = False,
+    ) -> None:
+        _one_of("inputs", inputs, INPUTS)
+        _one_of("loops", loops, LOOPS)
+        _one_of("engine", engine, ENGINES)
+        _one_of("early", early, EARLY)
+        if early == "roll back" and engine == "kernel":
+            raise GraphError('engine = "kernel" cannot roll back early returns; use engine = "auto"')
+        self.participants = {p.name: p for p in sorted(participants, key=lambda p: p.name)}
+        descriptions = {n: p.description for n, p in self.participants.items()}
+        pairs = sorted(connections)
+        self.latency_s = dict(latency_s or {})
+        for name in self.latency_s:
+            if name not in descriptions:
+                raise GraphError(f"latency_s names {name!r}, which is no instance")
+        ticks = {n: to_ticks(v, f"latency of {n}") for n, v in self.latency_s.items()}
+        marks = tuple(marks_s)
+        self.step_s, self.step_reason = (
+            (step_s, "given")
+            if step_s is not None
+            else step_and_reason(self.latency_s.values(), [stop_s, *marks])
+        )
+        self.inputs, self.loops, self.tolerance, self.substeps = inputs, loops, tolerance, substeps
+        holds = inputs.startswith("hold")
+        self.clock = clock_of(
+            descriptions,
+            start_s=start_s,
+            stop_s=stop_s,
+            step_s=self.step_s,
+            marks_s=marks,
+            latency_ticks=ticks,
+            edges=not holds,
+            points=() if holds else points,
+            at_rest=at_rest,
+        )
+        self.graph: Graph = build_graph(descriptions, pairs, step_ticks=self.clock.step, latency_ticks=ticks)
+        self._initial_graph = build_graph(
+            descriptions, pairs, step_ticks=self.clock.stop - self.clock.start + 1
+        )
+        self.signals = make_signals(self.participants, self.graph, inputs)
+        self.nodes = make_nodes(self.participants, self.graph, self.signals, inputs, substeps)
+        self.residual = 0.0  #: of the initial values, relative
+        self.repeated = 0  #: loop steps done again since the start
+        self.stepping = Stepping(descriptions, self.graph, self.signals, inputs, loops, tolerance)
+        #: per group: its nodes, and when it is iterated its torn signals
+        self._plan = [
+            (
+                g,
+                [self.nodes[n] for n in g.members],
+                self.stepping.torn_signals(g) if g.members in self.stepping.iterated else None,
+            )
+            for g in self.stepping.groups
+        ]
+        self._index = -1
+        outputs = [(n, p) for n, d in descriptions.items() for p in d.outputs]
+        self._columns = [f"{n}.{p.name}" for n, p in outputs]
+        self._ports = [p for _, p in outputs]
+        rows = 1 + int(np.count_nonzero(self.clock.steps.recorded))
+        self._recorded = [(p, len(p.description.outputs)) for p in self.participants.values()]
+        self._times = np.full(rows, np.nan)
+        self._records = np.full((rows, len(outputs)), np.nan)
+        self._rows = 0
+        self.engine = engine
+        self.ran = ""  #: who did the steps since the start: kernel | python | python (why not the kernel)
+        self.early = early
+        self.rolled_back = 0  #: steps put back because an FMU returned early, since the start
+        self._stopping = [p for p in self.participants.values() if isinstance(p, FmuParticipant)]
+        self._kernel: Kernel | None = None
+        self._why_python = "early returns are rolled back" if early == "roll back" else ""
+        self._cancelled = False
+        self.ends = self.clock.steps.ends
+
+    # -- running --------------------------------------------------------------------------
+
+    @property
+    def time_s(self) -> float:
+        """Present time."""
+        return seconds(self.clock.start if self._index <= 0 else self.clock.steps[self._index - 1].end)
+
+    @property
+    def index(self) -> int:
+        """Number of steps done; -1 before the start."""
+        return self._index
+
+    @property
+    def finished(self) -> bool:
+        return self._index >= len(self.clock.steps)
+
+    def start(self) -> None:
+        """Initialise all participants (again, if they ran before) and record the start."""
+        start_s, stop_s = seconds(self.clock.start), seconds(self.clock.stop)
+        self._rows = self.repeated = self.rolled_back = 0
+        self.ran = ""
+        for p in self.participants.values():
+            p.begin(start_s, stop_s)
+        self.residual = initialise(self._initial_graph, self.nodes, self.clock.start, 1e-12)
+        for p in self.participants.values():
+            p.ready()
+        for node in self.nodes.values():
+            node.take_start(self.clock.start, slopes=True)
+        self._index = 0
+        self._record(self.clock.start)
+
+    def step(self) -> bool:
+        """Do the next communication step, in Python; return whether there was one.
+
+        Raises
+        ------
+        StepError : an FMU failed or an output is not finite; its `trajectory` has the results so far.
+        """
+        if self._index < 0:
+            self.start()
+        if self.finished:
+            return False
+        self._note("python")
+        step = self.clock.steps[self._index]
+        try:
+            if self.early == "roll back":
+                self.rolled_back += rolled_back(step, self._once, self.save, self.restore, self.release)
+            else:
+                self._once(step)
+        except StepError as error:
+            error.trajectory = self.trajectory
+            raise
+        self._index += 1
+        if step.recorded:
+            self._record(step.end)
+        return True
+
+    def run(self, until_s: float | None = None, *, progress: Progress | None = None) -> Trajectory:
+        """Step to `until_s` (default: the end) and return the trajectory; see `advance`."""
+        self.advance(until_s, progress=progress)
+        return self.trajectory
+
+    def advance(self, until_s: float | None = None, *, progress: Progress | None = None) -> None:
+        """Step to `until_s` (default: the end); `trajectory` has the results whenever they are wanted.
+
+        progress : called with (present time, stop time) after each step in Python, and at least every 20 ms
+            of computing (or after a longer step) with the kernel. It may raise, or call `cancel`.
+
+        Raises
+        ------
+        StepError : as `step`. GraphError : engine = "kernel" where it cannot be had.
+        ScenarioError : `until_s` lies before the present time.
+        """
+        until = self.clock.stop if until_s is None else to_ticks(until_s, "until_s")
+        stop_s = seconds(self.clock.stop)
+        self._cancelled = False
+        if self._index < 0:
+            self.start()
+        now = self.clock.start if self._index == 0 else self.ends[self._index - 1]
+        if until < now:
+            raise ScenarioError(
+                f"until_s = {until_s!r}: time does not go backwards from {seconds(now)} s; "
+                "restore a saved state, or start again"
+            )
+        kernel = self._compiled()
+        last = bisect_right(self.ends, until)
+        while self._index < last and not self._cancelled:
+            if kernel is None:
+                self.step()
+            else:
+                self._stretch(kernel, last)
+            if progress is not None:
+                progress(self.time_s, stop_s)
+
+    # -- for `together` -------------------------------------------------------------------
+
+    def hand_over(self) -> Kernel | None:
+        """Start if need be and make the kernel begin where this stands; None: Python has to step.
+
+        What the kernel then does is to be followed (`follow`).
+        """
+        self._cancelled = False
+        if self._index < 0:
+            self.start()
+        kernel = self._compiled()
+        if kernel is not None:
+            self._note("kernel")
+            kernel.begin(self._index, self._rows)
+        return kernel
+
+    def follow(self, kernel: Kernel) -> None:
+        """Go where the kernel has come to."""
+        self._index, self._rows = kernel.index, kernel.row
+        self.repeated += kernel.repeated
+
+    def refuse(self, error: Exception) -> None:
+        """Put the results so far into the error of a step."""
+        if isinstance(error, StepError):
+            error.trajectory = self.trajectory
+
+    @property
+    def cancelled(self) -> bool:
+        """Whether `cancel` was called since the steps under way began."""
+        return self._cancelled
+
+    def cancel(self) -> None:
+        """Make `run` return after the step it is in; to be called by `progress` or from another thread."""
+        self._cancelled = True
+        if self._kernel is not None:
+            self._kernel.cancel()
+
+    def close(self) -> None:
+        """End all participants."""
+        if self._kernel is not None:
+            self._kernel.close()
+            self._kernel = None
+        for p in self.participants.values():
+            p.close()
+
+    def __enter__(self) -> Master:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Results up to now: every output of every participant."""
+        n, columns, ports = self._rows, self._columns, self._ports
+        return Trajectory.of_records(self._times[:n], self._records[:n], columns, ports, engine=self.ran)
+
+    @property
+    def records(self) -> Records:
+        """Results up to now as plain arrays: what a sweep measures, without the cost of a table."""
+        n, columns, ports = self._rows, self._columns, self._ports
+        return Records(self._times[:n].copy(), self._records[:n].T.copy(), columns, ports)
+
+    # -- saving ---------------------------------------------------------------------------
+
+    def save(self) -> Saved:
+        """Return the state between two steps, to `restore` as often as wanted (fork a run)."""
+        if self._index < 0:
+            self.start()
+        for n, p in self.participants.items():
+            if not p.description.saves_state:
+                raise GraphError(f"{n} cannot save its state (canGetAndSetFMUstate): no fork of this run")
+        states = {n: p.save() for n, p in self.participants.items()}
+        return Saved(self._index, states, tuple(s.copy() for s in self.signals), self._rows)
+
+    def restore(self, saved: Saved) -> None:
+        """Go back to `saved`; the records up to then are kept as they are."""
+        for n, p in self.participants.items():
+            p.restore(saved.states[n])
+        for s, kept in zip(self.signals, saved.signals, strict=True):
+            s.paste(kept)
+        self._index, self._rows = saved.index, saved.rows
+
+    def release(self, saved: Saved) -> None:
+        """Free the participants' part of `saved`."""
+        for n, p in self.participants.items():
+            p.release(saved.states[n])
+
+    def fork(self) -> Fork:
+        """Return the beginning up to now, for `take_over`; `release` its `saved` when it is not needed."""
+        saved = self.save()
+        counts = (self.residual, self.repeated, self.rolled_back, self.ran)
+        times, records = self._times[: saved.rows].copy(), self._records[: saved.rows].copy()
+        return Fork(saved, self.ends[: saved.index], times, records, counts)
+
+    def take_over(self, fork: Fork) -> bool:
+        """Go on from another master's beginning as if it were this one's; both have the same structure.
+        False: nothing was done: other communication points up to there, or an FMU in another process."""
+        saved = fork.saved
+        if self.ends[: saved.index] != fork.ends or len(self._stopping) < len(self.participants):
+            return False
+        for p in self._stopping:
+            p.resume(seconds(fork.ends[-1] if fork.ends else self.clock.start))
+        self.restore(saved)
+        self._times[: saved.rows], self._records[: saved.rows] = fork.times, fork.records
+        self.residual, self.repeated, self.rolled_back, self.ran = fork.counts
+        return True
+
+    # -- private --------------------------------------------------------------------------
+
+    def _once(self, step: Step) -> None:
+        """Do one step, and no more."""
+        if self.early == "roll back":
+            for p in self._stopping:
+                p.stops_early = not too_short(step)
+        for s in self.signals:
+            s.begin(step.start, step.edge)
+        for group, nodes, torn in self._plan:
+            if torn is None:
+                for node in nodes:
+                    node.advance(step)
+            else:
+                self.repeated += iterate_loop(group, self.nodes, torn, step, self.tolerance)
+        for s in self.signals:
+            s.accept(step.start, step.end, step.edge)
+
+    def _compiled(self) -> Kernel | None:
+        """Return the kernel for the present instances, or None where Python has to step them."""
+        if self.engine == "python" or self._why_python:
+            return None
+        if self._kernel is not None:
+            if self._kernel.fits():
+                self._kernel.cancel(False)
+                return self._kernel
+            self._kernel = None
+        reason = why_not(self.nodes)
+        library = None
+        if not reason:
+            library, reason = kernel_or_reason()
+        if library is None:
+            if self.engine == "kernel":
+                raise GraphError(f'engine = "kernel" cannot step this: {reason}; use engine = "auto"')
+            self._why_python = reason
+            return None
+        self._kernel = Kernel(
+            library,
+            self.nodes,
+            self.signals,
+            self.stepping.groups,
+            self.stepping.torn_signals,
+            self.stepping.iterated,
+            self.clock.steps,
+            tolerance=self.tolerance,
+            times=self._times,
+            records=self._records,
+        )
+        return self._kernel
+
+    def _stretch(self, kernel: Kernel, last: int) -> None:
+        """Let the kernel step for a while."""
+        self._note("kernel")
+        kernel.begin(self._index, self._rows)
+        try:
+            error = run_kernels([kernel], [last])[0]
+        finally:  # Ctrl-C too
+            self.follow(kernel)
+        if error is not None:
+            self.refuse(error)
+            raise error
+
+    def _note(self, engine: str) -> None:
+        """Remember who steps."""
+        if engine == "python" and self._why_python:
+            engine = f"python ({self._why_python})"
+        if engine not in self.ran:
+            self.ran = f"{self.ran}, then {engine}" if self.ran else engine
+
+    def _record(self, tick: int) -> None:
+        row: list[float] = []
+        for p, n in self._recorded:
+            row += p.y[:n]
+        self._records[self._rows] = row
+        self._times[self._rows] = seconds(tick)
+        self._rows += 1
+
+
+def _one_of(key: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise GraphError(f"{key} = {value!r}: allowed are {', '.join(allowed)}")

@@ -1,0 +1,95 @@
+"""Choose the communication step and the points of a run from latencies, events and what the FMUs can do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+from ..clock import Clock, seconds, to_ticks
+from ..errors import GraphError
+from ..participant import Description
+
+_DEFAULT, _LEAST = 10_000_000, 1_000_000  # ticks
+
+
+def step_and_reason(latencies_s: Iterable[float], instants_s: Iterable[float] = ()) -> tuple[float, str]:
+    """Return H and the reason: 10 ms, or the shortest latency when that is less, but at least 1 ms.
+
+    When a step between half of that and that divides every latency and every instant (events, reporting
+    intervals, the end), the largest such step is taken; failing that, one that divides the latencies.
+
+    >>> step_and_reason([0.1, 0.004, 0.0])
+    (0.004, 'chosen: the shortest latency; divides all latencies and instants')
+    >>> step_and_reason([0.1], [1.0, 1.1333])
+    (0.01, 'chosen: the longest step; divides all latencies, events between steps shorten them')
+    """
+    latencies = [t for t in (to_ticks(v, "latency") for v in latencies_s) if t > 0]
+    instants = [to_ticks(v, "instant") for v in instants_s]
+    limit = max(_LEAST, min([_DEFAULT, *latencies]))
+    why = "the longest step" if limit == _DEFAULT else "the shortest latency"
+    if limit == _LEAST and limit > min([_DEFAULT, *latencies]):
+        why = "the shortest step, which is longer than the shortest latency"
+    for times, said in (
+        ([*latencies, *instants], "divides all latencies and instants"),
+        (latencies, "divides all latencies, events between steps shorten them"),
+    ):
+        shared = math.gcd(*times)
+        least = -(-shared // limit)  # parts of `shared` that are no longer than the limit
+        parts = next((n for n in range(least, 2 * least) if shared % n == 0), 0)
+        if parts and 2 * (shared // parts) > limit:
+            step = shared // parts
+            return seconds(step), f"chosen: {why}{'' if step == limit else ', shortened'}; {said}"
+    return seconds(limit), f"chosen: {why}"
+
+
+def choose_step(latencies_s: Iterable[float], instants_s: Iterable[float] = ()) -> float:
+    """Return H as `step_and_reason` chooses it."""
+    return step_and_reason(latencies_s, instants_s)[0]
+
+
+def clock_of(
+    descriptions: Mapping[str, Description],
+    *,
+    start_s: float,
+    stop_s: float,
+    step_s: float,
+    marks_s: Iterable[float],
+    latency_ticks: Mapping[str, int],
+    edges: bool,
+    points: Iterable[int] = (),
+    at_rest: bool = True,
+) -> Clock:
+    """Return the clock of a run: its marks, each again when it comes out of a channel, and further points.
+
+    points : ticks; left out when an FMU takes steps of one length only.
+    at_rest : nothing moves at the start. Otherwise what a channel passes on begins to move with a kink a
+        latency after the start, as the signal before the start is taken to have been what it is there.
+
+    Raises
+    ------
+    GraphError : an FMU that takes steps of one length only, with a mark or the end off the grid.
+    ScenarioError : see `Clock.of_seconds`.
+    """
+    plain = Clock.of_seconds(stop_s, step_s, start_s=start_s, marks_s=marks_s)
+    rigid = sorted(n for n, d in descriptions.items() if not d.variable_step)
+    if rigid:
+        for mark in (*plain.marks, plain.stop):
+            off = (mark - plain.start) % plain.step
+            if off:
+                raise GraphError(
+                    f"{rigid[0]} takes steps of one length only (canHandleVariableCommunicationStepSize "
+                    f"= false), but t = {seconds(mark)} s is no multiple of step_s = {step_s:g}; "
+                    f"use {seconds(mark - off)} or {seconds(mark - off + plain.step)}"
+                )
+        return Clock(plain.start, plain.stop, plain.step, plain.marks, edges=False)
+    late = {m + d for m in plain.marks for d in latency_ticks.values()}
+    marks = tuple(sorted({*plain.marks, *(m for m in late if m < plain.stop)}))
+    inside = tuple(sorted({p for p in points if plain.start < p < plain.stop}))
+    first = {plain.start + d for n, d in latency_ticks.items() if d and not _steps_only(descriptions[n])}
+    kinks = () if at_rest else tuple(sorted(t for t in first.difference(marks) if t < plain.stop))
+    return Clock(plain.start, plain.stop, plain.step, marks, edges=edges, points=inside, kinks=kinks)
+
+
+def _steps_only(description: Description) -> bool:
+    """Whether all that comes out is held between instants, such as packets."""
+    return all(p.discrete or p.type != "Real" for p in description.outputs)

@@ -1,0 +1,71 @@
+"""What a master steps together, in which order, and what it does with each loop without a channel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from ..errors import GraphError
+from ..participant import Description
+from .graph import Graph, Group
+from .signals import Signal
+from .wiring import Inputs
+
+Loops = Literal["auto", "iterate", "extrapolate"]
+LOOPS: tuple[Loops, ...] = ("auto", "iterate", "extrapolate")
+
+
+class Stepping:
+    """`groups` in stepping order; `iterated`: the members of those whose step is repeated until it agrees.
+
+    Raises
+    ------
+    GraphError : loops = "iterate", and an FMU in a loop cannot save its state.
+    """
+
+    def __init__(
+        self,
+        descriptions: Mapping[str, Description],
+        graph: Graph,
+        signals: Sequence[Signal],
+        inputs: Inputs,
+        loops: Loops,
+        tolerance: float,
+    ) -> None:
+        self._descriptions, self._signals = descriptions, signals
+        self._holds, self._loops, self._tolerance = inputs.startswith("hold"), loops, tolerance
+        waits = inputs != "hold-jacobi"  # where nobody waits for anybody everyone is a group
+        self.groups = list(graph.groups) if waits else [Group((name,)) for name in descriptions]
+        self.iterated = {g.members for g in self.groups if g.torn and self._iterates(g)}
+
+    def torn_signals(self, group: Group) -> list[Signal]:
+        """Return the signals of a loop that run against its order and are not held."""
+        torn = {str(c.source) for c in group.torn}
+        return [s for s in self._signals if s.name in torn and s.kind != "held"]
+
+    def how(self, group: Group) -> str:
+        """Return in words what is done with a loop."""
+        if self._holds:
+            return "inputs held, not iterated"
+        if self._iterates(group):
+            return f"iterated with saved states to {self._tolerance:g} of the largest value"
+        lame = self._lame(group)
+        return "extrapolated" + (f": {', '.join(lame)} cannot save its state" if lame else "")
+
+    # -- private --------------------------------------------------------------------------
+
+    def _iterates(self, group: Group) -> bool:
+        """Whether a loop is iterated: not with held inputs, not when told to extrapolate."""
+        if self._holds or self._loops == "extrapolate":
+            return False
+        lame = self._lame(group)
+        if self._loops == "iterate" and lame:
+            raise GraphError(
+                f"loop {' -> '.join(group.members)}: {', '.join(lame)} cannot save its state "
+                '(canGetAndSetFMUstate), so the step cannot be iterated; use loops = "extrapolate"'
+            )
+        return not lame
+
+    def _lame(self, group: Group) -> list[str]:
+        """Members that cannot go back to a saved state."""
+        return [n for n in group.members if not self._descriptions[n].saves_state]

@@ -1,0 +1,408 @@
+"""Figures of a study: one style, a palette for colour-blind readers, the same bytes for the same data.
+
+Every function returns a matplotlib figure drawn without pyplot; `save_figure`
+writes it as SVG with text as outlines, so that it looks alike everywhere.
+Speeds come in pu and are drawn in thousandths of a pu.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import control
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from interarea.fmu_build.write.package import write_whole
+
+from .label_layout import rim_angles
+
+Array = npt.NDArray[np.float64]
+Curve = tuple[npt.ArrayLike, npt.ArrayLike]
+
+INK, MUTED, GRID = "#1f2328", "#6e7781", "#d0d7de"
+#: Okabe and Ito's palette without its yellow, in the order of use.
+SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)), "-", (0, (5, 1.5)))
+
+STYLE: Any = {
+    "svg.fonttype": "path",
+    "svg.hashsalt": "interarea",
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "mathtext.fontset": "dejavusans",
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "text.color": INK,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "grid.color": GRID,
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.4,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "figure.constrained_layout.use": True,
+    "path.simplify": True,
+    "path.simplify_threshold": 0.3,
+}
+WIDTH = 6.4  #: inches; one text column
+
+
+def new_figure(rows: int = 1, cols: int = 1, *, height: float = 2.6, **kwargs: Any) -> tuple[Figure, Any]:
+    """Return an empty figure in the house style and its axes (array when there are several)."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        axes = figure.subplots(rows, cols, **kwargs)
+    return figure, axes
+
+
+def save_figure(figure: Figure, path: Path, *, transparent: bool = False) -> Path:
+    """Write a figure: SVG with outlines for text and no date, PNG at 160 dpi, by the path's suffix.
+
+    transparent : for a page that brings its own light or dark ground; by itself a figure stands on white.
+    """
+    metadata = {"Date": None, "Creator": "interarea"} if path.suffix == ".svg" else None
+    drawn = io.BytesIO()
+    with mpl.rc_context(STYLE):
+        figure.savefig(drawn, format=path.suffix[1:], transparent=transparent, metadata=metadata, dpi=160)
+    return write_whole(path, drawn.getvalue())
+
+
+def frequency_response(system: control.StateSpace, omega: Array) -> npt.NDArray[np.complex128]:
+    """Return C (jw I - A)^-1 B + D, shape (frequencies, outputs, inputs); `omega` in rad/s."""
+    A, B, C, D = (np.asarray(m, dtype=float) for m in (system.A, system.B, system.C, system.D))
+    if A.shape[0] == 0:
+        return np.broadcast_to(D.astype(complex), (omega.size, *D.shape)).copy()
+    resolvent = 1j * omega[:, None, None] * np.eye(A.shape[0]) - A
+    return np.asarray(C @ np.linalg.solve(resolvent, np.broadcast_to(B, (omega.size, *B.shape))) + D)
+
+
+def participation_plot(
+    participation: Mapping[str, float], machines: Sequence[str], *, count: int = 12
+) -> Figure:
+    """Draw the `count` largest participation factors of a mode, coloured by machine.
+
+    participation : state name (`G1.delta`) -> factor; machines : names in colour order.
+    """
+    ranked = sorted(((abs(v), k) for k, v in participation.items()), key=lambda t: (-t[0], t[1]))[:count]
+    values, names = [v for v, _ in ranked], [k for _, k in ranked]
+    figure, axes = new_figure(height=0.7 + 0.19 * len(names))
+    with mpl.rc_context(STYLE):
+        owner = [next((m for m in machines if n.startswith(f"{m}.")), "") for n in names]
+        colours = [SERIES[machines.index(m) % len(SERIES)] if m else MUTED for m in owner]
+        axes.barh(names, values, color=colours, height=0.7)
+        axes.invert_yaxis()
+        axes.grid(axis="y", visible=False)
+        axes.set_xlabel("participation factor (magnitude)")
+        seen = [m for m in machines if m in owner]
+        for machine in seen:
+            axes.barh([names[0]], [0.0], color=SERIES[machines.index(machine) % len(SERIES)], label=machine)
+        axes.legend(loc="lower right", ncols=len(seen))
+    return figure
+
+
+MANY_ARROWS = 6  #: more than this, and the names go round the rim
+
+
+def mode_shape_plot(shape: Mapping[str, complex], area_of: Mapping[str, int], title: str) -> Figure:
+    """Draw the mode shape as a compass: one arrow per machine, scaled so that the longest is 1.
+
+    shape : machine -> complex speed entry of the right eigenvector; area_of : machine -> area number.
+    """
+    scale = max(abs(v) for v in shape.values())
+    leader = max(shape.values(), key=abs)
+    turned = {m: v / leader * abs(leader) / scale for m, v in shape.items()}
+    with mpl.rc_context(STYLE):
+        many = len(turned) > MANY_ARROWS
+        figure = Figure(figsize=(4.6, 4.6) if many else (3.4, 3.1), layout="constrained")
+        axes: Any = figure.subplots(subplot_kw={"projection": "polar"})
+        axes.set_ylim(0, 1.3 if many else 1.18)
+        axes.set_yticks([0.5, 1.0], labels=["", ""])
+        axes.set_xticks(np.radians([0, 90, 180, 270]))
+        axes.tick_params(axis="x", labelsize=7, pad=1)
+        axes.spines["polar"].set_visible(False)
+        areas = sorted(set(area_of.values()))
+        placed: list[complex] = []
+        gap = min(0.2, 6.2 / len(turned))
+        rim = rim_angles([float(np.angle(z)) for z in turned.values()], gap) if many else []
+        for number, (machine, value) in enumerate(turned.items()):
+            k = areas.index(area_of[machine])
+            colour = SERIES[k % len(SERIES)]
+            angle, radius = float(np.angle(value)), abs(value)
+            axes.plot([angle, angle], [0, radius], color=colour, linewidth=1.8)
+            if radius > 0.03:
+                arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.8, "shrinkA": 0, "shrinkB": 0}
+                axes.annotate("", xy=(angle, radius), xytext=(angle, 0.9 * radius), arrowprops=arrow)
+            spot = complex(1.22 * np.exp(1j * rim[number])) if many else _free_spot(value, placed)
+            placed.append(spot)
+            if many:
+                axes.plot([angle, rim[number]], [radius, 1.14], color=colour, linewidth=0.4)
+            axes.text(
+                float(np.angle(spot)),
+                abs(spot),
+                machine,
+                color=colour,
+                weight="bold",
+                size=7 if many else None,
+                ha="center",
+                va="center",
+            )
+        for k, area in enumerate(areas):
+            axes.plot([], [], color=SERIES[k % len(SERIES)], label=f"area {area}")
+        figure.legend(loc="outside lower center", ncols=min(len(areas), 3), fontsize=8)
+        axes.set_title(title, loc="center", pad=10)
+    return figure
+
+
+def _free_spot(value: complex, placed: Sequence[complex]) -> complex:
+    """Return a place for a label near the tip `value`, at least 0.16 from those already set."""
+    direction = value / abs(value) if abs(value) > 1e-9 else 1.0 + 0j
+    for turn in (0.0, 0.22, -0.22, 0.44, -0.44, 0.66, -0.66):
+        spot = complex(direction * (abs(value) + 0.13) * np.exp(1j * turn / max(abs(value), 0.35)))
+        if all(abs(spot - p) > 0.2 for p in placed):
+            return spot
+    return complex(direction * (abs(value) + 0.13))
+
+
+def singular_value_plot(
+    systems: Mapping[str, control.StateSpace], omega: Array, *, ylabel: str = "dB"
+) -> Figure:
+    """Draw the largest singular value of each system over frequency (rad/s)."""
+    figure, axes = new_figure()
+    with mpl.rc_context(STYLE):
+        for k, (label, system) in enumerate(systems.items()):
+            top = np.linalg.norm(frequency_response(system, omega), 2, axis=(1, 2)).astype(np.float64)
+            _magnitude(axes, omega, top, label, k)
+        _frequency_axis(axes, omega)
+        axes.set_ylabel(f"largest singular value ({ylabel})")
+        axes.legend()
+    return figure
+
+
+def bode_plot(systems: Mapping[str, control.StateSpace], omega: Array) -> Figure:
+    """Draw magnitude and phase of each input-output pair: one column per input, one output."""
+    first = next(iter(systems.values()))
+    inputs = first.input_labels
+    figure, axes = new_figure(2, len(inputs), height=3.7, sharex=True, sharey="row", squeeze=False)
+    with mpl.rc_context(STYLE):
+        for j, name in enumerate(inputs):
+            for k, (label, system) in enumerate(systems.items()):
+                response = frequency_response(system, omega)[:, 0, j]
+                _magnitude(axes[0, j], omega, np.abs(response), label, k)
+                phase = np.degrees(np.unwrap(np.angle(response)))
+                phase -= 360.0 * np.round(phase[len(phase) // 2] / 360.0)
+                axes[1, j].semilogx(omega, phase, color=SERIES[k], linestyle=DASHES[k])
+            axes[0, j].set_title(f"from {signal_label(name)}")
+            _frequency_axis(axes[1, j], omega)
+        figure.set_layout_engine(
+            "constrained", wspace=0.08
+        )  # the last label of one column from the first of the next
+        axes[0, 0].set_ylabel("gain (dB)")
+        axes[1, 0].set_ylabel("phase (deg)")
+        axes[0, 0].legend()
+    return figure
+
+
+def magnitude_plot(curves: Mapping[str, Array], omega: Array, ylabel: str) -> Figure:
+    """Draw given magnitudes (not dB) over frequency, e.g. a sensitivity beside its weight."""
+    figure, axes = new_figure()
+    with mpl.rc_context(STYLE):
+        for k, (label, magnitude) in enumerate(curves.items()):
+            _magnitude(axes, omega, magnitude, label, k)
+        _frequency_axis(axes, omega)
+        axes.set_ylabel(ylabel)
+        axes.legend()
+    return figure
+
+
+def _magnitude(axes: Axes, omega: Array, magnitude: Array, label: str, k: int) -> None:
+    decibels = 20.0 * np.log10(np.maximum(magnitude, 1e-12))
+    axes.semilogx(omega, decibels, color=SERIES[k], linestyle=DASHES[k], label=label)
+
+
+def _frequency_axis(axes: Axes, omega: Array) -> None:
+    axes.set_xlim(float(omega[0]), float(omega[-1]))
+    axes.set_xlabel("frequency (rad/s)")
+
+
+def signal_label(name: str) -> str:
+    """Return a signal name as a reader writes it: `G2_dw` -> Δω of G2."""
+    machine, _, quantity = name.partition("_")
+    return f"$\\Delta\\omega$ of {machine}" if quantity == "dw" else name
+
+
+def time_plot(
+    curves: Mapping[str, Curve],
+    *,
+    ylabel: str = r"$\Delta\omega_{24}$ ($10^{-3}$ pu)",
+    scale: float = 1e3,
+    span_s: tuple[float, float] | None = None,
+    marks: Mapping[str, float] | None = None,
+    height: float = 2.5,
+) -> Figure:
+    """Draw time responses on one axis, names above it; `marks` names instants with a vertical line (s)."""
+    figure, axes = new_figure(height=height)
+    with mpl.rc_context(STYLE):
+        for k, (label, (time, value)) in enumerate(curves.items()):
+            axes.plot(time, scale * np.asarray(value), color=SERIES[k], linestyle=DASHES[k], label=label)
+        _time_axis(axes, curves, span_s, scale)
+        for label, at in (marks or {}).items():
+            mark_instant(axes, at, label)
+        axes.set_ylabel(ylabel)
+        figure.legend(loc="outside upper right", ncols=min(4, len(curves)))
+    return figure
+
+
+def mark_instant(axes: Axes, at_s: float, label: str) -> None:
+    """Draw a vertical line at `at_s` and its name above the axes, where no curve is."""
+    axes.axvline(at_s, color=MUTED, linewidth=0.9, linestyle=(0, (2, 2)))
+    axes.annotate(
+        label,
+        (at_s, 1.0),
+        xycoords=("data", "axes fraction"),
+        xytext=(0, 2),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+        fontsize=7.5,
+        color=MUTED,
+    )
+
+
+def _time_axis(
+    axes: Axes, curves: Mapping[str, Curve], span_s: tuple[float, float] | None, scale: float
+) -> None:
+    first = np.asarray(next(iter(curves.values()))[0])
+    start, end = span_s or (float(first[0]), float(first[-1]))
+    axes.set_xlim(start, end)
+    if span_s is not None:
+        shown = [np.asarray(v)[(np.asarray(t) >= start) & (np.asarray(t) <= end)] for t, v in curves.values()]
+        top = max(float(np.max(np.abs(v))) for v in shown) * scale * 1.1
+        axes.set_ylim(-top, top)
+    axes.xaxis.set_major_locator(MaxNLocator(10, integer=end - start >= 5))
+    axes.set_xlabel("time (s)")
+
+
+def label_columns(axes: Any, used: int, xlabel: str) -> None:
+    """Hide the panels beyond the first `used` of a grid; label the time or frequency under every column."""
+    for panel in axes.flat[used:]:
+        panel.set_visible(False)
+    columns = axes.shape[1]
+    for panel in axes.flat[max(0, used - columns) : used]:
+        panel.tick_params(labelbottom=True)
+        panel.set_xlabel(xlabel)
+
+
+def latency_panels(curves: Mapping[str, Curve], reference: tuple[str, Curve]) -> Figure:
+    """Draw one small panel per latency, each over the response without latency, on one scale.
+
+    Growing responses leave the panel: the scale is twice the reference's peak.
+    """
+    rows = -(-len(curves) // 2)
+    figure, axes = new_figure(rows, 2, height=0.9 + 1.05 * rows, sharex=True, sharey=True, squeeze=False)
+    label, (t0, y0) = reference
+    peak = 2.0e3 * float(np.max(np.abs(np.asarray(y0))))
+    with mpl.rc_context(STYLE):
+        for panel, (name, (time, value)) in zip(axes.flat, curves.items(), strict=False):
+            panel.plot(time, 1e3 * np.asarray(value), color=SERIES[0], linewidth=1.2, label="with latency")
+            panel.plot(
+                t0, 1e3 * np.asarray(y0), color=SERIES[1], linestyle=DASHES[1], linewidth=0.9, label=label
+            )
+            panel.set_title(name, fontsize=8, pad=2)
+            panel.set_ylim(-peak, peak)
+            panel.set_xlim(float(np.asarray(t0)[0]), float(np.asarray(t0)[-1]))
+            panel.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+        label_columns(axes, len(curves), "time (s)")
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper right", ncols=2)
+        figure.supylabel(r"$\Delta\omega_{24}$ ($10^{-3}$ pu)", fontsize=9)
+    return figure
+
+
+def latency_damping_plot(
+    exact: Mapping[str, Sequence[Sequence[float]]],
+    measured: Mapping[str, Sequence[Sequence[float]]],
+    margin_s: Mapping[str, float | None],
+) -> Figure:
+    """Draw damping against latency: exact characteristic roots as lines, co-simulated ring-downs as marks.
+
+    exact, measured : wiring -> rows (latency in s, damping ratio); margin_s : wiring -> exact margin or None.
+    """
+    figure, axes = new_figure(height=2.9)
+    with mpl.rc_context(STYLE):
+        axes.axhline(0.0, color=INK, linewidth=0.8)
+        for k, (wiring, rows) in enumerate(exact.items()):
+            delay, zeta = np.asarray(rows, dtype=float).T
+            axes.plot(1e3 * delay, zeta, color=SERIES[k], linestyle=DASHES[k], label=f"{wiring}, exact")
+            marks = np.asarray(measured.get(wiring, ()), dtype=float).reshape(-1, 2)
+            if len(marks):
+                axes.plot(
+                    1e3 * marks[:, 0],
+                    marks[:, 1],
+                    "os^"[k % 3],
+                    color=SERIES[k],
+                    markersize=4.5,
+                    markerfacecolor="none",
+                    label=f"{wiring}, co-simulated",
+                )
+            margin = margin_s.get(wiring)
+            if margin is not None and np.isfinite(margin):
+                axes.axvline(1e3 * margin, color=MUTED, linewidth=0.9, linestyle=(0, (2, 2)))
+                axes.annotate(
+                    f"margin {1e3 * margin:.1f} ms",
+                    (1e3 * margin, 0.96),
+                    xycoords=("data", "axes fraction"),
+                    xytext=(-4, 0),
+                    textcoords="offset points",
+                    ha="right",
+                    va="top",
+                    fontsize=8,
+                    color=MUTED,
+                )
+        axes.set_xlabel("latency (ms)")
+        axes.set_ylabel("least damping ratio, swing modes")
+        figure.legend(loc="outside upper center", ncols=2 if measured else len(exact), fontsize=8)
+    return figure
+
+
+def hankel_plot(values: Mapping[str, npt.ArrayLike], kept: Mapping[str, int]) -> Figure:
+    """Draw Hankel singular values (not dB) on a log axis; the order kept is a vertical line."""
+    figure, axes = new_figure(height=2.3)
+    with mpl.rc_context(STYLE):
+        for k, (label, hankel) in enumerate(values.items()):
+            sigma = np.asarray(hankel, dtype=float)
+            axes.semilogy(
+                np.arange(1, sigma.size + 1),
+                sigma,
+                "o-s"[2 * (k % 2)],
+                color=SERIES[k],
+                markersize=3,
+                linestyle=DASHES[k],
+                linewidth=0.8,
+                label=label,
+            )
+            if label in kept:
+                axes.axvline(kept[label] + 0.5, color=SERIES[k], linewidth=0.9, linestyle=(0, (2, 2)))
+        axes.set_xlabel("state of the balanced plant")
+        axes.set_ylabel("Hankel singular value")
+        axes.legend()
+    return figure

@@ -1,0 +1,210 @@
+"""Numbers that say how a run went, each with the window and the method it was taken by.
+
+Ring-down damping: after the last disturbance the signals are sums of decaying
+oscillations. The matrix pencil (`pencil`) finds their poles from uniformly
+sampled windows of several signals at once. Modes are told apart by shape, not
+by position.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from . import matrix_pencil as pencil
+
+Array = npt.NDArray[np.float64]
+_SUSTAINED = 0.005  #: share by which a swing must shrink from one quarter to the next
+_SETTLED = 0.02  #: of the peak: what remains within is no swing any more
+_AT_LIMIT = 1e-3  #: how near to its limit a control counts as at it
+
+
+@dataclass(frozen=True)
+class RingDownMode:
+    """One decaying oscillation: pole in rad/s, amplitude of each signal at the start of the window."""
+
+    pole: complex
+    amplitudes: tuple[complex, ...]
+
+    @property
+    def frequency_hz(self) -> float:
+        return abs(self.pole.imag) / (2.0 * np.pi)
+
+    @property
+    def damping_ratio(self) -> float:
+        return float(-self.pole.real / abs(self.pole))
+
+
+@dataclass(frozen=True)
+class RingDown:
+    """Modes found in a window, strongest first; `error` is the largest misfit over the largest signal."""
+
+    modes: tuple[RingDownMode, ...]
+    window_s: tuple[float, float]
+    error: float
+    method: str = "matrix pencil"
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """What a run reached. `methods` says for each number its window and method.
+
+    stable : the swing decays, is no sustained oscillation, and no control ends at its limit (`is_stable`).
+    damping_ratio : mode -> damping ratio of the ring-down. frequency_hz : mode -> Hz.
+    settling_time_s : from the last event to where the signal stays within 2 % of its peak; None: it does not.
+    peak : largest |signal|, pu. energy : integral of its square, pu^2 s. effort : of the controls, pu^2 s.
+    """
+
+    signal: str
+    stable: bool
+    damping_ratio: Mapping[str, float]
+    frequency_hz: Mapping[str, float]
+    settling_time_s: float | None
+    peak: float
+    energy: float
+    effort: float
+    fit_error: float
+    methods: Mapping[str, str] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, object]:
+        """Return plain types, for JSON."""
+        plain = {k: dict(v) if isinstance(v, Mapping) else v for k, v in asdict(self).items()}
+        return plain | {f"peak_{self.signal}": self.peak}
+
+
+def uniform(
+    time_s: Array, signals: Sequence[Array], start_s: float, stop_s: float, step_s: float
+) -> tuple[Array, Array]:
+    """Return a window of `signals`, each (points,), on a uniform grid: times, values (times, signals).
+
+    Grid points of a run are on the grid already; extra points at events are left out, and only where a grid
+    point is missing is it interpolated (straight line).
+    """
+    n = int(np.floor((stop_s - start_s) / step_s + 1e-9)) + 1
+    grid: Array = start_s + step_s * np.arange(n, dtype=np.float64)
+    window = np.empty((n, len(signals)))
+    for k, signal in enumerate(signals):
+        window[:, k] = np.interp(grid, time_s, signal)
+    return grid, window
+
+
+def ring_down(
+    time_s: Array, values: Array, *, rank_tolerance: float = 1e-4, max_order: int = 24, share: float = 0.4
+) -> RingDown:
+    """Fit decaying oscillations to uniformly sampled signals by the matrix pencil.
+
+    Parameters
+    ----------
+    time_s : (points,) uniform. values : (points, signals), each in its own unit.
+    rank_tolerance : singular values below this times the largest are noise.
+    max_order : most poles. share : pencil parameter over the number of points.
+
+    Raises
+    ------
+    ValueError : fewer than 10 points, or no uniform grid.
+    """
+    values = np.asarray(values, dtype=np.float64).reshape(len(time_s), -1)
+    n = len(values)
+    if not n >= 10:
+        raise ValueError(f"ring_down: {n} points are too few; at least 10 are needed")
+    steps = np.diff(time_s)
+    step = (time_s[-1] - time_s[0]) / (n - 1)
+    if not np.max(np.abs(steps - step)) <= 1e-6 * abs(step):
+        raise ValueError("ring_down: the times are not uniform; use `uniform` first")
+    window = (float(time_s[0]), float(time_s[-1]))
+    scale = np.max(np.abs(values), axis=0)
+    used = scale > 0.0
+    if not np.any(used):
+        return RingDown((), window, 0.0)
+    data = values[:, used] / scale[used]
+    basis = pencil.signal_space(data, n - int(share * n), rank_tolerance, max_order)
+    poles = pencil.poles_of(basis, step)
+    amplitudes, misfit = pencil.amplitudes_of(time_s, values, poles)
+    per_unit = np.where(used, scale, 1.0)
+    strength = np.max(np.abs(amplitudes) / per_unit, axis=1)
+    swings = np.flatnonzero((poles.imag > 1e-6) & (poles.imag < 0.9 * np.pi / step))
+    modes = [
+        RingDownMode(complex(poles[k]), tuple(amplitudes[k].tolist()))
+        for k in sorted(swings.tolist(), key=lambda k: -strength[k])
+    ]
+    return RingDown(tuple(modes), window, float(np.max(np.abs(misfit) / per_unit)))
+
+
+def match_modes(
+    found: RingDown, shapes: Mapping[str, Sequence[complex]], *, least_agreement: float = 0.7
+) -> dict[str, RingDownMode]:
+    """Name ring-down modes by shape: the assurance criterion |phi^H psi|^2 / (|phi|^2 |psi|^2).
+
+    shapes : mode name -> expected complex amplitude of each signal, in the order of the fit.
+    Among fits that agree at least `least_agreement` the strongest is taken.
+    """
+    named: dict[str, RingDownMode] = {}
+    for name, shape in shapes.items():
+        psi = np.asarray(shape, dtype=complex)
+        for mode in found.modes:
+            phi = np.array(mode.amplitudes)
+            agreement = abs(np.vdot(phi, psi)) ** 2 / (np.vdot(phi, phi).real * np.vdot(psi, psi).real)
+            if agreement >= least_agreement and mode not in named.values():
+                named[name] = mode
+                break
+    return named
+
+
+def settling_time_s(time_s: Array, signal: Array, start_s: float, *, band: float = 0.02) -> float | None:
+    """Return how long after `start_s` |signal| last exceeds `band` of its peak; None: it still does.
+
+    The last crossing is found on the straight line between samples.
+    """
+    after = time_s >= start_s
+    t, x = time_s[after], np.abs(signal[after])
+    limit = band * float(np.max(np.abs(signal)))
+    outside = np.flatnonzero(x > limit)
+    if len(outside) == 0:
+        return 0.0
+    k = int(outside[-1])
+    if k + 1 >= len(t):
+        return None
+    crossing = t[k] + (t[k + 1] - t[k]) * (x[k] - limit) / (x[k] - x[k + 1])
+    return float(crossing - start_s)
+
+
+def energy(time_s: Array, signal: Array, start_s: float = 0.0) -> float:
+    """Return the integral of signal^2 from `start_s` to the end (trapezoids)."""
+    after = time_s >= start_s
+    return float(np.trapezoid(signal[after] ** 2, time_s[after]))
+
+
+def is_stable(
+    time_s: Array,
+    signal: Array,
+    start_s: float,
+    *,
+    controls: Sequence[Array] = (),
+    limit_pu: float | None = None,
+) -> bool:
+    """Whether a swing decays after `start_s`, of which the second, third and last quarters are compared.
+
+    Its largest value in the last quarter is below that in the second (below 1e-9 is nothing any more); it is
+    no sustained oscillation: the last quarter is at least 0.5 % below the third, unless it lies within 2 % of
+    the run's peak; and no control is at its limit in the last quarter, where a swing would neither grow nor
+    decay.
+
+    Parameters
+    ----------
+    controls : control signals, pu, on the same points. limit_pu : of their magnitude; None: they have none.
+    """
+    span = time_s[-1] - start_s
+    last = time_s >= start_s + 0.75 * span
+    third = (time_s >= start_s + 0.5 * span) & ~last
+    second = (time_s >= start_s + 0.25 * span) & (time_s < start_s + 0.5 * span)
+    if not (np.any(second) and np.any(third) and np.any(last)):
+        return True
+    reached = np.inf if limit_pu is None else (1.0 - _AT_LIMIT) * limit_pu
+    if any(np.max(np.abs(u[last])) >= reached for u in controls):
+        return False
+    a2, a3, a4 = (float(np.max(np.abs(signal[part]))) for part in (second, third, last))
+    settled = _SETTLED * float(np.max(np.abs(signal)))
+    return bool(a4 < 1e-9 or (a4 < a2 and (a4 <= settled or a4 <= (1.0 - _SUSTAINED) * a3)))

@@ -1,0 +1,158 @@
+"""Metrics of a run of a power system: which signal, which window, which mode is which."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from ..scenario.scenario import Scenario
+from ..trajectory import Curves, Trajectory
+from . import metrics as m
+
+if TYPE_CHECKING:
+    from interarea.models.case.case import Case
+
+Array = npt.NDArray[np.float64]
+_BAND_HZ = (0.1, 3.0)  # electromechanical modes
+_SAMPLE_S = 0.05  # spacing of the fit: 20 samples a second carry modes up to 3 Hz well
+# Of the strongest mode's amplitude: below, harmonics and what the fit makes of the delay's many poles begin
+# (0.02 with 300 ms on all signals, and a damping ratio of 0.5 where the mode's is 0.31).
+_LEAST_STRENGTH = 5e-2
+_LEAST_PURITY = (
+    0.6  # share of the motion in the shape that gives the name: harmonics are mixtures near a half
+)
+_LEAST_WINDOW_S = 4.0
+_SKIP_S = 0.25  # after the last disturbance: fast, well damped modes die out
+
+
+def swing_signal(trajectory: Curves, case: Case) -> tuple[str, Array]:
+    """Return name and values of the speed difference that a run is judged by, pu.
+
+    G2 against G4 where these exist (``dw24``), else the mean speed of the first area against the last.
+    """
+    if "plant.G2_dw" in trajectory.data and "plant.G4_dw" in trajectory.data:
+        return "dw24", trajectory["plant.G2_dw"] - trajectory["plant.G4_dw"]
+    areas = sorted({g.area for g in case.machines})
+    means = [
+        np.mean([trajectory[f"plant.{g.name}_dw"] for g in case.machines if g.area == area], axis=0)
+        for area in (areas[0], areas[-1])
+    ]
+    return f"dw_area{areas[0]}_area{areas[-1]}", means[0] - means[1]
+
+
+def disturbance_end_s(scenario: Scenario) -> float:
+    """Return when the last event started or ended, s (0 without events)."""
+    times = [t for e in scenario.event for t in (e.start_s, getattr(e, "end_s", None)) if t is not None]
+    return max((t for t in times if t < scenario.stop_s), default=0.0)
+
+
+def fit_window(scenario: Scenario) -> tuple[float, float]:
+    """Return the window of the ring-down: from just after the last disturbance to a change of a channel.
+
+    An outage that starts later than 4 s after the disturbance ends the window; one that starts sooner starts
+    it anew, since the system then still swings.
+    """
+    start = disturbance_end_s(scenario)
+    later = sorted(t for t in scenario.marks_s if t > start)
+    for change in later:
+        if change - start >= _LEAST_WINDOW_S:
+            return start + _SKIP_S, change
+        start = change
+    return start + _SKIP_S, scenario.stop_s
+
+
+def ring_down_of(
+    trajectory: Curves, case: Case, window_s: tuple[float, float], step_s: float
+) -> tuple[dict[str, m.RingDownMode], m.RingDown]:
+    """Fit the machines' speeds (their common motion taken out) in a window; return named modes and the fit.
+
+    Names by shape: a mode whose motion is mostly between the means of the areas is ``inter-area``, one mostly
+    inside area k is ``local area k``; of each the strongest. Mixtures, as harmonics of a large swing, have
+    no name.
+    """
+    columns = [f"plant.{g.name}_dw" for g in case.machines]
+    spacing = max(1, round(_SAMPLE_S / step_s)) * step_s
+    start = np.ceil(window_s[0] / step_s - 1e-9) * step_s
+    time, values = m.uniform(
+        trajectory.time_s, [trajectory[c] for c in columns], float(start), window_s[1], spacing
+    )
+    if len(time) < 10:
+        return {}, m.RingDown((), window_s, 0.0)
+    fit = m.ring_down(time, values - values.mean(axis=1, keepdims=True))
+    inside = [mode for mode in fit.modes if _BAND_HZ[0] <= mode.frequency_hz <= _BAND_HZ[1]]
+    if not inside:
+        return {}, fit
+    shapes = np.array([mode.amplitudes for mode in inside])
+    sizes = np.max(np.abs(shapes), axis=1)
+    strongest = np.maximum.accumulate(sizes)
+    named: dict[str, m.RingDownMode] = {}
+    for k, (name, purity) in enumerate(_names(shapes, [g.area for g in case.machines])):
+        if sizes[k] >= _LEAST_STRENGTH * strongest[k] and purity >= _LEAST_PURITY:
+            named.setdefault(name, inside[k])
+    return named, fit
+
+
+def _names(shapes: npt.NDArray[np.complex128], areas: Sequence[int]) -> list[tuple[str, float]]:
+    """Return the name of each shape, (modes, machines), and the share of the motion that the name covers."""
+    count = shapes.shape[1]
+    rest = shapes - shapes.sum(axis=1, keepdims=True) / count
+    between = np.zeros(len(shapes))
+    inside = {}
+    for area in sorted(set(areas)):
+        part = rest[:, [k for k, a in enumerate(areas) if a == area]]
+        mean = part.sum(axis=1, keepdims=True) / part.shape[1]
+        between += part.shape[1] * np.abs(mean[:, 0]) ** 2
+        inside[area] = np.sum(np.abs(part - mean) ** 2, axis=1)
+    total = between + sum(inside.values())
+    local = np.array(list(inside.values()))
+    largest = np.argmax(local, axis=0)
+    found = []
+    for k, all_motion in enumerate(total):
+        own = local[largest[k], k]
+        name = "inter-area" if between[k] >= own else f"local area {list(inside)[largest[k]]}"
+        # a shape that is nothing at all swings nowhere: its share is none
+        found.append((name, float(max(between[k], own) / all_motion) if all_motion > 0.0 else 0.0))
+    return found
+
+
+def run_metrics(
+    trajectory: Trajectory, case: Case, scenario: Scenario, step_s: float, limit_pu: float | None = None
+) -> m.Metrics:
+    """Return the metrics of a run; `limit_pu`: of the control signals, None where they have none."""
+    time = trajectory.time_s
+    name, signal = swing_signal(trajectory, case)
+    end = disturbance_end_s(scenario)
+    window = fit_window(scenario)
+    window = (window[0], min(window[1], float(time[-1])))
+    named, fit = ring_down_of(trajectory, case, window, step_s) if window[1] > window[0] else ({}, None)
+    controls = [trajectory[c] for c in trajectory.reals_of("controller")]
+    effort = float(sum(m.energy(time, u) for u in controls))
+    error = 0.0 if fit is None else fit.error
+    text = (
+        f"matrix pencil on the speeds less their mean, {window[0]:g} to {window[1]:g} s, "
+        f"largest misfit {error:.1e} of the largest signal"
+    )
+    return m.Metrics(
+        signal=name,
+        stable=m.is_stable(time, signal, end, controls=controls, limit_pu=limit_pu),
+        damping_ratio={n: mode.damping_ratio for n, mode in named.items()},
+        frequency_hz={n: mode.frequency_hz for n, mode in named.items()},
+        settling_time_s=m.settling_time_s(time, signal, end),
+        peak=float(np.max(np.abs(signal))),
+        energy=m.energy(time, signal),
+        effort=effort,
+        fit_error=error,
+        methods={
+            "damping_ratio": text,
+            "frequency_hz": text,
+            "stable": f"largest |{name}| in quarters of the time after {end:g} s: the last below the second, "
+            "and 0.5 % below the third or within 2 % of the peak; no control at its limit in the last",
+            "settling_time_s": f"from {end:g} s to the last time |{name}| exceeds 2 % of its peak",
+            "peak": f"largest |{name}| of the run",
+            "energy": f"integral of {name}^2 over the run, trapezoids",
+            "effort": "sum over controller outputs of the integral of their square over the run, trapezoids",
+        },
+    )

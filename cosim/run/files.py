@@ -1,0 +1,110 @@
+"""What `interarea run` leaves in its folder: trajectory as CSV and Parquet, ledgers and metrics, a plot."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from ..plots.curves import DASHES, MUTED, SERIES, STYLE, new_figure, save_figure
+from ..results.result import Result
+from ..results.ringdown import swing_signal
+from .run import Run
+
+
+def write_result(result: Result, folder: Path) -> list[Path]:
+    """Write trajectory.csv, trajectory.parquet and ledger.json, for a `Run` also metrics.json and run.svg.
+
+    Returns the files.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / name for name in ("trajectory.csv", "trajectory.parquet", "ledger.json")]
+    result.trajectory.write_csv(files[0])
+    result.trajectory.write_parquet(files[1])
+    ledgers = {
+        "step_s": result.ledger.step_s,
+        "inputs": result.ledger.inputs,
+        "delays": result.ledger.as_rows(),
+        "packets": {name: dict(row) for name, row in result.packets.rows.items()},
+    }
+    _write_json(ledgers, files[2])
+    if isinstance(result, Run):
+        files += [folder / "metrics.json", folder / "run.svg"]
+        _write_json(result.metrics.as_dict(), files[3])
+        save_figure(run_plot(result), files[4])
+    return files
+
+
+def _write_json(value: object, path: Path) -> None:
+    path.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def run_plot(run: Run) -> Figure:
+    """Draw a run: the speed difference it is judged by, speeds of the machines, controls if there are any.
+
+    Disturbances and the times without a signal are shaded.
+    """
+    curves = run.trajectory
+    name, swing = swing_signal(curves, run.case)
+    controls = curves.reals_of("controller")
+    rows = 3 if controls else 2
+    start, end = float(curves.time_s[0]), float(curves.time_s[-1])
+    figure, axes = new_figure(rows, 1, height=1.4 * rows + 0.8, sharex=True)
+    with mpl.rc_context(STYLE):
+        axes[0].plot(curves.time_s, 1e3 * swing, color=SERIES[0])
+        axes[0].set_ylabel(f"{name}\n(10⁻³ pu)")
+        for k, machine in enumerate(run.case.machines):
+            speed = 1e3 * np.asarray(curves[f"plant.{machine.name}_dw"])
+            colour, dash = SERIES[k % len(SERIES)], DASHES[(k + k // len(SERIES)) % len(DASHES)]
+            axes[1].plot(
+                curves.time_s, speed, color=colour, linestyle=dash, linewidth=1.0, label=machine.name
+            )
+        axes[1].set_ylabel("speed deviation\n(10⁻³ pu)")
+        axes[1].legend(**_BESIDE, ncols=1 + (len(run.case.machines) - 1) // 8)
+        for k, control in enumerate(controls):
+            colour, dash = SERIES[k % len(SERIES)], DASHES[k % len(DASHES)]
+            label = control.split(".", 1)[1]
+            axes[2].plot(curves.time_s, curves[control], color=colour, linestyle=dash, label=label)
+        if controls:
+            axes[2].set_ylabel("control (pu)")
+            axes[2].legend(**_BESIDE)
+        spans, shades = _spans(run, end), (MUTED, SERIES[1], SERIES[2], SERIES[4])
+        for axis in axes:
+            for k, (_, when) in enumerate(spans):
+                for one in when:
+                    axis.axvspan(*one, color=shades[k % len(shades)], alpha=0.18, linewidth=0.0, zorder=0)
+        if spans:
+            patches = [
+                Patch(color=shades[k % len(shades)], alpha=0.18, linewidth=0.0) for k in range(len(spans))
+            ]
+            axes[0].legend(patches, [label for label, _ in spans], **_BESIDE)
+        axes[-1].set_xlabel("time (s)")
+        axes[-1].set_xlim(start, end)
+        axes[-1].xaxis.set_major_locator(MaxNLocator(10, integer=end - start >= 5.0))
+        title = run.scenario.title or run.scenario.name
+        figure.suptitle(textwrap.fill(title, 90), fontsize=9, x=0.01, ha="left")
+    return figure
+
+
+_BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "fontsize": 7, "borderaxespad": 0.2}
+
+
+def _spans(run: Run, end_s: float) -> list[tuple[str, list[tuple[float, float]]]]:
+    """Return what is shaded: disturbances first, then the outages of each channel; label, times (s)."""
+    events = [
+        (e.start_s, t if (t := getattr(e, "end_s", None)) is not None else e.start_s)
+        for e in run.scenario.event
+    ]
+    short = 0.002 * end_s  # what lasts an instant is drawn as a line
+    found = [("disturbance", [(a, max(b, a + short)) for a, b in events if a < end_s])]
+    for name, channel in run.scenario.channels.items():
+        outages = [(a, min(b, end_s)) for a, b in channel.outages_s if a < end_s]
+        found.append((f"{name} lost", outages))
+    return [(label, when) for label, when in found if when]

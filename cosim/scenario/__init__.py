@@ -1,0 +1,1 @@
+"""Scenario files: what is wired, which channels, which events."""

@@ -1,0 +1,241 @@
+"""One channel of a scenario: its keys, the FMU parameters they become, the arrivals and delays they mean."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Annotated, Literal, Protocol, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from interarea.models.blocks.channel import OUTAGES, gamma_quantiles, quantiles_of
+from interarea.models.blocks.packet_schedule import packets_of
+
+from ..clock import TICKS_PER_SECOND, Clock, seconds, to_ticks
+from ..errors import ScenarioError
+from ..master.instances import Value
+from ..participant import Participant
+from .delays import Delays
+
+Seconds = Annotated[float, Field(ge=0.0)]
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class Table(BaseModel):
+    """A table of a scenario file: unknown keys and numbers that are not finite are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class GammaLatency(Table):
+    """A random latency on top of `latency_s`, gamma distributed with mean shape * scale_s."""
+
+    kind: Literal["gamma"]
+    shape: Annotated[float, Field(gt=0.0)]
+    scale_s: Annotated[float, Field(gt=0.0)]
+
+
+class EmpiricalLatency(Table):
+    """A random latency on top of `latency_s`: quantiles at equally spaced probabilities 0 to 1."""
+
+    kind: Literal["empirical"]
+    quantiles_s: Annotated[tuple[Seconds, ...], Field(min_length=2)]
+
+    @field_validator("quantiles_s")
+    @classmethod
+    def _ascending(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if list(value) != sorted(value):
+            raise ValueError(f"quantiles_s = {list(value)}, allowed: not descending")
+        return value
+
+
+class BernoulliLoss(Table):
+    """Each packet is lost with probability `rate`."""
+
+    kind: Literal["bernoulli"]
+    rate: Probability
+
+
+class GilbertElliottLoss(Table):
+    """Loss in a good and a bad state; moves between them once per packet."""
+
+    kind: Literal["gilbert_elliott"]
+    good_to_bad: Probability
+    bad_to_good: Annotated[float, Field(gt=0.0, le=1.0)]
+    loss_good: Probability = 0.0
+    loss_bad: Probability = 1.0
+
+
+class ChannelLine(Table):
+    """How a channel delays and loses what is sent (semantics: models/c/channel/channel.h)."""
+
+    latency_s: Seconds = 0.0
+    on_loss: Literal["zero", "hold", "hold_then_zero"] = "zero"
+    hold_s: Seconds = 1.0
+    reporting_interval_s: Seconds = 0.0
+    jitter_s: Seconds = 0.0
+    latency: Annotated[GammaLatency | EmpiricalLatency, Field(discriminator="kind")] | None = None
+    loss: Annotated[BernoulliLoss | GilbertElliottLoss, Field(discriminator="kind")] | None = None
+    quantum: Seconds = 0.0
+    pdc_wait_s: Seconds = 0.0
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+    outages_s: tuple[tuple[Seconds, Seconds], ...] = ()
+
+    @field_validator("latency_s")
+    @classmethod
+    def _on_the_clock(cls, value: float) -> float:
+        to_ticks(value, "latency_s")
+        return value
+
+    @field_validator("reporting_interval_s")
+    @classmethod
+    def _frame(cls, value: float) -> float:
+        if value and not value >= 1e-4:
+            raise ValueError(f"reporting_interval_s = {value:g}, allowed: 0 (continuous) or at least 1e-4")
+        to_ticks(value, "reporting_interval_s")
+        return value
+
+    @model_validator(mode="after")
+    def _packets(self) -> Self:
+        if not self.reporting_interval_s:
+            for key in ("jitter_s", "latency", "loss", "pdc_wait_s"):
+                if getattr(self, key):
+                    raise ValueError(f"{key} acts on packets: set reporting_interval_s")
+        return self
+
+    @model_validator(mode="after")
+    def _outages(self) -> Self:
+        last = 0.0
+        for start, end in self.outages_s:
+            if not end > start:
+                raise ValueError(f"outages_s has [{start:g}, {end:g}], allowed: end > start")
+            if not start >= last:
+                raise ValueError(
+                    f"outages_s has [{start:g}, {end:g}] before {last:g}, allowed: in order, no overlap"
+                )
+            to_ticks(start, "outages_s")
+            to_ticks(end, "outages_s")
+            last = end
+        return self
+
+    def parameters(self, where: str) -> dict[str, Value]:
+        """Return the parameters of a channel's FMU.
+
+        Raises
+        ------
+        ScenarioError : more outages than a channel has windows; `where` names it.
+        """
+        if len(self.outages_s) > OUTAGES:
+            raise ScenarioError(
+                f"{where}.outages_s has {len(self.outages_s)} windows, allowed: at most {OUTAGES}"
+            )
+        start: dict[str, Value] = {
+            "latency": self.latency_s,
+            "on_loss": self.on_loss,
+            "hold_time": self.hold_s,
+            "reporting_interval": self.reporting_interval_s,
+            "jitter": self.jitter_s,
+            "quantum": self.quantum,
+            "pdc_wait": self.pdc_wait_s,
+            "seed": self.seed,
+        }
+        start |= self._quantiles()
+        if isinstance(self.loss, BernoulliLoss):
+            start["loss_good"] = self.loss.rate
+        elif self.loss is not None:
+            chances = ("loss_good", "loss_bad", "good_to_bad", "bad_to_good")
+            start |= {key: getattr(self.loss, key) for key in chances}
+        for k, (begin, end) in enumerate(self.outages_s, start=1):
+            start |= {f"outage[{k}].start": begin, f"outage[{k}].end": end}
+        return start
+
+    def _quantiles(self) -> dict[str, float]:
+        if isinstance(self.latency, GammaLatency):
+            return gamma_quantiles(self.latency.shape, self.latency.scale_s)
+        return {} if self.latency is None else quantiles_of(self.latency.quantiles_s)
+
+    @property
+    def least_latency_s(self) -> float:
+        """The least time from input to output, s: what the step and the stepping order can rely on."""
+        return max(self.latency_s, self.pdc_wait_s)
+
+    @property
+    def marks_s(self) -> tuple[float, ...]:
+        """Instants at which the output may jump, packets aside: outages, the end of holding in one."""
+        marks = {t for window in self.outages_s for t in window}
+        if self.on_loss == "hold_then_zero":
+            marks |= {start + self.hold_s for start, end in self.outages_s if start + self.hold_s < end}
+        return tuple(sorted(marks))
+
+    def arrivals(self, start_s: float, stop_s: float) -> list[int]:
+        """Return the ticks at which a packet comes out or is missed, or what is held for it ends."""
+        if not self.reporting_interval_s:
+            return []
+        numbers = {k: float(v) for k, v in self.parameters("channel").items() if not isinstance(v, str)}
+        packets = packets_of(numbers, start_s, stop_s)
+        due = packets.due_s
+        if self.on_loss == "hold_then_zero":
+            due = np.concatenate([due, packets.due_s[packets.lost] + self.hold_s])
+        scaled = due[(due > start_s) & (due < stop_s)] * TICKS_PER_SECOND
+        near = np.round(scaled)
+        # rounding of k T + latency is far below a tick: such an instant is that tick, others the next
+        return sorted({int(t) for t in np.where(np.abs(scaled - near) < 0.05, near, np.ceil(scaled))})
+
+    @property
+    def timing(self) -> tuple[object, ...]:
+        """All of this channel that a master's clock and order depend on."""
+        return (self.least_latency_s, self if self.reporting_interval_s else None)
+
+    @property
+    def steady(self) -> Self:
+        """The same channel with nothing random, nothing lost and nothing rounded."""
+        off = {"jitter_s": 0.0, "latency": None, "loss": None, "quantum": 0.0, "outages_s": ()}
+        return self.model_copy(update=off)
+
+    def delays(self, clock: Clock | None = None) -> Delays:
+        """Return what the ledger states about this channel; with the `clock` of a run what arrivals wait too.
+
+        Packets add half a reporting interval, the mean age of a value that is held until the next, and
+        the mean of the random latency; a concentrator that waits takes that mean into its wait.
+        """
+        table = list(self._quantiles().values())
+        mean = float(np.trapezoid(table, dx=1.0 / (len(table) - 1))) if table else 0.0
+        return Delays(
+            requested_s=self.least_latency_s,
+            network_s=self.least_latency_s,
+            reporting_s=0.5 * self.reporting_interval_s,
+            jitter_mean_s=0.0 if self.pdc_wait_s else 0.5 * self.jitter_s + mean,
+            waiting_s=0.0 if clock is None else self._waiting_s(clock),
+        )
+
+    def _waiting_s(self, clock: Clock) -> float:
+        due = np.array(self.arrivals(seconds(clock.start), seconds(clock.stop)))
+        ends = np.array(clock.steps.ends)
+        if not due.size:
+            return 0.0
+        interval = to_ticks(self.reporting_interval_s, "reporting_interval_s")
+        pattern = math.lcm(interval, clock.step) // interval  # packets after which the waits repeat
+        due = due[: max(pattern * (due.size // pattern), 1)] if pattern <= due.size else due
+        waits = ends[np.searchsorted(ends, due)] - due
+        return float(np.mean(waits)) / TICKS_PER_SECOND
+
+
+class Reporting(Protocol):
+    """Anything that sends packets when its reporting interval is positive."""
+
+    @property
+    def reporting_interval_s(self) -> float: ...
+
+
+def hold_packets(participant: Participant, line: Reporting) -> Participant:
+    """Make the outputs of a channel's instance discrete when it sends packets, and continuous when not.
+
+    Between two arrivals the output of such a channel stays what it is: held, never drawn as a line.
+    """
+    outputs = tuple(
+        replace(p, discrete=p.type != "Real" or line.reporting_interval_s > 0.0)
+        for p in participant.description.outputs
+    )
+    participant.description = replace(participant.description, outputs=outputs)
+    return participant

@@ -1,0 +1,126 @@
+"""A concentrator of a system: its keys, the FMU parameters they become, the arrivals and delays they mean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Literal, Self, get_args
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from interarea.models.blocks.concentrator import MOST_SIGNALS, FrameSets, frame_sets
+
+from ..clock import TICKS_PER_SECOND, Clock, seconds, to_ticks
+from ..master.instances import Value
+from .channels import Probability, Seconds, Table
+from .delays import Delays
+
+
+class SignalWay(Table):
+    """How one signal gets to the concentrator; `lost_s`: stamps in [start, end) never do."""
+
+    latency_s: Seconds = 0.0
+    jitter_s: Seconds = 0.0
+    loss: Probability = 0.0
+    lost_s: tuple[Seconds, Seconds] | None = None
+
+
+class ConcentratorLine(Table):
+    """Several signals aligned by time stamp (semantics: models/c/concentrator/concentrator.h)."""
+
+    signals: Annotated[tuple[SignalWay, ...], Field(min_length=1, max_length=MOST_SIGNALS)]
+    reporting_interval_s: Annotated[float, Field(ge=1e-4)] = 0.02
+    wait_s: Seconds = 0.1
+    relative: bool = False
+    latency_s: Seconds = 0.0
+    on_loss: Literal["zero", "hold"] = "zero"
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+
+    @classmethod
+    def keys_at(cls, location: Sequence[int | str]) -> list[str]:
+        """Return the keys allowed where `location` points into the table, for errors."""
+        way = cls.model_fields["signals"].annotation
+        inside = len(location) > 1 and location[0] == "signals"
+        return list((get_args(way)[0] if inside else cls).model_fields)
+
+    @field_validator("reporting_interval_s", "latency_s", "wait_s")
+    @classmethod
+    def _on_the_clock(cls, value: float) -> float:
+        to_ticks(value, "reporting_interval_s, latency_s and wait_s")
+        return value
+
+    @model_validator(mode="after")
+    def _windows(self) -> Self:
+        for s in self.signals:
+            if s.lost_s is not None and not s.lost_s[1] > s.lost_s[0]:
+                raise ValueError(f"lost_s has {list(s.lost_s)}, allowed: end > start")
+        return self
+
+    def parameters(self, where: str) -> dict[str, Value]:
+        """Return the parameters of the FMU; `where` would name a mistake, of which there is none left."""
+        start: dict[str, Value] = {
+            "reporting_interval": self.reporting_interval_s,
+            "wait": self.wait_s,
+            "latency": self.latency_s,
+            "relative": int(self.relative),
+            "on_loss": self.on_loss,
+            "seed": self.seed,
+        }
+        for i, s in enumerate(self.signals, start=1):
+            start |= {f"latency[{i}]": s.latency_s, f"jitter[{i}]": s.jitter_s, f"loss[{i}]": s.loss}
+            if s.lost_s is not None:
+                start |= {f"lost[{i}].start": s.lost_s[0], f"lost[{i}].end": s.lost_s[1]}
+        return start
+
+    @property
+    def least_latency_s(self) -> float:
+        """The least time from input to output, s: the slowest signal, or the end of the wait."""
+        ways = [s.latency_s for s in self.signals]
+        end = (min(ways) if self.relative else 0.0) + self.wait_s
+        return self.latency_s + min(max(ways), end)
+
+    @property
+    def timing(self) -> tuple[object, ...]:
+        """All of it that a master's clock and order depend on."""
+        return (self.least_latency_s, self)
+
+    @property
+    def marks_s(self) -> tuple[float, ...]:
+        """Instants at which an output may jump, sets aside: none."""
+        return ()
+
+    @property
+    def steady(self) -> Self:
+        """The same concentrator with nothing random and nothing lost."""
+        ways = tuple(
+            s.model_copy(update={"jitter_s": 0.0, "loss": 0.0, "lost_s": None}) for s in self.signals
+        )
+        return self.model_copy(update={"signals": ways})
+
+    def arrivals(self, start_s: float, stop_s: float) -> list[int]:
+        """Return the ticks at which a set comes out."""
+        due = self._sets(start_s, stop_s).due_s
+        scaled = due[(due > start_s) & (due < stop_s)] * TICKS_PER_SECOND
+        near = np.round(scaled)
+        return sorted({int(t) for t in np.where(np.abs(scaled - near) < 0.05, near, np.ceil(scaled))})
+
+    def delays(self, clock: Clock | None = None) -> Delays:
+        """Return what the ledger states; with the `clock` of a run the mean over its sets too."""
+        least = self.least_latency_s
+        mean = wait = 0.0
+        if clock is not None:
+            start_s, stop_s = seconds(clock.start), seconds(clock.stop)
+            sets = self._sets(start_s, stop_s)
+            if sets.due_s.size:
+                mean = max(0.0, float(np.mean(sets.due_s - sets.stamp_s)) - least)
+            due = np.array(self.arrivals(start_s, stop_s))
+            ends = np.array(clock.steps.ends)
+            if due.size:
+                wait = float(np.mean(ends[np.searchsorted(ends, due)] - due)) / TICKS_PER_SECOND
+        # rounding of a mean over many sets is no jitter
+        jitter = mean if mean > 1e-9 else 0.0
+        return Delays(least, least, 0.5 * self.reporting_interval_s, jitter, wait)
+
+    def _sets(self, start_s: float, stop_s: float) -> FrameSets:
+        numbers = {k: float(v) for k, v in self.parameters("").items() if not isinstance(v, str)}
+        return frame_sets(numbers, len(self.signals), start_s, stop_s)

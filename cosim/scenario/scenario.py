@@ -1,0 +1,333 @@
+"""A scenario: what is run, through which channels, and what happens when.
+
+A scenario file is TOML:
+
+    case = "two-area-thesis"           # bundled name or file
+    controller = "ftc"                 # none | wdc | cc | ftc | a controller file or FMU
+    stop_s = 20.0
+    step_s = 0.01                      # optional
+    [channels.remote]
+    signal = "G2_dw"                   # plant output -> controller input of the same name
+    latency_s = 0.1
+    on_loss = "zero"                   # zero | hold | hold_then_zero (for hold_s)
+    outages_s = [[10.0, 20.0]]
+    [[event]]                          # interarea.models.case.events
+    kind = "vref_pulse"
+    machine = "G1"
+    size_pu = 0.05
+    start_s = 1.0
+    end_s = 1.2
+
+FMUs of one's own, whatever made them, with the plant or without a case:
+
+    connections = [["plant.G2_dw", "remote", "mine.u"], ["mine.y", "plant.G4_vs"]]  # channels on the way
+    [fmus.mine]
+    file = "mine.fmu"                  # beside the scenario
+    start = {gain = 3.0}               # optional
+    latency_s = 0.0                    # optional: at least so long from input to output
+    isolate = true                     # optional: in a process of its own, which it may crash
+    time_limit_s = 60.0                # optional, of one call of an isolated FMU
+
+Several signals through one concentrator (IEEE C37.247), which aligns them by time stamp:
+
+    [concentrators.pdc]
+    wait_s = 0.1                       # longest wait for a set; relative = true: from the first arrival
+    latency_s = 0.02                   # from there on; also reporting_interval_s, on_loss, seed
+    [[concentrators.pdc.signals]]
+    signal = "G2_dw"                   # as of a channel; without it: connections to pdc.u1, from pdc.y1
+    latency_s = 0.03                   # also jitter_s, loss, lost_s = [start, end]
+    [[concentrators.pdc.signals]]
+    signal = "G4_dw"
+
+A channel takes besides: reporting_interval_s (packets; needed by what follows), jitter_s (uniform),
+latency = {kind = "gamma", shape, scale_s} | {kind = "empirical", quantiles_s} on top of latency_s,
+loss = {kind = "bernoulli", rate} | {kind = "gilbert_elliott", good_to_bad, bad_to_good, loss_good, loss_bad},
+pdc_wait_s, seed; and, with or without packets, quantum.
+
+Optional besides: `title`, `source`, `[master]` (inputs, loops, tolerance, arrivals, early) and `[expect]`,
+the outcome that the gallery states and the tests assert. A signal without a channel reaches the
+controller undelayed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, Field, ValidationError, model_validator
+
+from interarea.design.controllers.bundled import shipped_names
+from interarea.models.blocks.concentrator import MOST_SIGNALS
+from interarea.models.case.errors import CaseError
+from interarea.models.case.events import events_of
+
+from ..clock import to_ticks
+from ..early_return import Early
+from ..errors import ScenarioError, nearest, one_line
+from ..master.stepping import Loops
+from ..master.wiring import Inputs
+from ..toml_file import read_toml
+from .channels import ChannelLine, Seconds, Table
+from .concentrators import ConcentratorLine, SignalWay
+
+BUNDLED = Path(__file__).parent / "bundled"
+NAMED_CONTROLLERS = ("none", "wdc", "cc", "ftc", "active", *shipped_names())
+_RESERVED = ("plant", "controller")
+
+
+class FmuTable(Table):
+    """Any FMI 2.0 co-simulation FMU: file, start values, the least latency it promises."""
+
+    file: Annotated[str, Field(min_length=1)]
+    start: Mapping[str, float | int | bool | str] = {}
+    latency_s: Seconds = 0.0
+    isolate: bool = False  #: in a process of its own, which it may crash
+    time_limit_s: Annotated[float, Field(gt=0.0)] | None = None  #: of one call there
+
+    @model_validator(mode="after")
+    def _limited(self) -> Self:
+        if self.time_limit_s is not None and not self.isolate:
+            raise ValueError("time_limit_s ends calls of an isolated FMU; set isolate = true")
+        return self
+
+    @property
+    def process(self) -> dict[str, Any]:
+        """Where it runs, as `participant_of` takes it."""
+        return {"isolate": self.isolate, "time_limit_s": self.time_limit_s}
+
+
+class ChannelTable(ChannelLine):
+    """A channel: `signal` travels from the plant to the controller's input of that name; without it the
+    channel is connected by `connections`."""
+
+    signal: str = ""
+
+
+class SignalTable(SignalWay):
+    """The way of one signal to a concentrator; `signal` travels from the plant to the controller on it."""
+
+    signal: str = ""
+
+
+class ConcentratorTable(ConcentratorLine):
+    """A concentrator: signals without a name are connected by `connections` (NAME.u1 .., NAME.y1 ..)."""
+
+    signals: Annotated[tuple[SignalTable, ...], Field(min_length=1, max_length=MOST_SIGNALS)]
+
+
+class MasterTable(Table):
+    """How the master hands inputs over and what it does with loops (see `Master`)."""
+
+    inputs: Inputs = "hermite"
+    loops: Loops = "auto"
+    tolerance: Annotated[float, Field(gt=0.0, lt=1.0)] = 1e-7
+    early: Early = "go on"
+    arrivals: Literal["exact", "grid"] = "exact"  #: packets come out at their instant, or on the grid
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What `Master` takes of this table."""
+        return self.model_dump(exclude={"arrivals"})
+
+
+class Expectation(Table):
+    """The stated outcome: `damping_ratio` and `settling_time_s` as [least, most]."""
+
+    stable: bool | None = None
+    damping_ratio: Mapping[str, tuple[float, float]] = {}
+    settling_time_s: tuple[float, float] | None = None
+    peak_dw24: tuple[float, float] | None = None
+
+
+class Scenario(Table):
+    """A checked scenario; `folder` is where relative file names start."""
+
+    case: str = ""
+    controller: Annotated[str, Field(min_length=1)] = "none"
+    stop_s: Annotated[float, Field(gt=0.0)]
+    step_s: Annotated[float, Field(gt=0.0)] | None = None
+    channels: Mapping[str, ChannelTable] = {}
+    concentrators: Mapping[str, ConcentratorTable] = {}
+    fmus: Mapping[str, FmuTable] = {}
+    connections: tuple[tuple[str, ...], ...] = ()
+    event: tuple[Any, ...] = ()
+    title: str = ""
+    source: str = ""
+    master: MasterTable = MasterTable()
+    expect: Expectation = Expectation()
+    name: str = "scenario"
+    folder: Path = Path()
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        to_ticks(self.stop_s, "stop_s")
+        if self.step_s is not None:
+            to_ticks(self.step_s, "step_s")
+            if not self.step_s <= self.stop_s:
+                raise ValueError(f"step_s = {self.step_s:g}, allowed: at most stop_s = {self.stop_s:g}")
+        for k, e in enumerate(self.event, start=1):
+            for key in ("start_s", "end_s"):
+                at = getattr(e, key, None)
+                if at is None:
+                    continue
+                to_ticks(at, f"event {k} ({e.kind}): {key}")
+                if key == "start_s" and not at < self.stop_s:
+                    raise ValueError(
+                        f"event {k} ({e.kind}): start_s = {at:g} lies outside the run, "
+                        f"allowed: 0 to {self.stop_s:g}"
+                    )
+        if not self.case:
+            if not self.fmus:
+                raise ValueError("case is missing (or fmus: a scenario needs something to run)")
+            if self.event or self.controller != "none":
+                raise ValueError("event and controller need a case; FMUs of one's own come under fmus")
+        for path in self.connections:
+            if len(path) < 2:
+                raise ValueError(f"connections has {list(path)}, allowed: source, channels, target")
+        self._check_names()
+        self._check_signals()
+        for name, channel in self.channels.items():
+            for start, _ in channel.outages_s:
+                if not start < self.stop_s:
+                    raise ValueError(
+                        f"channels.{name}: an outage starts at {start:g} s, outside the run, "
+                        f"allowed: 0 to {self.stop_s:g}"
+                    )
+        return self
+
+    def _check_names(self) -> None:
+        """Raise ValueError for an instance whose name is no name, or that of another."""
+        seen = set(_RESERVED)
+        for kind in ("fmus", "channels", "concentrators"):
+            for name in getattr(self, kind):
+                if not name.isidentifier() or name in seen:
+                    raise ValueError(
+                        f"{kind}.{name}: its name must be an identifier other than "
+                        f"{' and '.join(_RESERVED)}, used once"
+                    )
+                seen.add(name)
+
+    def _check_signals(self) -> None:
+        """Raise ValueError for a way that nothing travels, or a signal that travels twice."""
+        ways = [(f"channels.{n}", c.signal, n) for n, c in self.channels.items()]
+        for name, table in self.concentrators.items():
+            for i, s in enumerate(table.signals, start=1):
+                ways.append((f"concentrators.{name}.signals {i}", s.signal, f"{name}.u{i}"))
+        taken: dict[str, str] = {}
+        for where, signal, end in ways:
+            if signal and not self.case:
+                raise ValueError(f"{where}: signal needs a case; connect {end} by connections")
+            if not signal and not any(end in path for path in self.connections):
+                raise ValueError(f"{where}: signal is missing (or name {end} in connections)")
+            if signal in taken:
+                raise ValueError(
+                    f"{where}: signal = {signal!r} already travels through {taken[signal]}, "
+                    "allowed: one channel for each signal"
+                )
+            if signal:
+                taken[signal] = where
+
+    @property
+    def lines(self) -> dict[str, ChannelTable | ConcentratorTable]:
+        """Channels and concentrators by name: whatever delays signals and counts packets."""
+        return {**self.channels, **self.concentrators}
+
+    @property
+    def signals(self) -> list[tuple[str, str, str, str]]:
+        """What travels from the plant to the controller: signal, input, output and flag of its way."""
+        ways = [(c.signal, f"{n}.u", f"{n}.y", f"{n}.valid") for n, c in self.channels.items() if c.signal]
+        for n, table in self.concentrators.items():
+            for i, s in enumerate(table.signals, start=1):
+                if s.signal:
+                    ways.append((s.signal, f"{n}.u{i}", f"{n}.y{i}", f"{n}.valid{i}"))
+        return ways
+
+    @property
+    def marks_s(self) -> tuple[float, ...]:
+        """Instants of events and outages inside the run."""
+        times = [t for e in self.event for t in (e.start_s, getattr(e, "end_s", None)) if t is not None]
+        times += [t for c in self.lines.values() for t in c.marks_s]
+        return tuple(sorted({t for t in times if 0.0 < t < self.stop_s}))
+
+    @property
+    def case_path(self) -> str | Path:
+        """The case as `load_case` takes it: a bundled name, or a file beside the scenario."""
+        return _beside(self.folder, self.case)
+
+    @property
+    def controller_path(self) -> Path | None:
+        """The controller file, or None for a named controller."""
+        if self.controller in NAMED_CONTROLLERS:
+            return None
+        return Path(_beside(self.folder, self.controller))
+
+
+def _beside(folder: Path, name: str) -> str | Path:
+    if "/" in name or "\\" in name or Path(name).suffix:
+        return folder / name
+    return name
+
+
+def load_scenario(source: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
+    """Return the scenario of a TOML file, a bundled name, or a dict of the same keys.
+
+    Raises
+    ------
+    ScenarioError : one line with file, key, value and what is allowed.
+    """
+    if isinstance(source, Scenario):
+        return source
+    if isinstance(source, Mapping):
+        return _checked(dict(source), "scenario", Path())
+    path = Path(source)
+    if not path.suffix and not path.exists():
+        path = BUNDLED / f"{path.name}.toml"
+        if not path.is_file():
+            raise ScenarioError(
+                f"scenario {str(source)!r} is neither a file nor bundled; "
+                f"{nearest(str(source), scenario_names())}"
+            )
+    if not path.exists():
+        raise ScenarioError(f"{path}: no such scenario file")
+    table = read_toml(path, "scenario", ScenarioError)
+    return _checked({"name": path.stem, **table}, str(path), path.parent)
+
+
+def scenario_names() -> list[str]:
+    """Return the names of the bundled scenarios."""
+    return sorted(p.stem for p in BUNDLED.glob("*.toml"))
+
+
+def _checked(table: dict[str, Any], where: str, folder: Path) -> Scenario:
+    try:
+        tables = table.get("event", [])
+        if not isinstance(tables, list | tuple):
+            raise ScenarioError(f"{where}: event = {tables!r}, allowed: [[event]] tables")
+        plain = [e for e in tables if isinstance(e, Mapping)]
+        for k, e in enumerate(tables, start=1):
+            if not isinstance(e, Mapping | BaseModel):
+                raise ScenarioError(f"{where}: event {k} = {e!r}, allowed: a table")
+        events = events_of(plain, where=where) if len(plain) == len(tables) else tuple(tables)
+        return Scenario.model_validate({"folder": folder, **table, "event": events})
+    except CaseError as error:
+        raise ScenarioError(str(error)) from None
+    except ValidationError as error:
+        raise ScenarioError(f"{where}: {one_line(error, _keys)}") from None
+
+
+def _keys(location: tuple[int | str, ...]) -> list[str]:
+    """Return the keys allowed where `location` points into the scenario."""
+    if len(location) == 1:
+        hidden = ("name", "folder")
+        return [k for k in Scenario.model_fields if k not in hidden]
+    tables: dict[str, type[BaseModel]] = {
+        "channels": ChannelTable,
+        "fmus": FmuTable,
+        "master": MasterTable,
+        "expect": Expectation,
+    }
+    if location[0] == "concentrators":
+        return ConcentratorTable.keys_at(location[2:])
+    table = tables.get(str(location[0]))
+    return list(table.model_fields) if table is not None else []

@@ -1,0 +1,76 @@
+"""One self-contained page: each printed table and figure beside ours, what agrees, what does not and why.
+
+Figures are inlined as SVG whose colours follow the page's light or dark theme;
+nothing is loaded from anywhere and nothing depends on the clock, so the same
+study gives the same bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from interarea.fmu_build.write.package import write_whole
+
+from ..plots.html import inline_svg
+from .thesis.claims import judge_loops, judge_modes, judge_statements
+from .thesis.published import published
+
+
+def render_report(study: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
+    """Return the page for `study` (as in study.json) with `figures` (number or name -> SVG file)."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters |= {"number": _number, "percent": _percent, "seconds": _seconds, "pole": _pole}
+    statements = judge_statements(study)
+    titles = {row["number"]: row["title"] for row in published()["figure"]}
+    count = {v: sum(j.verdict == v for j in statements) for v in ("agrees", "partly", "differs")}
+    return environment.get_template("report.html.j2").render(
+        study=study,
+        statements=statements,
+        count=count,
+        modes=judge_modes(study),
+        loops=judge_loops(study),
+        corrections=published()["correction"],
+        titles=titles,
+        svg={key: Markup(inline_svg(path, key, titles.get(key))) for key, path in figures.items()},
+    )
+
+
+def write_report(study: Mapping[str, Any], figures: Mapping[str, Path], path: Path) -> Path:
+    """Write `render_report` to `path`, as one finished file."""
+    return write_whole(path, render_report(study, figures).encode("utf-8"))
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    if value is None:
+        return "–"
+    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")  # + 0: no "−0.0"
+
+
+def _percent(value: float | None, digits: int = 1) -> str:
+    return "–" if value is None else f"{_number(100.0 * value, digits)} %"
+
+
+def _seconds(value: float | None) -> str:
+    return "not settled" if value is None else f"{value:.2f} s"
+
+
+def _pole(value: Any) -> str:
+    """Return a pole given as a real number or [re, im], in 1/s."""
+    if value is None:
+        return "–"
+    if isinstance(value, (int, float)):
+        return f"{value:.3g}".replace("-", "−")
+    real, imaginary = value
+    text = f"{real:.3g}" + (f" ± {abs(imaginary):.3g}j" if abs(imaginary) > 1e-9 else "")
+    return text.replace("-", "−")

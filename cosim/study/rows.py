@@ -1,0 +1,141 @@
+"""What a study found, as `study.json` holds it: plain numbers under the names that others read."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from interarea.design.linear.norms import hinf_of
+from interarea.design.modes.loop_selection import Loops
+from interarea.design.modes.modes import Modes
+
+from .figures import OMEGA, StudyParts, loop_functions
+from .runs import WIRINGS, StudyRun
+
+SCHEMA = 1
+
+
+def study_rows(parts: StudyParts, loops: Loops, states: int) -> dict[str, Any]:
+    """Return study.json without its figures and provenance; `states` counts the reference angle."""
+    return {
+        "schema": SCHEMA,
+        "title": parts.spec["title"],
+        "case": parts.case.name,
+        "plant": {"states": states, "relative_states": parts.plant.nstates},
+        "modes": mode_rows(parts.modes),
+        "loops": loop_rows(loops),
+        "reduction": reduction_rows(parts),
+        "controllers": {name: dict(c.certificate or {}) for name, c in parts.controllers.items()},
+        "sensitivity": sensitivity_row(parts),
+        "delay": {wiring: dict(row) for wiring, row in parts.delay.items()},
+        "delay_table": delay_table(parts),
+        "scenarios": {name: scenario_row(run) for name, run in parts.runs.items()},
+    }
+
+
+def mode_rows(modes: Modes) -> dict[str, dict[str, Any]]:
+    """Return name -> frequency_hz, damping_ratio, eigenvalue [re, im]."""
+    return {
+        name: {
+            "frequency_hz": float(mode.frequency_hz),
+            "damping_ratio": float(mode.damping_ratio),
+            "eigenvalue": [float(mode.eigenvalue.real), float(mode.eigenvalue.imag)],
+        }
+        for name, mode in modes.items()
+    }
+
+
+def loop_rows(loops: Loops) -> dict[str, Any]:
+    """Return ranking (machine of the actuator, signal, index), the selected loop and the coordinates."""
+    ranking = [
+        {
+            "actuator": loop.actuator.removesuffix("_vs"),
+            "signal": loop.signal,
+            "index": float(loop.index),
+            "geometric": float(loop.geometric),
+        }
+        for loop in loops.ranking
+    ]
+    best = loops.selected
+    return {
+        "ranking": ranking,
+        "selected": {"actuator": best.actuator.removesuffix("_vs"), "signal": best.signal},
+        "coordinates": loops.coordinates,
+    }
+
+
+def reduction_rows(parts: StudyParts) -> dict[str, dict[str, Any]]:
+    """Return order -> method, error and bound, absolute and relative to the norm of the plant."""
+    out = {}
+    for order, reduction in parts.reductions.items():
+        system = reduction.system
+        size = hinf_of(system.A, system.B, system.C, system.D).value
+        sigma = np.asarray(reduction.hankel_values)
+        following = float(sigma[reduction.order]) if reduction.order < sigma.size else 0.0
+        out[order] = {
+            "plant": ", ".join(system.output_labels) + " from " + ", ".join(system.input_labels),
+            "method": reduction.method,
+            "error": float(reduction.error),
+            "bound": None if reduction.bound is None else float(reduction.bound),
+            "relative_error": float(reduction.error / size),
+            "relative_bound": None if reduction.bound is None else float(reduction.bound / size),
+            "relative_next_hankel": following / float(sigma[0]),
+            "hankel_values": [float(s) for s in sigma[:20]],
+        }
+    return out
+
+
+def scenario_row(run: StudyRun) -> dict[str, Any]:
+    """Return a run's numbers; `damping_ratio` is the inter-area mode's, `modes` has all that show."""
+    m = run.metrics
+    return {
+        "title": run.title,
+        "stable": bool(m["stable"]),
+        "damping_ratio": m["damping_ratio"].get("inter-area"),
+        "modes": m["damping_ratio"],
+        "settling_time_s": m["settling_time_s"],
+        "peak_dw24": m["peak"],
+        "energy": m["energy"],
+        "effort": m["effort"],
+    }
+
+
+def delay_table(parts: StudyParts) -> list[dict[str, Any]]:
+    """Return one row per simulated latency: exact and co-simulated damping of both wirings."""
+    table = []
+    for value in parts.spec["latency"]["values_s"]:
+        row: dict[str, Any] = {"latency_s": value}
+        for key, label in WIRINGS.items():
+            run = parts.runs[f"{parts.spec['latency']['controller']}-{label}-{round(1e3 * value)}ms"]
+            row[key] = {
+                "least": _at(parts.delay[key]["damping"], value),
+                "inter_area": _at(parts.delay[key]["inter_area"], value),
+                "measured": run.metrics["late_damping"],
+                "settling_time_s": run.metrics["settling_time_s"],
+            }
+        table.append(row)
+    return table
+
+
+def _at(pairs: list[list[float]], delay_s: float) -> float:
+    delays = np.array([d for d, _ in pairs])
+    return float(np.interp(delay_s, delays, [z for _, z in pairs]))
+
+
+def sensitivity_row(parts: StudyParts) -> dict[str, float]:
+    """Return |S(0)| and the largest |W1 S|, |W2 KS| of the WDC loop on the full plant (frequencies drawn)."""
+    s, ks = loop_functions(parts)
+    jw = 1j * OMEGA
+    return {
+        "s_at_zero": float(s[0]),
+        "w1_s": float(np.max(np.abs(30.0 / (jw + 30.0)) * s)),
+        "w2_ks": float(np.max(np.abs(10.0 * jw / (jw + 100.0)) * ks)),
+    }
+
+
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file, hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()

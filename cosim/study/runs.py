@@ -1,0 +1,197 @@
+"""The co-simulations of a study: which there are, each run once for the same FMUs, in two processes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from threadpoolctl import threadpool_limits
+
+from interarea.models.case.case import load_case
+
+from ..errors import ScenarioError
+from ..results.metrics import ring_down, uniform
+from ..results.ringdown import disturbance_end_s, swing_signal
+from ..run.artefacts import (
+    CONTROLLER_NAMES,
+    artefact,
+    channel_fmu,
+    code_hash,
+    content_hash,
+    controller_fmu,
+    design_controller,
+    file_hash,
+    plant_fmu,
+    source_hash,
+)
+from ..run.run import Run, run_scenario
+from ..scenario.scenario import load_scenario
+from ..trajectory import Trajectory
+
+Array = npt.NDArray[np.float64]
+Document = dict[str, Any]
+
+#: study.json's names of the two wirings -> how scenario names spell them.
+WIRINGS = {"synchronous": "synchronous", "non_synchronous": "non-synchronous"}
+LATE_S = 4.0  #: after the last disturbance, when only what swings longest is left
+DEFAULT_LIMIT = 0.15  #: of the controllers' output, pu
+MARGIN_GRID_S = 1e-4  #: latencies beside the margin are rounded to this
+
+
+@dataclass(frozen=True)
+class StudyRun:
+    """One co-simulated scenario: what it was, its numbers, its trajectory on disk."""
+
+    name: str
+    title: str
+    document: Mapping[str, Any]
+    metrics: Mapping[str, Any]
+    trajectory: Path
+
+    @property
+    def curves(self) -> Trajectory:
+        """The trajectory, read from disk."""
+        return Trajectory.read_parquet(self.trajectory)
+
+
+def scenario_documents(spec: Mapping[str, Any], margin_s: float | None) -> dict[str, Document]:
+    """Return every scenario of a study, in the form of a scenario file, by name.
+
+    spec : the study's TOML. margin_s : exact latency margin of the synchronous wiring; with one, two runs on
+    either side of it are added.
+    """
+    documents = {}
+    for row in spec["scenario"]:
+        remote: Document = {}
+        if "lost_at_s" in row:
+            remote["outages_s"] = [[row["lost_at_s"], spec["stop_s"]]]
+        documents[row["name"]] = document_of(
+            spec, row["title"], row["controller"], row["disturbance"], remote, {}
+        )
+    latency = spec["latency"]
+    for wiring in WIRINGS.values():
+        for value in latency["values_s"]:
+            at = {"latency_s": value}
+            documents[f"{latency['controller']}-{wiring}-{round(1e3 * value)}ms"] = document_of(
+                spec,
+                f"{latency['controller'].upper()}, {wiring} feedback, {round(1e3 * value)} ms, Vref pulse",
+                latency["controller"],
+                latency["disturbance"],
+                at,
+                at if wiring == "synchronous" else {},
+            )
+    if margin_s is not None:
+        documents |= _beside_margin(spec, margin_s)
+    return documents
+
+
+def document_of(
+    spec: Mapping[str, Any], title: str, controller: str, disturbance: str, remote: Document, local: Document
+) -> Document:
+    """Return one scenario of a study; `remote` and `local`: what its channels do."""
+    if disturbance not in spec["disturbance"]:
+        known = ", ".join(spec["disturbance"])
+        raise ScenarioError(f"study: disturbance = {disturbance!r} is not in [disturbance], allowed: {known}")
+    document: Document = {
+        "title": title,
+        "case": spec["case"],
+        "controller": controller,
+        "stop_s": spec["stop_s"],
+        "step_s": spec["step_s"],
+        "event": spec["disturbance"][disturbance],
+    }
+    if controller != "none":
+        document["channels"] = {
+            "remote": {"signal": spec["remote"], **remote},
+            "local": {"signal": spec["local"], **local},
+        }
+    return document
+
+
+def _beside_margin(spec: Mapping[str, Any], margin_s: float) -> dict[str, Document]:
+    margin = spec["margin"]
+    documents = {}
+    for side, factor in (("below", 1.0 - margin["distance"]), ("above", 1.0 + margin["distance"])):
+        at = {"latency_s": round(round(factor * margin_s / MARGIN_GRID_S) * MARGIN_GRID_S, 6)}
+        title = (
+            f"{margin['controller'].upper()}, synchronous, {100 * margin['distance']:.0f} % {side} the margin"
+        )
+        document = document_of(spec, title, margin["controller"], spec["latency"]["disturbance"], at, at)
+        documents[f"{margin['controller']}-margin-{side}"] = document | {
+            "stop_s": margin["stop_s"],
+            "event": margin["events"],
+        }
+    return documents
+
+
+def run_all(
+    documents: Mapping[str, Document], cache: Path, progress: Callable[[float], None], *, processes: int = 2
+) -> dict[str, StudyRun]:
+    """Run every scenario that is new, in `processes` processes; the others come from `cache`."""
+    folders = {name: _folder(document, cache) for name, document in documents.items()}
+    missing = [name for name, folder in folders.items() if not (folder / "metrics.json").exists()]
+    done = len(documents) - len(missing)
+    progress(done / len(documents))
+    if len(missing) > 2 and processes > 1:
+        with ProcessPoolExecutor(processes) as pool:
+            waiting = [pool.submit(_run_into, documents[n], folders[n], cache) for n in missing]
+            for future in as_completed(waiting):
+                future.result()
+                done += 1
+                progress(done / len(documents))
+    else:
+        for name in missing:
+            _run_into(documents[name], folders[name], cache)
+            done += 1
+            progress(done / len(documents))
+    return {
+        name: StudyRun(
+            name,
+            documents[name]["title"],
+            documents[name],
+            json.loads((folder / "metrics.json").read_text(encoding="utf-8")),
+            folder / "trajectory.parquet",
+        )
+        for name, folder in folders.items()
+    }
+
+
+def _folder(document: Document, cache: Path) -> Path:
+    case = load_case(document["case"])
+    parts: list[object] = [document, file_hash(plant_fmu(case, cache))]
+    if document["controller"] in CONTROLLER_NAMES:
+        controller = design_controller(case, document["controller"], cache)
+        parts += [file_hash(controller_fmu(controller, case.omega_b, cache)), file_hash(channel_fmu(cache))]
+    parts += [code_hash(__name__), source_hash("cosim", "*.[ch]")]
+    return cache / "runs" / content_hash(*parts)
+
+
+def _run_into(document: Document, folder: Path, cache: Path) -> None:
+    with threadpool_limits(1):
+        run = run_scenario(load_scenario(document), cache=cache)
+    artefact(folder.parent, folder.name, "trajectory", ".parquet", run.trajectory.write_parquet)
+    numbers = run.metrics.as_dict()
+    numbers["late_damping"] = _late_damping(run)
+    text = json.dumps(numbers, indent=1, default=str)
+    artefact(folder.parent, folder.name, "metrics", ".json", lambda p: p.write_text(text, encoding="utf-8"))
+
+
+def _late_damping(run: Run) -> float | None:
+    """Return the damping ratio of what swings longest: the strongest mode of dw24 from 4 s after the last
+    disturbance on; None when a control has been at its limit, or nothing is left.
+    """
+    curves, scenario = run.trajectory, run.scenario
+    largest = max((float(np.max(np.abs(curves[c]))) for c in curves.reals_of("controller")), default=0.0)
+    _, signal = swing_signal(curves, run.case)
+    start = round(disturbance_end_s(scenario) + LATE_S, 6)
+    if largest >= 0.999 * DEFAULT_LIMIT or start + 3.0 > scenario.stop_s:
+        return None
+    grid, values = uniform(curves.time_s, [signal], start, min(start + 8.0, scenario.stop_s), 0.05)
+    swings = [m for m in ring_down(grid, values).modes if 0.1 <= m.frequency_hz <= 2.5]
+    return swings[0].damping_ratio if swings else None

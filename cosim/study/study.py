@@ -1,0 +1,261 @@
+"""The whole study in one page: case -> plant FMU -> linear plant -> controllers -> co-simulation -> report.
+
+Every step is one call into the file that does it; every artefact is made once
+and found again by the hash of what it came from (`artefacts.py`).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import control
+from threadpoolctl import threadpool_limits
+
+from interarea.design.controllers.controller import Controller
+from interarea.design.linear.linearise import remove_reference, select, speeds_in_rad
+from interarea.design.modes.loop_selection import rank_loops
+from interarea.design.modes.modes import modes_of
+from interarea.design.reduction.balanced import balanced_truncation
+from interarea.fmu_build.write.package import write_whole
+from interarea.models.case.case import load_case
+from interarea.models.grid.powerflow import solve_powerflow
+
+from ..errors import ScenarioError, nearest
+from ..run.artefacts import (
+    CONTROLLER_NAMES,
+    cached_json,
+    channel_fmu,
+    code_hash,
+    complete_fmu,
+    content_hash,
+    controller_fmu,
+    default_cache,
+    design_controller,
+    linear_plant,
+    numerics_versions,
+    place,
+    plant_fmu,
+)
+from ..toml_file import read_toml
+from . import rows
+from .delay import latency_analysis, redesigned
+from .figures import DW24, StudyParts, save_figures
+from .packet_loss import mean_latency_s, mean_square_rows, monte_carlo_rows
+from .report import write_report
+from .runs import run_all, scenario_documents
+from .thesis.claims import judge_statements
+
+SPECIFICATIONS = Path(__file__).resolve().parent / "thesis"  #: folder of the bundled studies
+#: Called with a stage's name and how much of it is done, 0..1.
+StageProgress = Callable[[str, float], None]
+PREFIX = "study_"
+STAGES = (
+    "plant",
+    "modes and loops",
+    "reduction",
+    "controllers",
+    "latency",
+    "co-simulation",
+    "packets",
+    "figures",
+    "report",
+)
+KEYS = (
+    "title",
+    "case",
+    "published",
+    "stop_s",
+    "step_s",
+    "remote",
+    "local",
+    "disturbance",
+    "latency",
+    "margin",
+    "scenario",
+)
+
+
+def run_study(name: str, out: Path, progress: StageProgress | None = None) -> dict[str, Any]:
+    """Run study `name` (bundled, or a TOML file) into the folder `out`; return what study.json holds.
+
+    Writes fmus/*.fmu, figures/*.svg, results/*.parquet, report.html and study.json.
+
+    Raises
+    ------
+    ScenarioError : no such study, or a key of it is wrong. CaseError, BuildError, FmuError,
+    InfeasibleDesign, UncertifiedDesign, StepError : as the step that failed says.
+    """
+    spec = load_study(name)
+    cache = default_cache()
+    told = progress or (lambda _stage, _done: None)
+
+    def stage(label: str) -> Callable[[float], None]:
+        told(label, 0.0)
+        return lambda done: told(label, done)
+
+    with threadpool_limits(1):
+        done = stage("plant")
+        case = load_case(spec["case"])
+        flow = solve_powerflow(case)
+        fmus = {"plant": plant_fmu(case, cache), "channel": channel_fmu(cache)}
+        done(0.5)
+        full = linear_plant(case, cache)
+        done(1.0)
+
+        done = stage("modes and loops")
+        relative = remove_reference(full)
+        relative_modes = modes_of(relative, case.areas)
+        loops = rank_loops(relative, relative_modes.inter_area, areas=case.areas)
+        plant = speeds_in_rad(relative, case.omega_b)
+        done(1.0)
+
+        done = stage("reduction")
+        actuator = [loops.selected.actuator]
+        reductions = {
+            "6": balanced_truncation(select(plant, actuator, DW24), 6),
+            "8": balanced_truncation(select(plant, actuator, [spec["remote"], spec["local"]]), 8),
+        }
+        done(1.0)
+
+        done = stage("controllers")
+        controllers, unreduced = {}, {}
+        for k, label in enumerate(CONTROLLER_NAMES):
+            controllers[label] = design_controller(case, label, cache)
+            unreduced[label] = design_controller(case, label, cache, reduce=False).system
+            fmus[label] = controller_fmu(controllers[label], case.omega_b, cache)
+            done((k + 1) / len(CONTROLLER_NAMES))
+
+        done = stage("latency")
+        delayed = spec["latency"]["controller"]
+        key = content_hash(
+            fmus["plant"].name,
+            fmus[delayed].name,
+            dict(spec["latency"]),
+            code_hash(latency_analysis.__module__),
+        )
+        delay = cached_json(
+            cache,
+            "latency",
+            key,
+            lambda: latency_analysis(plant, controllers[delayed], spec, relative_modes, done),
+        )
+        delay["synchronous"]["redesigned"] = cached_json(
+            cache,
+            "latency",
+            f"redesigned-{key}",
+            lambda: redesigned(
+                relative, controllers["wdc"], case.omega_b, spec["latency"]["redesigned_for_s"]
+            ),
+        )
+        done(1.0)
+
+        done = stage("co-simulation")
+        runs = run_all(scenario_documents(spec, delay["synchronous"]["margin_s"]), cache, done)
+
+        done = stage("packets")
+        packets = _packets(spec, plant, controllers, fmus, cache, done) if "packets" in spec else None
+
+        done = stage("figures")
+        parts = StudyParts(
+            spec,
+            case,
+            flow,
+            modes_of(full, case.areas),
+            plant,
+            reductions,
+            controllers,
+            unreduced,
+            delay,
+            runs,
+        )
+        drawn = save_figures(parts, cache / "figures" / _figure_key(parts), done)
+        figures = {key: place(path, out / "figures" / path.name) for key, path in drawn.items()}
+
+    done = stage("report")
+    fmus = {label: complete_fmu(path, cache) for label, path in fmus.items()}
+    study = rows.study_rows(parts, loops, full.nstates)
+    study["packets"] = packets
+    study["figures"] = {key: path.relative_to(out).as_posix() for key, path in figures.items()}
+    study["provenance"] = {
+        "command": f"interarea study {name} --out DIR",
+        "case_hash": case.hash,
+        "case_source": case.source,
+        "published": spec["published"],
+        "fmus": {f"{label}.fmu": rows.sha256(path) for label, path in fmus.items()},
+        "versions": {"interarea": version("interarea"), **numerics_versions()},
+    }
+    study["statements"] = {f"{k.where}: {k.says}": k.verdict for k in judge_statements(study)}
+    for label, path in fmus.items():
+        place(path, out / "fmus" / f"{label}.fmu")
+    for label, run in runs.items():
+        place(run.trajectory, out / "results" / f"{label}.parquet")
+    write_report(study, figures, out / "report.html")
+    done(0.9)
+    text = json.dumps(study, indent=1, allow_nan=False)
+    write_whole(out / "study.json", f"{text}\n".encode())
+    done(1.0)
+    return study
+
+
+def _packets(
+    spec: Mapping[str, Any],
+    plant: control.StateSpace,
+    controllers: Mapping[str, Controller],
+    fmus: Mapping[str, Path],
+    cache: Path,
+    progress: Callable[[float], None],
+) -> dict[str, Any]:
+    """Return what packet loss and random latency do: second moments and Monte Carlo, as in study.json."""
+    table = spec["packets"]
+    key = content_hash(
+        *(fmus[name].name for name in ("plant", *controllers)),
+        dict(table),
+        code_hash(mean_square_rows.__module__),
+    )
+    rows = cached_json(cache, "packets", key, lambda: mean_square_rows(plant, controllers, table))
+    progress(0.3)
+    return {
+        "mean_square": rows,
+        "monte_carlo": monte_carlo_rows(spec, controllers, cache, lambda x: progress(0.3 + 0.7 * x)),
+        "mean_latency_s": mean_latency_s(table["jitter"]),
+        **{key: table[key] for key in ("interval_s", "latency_s", "loss_rates", "bursts", "jitter")},
+    }
+
+
+def _figure_key(parts: StudyParts) -> str:
+    """Return the hash of all that the figures show and of the code that draws them."""
+    systems = [*parts.full_controllers.values(), *(c.system for c in parts.controllers.values()), parts.plant]
+    matrices = [getattr(system, m) for system in systems for m in "ABCD"]
+    runs = [str(run.trajectory) for run in parts.runs.values()]
+    code = code_hash(save_figures.__module__)
+    return content_hash(
+        parts.spec, parts.case.hash, runs, parts.delay, code, version("matplotlib"), *matrices
+    )
+
+
+def study_names() -> list[str]:
+    """Return the names of the bundled studies."""
+    return sorted(p.stem.removeprefix(PREFIX) for p in SPECIFICATIONS.glob(f"{PREFIX}*.toml"))
+
+
+def load_study(name: str) -> Mapping[str, Any]:
+    """Return the TOML of a bundled study or of a file.
+
+    Raises
+    ------
+    ScenarioError : neither bundled nor a file, no TOML, or a table is missing.
+    """
+    path = Path(name) if name.endswith(".toml") else SPECIFICATIONS / f"{PREFIX}{name}.toml"
+    if not path.is_file():
+        raise ScenarioError(
+            f"study {name!r} is neither bundled nor a TOML file; {nearest(name, study_names())}"
+        )
+    spec = read_toml(path, "study", ScenarioError)
+    missing = [key for key in KEYS if key not in spec]
+    if missing:
+        raise ScenarioError(f"{path}: {', '.join(missing)} missing; study_thesis.toml shows a whole study")
+    return spec

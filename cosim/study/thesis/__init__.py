@@ -1,0 +1,1 @@
+"""What belongs to one thesis only: its statements, printed values and specification."""

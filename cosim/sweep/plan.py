@@ -1,0 +1,210 @@
+"""A sweep with all it needs from elsewhere: cases, designed controllers, versions. Complete on any machine.
+
+The controllers are those of the unchanged case: a sweep asks how a given controller holds where it was not
+designed for, so nothing is designed anew for a changed operating point.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from interarea.design.controllers.bank import ControllerBank, load_controller
+from interarea.design.controllers.controller import Controller
+from interarea.models.case.case import Case, case_of, load_case
+
+from ..errors import ScenarioError, SweepError
+from ..master.fmu_file import FmuFile
+from ..run.artefacts import (
+    active_bank,
+    artefact,
+    code_hash,
+    content_hash,
+    design_controller,
+    file_hash,
+    numerics_versions,
+    source_hash,
+)
+from ..run.run import Controllers
+from ..scenario.scenario import NAMED_CONTROLLERS, load_scenario
+from .point import check_paths, check_values
+from .spec import LARGEST, Sweep, sweep_of
+
+FORMAT = 2  #: of the result folder
+
+
+def code_version() -> str:
+    """Return the hash of all code that a run's numbers come from, and of the libraries' versions."""
+    return content_hash(
+        code_hash("interarea.cosim.sweep.runner"),
+        source_hash("models", "*.[ch]"),
+        source_hash("fmu_build", "*.[ch]"),
+        source_hash("cosim", "*.[ch]"),
+        numerics_versions(),
+    )
+
+
+@dataclass(frozen=True)
+class SweepPlan:
+    """`cases`: name -> document; `controllers`: "CASE/NAME" -> what a controller file holds; `fmus`: of the
+    user's own, instance -> content hash of its file, which is in the cache (`own_fmu`)."""
+
+    sweep: Sweep
+    cases: Mapping[str, Mapping[str, Any]]
+    controllers: Mapping[str, Mapping[str, Any]]
+    modes: tuple[str, ...]
+    version: str
+    fmus: Mapping[str, str] = field(default_factory=dict)
+
+    def case(self, name: str) -> Case:
+        """Return a case of the sweep."""
+        return case_of(self.cases[name], where=name)
+
+    def controller(self, case: str, name: str) -> Controller | ControllerBank | None:
+        """Return a controller of the sweep; None where the scenario has none."""
+        if name == "none":
+            return None
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "controller.json"
+            path.write_text(json.dumps(self.controllers[f"{case}/{name}"]), encoding="utf-8")
+            return load_controller(path)
+
+    def document(self) -> dict[str, Any]:
+        """Return the plan as plain types, for `plan_of_document`."""
+        return {
+            "format": FORMAT,
+            "version": self.version,
+            "sweep": self.sweep.document(),
+            "cases": dict(self.cases),
+            "controllers": dict(self.controllers),
+            "modes": list(self.modes),
+            "fmus": dict(self.fmus),
+        }
+
+    @cached_property
+    def hash(self) -> str:
+        """Content hash of the specification (not of the version)."""
+        return content_hash({k: v for k, v in self.document().items() if k != "version"})
+
+
+def plan_sweep(
+    sweep: Sweep, cache: Path, *, large: bool = False, controllers: Controllers | None = None
+) -> SweepPlan:
+    """Load the cases, design the controllers, try the values; nothing is written but into `cache`.
+
+    large : more than `LARGEST` runs are wanted.
+
+    Raises
+    ------
+    SweepError : no runs, too many, a path that leads nowhere, values that do not fit.
+    """
+    size = sweep.size
+    if not size:
+        empty = next(name for name, n in sweep.axes if n == 0)
+        raise SweepError(f"{sweep.name}: 0 runs, since parameters.{empty} has no values")
+    if size > LARGEST and not large:
+        axes = " x ".join(f"{n} ({name or 'samples'})" for name, n in sweep.axes)
+        raise SweepError(
+            f"{sweep.name}: {size:,} runs = {axes}; more than {LARGEST:,} must be confirmed with --large"
+        )
+    names = _listed(sweep, "case") or [str(sweep.base.case)]
+    folder = sweep.base.folder
+    paths = {n: load_scenario({"case": n, "stop_s": 1.0, "folder": folder}).case_path for n in names}
+    cases = {n: load_case(path) for n, path in paths.items()}
+    wanted = _listed(sweep, "controller") or [sweep.base.controller]
+    provide = controllers or (lambda name, case: design_controller(case, name, cache))
+    made: dict[str, Controller | ControllerBank] = {}
+    for name in wanted:
+        for key, case in cases.items():
+            if name != "none":
+                made[f"{key}/{name}"] = (
+                    active_bank(case, cache)
+                    if name == "active"
+                    else _controller(name, case, folder, provide, sweep.name)
+                )
+    parameters = set()
+    for key, controller in made.items():
+        table = controller.block(cases[key.partition("/")[0]].omega_b).table
+        parameters |= {v.name for v in table if v.role == "parameter"}
+    first = cases[names[0]]
+    check_paths(sweep, first, parameters)
+    check_values(sweep, first)
+    areas = sorted({area for case in cases.values() for area in case.areas.values()})
+    modes = ("inter-area", *(f"local area {a}" for a in areas))
+    return SweepPlan(
+        sweep,
+        {n: json.loads(json.dumps(c.document())) for n, c in cases.items()},
+        {key: _content(controller) for key, controller in made.items()},
+        modes,
+        code_version(),
+        {name: _kept_fmu(folder / fmu.file, cache) for name, fmu in sweep.base.fmus.items()},
+    )
+
+
+def own_fmu(cache: Path, key: str) -> Path:
+    """Return where in the cache the user's FMU with content hash `key` is."""
+    return cache / "own" / f"{key}.fmu"
+
+
+def _kept_fmu(path: Path, cache: Path) -> str:
+    """Copy an FMU of the user's into the cache, from where it goes to all workers; return its hash.
+
+    Raises
+    ------
+    GraphError : no such file, or no FMU that the master can step.
+    """
+    FmuFile(path).close()
+    key = file_hash(path)
+    artefact(cache, "own", key, ".fmu", lambda place: shutil.copyfile(path, place))
+    return key
+
+
+def plan_of_document(document: Mapping[str, Any]) -> SweepPlan:
+    """Return the plan that `SweepPlan.document` wrote."""
+    return SweepPlan(
+        sweep_of(document["sweep"], "sweep", Path()),
+        document["cases"],
+        document["controllers"],
+        tuple(document["modes"]),
+        document["version"],
+        document["fmus"],
+    )
+
+
+def _listed(sweep: Sweep, root: str) -> list[str]:
+    """Return the names a parameter on `case` or `controller` takes."""
+    for name, p in sweep.parameters.items():
+        if (root,) in sweep.paths(name):
+            drawn = p.random.choose if p.random is not None else None
+            values = p.values if p.values is not None else drawn
+            if values is None or not all(isinstance(v, str) for v in values):
+                raise SweepError(
+                    f'{sweep.name}: parameters.{name}: {root} takes names, allowed: values = ["..."]'
+                )
+            return [str(v) for v in values]
+    return []
+
+
+def _controller(
+    name: str, case: Case, folder: Path, provide: Controllers, where: str
+) -> Controller | ControllerBank:
+    if name in NAMED_CONTROLLERS:
+        return provide(name, case)
+    path = load_scenario({"case": "x", "controller": name, "stop_s": 1.0, "folder": folder}).controller_path
+    if path is None or not path.is_file():
+        raise ScenarioError(
+            f"{where}: controller = {name!r} is neither a name ({', '.join(NAMED_CONTROLLERS)}) nor a file"
+        )
+    return load_controller(path)
+
+
+def _content(controller: Controller | ControllerBank) -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as folder:
+        path = controller.save(Path(folder) / "controller.json")
+        return json.loads(path.read_text(encoding="utf-8"))  # type: ignore[no-any-return]

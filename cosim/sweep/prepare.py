@@ -1,0 +1,39 @@
+"""What the runs of a sweep are made of, built once and shipped to where they run."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+from interarea.fmu_build.write.compile import compile_binary, host_platform
+from interarea.fmu_build.write.errors import BuildError
+from interarea.fmu_build.write.lane_library import plant_group
+from interarea.models.blocks.plant import plant_block
+
+from ..master.kernel.build import load_kernel
+from ..run.artefacts import channel_fmu, concentrator_fmu, controller_fmu, plant_fmu
+from .plan import SweepPlan, own_fmu
+
+
+def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
+    """Build FMUs of unchanged cases and controllers, and what FMUs of changed cases are made of.
+
+    Returns the files in `cache` with which runs need no compiler.
+    """
+    files = [channel_fmu(cache)]
+    with suppress(BuildError):  # without it Python steps the FMUs
+        files.append(Path(load_kernel(cache)._name))
+    with suppress(BuildError):  # without it the plants go one by one
+        files.append(plant_group(cache=cache).path)
+    files += [own_fmu(cache, key) for key in dict.fromkeys(plan.fmus.values())]
+    files += [concentrator_fmu(len(c.signals), cache) for c in plan.sweep.base.concentrators.values()]
+    cases = {name: plan.case(name) for name in plan.cases}
+    block = plant_block(next(iter(cases.values())))
+    files.append(compile_binary(block.kind, block.sources, host_platform(), cache=cache))
+    files += [plant_fmu(case, cache) for case in cases.values()]
+    for key in plan.controllers:
+        case, _, name = key.rpartition("/") if key.partition("/")[0] not in cases else key.partition("/")
+        made = plan.controller(case, name)
+        if made is not None:
+            files.append(controller_fmu(made, cases[case].omega_b, cache))
+    return files

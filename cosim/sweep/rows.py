@@ -1,0 +1,176 @@
+"""What a run of a sweep leaves: one row of numbers, and its trajectory where that is wanted.
+
+A failed run is a row too: `status` = "failed", `failure` is the kind, `reason` the message, numbers are null.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pyarrow as pa
+
+from ..results import metrics as m
+from ..results.ringdown import disturbance_end_s, fit_window, ring_down_of, swing_signal
+from ..run.run import Loop, packet_counts
+from ..trajectory import Curves, Trajectory
+from .plan import SweepPlan
+from .spec import Sweep
+from .values import Value
+
+#: kinds of failure: a value that makes no scenario, an FMU's error, NaN, computing too long, a worker lost
+FAILURES = ("invalid", "fmu", "not finite", "time limit", "worker died", "internal")
+PACKETS = {
+    "packets_sent": "sent",
+    "packets_delivered": "delivered",
+    "packets_lost": "dropped",
+    "packets_late": "late",
+}
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Row of a run; `trajectory` only where the sweep keeps it; `forked`: started where another run was."""
+
+    row: Row
+    trajectory: pa.Table | None = None
+    forked: bool = False
+
+
+def column_of_mode(kind: str, mode: str) -> str:
+    """Return the column of a mode's number: damping of "inter-area" -> damping_inter_area."""
+    return f"{kind}_{mode.replace('-', '_').replace(' ', '_')}"
+
+
+def schema_of(plan: SweepPlan) -> pa.Schema:
+    """Return the columns of the results; their metadata holds unit and meaning."""
+    sweep, wanted = plan.sweep, plan.sweep.metrics
+    fields = [_field("run", pa.int64(), "", "number of the run", nullable=False)]
+    search = sweep.searched
+    for name, p in sweep.parameters.items():
+        where = " and ".join(".".join(w) for w in sweep.paths(name))
+        kind = pa.float64() if p.bisect is not None else _type_of(p.probes())
+        fields.append(_field(name, kind, p.unit, p.label or where, nullable=p.bisect is not None))
+    fields += [
+        _field("status", pa.string(), "", "ok or failed", nullable=False),
+        _field("failure", pa.string(), "", f"kind of failure: {', '.join(FAILURES)}"),
+        _field("reason", pa.string(), "", "what went wrong"),
+    ]
+    if search is not None:
+        fields += [
+            _field(
+                f"{search[0]}_unstable",
+                pa.float64(),
+                "",
+                "least value found unstable; null: none up to `high`",
+            ),
+            _field("evaluations", pa.int64(), "", "runs the search took"),
+        ]
+    if "stable" in wanted:
+        fields.append(
+            _field(
+                "stable",
+                pa.bool_(),
+                "",
+                "the swing between the areas decays (does not just go on) and no control ends at its limit",
+            )
+        )
+    for kind, unit in (("damping", "1"), ("frequency", "Hz")):
+        if kind in wanted:
+            text = f"{kind} of the mode in the ring-down; null: it does not show"
+            fields += [_field(column_of_mode(kind, mode), pa.float64(), unit, text) for mode in plan.modes]
+    for name, column, unit, text in (
+        (
+            "settling_time",
+            "settling_time_s",
+            "s",
+            "from the last event to within 2 % of the peak; null: it does not",
+        ),
+        ("peak", "peak", "pu", "largest speed difference between the areas"),
+        ("energy", "energy", "pu2 s", "integral of the square of the speed difference"),
+        ("effort", "effort", "pu2 s", "integral of the square of the control signals"),
+        ("fit_error", "fit_error", "1", "largest misfit of the ring-down over the largest signal"),
+    ):
+        if name in wanted:
+            fields.append(_field(column, pa.float64(), unit, text))
+    if "packets" in wanted:
+        fields += [_field(c, pa.int64(), "", f"packets {w}, all channels") for c, w in PACKETS.items()]
+    notes = {"specification": plan.hash, "version": plan.version, "title": sweep.title or sweep.name}
+    return pa.schema(fields, metadata=notes)
+
+
+def start_row(run: int, values: Mapping[str, Value]) -> Row:
+    """Return the row of a run before it has run: its number and parameters."""
+    plain = {k: str(list(v)) if isinstance(v, tuple) else v for k, v in values.items()}
+    return {"run": run, **plain, "status": "ok", "failure": None, "reason": None}
+
+
+def failed_row(sweep: Sweep, run: int, failure: str, reason: str) -> Row:
+    """Return the row of a run that failed."""
+    row = start_row(run, sweep.values(run))
+    return row | {"status": "failed", "failure": failure, "reason": " ".join(reason.split())[:500]}
+
+
+def measure(loop: Loop, curves: Curves, wanted: Sequence[str], modes: Sequence[str]) -> Row:
+    """Return the metrics of a finished run, by column."""
+    scenario, case, time = loop.scenario, loop.case, curves.time_s
+    _, signal = swing_signal(curves, case)
+    end = disturbance_end_s(scenario)
+    row: Row = {}
+    if "stable" in wanted:
+        controls = [curves[c] for c in curves.reals_of("controller")]
+        row["stable"] = m.is_stable(time, signal, end, controls=controls, limit_pu=loop.control_limit_pu)
+    if {"damping", "frequency", "fit_error"} & set(wanted):
+        window = fit_window(scenario)
+        window = (window[0], min(window[1], float(time[-1])))
+        found = (
+            ring_down_of(curves, case, window, loop.master.step_s) if window[1] > window[0] else ({}, None)
+        )
+        for mode in modes:
+            fit = found[0].get(mode)
+            if "damping" in wanted:
+                row[column_of_mode("damping", mode)] = None if fit is None else fit.damping_ratio
+            if "frequency" in wanted:
+                row[column_of_mode("frequency", mode)] = None if fit is None else fit.frequency_hz
+        if "fit_error" in wanted:
+            row["fit_error"] = None if found[1] is None else found[1].error
+    if "settling_time" in wanted:
+        row["settling_time_s"] = m.settling_time_s(time, signal, end)
+    if "peak" in wanted:
+        row["peak"] = float(abs(signal).max())
+    if "energy" in wanted:
+        row["energy"] = m.energy(time, signal)
+    if "effort" in wanted:
+        controls = [curves[c] for c in curves.reals_of("controller")]
+        row["effort"] = float(sum(m.energy(time, u) for u in controls))
+    if "packets" in wanted:
+        counts = [packet_counts(loop.master.participants[n]) for n in loop.channels]
+        for column, name in PACKETS.items():
+            row[column] = int(sum(c.get(name, 0.0) for c in counts))
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
+
+
+def trajectory_table(sweep: Sweep, run: int, curves: Trajectory) -> pa.Table:
+    """Return a trajectory as a table with the run's number in front."""
+    data = curves.data
+    wanted = sweep.trajectories.columns
+    chosen = [c for c in map(str, data) if c == "time_s" or not wanted or c in wanted]
+    every = slice(None, None, sweep.trajectories.every)
+    arrays = {c: pa.array(data[c].to_numpy()[every]) for c in chosen}
+    return pa.table({"run": pa.array([run] * len(arrays["time_s"]), pa.int64()), **arrays})
+
+
+def _type_of(values: Sequence[Value]) -> pa.DataType:
+    if values and all(isinstance(v, bool) for v in values):
+        return pa.bool_()
+    if any(isinstance(v, str | tuple | bool) for v in values):
+        return pa.string()
+    return pa.int64() if values and all(isinstance(v, int) for v in values) else pa.float64()
+
+
+def _field(name: str, kind: pa.DataType, unit: str, text: str, *, nullable: bool = True) -> pa.Field:
+    notes = {k: v for k, v in {"unit": unit, "description": text}.items() if v}
+    return pa.field(name, kind, nullable=nullable, metadata=notes)

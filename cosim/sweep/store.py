@@ -1,0 +1,418 @@
+"""Results on disk: Parquet parts that appear whole or not at all, a manifest of what they belong to.
+
+    DIR/manifest.json         specification and version
+    DIR/sweep.json            the plan: scenario, cases, controllers; enough to repeat any run
+    DIR/runs/part-*.parquet   one row for each finished run; the name ends with a checksum
+    DIR/trajectories/part-*   where the sweep keeps them, one part beside each part of rows
+    DIR/summary.json          counts, once all runs are there
+
+A part is written beside its place, forced to disk and renamed; what a killed process leaves is swept away at
+the next start. A row in a part is final, and a run is in one part only; a part that is not what was written
+is found at the next start and its runs are done again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import shutil
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ..errors import SweepError
+from .plan import FORMAT, SweepPlan, plan_of_document
+from .rows import Outcome, schema_of
+
+try:
+    import fcntl
+except ImportError:  # no such locks on this system: two sweeps in one folder go unnoticed
+    fcntl = None  # type: ignore[assignment]
+
+FULL = (errno.ENOSPC, errno.EDQUOT)
+_ROWS, _CURVES, _WORK, _LOCK = "runs", "trajectories", ".work", ".lock"
+_FORKED = b"forked"  # in the metadata of a part: how many of its runs started from a saved state
+_Kinds = list[tuple[str, type[str] | type[float] | None]]  # a column, and what makes its values fit
+
+
+class SweepStore:
+    """The folder of one sweep, open for writing; use as a context manager.
+
+    Raises
+    ------
+    SweepError : the folder holds another specification or version, or another process writes to it.
+    """
+
+    def __init__(self, folder: Path, plan: SweepPlan) -> None:
+        self.folder, self.plan = folder, plan
+        self.schema = schema_of(plan)
+        self._kinds = _kinds(self.schema)
+        self.done = np.zeros(plan.sweep.size, dtype=bool)
+        self.dropped: list[str] = []  #: parts that could not be read; their runs are done again
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._lock = _locked(folder / _LOCK)
+            try:
+                self._open()
+            except BaseException:
+                self.close()
+                raise
+        except OSError as error:
+            self._explain(error)
+
+    def __enter__(self) -> SweepStore:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def work(self) -> Path:
+        """Folder for what goes again; emptied when the store is opened and closed."""
+        return self.folder / _WORK
+
+    def todo(self) -> Iterator[int]:
+        """Yield the runs that are not there yet, in order."""
+        for run in range(len(self.done)):
+            if not self.done[run]:
+                yield run
+
+    @property
+    def count(self) -> int:
+        """Number of finished runs."""
+        return int(self.done.sum())
+
+    def append(self, outcomes: Iterable[Outcome]) -> int:
+        """Write the outcomes of runs as one part; runs that are there already are left out. Return how many.
+
+        Raises
+        ------
+        SweepError : disk full, or no permission; what was written before stays valid.
+        """
+        fresh: dict[int, Outcome] = {}
+        for outcome in outcomes:
+            run = outcome.row["run"]
+            if not self.done[run]:
+                fresh.setdefault(run, outcome)
+        if not fresh:
+            return 0
+        chosen = [fresh[run] for run in sorted(fresh)]
+        table = pa.Table.from_pylist([_fitted(o.row, self._kinds) for o in chosen], schema=self.schema)
+        notes = {**(self.schema.metadata or {}), _FORKED: str(sum(o.forked for o in chosen)).encode()}
+        table = table.replace_schema_metadata(notes)
+        curves = [o.trajectory for o in chosen if o.trajectory is not None]
+        number = self._next
+        try:
+            if curves:
+                self._place(pa.concat_tables(curves, promote_options="default"), _CURVES, number)
+            self._place(table, _ROWS, number)
+        except OSError as error:
+            self._explain(error)
+        self._next += 1
+        self.done[list(fresh)] = True
+        return len(chosen)
+
+    def finish(self) -> dict[str, Any]:
+        """Write summary.json once every run is there and return it."""
+        summary = summary_of(self.folder)
+        self._write("summary.json", summary)
+        return summary
+
+    def close(self) -> None:
+        """Remove what is temporary and let others write here."""
+        shutil.rmtree(self.work, ignore_errors=True)
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+    # -- private --------------------------------------------------------------------------
+
+    def _open(self) -> None:
+        shutil.rmtree(self.work, ignore_errors=True)
+        for folder in (self.folder, self.folder / _ROWS, self.folder / _CURVES):
+            for partial in folder.glob(".*.partial") if folder.is_dir() else ():
+                partial.unlink()
+        manifest = self.folder / "manifest.json"
+        if manifest.exists():
+            _check_manifest(manifest, self.plan)
+        elif _anything(self.folder):
+            raise SweepError(
+                f"{self.folder}: holds other files and no manifest.json, allowed: an empty folder, "
+                "or that of the same sweep"
+            )
+        for folder in (self.work, self.folder / _ROWS):
+            folder.mkdir(exist_ok=True)
+        if self.plan.sweep.trajectories.keep != "none":
+            (self.folder / _CURVES).mkdir(exist_ok=True)
+        if not manifest.exists():
+            self._write("sweep.json", self.plan.document())
+            self._write("manifest.json", _manifest(self.plan))
+        self._next = 0
+        curves = {_number(p): p for p in (self.folder / _CURVES).glob("part-*.parquet")}
+        kept = set()
+        for part in parts_of(self.folder):
+            number = _number(part)
+            self._next = max(self._next, number + 1)
+            try:
+                _check_part(part)
+                if number in curves:
+                    _check_part(curves[number])
+                runs = pq.read_table(part, columns=["run"]).column("run").to_numpy()
+            except (OSError, pa.ArrowException, SweepError) as error:
+                self.dropped.append(f"{part.name}: {error}")
+                part.unlink()
+                continue
+            if np.any(self.done[runs]):
+                raise SweepError(f"{part}: has runs that another part has too; remove one of them")
+            self.done[runs] = True
+            kept.add(number)
+        for number, part in curves.items():
+            if number not in kept:
+                part.unlink()  # its rows never came, or are gone: those runs are done again
+
+    def _place(self, table: pa.Table, kind: str, number: int) -> None:
+        partial = self.folder / kind / f".part-{number:06d}.parquet.partial"
+        try:
+            pq.write_table(table, partial, compression="zstd")
+            _settle(partial, partial.with_name(f"part-{number:06d}-{_checksum(partial)}.parquet"))
+        except OSError:
+            partial.unlink(missing_ok=True)
+            raise
+
+    def _write(self, name: str, value: Any) -> None:
+        path = self.folder / name
+        partial = path.with_name(f".{name}.partial")
+        try:
+            partial.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+            _settle(partial, path)
+        except OSError as error:
+            partial.unlink(missing_ok=True)
+            self._explain(error)
+
+    def _explain(self, error: OSError) -> NoReturn:
+        raise explained(error, self.folder, self.count, len(self.done)) from error
+
+
+def explained(error: OSError, folder: Path, count: int, size: int) -> SweepError:
+    """Return what to tell the user when writing results failed."""
+    what = "the disk is full" if error.errno in FULL else (error.strerror or str(error))
+    return SweepError(
+        f"{error.filename or folder}: {what}; {count} of {size} runs are safe in {folder}: "
+        "make room and give the same command again"
+    )
+
+
+def read_plan(folder: Path) -> SweepPlan:
+    """Return the plan of a result folder.
+
+    Raises
+    ------
+    SweepError : no results there, or of another format.
+    """
+    try:
+        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+        if manifest.get("format") != FORMAT:
+            raise SweepError(f"{folder}: results of format {manifest.get('format')!r}, allowed: {FORMAT}")
+        return plan_of_document(json.loads((folder / "sweep.json").read_text(encoding="utf-8")))
+    except FileNotFoundError as error:
+        name = Path(str(error.filename)).name
+        raise SweepError(f"{folder}: no results of a sweep here ({name} is missing)") from None
+    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
+        raise SweepError(f"{folder}: manifest.json or sweep.json is damaged ({error})") from None
+
+
+def read_rows(folder: Path) -> pd.DataFrame:
+    """Return the rows of a result folder, in the order of the runs.
+
+    Raises
+    ------
+    SweepError : no results there, or damaged ones.
+    """
+    parts = parts_of(folder)
+    if not parts:
+        raise SweepError(f"{folder}: no finished runs here")
+    try:
+        for part in parts:
+            _check_part(part)
+        table = pa.concat_tables([pq.read_table(p) for p in parts])
+    except (OSError, pa.ArrowException) as error:
+        raise SweepError(f"{folder / _ROWS}: cannot be read: {error}") from None
+    rows: pd.DataFrame = table.sort_by("run").to_pandas()
+    return rows
+
+
+def read_trajectory(folder: Path, run: int) -> pd.DataFrame | None:
+    """Return the stored trajectory of a run, or None when it was not kept.
+
+    Raises
+    ------
+    SweepError : a part that cannot be read.
+    """
+    for part in sorted((folder / _CURVES).glob("part-*.parquet")):
+        try:
+            table = pq.read_table(part, filters=[("run", "=", run)])
+        except (OSError, pa.ArrowException) as error:
+            raise SweepError(f"{part}: cannot be read: {error}") from None
+        if table.num_rows:
+            curves: pd.DataFrame = table.drop_columns(["run"]).to_pandas()
+            return curves
+    return None
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    """Return counts over the finished runs: ok, failed by kind, stable, started from a saved state."""
+    failures: dict[str, int] = {}
+    rows = stable = unstable = forked = 0
+    for part in parts_of(folder):
+        schema = pq.read_schema(part)
+        names = schema.names
+        forked += int((schema.metadata or {}).get(_FORKED, b"0"))
+        table = pq.read_table(part, columns=[c for c in ("failure", "stable") if c in names])
+        rows += table.num_rows
+        for kind in table.column("failure").to_pylist():
+            if kind is not None:
+                failures[kind] = failures.get(kind, 0) + 1
+        if "stable" in table.column_names:
+            flags = table.column("stable").to_pylist()
+            stable += sum(f is True for f in flags)
+            unstable += sum(f is False for f in flags)
+    failed = sum(failures.values())
+    return {
+        "runs": rows,
+        "ok": rows - failed,
+        "failed": failed,
+        "failures": dict(sorted(failures.items())),
+        "stable": stable,
+        "unstable": unstable,
+        "forked": forked,
+    }
+
+
+def _fitted(row: dict[str, Any], kinds: _Kinds) -> dict[str, Any]:
+    """Return a row with every column of the schema, words where the column holds words."""
+    fitted = {}
+    for name, kind in kinds:
+        value = row.get(name)
+        if value is not None and kind is not None:
+            value = kind(value)
+        fitted[name] = value
+    return fitted
+
+
+def _kinds(schema: pa.Schema) -> _Kinds:
+    """Return the columns with what makes their values fit, where that is needed."""
+    made: _Kinds = []
+    for column in schema:
+        words, number = pa.types.is_string(column.type), pa.types.is_floating(column.type)
+        made.append((column.name, str if words else float if number else None))
+    return made
+
+
+def _manifest(plan: SweepPlan) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "name": plan.sweep.name,
+        "specification": plan.hash,
+        "version": plan.version,
+        "runs": plan.sweep.size,
+    }
+
+
+def _check_manifest(path: Path, plan: SweepPlan) -> None:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        old = json.loads(path.with_name("sweep.json").read_text(encoding="utf-8"))
+    except (OSError, json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise SweepError(f"{path}: is damaged ({error}); use another folder") from None
+    new = json.loads(json.dumps(plan.document()))
+    differences = list(_differences(old, new, ()))
+    if found.get("specification") != plan.hash or differences:
+        shown = "; ".join(differences[:5]) + (
+            f"; and {len(differences) - 5} more" if len(differences) > 5 else ""
+        )
+        only_version = all(d.startswith("version") for d in differences)
+        what = "another version of the program" if only_version else "another specification"
+        raise SweepError(
+            f"{path.parent}: holds results of {what} ({shown or 'manifest.json was changed'}), "
+            "allowed: the same one; use another folder"
+        )
+
+
+def _differences(old: Any, new: Any, place: tuple[str, ...]) -> Iterator[str]:
+    """Yield what differs between two plans, one line each."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in sorted({*old, *new}):
+            yield from _differences(old.get(key), new.get(key), (*place, key))
+    elif old != new:
+        yield f"{'.'.join(place)}: there {_short(old)}, here {_short(new)}"
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _anything(folder: Path) -> bool:
+    """Whether a folder without a manifest holds anything but what a sweep leaves that was killed at once."""
+    ours = (_LOCK, _WORK, _ROWS, _CURVES, "sweep.json")
+    return any(p.name not in ours for p in folder.iterdir()) or bool(parts_of(folder))
+
+
+def _settle(partial: Path, path: Path) -> None:
+    """Force a file to disk, give it its name, and force the name to disk."""
+    with partial.open("rb") as file:
+        os.fsync(file.fileno())
+    partial.replace(path)
+    with contextlib.suppress(OSError):  # some systems cannot open a folder
+        handle = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _locked(path: Path) -> Any:
+    file = path.open("a+")
+    if fcntl is not None:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            raise SweepError(
+                f"{path.parent}: another process is writing to this folder; wait for it"
+            ) from None
+    return file
+
+
+def parts_of(folder: Path) -> Sequence[Path]:
+    """Return the parts of rows that are there."""
+    return sorted((folder / _ROWS).glob("part-*.parquet"))
+
+
+def _number(part: Path) -> int:
+    return int(part.stem.split("-")[1])
+
+
+def _checksum(path: Path) -> str:
+    """Return the CRC-32 of a file: what a disk or a copy spoils does not keep it."""
+    value = 0
+    with path.open("rb") as file:
+        while piece := file.read(1 << 20):
+            value = zlib.crc32(piece, value)
+    return f"{value:08x}"
+
+
+def _check_part(path: Path) -> None:
+    """Raise SweepError when a part is not what its name says was written."""
+    if path.stem.split("-")[2:] != [_checksum(path)]:
+        raise SweepError(
+            f"{path}: is damaged; give the command of the sweep again, which does its runs again"
+        )

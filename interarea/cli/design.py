@@ -1,0 +1,211 @@
+"""Commands `design` and `certify`: controllers for a family of operating points, losses, latencies."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .terminal import busy, print_table
+
+if TYPE_CHECKING:
+    from interarea.cosim.designs.design_file import DesignTable
+    from interarea.design.controllers.bank import ControllerBank
+    from interarea.design.controllers.controller import Controller
+    from interarea.design.robust.operating_points import FamilyCertificate
+    from interarea.models.case.case import Case
+
+DesignFile = Annotated[
+    str | None,
+    typer.Option(
+        "--spec",
+        metavar="SPEC.toml",
+        help="design (file or bundled name) whose family judges; default: the controller's own, else robust",
+        show_default=False,
+    ),
+]
+
+
+def design(
+    spec: Annotated[
+        str, typer.Argument(metavar="SPEC.toml", help="design file, or a bundled name", show_default=False)
+    ],
+    out: Annotated[
+        Path,
+        typer.Option("--out", metavar="FILE.json", help="file for the controller", show_default=False),
+    ],
+    against: Annotated[
+        list[str] | None,
+        typer.Option("--against", metavar="CONTROLLER", help="compare with this one too (may be repeated)"),
+    ] = None,
+    plots: Annotated[
+        Path | None, typer.Option("--plots", metavar="DIR", help="draw the alternatives into it")
+    ] = None,
+) -> None:
+    """Design a fixed-order controller for a family; exit code 1 if it misses what was asked.
+
+    The starts that were tried are shown beside the result, and so are controllers given by `--against`.
+    """
+    from interarea.cosim.designs.comparison import HEADER, compare, save_comparison
+    from interarea.cosim.designs.design_file import load_design, run_design
+    from interarea.cosim.run.artefacts import default_cache
+    from interarea.models.case.case import load_case
+
+    from .destination import file_for, folder_for
+
+    table, cache = load_design(spec), default_cache()
+    case = load_case(table.case)
+    file_for(out)
+    if plots is not None:
+        folder_for(plots, "--plots")
+    others = {name: _named(name, case).system for name in against or ()}
+    done = run_design(table, cache, progress=lambda what, value: typer.echo(f"{what}: {value:.4f}", err=True))
+    made = done.controller
+    out.parent.mkdir(parents=True, exist_ok=True)
+    made.save(out)
+    found = _certificate_of(made)
+    _show(made.name, found, table)
+    with busy("comparing the alternatives"):
+        alternatives = compare(table, {made.name: made.system, **done.tried, **others}, cache)
+        drawn = save_comparison(table, alternatives, cache, plots) if plots is not None else ()
+    print_table("alternatives over the family", HEADER, [a.cells() for a in alternatives])
+    for path in (out, *drawn):
+        typer.echo(path)
+    if not found.passed:
+        raise typer.Exit(1)
+
+
+def _certificate_of(made: Controller) -> FamilyCertificate:
+    """Return the certificate in a controller's record as what it was."""
+    from interarea.design.robust.operating_points import FamilyCertificate, FamilyRow
+
+    record = dict(made.certificate or {})
+    del record["passed"]
+    rows = tuple(FamilyRow(**row) for row in record.pop("rows"))
+    return FamilyCertificate(rows=rows, **record)
+
+
+def _named(name: str, case: Case) -> Controller:
+    """Return a controller: shipped, from a JSON file or an FMU, or the study's of that name for `case`."""
+    from interarea.cosim.designs.controller_file import any_controller
+    from interarea.cosim.run.artefacts import CONTROLLER_NAMES, default_cache, design_controller
+
+    if name in CONTROLLER_NAMES:
+        with busy(f"designing {name} for {case.name}"):
+            return design_controller(case, name, default_cache())
+    return any_controller(name, case.omega_b)
+
+
+def certify(
+    controller: Annotated[
+        str,
+        typer.Argument(
+            metavar="CONTROLLER",
+            help="a name that `interarea list` shows, JSON file, or FMU",
+            show_default=False,
+        ),
+    ],
+    spec: DesignFile = None,
+    case: Annotated[
+        str | None, typer.Option("--case", metavar="CASE", help="another case than the design's")
+    ] = None,
+    json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
+) -> None:
+    """Recompute a controller's certificate on full plants with exact latency; exit code 1 if it fails.
+
+    What is judged (operating points, losses, latencies, the fault, what is asked) is in the controller's own
+    record: the FMU alone is enough.
+    """
+    from interarea.cosim.designs.bank_certificate import any_bank
+    from interarea.cosim.designs.design_file import certify as recompute
+    from interarea.cosim.designs.design_file import load_design, specification_of
+    from interarea.cosim.run.artefacts import active_bank, default_cache
+    from interarea.models.case.case import load_case
+
+    table = load_design(spec or "robust")
+    if case is not None:
+        table = table.model_copy(update={"case": case})
+    omega_b = load_case(table.case).omega_b
+    bank = (
+        active_bank(load_case(table.case), default_cache())
+        if controller == "active"
+        else any_bank(controller, omega_b)
+    )
+    if bank is not None:
+        _certify_bank(bank, load_case(table.case), json_)
+        return
+    made = _named(controller, load_case(table.case))
+    own = specification_of(made) if spec is None else None
+    if own is None and spec is None:
+        typer.echo(f"{controller} names no family of its own: judged by that of `robust`", err=True)
+    if own is not None:
+        table = own if case is None else own.model_copy(update={"case": case})
+    with busy(f"certifying {controller}"):
+        found = recompute(table, made, default_cache())
+    if json_:
+        typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
+    else:
+        _show(made.name, found, table)
+    if not found.passed:
+        raise typer.Exit(1)
+
+
+def _certify_bank(bank: ControllerBank, case: Case, json_: bool) -> None:
+    """Print what is proven for every sequence of losses; exit code 1 where a pause between them is needed."""
+    from interarea.cosim.designs.bank_certificate import certify_bank
+    from interarea.cosim.run.artefacts import default_cache, linear_plant
+    from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+
+    with busy(f"certifying {bank.name}"):
+        plant = speeds_in_rad(remove_reference(linear_plant(case, default_cache())), case.omega_b)
+        found = certify_bank(plant, bank)
+    if json_:
+        typer.echo(json.dumps(found.as_dict(), indent=2))
+        return
+    typer.echo(f"{bank.name} on {case.name}: {found.kind}, {len(found.loops)} loops (active: what arrives)")
+    for loop in found.loops:
+        typer.echo(f"  {loop}")
+    if found.dwell_s > 0.0:
+        typer.echo(f"stable when changes of the signals are at least {found.dwell_s:.3g} s apart")
+    else:
+        typer.echo(
+            f"every sequence of losses and returns decays at {found.decay_rate:.4f} 1/s or faster "
+            f"(slowest loop alone: {found.slowest:.4f} 1/s)"
+        )
+
+
+def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
+    print_table(
+        f"{name}: full plants, exact latency",
+        ("operating point", "condition", "stable", "worst swing", "inter-area", "rightmost (1/s)"),
+        [
+            (
+                row.point,
+                row.condition,
+                "yes" if row.stable else "NO",
+                f"{row.worst_swing:.3f}",
+                f"{row.inter_area:.3f}",
+                f"{row.rightmost:.3f}",
+            )
+            for row in found.rows
+        ],
+    )
+    typer.echo("; ".join(f"{condition.name}: {condition.in_words}" for condition in table.family()))
+    typer.echo(
+        f"worst swing {found.worst_swing:.4f}, inter-area {found.inter_area:.4f}, effort {found.effort:.4f}, "
+        f"fastest pole {found.fastest_pole:.1f} rad/s"
+    )
+    for lost, gain in found.loss_criterion.items():
+        typer.echo(f"{lost} lost: loop gain of the rest at real s {gain:.3f} (unstable above 1)")
+    if found.drive is not None:
+        typer.echo(f"drive after the fault {found.drive:.3f} pu: synchronism {found.predicted} (predicted)")
+    for run in found.faults:
+        said = f"settled in {run['settled_s']:.1f} s" if run["synchronism"] else "SYNCHRONISM LOST"
+        typer.echo(f"fault at {run['point']}, {' and '.join(run['lost']) or 'nothing'} lost: {said}")
+    for violation in found.violations:
+        typer.echo(f"violated: {violation}")
+    slips = any(not run["synchronism"] for run in found.faults)
+    unasked = " what its design asks for; synchronism is not among it" if slips else ""
+    typer.echo(f"passed{unasked}" if found.passed else "does not pass")

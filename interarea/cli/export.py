@@ -1,0 +1,110 @@
+"""Commands that hand FMUs to other tools: `build`, and a scenario's whole loop as `ssp` or `container`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .terminal import busy
+
+ScenarioFile = Annotated[
+    str, typer.Argument(metavar="SCENARIO.toml", help="scenario file, or a bundled name", show_default=False)
+]
+Platforms = Annotated[
+    str | None,
+    typer.Option(
+        "--platforms",
+        metavar="LIST",
+        help="platforms of the binaries, e.g. linux64,win64,darwin64,linux-arm64; default: this machine's",
+    ),
+]
+
+
+def build(
+    case: Annotated[
+        str, typer.Argument(metavar="CASE", help="bundled case or TOML file", show_default=False)
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
+    ],
+    controller: Annotated[
+        str | None,
+        typer.Option(
+            "--controller", metavar="CONTROLLER", help="the FMU of this controller too, and that of a channel"
+        ),
+    ] = None,
+    platforms: Platforms = None,
+) -> None:
+    """Build the plant FMU of a case, complete: documentation, sources and cross-check files."""
+    from interarea.cosim.run.artefacts import block_fmu, complete_fmu, default_cache, place
+    from interarea.cosim.run.run import controller_of
+    from interarea.cosim.scenario.scenario import load_scenario
+    from interarea.models.blocks.channel import channel_block
+    from interarea.models.blocks.plant import plant_block
+    from interarea.models.case.case import load_case
+
+    from .destination import folder_for
+
+    cache = default_cache()
+    loaded = load_case(case)
+    folder_for(out)
+    blocks = {loaded.name: plant_block(loaded)}
+    if controller is not None:
+        named = load_scenario({"case": case, "controller": controller, "stop_s": 1.0})
+        made = controller_of(named, loaded, cache, None)
+        if made is not None:
+            blocks |= {"channel": channel_block(), made.name: made.block(loaded.omega_b)}
+    with busy("building FMUs"):
+        for name, block in blocks.items():
+            fmu = complete_fmu(block_fmu(block, cache, platforms=names_of(platforms)), cache)
+            typer.echo(place(fmu, out / f"{name}.fmu"))
+
+
+def ssp(
+    scenario: ScenarioFile,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE.ssp", help="archive to write", show_default=False)
+    ],
+    platforms: Platforms = None,
+) -> None:
+    """Write plant, channels and controller of a scenario, wired and parametrised, as one SSP 1.0 archive."""
+    from interarea.cosim.export.ssp import write_ssp
+
+    _write(write_ssp, scenario, out, platforms)
+
+
+def names_of(platforms: str | None) -> list[str] | None:
+    """Return the platforms of a comma-separated option, or None for this machine's.
+
+    >>> names_of("linux64, win64")
+    ['linux64', 'win64']
+    """
+    return None if platforms is None else [name.strip() for name in platforms.split(",") if name.strip()]
+
+
+def container(
+    scenario: ScenarioFile,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.fmu", help="FMU to write", show_default=False)],
+    platforms: Platforms = None,
+) -> None:
+    """Write plant, channels and controller of a scenario as one FMU that simulates by itself."""
+    from interarea.cosim.export.container import write_container
+
+    _write(write_container, scenario, out, platforms)
+
+
+def _write(writer: Callable[..., Path], scenario: str, out: Path, platforms: str | None) -> None:
+    """Have `writer` turn a scenario into the file `out`, and say where it is."""
+    from interarea.cosim.run.artefacts import default_cache
+    from interarea.cosim.scenario.scenario import load_scenario
+
+    from .destination import file_for
+
+    loaded = load_scenario(scenario)
+    file_for(out)
+    with busy(f"writing {out}"):
+        made = writer(loaded, out, cache=default_cache(), platforms=names_of(platforms))
+    typer.echo(made)

@@ -1,0 +1,191 @@
+"""The command `modes`: swing modes of a case with shapes, participation, sensitivities and compass plots."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from .terminal import busy, print_table
+
+if TYPE_CHECKING:
+    from interarea.design.modes.modes import Mode, Modes
+    from interarea.design.modes.sensitivity import Sensitivity
+    from interarea.models.case.case import Case
+
+CaseName = Annotated[
+    str, typer.Argument(metavar="CASE", help="bundled case or TOML file", show_default=False)
+]
+
+
+def modes(
+    case: CaseName,
+    json_: Annotated[bool, typer.Option("--json", help="print JSON instead of tables")] = False,
+    shapes: Annotated[bool, typer.Option("--shapes", help="speed of every machine in each mode")] = False,
+    participation: Annotated[
+        int, typer.Option("--participation", metavar="N", min=1, help="states to name per mode")
+    ] = 3,
+    sensitivity: Annotated[
+        list[str] | None,
+        typer.Option("--sensitivity", metavar="PATH", help="a number of the case, as machines.G1.exciter.KA"),
+    ] = None,
+    tie_flow: Annotated[
+        float, typer.Option("--tie-flow", metavar="MW", help="load moved across the tie")
+    ] = 0.0,
+    circuit_out: Annotated[
+        list[str] | None, typer.Option("--circuit-out", metavar="BRANCH", help="branch out of service")
+    ] = None,
+    load_scale: Annotated[float, typer.Option("--load-scale", metavar="FACTOR", help="on every load")] = 1.0,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="DIR", help="draw compass plots into it")
+    ] = None,
+) -> None:
+    """Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes."""
+    from interarea.cosim.designs.sensitivities import parameter_sensitivities
+    from interarea.cosim.run.artefacts import default_cache, linear_plant
+    from interarea.design.modes.modes import modes_of
+    from interarea.models.case.case import load_case
+    from interarea.models.case.variants import operating_variant
+
+    from .destination import folder_for
+
+    if plot is not None:
+        folder_for(plot, "--plot")
+    cache = default_cache()
+    with busy(f"linearising the plant FMU of {case}"):
+        loaded = load_case(case)
+        if tie_flow or circuit_out or load_scale != 1.0:
+            loaded = operating_variant(
+                loaded, tie_flow_mw=tie_flow, out=circuit_out or (), load_scale=load_scale
+            )
+        system = linear_plant(loaded, cache)
+        found = modes_of(system, loaded.areas)
+        moved = parameter_sensitivities(loaded, sensitivity or (), cache)
+    files = _plots(found, loaded, plot) if plot is not None else []
+    if json_:
+        typer.echo(
+            json.dumps(_as_dict(loaded, found, participation, moved, files), indent=2, allow_nan=False)
+        )
+        return
+    _print_modes(f"{loaded.name}: {system.nstates} states, swing modes", found, participation)
+    if shapes:
+        _print_shapes(found, loaded)
+    for path, by_mode in moved.items():
+        _print_sensitivity(path, by_mode)
+    for file in files:
+        typer.echo(file)
+
+
+def main_states(mode: Mode, count: int) -> dict[str, float]:
+    """Return the `count` states that take part most, by participation."""
+    order = sorted(mode.participation, key=lambda state: -mode.participation[state])
+    return {state: float(mode.participation[state]) for state in order[:count]}
+
+
+def _as_dict(
+    case: Case,
+    found: Modes,
+    count: int,
+    moved: Mapping[str, Mapping[str, Sensitivity]],
+    files: list[Path],
+) -> dict[str, Any]:
+    from interarea.cosim.study.rows import mode_rows
+
+    rows = mode_rows(found)
+    for name, mode in found.items():
+        rows[name]["participation"] = main_states(mode, count)
+        rows[name]["shape"] = {
+            machine: {"size": abs(z), "angle_deg": float(np.degrees(np.angle(z)))}
+            for machine, z in mode.shape.items()
+        }
+    values = [[float(z.real), float(z.imag)] for z in found.eigenvalues]
+    return {
+        "case": case.name,
+        "states": len(values),
+        "eigenvalues": values,
+        "modes": rows,
+        "sensitivity": {
+            path: {
+                name: {
+                    "value": s.value,
+                    "derivative": [s.derivative.real, s.derivative.imag],
+                    "error": s.error,
+                    "frequency_hz": s.frequency_slope,
+                    "damping_ratio": s.damping_slope,
+                }
+                for name, s in by_mode.items()
+            }
+            for path, by_mode in moved.items()
+        },
+        "plots": [str(file) for file in files],
+    }
+
+
+def _print_modes(title: str, found: Modes, count: int) -> None:
+    print_table(
+        title,
+        ("mode", "frequency (Hz)", "damping ratio", "eigenvalue (1/s)", "takes part most"),
+        [
+            (
+                name,
+                f"{mode.frequency_hz:.4f}",
+                f"{mode.damping_ratio:.4f}",
+                f"{mode.eigenvalue.real:.4f} ± {mode.eigenvalue.imag:.4f}j",
+                ", ".join(f"{state} {share:.3f}" for state, share in main_states(mode, count).items()),
+            )
+            for name, mode in found.items()
+        ],
+    )
+    for mode in found.values():
+        if mode.doubt:
+            typer.echo(mode.doubt)
+
+
+def _size_and_angle(entry: complex) -> str:
+    return f"{abs(entry):.2f} {round(float(np.degrees(np.angle(entry)))):+d}°"
+
+
+def _print_shapes(found: Modes, case: Case) -> None:
+    machines = [m.name for m in case.machines]
+    print_table(
+        "speeds of the machines (size, angle in degrees)",
+        ("mode", *machines),
+        [
+            (name, *(_size_and_angle(mode.shape[machine]) for machine in machines))
+            for name, mode in found.items()
+        ],
+    )
+
+
+def _print_sensitivity(path: str, by_mode: Mapping[str, Sensitivity]) -> None:
+    value = next(iter(by_mode.values())).value
+    print_table(
+        f"sensitivity to {path} = {value:g}",
+        ("mode", "d eigenvalue / d parameter", "frequency (Hz per 1 %)", "damping ratio per 1 %"),
+        [
+            (
+                name,
+                f"{s.derivative.real:+.4g} {s.derivative.imag:+.4g}j",
+                f"{s.frequency_slope * value / 100.0:+.2e}",
+                f"{s.damping_slope * value / 100.0:+.2e}",
+            )
+            for name, s in by_mode.items()
+        ],
+    )
+
+
+def _plots(found: Modes, case: Case, folder: Path) -> list[Path]:
+    """Write one compass plot per mode."""
+    from interarea.cosim.plots.curves import mode_shape_plot, save_figure
+
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for name, mode in found.items():
+        title = f"{name}: {mode.frequency_hz:.3f} Hz, damping {mode.damping_ratio:.3f}"
+        figure = mode_shape_plot(mode.shape, case.areas, title)
+        files.append(save_figure(figure, folder / f"{name.replace(' ', '-')}.svg"))
+    return files

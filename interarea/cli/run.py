@@ -1,0 +1,76 @@
+"""interarea run: one scenario, how it is stepped, and whether its delays are those stated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .terminal import busy
+
+if TYPE_CHECKING:
+    from interarea.cosim.results.latency_test import SelfTest
+    from interarea.cosim.scenario.scenario import Scenario
+
+
+def run(
+    scenario: Annotated[
+        str,
+        typer.Argument(metavar="SCENARIO.toml", help="scenario file, or a bundled name", show_default=False),
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
+    ] = None,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="print step, stepping order, delay and packet ledgers")
+    ] = False,
+    self_test: Annotated[
+        bool,
+        typer.Option(
+            "--self-test", help="measure the latency of every connection; exit code 1 if not as stated"
+        ),
+    ] = False,
+) -> None:
+    """Co-simulate one scenario; writes trajectory, ledgers, metrics and a plot.
+
+    With --self-test and no --out only the self-test is done.
+    """
+    from interarea.cosim.run.artefacts import default_cache
+    from interarea.cosim.run.files import write_result
+    from interarea.cosim.run.run import Run, run_system
+    from interarea.cosim.scenario.scenario import load_scenario
+
+    from .destination import folder_for
+
+    if out is None and not self_test:
+        raise typer.BadParameter("a folder for the results is needed, or --self-test", param_hint="--out")
+    if out is not None:
+        folder_for(out)
+    loaded = load_scenario(scenario)
+    tested = None
+    if self_test:
+        with busy(f"measuring the connections of {scenario}"):
+            tested = _tested(loaded)
+        typer.echo(tested)
+    if out is not None:
+        with busy(f"running {scenario}"):
+            result = run_system(loaded, cache=default_cache())
+            files = write_result(result, out)
+        if explain:
+            typer.echo(result.explain())
+        for file in files:
+            typer.echo(file)
+        if isinstance(result, Run):
+            typer.echo(result.summary, err=True)
+    if tested is not None and not tested.passed:
+        raise typer.Exit(1)
+
+
+def _tested(scenario: Scenario) -> SelfTest:
+    from interarea.cosim.run.run import assemble, system_of
+
+    if not scenario.case:
+        return system_of(scenario).self_test()
+    with assemble(scenario) as loop:
+        return loop.self_test()

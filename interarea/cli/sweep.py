@@ -1,0 +1,147 @@
+"""Commands `sweep` and `maps`: many runs of one scenario, and what they show."""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from interarea.cosim.errors import SweepError
+
+if TYPE_CHECKING:
+    from interarea.cosim.sweep.front import Progress
+
+_ADDRESS = re.compile(r"[a-z]+://[^/\s]+:\d+")
+_EVERY_S = 10.0  # a line of progress where there is no terminal
+
+
+def sweep(
+    spec: Annotated[Path, typer.Argument(metavar="SWEEP.toml", help="sweep file", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
+    ],
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers", metavar="N", help="processes; default: one for each core", show_default=False
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="dask scheduler whose workers compute"),
+    ] = None,
+    large: Annotated[bool, typer.Option("--large", help="confirm a very large number of runs")] = False,
+) -> None:
+    """Run a scenario over many parameters; a sweep that was stopped goes on where it was."""
+    from interarea.cosim.sweep.front import run_sweep
+
+    from .destination import folder_for
+
+    if workers is not None and not workers >= 1:
+        raise SweepError(f"--workers = {workers}, allowed: at least 1")
+    if workers is not None and scheduler is not None:
+        raise SweepError(
+            "--workers and --scheduler: the scheduler has workers of its own, allowed: one of the two"
+        )
+    if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
+        raise SweepError(
+            f"--scheduler = {scheduler}, allowed: tcp://HOST:PORT, as `dask scheduler` prints it"
+        )
+    folder_for(out)
+    show = _Display()
+    try:
+        summary = run_sweep(spec, out, workers=workers, scheduler=scheduler, large=large, progress=show)
+    except KeyboardInterrupt:
+        show.end()
+        print(f"the same command goes on with what is in {out}", file=sys.stderr)
+        raise
+    show.end()
+    failures = ", ".join(f"{count} {kind}" for kind, count in summary["failures"].items())
+    typer.echo(
+        f"{summary['runs']} runs: {summary['ok']} ok ({summary['stable']} stable, "
+        f"{summary['unstable']} not), {summary['failed']} failed{f' ({failures})' if failures else ''}"
+        + (f"; {summary['forked']} went on from a saved state" if summary["forked"] else "")
+    )
+    if summary["failed"]:
+        print(_commonest(out), file=sys.stderr)
+    typer.echo(out)
+    if not summary["ok"]:
+        raise typer.Exit(1)
+
+
+def _commonest(out: Path) -> str:
+    """Return why most of the runs that failed did."""
+    from interarea.cosim.sweep.store import read_rows
+
+    rows = read_rows(out)
+    reasons = rows.loc[rows.status == "failed", "reason"].value_counts()
+    return f"commonest reason, {reasons.iloc[0]} of {reasons.sum()}: {reasons.index[0]}"
+
+
+def maps(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="results of a sweep", show_default=False)],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE.html", help="default: DIR/maps.html", show_default=False),
+    ] = None,
+    worst: Annotated[int, typer.Option("--worst", metavar="N", help="worst runs that are drawn")] = 6,
+) -> None:
+    """Draw the maps of a sweep: stability, margins certified and simulated, worst runs; one page."""
+    from interarea.cosim.maps.page import write_maps
+
+    from .destination import file_for
+    from .terminal import busy
+
+    if not 0 <= worst <= 50:
+        raise SweepError(f"--worst = {worst}, allowed: 0 to 50")
+    if folder.exists() and not folder.is_dir():
+        raise SweepError(f"{folder}: is a file, wanted: the folder of a sweep's results (its --out)")
+    if not folder.exists():
+        raise SweepError(f"{folder}: no such folder, wanted: that of a sweep's results (its --out)")
+    page = file_for(out or folder / "maps.html")
+    with busy(f"drawing {folder}"):
+        page = write_maps(folder, page, worst=worst)
+    typer.echo(page)
+
+
+class _Display:
+    """Progress on stderr: one changing line on a terminal, else a line every ten seconds."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stderr.isatty()
+        self._last = 0.0 if self._terminal else time.monotonic()
+        self._width = 0
+
+    def __call__(self, p: Progress) -> None:
+        now = time.monotonic()
+        if now - self._last < (0.2 if self._terminal else _EVERY_S):
+            return
+        self._last = now
+        left = "" if p.left_s is None else f", {_duration(p.left_s)} left"
+        failed = f", {p.failed} failed" if p.failed else ""
+        failed += f", {p.forked} forked" if p.forked else ""
+        text = (
+            f"{p.done} of {p.size} runs ({100.0 * p.done / p.size:.0f} %){failed}, {p.rate:.1f} runs/s{left}"
+        )
+        if self._terminal:
+            print(f"\r{text:<{self._width}}", end="", file=sys.stderr, flush=True)
+            self._width = len(text)
+        else:
+            print(text, file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        if self._terminal and self._width:
+            print(file=sys.stderr)
+            self._width = 0
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    if seconds < 5400.0:
+        return f"{seconds / 60.0:.0f} min"
+    return f"{seconds / 3600.0:.1f} h"

@@ -1,0 +1,135 @@
+"""What the command line shows: tables on stdout, progress on stderr, one line for a user's mistake."""
+
+from __future__ import annotations
+
+import codecs
+import io
+import os
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+DEBUG_VARIABLE = "INTERAREA_DEBUG"
+
+_PLAIN = {"±": "+-", "°": " deg", "−": "-", "–": "-", "→": "->", "Δ": "d", "ω": "w", "ζ": "zeta", "✓": "ok"}
+
+
+def steady_streams() -> None:
+    """Let stdout and stderr take every character and every caller.
+
+    What the encoding of a terminal does not have is written in plain letters; a stream that is closed is
+    replaced by one that swallows.
+    """
+    codecs.register_error("interarea", _in_plain_letters)
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115  until the end
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="interarea")
+
+
+def _in_plain_letters(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    lost = error.object[error.start : error.end]
+    return "".join(_PLAIN.get(c) or c.encode("ascii", "backslashreplace").decode() for c in lost), error.end
+
+
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print rows of text under a title; numbers are expected to be formatted."""
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
+    for name in columns:
+        table.add_column(name, overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    console = Console(width=None if sys.stdout.isatty() else 160, highlight=False)
+    console.print(title, style="bold")
+    console.print(table)
+
+
+@contextmanager
+def busy(what: str) -> Iterator[None]:
+    """Show on stderr that something is under way (on a terminal only)."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield
+        return
+    with console.status(what):
+        yield
+
+
+@contextmanager
+def stage_progress(stages: Sequence[str]) -> Iterator[Callable[[str, float], None]]:
+    """Show one progress bar per stage on stderr; without a terminal, one line per finished stage."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _plain_progress(console)
+        return
+    columns = (
+        SpinnerColumn(finished_text="✓"),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console) as progress:
+        tasks: dict[str, TaskID] = {s: progress.add_task(s, total=1.0, start=False) for s in stages}
+
+        def report(stage: str, done: float) -> None:
+            progress.start_task(tasks[stage])
+            progress.update(tasks[stage], completed=done)
+
+        yield report
+
+
+def _plain_progress(console: Console) -> Callable[[str, float], None]:
+    finished: set[str] = set()
+
+    def report(stage: str, done: float) -> None:
+        if done >= 1.0 and stage not in finished:
+            finished.add(stage)
+            console.print(f"{stage}: done", highlight=False)
+
+    return report
+
+
+def complain(error: BaseException) -> int:
+    """Print an error in one line on stderr and return the exit code: 2 for a user's mistake, 1 for ours.
+
+    A mistake is any error class of this package, or a file that cannot be read or written. With
+    `INTERAREA_DEBUG` set the traceback is shown too.
+    """
+    ours = type(error).__module__.split(".")[0] == "interarea"
+    if os.environ.get(DEBUG_VARIABLE):
+        traceback.print_exception(error)
+    line = " ".join(str(error).split())
+    if ours:
+        print(f"interarea: {line}", file=sys.stderr)
+        return 2
+    if isinstance(error, OSError):
+        reason = error.strerror or line
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"interarea: {where}{reason}{_of_the_cache(error)}", file=sys.stderr)
+        return 2
+    kind = type(error).__name__
+    print(
+        f"interarea: internal error, please report it: {kind}: {line} "
+        f"(set {DEBUG_VARIABLE}=1 for the traceback)",
+        file=sys.stderr,
+    )
+    return 1
+
+
+def _of_the_cache(error: OSError) -> str:
+    """Return what to do when the file at fault is in the artefact cache."""
+    from interarea.cosim.run.artefacts import default_cache
+
+    if error.filename is None or not Path(str(error.filename)).is_relative_to(default_cache()):
+        return ""
+    return " (the cache of FMUs and designs; INTERAREA_CACHE names a folder for it that can be written)"
