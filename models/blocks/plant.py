@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..case.case import SOLVER_STEP_S, Case, CaseError
-from ..case.events import check_events, target_index
+from ..case.case import Case, CaseError
+from ..case.event_targets import check_events, target_index
+from ..case.tables import SOLVER_STEP_S
 from ..grid.bus_devices import port_table
 from ..grid.equilibrium import OperatingPoint, operating_point
 from ..grid.machine_tables import NO_LIMIT, Device, Parameter, in_plant_order, machine_table, network_states

@@ -25,20 +25,19 @@ import hashlib
 import json
 import math
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeVar
+from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import ValidationError, model_validator
 
-from .control_schema import Positive
+from .checks import check_whole
 from .errors import CaseError, nearest, one_line, reason
-from .events import Event, check_events, events_of
+from .event_targets import check_events
+from .events import events_of
 from .file_kind import other_kind
-from .schema import Branch, Bus, Load, Machine, Shunt, Tie
-
-Named = TypeVar("Named", Branch, Load, Machine, Shunt)
+from .tables import CaseTables
 
 __all__ = ["Case", "CaseError", "apply_change", "case_names", "case_of", "load_case", "merge", "nearest"]
 
@@ -49,46 +48,14 @@ ROW_TABLES = {"buses": "number", "branches": "name", "shunts": "name", "loads": 
 RESERVED = ("source", "defaults")  #: keys of a table of rows that are not ids
 
 REMOVED = "none"  #: what stands in place of a row, a stabilizer, a tie that is taken out
-SOLVER_STEP_S = (1e-6, 0.1)  #: least and longest Runge-Kutta step of a plant, s
-SolverStep = Annotated[float, Field(ge=SOLVER_STEP_S[0], le=SOLVER_STEP_S[1])]
 BUNDLED = Path(__file__).resolve().parents[1] / "cases"  #: folder of the cases that come with the package
 
 
-class Case(BaseModel):
+class Case(CaseTables):
     """A grid with its machines, controls and loads; rows keep the order of the file."""
-
-    model_config = ConfigDict(
-        frozen=True,
-        extra="forbid",
-        allow_inf_nan=False,
-        populate_by_name=True,
-        ignored_types=(cached_property,),
-    )
-
-    name: Annotated[str, Field(strict=True, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
-    title: str = ""
-    source: str
-    frequency_hz: Positive
-    base_mva: Positive
-    solver_step_s: SolverStep | None = None  #: of the plant FMU; None: its default
-    sources: dict[str, str] = {}  #: table -> "KEY, where"
-    buses: Annotated[tuple[Bus, ...], Field(min_length=1)]
-    branches: tuple[Branch, ...] = ()
-    shunts: tuple[Shunt, ...] = ()
-    loads: tuple[Load, ...] = ()
-    machines: Annotated[tuple[Machine, ...], Field(min_length=1)]
-    tie: Tie | None = None
-    events: tuple[Event, ...] = Field(
-        default=(), alias="event"
-    )  #: what happens unless a scenario says otherwise
 
     def __repr__(self) -> str:
         return f"Case({self.name!r}, {len(self.buses)} buses, {len(self.machines)} machines)"
-
-    @property
-    def omega_b(self) -> float:
-        """Base angular frequency, rad/s."""
-        return 2.0 * math.pi * self.frequency_hz
 
     @cached_property
     def hash(self) -> str:
@@ -98,32 +65,6 @@ class Case(BaseModel):
             del content["solver_step_s"]
         text = json.dumps(content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-    @property
-    def areas(self) -> dict[str, int]:
-        """Area of each machine."""
-        return {m.name: m.area for m in self.machines}
-
-    @property
-    def slack(self) -> Machine:
-        """The machine that holds the angle reference and balances the power flow."""
-        return next(m for m in self.machines if m.slack)
-
-    def machine(self, name: str) -> Machine:
-        """Return machine `name`; CaseError with the nearest names when there is none."""
-        return _named(self.machines, name, f"{self.name}: machine")
-
-    def branch(self, name: str) -> Branch:
-        """Return branch `name`; CaseError with the nearest names when there is none."""
-        return _named(self.branches, name, f"{self.name}: branch")
-
-    def load(self, name: str) -> Load:
-        """Return load `name`; CaseError with the nearest names when there is none."""
-        return _named(self.loads, name, f"{self.name}: load")
-
-    def shunt(self, name: str) -> Shunt:
-        """Return shunt `name`; CaseError with the nearest names when there is none."""
-        return _named(self.shunts, name, f"{self.name}: shunt")
 
     def document(self) -> dict[str, Any]:
         """Return the case in the form of its file: tables keyed by row id."""
@@ -160,8 +101,6 @@ class Case(BaseModel):
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        from .checks import check_whole  # needs Case for its types
-
         check_whole(self)
         check_events(self, self.events)
         return self
@@ -235,13 +174,6 @@ def apply_change(document: Mapping[str, Any], change: Mapping[str, Any]) -> dict
                 own = part.get(key, {})
                 result[table][key] = merge(merge(row, every), own) if isinstance(own, Mapping) else own
     return result
-
-
-def _named(rows: Iterable[Named], name: str, what: str) -> Named:
-    table = {row.name: row for row in rows}
-    if name not in table:
-        raise CaseError(f"{what} {name!r} does not exist; {nearest(name, table)}")
-    return table[name]
 
 
 def _document(name_or_path: str | Path, seen: tuple[str, ...], beside: Path | None = None) -> dict[str, Any]:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from .errors import CaseError, nearest
-
-if TYPE_CHECKING:
-    from .case import Case
+from .tables import CaseTables
 
 
-def check_whole(case: Case) -> None:
+def check_whole(case: CaseTables) -> None:
     """Check ids, references, slack and connection of `case`; ValueError with one line otherwise."""
     for table in ("buses", "branches", "shunts", "loads", "machines"):
         ids = [str(row.number if table == "buses" else row.name) for row in getattr(case, table)]
@@ -24,7 +21,7 @@ def check_whole(case: Case) -> None:
     _check_connection(case)
 
 
-def _check_references(case: Case) -> None:
+def _check_references(case: CaseTables) -> None:
     known = {bus.number for bus in case.buses}
     for branch in case.branches:
         for key, number in (("from", branch.from_bus), ("to", branch.to_bus)):
@@ -50,7 +47,7 @@ def _bus(number: int, key: str, known: set[int]) -> None:
         raise ValueError(f"{key} = {number}: no such bus, allowed: the numbers under buses (nearest: {some})")
 
 
-def _check_slack(case: Case) -> None:
+def _check_slack(case: CaseTables) -> None:
     slacks = [m.name for m in case.machines if m.slack]
     if len(slacks) != 1:
         got = f"{len(slacks)} ({', '.join(slacks)})" if slacks else "none"
@@ -65,7 +62,7 @@ def _check_slack(case: Case) -> None:
                 )
 
 
-def islands_of(case: Case, closed: Mapping[str, bool] | None = None) -> list[set[int]]:
+def islands_of(case: CaseTables, closed: Mapping[str, bool] | None = None) -> list[set[int]]:
     """Return the connected sets of buses, the slack's first, under the branches in service or in `closed`."""
     if closed is None:
         closed = {branch.name: branch.in_service for branch in case.branches}
@@ -91,7 +88,7 @@ def islands_of(case: Case, closed: Mapping[str, bool] | None = None) -> list[set
     return found
 
 
-def require_dynamics(case: Case) -> None:
+def require_dynamics(case: CaseTables) -> None:
     """Raise CaseError unless every machine of `case` has dynamic data."""
     bare = [m.name for m in case.machines if m.model == "power_flow"]
     if bare:
@@ -101,7 +98,7 @@ def require_dynamics(case: Case) -> None:
         )
 
 
-def _check_connection(case: Case) -> None:
+def _check_connection(case: CaseTables) -> None:
     parts = islands_of(case)
     if len(parts) == 1:
         return

@@ -13,14 +13,11 @@ In a case or scenario file an event is one table:
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from .errors import CaseError, nearest, one_line
-
-if TYPE_CHECKING:
-    from .case import Case
 
 Number = Annotated[float, Field(strict=True)]
 Time = Annotated[float, Field(strict=True, ge=0.0)]
@@ -204,77 +201,3 @@ def event_of(table: Mapping[str, Any], *, where: str) -> Any:
 def events_of(tables: Iterable[Mapping[str, Any]], *, where: str) -> tuple[Any, ...]:
     """Return the events of all `[[event]]` tables; errors count from 1."""
     return tuple(event_of(table, where=f"{where}: event {k}") for k, table in enumerate(tables, start=1))
-
-
-def target_index(case: Case, event: Any) -> int:
-    """Return the position of the event's target among the rows of its table in `case`.
-
-    Raises
-    ------
-    CaseError : no such target (with the nearest names), a bus with none or several loads, a Vref event at a
-        machine with constant excitation.
-    """
-    if event.kind == "load_step" and event.bus is not None:
-        return _load_at(case, event.bus)
-    if event.kind == "bus_fault":
-        numbers = [bus.number for bus in case.buses]
-        if event.bus not in numbers:
-            raise CaseError(
-                f"{case.name}: {event.kind}: bus {event.bus} does not exist; {nearest(event.bus, numbers)}"
-            )
-        return numbers.index(event.bus)
-    table = next(t for t in ("branch", "machine", "load", "shunt") if hasattr(event, t))
-    names = [row.name for row in getattr(case, "branches" if table == "branch" else f"{table}s")]
-    name = getattr(event, table)
-    if name not in names:
-        raise CaseError(f"{case.name}: {event.kind}: {table} {name!r} does not exist; {nearest(name, names)}")
-    if event.kind.startswith("vref") and case.machine(name).exciter.kind == "constant":
-        raise CaseError(
-            f"{case.name}: {event.kind}: machine {name!r} has constant excitation, so no voltage set-point, "
-            "allowed: a machine whose exciter regulates"
-        )
-    return names.index(name)
-
-
-def _load_at(case: Case, bus: int) -> int:
-    here = [k for k, load in enumerate(case.loads) if load.bus == bus]
-    if len(here) != 1:
-        buses = sorted({load.bus for load in case.loads})
-        raise CaseError(
-            f"{case.name}: load_step: bus {bus} has {len(here)} loads, allowed: one load ({buses}), "
-            "or load = NAME"
-        )
-    return here[0]
-
-
-def check_events(case: Case, events: Iterable[Any]) -> None:
-    """Check that every target exists and that no set of trips cuts the network in pieces.
-
-    Raises
-    ------
-    CaseError : as `target_index`; or the event whose trip leaves buses without a path to the rest.
-    """
-    switching: list[tuple[float, int, str, bool]] = []
-    for k, event in enumerate(events, start=1):
-        target_index(case, event)
-        if event.kind == "branch_trip":
-            switching.append((event.start_s, k, event.branch, False))
-            if event.end_s is not None:
-                switching.append((event.end_s, k, event.branch, True))
-        elif event.kind == "branch_reclose":
-            switching.append((event.start_s, k, event.branch, True))
-    from .checks import islands_of  # shares the types of a case with this module
-
-    closed = {b.name: b.in_service for b in case.branches}
-    for time in sorted({s[0] for s in switching}):
-        here = [s for s in switching if s[0] == time]
-        for _, _, branch, closes in here:
-            closed[branch] = closes
-        parts = islands_of(case, closed)
-        if len(parts) > 1:
-            names = ", ".join(f"{k} ({branch!r})" for _, k, branch, closes in here if not closes)
-            cut = ", ".join(str(bus) for bus in sorted(parts[1])[:10])
-            raise CaseError(
-                f"{case.name}: event {names} at {time:g} s cuts buses {cut} off, "
-                "allowed: trips that leave one connected network (a machine leaves by machine_trip)"
-            )

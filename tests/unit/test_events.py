@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from interarea.models.case.case import CaseError, load_case
-from interarea.models.case.events import EVENT_KINDS, check_events, event_of, events_of, target_index
+from interarea.models.case.event_targets import check_events, target_index
+from interarea.models.case.events import EVENT_KINDS, event_of, events_of
 
 GOOD = [
     {"kind": "bus_fault", "bus": 8, "start_s": 1.0, "end_s": 1.1333333, "x_pu": 1e-4},

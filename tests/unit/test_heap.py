@@ -10,7 +10,7 @@ import pytest
 FAULTS = """
 import resource
 import numpy as np
-from interarea.cosim.heap import keep_freed_memory
+from interarea.cosim.sweep.workers.malloc_tuning import keep_freed_memory
 possible = {keep} and keep_freed_memory()
 def once():
     a, b = np.ones(400_000), np.ones(300_000)

@@ -225,7 +225,7 @@ def test_certify_judges_an_fmu_by_its_own_record(cache: Path) -> None:
     ],
 )
 def test_design_files_are_refused_by_key(tmp_path: Path, text: str, message: str) -> None:
-    good = (Path(load_design.__code__.co_filename).parent / "templates/design_robust_linear.toml").read_text()
+    good = (Path(load_design.__code__.co_filename).parent / "design_robust_linear.toml").read_text()
     key = text.split(" = ")[0]
     lines = [text if line.startswith(f"{key} =") and "[[" not in line else line for line in good.splitlines()]
     path = tmp_path / "bad.toml"
@@ -235,7 +235,7 @@ def test_design_files_are_refused_by_key(tmp_path: Path, text: str, message: str
 
 
 def test_a_design_is_of_one_loop_or_of_parts(tmp_path: Path) -> None:
-    folder = Path(load_design.__code__.co_filename).parent / "templates"
+    folder = Path(load_design.__code__.co_filename).parent
     both = (folder / "design_robust_linear.toml").read_text()
     part = '[[part]]\nactuator = "G2_vs"\nsignals = ["G2_dw"]\n'
     path = tmp_path / "both.toml"

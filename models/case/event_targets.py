@@ -1,0 +1,82 @@
+"""What the events of a case or scenario act on, and whether that is there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from .checks import islands_of
+from .errors import CaseError, nearest
+from .tables import CaseTables
+
+
+def target_index(case: CaseTables, event: Any) -> int:
+    """Return the position of the event's target among the rows of its table in `case`.
+
+    Raises
+    ------
+    CaseError : no such target (with the nearest names), a bus with none or several loads, a Vref event at a
+        machine with constant excitation.
+    """
+    if event.kind == "load_step" and event.bus is not None:
+        return _load_at(case, event.bus)
+    if event.kind == "bus_fault":
+        numbers = [bus.number for bus in case.buses]
+        if event.bus not in numbers:
+            raise CaseError(
+                f"{case.name}: {event.kind}: bus {event.bus} does not exist; {nearest(event.bus, numbers)}"
+            )
+        return numbers.index(event.bus)
+    table = next(t for t in ("branch", "machine", "load", "shunt") if hasattr(event, t))
+    names = [row.name for row in getattr(case, "branches" if table == "branch" else f"{table}s")]
+    name = getattr(event, table)
+    if name not in names:
+        raise CaseError(f"{case.name}: {event.kind}: {table} {name!r} does not exist; {nearest(name, names)}")
+    if event.kind.startswith("vref") and case.machine(name).exciter.kind == "constant":
+        raise CaseError(
+            f"{case.name}: {event.kind}: machine {name!r} has constant excitation, so no voltage set-point, "
+            "allowed: a machine whose exciter regulates"
+        )
+    return names.index(name)
+
+
+def _load_at(case: CaseTables, bus: int) -> int:
+    here = [k for k, load in enumerate(case.loads) if load.bus == bus]
+    if len(here) != 1:
+        buses = sorted({load.bus for load in case.loads})
+        raise CaseError(
+            f"{case.name}: load_step: bus {bus} has {len(here)} loads, allowed: one load ({buses}), "
+            "or load = NAME"
+        )
+    return here[0]
+
+
+def check_events(case: CaseTables, events: Iterable[Any]) -> None:
+    """Check that every target exists and that no set of trips cuts the network in pieces.
+
+    Raises
+    ------
+    CaseError : as `target_index`; or the event whose trip leaves buses without a path to the rest.
+    """
+    switching: list[tuple[float, int, str, bool]] = []
+    for k, event in enumerate(events, start=1):
+        target_index(case, event)
+        if event.kind == "branch_trip":
+            switching.append((event.start_s, k, event.branch, False))
+            if event.end_s is not None:
+                switching.append((event.end_s, k, event.branch, True))
+        elif event.kind == "branch_reclose":
+            switching.append((event.start_s, k, event.branch, True))
+    closed = {b.name: b.in_service for b in case.branches}
+    for time in sorted({s[0] for s in switching}):
+        here = [s for s in switching if s[0] == time]
+        for _, _, branch, closes in here:
+            closed[branch] = closes
+        parts = islands_of(case, closed)
+        if len(parts) > 1:
+            names = ", ".join(f"{k} ({branch!r})" for _, k, branch, closes in here if not closes)
+            cut = ", ".join(str(bus) for bus in sorted(parts[1])[:10])
+            raise CaseError(
+                f"{case.name}: event {names} at {time:g} s cuts buses {cut} off, "
+                "allowed: trips that leave one connected network (a machine leaves by machine_trip)"
+            )

@@ -1,0 +1,87 @@
+"""The tables of a case and how a row of them is named: what the checks of a case are written for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from functools import cached_property
+from typing import Annotated, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from .control_schema import Positive
+from .errors import CaseError, nearest
+from .events import Event
+from .schema import Branch, Bus, Load, Machine, Shunt, Tie
+
+Named = TypeVar("Named", Branch, Load, Machine, Shunt)
+
+SOLVER_STEP_S = (1e-6, 0.1)  #: least and longest Runge-Kutta step of a plant, s
+SolverStep = Annotated[float, Field(ge=SOLVER_STEP_S[0], le=SOLVER_STEP_S[1])]
+
+
+class CaseTables(BaseModel):
+    """A grid with its machines, controls and loads; rows keep the order of the file."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        populate_by_name=True,
+        ignored_types=(cached_property,),
+    )
+
+    name: Annotated[str, Field(strict=True, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    title: str = ""
+    source: str
+    frequency_hz: Positive
+    base_mva: Positive
+    solver_step_s: SolverStep | None = None  #: of the plant FMU; None: its default
+    sources: dict[str, str] = {}  #: table -> "KEY, where"
+    buses: Annotated[tuple[Bus, ...], Field(min_length=1)]
+    branches: tuple[Branch, ...] = ()
+    shunts: tuple[Shunt, ...] = ()
+    loads: tuple[Load, ...] = ()
+    machines: Annotated[tuple[Machine, ...], Field(min_length=1)]
+    tie: Tie | None = None
+    events: tuple[Event, ...] = Field(
+        default=(), alias="event"
+    )  #: what happens unless a scenario says otherwise
+
+    @property
+    def omega_b(self) -> float:
+        """Base angular frequency, rad/s."""
+        return 2.0 * math.pi * self.frequency_hz
+
+    @property
+    def areas(self) -> dict[str, int]:
+        """Area of each machine."""
+        return {m.name: m.area for m in self.machines}
+
+    @property
+    def slack(self) -> Machine:
+        """The machine that holds the angle reference and balances the power flow."""
+        return next(m for m in self.machines if m.slack)
+
+    def machine(self, name: str) -> Machine:
+        """Return machine `name`; CaseError with the nearest names when there is none."""
+        return _named(self.machines, name, f"{self.name}: machine")
+
+    def branch(self, name: str) -> Branch:
+        """Return branch `name`; CaseError with the nearest names when there is none."""
+        return _named(self.branches, name, f"{self.name}: branch")
+
+    def load(self, name: str) -> Load:
+        """Return load `name`; CaseError with the nearest names when there is none."""
+        return _named(self.loads, name, f"{self.name}: load")
+
+    def shunt(self, name: str) -> Shunt:
+        """Return shunt `name`; CaseError with the nearest names when there is none."""
+        return _named(self.shunts, name, f"{self.name}: shunt")
+
+
+def _named(rows: Iterable[Named], name: str, what: str) -> Named:
+    table = {row.name: row for row in rows}
+    if name not in table:
+        raise CaseError(f"{what} {name!r} does not exist; {nearest(name, table)}")
+    return table[name]
