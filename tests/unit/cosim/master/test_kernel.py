@@ -174,7 +174,7 @@ def test_integers_and_reals_of_a_kicked_decay(cache: Path) -> None:
 def foreign(tmp_path_factory: pytest.TempPathFactory) -> dict[str, FmuFile]:
     builder = pytest.importorskip("pythonfmu.builder").FmuBuilder
     folder = tmp_path_factory.mktemp("pythonfmu")
-    scripts = Path(__file__).parent / "pythonfmus"
+    scripts = Path(__file__).parents[3] / "pythonfmus"
     return {n: FmuFile(builder.build_FMU(scripts / f"{n}.py", dest=folder)) for n in ("lag", "gate")}
 
 

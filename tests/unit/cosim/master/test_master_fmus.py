@@ -21,7 +21,7 @@ pythonfmu = pytest.importorskip("pythonfmu.builder")
 @pytest.fixture(scope="module")
 def lag(tmp_path_factory: pytest.TempPathFactory) -> FmuFile:
     folder = tmp_path_factory.mktemp("pythonfmu")
-    script = Path(__file__).parent / "pythonfmus" / "lag.py"
+    script = Path(__file__).parents[3] / "pythonfmus" / "lag.py"
     return FmuFile(pythonfmu.FmuBuilder.build_FMU(script, dest=folder))
 
 

@@ -24,7 +24,7 @@ PULSE = {"machine": "G1", "size_pu": 0.02, "start_s": 0.5, "end_s": 0.7}
 
 @pytest.fixture(scope="module")
 def damper(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    script = Path(__file__).parent / "pythonfmus" / "damper.py"
+    script = Path(__file__).parents[3] / "pythonfmus" / "damper.py"
     return Path(pythonfmu.FmuBuilder.build_FMU(script, dest=tmp_path_factory.mktemp("damper")))
 
 
