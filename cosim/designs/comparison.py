@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from interarea.design.certificates.closed_loop import closed_loop_matrix
 from interarea.design.delay.curves import delayed_loop, rightmost_roots
 from interarea.design.linear.linearise import select, speeds_in_rad
+from interarea.design.linear.norms import response
 from interarea.design.robust.operating_points import FamilyCertificate
 from interarea.models.case.case import load_case
 
@@ -28,7 +29,6 @@ from ..plots.curves import (
     MUTED,
     SERIES,
     STYLE,
-    frequency_response,
     label_columns,
     new_figure,
     save_figure,
@@ -124,7 +124,7 @@ def gain_figure(alternatives: tuple[Alternative, ...]) -> Figure:
     """Draw the largest singular value of every controller, pu per rad/s."""
     return _magnitudes(
         {
-            a.name: np.linalg.norm(frequency_response(a.system, _OMEGA), 2, axis=(1, 2)).astype(float)
+            a.name: np.linalg.norm(response(a.system, _OMEGA), 2, axis=(1, 2)).astype(float)
             for a in alternatives
         },
         "largest gain of K (pu s/rad)",
@@ -138,7 +138,7 @@ def sensitivity_figure(G: control.StateSpace, alternatives: tuple[Alternative, .
     for one in alternatives:
         if np.linalg.eigvals(closed_loop_matrix(G, one.system)).real.max() < 0.0:
             picked = select(G, list(one.system.output_labels), list(one.system.input_labels))
-            loop = frequency_response(picked, _OMEGA) @ frequency_response(one.system, _OMEGA)
+            loop = response(picked, _OMEGA) @ response(one.system, _OMEGA)
             S = np.linalg.inv(np.eye(loop.shape[1]) - loop)
             curves[one.name] = np.linalg.norm(S, 2, axis=(1, 2)).astype(float)
     return _magnitudes(curves, f"{point}: largest gain of S")

@@ -8,6 +8,7 @@ Speeds come in pu and are drawn in thousandths of a pu.
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from interarea.design.linear.norms import response
 from interarea.fmu_build.write.package import write_whole
 
 from .label_layout import rim_angles
@@ -84,16 +86,10 @@ def save_figure(figure: Figure, path: Path, *, transparent: bool = False) -> Pat
     drawn = io.BytesIO()
     with mpl.rc_context(STYLE):
         figure.savefig(drawn, format=path.suffix[1:], transparent=transparent, metadata=metadata, dpi=160)
-    return write_whole(path, drawn.getvalue())
-
-
-def frequency_response(system: control.StateSpace, omega: Array) -> npt.NDArray[np.complex128]:
-    """Return C (jw I - A)^-1 B + D, shape (frequencies, outputs, inputs); `omega` in rad/s."""
-    A, B, C, D = (np.asarray(m, dtype=float) for m in (system.A, system.B, system.C, system.D))
-    if A.shape[0] == 0:
-        return np.broadcast_to(D.astype(complex), (omega.size, *D.shape)).copy()
-    resolvent = 1j * omega[:, None, None] * np.eye(A.shape[0]) - A
-    return np.asarray(C @ np.linalg.solve(resolvent, np.broadcast_to(B, (omega.size, *B.shape))) + D)
+    data = drawn.getvalue()
+    if path.suffix == ".svg":  # a path on one line instead of one line a point
+        data = re.sub(rb'(?<= d=")[^"]*', lambda d: b" ".join(d.group().split()), data)
+    return write_whole(path, data)
 
 
 def participation_plot(
@@ -190,7 +186,7 @@ def singular_value_plot(
     figure, axes = new_figure()
     with mpl.rc_context(STYLE):
         for k, (label, system) in enumerate(systems.items()):
-            top = np.linalg.norm(frequency_response(system, omega), 2, axis=(1, 2)).astype(np.float64)
+            top = np.linalg.norm(response(system, omega), 2, axis=(1, 2)).astype(np.float64)
             _magnitude(axes, omega, top, label, k)
         _frequency_axis(axes, omega)
         axes.set_ylabel(f"largest singular value ({ylabel})")
@@ -206,9 +202,9 @@ def bode_plot(systems: Mapping[str, control.StateSpace], omega: Array) -> Figure
     with mpl.rc_context(STYLE):
         for j, name in enumerate(inputs):
             for k, (label, system) in enumerate(systems.items()):
-                response = frequency_response(system, omega)[:, 0, j]
-                _magnitude(axes[0, j], omega, np.abs(response), label, k)
-                phase = np.degrees(np.unwrap(np.angle(response)))
+                curve = response(system, omega)[:, 0, j]
+                _magnitude(axes[0, j], omega, np.abs(curve), label, k)
+                phase = np.degrees(np.unwrap(np.angle(curve)))
                 phase -= 360.0 * np.round(phase[len(phase) // 2] / 360.0)
                 axes[1, j].semilogx(omega, phase, color=SERIES[k], linestyle=DASHES[k])
             axes[0, j].set_title(f"from {signal_label(name)}")

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import select
+from interarea.design.linear.norms import response
 from interarea.design.modes.modes import Modes
 from interarea.design.reduction.balanced import Reduction
 from interarea.models.case.case import Case
@@ -22,7 +23,6 @@ from interarea.models.grid.powerflow import PowerFlow
 
 from ..plots.curves import (
     bode_plot,
-    frequency_response,
     hankel_plot,
     latency_damping_plot,
     latency_panels,
@@ -132,8 +132,8 @@ def loop_functions(p: StudyParts, name: str = "wdc") -> tuple[Array, Array]:
     K = p.controllers[name].system
     G = select(p.plant, list(K.output_labels), DW24)
     remote = list(K.input_labels).index(p.spec["remote"])
-    k = frequency_response(K, OMEGA)[:, 0, remote]
-    s = 1.0 / (1.0 - frequency_response(G, OMEGA)[:, 0, 0] * k)
+    k = response(K, OMEGA)[:, 0, remote]
+    s = 1.0 / (1.0 - response(G, OMEGA)[:, 0, 0] * k)
     return np.abs(s), np.abs(k * s)
 
 

@@ -22,6 +22,7 @@ from interarea.models.blocks.variables import Block
 
 from ..lmi.problem import Matrix
 from .controller import Controller, ControllerError, document, plain
+from .json_text import json_text
 
 SCHEMA = 1
 OFF = "off"  #: the member that does nothing, for sets of signals no controller can live on
@@ -160,7 +161,7 @@ class ControllerBank:
             "lyapunov": None if self.lyapunov is None else np.asarray(self.lyapunov).tolist(),
         }
         path = Path(path)
-        path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+        path.write_text(json_text(data), encoding="utf-8")
         return path
 
     @classmethod

@@ -19,6 +19,8 @@ import numpy as np
 from interarea.models.blocks.controller import controller_block
 from interarea.models.blocks.variables import Block
 
+from .json_text import json_text
+
 SCHEMA = 1
 
 #: id of the element of an FMU's documentation that holds design and certificate as JSON
@@ -77,7 +79,7 @@ class Controller:
     def save(self, path: str | Path) -> Path:
         """Write the controller as JSON; every number survives to the last bit."""
         path = Path(path)
-        path.write_text(json.dumps(self.as_dict(), indent=1) + "\n", encoding="utf-8")
+        path.write_text(json_text(self.as_dict()), encoding="utf-8")
         return path
 
     def as_dict(self) -> dict[str, Any]:

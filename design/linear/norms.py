@@ -145,6 +145,12 @@ def frequency_response(
     return out
 
 
+def response(system: control.StateSpace, omega_rad: Matrix) -> ComplexMatrix:
+    """Return `frequency_response` of a system, shape (len(omega_rad), outputs, inputs)."""
+    A, B, C, D = (np.asarray(m, dtype=float) for m in (system.A, system.B, system.C, system.D))
+    return frequency_response(A, B, C, D, omega_rad)
+
+
 def hinf_norm(system: control.StateSpace, *, tolerance: float = 1e-8) -> PeakGain:
     r"""H-infinity norm by bisection on the Hamiltonian matrix, two-step variant.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import control
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -13,18 +12,6 @@ from interarea.cosim.plots import curves as plots
 from interarea.cosim.plots.diagrams import generalised_plant_diagram, one_line_diagram
 from interarea.models.case.case import load_case
 from interarea.models.grid.powerflow import solve_powerflow
-
-
-def test_frequency_response_of_a_lag_is_its_closed_form() -> None:
-    lag = control.ss([[-2.0]], [[2.0]], [[1.0]], [[0.5]])
-    omega = np.array([0.0, 2.0, 20.0])
-    got = plots.frequency_response(lag, omega)[:, 0, 0]
-    assert got == pytest.approx(2.0 / (1j * omega + 2.0) + 0.5, abs=1e-14)
-
-
-def test_frequency_response_without_states_is_the_gain() -> None:
-    got = plots.frequency_response(control.ss([], [], [], [[3.0]]), np.array([1.0, 10.0]))
-    assert np.array_equal(got, np.full((2, 1, 1), 3.0 + 0j))
 
 
 def test_the_same_data_give_the_same_bytes(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from interarea.design.linear.norms import (
     hankel_norm,
     hankel_singular_values,
     hinf_norm,
+    response,
 )
 
 
@@ -112,3 +113,15 @@ def test_unstable_systems_are_refused_by_name() -> None:
         hinf_norm(control.ss([[0.5]], [[1.0]], [[1.0]], 0.0))
     with pytest.raises(UnstableSystem, match="Gramian"):
         h2_norm(control.ss([[0.0]], [[1.0]], [[1.0]], 0.0))
+
+
+def test_frequency_response_of_a_lag_is_its_closed_form() -> None:
+    lag = control.ss([[-2.0]], [[2.0]], [[1.0]], [[0.5]])
+    omega = np.array([0.0, 2.0, 20.0])
+    got = response(lag, omega)[:, 0, 0]
+    assert got == pytest.approx(2.0 / (1j * omega + 2.0) + 0.5, abs=1e-14)
+
+
+def test_frequency_response_without_states_is_the_gain() -> None:
+    got = response(control.ss([], [], [], [[3.0]]), np.array([1.0, 10.0]))
+    assert np.array_equal(got, np.full((2, 1, 1), 3.0 + 0j))
