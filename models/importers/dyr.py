@@ -1,0 +1,167 @@
+"""Records of a PSS/E DYR file: syntax only; which device a model is, `models/devices` knows.
+
+A record is ``BUS 'MODEL' ID fields /`` over any number of lines. What follows the slash is comment, and so
+are lines that begin with ``//`` or, outside a record, not with a number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..case.errors import CaseError
+from .raw.text import read_lines, split_record
+
+#: user-written models that are a plain one under another name
+PLAIN = {
+    "REGCAU1": "REGCA1",
+    "REECAU1": "REECA1",
+    "REECBU1": "REECB1",
+    "REPCAU1": "REPCA1",
+    "REPCTA1": "REPCA1",
+    "WTDTAU1": "WTDTA1",
+    "WTARAU1": "WTARA1",
+    "WTPTAU1": "WTPTA1",
+    "WTTQAU1": "WTTQA1",
+    "GENTPJU1": "GENTPJ",
+    "HYGOVRU": "HYGOVR",
+}
+#: names at which a record ends although its slash is missing
+KNOWN = frozenset(
+    """GENROU GENROE GENSAL GENSAE GENCLS GENTPJ GENTRA SEXS SCRX IEEET1 IEEET2 IEEET3 IEEET4 IEEEX1 IEEEX2
+    ESDC1A ESDC2A EXDC1 EXDC2 EXAC1 EXAC1A EXAC2 EXAC3 EXAC4 ESAC1A ESAC2A ESAC3A ESAC4A ESAC5A ESAC6A ESAC8B
+    AC7B AC8B DC4B ESST1A ESST2A ESST3A ESST4B ST5B ST6B EXST1 EXST2 EXST3 EXPIC1 EXELI EXBAS BBSEX1 TGOV1
+    TGOV3 GAST GAST2A GASTWD HYGOV HYGOV2 HYGOVD HYGOVR IEEEG1 IEEEG1D IEEEG2 IEEEG3 IEESGO WSIEG1 WSHYGP
+    WSHYDD WEHGOV GGOV1 GGOV1D DEGOV DEGOV1 PIDGOV WPIDHY IEEEST STAB1 STAB2A STAB3 STAB4 PSS1A PSS2A PSS2B
+    PSS2C PSS3B PSS4B ST2CUT IEE2ST IEEEVC COMP COMPCC UEL1 UEL2 MAXEX1 MAXEX2 MNLEX1 MNLEX2 OEL1B REGCA1
+    REGCB1 REGCC1 REECA1 REECB1 REECC1 REECD1 REPCA1 WTARA1 WTDTA1 WTPTA1 WTTQA1 WT1G1 WT2G1 WT3G1 WT3E1 WT3T1
+    WT3P1 WT4G1 WT4E1 DERA1 DERAU1 CSVGN1 CSVGN3 CSVGN5 SVSMO1 SVSMO2 IEELBL IEELOW IEELZN IEELAR IEELAL CIM5BL
+    CIM6BL CLODBL CLODAL CMLDBLU2 LDSHBL LVSHBL USRMDL USRBUS USRLOD USRAUX GDFORM""".split()
+)
+
+
+@dataclass(frozen=True, slots=True)
+class DyrRecord:
+    """One record: model in capitals, bus, machine or load, and its fields as they stand."""
+
+    model: str
+    bus: int
+    identity: str  #: stripped, in capitals; "" where the model has none
+    fields: tuple[str, ...]
+    line: int
+    file: str
+    user: str = ""  #: USRMDL, USRLOD or USRBUS, when it came as a user-written model
+
+    @property
+    def where(self) -> str:
+        """File and line."""
+        return f"{self.file}:{self.line}"
+
+
+@dataclass(frozen=True)
+class DyrFile:
+    """The records of a DYR file in order, and what else was found in it."""
+
+    path: Path
+    records: tuple[DyrRecord, ...]
+    comments: int  #: lines that hold no record
+    notes: tuple[str, ...]  #: one line for each missing slash
+
+
+def read_dyr(path: str | Path, known: Collection[str] = KNOWN) -> DyrFile:
+    """Return the records of the DYR file `path`; it may be packed with gzip or xz.
+
+    known : names of models before which a record ends although its slash is missing.
+
+    Raises
+    ------
+    CaseError : unreadable, a record without model or identifier, or cut off; with file and line.
+    """
+    path = Path(path)
+    records: list[DyrRecord] = []
+    notes: list[str] = []
+    comments = 0
+    words: list[str] = []
+    first = 0
+    for number, text in enumerate(read_lines(path), 1):
+        stripped = text.strip()
+        if not stripped:
+            continue
+        if stripped.startswith("//") or (not words and not _begins_with_number(stripped)):
+            comments += stripped != "/"
+            continue
+        where = f"{path}:{number}"
+        new, ended = split_record(text, where)
+        first = first if words else number
+        words += [word for word in new if word]
+        while len(words) > 3:
+            at = _next_record(words, known)
+            if at is None:
+                break
+            line = number - (at < len(words) - len(new))
+            records.append(_record(path, first, words[:at]))
+            notes.append(f"{path}:{line}: {words[at + 1]} begins before the / of {records[-1].model}; read as two")
+            words, first = words[at:], line
+        if ended and words:
+            records.append(_record(path, first, words))
+            words = []
+    if words:
+        model = words[1] if len(words) > 1 else "record"
+        raise CaseError(f"{path}:{first}: {model} has no / to the end of the file (cut off?)")
+    return DyrFile(path, tuple(records), comments, tuple(notes))
+
+
+def _begins_with_number(text: str) -> bool:
+    word = text.replace(",", " ").replace("'", " ").split()[:1]
+    return bool(word) and word[0].lstrip("+-").replace(".", "", 1).isdigit()
+
+
+def _next_record(words: list[str], known: Collection[str]) -> int | None:
+    """The position of a second record in `words`: a bus number before the name of a model."""
+    start = 5 if words[1].upper().startswith("USR") else 4
+    for k in range(start, len(words)):
+        if words[k].upper() in known and words[k - 1].isdigit():
+            return k - 1
+    return None
+
+
+def _record(path: Path, line: int, words: list[str]) -> DyrRecord:
+    where = f"{path}:{line}"
+    try:
+        bus = abs(int(float(words[0])))
+    except (ValueError, OverflowError):
+        raise CaseError(f"{where}: bus = {words[0]!r}, allowed: a whole number") from None
+    if len(words) < 2 or not words[1][:1].isalpha():
+        got = repr(words[1]) if len(words) > 1 else "nothing"
+        raise CaseError(f"{where}: model = {got}, allowed: the name of a model after the bus")
+    model = words[1].upper()
+    if model == "USRBUS":
+        return _user(where, line, path, model, bus, "", words[2:], 6)
+    if len(words) < 3:
+        raise CaseError(f"{where}: {model} at bus {bus}: the identifier is missing (cut off?)")
+    identity = words[2].strip().upper()
+    if model in ("USRMDL", "USRLOD"):
+        return _user(where, line, path, model, bus, identity, words[3:], 7 if model == "USRLOD" else 6)
+    return DyrRecord(PLAIN.get(model, model), bus, identity, tuple(words[3:]), line, str(path))
+
+
+def _user(
+    where: str, line: int, path: Path, user: str, bus: int, identity: str, words: list[str], counts: int
+) -> DyrRecord:
+    """A user-written model: NAME IC IT NI NC NS NV, then NI whole numbers and NC reals."""
+    if len(words) < 1 + counts:
+        raise CaseError(f"{where}: {user} at bus {bus}: {len(words)} fields, allowed: a name and {counts} counts")
+    name = words[0].upper()
+    try:
+        expected = int(words[3]) + int(words[4])
+    except ValueError:
+        raise CaseError(
+            f"{where}: {user} {name}: NI, NC = {words[3]!r}, {words[4]!r}, allowed: whole numbers"
+        ) from None
+    fields = tuple(words[1 + counts :])
+    if len(fields) < expected:
+        raise CaseError(
+            f"{where}: {user} {name}: {len(fields)} values, allowed: {expected} as its counts say (cut off?)"
+        )
+    return DyrRecord(PLAIN.get(name, name), bus, identity, fields[:expected], line, str(path), user)

@@ -1,0 +1,249 @@
+"""A RAW file cut into its sections; records are made of the lines when they are asked for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ...case.errors import CaseError
+from .layouts import fields, layout_of, sections
+from .record import Record
+from .text import read_lines, split_words
+
+Line = tuple[int, str]  #: number in the file, text
+Group = tuple[Line, ...]  #: the lines of one record
+
+#: sections without which a file is cut off rather than short
+_NEEDED = ("bus", "load", "fixed shunt", "generator", "branch", "switching device", "transformer")
+_IGNORED = ("multi-section line", "zone", "inter-area transfer", "owner", "voltage droop", "rating set")
+_IGNORED += ("load type", "interface", "interface element", "transformer adjustment", "area")
+_LINES = {"two-terminal dc": 3, "VSC dc": 3}
+_SECOND_QUOTED = re.compile(r"\s*[^,\s'\"]+\s*[,\s]\s*['\"]")
+_ZERO = re.compile(r"\s*(?:0|'0\s*'|\"0\s*\")\s*(?:$|[,/\s])")
+
+
+@dataclass
+class RawFile:
+    """A RAW file: what its first line says, and the lines of each section.
+
+    version : layout by which it is read. revision : what the header says, None when it says nothing.
+    notes : what was assumed about the file as a whole.
+    """
+
+    path: Path
+    base_mva: float
+    frequency_hz: float | None
+    revision: int | None
+    version: int
+    system: dict[str, float]  #: system-wide values, upper case
+    groups: dict[str, list[Group]] = field(repr=False)
+    notes: list[str] = field(default_factory=list)
+
+    def records(self, section: str) -> Iterator[Record]:
+        """Yield the records of `section`; further lines of a record are its parts, without names."""
+        groups = self.groups.get(section, [])
+        if not groups:
+            return
+        position = fields(section, self.version)
+        for (number, text), *rest in groups:
+            where = f"{self.path}:{number}"
+            parts = tuple(self.record(section, line, {}) for line in rest)
+            yield Record(section, split_words(text, where), where, position, parts)
+
+    def record(self, kind: str, line: Line, position: dict[str, int] | None = None) -> Record:
+        """Return `line` as a record of `kind`."""
+        where = f"{self.path}:{line[0]}"
+        names = fields(kind, self.version) if position is None else position
+        return Record(kind, split_words(line[1], where), where, names)
+
+    def part(self, record: Record, k: int, kind: str) -> Record:
+        """Return part `k` of `record` under the names of `kind`."""
+        plain = record.parts[k]
+        return Record(kind, plain.words, plain.where, fields(kind, self.version))
+
+
+def read_raw(path: Path) -> RawFile:
+    """Cut the RAW file `path` (plain, gzip or xz) into sections.
+
+    Raises
+    ------
+    CaseError : unreadable, no RAW file, change cases (IC = 1), cut off inside the network data, extended
+        bus names.
+    """
+    lines = [
+        (number, text)
+        for number, text in enumerate(read_lines(path), 1)
+        if not text.startswith("@!") and not text.lstrip()[:2] == "@!"
+    ]
+    if not any(text.strip() for _, text in lines):
+        raise CaseError(f"{path}:1: the file is empty, allowed: a PSS/E RAW file")
+    first, raw_head = lines[0]
+    head = Record(
+        "header",
+        split_words(raw_head, f"{path}:{first}"),
+        f"{path}:{first}",
+        {"IC": 0, "SBASE": 1, "REV": 2, "XFRRAT": 3, "NXFRAT": 4, "BASFRQ": 5},
+    )
+    if head.whole("IC", 0) != 0:
+        raise head.wrong("IC", head.text("IC"), "0 (a change case holds changes only)")
+    base = head.number("SBASE", 100.0)
+    if not base > 0.0:
+        raise head.wrong("SBASE", f"{base:g}", "above 0 MVA")
+    revision = head.whole("REV") if head.has("REV") else None
+    frequency = head.number("BASFRQ") if head.has("BASFRQ") else None
+    if frequency is not None and not frequency >= 0.0:
+        raise head.wrong("BASFRQ", f"{frequency:g}", "above 0 Hz")
+    body = lines[3:]
+    named = "\n".join(text.upper() for _, text in body if text.lstrip()[:1] in "0'\"" and _ZERO.match(text))
+    bus_line = _first_bus(path, body)
+    where = f"{path}:{bus_line[0]}"
+    quoted = _SECOND_QUOTED.match(bus_line[1]) is not None
+    version, note = layout_of(revision, split_words(bus_line[1], where), quoted, named)
+    raw = RawFile(path, base, frequency or None, revision, version, {}, {})
+    raw.notes += [f"{path}:{first}: {note}"] if note else []
+    _cut(raw, body)
+    for _, text in (line for group in raw.groups.get("system-wide", []) for line in group):
+        for name, value in re.findall(r"(\w+)\s*=\s*([-+.\deEdD]+)", text):
+            try:
+                raw.system[name.upper()] = float(value)
+            except ValueError:
+                continue
+    return raw
+
+
+def _first_bus(path: Path, body: list[Line]) -> Line:
+    for line in body:
+        word = line[1].lstrip()[:1]
+        if not word or word.isalpha():  # empty, or a keyword of the system-wide data
+            continue
+        if _ZERO.match(line[1]):
+            if "SYSTEM" in line[1].upper():
+                continue
+            break
+        return line
+    number = body[0][0] if body else 1
+    raise CaseError(f"{path}:{number}: no bus record after the three lines of the header, allowed: a RAW file")
+
+
+def _cut(raw: RawFile, body: list[Line]) -> None:
+    order = list(sections(raw.version))
+    if order[0] == "system-wide" and not _has_system(body):
+        order.pop(0)
+    k = 0
+    for section in order:
+        start, closed, groups = k, False, []
+        while k < len(body):
+            number, text = body[k]
+            stripped = text.strip()
+            if not stripped:
+                k += 1
+                continue
+            if _ZERO.match(text):
+                k, closed = k + 1, True
+                break
+            if stripped[0] in "Qq" and stripped[1:2] in ("", " ", ",", "/"):
+                k = len(body)
+                closed = True
+                break
+            count = _span(raw, section, body, k)
+            if section not in _IGNORED or section == "transformer adjustment":
+                groups.append(_take(raw, section, body, k, count))
+            k += count
+        if groups:
+            raw.groups[section] = raw.groups.get(section, []) + groups
+        if not closed and k > start and section in _NEEDED:
+            raise CaseError(
+                f"{raw.path}:{body[-1][0]}: the file ends inside the {section} data, allowed: a line with 0 "
+                "after its last record (cut off?)"
+            )
+    rest = [line for line in body[k:] if line[1].strip() and line[1].strip()[:1] not in "Qq"]
+    if rest:
+        raw.notes.append(
+            f"{raw.path}:{rest[0][0]}: {len(rest)} lines after the last section of version {raw.version} "
+            "left aside"
+        )
+
+
+def _has_system(body: list[Line]) -> bool:
+    for _, text in body:
+        if text.strip():
+            return text.lstrip()[:1].isalpha() or (
+                _ZERO.match(text) is not None and "BUS" in text.upper().partition("BEGIN")[2]
+            )
+    return False
+
+
+def _take(raw: RawFile, section: str, body: list[Line], k: int, count: int) -> Group:
+    """The lines of one record, empty ones between them left out."""
+    group = [line for line in body[k : k + count] if line[1].strip()]
+    if len(body) < k + count:
+        raise CaseError(
+            f"{raw.path}:{body[-1][0]}: the file ends inside the {section} record of line {body[k][0]} "
+            "(cut off?)"
+        )
+    return tuple(group)
+
+
+def _span(raw: RawFile, section: str, body: list[Line], k: int) -> int:
+    """The number of lines, from `k`, of the record that begins there."""
+    count = _LINES.get(section, 1)
+    if section == "transformer":
+        head = raw.record("transformer", body[k])
+        count = 4 if head.bus("K", 0) == 0 else 5
+    elif section == "multi-terminal dc":
+        head = raw.record("multi-terminal dc", body[k])
+        count = 1 + sum(max(head.whole(name, 0), 0) for name in ("NCONV", "NDCBS", "NDCLN"))
+    elif section == "impedance correction" and raw.version >= 34:
+        count = _table_lines(raw, body, k)
+    elif section == "GNE":
+        count = _gne_lines(raw, body, k)
+    elif section == "substation":
+        return _substation_lines(raw, body, k)
+    if count == 1:
+        return 1
+    at = k
+    while count > 0 and at < len(body):
+        count -= bool(body[at][1].strip())
+        at += 1
+    return at - k + count
+
+
+def _table_lines(raw: RawFile, body: list[Line], k: int) -> int:
+    """A correction table of version 34 on: six triples a line until a triple of zeros or a short line."""
+    count = 0
+    for at in range(k, len(body)):
+        words = split_words(body[at][1], f"{raw.path}:{body[at][0]}")
+        values = words[1:] if count == 0 else words
+        count += 1
+        if len(values) < 18 or all(_zero(word) for word in values[-3:]):
+            break
+        if at + 1 < len(body) and _ZERO.match(body[at + 1][1]) and "END" in body[at + 1][1].upper():
+            break
+    return count
+
+
+def _zero(word: str) -> bool:
+    return word.strip("+-0.eEdD") == ""
+
+
+def _gne_lines(raw: RawFile, body: list[Line], k: int) -> int:
+    head = raw.record("GNE", body[k], {})
+    names = {"NTERM": 2}
+    ends = Record("GNE", head.words, head.where, names).whole("NTERM", 1)
+    first = 3 + ends if raw.version >= 34 else len(head.words) - 6
+    names = {"NREAL": first, "NINTG": first + 1, "NCHAR": first + 2}
+    counted = Record("GNE", head.words, head.where, names)
+    numbers = [max(counted.whole(name, 0), 0) for name in names]
+    return (2 if raw.version >= 34 else 1) + sum(-(-n // 10) for n in numbers)
+
+
+def _substation_lines(raw: RawFile, body: list[Line], k: int) -> int:
+    """A station with its nodes, switches and terminals, each list closed by a zero of its own."""
+    zeros = 0
+    for at in range(k + 1, len(body)):
+        zeros += _ZERO.match(body[at][1]) is not None
+        if zeros == 3:
+            return at + 1 - k
+    return len(body) - k

@@ -1,0 +1,111 @@
+"""Text of a PSS/E file: packed or plain, any common encoding and line end, cut into the words of a record."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import lzma
+import re
+import zlib
+from pathlib import Path
+
+from ...case.errors import CaseError, reason
+
+LARGEST_BYTES = 1 << 30  #: of the unpacked text; a packed file can claim any size
+LONGEST_LINE = 20_000  #: characters; PSS/E itself writes less than 2000
+_PACKED = {b"\x1f\x8b": gzip.open, b"\xfd7": lzma.open, b"BZ": bz2.open}
+_WORD = re.compile(
+    r"""'((?:[^']|'(?![\s,/]|$))*)'   # a quote closes only before blank, comma, slash or the end:
+      | "((?:[^"]|"(?![\s,/]|$))*)"   # names hold apostrophes
+      | (,) | (/) | ([^,/\s]+)""",
+    re.VERBOSE,
+)
+
+
+def read_lines(path: Path) -> list[str]:
+    """Return the lines of the text file `path`, unpacked if it is gzip, xz or bzip2 (told by its content).
+
+    UTF-8 with or without mark, UTF-16 with mark, else code page 1252; lines end in CR LF, LF or CR.
+
+    Raises
+    ------
+    CaseError : the file cannot be read, is damaged, larger than 1 GiB or not text.
+    """
+    try:
+        with path.open("rb") as plain:
+            start = plain.read(6)
+        packed = next((opener for magic, opener in _PACKED.items() if start.startswith(magic)), None)
+        with packed(path, "rb") if packed else path.open("rb") as file:
+            content = file.read(LARGEST_BYTES + 1)
+    except (OSError, EOFError, lzma.LZMAError, zlib.error, ValueError) as error:
+        raise CaseError(f"{path}: cannot be read: {reason(error)}") from None
+    if len(content) > LARGEST_BYTES:
+        raise CaseError(f"{path}: more than {LARGEST_BYTES >> 20} MiB of text, allowed: less")
+    return _decoded(path, content).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def _decoded(path: Path, content: bytes) -> str:
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        encodings = ["utf-16"]
+    else:
+        zero = content.find(b"\0")
+        if zero >= 0:
+            line = content.count(b"\n", 0, zero) + 1
+            raise CaseError(f"{path}:{line}: a zero byte: this is no text file")
+        encodings = ["utf-8-sig", "cp1252", "latin-1"]
+    for encoding in encodings:
+        try:
+            return content.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    raise CaseError(f"{path}: begins as UTF-16 but is not, allowed: UTF-8, UTF-16 with mark, code page 1252")
+
+
+def split_words(text: str, where: str) -> tuple[str, ...]:
+    """Return the words of a line: commas or blanks part them, quotes bind them, `/` ends the record.
+
+    Two commas in a row leave an empty word, which means the default. `where` names the line in errors.
+
+    >>> split_words("1, 'A/B, C ',, 2.5  'O'NEIL' / comment", "")
+    ('1', 'A/B, C', '', '2.5', "O'NEIL")
+    """
+    return split_record(text, where)[0]
+
+
+def split_record(text: str, where: str) -> tuple[tuple[str, ...], bool]:
+    """Return the words of a line as `split_words`, and whether a `/` outside quotes ended it."""
+    if len(text) > LONGEST_LINE:
+        raise CaseError(f"{where}: a line of {len(text)} characters, allowed: at most {LONGEST_LINE}")
+    if "'" not in text and '"' not in text:
+        head, slash, _ = text.partition("/")
+        return _split_plain(head), bool(slash)
+    words: list[str] = []
+    after_comma = True
+    for single, double, comma, slash, bare in _WORD.findall(text):
+        if slash:
+            return tuple(words), True
+        if comma:
+            if after_comma:
+                words.append("")
+            after_comma = True
+            continue
+        if bare[:1] in ("'", '"'):
+            raise CaseError(f"{where}: a quote ({bare[:1]}) is not closed: {bare[:40]}")
+        words.append(bare or (single or double).strip())
+        after_comma = False
+    return tuple(words), False
+
+
+def _split_plain(text: str) -> tuple[str, ...]:
+    words: list[str] = []
+    for part in text.split(","):
+        pieces = part.split()
+        if len(pieces) == 1:
+            words.append(pieces[0])
+        elif pieces:
+            words.extend(pieces)
+        else:
+            words.append("")
+    while words and not words[-1]:
+        words.pop()
+    return tuple(words)
