@@ -28,6 +28,9 @@ Switch = Annotated[bool, Field(strict=True)]
 Name = Annotated[str, Field(strict=True, pattern=r"^\S(.*\S)?$")]
 
 
+LEAST_IMPEDANCE_PU = 1e-9  #: of a branch; a smaller one drowns all others in rounding
+
+
 class Bus(Row):
     """A bus; `number` is its id in the file."""
 
@@ -35,6 +38,10 @@ class Bus(Row):
     name: str = ""
     area: Annotated[int, Field(strict=True, ge=1)] = 1
     kv: Positive | None = None  #: nominal voltage, kV (information only: everything is per unit)
+    V_pu: Positive | None = None  #: where the power flow starts; None: flat
+    angle_deg: Number | None = None  #: likewise
+    latitude_deg: Annotated[float, Field(ge=-90.0, le=90.0)] | None = None
+    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)] | None = None
 
 
 class Branch(Row):
@@ -48,12 +55,21 @@ class Branch(Row):
     kind: Literal["line", "transformer"] = "line"
     from_bus: BusNumber = Field(alias="from")
     to_bus: BusNumber = Field(alias="to")
-    r: NonNegative = 0.0
-    x: Positive
-    b: NonNegative = 0.0  #: total charging
+    r: Number = 0.0
+    x: Number  #: below 0 for a series capacitor or a winding of a star; r + jx is not 0
+    b: Number = 0.0  #: total charging
     tap: Positive = 1.0
     shift_deg: Number = 0.0
     in_service: Switch = True
+
+    @model_validator(mode="after")
+    def _impedance(self) -> Self:
+        if not abs(complex(self.r, self.x)) >= LEAST_IMPEDANCE_PU:
+            raise ValueError(
+                f"r + jx = {self.r:g} + j{self.x:g}, allowed: a size of at least {LEAST_IMPEDANCE_PU:g} pu "
+                "(join the buses instead)"
+            )
+        return self
 
 
 class Shunt(Row):
@@ -167,6 +183,7 @@ class Machine(Row):
     Tq02: Positive | None = None
     saturation: Saturation | None = None
     P_mw: Number  #: dispatch; the slack machine's is a start value only
+    Q_mvar: Number | None = None  #: its part of the Q at its bus; what is left is shared by rating
     V_pu: Positive
     slack: Switch = False
     angle_deg: Number = 0.0  #: bus angle, slack only

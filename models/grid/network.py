@@ -7,9 +7,11 @@ Per unit on the base of the case; bus order is the order of `case.buses`, machin
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 
 from ..case.case import Case, CaseError
 from ..case.schema import Branch, Load, Shunt
@@ -40,10 +42,24 @@ def branch_stamp(branch: Branch) -> ComplexArray:
     >>> [complex(branch_stamp(line)[0, k]).imag for k in (0, 1)]
     [-2.0, 2.0]
     """
-    y = 1.0 / complex(branch.r, branch.x)
-    tap = branch.tap * np.exp(1j * np.deg2rad(branch.shift_deg))
-    end = y + 0.5j * branch.b
-    return np.array([[end / abs(tap) ** 2, -y / np.conj(tap)], [-y / tap, end]])
+    stamp: ComplexArray = branch_stamps([branch])[0].reshape(2, 2)
+    return stamp
+
+
+def branch_stamps(branches: Sequence[Branch]) -> ComplexArray:
+    """Return the stamps of many branches, (branches, 4): from-from, from-to, to-from, to-to."""
+    if not branches:
+        return np.zeros((0, 4), dtype=complex)
+    rows = np.array([(b.r, b.x, b.b, b.tap, b.shift_deg) for b in branches], dtype=float)
+    return series_stamps(*rows.T)
+
+
+def series_stamps(r: Any, x: Any, b: Any, tap: Any, shift_deg: Any) -> ComplexArray:
+    """Return the stamps of branches given by arrays of their values, (branches, 4)."""
+    y = 1.0 / (r + 1j * x)
+    turn = tap * np.exp(1j * np.deg2rad(shift_deg))
+    end = y + 0.5j * b
+    return np.stack([end / np.abs(turn) ** 2, -y / np.conj(turn), -y / turn, end], axis=1)
 
 
 def shunt_admittance(case: Case, shunt: Shunt) -> complex:
@@ -56,6 +72,28 @@ def load_power(case: Case, load: Load) -> complex:
     return complex(load.P_mw, load.Q_mvar) / case.base_mva
 
 
+def sparse_admittance(case: Case, *, without: Iterable[str] = (), shunts: bool = True) -> Any:
+    """Return the bus admittance matrix as a sparse CSR matrix, (buses, buses); see `admittance_matrix`."""
+    left_out = {case.branch(name).name for name in without}
+    index = bus_index(case)
+    branches = [b for b in case.branches if b.in_service and b.name not in left_out]
+    ends = np.array([(index[b.from_bus], index[b.to_bus]) for b in branches], dtype=int).reshape(-1, 2)
+    diagonal = np.zeros(len(index), dtype=complex)
+    for shunt in case.shunts if shunts else ():
+        if shunt.in_service:
+            diagonal[index[shunt.bus]] += shunt_admittance(case, shunt)
+    return assembled(ends, branch_stamps(branches), diagonal)
+
+
+def assembled(ends: npt.NDArray[np.int_], stamps: ComplexArray, diagonal: ComplexArray) -> Any:
+    """Return the sparse admittance matrix of branches at `ends` (branches, 2) and shunts on the diagonal."""
+    n = len(diagonal)
+    rows = np.concatenate([ends[:, [0, 0, 1, 1]].ravel(), np.arange(n)])
+    columns = np.concatenate([ends[:, [0, 1, 0, 1]].ravel(), np.arange(n)])
+    values = np.concatenate([stamps.ravel(), diagonal])
+    return sparse.coo_matrix((values, (rows, columns)), shape=(n, n)).tocsr()
+
+
 def admittance_matrix(case: Case, *, without: Iterable[str] = (), shunts: bool = True) -> ComplexArray:
     """Return the bus admittance matrix, (buses, buses): branches and shunts in service.
 
@@ -65,19 +103,8 @@ def admittance_matrix(case: Case, *, without: Iterable[str] = (), shunts: bool =
     ------
     CaseError : a name in `without` that is no branch.
     """
-    left_out = {case.branch(name).name for name in without}
-    index = bus_index(case)
-    Y = np.zeros((len(index), len(index)), dtype=complex)
-    for branch in case.branches:
-        if branch.in_service and branch.name not in left_out:
-            ends = [index[branch.from_bus], index[branch.to_bus]]
-            Y[np.ix_(ends, ends)] += branch_stamp(branch)
-    if shunts:
-        for shunt in case.shunts:
-            if shunt.in_service:
-                k = index[shunt.bus]
-                Y[k, k] += shunt_admittance(case, shunt)
-    return Y
+    dense: ComplexArray = sparse_admittance(case, without=without, shunts=shunts).toarray()
+    return dense
 
 
 def kron_reduction(Y: npt.ArrayLike, keep: Sequence[int]) -> ComplexArray:

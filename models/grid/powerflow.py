@@ -1,4 +1,4 @@
-"""Newton power flow in polar form with the exact Jacobian."""
+"""The power flow of a case by Newton's method."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ..case.case import Case, CaseError
-from .network import ComplexArray, admittance_matrix, branch_stamp, bus_index, load_power, machine_bus_index
+from .network import ComplexArray, branch_stamp, bus_index, load_power, machine_bus_index, sparse_admittance
+from .newton import Iterate, newton
 
 TOLERANCE_PU = 1e-10
-_MOST_ITERATIONS = 40
 
 
 class PowerFlowError(CaseError):
@@ -69,23 +69,19 @@ class PowerFlow:
 
 
 def solve_powerflow(case: Case) -> PowerFlow:
-    r"""Solve the power flow of `case` from a flat start.
+    r"""Solve the power flow of `case` from the start values of its buses, flat where they have none.
 
     Slack: voltage and angle given; other machine buses: P and voltage; the rest: P and Q. Loads are constant
-    P and Q, shunts are admittances. With :math:`S = V \circ (YV)^*` the Newton step uses
+    P and Q, shunts are admittances; `newton` has the equations.
 
-    .. math::
-        \partial S/\partial\theta = j\,\mathrm{diag}(V)\,(\mathrm{diag}(I) - Y\,\mathrm{diag}(V))^*, \qquad
-        \partial S/\partial|V| = \mathrm{diag}(V)\,(Y\,\mathrm{diag}(\hat V))^* + \mathrm{diag}(I^*\hat V).
-
-    Machine reactive limits are not enforced. Machines at one bus share its Q by their ratings, the slack
-    machine takes what P is left.
+    Machine reactive limits are not enforced. Machines at one bus have their own `Q_mvar` and share what is
+    left of its Q by their ratings; the slack machine takes what P is left.
 
     Raises
     ------
     PowerFlowError : no convergence; names the bus with the worst mismatch.
     """
-    Y = admittance_matrix(case)
+    Y = sparse_admittance(case)
     machine_bus = machine_bus_index(case)
     slack = bus_index(case)[case.slack.bus]
     load = _load_at_buses(case)
@@ -93,35 +89,19 @@ def solve_powerflow(case: Case) -> PowerFlow:
     np.add.at(scheduled, machine_bus, [m.P_mw / case.base_mva for m in case.machines])
 
     n = len(case.buses)
-    magnitude = np.ones(n)
+    magnitude = np.array([bus.V_pu or 1.0 for bus in case.buses])
     magnitude[machine_bus] = [m.V_pu for m in case.machines]
-    angle = np.full(n, np.deg2rad(case.slack.angle_deg))
-    free_angle = np.array([k for k in range(n) if k != slack], dtype=int)
-    free_magnitude = np.array(sorted(set(range(n)) - set(machine_bus.tolist())), dtype=int)
-
-    best: tuple[float, ComplexArray, int] | None = None
-    for iteration in range(_MOST_ITERATIONS):
-        V: ComplexArray = np.asarray(magnitude * np.exp(1j * angle), dtype=complex)
-        off = V * np.conj(Y @ V) - scheduled
-        residual = np.concatenate([off.real[free_angle], off.imag[free_magnitude]])
-        worst = float(np.max(np.abs(residual), initial=0.0))
-        if not np.isfinite(worst):
-            break
-        if best is not None and worst <= TOLERANCE_PU and worst > 0.5 * best[0]:
-            break  # converged, and rounding keeps it from getting better
-        if best is None or worst < best[0]:
-            best = (worst, V, iteration)
-        if worst == 0.0:
-            break
-        try:
-            step = np.linalg.solve(_jacobian(Y, V, free_angle, free_magnitude), residual)
-        except np.linalg.LinAlgError:
-            break
-        angle[free_angle] -= step[: len(free_angle)]
-        magnitude[free_magnitude] -= step[len(free_angle) :]
-    if best is None or not best[0] <= TOLERANCE_PU:
-        raise PowerFlowError(_no_convergence(case, Y, best, scheduled, free_angle, free_magnitude))
-    return _solved(case, Y, best, load, slack)
+    # a start far from the others' helps nobody: angles count from the slack's
+    given = case.slack.angle_deg if case.buses[slack].angle_deg is None else case.buses[slack].angle_deg
+    turn = case.slack.angle_deg - given
+    angle = np.array([turn + (given if bus.angle_deg is None else bus.angle_deg) for bus in case.buses])
+    start = magnitude * np.exp(1j * np.deg2rad(angle))
+    free_angle = np.delete(np.arange(n), slack)
+    free_magnitude = np.setdiff1d(np.arange(n), machine_bus)
+    best = newton(Y, start, scheduled, free_angle, free_magnitude, tolerance_pu=TOLERANCE_PU)
+    if best is None or not best.converged:
+        raise PowerFlowError(_no_convergence(case, best, free_angle, free_magnitude))
+    return _solved(case, best, load, slack)
 
 
 def _load_at_buses(case: Case) -> ComplexArray:
@@ -133,70 +113,40 @@ def _load_at_buses(case: Case) -> ComplexArray:
     return load
 
 
-def _jacobian(
-    Y: ComplexArray,
-    V: ComplexArray,
-    free_angle: npt.NDArray[np.int_],
-    free_magnitude: npt.NDArray[np.int_],
-) -> npt.NDArray[np.float64]:
-    current = Y @ V
-    unit = V / np.abs(V)
-    by_angle = 1j * V[:, None] * np.conj(np.diag(current) - Y * V)
-    by_magnitude = V[:, None] * np.conj(Y * unit) + np.diag(np.conj(current) * unit)
-    return np.block(
-        [
-            [
-                by_angle.real[np.ix_(free_angle, free_angle)],
-                by_magnitude.real[np.ix_(free_angle, free_magnitude)],
-            ],
-            [
-                by_angle.imag[np.ix_(free_magnitude, free_angle)],
-                by_magnitude.imag[np.ix_(free_magnitude, free_magnitude)],
-            ],
-        ]
-    )
-
-
 def _no_convergence(
-    case: Case,
-    Y: ComplexArray,
-    best: tuple[float, ComplexArray, int] | None,
-    scheduled: ComplexArray,
-    free_angle: npt.NDArray[np.int_],
-    free_magnitude: npt.NDArray[np.int_],
+    case: Case, best: Iterate | None, free_angle: npt.NDArray[np.int_], free_magnitude: npt.NDArray[np.int_]
 ) -> str:
     start = f"{case.name}: the power flow does not converge"
     advice = "reduce the loads or the transfer, or check branches and voltages"
     if best is None:
         return f"{start} (no finite iterate); {advice}"
-    _, V, iteration = best
-    off = V * np.conj(Y @ V) - scheduled
-    size = np.zeros(len(V))
-    size[free_angle] = np.abs(off.real[free_angle])
-    size[free_magnitude] = np.maximum(size[free_magnitude], np.abs(off.imag[free_magnitude]))
+    size = best.at_bus(free_angle, free_magnitude)
     k = int(np.argmax(size))
+    low, high = (int(f(np.abs(best.voltages))) for f in (np.argmin, np.argmax))
+    profile = ", ".join(f"{abs(best.voltages[j]):.3g} at bus {case.buses[j].number}" for j in (low, high))
     return (
         f"{start}: worst mismatch {size[k]:.3g} pu at bus {case.buses[k].number} "
-        f"(best of {_MOST_ITERATIONS} iterations: number {iteration}), allowed: {TOLERANCE_PU:g} pu; {advice}"
+        f"(best iterate: number {best.iteration}), allowed: {TOLERANCE_PU:g} pu; its voltages reach from "
+        f"{profile} pu; {advice}"
     )
 
 
-def _solved(
-    case: Case, Y: ComplexArray, best: tuple[float, ComplexArray, int], load: ComplexArray, slack: int
-) -> PowerFlow:
-    mismatch, V, iterations = best
-    injections = V * np.conj(Y @ V)
+def _solved(case: Case, best: Iterate, load: ComplexArray, slack: int) -> PowerFlow:
+    V = best.voltages
+    injections: ComplexArray = V * np.conj(sparse_admittance(case) @ V)
     at_bus = injections + load
     machine_bus = machine_bus_index(case)
     rating = np.array([m.base_mva for m in case.machines])
-    generation = np.zeros(len(case.machines), dtype=complex)
-    for k, machine in enumerate(case.machines):
-        here = machine_bus == machine_bus[k]
-        share = rating[k] / rating[here].sum()
-        generation[k] = complex(machine.P_mw / case.base_mva, at_bus[machine_bus[k]].imag * share)
+    total = np.zeros(len(V))
+    np.add.at(total, machine_bus, rating)
+    own_q = np.array([(m.Q_mvar or 0.0) / case.base_mva for m in case.machines])
+    left = at_bus.imag.copy()
+    np.subtract.at(left, machine_bus, own_q)
+    q = own_q + left[machine_bus] * rating / total[machine_bus]
+    generation = np.array([m.P_mw / case.base_mva for m in case.machines]) + 1j * q
     others = [k for k, m in enumerate(case.machines) if machine_bus[k] == slack and not m.slack]
     own = next(k for k, m in enumerate(case.machines) if m.slack)
     generation[own] = complex(at_bus[slack].real - generation[others].real.sum(), generation[own].imag)
     for array in (V, injections, generation):
         array.flags.writeable = False
-    return PowerFlow(case, V, injections, generation, iterations, mismatch)
+    return PowerFlow(case, V, injections, generation, best.iteration, best.mismatch_pu)

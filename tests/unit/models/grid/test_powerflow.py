@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from interarea.models.case.case import Case, CaseError, case_of, load_case
-from interarea.models.grid import powerflow
-from interarea.models.grid.network import admittance_matrix
+from interarea.models.grid import newton
+from interarea.models.grid.network import admittance_matrix, sparse_admittance
 from interarea.models.grid.powerflow import PowerFlowError, solve_powerflow
 
 
@@ -76,17 +76,18 @@ def test_generation_less_load_is_what_branches_and_shunts_lose(name: str) -> Non
 
 
 def test_jacobian_is_the_derivative_of_the_mismatch() -> None:
-    Y = admittance_matrix(load_case("kundur-manual"))
+    Y = sparse_admittance(load_case("kundur-manual"))
     flow = solve_powerflow(load_case("kundur-manual"))
     V, n = flow.voltages, 11
     every = np.arange(n)
-    J = powerflow._jacobian(Y, V, every, every)
     rng = np.random.default_rng(0)
+    current = rng.standard_normal(n) + 1j * rng.standard_normal(n)
+    J = newton._jacobian(Y, V, current, every, every)
     angle, magnitude = rng.standard_normal(n), rng.standard_normal(n)
 
     def power(h: float) -> np.ndarray:
         W = (np.abs(V) + h * magnitude) * np.exp(1j * (np.angle(V) + h * angle))
-        S = W * np.conj(Y @ W)
+        S = W * np.conj(Y @ W) - current * np.abs(W)
         return np.concatenate([S.real, S.imag])
 
     h = 1e-4  # Richardson: error of order h^4

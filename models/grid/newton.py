@@ -1,0 +1,124 @@
+"""Newton's method for power flows in polar form, with the exact sparse Jacobian."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+ComplexArray = npt.NDArray[np.complex128]
+IntArray = npt.NDArray[np.int_]
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """The best voltages that Newton's method came by.
+
+    voltages, off : (buses,) pu; `off` is the power that flows into the network less the scheduled one.
+    mismatch_pu : largest entry of `off` in P where the angle and in Q where the magnitude is free.
+    """
+
+    voltages: ComplexArray
+    off: ComplexArray
+    iteration: int
+    mismatch_pu: float
+    converged: bool
+
+    def at_bus(self, free_angle: IntArray, free_magnitude: IntArray) -> npt.NDArray[np.float64]:
+        """Return the mismatch at each bus, (buses,): the larger of P and Q where they are scheduled."""
+        size = np.zeros(len(self.off))
+        size[free_angle] = np.abs(self.off.real[free_angle])
+        size[free_magnitude] = np.maximum(size[free_magnitude], np.abs(self.off.imag[free_magnitude]))
+        return size
+
+
+def newton(
+    Y: Any,
+    start: npt.ArrayLike,
+    scheduled: npt.ArrayLike,
+    free_angle: IntArray,
+    free_magnitude: IntArray,
+    *,
+    current: npt.ArrayLike | float = 0.0,
+    tolerance_pu: float = 1e-10,
+    most: int = 40,
+) -> Iterate | None:
+    r"""Find V with :math:`V \circ (YV)^* = S_0 + S_1 |V|` where it is scheduled, from `start`.
+
+    With :math:`S = V \circ (YV)^*` the step uses
+
+    .. math::
+        \partial S/\partial\theta = j\,\mathrm{diag}(V)\,(\mathrm{diag}(I) - Y\,\mathrm{diag}(V))^*, \qquad
+        \partial S/\partial|V| = \mathrm{diag}(V)\,(Y\,\mathrm{diag}(\hat V))^* + \mathrm{diag}(I^*\hat V).
+
+    Y : sparse (n, n). start : (n,) voltages. scheduled : (n,) constant power S0 into the network, pu.
+    free_angle, free_magnitude : positions whose P, Q are scheduled. current : (n,) S1, what follows the
+    voltage magnitude (constant current). Steps are halved up to four times while the mismatch grows.
+    Returns None when not even the start is finite. After convergence it goes on while that helps.
+    """
+    Y = sparse.csr_matrix(Y)
+    V = np.asarray(start, dtype=complex)
+    magnitude, angle = np.abs(V), np.angle(V)
+    fixed = np.asarray(scheduled, dtype=complex)
+    linear = np.broadcast_to(np.asarray(current, dtype=complex), fixed.shape)
+
+    def residual(magnitude: Any, angle: Any) -> tuple[ComplexArray, ComplexArray, Any, float]:
+        V = magnitude * np.exp(1j * angle)
+        off = V * np.conj(Y @ V) - fixed - linear * magnitude
+        values = np.concatenate([off.real[free_angle], off.imag[free_magnitude]])
+        return V, off, values, float(np.max(np.abs(values), initial=0.0))
+
+    with np.errstate(all="ignore"):
+        V, off, values, worst = residual(magnitude, angle)
+        if not np.isfinite(worst):
+            return None
+        best = Iterate(V, off, 0, worst, worst <= tolerance_pu)
+        for iteration in range(1, most + 1):
+            if worst == 0.0:
+                break
+            try:
+                step = splu(_jacobian(Y, V, linear, free_angle, free_magnitude)).solve(values)
+            except RuntimeError:  # exactly singular
+                break
+            share = 1.0
+            for _ in range(5):
+                new_angle, new_magnitude = angle.copy(), magnitude.copy()
+                new_angle[free_angle] -= share * step[: len(free_angle)]
+                new_magnitude[free_magnitude] -= share * step[len(free_angle) :]
+                trial = residual(new_magnitude, new_angle)
+                if np.isfinite(trial[3]) and (trial[3] < 2.0 * worst or best.converged):
+                    break
+                share *= 0.5
+            angle, magnitude = new_angle, new_magnitude
+            V, off, values, worst = trial
+            if not np.isfinite(worst):
+                break
+            if best.converged and worst > 0.5 * best.mismatch_pu:
+                break  # rounding keeps it from getting better
+            if worst < best.mismatch_pu:
+                best = Iterate(V, off, iteration, worst, worst <= tolerance_pu)
+    return best
+
+
+def _jacobian(Y: Any, V: ComplexArray, linear: Any, free_angle: IntArray, free_magnitude: IntArray) -> Any:
+    current = Y @ V
+    unit = V / np.abs(V)
+    around = sparse.diags(V)
+    by_angle = (1j * around @ (sparse.diags(current) - Y @ around).conj()).tocsr()
+    by_magnitude = (
+        around @ (Y @ sparse.diags(unit)).conj() + sparse.diags(np.conj(current) * unit - linear)
+    ).tocsr()
+    return sparse.bmat(
+        [
+            [by_angle.real[free_angle][:, free_angle], by_magnitude.real[free_angle][:, free_magnitude]],
+            [
+                by_angle.imag[free_magnitude][:, free_angle],
+                by_magnitude.imag[free_magnitude][:, free_magnitude],
+            ],
+        ],
+        format="csc",
+    )
