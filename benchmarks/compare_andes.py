@@ -142,14 +142,11 @@ def imported(python: str) -> tuple[Case, dict[str, Any]]:
     """
     raw, dyr = map(Path, ask(python, {"files": FILES})["files"])
     with tempfile.TemporaryDirectory() as folder:
-        network, network_33, dynamics = (Path(folder) / name for name in ("32.raw", "npcc.raw", "npcc.dyr"))
-        text = raw.read_text(encoding="latin-1")
-        network.write_text(text, encoding="latin-1")
-        # the file says version 32; the records that are read have the same fields in 33
-        network_33.write_text(re.sub(r",\s*32\s*,", ", 33,", text, count=1), encoding="latin-1")
+        network, dynamics = (Path(folder) / name for name in ("npcc.raw", "npcc.dyr"))
+        network.write_bytes(raw.read_bytes())
         dynamics.write_text(re.sub(r"[^/]*/", _unsaturated, dyr.read_text(encoding="latin-1")))
         found = ask(python, {"files": [str(network), str(dynamics)]})
-        return import_psse(network_33, dynamics), found
+        return import_psse(network, dynamics).case, found
 
 
 def _unsaturated(record: re.Match[str]) -> str:

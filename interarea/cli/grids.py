@@ -7,48 +7,85 @@ from typing import Annotated
 
 import typer
 
+_GRIDS = ".raw (PSS/E version 23 to 36) or .m (MATPOWER), plain, .gz or .xz"
+
 
 def import_grid(
-    grid: Annotated[Path, typer.Argument(metavar="GRID", help="PSS/E .raw (version 33) or MATPOWER .m")],
+    grid: Annotated[Path, typer.Argument(metavar="GRID", help=_GRIDS)],
     out: Annotated[Path, typer.Option("--out", metavar="CASE.toml", help="case file", show_default=False)],
     dyr: Annotated[Path | None, typer.Option("--dyr", metavar="FILE", help="PSS/E dynamic data")] = None,
-    P_exponent: Annotated[float, typer.Option("--p-exponent", help="loads: P against voltage (RAW)")] = 2.0,
-    Q_exponent: Annotated[float, typer.Option("--q-exponent", help="loads: Q against voltage (RAW)")] = 2.0,
+    P_exponent: Annotated[
+        float | None,
+        typer.Option("--p-exponent", help="loads: P against voltage (else 2)", show_default=False),
+    ] = None,
+    Q_exponent: Annotated[
+        float | None,
+        typer.Option("--q-exponent", help="loads: Q against voltage (else 2)", show_default=False),
+    ] = None,
     frequency: Annotated[
-        float, typer.Option("--frequency", metavar="HZ", help="MATPOWER does not say it")
-    ] = 60.0,
+        float | None,
+        typer.Option(
+            "--frequency", metavar="HZ", help="where the file has none (else 60)", show_default=False
+        ),
+    ] = None,
+    strict: Annotated[bool, typer.Option("--strict", help="an assumption is an error")] = False,
+    island: Annotated[
+        int | None, typer.Option("--island", metavar="BUS", help="island to keep (else the largest)")
+    ] = None,
+    converters: Annotated[
+        str, typer.Option("--converters", metavar="refuse|current", help="converters as constant currents")
+    ] = "refuse",
+    coordinates: Annotated[
+        Path | None, typer.Option("--coordinates", metavar="CSV", help="bus, latitude, longitude")
+    ] = None,
 ) -> None:
-    """Read a grid, solve its power flow and write it as a case file; what is not supported is named."""
-    from interarea.models.case.case import CaseError
+    """Read a grid, solve its power flow, write it as a case file; say what was read, assumed and dropped."""
+    from interarea.models.case.errors import CaseError
     from interarea.models.case.write_toml import export_toml
-    from interarea.models.grid.powerflow import solve_powerflow
     from interarea.models.importers.matpower import import_matpower
     from interarea.models.importers.psse import import_psse
 
     from .destination import file_for
 
     file_for(out)
-    if not grid.exists():
-        raise CaseError(f"{grid}: no such file, wanted: .raw (PSS/E version 33) or .m (MATPOWER)")
-    if grid.is_dir():
-        raise CaseError(f"{grid}: is a folder, wanted: .raw (PSS/E version 33) or .m (MATPOWER)")
-    if grid.suffix.lower() == ".m":
+    if not grid.is_file():
+        what = "is a folder" if grid.is_dir() else "no such file"
+        raise CaseError(f"{grid}: {what}, allowed: {_GRIDS}")
+    if converters not in ("refuse", "current"):
+        raise CaseError(f"--converters {converters}, allowed: refuse, current")
+    if frequency is not None and not frequency > 0.0:
+        raise CaseError(f"--frequency {frequency:g}, allowed: above 0 Hz")
+    suffix = Path(grid.stem).suffix if grid.suffix.lower() in (".gz", ".xz") else grid.suffix
+    if suffix.lower() == ".m":
         if dyr is not None:
             raise CaseError(f"{dyr}: dynamic data goes with a RAW file, not with MATPOWER")
-        case = import_matpower(grid, frequency_hz=frequency)
-    elif grid.suffix.lower() == ".raw":
-        case = import_psse(grid, dyr, P_exponent=P_exponent, Q_exponent=Q_exponent)
+        imported = import_matpower(
+            grid,
+            frequency_hz=frequency,
+            P_exponent=P_exponent,
+            Q_exponent=Q_exponent,
+            strict=strict,
+            island=island,
+            coordinates=coordinates,
+        )
+    elif suffix.lower() == ".raw":
+        imported = import_psse(
+            grid,
+            dyr,
+            P_exponent=P_exponent,
+            Q_exponent=Q_exponent,
+            strict=strict,
+            island=island,
+            converters_as_current=converters == "current",
+            coordinates=coordinates,
+            frequency_hz=frequency,
+        )
     else:
-        raise CaseError(f"{grid}: suffix {grid.suffix!r}, allowed: .raw (PSS/E version 33), .m (MATPOWER)")
-    flow = solve_powerflow(case)
+        raise CaseError(f"{grid}: suffix {suffix!r}, allowed: {_GRIDS}")
     out.parent.mkdir(parents=True, exist_ok=True)
-    export_toml(case, out)
+    export_toml(imported.case, out)
     typer.echo(out)
-    typer.echo(
-        f"{len(case.buses)} buses, {len(case.branches)} branches, {len(case.machines)} machines; power flow: "
-        f"voltages {flow.magnitudes.min():.4f} to {flow.magnitudes.max():.4f} pu",
-        err=True,
-    )
+    typer.echo(imported.report.text(), err=True)
 
 
 def export(

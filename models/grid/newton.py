@@ -10,6 +10,8 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+_ROUNDING = 1e-14  #: of the powers that cancel in a mismatch, relative to the largest admittance
+
 ComplexArray = npt.NDArray[np.complex128]
 IntArray = npt.NDArray[np.int_]
 
@@ -58,9 +60,11 @@ def newton(
     Y : sparse (n, n). start : (n,) voltages. scheduled : (n,) constant power S0 into the network, pu.
     free_angle, free_magnitude : positions whose P, Q are scheduled. current : (n,) S1, what follows the
     voltage magnitude (constant current). Steps are halved up to four times while the mismatch grows.
-    Returns None when not even the start is finite. After convergence it goes on while that helps.
+    Returns None when not even the start is finite. After convergence it goes on while that helps. Branches
+    of very small impedance raise the tolerance to what rounding leaves of their currents.
     """
     Y = sparse.csr_matrix(Y)
+    tolerance_pu = max(tolerance_pu, _ROUNDING * float(np.max(np.abs(Y.data), initial=0.0)))
     V = np.asarray(start, dtype=complex)
     magnitude, angle = np.abs(V), np.angle(V)
     fixed = np.asarray(scheduled, dtype=complex)

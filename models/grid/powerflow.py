@@ -92,9 +92,9 @@ def solve_powerflow(case: Case) -> PowerFlow:
     magnitude = np.array([bus.V_pu or 1.0 for bus in case.buses])
     magnitude[machine_bus] = [m.V_pu for m in case.machines]
     # a start far from the others' helps nobody: angles count from the slack's
-    given = case.slack.angle_deg if case.buses[slack].angle_deg is None else case.buses[slack].angle_deg
-    turn = case.slack.angle_deg - given
-    angle = np.array([turn + (given if bus.angle_deg is None else bus.angle_deg) for bus in case.buses])
+    angle = np.array([np.nan if bus.angle_deg is None else bus.angle_deg for bus in case.buses])
+    given = case.slack.angle_deg if np.isnan(angle[slack]) else angle[slack]
+    angle = np.where(np.isnan(angle), case.slack.angle_deg, angle - given + case.slack.angle_deg)
     start = magnitude * np.exp(1j * np.deg2rad(angle))
     free_angle = np.delete(np.arange(n), slack)
     free_magnitude = np.setdiff1d(np.arange(n), machine_bus)

@@ -27,18 +27,20 @@ PLAIN = {
     "GENTPJU1": "GENTPJ",
     "HYGOVRU": "HYGOVR",
 }
+_NAMES = """
+    GENROU GENROE GENSAL GENSAE GENCLS GENTPJ GENTRA SEXS SCRX IEEET1 IEEET2 IEEET3 IEEET4 IEEEX1 IEEEX2
+    ESDC1A ESDC2A EXDC1 EXDC2 EXAC1 EXAC1A EXAC2 EXAC3 EXAC4 ESAC1A ESAC2A ESAC3A ESAC4A ESAC5A ESAC6A
+    ESAC8B AC7B AC8B DC4B ESST1A ESST2A ESST3A ESST4B ST5B ST6B EXST1 EXST2 EXST3 EXPIC1 EXELI EXBAS
+    BBSEX1 TGOV1 TGOV3 GAST GAST2A GASTWD HYGOV HYGOV2 HYGOVD HYGOVR IEEEG1 IEEEG1D IEEEG2 IEEEG3 IEESGO
+    WSIEG1 WSHYGP WSHYDD WEHGOV GGOV1 GGOV1D DEGOV DEGOV1 PIDGOV WPIDHY IEEEST STAB1 STAB2A STAB3 STAB4
+    PSS1A PSS2A PSS2B PSS2C PSS3B PSS4B ST2CUT IEE2ST IEEEVC COMP COMPCC UEL1 UEL2 MAXEX1 MAXEX2 MNLEX1
+    MNLEX2 OEL1B REGCA1 REGCB1 REGCC1 REECA1 REECB1 REECC1 REECD1 REPCA1 WTARA1 WTDTA1 WTPTA1 WTTQA1
+    WT1G1 WT2G1 WT3G1 WT3E1 WT3T1 WT3P1 WT4G1 WT4E1 DERA1 DERAU1 CSVGN1 CSVGN3 CSVGN5 SVSMO1 SVSMO2
+    IEELBL IEELOW IEELZN IEELAR IEELAL CIM5BL CIM6BL CLODBL CLODAL CMLDBLU2 LDSHBL LVSHBL USRMDL USRBUS
+    USRLOD USRAUX GDFORM
+"""
 #: names at which a record ends although its slash is missing
-KNOWN = frozenset(
-    """GENROU GENROE GENSAL GENSAE GENCLS GENTPJ GENTRA SEXS SCRX IEEET1 IEEET2 IEEET3 IEEET4 IEEEX1 IEEEX2
-    ESDC1A ESDC2A EXDC1 EXDC2 EXAC1 EXAC1A EXAC2 EXAC3 EXAC4 ESAC1A ESAC2A ESAC3A ESAC4A ESAC5A ESAC6A ESAC8B
-    AC7B AC8B DC4B ESST1A ESST2A ESST3A ESST4B ST5B ST6B EXST1 EXST2 EXST3 EXPIC1 EXELI EXBAS BBSEX1 TGOV1
-    TGOV3 GAST GAST2A GASTWD HYGOV HYGOV2 HYGOVD HYGOVR IEEEG1 IEEEG1D IEEEG2 IEEEG3 IEESGO WSIEG1 WSHYGP
-    WSHYDD WEHGOV GGOV1 GGOV1D DEGOV DEGOV1 PIDGOV WPIDHY IEEEST STAB1 STAB2A STAB3 STAB4 PSS1A PSS2A PSS2B
-    PSS2C PSS3B PSS4B ST2CUT IEE2ST IEEEVC COMP COMPCC UEL1 UEL2 MAXEX1 MAXEX2 MNLEX1 MNLEX2 OEL1B REGCA1
-    REGCB1 REGCC1 REECA1 REECB1 REECC1 REECD1 REPCA1 WTARA1 WTDTA1 WTPTA1 WTTQA1 WT1G1 WT2G1 WT3G1 WT3E1 WT3T1
-    WT3P1 WT4G1 WT4E1 DERA1 DERAU1 CSVGN1 CSVGN3 CSVGN5 SVSMO1 SVSMO2 IEELBL IEELOW IEELZN IEELAR IEELAL CIM5BL
-    CIM6BL CLODBL CLODAL CMLDBLU2 LDSHBL LVSHBL USRMDL USRBUS USRLOD USRAUX GDFORM""".split()
-)
+KNOWN = frozenset(_NAMES.split())
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +103,9 @@ def read_dyr(path: str | Path, known: Collection[str] = KNOWN) -> DyrFile:
                 break
             line = number - (at < len(words) - len(new))
             records.append(_record(path, first, words[:at]))
-            notes.append(f"{path}:{line}: {words[at + 1]} begins before the / of {records[-1].model}; read as two")
+            notes.append(
+                f"{path}:{line}: {words[at + 1]} begins before the / of {records[-1].model}; read as two"
+            )
             words, first = words[at:], line
         if ended and words:
             records.append(_record(path, first, words))
@@ -151,7 +155,9 @@ def _user(
 ) -> DyrRecord:
     """A user-written model: NAME IC IT NI NC NS NV, then NI whole numbers and NC reals."""
     if len(words) < 1 + counts:
-        raise CaseError(f"{where}: {user} at bus {bus}: {len(words)} fields, allowed: a name and {counts} counts")
+        raise CaseError(
+            f"{where}: {user} at bus {bus}: {len(words)} fields, allowed: a name and {counts} counts"
+        )
     name = words[0].upper()
     try:
         expected = int(words[3]) + int(words[4])

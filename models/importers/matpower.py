@@ -1,46 +1,79 @@
-"""Read a MATPOWER case file (version 2) for its power flow."""
+"""A grid of MATPOWER: the tables of a case file of version 2."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from ..case.case import Case, CaseError, case_of
-from ..case.errors import reason
+from ..case.case import case_of
+from ..case.errors import CaseError
+from .document import document_of
+from .imported import Imported
+from .places import read_places
+from .raw.text import read_lines
+from .report import Report
+from .static import StaticBranch, StaticBus, StaticGrid, StaticLoad, StaticShunt, StaticUnit
+from .stored import solve_stored
+from .topology import settle, slack_of
 
-_COLUMNS = {"bus": 13, "gen": 8, "branch": 11}
+_COLUMNS = {"bus": 13, "gen": 8, "branch": 11, "dcline": 9}
 #: columns that are read and must be finite; limits, costs and ratings may be Inf
-_READ = {"bus": (0, 1, 2, 3, 4, 5, 6, 8, 9), "gen": (0, 1, 5, 6, 7), "branch": (0, 1, 2, 3, 4, 8, 9, 10)}
+_READ = {
+    "bus": (0, 1, 2, 3, 4, 5, 6, 7, 8, 9),
+    "gen": (0, 1, 2, 5, 6, 7),
+    "branch": (0, 1, 2, 3, 4, 8, 9, 10),
+    "dcline": (0, 1, 2, 3, 4, 5, 6),
+}
+_USUAL_HZ = 60.0
+_LEAST_PU = 1e-7  #: impedance below which a branch joins its ends
 
 
 @dataclass(frozen=True)
 class _Row:
     values: tuple[float, ...]
-    line: int
+    where: str
+
+    def bus(self, column: int, grid: StaticGrid) -> int:
+        """Return column `column` as the number of a bus of `grid`."""
+        return grid.bus(self.whole(column), self.where).number
+
+    def whole(self, column: int) -> int:
+        """Return column `column` as a whole number."""
+        if self.values[column] != int(self.values[column]):
+            raise CaseError(
+                f"{self.where}: column {column + 1} is {self.values[column]:g}, allowed: a whole number"
+            )
+        return int(self.values[column])
 
 
-def import_matpower(path: str | Path, *, name: str | None = None, frequency_hz: float = 60.0) -> Case:
+def import_matpower(
+    path: str | Path,
+    *,
+    name: str | None = None,
+    frequency_hz: float | None = None,
+    P_exponent: float | None = None,
+    Q_exponent: float | None = None,
+    strict: bool = False,
+    island: int | None = None,
+    coordinates: str | Path | None = None,
+) -> Imported:
     """Return the grid of a MATPOWER `.m` file; its machines have no dynamic data (model power_flow).
 
-    Buses of type 4 must be free of what is in service. Generators out of service are left out and counted
-    in the source of the table. Reactive limits, costs and ratings play no part. MATPOWER does not say the
-    frequency.
+    Reactive limits, costs and ratings play no part. MATPOWER says neither the frequency nor how loads follow
+    the voltage: 60 Hz and constant impedance when not given. `strict`, `island` and `coordinates` are those
+    of `import_psse`.
 
     Raises
     ------
-    CaseError : not version 2, a table that is missing or cut short, a DC line, a value the case refuses;
-        each with file and line.
+    CaseError : not version 2, a table that is missing or cut short, a value the case refuses; each with file
+        and line.
+    PowerFlowError : no solution beside the stored voltages, nor from a flat start.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise CaseError(f"{path}: cannot be read: {reason(error)}") from None
-    lines = [line.split("%")[0] for line in text.splitlines()]
+    report = Report(strict)
+    lines = [line.split("%")[0] for line in read_lines(path)]
     version = re.search(r"mpc\.version\s*=\s*['\"]?([^'\";]+)", "\n".join(lines))
     if version is None or version.group(1).strip() != "2":
         got = version.group(1).strip() if version else "none"
@@ -49,13 +82,32 @@ def import_matpower(path: str | Path, *, name: str | None = None, frequency_hz: 
     if base is None:
         raise CaseError(f"{path}: mpc.baseMVA is missing")
     base_mva = _number(base.group(1), f"{path}: mpc.baseMVA")
-    tables = {table: _table(path, lines, table) for table in _COLUMNS}
-    if _table(path, lines, "dcline", needed=False):
-        raise CaseError(f"{path}: mpc.dcline holds dc lines, which this model has not; take them out")
-    return _case(path, tables, base_mva, name or path.stem, frequency_hz)
+    if not base_mva > 0.0:
+        raise CaseError(f"{path}: mpc.baseMVA = {base_mva:g}, allowed: above 0")
+    tables = {table: _table(path, lines, table, needed=table != "dcline") for table in _COLUMNS}
+    if frequency_hz is None:
+        report.assume(f"no frequency in the file: {_USUAL_HZ:g} Hz", str(path))
+    grid = StaticGrid(base_mva, frequency_hz or _USUAL_HZ, f"{path.name} (MATPOWER)")
+    _buses(tables["bus"], grid)
+    _units(tables["gen"], grid)
+    _branches(tables["branch"], grid, report)
+    _dc_lines(tables["dcline"], grid, report)
+    for what, rows in (("buses", grid.buses), ("branches", grid.branches), ("units", grid.units)):
+        report.read[what] = len(rows)
+    if coordinates is not None:
+        read_places(Path(coordinates), grid)
+    settle(grid, report, island)
+    solution = solve_stored(grid, slack_of(grid, report).number, report)
+    if (P_exponent is None or Q_exponent is None) and grid.loads:
+        report.assume(
+            "loads follow the voltage as constant impedance unless the exponents say else", str(path)
+        )
+    exponents = (2.0 if P_exponent is None else P_exponent, 2.0 if Q_exponent is None else Q_exponent)
+    document = document_of(grid, solution, name=name or path.name.split(".")[0], exponents=exponents)
+    return Imported(case_of(document, where=str(path)), report, solution)
 
 
-def _table(path: Path, lines: list[str], table: str, *, needed: bool = True) -> list[_Row]:
+def _table(path: Path, lines: list[str], table: str, *, needed: bool) -> list[_Row]:
     start = next((k for k, line in enumerate(lines) if re.match(rf"\s*mpc\.{table}\s*=\s*\[", line)), None)
     if start is None:
         if needed:
@@ -70,17 +122,17 @@ def _table(path: Path, lines: list[str], table: str, *, needed: bool = True) -> 
             if not words:
                 continue
             values = tuple(_number(word, f"{path}:{k + 1}: mpc.{table}") for word in words)
-            if len(values) < _COLUMNS.get(table, 0):
+            if len(values) < _COLUMNS[table]:
                 raise CaseError(
                     f"{path}:{k + 1}: mpc.{table}: {len(values)} columns, allowed: >= {_COLUMNS[table]}"
                 )
-            for column in _READ.get(table, ()):
+            for column in _READ[table]:
                 if not math.isfinite(values[column]):
                     raise CaseError(
                         f"{path}:{k + 1}: mpc.{table}: column {column + 1} is {words[column]!r}, "
                         "allowed: a finite number"
                     )
-            rows.append(_Row(values, k + 1))
+            rows.append(_Row(values, f"{path}:{k + 1}"))
         if ends:
             return rows
     raise CaseError(
@@ -95,99 +147,67 @@ def _number(word: str, what: str) -> float:
         raise CaseError(f"{what}: {word!r} is not a number") from None
 
 
-def _case(path: Path, tables: dict[str, list[_Row]], base_mva: float, name: str, frequency_hz: float) -> Case:
-    document: dict[str, Any] = {
-        "name": re.sub(r"[^A-Za-z0-9_.-]+", "-", name),
-        "source": f"imported from {path.name} (MATPOWER)",
-        "frequency_hz": float(frequency_hz),
-        "base_mva": base_mva,
-    }
-    buses: dict[str, Any] = {}
-    loads: dict[str, Any] = {}
-    shunts: dict[str, Any] = {}
-    kinds: dict[int, int] = {}
-    angle: dict[int, float] = {}
-    for row in tables["bus"]:
-        number, kind, area = (int(v) for v in (row.values[0], row.values[1], row.values[6]))
-        if number in kinds:
-            raise CaseError(f"{path}:{row.line}: bus {number} is given twice, allowed: once")
-        kinds[number], angle[number] = kind, row.values[8]
-        if kind == 4:
-            continue
-        buses[str(number)] = {"area": max(area, 1)} | ({"kv": row.values[9]} if row.values[9] > 0.0 else {})
-        if row.values[2] or row.values[3]:
-            loads[f"L{number}"] = {"bus": number, "P_mw": row.values[2], "Q_mvar": row.values[3]}
-        if row.values[4] or row.values[5]:
-            shunts[f"C{number}"] = {"bus": number, "P_mw": row.values[4], "Q_mvar": row.values[5]}
-    machines = _machines(path, tables["gen"], kinds, angle, base_mva)
-    branches = _branches(path, tables["branch"], kinds)
-    out = len(tables["gen"]) - len(machines)
-    machines["source"] = f"{path.name}, mpc.gen" + (f"; {out} out of service left out" if out else "")
-    document |= {"buses": buses, "loads": loads, "shunts": shunts, "branches": branches, "machines": machines}
-    return case_of(document, where=str(path))
+def _buses(rows: list[_Row], grid: StaticGrid) -> None:
+    for row in rows:
+        v = row.values
+        number = row.whole(0)
+        if number in grid.buses:
+            raise CaseError(f"{row.where}: bus {number} is given twice, allowed: once")
+        if v[1] not in (1, 2, 3, 4):
+            raise CaseError(f"{row.where}: bus {number} has type {v[1]:g}, allowed: 1, 2, 3, 4")
+        if not v[7] > 0.0:
+            raise CaseError(f"{row.where}: bus {number} has Vm = {v[7]:g}, allowed: above 0 pu")
+        bus = StaticBus(number, row.where, "", max(v[9], 0.0), int(v[1]), max(row.whole(6), 1), v[7], v[8])
+        grid.buses[number] = bus
+        if v[2] or v[3]:
+            grid.loads.append(StaticLoad(number, "L", "1", v[2], v[3], row.where))
+        if v[4] or v[5]:
+            grid.shunts.append(StaticShunt(number, "C", "1", v[4], v[5], row.where))
 
 
-def _machines(
-    path: Path, rows: list[_Row], kinds: dict[int, int], angle: dict[int, float], base_mva: float
-) -> dict[str, Any]:
-    active = [row for row in rows if row.values[7] > 0.0]
-    count = Counter(int(row.values[0]) for row in active)
-    seen: Counter[int] = Counter()
-    machines: dict[str, Any] = {}
-    slack_done = False
-    for row in active:
-        bus = int(row.values[0])
-        if kinds.get(bus) not in (2, 3):
-            raise CaseError(
-                f"{path}:{row.line}: generator at bus {bus} of type {kinds.get(bus)}, allowed: type 2 or 3 "
-                "(a fixed injection is a negative load)"
-            )
-        seen[bus] += 1
-        key = f"G{bus}" if count[bus] == 1 else f"G{bus}_{seen[bus]}"
-        machine: dict[str, Any] = {
-            "bus": bus,
-            "model": "power_flow",
-            "base_mva": row.values[6] if row.values[6] > 0.0 else base_mva,
-            "P_mw": row.values[1],
-            "V_pu": row.values[5],
-        }
-        if kinds[bus] == 3 and not (slack_done and seen[bus] > 1):
-            machine |= {"slack": True, "angle_deg": angle[bus]}
-            slack_done = True
-        machines[key] = machine
-    return machines
+def _units(rows: list[_Row], grid: StaticGrid) -> None:
+    count: dict[int, int] = {}
+    for row in rows:
+        v, bus = row.values, row.bus(0, grid)
+        count[bus] = count.get(bus, 0) + 1
+        on = v[7] > 0.0
+        if on and not v[5] > 0.0:
+            raise CaseError(f"{row.where}: generator at bus {bus} has Vg = {v[5]:g}, allowed: above 0 pu")
+        base = v[6] if v[6] > 0.0 else grid.base_mva
+        unit = StaticUnit(bus, str(count[bus]), v[1], v[2], v[5], base, 0.0, 0.0, row.where, on)
+        grid.units.append(unit)
 
 
-def _branches(path: Path, rows: list[_Row], kinds: dict[int, int]) -> dict[str, Any]:
-    pairs = [(int(row.values[0]), int(row.values[1])) for row in rows]
-    count = Counter(frozenset(pair) for pair in pairs)
-    seen: Counter[frozenset[int]] = Counter()
-    branches: dict[str, Any] = {}
-    for row, (first, second) in zip(rows, pairs, strict=True):
-        for bus in (first, second):
-            if bus not in kinds:
-                raise CaseError(
-                    f"{path}:{row.line}: branch {first}-{second} ends at bus {bus}, which does not exist"
-                )
-        if 4 in (kinds[first], kinds[second]) and row.values[10] <= 0.0:
-            continue
-        if not row.values[3] > 0.0:
-            raise CaseError(
-                f"{path}:{row.line}: branch {first}-{second} has x = {row.values[3]:g}, allowed: above 0"
-            )
+def _branches(rows: list[_Row], grid: StaticGrid, report: Report) -> None:
+    count: dict[frozenset[int], int] = {}
+    for row in rows:
+        v = row.values
+        first, second = row.bus(0, grid), row.bus(1, grid)
+        if first == second:
+            raise CaseError(f"{row.where}: branch from bus {first} to itself, allowed: two buses")
         pair = frozenset((first, second))
-        seen[pair] += 1
-        name = f"{first}-{second}" + ("" if count[pair] == 1 else f" {seen[pair]}")
-        tap, shift = row.values[8], row.values[9]
-        branches[name] = {
-            "kind": "transformer" if tap or shift else "line",
-            "from": first,
-            "to": second,
-            "r": row.values[2],
-            "x": row.values[3],
-            "b": row.values[4],
-            "tap": tap or 1.0,
-            "shift_deg": shift,
-            "in_service": row.values[10] > 0.0,
-        }
-    return branches
+        count[pair] = count.get(pair, 0) + 1
+        branch = StaticBranch((first, second), str(count[pair]), first, second, v[2], v[3], v[4], row.where)
+        branch.on, branch.transformer = v[10] > 0.0, bool(v[8] or v[9])
+        branch.tap, branch.shift = v[8] or 1.0, v[9]
+        if not branch.tap > 0.0:
+            raise CaseError(f"{row.where}: branch {first}-{second} has ratio {v[8]:g}, allowed: 0 or above")
+        if abs(complex(branch.r, branch.x)) < _LEAST_PU:
+            branch.joins = not branch.transformer
+            if branch.transformer:
+                branch.x = _LEAST_PU
+                report.assume(f"transformer without impedance gets {_LEAST_PU:g} pu", row.where)
+        grid.branches.append(branch)
+
+
+def _dc_lines(rows: list[_Row], grid: StaticGrid, report: Report) -> None:
+    """Dc lines as constant powers; the Q that holds their voltages is what the stored voltages leave over."""
+    for k, row in enumerate(rows, 1):
+        v = row.values
+        if not v[2] > 0.0:
+            report.drop("dc line out of service", row.where)
+            continue
+        for end, bus, taken in (("F", row.bus(0, grid), v[3]), ("T", row.bus(1, grid), -v[4])):
+            load = StaticLoad(bus, "D", f"{k}{end}", taken, 0.0, row.where, follows=0.0, q_free=True)
+            grid.loads.append(load)
+        report.assume("dc line taken as constant P and Q at both ends", row.where)

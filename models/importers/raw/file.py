@@ -17,8 +17,20 @@ Group = tuple[Line, ...]  #: the lines of one record
 
 #: sections without which a file is cut off rather than short
 _NEEDED = ("bus", "load", "fixed shunt", "generator", "branch", "switching device", "transformer")
-_IGNORED = ("multi-section line", "zone", "inter-area transfer", "owner", "voltage droop", "rating set")
-_IGNORED += ("load type", "interface", "interface element", "transformer adjustment", "area")
+_IGNORED = frozenset(
+    [
+        *(
+            "area",
+            "multi-section line",
+            "zone",
+            "inter-area transfer",
+            "owner",
+            "voltage droop",
+            "rating set",
+        ),
+        *("load type", "interface", "interface element"),
+    ]
+)
 _LINES = {"two-terminal dc": 3, "VSC dc": 3}
 _SECOND_QUOTED = re.compile(r"\s*[^,\s'\"]+\s*[,\s]\s*['\"]")
 _ZERO = re.compile(r"\s*(?:0|'0\s*'|\"0\s*\")\s*(?:$|[,/\s])")
@@ -72,11 +84,7 @@ def read_raw(path: Path) -> RawFile:
     CaseError : unreadable, no RAW file, change cases (IC = 1), cut off inside the network data, extended
         bus names.
     """
-    lines = [
-        (number, text)
-        for number, text in enumerate(read_lines(path), 1)
-        if not text.startswith("@!") and not text.lstrip()[:2] == "@!"
-    ]
+    lines = [(number, text) for number, text in enumerate(read_lines(path), 1) if text.lstrip()[:2] != "@!"]
     if not any(text.strip() for _, text in lines):
         raise CaseError(f"{path}:1: the file is empty, allowed: a PSS/E RAW file")
     first, raw_head = lines[0]
@@ -124,7 +132,9 @@ def _first_bus(path: Path, body: list[Line]) -> Line:
             break
         return line
     number = body[0][0] if body else 1
-    raise CaseError(f"{path}:{number}: no bus record after the three lines of the header, allowed: a RAW file")
+    raise CaseError(
+        f"{path}:{number}: no bus record after the three lines of the header, allowed: a RAW file"
+    )
 
 
 def _cut(raw: RawFile, body: list[Line]) -> None:
@@ -135,7 +145,7 @@ def _cut(raw: RawFile, body: list[Line]) -> None:
     for section in order:
         start, closed, groups = k, False, []
         while k < len(body):
-            number, text = body[k]
+            text = body[k][1]
             stripped = text.strip()
             if not stripped:
                 k += 1
@@ -148,7 +158,7 @@ def _cut(raw: RawFile, body: list[Line]) -> None:
                 closed = True
                 break
             count = _span(raw, section, body, k)
-            if section not in _IGNORED or section == "transformer adjustment":
+            if section not in _IGNORED:
                 groups.append(_take(raw, section, body, k, count))
             k += count
         if groups:

@@ -15,6 +15,7 @@ VERSIONS = (23, 26, 29, 31, 32, 33, 34, 35, 36)  #: layouts that differ; 30 is 2
 
 _RATINGS = " ".join(f"RATE{k}" for k in range(1, 13))
 _OWNERS = "O1 F1 O2 F2 O3 F3 O4 F4"
+_UNIT = "ZR ZX RT XT GTAP STAT RMPCT PT PB"
 _STEPS = " ".join(f"N{k} B{k}" for k in range(1, 9))
 _BLOCKS = " ".join(f"S{k} N{k} B{k}" for k in range(1, 9))
 _FACTS = "NAME I J MODE PDES QDES VSET SHMX TRMX VTMN VTMX VSMX IMX LINX RMPCT OWNER SET1 SET2 VSREF"
@@ -31,11 +32,8 @@ _FIELDS: dict[str, tuple[tuple[int, str], ...]] = {
     ),
     "fixed shunt": ((31, "I ID STATUS GL BL NAME"),),
     "generator": (
-        (23, f"I ID PG QG QT QB VS IREG MBASE ZR ZX RT XT GTAP STAT RMPCT PT PB {_OWNERS} WMOD WPF"),
-        (
-            35,
-            f"I ID PG QG QT QB VS IREG NREG MBASE ZR ZX RT XT GTAP STAT RMPCT PT PB BASLOD {_OWNERS} WMOD WPF",
-        ),
+        (23, f"I ID PG QG QT QB VS IREG MBASE {_UNIT} {_OWNERS} WMOD WPF"),
+        (35, f"I ID PG QG QT QB VS IREG NREG MBASE {_UNIT} BASLOD {_OWNERS} WMOD WPF"),
     ),
     "branch": (
         (23, "I J CKT R X B RATEA RATEB RATEC RATIO ANGLE GI BI GJ BJ ST"),
@@ -57,9 +55,7 @@ _FIELDS: dict[str, tuple[tuple[int, str], ...]] = {
         (35, f"WINDV NOMV ANG {_RATINGS} COD CONT NOD RMA RMI VMA VMI NTP TAB CR CX CNXA"),
     ),
     "area": ((23, "I ISW PDES PTOL ARNAME"),),
-    "two-terminal dc": (
-        (23, "NAME MDC RDC SETVL VSCHD VCMOD RCOMP DELTI METER DCVMIN CCCITMX CCCACC"),
-    ),
+    "two-terminal dc": ((23, "NAME MDC RDC SETVL VSCHD VCMOD RCOMP DELTI METER DCVMIN CCCITMX CCCACC"),),
     "dc converter": ((23, "IP NB ANMX ANMN RC XC EBAS TR TAP TMX TMN STP"),),
     "VSC dc": ((29, f"NAME MDC RDC {_OWNERS}"),),
     "VSC converter": (

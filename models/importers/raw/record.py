@@ -49,14 +49,9 @@ class Record:
                 return default
             word = self.text(name)
         try:
-            value = float(word)
+            value = float(word.lower().replace("d", "e"))
         except ValueError:
             value = math.nan
-            if "d" in word.lower():
-                try:
-                    value = float(word.lower().replace("d", "e"))
-                except ValueError:
-                    pass
         if not math.isfinite(value) or "_" in word:
             raise self.wrong(name, repr(word), "a finite number")
         return value

@@ -8,12 +8,13 @@ import lzma
 import re
 import zlib
 from pathlib import Path
+from typing import Any
 
 from ...case.errors import CaseError, reason
 
 LARGEST_BYTES = 1 << 30  #: of the unpacked text; a packed file can claim any size
 LONGEST_LINE = 20_000  #: characters; PSS/E itself writes less than 2000
-_PACKED = {b"\x1f\x8b": gzip.open, b"\xfd7": lzma.open, b"BZ": bz2.open}
+_PACKED: dict[bytes, Any] = {b"\x1f\x8b": gzip.open, b"\xfd7": lzma.open, b"BZ": bz2.open}
 _WORD = re.compile(
     r"""'((?:[^']|'(?![\s,/]|$))*)'   # a quote closes only before blank, comma, slash or the end:
       | "((?:[^"]|"(?![\s,/]|$))*)"   # names hold apostrophes

@@ -71,7 +71,10 @@ REFUSED = [
     ({"machines": {"G1": {"V_pu": math.inf}}}, r"machines\.G1\.V_pu = inf"),
     ({"machines": {"G1": {"governor": {"F5": 0.5}}}}, "F2 .* F5 = 1.22, allowed: 1"),
     ({"machines": {"G1": "none", "G2": "none", "G3": "none", "G4": "none"}}, "machines"),
-    ({"branches": {"1-5": {"r": 0.0, "x": 0.0}}}, r"branches\.1-5: r \+ jx = 0 \+ j0, allowed: a size of at least"),
+    (
+        {"branches": {"1-5": {"r": 0.0, "x": 0.0}}},
+        r"branches\.1-5: r \+ jx = 0 \+ j0, allowed: a size of at least",
+    ),
     ({"branches": {"1-5": {"in_service": False}}}, r"machines\.G1: isolated, bus 1"),
     ({"branches": {"8-9 a": "none", "8-9 b": "none"}}, "buses 1, 2, 5, 6, 7, 8 have no path"),
     ({"branches": {"5-6": {"to": 5}}}, "from = to = 5"),

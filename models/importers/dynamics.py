@@ -15,99 +15,115 @@ IEEEST, STAB1   -> stabilizer;             TGOV1 -> tgov1.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..case.case import CaseError
-from ..case.errors import reason
-from .psse_records import Record, split_fields
+from ..case.errors import CaseError
+from .dyr import read_dyr
+from .raw.record import Record
+from .report import Report
+
+#: machine models that are converters
+CONVERTERS = frozenset(
+    ["REGCA1", "REGCB1", "REGCC1", "GDFORM", "WT1G1", "WT2G1", "WT3G1", "WT3G2", "WT4G1", "WT4G2", "PVGU1"]
+)
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """What a DYR file says of the units of a grid.
+
+    rows : name of a machine -> keys to merge into its row. where : name -> file:line of its machine model.
+    constant : name of a unit without machine model -> exponent of its injection.
+    """
+
+    rows: dict[str, dict[str, Any]]
+    where: dict[str, str]
+    constant: dict[str, float]
 
 
 def machine_dynamics(
     path: Path,
     machine_of: Mapping[tuple[int, str], str],
-    lines: dict[str, str],
-    out: set[tuple[int, str]],
-) -> dict[str, dict[str, Any]]:
-    """Return machine name -> keys to merge into its row, from the DYR file `path`.
+    out: Collection[tuple[int, str]],
+    report: Report,
+    *,
+    converters_as_current: bool = False,
+) -> Dynamics:
+    """Return the dynamic data of the DYR file `path`.
 
-    `machine_of`: (bus, id) -> name. `lines`: name -> file:line of the RAW record, set to that of the
-    DYR record once it is read. `out`: machines out of service, whose records are passed over.
+    machine_of : (bus, id) -> name of a unit in service. out : units out of service, whose records are
+    counted and passed over. A unit without a machine model is constant P and Q; a converter is refused, or a
+    constant current if `converters_as_current`.
 
     Raises
     ------
-    CaseError : unsupported model, truncated record, machine of the RAW file without a machine model, a
-        record for a machine that does not exist; each with file and line.
+    CaseError : a model that is not supported, a record that is cut off or too long, a second model of one
+        kind for one machine; each with file and line.
     """
+    file = read_dyr(path)
+    for note in file.notes:
+        place, _, what = note.partition(": ")
+        report.assume(what, place)
     rows: dict[str, dict[str, Any]] = {name: {} for name in machine_of.values()}
     seen: dict[tuple[str, str], str] = {}
-    for record in _records(path):
-        bus, model, identity = record.whole(0, "bus"), record.text(1, "model").upper(), record.text(2, "ID")
-        if (bus, identity) in out:
+    where: dict[str, str] = {}
+    constant: dict[str, float] = {}
+    for record in file.records:
+        at = (record.bus, record.identity)
+        if record.model in CONVERTERS and at in machine_of and converters_as_current:
+            constant[machine_of[at]] = 1.0
+            report.assume("converter taken as a constant current", record.where)
+    for record in file.records:
+        at, model = (record.bus, record.identity), record.model
+        if at in out:
+            report.drop("DYR record of a unit out of service", record.where)
             continue
-        if (bus, identity) not in machine_of:
-            raise CaseError(
-                f"{record.where}: {model} for machine {identity!r} at bus {bus}: no such machine in the RAW"
-            )
+        if at not in machine_of:
+            report.assume("DYR record of a unit that the grid does not have left out", record.where)
+            continue
+        name = machine_of[at]
+        if name in constant:
+            report.drop("further DYR record of a constant current", record.where)
+            continue
         if model not in _MODELS:
-            known = ", ".join(_MODELS)
-            raise CaseError(
-                f"{record.where}: model {model!r} at bus {bus} is not supported, allowed: {known}"
-            )
+            raise CaseError(f"{record.where}: {_unknown(model, record.bus)}")
         kind, count, convert = _MODELS[model]
-        values = [record.number(k, f"{model} parameter {k - 2}") for k in range(3, 3 + count)]
-        if len(record.fields) > 3 + count:
+        if len(record.fields) != count:
+            less = len(record.fields) < count
             raise CaseError(
-                f"{record.where}: {model} has {len(record.fields) - 3} parameters, allowed: {count} "
-                "(is the / of the record missing?)"
+                f"{record.where}: {model} has {len(record.fields)} parameters, allowed: {count} "
+                f"({'cut off?' if less else 'is the / of the record missing?'})"
             )
-        name = machine_of[bus, identity]
+        position = {str(k + 1): k for k in range(count)}
+        fields = Record(model, record.fields, record.where, position)
+        values = [fields.number(str(k + 1)) for k in range(count)]
         if (name, kind) in seen:
             raise CaseError(f"{record.where}: second {kind} of {name}, the first is at {seen[name, kind]}")
         seen[name, kind] = record.where
         table = convert(record.where, *values)
         if kind == "machine model":
-            lines[name] = record.where
+            where[name] = record.where
         rows[name] |= (
             table if kind == "machine model" else {kind: {"source": f"{path.name}, {model}"} | table}
         )
-    for name in rows:
-        if (name, "machine model") not in seen:
-            raise CaseError(f"{lines[name]}: machine {name} has no machine model in {path}")
-    return rows
-
-
-def _records(path: Path) -> list[Record]:
-    try:
-        lines = path.read_text(encoding="latin-1").splitlines()
-    except OSError as error:
-        raise CaseError(f"{path}: cannot be read: {reason(error)}") from None
-    records: list[Record] = []
-    words: tuple[str, ...] = ()
-    where = ""
-    for k, line in enumerate(lines, start=1):
-        if line.lstrip().startswith("//") or not line.strip():
+        report.read[f"{model}"] += 1
+    for (bus, identity), name in machine_of.items():
+        if name in where or name in constant:
             continue
-        if not words:
-            where = f"{path}:{k}"
-        words += tuple(word for word in split_fields(line) if word)
-        if _ends(line):
-            if words:
-                records.append(Record(words, where))
-            words = ()
-    if words:
-        raise CaseError(f"{where}: the record does not end with / before the end of the file (truncated?)")
-    return records
+        other = next((place for (n, _), place in seen.items() if n == name), None)
+        if other is not None:
+            raise CaseError(f"{other}: machine {name} has controls but no machine model in {path.name}")
+        constant[name] = 0.0
+        report.assume("unit without DYR record taken as constant P and Q", f"{path}: bus {bus}, {identity!r}")
+    return Dynamics({name: row for name, row in rows.items() if name not in constant}, where, constant)
 
 
-def _ends(line: str) -> bool:
-    quoted = False
-    for letter in line:
-        quoted ^= letter == "'"
-        if letter == "/" and not quoted:
-            return True
-    return False
+def _unknown(model: str, bus: int) -> str:
+    advice = "; --converters current takes converters as constant currents" if model in CONVERTERS else ""
+    return f"model {model!r} at bus {bus} is not supported, allowed: {', '.join(_MODELS)}{advice}"
 
 
 def _through(e1: float, s1: float, e2: float, s2: float, where: str) -> tuple[float, float]:

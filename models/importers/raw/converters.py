@@ -1,0 +1,160 @@
+"""Dc lines and FACTS devices of a RAW file as what they take from and give to their buses at rest."""
+
+from __future__ import annotations
+
+import math
+
+from ..report import Report
+from ..static import StaticBranch, StaticGrid, StaticLoad
+from .file import RawFile
+from .record import Record
+
+_INJECTION = 0.0  #: exponent with which such power follows the voltage in the dynamics: not at all
+
+
+def read_converters(raw: RawFile, grid: StaticGrid, report: Report) -> None:
+    """Put two-terminal dc lines, VSC lines and FACTS devices of `raw` into `grid` as injections."""
+    for record in raw.records("two-terminal dc"):
+        if record.whole("MDC", 0) == 0:
+            report.drop("blocked dc line", record.where)
+            continue
+        _two_terminal(record, raw, grid, report)
+        report.assume("dc line taken as constant P and Q at its converters", record.where)
+    for record in raw.records("VSC dc"):
+        if record.whole("MDC", 1) == 0:
+            report.drop("VSC line out of service", record.where)
+            continue
+        if _vsc(record, raw, grid):
+            report.assume("VSC line taken as constant P and Q at its converters", record.where)
+        else:
+            report.drop("VSC line out of service", record.where)
+    for record in raw.records("FACTS"):
+        _facts(record, grid, report)
+
+
+def _add(
+    grid: StaticGrid, record: Record, bus: int, letter: str, end: str, power: complex, *, q_free: bool = False
+) -> None:
+    bus = grid.bus(bus, record.where).number
+    load = StaticLoad(bus, letter, f"{record.text('NAME')}_{end}", power.real, power.imag, record.where)
+    load.follows, load.q_free = _INJECTION, q_free
+    grid.loads.append(load)
+
+
+def _two_terminal(record: Record, raw: RawFile, grid: StaticGrid, report: Report) -> None:
+    rectifier, inverter = (raw.part(record, k, "dc converter") for k in (0, 1))
+    mode = record.code("MDC", 0, (0, 1, 2))
+    resistance, compounding = record.number("RDC", 0.0), record.number("RCOMP", 0.0)
+    setting, volts = record.number("SETVL", 0.0), record.number("VSCHD", 0.0)
+    if not volts > 0.0:
+        raise record.wrong("VSCHD", f"{volts:g}", "above 0 kV")
+    if mode == 2:
+        current = abs(setting) / 1000.0
+    else:  # the power is that of the rectifier, a negative one that of the inverter
+        slope = resistance - compounding if setting > 0.0 else -compounding
+        inside = volts * volts + 4.0 * slope * abs(setting)
+        if not inside >= 0.0:
+            raise record.wrong("SETVL", f"{setting:g}", f"a power that {volts:g} kV can carry")
+        current = 2.0 * abs(setting) / (volts + math.sqrt(inside))
+    at_inverter = volts - compounding * current
+    at_rectifier = at_inverter + resistance * current
+    for converter, end, dc_volts, sign in (
+        (rectifier, "R", at_rectifier, 1.0),
+        (inverter, "I", at_inverter, -1.0),
+    ):
+        number = converter.bus("IP")
+        bus = grid.bus(number, converter.where)
+        q = _reactive(converter, bus.v, dc_volts, current, sign, report)
+        _add(grid, record, number, "D", end, complex(sign * dc_volts * current, q))
+
+
+def _reactive(
+    converter: Record, volts: float, dc_volts: float, current: float, sign: float, report: Report
+) -> float:
+    """Mvar that a line-commutated converter takes, from its commutation overlap."""
+    bridges, x, r = converter.whole("NB"), converter.number("XC"), converter.number("RC", 0.0)
+    tap = converter.number("TAP", 1.0)
+    line = volts * converter.number("EBAS") * converter.number("TR", 1.0) / tap if tap > 0.0 else 0.0
+    if not line > 0.0 or bridges < 1:
+        raise converter.refused("NB, EBAS, TR, TAP give no voltage at the bridge, allowed: above 0")
+    ideal = bridges * 3.0 * math.sqrt(2.0) / math.pi * line
+    start = (dc_volts + bridges * (3.0 / math.pi * x + 2.0 * sign * r) * current) / ideal
+    if start > 1.0:
+        report.assume(
+            "dc line whose angles the stored voltage does not allow taken at angle 0", converter.where
+        )
+        start = 1.0
+    angle = math.acos(start)
+    end = start - math.sqrt(2.0) * x * current / line
+    overlap = math.acos(max(end, -1.0)) - angle
+    if overlap <= 1e-9:
+        return abs(dc_volts * current) * math.tan(angle)
+    ratio = (2.0 * overlap + math.sin(2.0 * angle) - math.sin(2.0 * (angle + overlap))) / (
+        math.cos(2.0 * angle) - math.cos(2.0 * (angle + overlap))
+    )
+    return abs(dc_volts * current * ratio)
+
+
+def _vsc(record: Record, raw: RawFile, grid: StaticGrid) -> bool:
+    converters = [raw.part(record, k, "VSC converter") for k in (0, 1)]
+    kinds = [c.code("TYPE", 0, (0, 1, 2)) for c in converters]
+    if 0 in kinds:
+        return False
+    if sorted(kinds) != [1, 2]:
+        raise converters[0].wrong(
+            "TYPE", f"{kinds[0]} and {kinds[1]}", "one voltage end (1), one power end (2)"
+        )
+    holds, gives = converters[kinds.index(1)], converters[kinds.index(2)]
+    volts, power = holds.number("DCSET"), gives.number("DCSET", 0.0)
+    if not volts > 0.0:
+        raise holds.wrong("DCSET", f"{volts:g}", "above 0 kV at the voltage end")
+    resistance, current = record.number("RDC", 0.0), 0.0  # kA from the voltage to the power end
+    for _ in range(100):
+        needed = power + _losses(gives, current)
+        at_end = volts - resistance * current
+        if not at_end > 0.0:
+            raise record.refused(f"no dc voltage carries {power:g} MW from {volts:g} kV")
+        current, last = needed / at_end, current
+        if abs(current - last) < 1e-14 * (1.0 + abs(current)):
+            break
+    drawn = volts * current + _losses(holds, current)
+    for converter, end, taken in ((gives, "P", -power), (holds, "V", drawn)):
+        _add(grid, record, converter.bus("IBUS"), "D", end, complex(taken, 0.0), q_free=True)
+    return True
+
+
+def _losses(converter: Record, current: float) -> float:
+    """MW lost in a converter at `current` kA; its constants are in kW and kW/A."""
+    line = converter.number("ALOSS", 0.0) + converter.number("BLOSS", 0.0) * 1000.0 * abs(current)
+    return max(converter.number("MINLOSS", 0.0), line) / 1000.0
+
+
+def _facts(record: Record, grid: StaticGrid, report: Report) -> None:
+    mode = record.whole("MODE", 1)
+    first, second = record.bus("I"), record.bus("J", 0)
+    if mode == 0:
+        report.drop("FACTS device out of service", record.where)
+        return
+    grid.bus(first, record.where)
+    if second == 0:
+        _add(grid, record, first, "F", "S", 0j, q_free=True)
+        report.assume(
+            "shunt FACTS device taken as the constant Q that the stored voltages tell", record.where
+        )
+        return
+    grid.bus(second, record.where)
+    if mode == 1:
+        power = complex(record.number("PDES", 0.0), record.number("QDES", 0.0))
+        _add(grid, record, second, "F", "J", -power)
+        _add(grid, record, first, "F", "I", complex(power.real, 0.0), q_free=True)
+        report.assume("series FACTS device taken as its scheduled power at both ends", record.where)
+    elif mode == 2:
+        name = record.text("NAME")
+        grid.branches.append(
+            StaticBranch((first, second), name, first, second, 0.0, 0.0, 0.0, record.where, joins=True)
+        )
+        _add(grid, record, first, "F", "S", 0j, q_free=True)
+    else:
+        raise record.wrong(
+            "MODE", str(mode), "0, 1 or 2 (other modes of the series element are not known here)"
+        )

@@ -1,0 +1,238 @@
+"""The solution that a file stores: how far it is from one, and the one beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..grid.network import assembled, series_stamps
+from ..grid.newton import newton
+from ..grid.powerflow import PowerFlowError
+from .report import Report
+from .static import LOAD, SLACK, UNIT, StaticGrid
+
+GOOD_MVA, FAIR_MVA = 0.1, 5.0  #: mismatch of a solved file, and of one written with few digits
+_TOLERANCE_PU = 1e-11
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Voltages of a grid with P + jQ of each unit, MW.
+
+    stored_mva : largest mismatch of the stored voltages, P where it is not the slack's, Q at load buses.
+    stored_bus : where that is. moved_pu, moved_deg : largest change from the stored voltages.
+    """
+
+    voltages: dict[int, complex]
+    generation: list[complex]
+    slack: int
+    stored_mva: float
+    stored_bus: int
+    moved_pu: float
+    moved_deg: float
+
+
+class _Arrays:
+    """The grid as arrays, pu of its base."""
+
+    def __init__(self, grid: StaticGrid) -> None:
+        self.grid = grid
+        self.numbers = list(grid.buses)
+        self.at = {number: k for k, number in enumerate(self.numbers)}
+        n, base = len(self.numbers), grid.base_mva
+        on = [b for b in grid.branches if b.on]
+        values = np.array([(b.r, b.x, b.b, b.tap, b.shift) for b in on], dtype=float).reshape(-1, 5)
+        ends = np.array([(self.at[b.first], self.at[b.second]) for b in on], dtype=int).reshape(-1, 2)
+        diagonal = np.zeros(n, dtype=complex)
+        for shunt in grid.shunts:
+            diagonal[self.at[shunt.bus]] += complex(shunt.p, shunt.q) / base
+        self.power = np.zeros(n, dtype=complex)  # into the network
+        self.current = np.zeros(n, dtype=complex)
+        for load in grid.loads:
+            k = self.at[load.bus]
+            diagonal[k] += complex(load.yp, -load.yq) / base
+            self.power[k] -= complex(load.p, load.q) / base
+            self.current[k] -= complex(load.ip, load.iq) / base
+        for unit in grid.units:
+            self.power[self.at[unit.bus]] += complex(unit.p, unit.q) / base
+        self.Y: Any = assembled(ends, series_stamps(*values.T), diagonal)
+        buses = list(grid.buses.values())
+        self.start: npt.NDArray[np.complex128] = np.array(
+            [bus.v * np.exp(1j * np.deg2rad(bus.angle)) for bus in buses], dtype=complex
+        )
+        self.kind = np.array([bus.kind for bus in buses])
+        self.stars = np.array([bus.star for bus in buses], dtype=bool)
+        self._set_stars()
+
+    def _set_stars(self) -> None:
+        """A star's voltage follows from those of its windings: nothing is connected to it."""
+        for k in np.flatnonzero(self.stars):
+            row = self.Y.getrow(k)
+            own = row[0, k]
+            rest = row @ self.start - own * self.start[k]
+            if own:
+                self.start[k] = complex(-rest[0] / own)
+
+    def off(self, V: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
+        """Power into the network less what is given, (buses,) pu."""
+        result: npt.NDArray[np.complex128] = V * np.conj(self.Y @ V) - self.power - self.current * np.abs(V)
+        return result
+
+
+def solve_stored(grid: StaticGrid, slack: int, report: Report) -> Solution:
+    """Return the solution beside the stored voltages of `grid`, which it also gives to the free Q.
+
+    Held: the stored magnitude (not the set-point VS, which a unit at its limit has left; but that where the
+    stored voltages are no solution at buses without units) and P of the units at buses of type 2 and 3, angle
+    at the slack; taps, shunts and dc lines stay. Units at load buses keep P and Q.
+
+    Raises
+    ------
+    PowerFlowError : Newton's method converges neither from the stored voltages nor from a flat start.
+    """
+    arrays, held, free_angle, free_magnitude = _prepared(grid, slack, report)
+    stored_mva, stored_bus = _largest(arrays, free_angle, free_magnitude)
+    start = arrays.start
+    if _hold_set_points(grid, arrays, report):
+        arrays = _Arrays(grid)
+    report.lines.append(_verdict(stored_mva, stored_bus, len(grid.buses)))
+    if stored_mva > FAIR_MVA:
+        where = grid.buses[stored_bus].where
+        report.assume("stored voltages are no solution; the power flow is solved anew", where)
+    V = _newton(arrays, free_angle, free_magnitude, held)
+    moved_pu = float(np.max(np.abs(np.abs(V) - np.abs(start))))
+    moved_deg = float(np.max(np.abs(np.degrees(np.angle(V / start)))))
+    report.lines.append(
+        f"power flow: voltages {np.abs(V).min():.4f} to {np.abs(V).max():.4f} pu, moved by at most "
+        f"{moved_pu:.2g} pu and {moved_deg:.2g} deg from the stored ones"
+    )
+    generation = _generation(grid, arrays, V, held)
+    change = sum(generation[k].real - grid.units[k].p for k in range(len(grid.units)))
+    report.lines.append(f"slack bus {slack}: takes {change:+.4g} MW more than stored")
+    voltages = {number: complex(V[k]) for k, number in enumerate(arrays.numbers)}
+    return Solution(voltages, generation, slack, stored_mva, stored_bus, moved_pu, moved_deg)
+
+
+def _hold_set_points(grid: StaticGrid, arrays: _Arrays, report: Report) -> bool:
+    """Give buses with units their set-point when the voltages of the others are no solution; say whether."""
+    sourced = {unit.bus for unit in grid.units}
+    others = np.array([number not in sourced for number in arrays.numbers])
+    off = np.abs(np.where(others, arrays.off(arrays.start), 0.0)) * grid.base_mva
+    if not off.size or not off.max() > FAIR_MVA:
+        return False
+    done: set[int] = set()
+    for unit in grid.units:
+        bus = grid.buses[unit.bus]
+        if bus.kind != LOAD and unit.bus not in done and unit.v > 0.0:
+            done.add(unit.bus)
+            if unit.v != bus.v:
+                report.assume("unit holds its set-point, the stored voltages being no solution", unit.where)
+                bus.v = unit.v
+    return True
+
+
+def _prepared(
+    grid: StaticGrid, slack: int, report: Report
+) -> tuple[_Arrays, npt.NDArray[np.bool_], npt.NDArray[np.int_], npt.NDArray[np.int_]]:
+    """The grid as arrays, which magnitudes are held, which angles and magnitudes are free."""
+    sourced = {unit.bus for unit in grid.units}
+    for number, bus in grid.buses.items():
+        if bus.kind in (UNIT, SLACK) and number not in sourced:
+            bus.kind = LOAD
+            report.assume("bus of type 2 or 3 without a unit in service taken as a load bus", bus.where)
+    _free_reactive(grid)
+    arrays = _Arrays(grid)
+    held = np.array([bus.kind != LOAD for bus in grid.buses.values()])
+    held[arrays.at[slack]] = True
+    free_angle = np.delete(np.arange(len(held)), arrays.at[slack])
+    return arrays, held, free_angle, np.flatnonzero(~held)
+
+
+def _largest(
+    arrays: _Arrays, free_angle: npt.NDArray[np.int_], free_magnitude: npt.NDArray[np.int_]
+) -> tuple[float, int]:
+    """The largest mismatch of the stored voltages, MVA, and its bus."""
+    stored = arrays.off(arrays.start) * arrays.grid.base_mva
+    size = np.zeros(len(stored))
+    size[free_angle] = np.abs(stored.real[free_angle])
+    size[free_magnitude] = np.maximum(size[free_magnitude], np.abs(stored.imag[free_magnitude]))
+    worst = int(np.argmax(size))
+    return float(size[worst]), arrays.numbers[worst]
+
+
+def _verdict(size: float, bus: int, buses: int) -> str:
+    if size <= GOOD_MVA:
+        word = "a solution"
+    elif size <= FAIR_MVA:
+        word = "a solution with few digits"
+    else:
+        word = "no solution"
+    return f"stored voltages of {buses} buses: largest mismatch {size:.3g} MVA at bus {bus}: {word}"
+
+
+def _free_reactive(grid: StaticGrid) -> None:
+    """Q of a load that holds a voltage is what the stored voltages leave over at its bus."""
+    free = [load for load in grid.loads if load.q_free]
+    if not free:
+        return
+    arrays = _Arrays(grid)
+    off = arrays.off(arrays.start) * grid.base_mva
+    for load in free:
+        load.q -= float(off[arrays.at[load.bus]].imag) / sum(other.bus == load.bus for other in free)
+        load.q_free = False
+
+
+def _newton(
+    arrays: _Arrays,
+    free_angle: npt.NDArray[np.int_],
+    free_magnitude: npt.NDArray[np.int_],
+    held: npt.NDArray[np.bool_],
+) -> npt.NDArray[np.complex128]:
+    magnitude = np.where(held, np.abs(arrays.start), 1.0)
+    reference = np.delete(np.angle(arrays.start), free_angle)[0]
+    result = None
+    for start in (arrays.start, magnitude * np.exp(1j * reference)):
+        result = newton(
+            arrays.Y,
+            start,
+            arrays.power,
+            free_angle,
+            free_magnitude,
+            current=arrays.current,
+            tolerance_pu=_TOLERANCE_PU,
+        )
+        if result is not None and result.converged:
+            return result.voltages
+    grid = arrays.grid
+    if result is None:
+        raise PowerFlowError(f"{grid.source}: the power flow has no finite iterate")
+    size = result.at_bus(free_angle, free_magnitude) * grid.base_mva
+    k = int(np.argmax(size))
+    low = int(np.argmin(np.abs(result.voltages)))
+    high = int(np.argmax(np.abs(result.voltages)))
+    raise PowerFlowError(
+        f"{grid.source}: the power flow does not converge: largest mismatch {size[k]:.4g} MVA at bus "
+        f"{arrays.numbers[k]} ({grid.buses[arrays.numbers[k]].where}); its best voltages reach from "
+        f"{abs(result.voltages[low]):.4g} pu at bus {arrays.numbers[low]} to "
+        f"{abs(result.voltages[high]):.4g} pu at bus {arrays.numbers[high]}"
+    )
+
+
+def _generation(
+    grid: StaticGrid, arrays: _Arrays, V: npt.NDArray[np.complex128], held: npt.NDArray[np.bool_]
+) -> list[complex]:
+    """P + jQ of each unit in MW: as stored, with what changed at its bus shared by rating."""
+    change = arrays.off(V) * grid.base_mva
+    rating: dict[int, float] = {}
+    for unit in grid.units:
+        rating[unit.bus] = rating.get(unit.bus, 0.0) + unit.base
+    result = []
+    for unit in grid.units:
+        k = arrays.at[unit.bus]
+        share = unit.base / rating[unit.bus]
+        extra = complex(change[k]) if held[k] else 0j
+        result.append(complex(unit.p, unit.q) + share * extra)
+    return result

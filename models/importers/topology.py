@@ -1,0 +1,172 @@
+"""What of a grid takes part: joined nodes, isolated and dead parts, the island that is kept."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TypeVar
+
+from ..case.errors import CaseError
+from .report import Report
+from .static import ISOLATED, SLACK, StaticBus, StaticGrid, StaticLoad, StaticShunt, StaticUnit
+
+Row = TypeVar("Row", StaticShunt, StaticLoad, StaticUnit)
+
+
+def settle(grid: StaticGrid, report: Report, island: int | None = None) -> None:
+    """Leave in `grid` what is in service: joins nodes, drops isolated parts, keeps one island.
+
+    island : a bus of the island to keep; None: the largest with a slack bus.
+
+    Raises
+    ------
+    CaseError : no bus with a slack, an `island` that is no bus in service.
+    """
+    _drop_isolated(grid, report)
+    _join(grid, report)
+    _keep_island(grid, report, island)
+
+
+def _drop_isolated(grid: StaticGrid, report: Report) -> None:
+    dead = {number for number, bus in grid.buses.items() if bus.kind == ISOLATED}
+    for number in dead:
+        report.drop("isolated bus (type 4)", grid.buses.pop(number).where)
+    grid.shunts = _in_service("shunt", grid.shunts, dead, report)
+    grid.loads = _in_service("load", grid.loads, dead, report)
+    grid.units = _in_service("unit", grid.units, dead, report)
+    kept = []
+    for branch in grid.branches:
+        at_dead = branch.first in dead or branch.second in dead
+        if at_dead:
+            if branch.on:
+                report.assume("branch in service at an isolated bus taken as out of service", branch.where)
+            continue
+        if branch.joins and not branch.on:
+            report.drop("open switch or line without impedance", branch.where)
+            continue
+        kept.append(branch)
+    grid.branches[:] = kept
+
+
+def _in_service(what: str, rows: list[Row], dead: set[int], report: Report) -> list[Row]:
+    for row in rows:
+        if row.on and row.bus in dead:
+            report.assume(f"{what} in service at an isolated bus taken as out of service", row.where)
+        elif not row.on:
+            report.drop(f"{what} out of service", row.where)
+    return [row for row in rows if row.on and row.bus not in dead]
+
+
+def _join(grid: StaticGrid, report: Report) -> None:
+    """Make one node of the ends of each closed branch without impedance."""
+    root = {number: number for number in grid.buses}
+
+    def find(number: int) -> int:
+        while root[number] != number:
+            root[number] = root[root[number]]
+            number = root[number]
+        return number
+
+    order = {number: k for k, number in enumerate(grid.buses)}
+    for branch in grid.branches:
+        if not branch.joins:
+            continue
+        a, b = find(branch.first), find(branch.second)
+        if a != b:
+            one, other = sorted((a, b), key=lambda n: (-grid.buses[n].kind, order[n]))
+            root[other] = one
+            report.read["nodes joined by a switch or a line without impedance"] += 1
+    grid.alias = {number: find(number) for number in grid.buses if find(number) != number}
+    for branch in grid.branches:
+        if branch.joins and branch.b:
+            grid.shunts.append(
+                StaticShunt(
+                    branch.first, "B", f"{branch.name[-1]}_{branch.circuit}", 0.0, branch.b * grid.base_mva,
+                    branch.where,
+                )
+            )  # fmt: skip
+    grid.branches[:] = [b for b in grid.branches if not b.joins]
+    for branch in grid.branches:
+        branch.first = grid.alias.get(branch.first, branch.first)
+        branch.second = grid.alias.get(branch.second, branch.second)
+    inside = [b for b in grid.branches if b.first == b.second]
+    for branch in inside:
+        report.drop("branch beside a closed switch, with both ends at one node", branch.where)
+    grid.branches[:] = [b for b in grid.branches if b.first != b.second]
+    _rewire(grid.shunts, grid.alias)
+    _rewire(grid.loads, grid.alias)
+    _rewire(grid.units, grid.alias)
+    for number in grid.alias:
+        del grid.buses[number]
+
+
+def _rewire(rows: list[Row], alias: dict[int, int]) -> None:
+    for row in rows:
+        row.bus = alias.get(row.bus, row.bus)
+
+
+def _keep_island(grid: StaticGrid, report: Report, island: int | None) -> None:
+    parts = _islands(grid)
+    sourced = {unit.bus for unit in grid.units}
+    swings = {n for n, bus in grid.buses.items() if bus.kind == SLACK and n in sourced}
+    if island is not None:
+        chosen = next((p for p in parts if grid.alias.get(island, island) in p), None)
+        if chosen is None:
+            raise CaseError(f"{grid.source}: island = {island}, allowed: the number of a bus in service")
+    else:
+        alive = [part for part in parts if swings & part] or [part for part in parts if sourced & part]
+        if not alive:
+            raise CaseError(f"{grid.source}: no unit in service, allowed: at least one, with a slack bus")
+        chosen = max(alive, key=len)
+    for part in parts:
+        if part is chosen:
+            continue
+        first = next(grid.buses[n] for n in grid.buses if n in part)
+        kind = "with a slack bus of its own" if swings & part else "without a slack bus"
+        size = f"island of {len(part)} buses {kind} (bus {first.number})" if len(part) > 1 else f"bus {kind}"
+        report.drop(size, first.where)
+    if len(chosen) == len(grid.buses):
+        return
+    grid.buses = {n: bus for n, bus in grid.buses.items() if n in chosen}
+    grid.branches[:] = [b for b in grid.branches if b.first in chosen and b.second in chosen]
+    grid.shunts = [row for row in grid.shunts if row.bus in chosen]
+    grid.loads = [row for row in grid.loads if row.bus in chosen]
+    grid.units = [row for row in grid.units if row.bus in chosen]
+
+
+def _islands(grid: StaticGrid) -> list[set[int]]:
+    neighbours: dict[int, list[int]] = {number: [] for number in grid.buses}
+    for branch in grid.branches:
+        if branch.on:
+            neighbours[branch.first].append(branch.second)
+            neighbours[branch.second].append(branch.first)
+    parts: list[set[int]] = []
+    seen: set[int] = set()
+    for number in grid.buses:
+        if number in seen:
+            continue
+        part, todo = {number}, [number]
+        while todo:
+            for other in neighbours[todo.pop()]:
+                if other not in part:
+                    part.add(other)
+                    todo.append(other)
+        seen |= part
+        parts.append(part)
+    return parts
+
+
+def slack_of(grid: StaticGrid, report: Report) -> StaticBus:
+    """Return the bus that is to balance: the first of type 3 with a unit, else that of the largest unit."""
+    rating: Counter[int] = Counter()
+    for unit in grid.units:
+        rating[unit.bus] += int(1000.0 * unit.base)
+    if not rating:
+        raise CaseError(f"{grid.source}: no unit in service in the island, allowed: at least one")
+    swings = [bus for number, bus in grid.buses.items() if bus.kind == SLACK and number in rating]
+    if swings:
+        for other in swings[1:]:
+            report.assume("further slack bus holds its stored power", other.where)
+        return max(swings, key=lambda bus: rating[bus.number]) if len(swings) > 1 else swings[0]
+    bus = grid.buses[max(rating, key=lambda number: rating[number])]
+    report.assume(f"no slack bus: bus {bus.number}, which has the largest units, is taken", bus.where)
+    return bus
