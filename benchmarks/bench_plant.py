@@ -27,7 +27,7 @@ from compare_andes import FAULT, RUNS, THYRISTOR, TRIP, ask_andes, impedance_loa
 from fmu_run import PlantSlave
 from plain_loop import PlainPlant
 
-from interarea.cosim.run.artefacts import default_cache
+from interarea.fmu_build.write.cache import default_cache
 from interarea.fmu_build.write.plant_batch import LANES, PlantBatch
 from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import Case, load_case

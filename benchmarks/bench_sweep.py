@@ -29,13 +29,13 @@ from sweep_cost import cost_of, memory_of
 
 from interarea.cosim.master.lockstep import advance_together
 from interarea.cosim.master.master import Master
-from interarea.cosim.run.artefacts import default_cache
 from interarea.cosim.run.run import assemble
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.sweep.plan import plan_sweep
 from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.spec import load_sweep
 from interarea.cosim.sweep.workers.malloc_tuning import keep_freed_memory
+from interarea.fmu_build.write.cache import default_cache
 
 WANTED_RATIO, WANTED_OVERHEAD, WANTED_SCALING = 1.3, 0.05, 1.8
 SHORT_S = 1.5

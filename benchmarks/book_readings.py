@@ -22,8 +22,9 @@ import numpy as np
 from andes_rows import load_mix, rows_of
 from compare_andes import ask, unsaturated
 
-from interarea.cosim.run.artefacts import default_cache, linear_plant
+from interarea.cosim.run.artefacts import linear_plant
 from interarea.design.modes.modes import modes_of
+from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case, load_case
 
 HERE = Path(__file__).parent

@@ -22,7 +22,8 @@ from scipy.optimize import least_squares
 sys.path.insert(0, str(Path(__file__).parent))
 from book_readings import HALF, printed, stabilizer_needed
 
-from interarea.cosim.run.artefacts import default_cache, linear_plant
+from interarea.cosim.run.artefacts import linear_plant
+from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import load_case
 
 #: constants as printed; TA, TC/TB: lag and gain reduction of the exciter, TS: a lag more in the stabilizer

@@ -26,7 +26,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from andes_rows import load_mix, rows_of
 from fmu_run import PlantSlave
 
-from interarea.cosim.run.artefacts import default_cache, linear_plant
+from interarea.cosim.run.artefacts import linear_plant
+from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import events_of
 from interarea.models.grid.powerflow import solve_powerflow

@@ -31,8 +31,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from compare_andes import PSS, TGOV1, impedance_loads
 from tops_rows import LEAKAGE, case_from, tables_of
 
-from interarea.cosim.run.artefacts import default_cache, linear_plant
+from interarea.cosim.run.artefacts import linear_plant
 from interarea.design.modes.modes import modes_of
+from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case, load_case
 from interarea.models.grid.powerflow import solve_powerflow
 

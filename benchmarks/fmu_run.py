@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from fmpy.fmi2 import FMU2Slave
 
-from interarea.cosim.run.artefacts import default_cache
+from interarea.fmu_build.write.cache import default_cache
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import Case

@@ -30,7 +30,7 @@ from lmi_problems import (
 from scipy.linalg import lapack
 from threadpoolctl import threadpool_limits
 
-from interarea.cosim.run.artefacts import default_cache, linear_plant
+from interarea.cosim.run.artefacts import linear_plant
 from interarea.design.linear.linearise import remove_reference
 from interarea.design.lmi.clarabel_engine import solve_clarabel
 from interarea.design.lmi.interior_point.engine import solve_structured
@@ -38,6 +38,7 @@ from interarea.design.lmi.problem import Problem, Solution
 from interarea.design.lmi.solve import usable
 from interarea.design.synthesis import fault_tolerant as synthesis_ftc
 from interarea.design.synthesis.study_designs import design_ftc
+from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import load_case
 
 #: Times Clarabel that the structured engine has to reach, by order.

@@ -6,10 +6,11 @@ Run `python benchmarks/unseen_points.py`; exact latency on the full plants, cond
 from __future__ import annotations
 
 from interarea.cosim.designs.design_file import load_design
-from interarea.cosim.run.artefacts import default_cache, linear_plant
+from interarea.cosim.run.artefacts import linear_plant
 from interarea.design.controllers.bundled import shipped_controller, shipped_names
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.robust.operating_points import judge_family
+from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import load_case
 from interarea.models.case.variants import operating_variant
 

@@ -25,9 +25,11 @@ from scipy.linalg import lu_factor, lu_solve
 
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.plots.curves import DASHES, SERIES, new_figure, save_figure
-from interarea.cosim.run.artefacts import block_fmu, default_cache, design_controller, linear_plant
+from interarea.cosim.run.artefacts import design_controller, linear_plant
 from interarea.cosim.run.system import System
 from interarea.design.controllers.controller import Controller
+from interarea.fmu_build.write.cache import default_cache
+from interarea.fmu_build.write.package import block_fmu
 from interarea.models.blocks.controller import controller_block
 from interarea.models.case.case import load_case
 

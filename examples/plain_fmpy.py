@@ -15,8 +15,9 @@ import fmpy
 import numpy as np
 from fmpy.fmi2 import FMU2Slave
 
-from interarea.cosim.run.artefacts import channel_fmu, controller_fmu, default_cache, plant_fmu
+from interarea.cosim.run.artefacts import channel_fmu, controller_fmu, plant_fmu
 from interarea.design.controllers.controller import Controller
+from interarea.fmu_build.write.cache import default_cache
 from interarea.models.blocks.plant import event_parameters
 from interarea.models.case.case import load_case
 from interarea.models.case.events import event_of

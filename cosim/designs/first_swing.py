@@ -8,7 +8,6 @@ output in the second and a half after the loss says how hard it pulls. `after_fa
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,10 +20,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.signal import lsim
 
 from interarea.design.controllers.controller import Controller
+from interarea.fmu_build.write.cache import artefact, code_hash, content_hash, file_hash
 from interarea.models.case.case import Case
 from interarea.models.case.write_toml import export_toml
+from interarea.models.files import temporary_folder
 
-from ..run.artefacts import artefact, code_hash, content_hash, file_hash, plant_fmu
+from ..run.artefacts import plant_fmu
 from ..run.run import run_scenario
 
 Array = npt.NDArray[np.float64]
@@ -86,8 +87,8 @@ def uncontrolled_speeds(case: Case, fault: FaultTable, cache: Path) -> tuple[Arr
     key = content_hash(file_hash(plant_fmu(case, cache)), window.model_dump(mode="json"), code_hash(__name__))
 
     def make(path: Path) -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / "case.toml"
+        with temporary_folder() as folder:
+            file = folder / "case.toml"
             export_toml(case, file)
             data = run_scenario(fault_scenario(file, case, window), cache=cache).trajectory.data
         kept: dict[str, Any] = {m.name: data[f"plant.{m.name}_dw"].to_numpy() for m in case.machines}
@@ -149,8 +150,7 @@ def after_fault(
     Synchronism: no two machines more than pi apart. Settled: the difference of the first and the last signal
     of the controller (of the first and the last machine, where it has one) below 2 % of its peak.
     """
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with temporary_folder() as folder:
         export_toml(case, folder / "case.toml")
         file = controller.save(folder / "controller.json")
         document = fault_scenario(folder / "case.toml", case, fault, str(file))

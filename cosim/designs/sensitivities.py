@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import Case
 from interarea.models.case.parameter_path import parameter_value, with_parameter
+from interarea.models.files import temporary_folder
 
 from ..run.artefacts import linear_plant
 
@@ -46,7 +46,7 @@ def parameter_sensitivities(
 
 def state_matrix(case: Case, cache: Path) -> npt.NDArray[np.float64]:
     """Return A (n, n) of the plant FMU of `case`; only the compiled binary is kept in the cache."""
-    with tempfile.TemporaryDirectory(prefix="interarea-") as folder:
-        path = build_fmu(plant_block(case), Path(folder) / "plant.fmu", platforms=None, cache=cache)
+    with temporary_folder() as folder:
+        path = build_fmu(plant_block(case), folder / "plant.fmu", platforms=None, cache=cache)
         with open_plant(path) as plant:
             return np.asarray(linearise(plant).A, dtype=float)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from interarea.fmu_build.write.package import block_fmu
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.concentrator import concentrator_block
 from interarea.models.blocks.plant import plant_block
@@ -66,8 +67,6 @@ def members_of(scenario: Scenario, *, cache: Path, controllers: Controllers | No
     ------
     ScenarioError, CaseError, GraphError : as `assemble` and `system_of`.
     """
-    from ..run import artefacts
-
     blocks: dict[str, Block] = {"channel": channel_block()} if scenario.channels else {}
     blocks |= {n: concentrator_block(len(c.signals)) for n, c in scenario.concentrators.items()}
     foreign: dict[str, FmuFile] = {}
@@ -81,7 +80,7 @@ def members_of(scenario: Scenario, *, cache: Path, controllers: Controllers | No
             controller = controller_of(scenario, case, cache, controllers)
             if controller is not None:
                 blocks["controller"] = controller.block(case.omega_b)
-    files = {kind: FmuFile(artefacts.block_fmu(block, cache)) for kind, block in blocks.items()} | foreign
+    files = {kind: FmuFile(block_fmu(block, cache)) for kind, block in blocks.items()} | foreign
     if scenario.case:
         wiring = wire(
             scenario,

@@ -8,13 +8,13 @@ input over its step, as our master does with `inputs = "hold-jacobi"`.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from interarea.fmu_build.write.description_xml import product_version
-from interarea.fmu_build.write.package import archive_bytes, build_fmu, write_whole
+from interarea.fmu_build.write.package import archive_bytes, build_fmu
+from interarea.models.files import temporary_folder, write_whole
 
 from ..master.fmu_file import BASE_UNITS, FmuVariable
 from ..participant import Port, UnitOf
@@ -50,12 +50,12 @@ def write_ssp(
     """
     members = members_of(scenario, cache=cache, controllers=controllers)
     entries = {"SystemStructure.ssd": structure(members).encode("utf-8")}
-    with tempfile.TemporaryDirectory(prefix="interarea-ssp-") as folder:
+    with temporary_folder() as folder:
         for member in members.all:
             fmu = member.file.path  # of others: as it is
             if member.block is not None:
                 block = member.baked(step_s=members.step_s, stop_s=scenario.stop_s)
-                fmu = build_fmu(block, Path(folder) / f"{member.name}.fmu", platforms=platforms, cache=cache)
+                fmu = build_fmu(block, folder / f"{member.name}.fmu", platforms=platforms, cache=cache)
             entries[f"resources/{member.name}.fmu"] = fmu.read_bytes()
             if _settable(member):
                 entries[f"resources/{member.name}.ssv"] = parameter_set(member).encode("utf-8")

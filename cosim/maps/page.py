@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 import math
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,12 +14,12 @@ import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from interarea.fmu_build.write.package import write_whole
+from interarea.fmu_build.write.cache import default_cache
+from interarea.models.files import temporary_folder, write_whole
 
 from ..plots.curves import save_figure
 from ..plots.html import inline_svg
 from ..results.ringdown import swing_signal
-from ..run.artefacts import default_cache
 from ..sweep.plan import SweepPlan, code_version
 from ..sweep.rows import FAILURES
 from ..sweep.runner import Runner
@@ -65,8 +64,8 @@ def write_maps(
     plan, rows = read_plan(folder), read_rows(folder)
     cached = default_cache() if cache is None else cache
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".maps-", dir=path.parent) as scratch:
-        with Runner(plan, cached, Path(scratch)) as runner:
+    with temporary_folder() as scratch:
+        with Runner(plan, cached, scratch) as runner:
             tell("margins")
             margins = margins_of(plan.sweep, rows, runner) if plan.controllers else []
             tell("worst runs")
@@ -75,7 +74,7 @@ def write_maps(
         drawn = _draw(plan.sweep, rows, margins, curves)
         svg = {}
         for key, figure in drawn.items():
-            file = save_figure(figure, Path(scratch) / f"{key}.svg", transparent=True)
+            file = save_figure(figure, scratch / f"{key}.svg", transparent=True)
             svg[key] = Markup(inline_svg(file, key))  # our own SVG
         text = _render(plan, rows, margins, svg, folder)
     return write_whole(path, text.encode("utf-8"))

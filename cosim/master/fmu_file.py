@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import atexit
 import shutil
-import tempfile
 import xml.etree.ElementTree as ET
 import zipfile
 import zlib
@@ -16,6 +14,8 @@ from typing import Any
 
 import fmpy
 import fmpy.model_description as md
+
+from interarea.models.files import new_folder
 
 from ..errors import GraphError
 from ..participant import Description, Port, Type, UnitOf
@@ -48,10 +48,8 @@ class FmuFile:
     GraphError : no such file, not an FMU, not FMI 2.0, no co-simulation, no binary for this platform.
     """
 
-    def __init__(self, path: str | Path, *, scratch: Path | None = None) -> None:
-        """scratch : folder in which it is unpacked; default the system's folder for temporary files."""
+    def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._scratch = scratch
         self.model, self._root = read_description(self.path)
         with zipfile.ZipFile(self.path) as archive:
             folders = {
@@ -68,10 +66,7 @@ class FmuFile:
     def folder(self) -> Path:
         """The unpacked FMU."""
         if self._folder is None:
-            # absolute: the FMU is told where its resources are by a URI
-            made = tempfile.mkdtemp(prefix="interarea-fmu-", dir=self._scratch)
-            self._folder = Path(made).absolute()
-            atexit.register(self.close)
+            self._folder = new_folder()
             with zipfile.ZipFile(self.path) as archive:
                 archive.extractall(self._folder)
         return self._folder
@@ -85,7 +80,6 @@ class FmuFile:
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
-            atexit.unregister(self.close)
 
     @cached_property
     def variables(self) -> dict[str, FmuVariable]:

@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from interarea.design.linear.norms import response
-from interarea.fmu_build.write.package import write_whole
+from interarea.models.files import write_whole
 
 from .label_layout import rim_angles
 

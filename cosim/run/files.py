@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from interarea.models.files import write_whole
+
 from ..plots.curves import DASHES, MUTED, SERIES, STYLE, new_figure, save_figure
 from ..results.result import Result
 from ..results.ringdown import swing_signal
@@ -43,7 +45,7 @@ def write_result(result: Result, folder: Path) -> list[Path]:
 
 
 def _write_json(value: object, path: Path) -> None:
-    path.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(value, indent=1, allow_nan=False) + "\n")
 
 
 def run_plot(run: Run) -> Figure:

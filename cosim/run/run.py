@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from interarea.design.controllers.bundled import shipped_names
+from interarea.fmu_build.write.cache import default_cache
+from interarea.fmu_build.write.package import block_fmu
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import load_case
 
@@ -256,13 +258,13 @@ def assemble(
     if not scenario.case:
         raise ScenarioError(f"{scenario.name}: case is missing; run_system runs FMUs without one")
 
-    folder = artefacts.default_cache() if cache is None else cache
+    folder = default_cache() if cache is None else cache
     case = load_case(scenario.case_path)
     slots = max(EVENT_SLOTS, len(scenario.event))
     if slots == EVENT_SLOTS:
         plant_file = artefacts.plant_fmu(case, folder)
     else:
-        plant_file = artefacts.block_fmu(plant_block(case, event_slots=slots), folder)
+        plant_file = block_fmu(plant_block(case, event_slots=slots), folder)
     wiring = wire(
         scenario,
         case,

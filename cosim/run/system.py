@@ -71,7 +71,7 @@ class System:
         arrivals: Literal["exact", "grid"] = "exact",
         **options: Any,
     ) -> None:
-        from .artefacts import default_cache
+        from interarea.fmu_build.write.cache import default_cache
 
         self.stop_s, self.start_s, self.step_s = stop_s, start_s, step_s
         self.options, self.arrivals = options, arrivals
@@ -351,7 +351,9 @@ class System:
         case, events = self._plants.get(participant.name), self._events.get(participant.name, [])
         if case is None or not events:
             return participant
-        from .artefacts import block_fmu, plant_fmu
+        from interarea.fmu_build.write.package import block_fmu
+
+        from .artefacts import plant_fmu
 
         start = event_parameters(case, events)
         if len(events) <= _SLOTS:

@@ -14,7 +14,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from interarea.fmu_build.write.package import write_whole
+from interarea.models.files import write_whole
 
 from ..plots.html import inline_svg
 from .thesis.claims import judge_loops, judge_modes, judge_statements

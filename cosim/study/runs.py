@@ -13,23 +13,13 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
+from interarea.fmu_build.write.cache import artefact, code_hash, content_hash, file_hash, source_hash
 from interarea.models.case.case import load_case
 
 from ..errors import ScenarioError
 from ..results.metrics import ring_down, uniform
 from ..results.ringdown import disturbance_end_s, swing_signal
-from ..run.artefacts import (
-    CONTROLLER_NAMES,
-    artefact,
-    channel_fmu,
-    code_hash,
-    content_hash,
-    controller_fmu,
-    design_controller,
-    file_hash,
-    plant_fmu,
-    source_hash,
-)
+from ..run.artefacts import CONTROLLER_NAMES, channel_fmu, controller_fmu, design_controller, plant_fmu
 from ..run.run import Run, run_scenario
 from ..scenario.scenario import load_scenario
 from ..trajectory import Trajectory

@@ -20,24 +20,26 @@ from interarea.design.linear.linearise import remove_reference, select, speeds_i
 from interarea.design.modes.loop_selection import rank_loops
 from interarea.design.modes.modes import modes_of
 from interarea.design.reduction.balanced import balanced_truncation
-from interarea.fmu_build.write.package import write_whole
+from interarea.fmu_build.open.cross_check import complete_fmu
+from interarea.fmu_build.write.cache import (
+    cached_json,
+    code_hash,
+    content_hash,
+    default_cache,
+    numerics_versions,
+    place,
+)
 from interarea.models.case.case import load_case
+from interarea.models.files import write_whole
 from interarea.models.grid.powerflow import solve_powerflow
 
 from ..errors import ScenarioError, nearest
 from ..run.artefacts import (
     CONTROLLER_NAMES,
-    cached_json,
     channel_fmu,
-    code_hash,
-    complete_fmu,
-    content_hash,
     controller_fmu,
-    default_cache,
     design_controller,
     linear_plant,
-    numerics_versions,
-    place,
     plant_fmu,
 )
 from ..toml_file import read_toml

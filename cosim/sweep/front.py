@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..run.artefacts import default_cache
+from interarea.fmu_build.write.cache import default_cache
+
 from ..run.run import Controllers
 from .plan import plan_sweep
 from .prepare import prepare

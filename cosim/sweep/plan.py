@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,20 +16,20 @@ from typing import Any
 
 from interarea.design.controllers.bank import ControllerBank, load_controller
 from interarea.design.controllers.controller import Controller
-from interarea.models.case.case import Case, case_of, load_case
-
-from ..errors import ScenarioError, SweepError
-from ..master.fmu_file import FmuFile
-from ..run.artefacts import (
-    active_bank,
+from interarea.fmu_build.write.cache import (
     artefact,
     code_hash,
     content_hash,
-    design_controller,
     file_hash,
     numerics_versions,
     source_hash,
 )
+from interarea.models.case.case import Case, case_of, load_case
+from interarea.models.files import temporary_folder
+
+from ..errors import ScenarioError, SweepError
+from ..master.fmu_file import FmuFile
+from ..run.artefacts import active_bank, design_controller
 from ..run.run import Controllers
 from ..scenario.scenario import NAMED_CONTROLLERS, load_scenario
 from .point import check_paths, check_values
@@ -70,8 +69,8 @@ class SweepPlan:
         """Return a controller of the sweep; None where the scenario has none."""
         if name == "none":
             return None
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "controller.json"
+        with temporary_folder() as folder:
+            path = folder / "controller.json"
             path.write_text(json.dumps(self.controllers[f"{case}/{name}"]), encoding="utf-8")
             return load_controller(path)
 
@@ -205,6 +204,6 @@ def _controller(
 
 
 def _content(controller: Controller | ControllerBank) -> dict[str, Any]:
-    with tempfile.TemporaryDirectory() as folder:
-        path = controller.save(Path(folder) / "controller.json")
+    with temporary_folder() as folder:
+        path = controller.save(folder / "controller.json")
         return json.loads(path.read_text(encoding="utf-8"))  # type: ignore[no-any-return]

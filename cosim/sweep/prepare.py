@@ -5,8 +5,8 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
+from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.write.compile import compile_binary, host_platform
-from interarea.fmu_build.write.errors import BuildError
 from interarea.fmu_build.write.lane_library import plant_group
 from interarea.models.blocks.plant import plant_block
 

@@ -418,7 +418,7 @@ class Runner:
         return self._own[name]
 
     def _open(self, path: Path) -> FmuFile:
-        return FmuFile(path, scratch=self.scratch)
+        return FmuFile(path)
 
 
 def _started(kept: Kept, job: Job, wiring: Wiring, left: Sequence[Beginning]) -> bool:

@@ -13,10 +13,8 @@ is found at the next start and its runs are done again.
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import json
-import os
 import shutil
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -27,6 +25,8 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
+
+from interarea.models.files import settle, write_whole
 
 from ..errors import SweepError
 from .plan import FORMAT, SweepPlan, plan_of_document
@@ -182,19 +182,15 @@ class SweepStore:
         partial = self.folder / kind / f".part-{number:06d}.parquet.partial"
         try:
             pq.write_table(table, partial, compression="zstd")
-            _settle(partial, partial.with_name(f"part-{number:06d}-{_checksum(partial)}.parquet"))
+            settle(partial, partial.with_name(f"part-{number:06d}-{_checksum(partial)}.parquet"))
         except OSError:
             partial.unlink(missing_ok=True)
             raise
 
     def _write(self, name: str, value: Any) -> None:
-        path = self.folder / name
-        partial = path.with_name(f".{name}.partial")
         try:
-            partial.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-            _settle(partial, path)
+            write_whole(self.folder / name, json.dumps(value, indent=1, allow_nan=False) + "\n")
         except OSError as error:
-            partial.unlink(missing_ok=True)
             self._explain(error)
 
     def _explain(self, error: OSError) -> NoReturn:
@@ -364,19 +360,6 @@ def _anything(folder: Path) -> bool:
     """Whether a folder without a manifest holds anything but what a sweep leaves that was killed at once."""
     ours = (_LOCK, _WORK, _ROWS, _CURVES, "sweep.json")
     return any(p.name not in ours for p in folder.iterdir()) or bool(parts_of(folder))
-
-
-def _settle(partial: Path, path: Path) -> None:
-    """Force a file to disk, give it its name, and force the name to disk."""
-    with partial.open("rb") as file:
-        os.fsync(file.fileno())
-    partial.replace(path)
-    with contextlib.suppress(OSError):  # some systems cannot open a folder
-        handle = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
 
 
 def _locked(path: Path) -> Any:

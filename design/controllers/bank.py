@@ -19,6 +19,7 @@ import numpy as np
 
 from interarea.models.blocks.supervisor import MAX_BANK, MAX_SIGNALS, Matrices, supervisor_block
 from interarea.models.blocks.variables import Block
+from interarea.models.files import write_whole
 
 from ..lmi.problem import Matrix
 from .controller import Controller, ControllerError, document, plain
@@ -160,9 +161,7 @@ class ControllerBank:
             "certificate": None if self.certificate is None else plain(self.certificate),
             "lyapunov": None if self.lyapunov is None else np.asarray(self.lyapunov).tolist(),
         }
-        path = Path(path)
-        path.write_text(json_text(data), encoding="utf-8")
-        return path
+        return write_whole(path, json_text(data))
 
     @classmethod
     def load(cls, path: str | Path) -> ControllerBank:

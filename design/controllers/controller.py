@@ -18,6 +18,7 @@ import numpy as np
 
 from interarea.models.blocks.controller import controller_block
 from interarea.models.blocks.variables import Block
+from interarea.models.files import write_whole
 
 from .json_text import json_text
 
@@ -78,9 +79,7 @@ class Controller:
 
     def save(self, path: str | Path) -> Path:
         """Write the controller as JSON; every number survives to the last bit."""
-        path = Path(path)
-        path.write_text(json_text(self.as_dict()), encoding="utf-8")
-        return path
+        return write_whole(path, json_text(self.as_dict()))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the controller as JSON values, which `from_dict` reads."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
 import zipfile
 from pathlib import Path
+
+from interarea.models.files import temporary_folder
 
 from ..open.description import read_description
 from .archive import unpack_checked
@@ -45,8 +46,8 @@ def check_file(path: Path | str, *, run: bool = True, timeout_s: float = TIMEOUT
     if not zipfile.is_zipfile(path):
         raise CheckError(f"{path}: is no zip archive, so neither an FMU nor an SSP")
     report = Report(str(path))
-    with tempfile.TemporaryDirectory(prefix="interarea-check-") as scratch:
-        folder = Path(scratch) / "fmu"
+    with temporary_folder() as scratch:
+        folder = scratch / "fmu"
         folder.mkdir()
         if not unpack_checked(path, folder, report):
             return report
@@ -60,8 +61,7 @@ def check_file(path: Path | str, *, run: bool = True, timeout_s: float = TIMEOUT
 def _inner(path: Path, *, run: bool, timeout_s: float) -> Report:
     """Check one FMU of an SSP; its description is kept for the rules between the two."""
     report = Report(path.name)
-    with tempfile.TemporaryDirectory(prefix="interarea-check-") as scratch:
-        folder = Path(scratch)
+    with temporary_folder() as folder:
         if not zipfile.is_zipfile(path):
             report.add("archive", path.name, "is no zip archive, so no FMU", "pack an FMU")
         elif unpack_checked(path, folder, report):

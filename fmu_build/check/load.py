@@ -7,12 +7,13 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
+from interarea.models.files import temporary_folder
+
+from ..errors import BuildError
 from ..open.description import ModelDescription
 from ..write.compile import PLATFORMS, host_platform
-from ..write.errors import BuildError
 from .binary import FOLDERS
 from .finding import Report
 
@@ -71,8 +72,8 @@ def _hopeless(report: Report, interface: str) -> bool:
 
 def _run(todo: list[list[str]], folder: Path, report: Report, timeout_s: float) -> int:
     """Run topics in one process; return how many of them are over (at least one)."""
-    with tempfile.TemporaryDirectory(prefix="interarea-check-") as scratch:
-        request, result = Path(scratch) / "request.json", Path(scratch) / "result.jsonl"
+    with temporary_folder() as scratch:
+        request, result = scratch / "request.json", scratch / "result.jsonl"
         request.write_text(json.dumps({"folder": str(folder.resolve()), "todo": todo}), encoding="utf-8")
         result.touch()
         command = [sys.executable, "-m", "interarea.fmu_build.check.probe", str(request), str(result)]

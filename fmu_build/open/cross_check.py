@@ -8,7 +8,6 @@ values and slopes, so they are the same to the bit wherever the files are made.
 from __future__ import annotations
 
 import shutil
-import tempfile
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,8 +16,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..write.errors import BuildError
-from ..write.package import archive_bytes, write_whole
+from interarea.models.files import new_folder, write_whole
+
+from ..errors import BuildError
+from ..write.cache import artefact, code_hash, content_hash, file_hash
+from ..write.compile import PLATFORMS, host_platform
+from ..write.package import archive_bytes
 
 Array = npt.NDArray[np.float64]
 _MOST_STEPS = 2000
@@ -39,7 +42,7 @@ def add_cross_check(fmu: Path, path: Path) -> Path:
     """
     import fmpy
 
-    folder = tempfile.mkdtemp(prefix="interarea-cross-check-")
+    folder = new_folder()
     try:
         fmpy.extract(str(fmu), folder)
         model = fmpy.read_model_description(folder)
@@ -66,6 +69,16 @@ def add_cross_check(fmu: Path, path: Path) -> Path:
         entries = {n: archive.read(n) for n in archive.namelist()}
     entries |= {n: text.encode("utf-8") for n, text in extra.items()}
     return write_whole(path, archive_bytes(entries, first="modelDescription.xml"))
+
+
+def complete_fmu(fmu: Path, cache: Path) -> Path:
+    """Return a copy of one of our FMUs with cross-check files, or the FMU itself if it cannot run here."""
+    with zipfile.ZipFile(fmu) as archive:
+        here = f"binaries/{PLATFORMS[host_platform()].folder}/"
+        if not any(name.startswith(here) for name in archive.namelist()):
+            return fmu
+    key = content_hash(file_hash(fmu), code_hash(add_cross_check.__module__))
+    return artefact(cache, "complete", f"{fmu.stem}-{key}", ".fmu", lambda p: add_cross_check(fmu, p))
 
 
 def _excitation(inputs: Sequence[Any], stop_s: float) -> tuple[Array, Array]:

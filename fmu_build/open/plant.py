@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import shutil
-import tempfile
 import weakref
 from pathlib import Path
 from types import TracebackType
@@ -13,7 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..write.errors import FmuError
+from interarea.models.files import new_folder
+
+from ..errors import FmuError
 
 Vector = npt.NDArray[np.float64]
 
@@ -51,7 +52,7 @@ class PlantFmu:
         self.input_names: tuple[str, ...] = tuple(v.name for v in self._inputs)
         self.output_names: tuple[str, ...] = tuple(v.name for v in self._outputs)
 
-        folder = tempfile.mkdtemp(prefix="interarea-fmu-")
+        folder = str(new_folder())
         self._name = self.description.modelName
         self._log: list[str] = []
         log = self._log

@@ -16,11 +16,11 @@ import shlex
 import shutil
 import subprocess
 import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from .errors import BuildError
+from ..errors import BuildError
+from .cache import artefact, default_cache
 
 _C = Path(__file__).resolve().parents[1] / "c"
 _CODE = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-fno-ident", "-g0")
@@ -224,15 +224,6 @@ def compile_library(
     return _compiled(kind, tuple(sources.items()), PLATFORMS[platform], cache or default_cache())
 
 
-def default_cache() -> Path:
-    """Return ``$INTERAREA_CACHE``, else the user's cache folder."""
-    if os.environ.get("INTERAREA_CACHE"):
-        return Path(os.environ["INTERAREA_CACHE"])
-    if sys.platform == "win32" and os.environ.get("LOCALAPPDATA"):
-        return Path(os.environ["LOCALAPPDATA"]) / "interarea"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "interarea"
-
-
 def _compiled(kind: str, sources: tuple[tuple[str, bytes], ...], to: Platform, cache: Path) -> Path:
     command, version = _compiler()
     flags = [*_CODE, *_STRICT, *to.compile_flags, "-shared", *to.link_flags]
@@ -246,19 +237,16 @@ def _compiled(kind: str, sources: tuple[tuple[str, bytes], ...], to: Platform, c
             "unset CC and `pip install ziglang` to build for other platforms"
         )
     digest = hashlib.sha256(repr((kind, sources, flags, to.name, version)).encode()).hexdigest()
-    result = cache / "binaries" / f"{kind}-{to.name}-{digest[:24]}{to.suffix}"
-    if result.is_file():
-        return result
-    result.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=result.parent, prefix=f".{kind}-") as folder:
+
+    def make(result: Path) -> None:
         for name, content in sources:
-            (Path(folder) / name).write_bytes(content)
+            (result.parent / name).write_bytes(content)
         c_files = [name for name, _ in sources if name.endswith(".c")]
         output = f"{kind}{to.suffix}"
-        _run_compiler([*command, *flags, *c_files, "-I.", "-o", output], Path(folder), cache, kind, to.name)
-        # A rename is atomic: another process building the same binary sees a whole file or none.
-        (Path(folder) / output).replace(result)
-    return result
+        _run_compiler([*command, *flags, *c_files, "-I.", "-o", output], result.parent, cache, kind, to.name)
+        (result.parent / output).replace(result)
+
+    return artefact(cache, "binaries", f"{kind}-{to.name}-{digest[:24]}", to.suffix, make)
 
 
 def _run_compiler(command: list[str], folder: Path, cache: Path, kind: str, platform: str) -> None:

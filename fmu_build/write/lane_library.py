@@ -9,8 +9,8 @@ from pathlib import Path
 
 from interarea.models.blocks.plant import GROUP_SOURCES, SOURCES
 
+from ..errors import BuildError
 from .compile import compile_library, fmi_sources, gather_sources, host_platform, record_source
-from .errors import BuildError
 
 _SOURCE = Path(__file__).resolve().parents[1] / "c" / "group" / "fmu_group.c"
 _ALIGNMENT = 64

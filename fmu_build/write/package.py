@@ -7,20 +7,22 @@ import io
 import os
 import re
 import struct
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from interarea.models.blocks.variables import Block
+from interarea.models.files import write_whole
 
+from ..errors import BuildError
+from .cache import artefact, content_hash, source_hash
 from .compile import PLATFORMS, compile_library, host_platform, record_source, source_files
 from .description_xml import render
 from .documentation import documentation
-from .errors import BuildError
 
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -57,19 +59,38 @@ def build_fmu(
     return write_whole(path, content)
 
 
-def write_whole(path: Path, content: bytes) -> Path:
-    """Write a file beside `path` and rename it, so that nobody ever opens half of it; return `path`."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    return path
+def block_fmu(block: Block, cache: Path, *, platforms: Sequence[str] | None = None) -> Path:
+    """Build the FMU of a block once; the key is everything the block holds and the FMU builder's sources.
+
+    platforms : see `build_fmu`.
+    """
+    variables = [repr(v) for v in block.table]
+    data = [part for name, value in block.data.items() for part in (name, _raw(value))]
+    key = content_hash(
+        block.kind,
+        block.name,
+        block.description,
+        [block.step_s, block.stop_s, block.longest_step_s, block.model_exchange],
+        dict(block.documentation),
+        dict(block.provenance),
+        variables,
+        *data,
+        *(p.read_bytes() for p in block.sources),
+        source_hash("models", "*.h"),
+        source_hash("fmu_build/write"),
+        source_hash("fmu_build", "*.[ch]"),
+        os.environ.get("CC", ""),
+        *([] if platforms is None else [list(platforms)]),
+    )
+
+    def make(path: Path) -> None:
+        build_fmu(block, path, platforms=platforms, cache=cache)
+
+    return artefact(cache, block.kind, f"{block.name}-{key}", ".fmu", make)
+
+
+def _raw(value: object) -> bytes | np.ndarray[Any, Any]:
+    return value if isinstance(value, bytes) else np.asarray(value)
 
 
 def _archive(block: Block, sources: Mapping[str, bytes], binaries: dict[str, bytes]) -> bytes:

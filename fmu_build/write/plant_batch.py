@@ -14,8 +14,8 @@ from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.plant import BATCH_SOURCES
 from interarea.models.blocks.variables import STEP_PARAMETER, Block
 
+from ..errors import BuildError, FmuError
 from .compile import compile_library, gather_sources, host_platform
-from .errors import BuildError, FmuError
 
 Array = npt.NDArray[np.float64]
 LANES = (1, 2, 4, 8)  #: scenarios side by side that there is code for

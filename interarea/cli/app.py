@@ -148,8 +148,9 @@ app.command()(maps)
 
 
 def _modes(name: str) -> tuple[Case, control.StateSpace, Modes]:
-    from interarea.cosim.run.artefacts import default_cache, linear_plant
+    from interarea.cosim.run.artefacts import linear_plant
     from interarea.design.modes.modes import modes_of
+    from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.case import load_case
 
     with busy(f"linearising the plant FMU of {name}"):

@@ -50,7 +50,7 @@ def design(
     """
     from interarea.cosim.designs.comparison import HEADER, compare, save_comparison
     from interarea.cosim.designs.design_file import load_design, run_design
-    from interarea.cosim.run.artefacts import default_cache
+    from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.case import load_case
 
     from .destination import file_for, folder_for
@@ -90,7 +90,8 @@ def _certificate_of(made: Controller) -> FamilyCertificate:
 def _named(name: str, case: Case) -> Controller:
     """Return a controller: shipped, from a JSON file or an FMU, or the study's of that name for `case`."""
     from interarea.cosim.designs.controller_file import any_controller
-    from interarea.cosim.run.artefacts import CONTROLLER_NAMES, default_cache, design_controller
+    from interarea.cosim.run.artefacts import CONTROLLER_NAMES, design_controller
+    from interarea.fmu_build.write.cache import default_cache
 
     if name in CONTROLLER_NAMES:
         with busy(f"designing {name} for {case.name}"):
@@ -121,7 +122,8 @@ def certify(
     from interarea.cosim.designs.bank_certificate import any_bank
     from interarea.cosim.designs.design_file import certify as recompute
     from interarea.cosim.designs.design_file import load_design, specification_of
-    from interarea.cosim.run.artefacts import active_bank, default_cache
+    from interarea.cosim.run.artefacts import active_bank
+    from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.case import load_case
 
     table = load_design(spec or "robust")
@@ -155,8 +157,9 @@ def certify(
 def _certify_bank(bank: ControllerBank, case: Case, json_: bool) -> None:
     """Print what is proven for every sequence of losses; exit code 1 where a pause between them is needed."""
     from interarea.cosim.designs.bank_certificate import certify_bank
-    from interarea.cosim.run.artefacts import default_cache, linear_plant
+    from interarea.cosim.run.artefacts import linear_plant
     from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+    from interarea.fmu_build.write.cache import default_cache
 
     with busy(f"certifying {bank.name}"):
         plant = speeds_in_rad(remove_reference(linear_plant(case, default_cache())), case.omega_b)

@@ -39,9 +39,11 @@ def build(
     platforms: Platforms = None,
 ) -> None:
     """Build the plant FMU of a case, complete: documentation, sources and cross-check files."""
-    from interarea.cosim.run.artefacts import block_fmu, complete_fmu, default_cache, place
     from interarea.cosim.run.run import controller_of
     from interarea.cosim.scenario.scenario import load_scenario
+    from interarea.fmu_build.open.cross_check import complete_fmu
+    from interarea.fmu_build.write.cache import default_cache, place
+    from interarea.fmu_build.write.package import block_fmu
     from interarea.models.blocks.channel import channel_block
     from interarea.models.blocks.plant import plant_block
     from interarea.models.case.case import load_case
@@ -98,8 +100,8 @@ def container(
 
 def _write(writer: Callable[..., Path], scenario: str, out: Path, platforms: str | None) -> None:
     """Have `writer` turn a scenario into the file `out`, and say where it is."""
-    from interarea.cosim.run.artefacts import default_cache
     from interarea.cosim.scenario.scenario import load_scenario
+    from interarea.fmu_build.write.cache import default_cache
 
     from .destination import file_for
 

@@ -46,8 +46,9 @@ def modes(
 ) -> None:
     """Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes."""
     from interarea.cosim.designs.sensitivities import parameter_sensitivities
-    from interarea.cosim.run.artefacts import default_cache, linear_plant
+    from interarea.cosim.run.artefacts import linear_plant
     from interarea.design.modes.modes import modes_of
+    from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.case import load_case
     from interarea.models.case.variants import operating_variant
 

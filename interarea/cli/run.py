@@ -36,10 +36,10 @@ def run(
 
     With --self-test and no --out only the self-test is done.
     """
-    from interarea.cosim.run.artefacts import default_cache
     from interarea.cosim.run.files import write_result
     from interarea.cosim.run.run import Run, run_system
     from interarea.cosim.scenario.scenario import load_scenario
+    from interarea.fmu_build.write.cache import default_cache
 
     from .destination import folder_for
 

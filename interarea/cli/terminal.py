@@ -128,7 +128,7 @@ def complain(error: BaseException) -> int:
 
 def _of_the_cache(error: OSError) -> str:
     """Return what to do when the file at fault is in the artefact cache."""
-    from interarea.cosim.run.artefacts import default_cache
+    from interarea.fmu_build.write.cache import default_cache
 
     if error.filename is None or not Path(str(error.filename)).is_relative_to(default_cache()):
         return ""

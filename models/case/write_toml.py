@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from interarea.models.files import write_whole
+
 from .case import ROW_TABLES, Case
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
@@ -50,7 +52,7 @@ def export_toml(case: Case, path: str | Path | None = None) -> str:
         lines += ["", "[[event]]", *(f"{key} = {_value(value)}" for key, value in event.items())]
     text = "\n".join(lines) + "\n"
     if path is not None:
-        Path(path).write_text(text, encoding="utf-8")
+        write_whole(path, text)
     return text
 
 

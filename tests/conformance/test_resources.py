@@ -14,8 +14,8 @@ from fmu_runner import Runner, decay_block
 
 from interarea.cosim.errors import GraphError
 from interarea.cosim.master.fmu_file import FmuFile
+from interarea.fmu_build.errors import FmuError
 from interarea.fmu_build.open.plant import open_plant
-from interarea.fmu_build.write.errors import FmuError
 from interarea.fmu_build.write.package import build_fmu
 
 

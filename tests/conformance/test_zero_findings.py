@@ -15,7 +15,6 @@ from interarea.cosim.export.container import write_container
 from interarea.cosim.export.ssp import write_ssp
 from interarea.cosim.run.artefacts import (
     active_bank,
-    block_fmu,
     channel_fmu,
     controller_fmu,
     design_controller,
@@ -24,6 +23,7 @@ from interarea.cosim.run.artefacts import (
 from interarea.cosim.run.run import Controllers
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.check.check import check_file
+from interarea.fmu_build.write.package import block_fmu
 from interarea.models.case.case import Case, load_case
 
 pytestmark = pytest.mark.slow

@@ -9,9 +9,9 @@ import numpy as np
 from fmu_blocks import blocks
 
 from interarea.cosim.export.container import container_block
-from interarea.cosim.run.artefacts import default_cache
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller
+from interarea.fmu_build.write.cache import default_cache
 from interarea.models.blocks.variables import Block
 
 

@@ -110,7 +110,7 @@ def test_without_the_library_runs_go_one_by_one(
     sweep: Any, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from interarea.cosim.sweep import lane_batches as sweep_group
-    from interarea.fmu_build.write.errors import BuildError
+    from interarea.fmu_build.errors import BuildError
 
     wanted = rows_of(sweep("latency and loss"), cache, tmp_path, lanes=8)
 

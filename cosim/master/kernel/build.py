@@ -10,8 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.write.compile import compile_library, gather_sources, host_platform
-from interarea.fmu_build.write.errors import BuildError
 
 _log = logging.getLogger("interarea")
 _SOURCE = Path(__file__).resolve().parent / "kernel.c"

@@ -17,6 +17,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from interarea.models.files import write_whole
+
 from ...errors import SweepError
 from ..plan import SweepPlan, code_version, plan_of_document
 from ..rows import Outcome, failed_row
@@ -283,11 +285,7 @@ def _runner(plan: SweepPlan, files: Mapping[str, bytes]) -> Runner:
         for name, raw in files.items():
             path = cache / name
             if not path.exists():
-                path.parent.mkdir(parents=True, exist_ok=True)
-                partial = path.with_name(f".{path.name}.partial")
-                partial.write_bytes(raw)
-                partial.chmod(0o755)
-                partial.replace(path)
+                write_whole(path, raw)
         os.environ.setdefault("INTERAREA_CACHE", str(cache))  # where the kernel's binary is found too
     keep_freed_memory()
     scratch = Path(tempfile.mkdtemp(prefix="runs-", dir=root))

@@ -20,10 +20,10 @@ from interarea.cosim.master.fmu_file import FmuFile
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.master.kernel import build as kernel_build
 from interarea.cosim.master.master import Master
-from interarea.cosim.run.artefacts import block_fmu
 from interarea.cosim.run.run import Controllers, Loop, assemble
 from interarea.cosim.scenario.scenario import load_scenario
-from interarea.fmu_build.write.errors import BuildError
+from interarea.fmu_build.errors import BuildError
+from interarea.fmu_build.write.package import block_fmu
 
 PULSE = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 0.5, "end_s": 0.7}
 FAULT = {"kind": "bus_fault", "bus": 8, "start_s": 0.5033, "end_s": 0.6}

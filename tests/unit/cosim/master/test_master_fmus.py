@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import shutil
+import tempfile
 import zipfile
 from pathlib import Path
 
@@ -127,3 +129,17 @@ def test_unpacked_files_are_removed(lag: FmuFile, tmp_path: Path) -> None:
     assert folder.is_dir()
     file.close()
     assert not folder.exists()
+
+
+def _unpack_in(folder: Path, fmu: Path) -> None:
+    tempfile.tempdir = str(folder)
+    assert FmuFile(fmu).folder.is_dir()
+
+
+@pytest.mark.parametrize("method", sorted(multiprocessing.get_all_start_methods()))
+def test_a_worker_process_leaves_no_unpacked_fmu(lag: FmuFile, tmp_path: Path, method: str) -> None:
+    """Children of multiprocessing end without atexit and finalizers: a study left 194 folders behind."""
+    child = multiprocessing.get_context(method).Process(target=_unpack_in, args=(tmp_path, lag.path))
+    child.start()
+    child.join(60)
+    assert child.exitcode == 0 and list(tmp_path.iterdir()) == []

@@ -14,15 +14,7 @@ from scipy.linalg import expm
 from interarea.cosim.designs.design_file import family_plants, load_design
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.results.ringdown import swing_signal
-from interarea.cosim.run import artefacts
-from interarea.cosim.run.artefacts import (
-    artefact,
-    code_hash,
-    content_hash,
-    design_controller,
-    linear_plant,
-    place,
-)
+from interarea.cosim.run.artefacts import design_controller, linear_plant
 from interarea.cosim.run.run import Controllers, run_scenario
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.study.delay import least_damping
@@ -143,61 +135,6 @@ def test_least_damping_without_latency_is_that_of_the_eigenvalues(
     swings = poles[(hertz >= 0.1) & (hertz <= 2.5)]
     expected = float(np.min(-swings.real / np.abs(swings)))
     assert least_damping(plant, K, {"G2_dw": 0.0, "G4_dw": 0.0}) == pytest.approx(expected, abs=1e-8)
-
-
-def test_an_artefact_is_made_once_and_never_half(tmp_path: Path) -> None:
-    made = []
-
-    def make(path: Path) -> None:
-        made.append(path)
-        path.write_text("whole")
-
-    def fail(path: Path) -> None:
-        path.write_text("half")
-        raise RuntimeError("stopped")
-
-    with pytest.raises(RuntimeError, match="stopped"):
-        artefact(tmp_path, "kind", "key", ".txt", fail)
-    assert not (tmp_path / "kind" / "key.txt").exists()
-    first = artefact(tmp_path, "kind", "key", ".txt", make)
-    assert artefact(tmp_path, "kind", "key", ".txt", make) == first and len(made) == 1
-    assert place(first, tmp_path / "out" / "copy.txt").read_text() == "whole"
-    assert sorted(p.name for p in (tmp_path / "kind").iterdir()) == ["key.txt"]
-
-
-def test_keys_tell_apart_what_differs() -> None:
-    a = np.array([1.0, 2.0])
-    assert content_hash(a) != content_hash(a.astype(np.float32))
-    assert content_hash(a.reshape(1, 2)) != content_hash(a)
-    assert content_hash("ab", "c") != content_hash("a", "bc")
-    assert content_hash({"x": 1, "y": 2}) == content_hash({"y": 2, "x": 1})
-    assert code_hash("interarea.design.linear.linearise") != code_hash("interarea.design.modes.modes")
-
-
-def test_a_key_follows_every_form_of_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A form that is overlooked serves stale designs from the cache: each must reach the file it names."""
-    files = {
-        "design/start.py": "from ..models.sub.deep import value\nfrom . import beside\n",
-        "design/beside.py": "def late():\n    import interarea.models.plain\n"
-        "    from interarea.models import named\n",
-        "models/sub/__init__.py": "",
-        "models/sub/deep.py": "from ..above import value\nfrom .near import value\n",
-        "models/sub/near.py": "from . import cousin\n",
-        **{f"models/{name}.py": "" for name in ("plain", "named", "above", "sub/cousin")},
-    }
-    for name, text in files.items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(text, encoding="utf-8")
-    monkeypatch.setattr(artefacts, "ROOMS", tmp_path)
-    fresh = code_hash.__wrapped__
-    before = fresh("interarea.design.start")
-    for name, text in files.items():
-        (tmp_path / name).write_text(text + "# changed\n", encoding="utf-8")
-        assert fresh("interarea.design.start") != before, name
-        (tmp_path / name).write_text(text, encoding="utf-8")
-    assert fresh("interarea.design.start") == before
-    with pytest.raises(ValueError, match="no module of this package"):
-        fresh("interarea.design.moved_away")
 
 
 def test_a_small_pulse_through_the_nonlinear_loop_is_the_linear_response(

@@ -19,9 +19,8 @@ from fmu_runner import Runner
 from scipy.signal import lsim
 
 from interarea.cli.app import main
-from interarea.cosim.run.artefacts import complete_fmu
-from interarea.fmu_build.open.cross_check import add_cross_check
-from interarea.fmu_build.write.errors import BuildError
+from interarea.fmu_build.errors import BuildError
+from interarea.fmu_build.open.cross_check import add_cross_check, complete_fmu
 from interarea.fmu_build.write.package import build_fmu
 
 Array = npt.NDArray[np.float64]

@@ -8,7 +8,7 @@ import pytest
 from plant_shim import BlockShim
 
 from interarea.cosim.run.artefacts import plant_fmu
-from interarea.fmu_build.write.errors import BuildError, FmuError
+from interarea.fmu_build.errors import BuildError, FmuError
 from interarea.fmu_build.write.plant_batch import LANES, PlantBatch
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.plant import event_parameters, plant_block

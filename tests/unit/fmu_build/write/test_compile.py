@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from fmu_runner import DECAY_C
 
+from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.write import compile as compiling
 from interarea.fmu_build.write.compile import compile_binary, source_files
-from interarea.fmu_build.write.errors import BuildError
 
 
 class Elf:

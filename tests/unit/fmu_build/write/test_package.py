@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from fmu_runner import decay_block
 
+from interarea.fmu_build.errors import BuildError, FmuError
 from interarea.fmu_build.open.plant import open_plant
-from interarea.fmu_build.write.errors import BuildError, FmuError
 from interarea.fmu_build.write.package import build_fmu
 
 

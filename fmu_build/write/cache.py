@@ -1,0 +1,150 @@
+"""Files made once and found again: FMUs, linear models, controllers, named by content hash.
+
+A key holds the bytes of the inputs and of the sources that turn them into the
+artefact, so a changed case, design or C file gives a new file and an unchanged
+one is never computed twice. Files appear by an atomic rename: a killed run
+leaves no half-written artefact behind.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Callable
+from functools import cache as forever
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import resolve_name
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from interarea.models.files import settle, temporary_folder, write_whole
+
+ROOMS = Path(__file__).resolve().parents[2]
+
+
+def default_cache() -> Path:
+    """Return the artefact folder: `$INTERAREA_CACHE`, else `interarea` in the user's cache folder."""
+    if os.environ.get("INTERAREA_CACHE"):
+        return Path(os.environ["INTERAREA_CACHE"])
+    if sys.platform == "win32" and os.environ.get("LOCALAPPDATA"):
+        return Path(os.environ["LOCALAPPDATA"]) / "interarea"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "interarea"
+
+
+def content_hash(*parts: object) -> str:
+    """Return 16 hexadecimal digits of SHA-256 over `parts` (bytes, arrays, or anything JSON can hold)."""
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, bytes):
+            raw = part
+        elif isinstance(part, np.ndarray):
+            raw = str((part.dtype.str, part.shape)).encode() + np.ascontiguousarray(part).tobytes()
+        else:
+            raw = json.dumps(part, sort_keys=True, default=str).encode()
+        digest.update(len(raw).to_bytes(8, "little") + raw)
+    return digest.hexdigest()[:16]
+
+
+def file_hash(path: Path) -> str:
+    """Return 16 hexadecimal digits of SHA-256 over the bytes of a file."""
+    return content_hash(path.read_bytes())
+
+
+@forever
+def source_hash(room: str, pattern: str = "*.py") -> str:
+    """Return the hash of those files of a room (folders below included) that match `pattern`."""
+    folder = ROOMS / room
+    files = sorted(folder.rglob(pattern))
+    return content_hash(*(part for p in files for part in (p.relative_to(folder).as_posix(), p.read_bytes())))
+
+
+@forever
+def code_hash(module: str) -> str:
+    """Return the hash of the Python source of a module of this package and of all it imports from it.
+
+    module : full name; a module's own `__name__`, or the `__module__` of what it defines.
+
+    Raises
+    ------
+    ValueError : no such module; a wrong name must not end in a key that never changes.
+    """
+    sources: dict[str, bytes] = {}
+    todo = [module]
+    while todo:
+        name = todo.pop()
+        path = _source_file(name)
+        if path is not None and name not in sources:
+            sources[name] = path.read_bytes()
+            package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+            todo += _imports(package, sources[name])
+    if module not in sources:
+        raise ValueError(f"{module!r} is no module of this package")
+    return content_hash(*(part for name in sorted(sources) for part in (name, sources[name])))
+
+
+def _source_file(name: str) -> Path | None:
+    first, *parts = name.split(".")
+    if first != "interarea" or not parts:
+        return None
+    path = ROOMS.joinpath(*parts)
+    files = (path.with_name(f"{path.name}.py"), path / "__init__.py")
+    return next((file for file in files if file.is_file()), None)
+
+
+def _imports(package: str, source: bytes) -> list[str]:
+    found = []
+    todo: list[Any] = list(ast.parse(source).body)
+    while todo:  # statements only: no expression holds an import, and they are most of a tree
+        node = todo.pop()
+        for block in ("body", "orelse", "finalbody", "handlers", "cases"):
+            todo += getattr(node, block, ())
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            name = resolve_name("." * node.level + (node.module or ""), package)
+            found += [name, *(f"{name}.{alias.name}" for alias in node.names)]
+    return found
+
+
+@forever
+def numerics_versions() -> dict[str, str]:
+    """Return the versions of the libraries whose rounding can reach a result."""
+    return {name: _version(name) for name in ("numpy", "scipy", "control", "cvxpy", "clarabel", "fmpy")}
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def artefact(cache: Path, kind: str, key: str, suffix: str, make: Callable[[Path], object]) -> Path:
+    """Return the file `cache/KIND/KEYSUFFIX`, calling `make(temporary path)` when it is not there yet."""
+    path = cache / kind / f"{key}{suffix}"
+    if path.exists():
+        return path
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with temporary_folder(cache) as folder:
+        made = folder / path.name
+        make(made)
+        return settle(made, path)
+
+
+def cached_json(cache: Path, kind: str, key: str, make: Callable[[], Any]) -> Any:
+    """Return the JSON value `cache/KIND/KEY.json`, calling `make()` when it is not there yet."""
+
+    def write(path: Path) -> None:
+        path.write_text(json.dumps(make(), allow_nan=False), encoding="utf-8")
+
+    return json.loads(artefact(cache, kind, key, ".json", write).read_text(encoding="utf-8"))
+
+
+def place(artefact: Path, path: Path) -> Path:
+    """Copy an artefact to where the user wants it, as one finished file; return that path."""
+    return write_whole(path, artefact.read_bytes())

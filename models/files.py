@@ -1,0 +1,155 @@
+"""Files of ours: on disk whole or not at all, and temporary ones that are gone when their process is.
+
+Temporary files lie in one folder per process, ``interarea-PID-XXXXXXXX``, with a lock that the operating
+system frees when the process ends, however it ends. Whoever needs a temporary folder first removes those
+whose lock is free.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+try:
+    import fcntl
+except ImportError:  # Windows, where a file that a process holds open cannot be removed
+    fcntl = None  # type: ignore[assignment]
+
+_PREFIX = "interarea-"
+_LOCK = ".lock"
+_LAST = -100  #: at a process's end: after its own children, and what holds files open
+_YOUNG_S = 60.0
+
+
+def write_whole(path: Path | str, content: bytes | str) -> Path:
+    """Write a file beside `path`, force it to disk and rename it; return `path`.
+
+    Nobody ever opens half of it. Text is encoded as UTF-8.
+    """
+    path, raw = Path(path), content.encode("utf-8") if isinstance(content, str) else content
+    if path.exists() and not path.is_file():  # /dev/stdout, a pipe: nothing to rename to
+        path.write_bytes(raw)
+        return path
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}-", suffix=".partial")
+    partial = Path(name)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(raw)
+        partial.chmod(0o644)
+        return settle(partial, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise
+
+
+def settle(partial: Path, path: Path) -> Path:
+    """Force the file `partial` to disk, name it `path`, and force the name to disk; return `path`."""
+    with partial.open("rb+") as file:
+        os.fsync(file.fileno())
+    partial.replace(path)
+    with contextlib.suppress(OSError):  # some systems cannot open a folder
+        handle = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+    return path
+
+
+@contextlib.contextmanager
+def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
+    """Give a new folder below `parent` (default: the system's folder for temporary files) for a while."""
+    folder = new_folder(parent)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def new_folder(parent: Path | None = None) -> Path:
+    """Return a new folder below `parent`, absolute; it is removed when the process ends, if not before."""
+    root = Path(tempfile.gettempdir() if parent is None else parent).absolute()
+    own = _own.get((os.getpid(), root))
+    if own is None or not own.folder.is_dir():
+        sweep(root)
+        own = _own[os.getpid(), root] = _Own(root)
+    return Path(tempfile.mkdtemp(dir=own.folder))
+
+
+def sweep(parent: Path) -> int:
+    """Remove the folders that processes left in `parent` which have ended; return how many."""
+    removed = 0
+    with contextlib.suppress(OSError):
+        for folder in list(parent.glob(f"{_PREFIX}[0-9]*-*")):
+            with contextlib.suppress(OSError):
+                removed += _remove_if_left(folder)
+    return removed
+
+
+class _Own:
+    """The folder of this process in `root`, locked."""
+
+    def __init__(self, root: Path) -> None:
+        from multiprocessing.util import Finalize
+
+        lock = None
+        while lock is None:  # a sweep may take a folder for a left one before it is locked
+            self.folder = Path(tempfile.mkdtemp(dir=root, prefix=f"{_PREFIX}{os.getpid()}-"))
+            lock = _locked(self.folder / _LOCK)
+        self._lock: IO[bytes] = lock
+        # children of multiprocessing end without atexit, but not without this
+        Finalize(None, self.close, exitpriority=_LAST)
+
+    def close(self) -> None:
+        """Free the lock and remove the folder."""
+        self._lock.close()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+_own: dict[tuple[int, Path], _Own] = {}
+
+
+def _locked(path: Path) -> IO[bytes] | None:
+    """Return the file opened and locked; None when another process has it or has removed it."""
+    file = path.open("a+b")
+    if fcntl is not None:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            file.close()
+            return None
+        if not path.exists():
+            file.close()
+            return None
+    return file
+
+
+def _remove_if_left(folder: Path) -> bool:
+    """Remove `folder` if the process that made it has ended; return whether it had.
+
+    Of another user's folders this is never known: the lock cannot be opened.
+    """
+    lock = folder / _LOCK
+    if not lock.exists():  # about to be locked, or killed just there
+        left = time.time() - folder.stat().st_mtime > _YOUNG_S
+        if left:
+            shutil.rmtree(folder, ignore_errors=True)
+        return left
+    if fcntl is None:
+        lock.unlink()
+        shutil.rmtree(folder, ignore_errors=True)
+        return True
+    file = _locked(lock)
+    if file is None:
+        return False
+    with file:
+        shutil.rmtree(folder, ignore_errors=True)
+    return True

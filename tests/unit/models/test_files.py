@@ -1,0 +1,110 @@
+"""Files that are whole or not there, temporary folders that end with their process."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from interarea.models import files
+from interarea.models.files import new_folder, sweep, temporary_folder, write_whole
+
+MAKES_ONE = """
+import sys, time
+from pathlib import Path
+from interarea.models.files import new_folder
+folder = new_folder(Path(sys.argv[1]))
+(folder / "data").write_bytes(b"x" * 1000)
+print(folder, flush=True)
+if len(sys.argv) > 2:
+    time.sleep(60)
+"""
+
+
+def in_a_process(parent: Path, *more: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", MAKES_ONE, str(parent), *more], stdout=subprocess.PIPE, text=True
+    )
+
+
+def test_a_process_leaves_nothing_behind(tmp_path: Path) -> None:
+    process = in_a_process(tmp_path)
+    said, _ = process.communicate(timeout=60)
+    assert process.returncode == 0 and Path(said.strip()).parent.parent == tmp_path
+    assert list(tmp_path.iterdir()) == []
+
+
+def _child(parent: Path) -> None:
+    (new_folder(parent) / "data").write_bytes(b"x")
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_a_child_process_leaves_nothing_behind(tmp_path: Path, method: str) -> None:
+    """A child of multiprocessing ends without atexit; a forked one must not remove what its parent has."""
+    if method not in multiprocessing.get_all_start_methods():
+        pytest.skip(f"no {method} here")
+    kept = new_folder(tmp_path)
+    child = multiprocessing.get_context(method).Process(target=_child, args=(tmp_path,))
+    child.start()
+    child.join(60)
+    assert child.exitcode == 0 and kept.is_dir()
+    assert list(tmp_path.iterdir()) == [kept.parent]
+
+
+def test_what_a_killed_process_left_goes_at_the_next_start(tmp_path: Path) -> None:
+    process = in_a_process(tmp_path, "and stays")
+    assert process.stdout is not None
+    left = Path(process.stdout.readline().strip())
+    assert sweep(tmp_path) == 0 and left.is_dir()  # it lives
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    assert left.is_dir()
+    mine = new_folder(tmp_path)
+    assert mine.is_dir() and not left.parent.exists()
+
+
+def test_a_folder_that_is_about_to_be_locked_is_left_alone(tmp_path: Path) -> None:
+    young, old = tmp_path / "interarea-1-young", tmp_path / "interarea-1-old"
+    for folder in (young, old):
+        folder.mkdir()
+    os.utime(old, (time.time() - 3600.0,) * 2)
+    assert sweep(tmp_path) == 1 and young.is_dir() and not old.exists()
+
+
+def test_a_temporary_folder_goes_with_its_block(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), temporary_folder(tmp_path) as folder:
+        (folder / "below").mkdir()
+        raise ZeroDivisionError
+    assert not folder.exists()
+
+
+def test_a_file_is_the_old_or_the_new_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_whole(tmp_path / "below" / "a.txt", "old")
+    synced: list[int] = []
+    monkeypatch.setattr(files.os, "fsync", synced.append)
+    write_whole(path, b"new")
+    assert path.read_text() == "new" and len(synced) >= 1
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files.os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write_whole(path, "half")
+    assert path.read_text() == "new" and list(path.parent.iterdir()) == [path]
+
+
+def test_what_is_no_file_is_written_to() -> None:
+    """A pipe or /dev/stdout cannot be replaced by a new file."""
+    code = "from interarea.models.files import write_whole; write_whole('/dev/stdout', 'text')"
+    if not Path("/dev/stdout").exists():
+        pytest.skip("no /dev/stdout here")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "text"
