@@ -42,7 +42,7 @@ def add_cross_check(fmu: Path, path: Path) -> Path:
     """
     import fmpy
 
-    folder = new_folder()
+    folder = str(new_folder())
     try:
         fmpy.extract(str(fmu), folder)
         model = fmpy.read_model_description(folder)

@@ -161,7 +161,7 @@ def test_a_full_disk_is_an_error_and_what_was_written_stays_valid(
             raise OSError(errno.ENOSPC, "No space left on device", str(partial))
 
         with monkeypatch.context() as m:
-            m.setattr(sweep_store, "_settle", full)
+            m.setattr(sweep_store, "settle", full)
             with pytest.raises(
                 SweepError, match=r"the disk is full; 2 of 12 runs are safe in .*same command again"
             ):
