@@ -13,7 +13,7 @@ import control
 import numpy as np
 
 from interarea.design.controllers.bundled import shipped_controller, shipped_names
-from interarea.design.controllers.controller import RECORD, Controller, ControllerError
+from interarea.design.controllers.controller import RECORD, Controller, ControllerError, guard_of
 
 from ..errors import nearest
 from ..master.fmu_file import read_description
@@ -72,6 +72,7 @@ def _from_fmu(path: Path, omega_b: float) -> Controller:
         float(starts["limit"]),
         record.get("design") or {"method": "read from the FMU"},
         record.get("certificate"),
+        None if record.get("guard") is None else guard_of(record["guard"]),
     )
 
 

@@ -67,18 +67,27 @@ def fault_scenario(
     case_file: Path, case: Case, fault: FaultTable, controller: str = "none"
 ) -> dict[str, Any]:
     """Return the scenario of the fault; a branch that is out already is not tripped."""
+    events = after_clearing(case_file, case, fault.bus, fault.branch, fault.start_s, fault.clear_s)
+    return events | {"controller": controller, "stop_s": fault.stop_s}
+
+
+def after_clearing(
+    case_file: Path,
+    case: Case,
+    bus: int,
+    trip: str | None,
+    start_s: float,
+    clear_s: float,
+    *,
+    x_pu: float = 1e-4,
+) -> dict[str, Any]:
+    """Return case and events of a fault that a trip clears; a branch that is out already is not tripped."""
     events: list[dict[str, Any]] = [
-        {
-            "kind": "bus_fault",
-            "bus": fault.bus,
-            "start_s": fault.start_s,
-            "end_s": fault.clear_s,
-            "x_pu": 1e-4,
-        }
+        {"kind": "bus_fault", "bus": bus, "start_s": start_s, "end_s": clear_s, "x_pu": x_pu}
     ]
-    if case.branch(fault.branch).in_service:
-        events.append({"kind": "branch_trip", "branch": fault.branch, "start_s": fault.clear_s})
-    return {"case": str(case_file), "controller": controller, "stop_s": fault.stop_s, "event": events}
+    if trip is not None and case.branch(trip).in_service:
+        events.append({"kind": "branch_trip", "branch": trip, "start_s": clear_s})
+    return {"case": str(case_file), "event": events}
 
 
 def uncontrolled_speeds(case: Case, fault: FaultTable, cache: Path) -> tuple[Array, dict[str, Array]]:

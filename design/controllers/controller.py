@@ -9,14 +9,14 @@ import html
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import control
 import numpy as np
 
-from interarea.models.blocks.controller import controller_block
+from interarea.models.blocks.controller import Guard, controller_block
 from interarea.models.blocks.variables import Block
 from interarea.models.files import write_whole
 
@@ -43,6 +43,7 @@ class Controller:
     limit_pu : bound of the magnitude of every output.
     design : how it was made: method, specification, orders, gamma ...: JSON values.
     certificate : what was checked on the full plant; None before certification.
+    guard : which side of the limit falls while a first swing lasts; its threshold in rad/s.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Controller:
     limit_pu: float = 0.15
     design: Mapping[str, Any] = field(default_factory=dict)
     certificate: Mapping[str, Any] | None = None
+    guard: Guard | None = None
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
@@ -61,6 +63,11 @@ class Controller:
             raise ControllerError(
                 f"controller {self.name}: limit_pu is {self.limit_pu}, wanted a positive number"
             )
+        if self.guard is not None:
+            try:
+                self.guard.check(self.name, self.inputs, self.outputs)
+            except ValueError as error:
+                raise ControllerError(str(error)) from None
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -91,6 +98,7 @@ class Controller:
             "inputs": list(self.inputs),
             "outputs": list(self.outputs),
             "limit_pu": self.limit_pu,
+            **({} if self.guard is None else {"guard": asdict(self.guard)}),
             "A": K.A.tolist(),
             "B": K.B.tolist(),
             "C": K.C.tolist(),
@@ -140,6 +148,7 @@ class Controller:
                 name=data["name"],
                 system=system,
                 limit_pu=float(data.get("limit_pu", 0.15)),
+                guard=None if data.get("guard") is None else guard_of(data["guard"]),
                 design=data.get("design", {}),
                 certificate=data.get("certificate"),
             )
@@ -147,6 +156,10 @@ class Controller:
             raise
         except (TypeError, ValueError) as error:
             raise ControllerError(f"A, B, C, D do not fit {m} inputs and {p} outputs ({error})") from error
+
+    def _guard_in_pu(self, omega_b: float) -> Guard | None:
+        """The guard as the FMU has it: its threshold in the unit of the speeds that come in."""
+        return None if self.guard is None else replace(self.guard, threshold=self.guard.threshold / omega_b)
 
     def block(self, omega_b: float) -> Block:
         """Return the block for the FMU builder: speeds in pu (dw_rad = omega_b dw_pu), actuators in pu.
@@ -164,7 +177,11 @@ class Controller:
         documentation = {"Design": document(plain(self.design))}
         if self.certificate is not None:
             documentation["Certificate"] = document(plain(self.certificate))
-        record = {"design": plain(self.design), "certificate": plain(self.certificate)}
+        record = {
+            "design": plain(self.design),
+            "certificate": plain(self.certificate),
+            **({} if self.guard is None else {"guard": asdict(self.guard)}),
+        }
         # inside a script element only "</" would end it
         text = json.dumps(record, sort_keys=True).replace("</", "<\\/")
         documentation["Record"] = (
@@ -180,9 +197,23 @@ class Controller:
             list(self.inputs),
             list(self.outputs),
             limit=self.limit_pu,
+            guard=self._guard_in_pu(omega_b),
             documentation=documentation,
             provenance={"method": str(self.design.get("method", "given")), "order": str(self.order)},
         )
+
+
+def guard_of(data: Any) -> Guard:
+    """Return the guard that a controller's file or an FMU's record describes.
+
+    Raises ControllerError naming the key at fault.
+    """
+    keys = [f.name for f in fields(Guard)]
+    if not isinstance(data, dict) or not set(data) <= set(keys) or not {"watched", "sides"} <= set(data):
+        got = list(data) if isinstance(data, dict) else type(data).__name__
+        raise ControllerError(f"guard has {got}, allowed: {', '.join(keys)}")
+    numbers = {k: float(data[k]) for k in keys[2:] if k in data}
+    return Guard(dict(data["watched"]), {k: float(v) for k, v in data["sides"].items()}, **numbers)
 
 
 def plain(value: Any) -> Any:

@@ -146,9 +146,12 @@ def frequency_response(
 
 
 def response(system: control.StateSpace, omega_rad: Matrix) -> ComplexMatrix:
-    """Return `frequency_response` of a system, shape (len(omega_rad), outputs, inputs)."""
+    """Return C (jw I - A)^-1 B + D, shape (len(omega_rad), outputs, inputs), all frequencies in one solve."""
     A, B, C, D = (np.asarray(m, dtype=float) for m in (system.A, system.B, system.C, system.D))
-    return frequency_response(A, B, C, D, omega_rad)
+    if A.shape[0] == 0:
+        return np.broadcast_to(D.astype(complex), (omega_rad.size, *D.shape)).copy()
+    resolvent = 1j * omega_rad[:, None, None] * np.eye(A.shape[0]) - A
+    return np.asarray(C @ np.linalg.solve(resolvent, np.broadcast_to(B, (omega_rad.size, *B.shape))) + D)
 
 
 def hinf_norm(system: control.StateSpace, *, tolerance: float = 1e-8) -> PeakGain:

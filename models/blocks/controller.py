@@ -3,12 +3,49 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from .variables import Block, Variable, VariableTable
+
+
+@dataclass(frozen=True)
+class Guard:
+    """Which side of an output's limit falls while a first swing lasts.
+
+    watched : output -> the input, a speed, that tells of the swing.
+    sides : output -> share of the limit that falls, above 0 of the upper one, below 0 of the lower one.
+    threshold : deviation of the speed from its slow course at which that share has fallen, pu.
+    washout_s, lowpass_s : time constants of that slow course and of letting go, s.
+    """
+
+    watched: Mapping[str, str]
+    sides: Mapping[str, float]
+    threshold: float
+    washout_s: float = 10.0
+    lowpass_s: float = 1.0
+
+    def check(self, name: str, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+        """Raise ValueError where the guard does not fit a controller with these inputs and outputs."""
+        strange = [*(set(self.watched) - set(outputs)), *(set(self.watched.values()) - set(inputs))]
+        if strange or not self.watched or set(self.sides) != set(self.watched):
+            raise ValueError(
+                f"controller {name}: guard watches {dict(self.watched)} with sides {dict(self.sides)}, "
+                f"allowed: outputs of {list(outputs)}, inputs of {list(inputs)}, the same outputs in both"
+            )
+        for what, value in (
+            ("threshold", self.threshold),
+            ("washout_s", self.washout_s),
+            ("lowpass_s", self.lowpass_s),
+        ):
+            if not (value > 0.0 and np.isfinite(value)):
+                raise ValueError(f"controller {name}: guard {what} is {value}, allowed: above 0")
+        if not all(-1.0 <= side <= 1.0 for side in self.sides.values()):
+            raise ValueError(f"controller {name}: guard sides are {dict(self.sides)}, allowed: -1 to 1")
+
 
 _SOURCE = Path(__file__).resolve().parents[1] / "c" / "controller" / "state_space.c"
 
@@ -23,6 +60,7 @@ def controller_block(
     outputs: Sequence[str],
     *,
     limit: float = 0.15,
+    guard: Guard | None = None,
     documentation: Mapping[str, str] | None = None,
     provenance: Mapping[str, str] | None = None,
 ) -> Block:
@@ -39,11 +77,13 @@ def controller_block(
     A, B, C, D : (n, n), (n, m), (p, n), (p, m), 1/s and pu per pu.
     inputs, outputs : m and p names; signals in pu, actuators in pu.
     limit : pu, bound of the magnitude of every output.
+    guard : which side of an output's limit falls while a first swing lasts; None: neither.
     documentation, provenance : see `Block`.
 
     Raises
     ------
-    ValueError : shapes that do not fit, entries that are not finite, or a limit that is not positive.
+    ValueError : shapes that do not fit, entries that are not finite, a limit that is not positive, or a
+        guard of outputs and inputs that are not there.
     """
     n, m, p = _square(name, A), len(inputs), len(outputs)
     matrices = {
@@ -54,6 +94,8 @@ def controller_block(
     }
     if not (limit > 0 and np.isfinite(limit)):
         raise ValueError(f"controller {name}: limit is {limit}, allowed are positive finite values in pu")
+    if guard is not None:
+        guard.check(name, inputs, outputs)
     states = [f"x[{i + 1}]" for i in range(n)]
     variables = [
         Variable(s, "state", f"State {i + 1} of the controller", start=0.0) for i, s in enumerate(states)
@@ -69,6 +111,8 @@ def controller_block(
         )
         for i, s in enumerate(states)
     ]
+    filters = _guard_states(guard, outputs)
+    variables = _with_guard_states(variables, guard, filters)
     variables += [Variable(u, "input", f"Measured signal {u}", unit="pu", start=0.0) for u in inputs]
     variables += [
         Variable(
@@ -76,7 +120,7 @@ def controller_block(
             "output",
             f"Control signal {y}, limited to plus or minus `limit`",
             unit="pu",
-            depends_on=(*states, *_nonzero(matrices["D"][i], inputs)),
+            depends_on=_seen_by(y, (*states, *_nonzero(matrices["D"][i], inputs)), guard, filters),
         )
         for i, y in enumerate(outputs)
     ]
@@ -93,22 +137,110 @@ def controller_block(
             tunable=True,
         )
     )
+    variables += _guard_parameters(guard, outputs)
+    watched = [
+        -1 if guard is None or y not in guard.watched else inputs.index(guard.watched[y]) for y in outputs
+    ]
     return Block(
         kind="controller",
         name=name,
         description=f"Linear controller of order {n} with outputs limited to +-{limit:g} pu",
         table=VariableTable(variables),
-        data={},
+        data={} if guard is None else {"guard": np.array(watched, dtype=np.int32)},
         sources=(_SOURCE,),
         internal_step_s=_internal_step_s(matrices["A"]),
-        documentation={"Equations": _EQUATIONS, **(documentation or {})},
+        documentation={
+            "Equations": _EQUATIONS if guard is None else _EQUATIONS + _GUARD_EQUATIONS,
+            **(documentation or {}),
+        },
         provenance=dict(provenance or {}),
     )
+
+
+def _guard_states(guard: Guard | None, outputs: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Names of the two filter states of each guarded output, in the order of the outputs."""
+    guarded = [] if guard is None else [y for y in outputs if y in guard.watched]
+    return {y: (f"{y}_slow_course", f"{y}_swing") for y in guarded}
+
+
+def _with_guard_states(
+    linear: Sequence[Variable], guard: Guard | None, filters: Mapping[str, tuple[str, str]]
+) -> list[Variable]:
+    """States first, then derivatives: those of the linear part, then those of the guards."""
+    if guard is None:
+        return list(linear)
+    states, derivatives = [], []
+    for y, (slow, swing) in filters.items():
+        signal = guard.watched[y]
+        for state, what, seen in (
+            (slow, f"Slow course of {signal}, which the guard of {y} takes off", (slow, signal)),
+            (swing, f"Low pass of what is left of {signal}", (slow, swing, signal)),
+        ):
+            states.append(Variable(state, "state", what, unit="pu", start=0.0))
+            derivatives.append(
+                Variable(
+                    f"der({state})",
+                    "derivative",
+                    f"Derivative of {state}",
+                    unit="1/s",
+                    derivative_of=state,
+                    depends_on=seen,
+                )
+            )
+    half = len(linear) // 2
+    return [*linear[:half], *states, *linear[half:], *derivatives]
+
+
+def _seen_by(
+    y: str, linear: tuple[str, ...], guard: Guard | None, filters: Mapping[str, tuple[str, str]]
+) -> tuple[str, ...]:
+    """What an output depends on: the filters and the watched signal of its guard too."""
+    if guard is None or y not in filters:
+        return linear
+    return tuple(dict.fromkeys((*linear, *filters[y], guard.watched[y])))
+
+
+def _guard_parameters(guard: Guard | None, outputs: Sequence[str]) -> list[Variable]:
+    if guard is None:
+        return []
+    rows = [
+        (
+            f"guard_side[{k + 1}]",
+            guard.sides[y],
+            f"{y}: share of the upper (+) or lower (-) limit that falls",
+            "1",
+        )
+        for k, y in enumerate(y for y in outputs if y in guard.watched)
+    ]
+    rows += [
+        ("guard_threshold", guard.threshold, "Speed deviation at which that share has fallen whole", "pu"),
+        ("guard_washout", guard.washout_s, "Time constant of the slow course that is taken off", "s"),
+        ("guard_lowpass", guard.lowpass_s, "Time constant with which the guard lets go", "s"),
+    ]
+    return [
+        Variable(
+            name,
+            "parameter",
+            text,
+            unit=unit,
+            start=float(value),
+            min=-1.0 if name.startswith("guard_side") else 0.0,
+            max=1.0 if name.startswith("guard_side") else None,
+            tunable=True,
+        )
+        for name, value, text, unit in rows
+    ]
 
 
 _EQUATIONS = (
     "<p>dx/dt = A x + B u, y = min(max(C x + D u, &minus;limit), limit). "
     "The matrices are the parameters <code>A[i,j]</code> .. <code>D[i,j]</code>.</p>"
+)
+_GUARD_EQUATIONS = (
+    "<p>An output with a guard watches a speed s: dw/dt = (s &minus; w) / guard_washout, "
+    "dl/dt = (s &minus; w &minus; l) / guard_lowpass, q = min(1, max(|s &minus; w|, |l|) / guard_threshold). "
+    "Where its guard_side is above 0 the upper limit is limit (1 &minus; q guard_side), where it is below 0 "
+    "the lower one &minus;limit (1 + q guard_side): no control on the side that adds to a first swing.</p>"
 )
 
 

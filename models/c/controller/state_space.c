@@ -1,10 +1,20 @@
 /* Linear controller with limited outputs:
  *
- *     dx/dt = A x + B u,    v = C x + D u,    y_i = min(max(v_i, -limit), limit)
+ *     dx/dt = A x + B u,    v = C x + D u,    y_i = min(max(v_i, -low_i), high_i)
+ *
+ * Without a guard low = high = limit. An output with a guard watches one input,
+ * s: how far the speed has left its slow course says that a first swing lasts,
+ * and meanwhile the side that would add to that swing falls towards zero:
+ *
+ *     dw/dt = (s - w) / washout,   dl/dt = (s - w - l) / lowpass,
+ *     q = min(1, max(|s - w|, |l|) / threshold),
+ *     high = limit (1 - q side) where side > 0,   low = limit (1 + q side) where side < 0
  *
  * The matrices are parameters of the FMU, rows first, in the order A, B, C, D,
- * limit. A limited output does not move with its arguments: its directional
- * derivative is zero. On the limit itself the inner side is taken.           */
+ * limit; then, where the record has `guard` (per output the number of the input
+ * that it watches, or -1), side of each guarded output, threshold, washout and
+ * lowpass. A limited output moves with its limit only: its directional
+ * derivative is that of the limit. On a limit itself the inner side is taken.  */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -13,18 +23,55 @@
 
 const int block_is_sampled = 0;
 
-typedef struct { const double *A, *B, *C, *D; double limit; } Gains;
+typedef struct {
+    const double *A, *B, *C, *D;
+    double limit;
+    size_t n, guards;            /* states of the linear part; outputs with a guard */
+    const int32_t *watched;      /* per output, NULL: no guards                     */
+    const double *side;          /* per guard                                       */
+    double threshold, washout, lowpass;
+} Gains;
+
+/* What a guard sees: signal behind the washout and its low pass, and their share of the threshold. */
+typedef struct { double fast, slow, share; } Swing;
+
+static size_t guards_of(const Record *record, size_t outputs, const int32_t **watched)
+{
+    size_t count, guards = 0;
+
+    *watched = record_i32(record, "guard", &count);
+    if (*watched == NULL || count != outputs) return *watched = NULL, 0;
+    for (size_t i = 0; i < outputs; ++i) guards += (*watched)[i] >= 0 ? 1u : 0u;
+    return guards;
+}
 
 static Gains gains_of(const Block *b)
 {
-    const size_t n = b->layout.n_x, m = b->layout.n_u, p = b->layout.n_y;
+    const size_t m = b->layout.n_u, p = b->layout.n_y;
     Gains g;
+
+    g.guards = guards_of(b->record, p, &g.watched);
+    g.n = b->layout.n_x - 2 * g.guards;
     g.A = b->p;
-    g.B = g.A + n * n;
-    g.C = g.B + n * m;
-    g.D = g.C + p * n;
+    g.B = g.A + g.n * g.n;
+    g.C = g.B + g.n * m;
+    g.D = g.C + p * g.n;
     g.limit = g.D[p * m];
+    g.side = g.D + p * m + 1;
+    g.threshold = g.guards > 0 ? g.side[g.guards] : 1.0;
+    g.washout = g.guards > 0 ? g.side[g.guards + 1] : 1.0;
+    g.lowpass = g.guards > 0 ? g.side[g.guards + 2] : 1.0;
     return g;
+}
+
+static Swing swing_of(const Gains *g, const double *x, double signal, size_t guard)
+{
+    Swing s;
+
+    s.fast = signal - x[g->n + 2 * guard];
+    s.slow = x[g->n + 2 * guard + 1];
+    s.share = fmin(1.0, fmax(fabs(s.fast), fabs(s.slow)) / g->threshold);
+    return s;
 }
 
 /* out = M x + N u */
@@ -42,13 +89,18 @@ static void multiply(const double *M, const double *N, size_t rows, size_t n, si
 BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNeeds *needs,
                         BlockMessage *message)
 {
-    const size_t n = layout->n_x, m = layout->n_u, p = layout->n_y;
+    const size_t m = layout->n_u, p = layout->n_y;
+    const int32_t *watched;
+    const size_t guards = guards_of(record, p, &watched), own = guards > 0 ? guards + 3 : 0;
+    const size_t n = layout->n_x - 2 * guards;
+    int fits = layout->n_x >= 2 * guards && layout->n_iu + layout->n_ip == 0
+               && layout->n_p == n * n + n * m + p * n + p * m + 1 + own;
 
-    (void)record;
-    if (layout->n_p != n * n + n * m + p * n + p * m + 1 || layout->n_iu + layout->n_ip > 0) {
+    for (size_t i = 0; watched != NULL && i < p; ++i) fits = fits && watched[i] < (int32_t)m;
+    if (!fits) {
         snprintf(message->text, sizeof message->text,
-                 "controller: %zu states, %zu inputs and %zu outputs do not go with %zu parameters", n, m, p,
-                 layout->n_p);
+                 "controller: %zu states, %zu inputs, %zu outputs and %zu guards do not go with %zu parameters",
+                 layout->n_x, m, p, guards, layout->n_p);
         return BLOCK_ERROR;
     }
     needs->n_memory = 0;
@@ -58,10 +110,17 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
 
 BlockStatus block_start(Block *b, double t, BlockMessage *message)
 {
+    const Gains g = gains_of(b);
+
     (void)t;
-    if (!(gains_of(b).limit > 0.0)) {
-        snprintf(message->text, sizeof message->text, "controller: limit is %g, it must be positive",
-                 gains_of(b).limit);
+    if (!(g.limit > 0.0)) {
+        snprintf(message->text, sizeof message->text, "controller: limit is %g, it must be positive", g.limit);
+        return BLOCK_ERROR;
+    }
+    if (!(g.threshold > 0.0 && g.washout > 0.0 && g.lowpass > 0.0)) {
+        snprintf(message->text, sizeof message->text,
+                 "controller: guard_threshold is %g, guard_washout %g, guard_lowpass %g; all must be positive",
+                 g.threshold, g.washout, g.lowpass);
         return BLOCK_ERROR;
     }
     return BLOCK_OK;
@@ -73,7 +132,14 @@ BlockStatus block_derivatives(Block *b, double t, const double *x, const double 
     const Gains g = gains_of(b);
 
     (void)t, (void)message;
-    multiply(g.A, g.B, b->layout.n_x, b->layout.n_x, b->layout.n_u, x, u, dx);
+    multiply(g.A, g.B, g.n, g.n, b->layout.n_u, x, u, dx);
+    for (size_t i = 0, k = 0; k < g.guards; ++i) {
+        if (g.watched[i] < 0) continue;
+        const Swing s = swing_of(&g, x, u[g.watched[i]], k);
+        dx[g.n + 2 * k] = s.fast / g.washout;
+        dx[g.n + 2 * k + 1] = (s.fast - s.slow) / g.lowpass;
+        ++k;
+    }
     return BLOCK_OK;
 }
 
@@ -83,25 +149,58 @@ BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, 
     const Gains g = gains_of(b);
 
     (void)t, (void)message;
-    multiply(g.C, g.D, b->layout.n_y, b->layout.n_x, b->layout.n_u, x, u, y);
-    for (size_t i = 0; i < b->layout.n_y; ++i)
-        y[i] = y[i] > g.limit ? g.limit : y[i] < -g.limit ? -g.limit : y[i];
+    multiply(g.C, g.D, b->layout.n_y, g.n, b->layout.n_u, x, u, y);
+    for (size_t i = 0, k = 0; i < b->layout.n_y; ++i) {
+        double high = g.limit, low = g.limit;
+        if (g.watched != NULL && g.watched[i] >= 0) {
+            const double taken = swing_of(&g, x, u[g.watched[i]], k).share * g.side[k];
+            high *= 1.0 - fmax(taken, 0.0);
+            low *= 1.0 + fmin(taken, 0.0);
+            ++k;
+        }
+        y[i] = y[i] > high ? high : y[i] < -low ? -low : y[i];
+    }
     return BLOCK_OK;
+}
+
+/* Derivative of limit (1 - |share side|) on the side that falls. */
+static double limit_slope(const Gains *g, const Swing *s, size_t guard, double vfast, double vslow)
+{
+    if (!(s->share < 1.0)) return 0.0;
+    const double moved = fabs(s->fast) >= fabs(s->slow) ? copysign(vfast, s->fast * vfast)
+                                                        : copysign(vslow, s->slow * vslow);
+    return -g->limit * fabs(g->side[guard]) * moved / g->threshold;
 }
 
 BlockStatus block_directional(Block *b, double t, const double *x, const double *u, const double *vx,
                               const double *vu, double *vdx, double *vy, BlockMessage *message)
 {
     const Gains g = gains_of(b);
-    const size_t n = b->layout.n_x, m = b->layout.n_u, p = b->layout.n_y;
+    const size_t m = b->layout.n_u, p = b->layout.n_y;
 
     (void)t, (void)message;
-    if (vdx != NULL) multiply(g.A, g.B, n, n, m, vx, vu, vdx);
+    if (vdx != NULL) multiply(g.A, g.B, g.n, g.n, m, vx, vu, vdx);
     if (vy != NULL) {
-        multiply(g.C, g.D, p, n, m, vx, vu, vy);
-        multiply(g.C, g.D, p, n, m, x, u, b->scratch);
-        for (size_t i = 0; i < p; ++i)
-            if (fabs(b->scratch[i]) > g.limit) vy[i] = 0.0;
+        multiply(g.C, g.D, p, g.n, m, vx, vu, vy);
+        multiply(g.C, g.D, p, g.n, m, x, u, b->scratch);
+    }
+    for (size_t i = 0, k = 0; i < p; ++i) {
+        double high = g.limit, low = g.limit, slope = 0.0;
+        if (g.watched != NULL && g.watched[i] >= 0) {
+            const Swing s = swing_of(&g, x, u[g.watched[i]], k);
+            const double vfast = vu[g.watched[i]] - vx[g.n + 2 * k], vslow = vx[g.n + 2 * k + 1];
+            if (vdx != NULL) {
+                vdx[g.n + 2 * k] = vfast / g.washout;
+                vdx[g.n + 2 * k + 1] = (vfast - vslow) / g.lowpass;
+            }
+            slope = limit_slope(&g, &s, k, vfast, vslow);
+            high *= 1.0 - fmax(s.share * g.side[k], 0.0);
+            low *= 1.0 + fmin(s.share * g.side[k], 0.0);
+            ++k;
+        }
+        if (vy == NULL) continue;
+        if (b->scratch[i] > high) vy[i] = high < g.limit ? slope : 0.0;
+        else if (b->scratch[i] < -low) vy[i] = low < g.limit ? -slope : 0.0;
     }
     return BLOCK_OK;
 }
