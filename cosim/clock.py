@@ -2,8 +2,8 @@
 
 A float sum of steps drifts and never lands on an event. Here t = t0 + k H in
 whole ticks, steps are shortened to end at known instants (*marks*: events,
-outages), and a time that is not a whole number of ticks is refused with the
-nearest ones that are. The seconds handed to an FMU are the double nearest to
+outages), and a time between two ticks is taken as the nearer one, at most
+0.5 ns away (`on_tick`; results say so). The seconds handed to an FMU are the double nearest to
 the decimal time, so 3 steps of 10 ms are 0.03 to the bit.
 """
 
@@ -33,29 +33,40 @@ def seconds(ticks: int) -> float:
 
 
 def to_ticks(value_s: float, what: str) -> int:
-    """Return `value_s` seconds as a whole number of ticks.
+    """Return the number of ticks nearest to `value_s` seconds.
 
-    A value within four units in the last place of a tick counts as that tick,
-    so that a computed 0.1 + 0.2 is 0.3.
-
-    >>> to_ticks(1.1333333, "end_s")
-    1133333300
+    >>> to_ticks(1.0 + 8.0 / 60.0, "end_s")
+    1133333333
 
     Raises
     ------
-    ScenarioError : not finite, beyond 9e6 s, or between two ticks; the message names the nearest two.
+    ScenarioError : not finite, beyond 9e6 s, or so short that rounding would make it nothing.
     """
     value = float(value_s)
     if not abs(value) <= _MAX_SECONDS:
         raise ScenarioError(f"{what} = {value:g} s: a finite time of at most {_MAX_SECONDS:g} s is needed")
     ticks = round(value * TICKS_PER_SECOND)
-    if abs(seconds(ticks) - value) <= 4.0 * np.spacing(abs(value)):
-        return ticks
-    below = int(np.floor(value * TICKS_PER_SECOND))
-    raise ScenarioError(
-        f"{what} = {value!r} s lies between two ticks of the clock (1 ns); "
-        f"use {below / TICKS_PER_SECOND:.9f} or {(below + 1) / TICKS_PER_SECOND:.9f}"
-    )
+    if value and not ticks:
+        raise ScenarioError(f"{what} = {value:g} s is shorter than a tick, allowed: 0 or at least 1e-9")
+    return ticks
+
+
+def on_tick(value_s: float, what: str) -> float:
+    """Return the instant of the clock nearest to `value_s`, s.
+
+    >>> on_tick(1.0 + 8.0 / 60.0, "end_s")
+    1.133333333
+
+    Raises
+    ------
+    ScenarioError : see `to_ticks`.
+    """
+    return seconds(to_ticks(value_s, what))
+
+
+def moved(given_s: float, used_s: float) -> bool:
+    """Whether a time and what it was taken as differ by more than the rounding of a sum of doubles."""
+    return abs(given_s - used_s) > 4.0 * float(np.spacing(abs(used_s)))
 
 
 class Step(NamedTuple):

@@ -19,7 +19,6 @@ from interarea.models.files import temporary_folder, write_whole
 
 from ..plots.curves import save_figure
 from ..plots.html import inline_svg
-from ..results.ringdown import swing_signal
 from ..sweep.plan import SweepPlan, code_version
 from ..sweep.rows import FAILURES
 from ..sweep.runner import Runner
@@ -185,7 +184,7 @@ def _curves(plan: SweepPlan, rows: pd.DataFrame, runner: Runner, count: int) -> 
             break
         values = plan.sweep.values(run)
         loop, curves = runner.simulate(values)
-        _, swing = swing_signal(curves, loop.case)
+        swing = loop.swing.of(curves)
         controls = {c.partition(".")[2]: curves[c] for c in curves.reals_of("controller")}
         row = rows[rows.run == run].iloc[0]
         verdict = "" if "stable" not in row else "stable" if row["stable"] else "not stable"
@@ -248,8 +247,8 @@ _SHOWN = {
     "stable": "stable",
     "damping_inter_area": "damping ratio, inter-area",
     "settling_time_s": "settling time (s)",
-    "peak": "peak (pu)",
-    "effort": "effort (pu² s)",
+    "peak_pu": "peak (pu)",
+    "effort_pu2s": "effort (pu² s)",
     "packets_lost": "packets lost",
 }
 

@@ -133,8 +133,8 @@ def worst_runs(rows: pd.DataFrame, count: int) -> list[int]:
         return []
     unstable = ended[ended["stable"] == False]  # noqa: E712  (a column, with nulls)
     stable = ended[ended["stable"] == True]  # noqa: E712
-    if "peak" in ended:
-        unstable = unstable.sort_values("peak", ascending=False, kind="stable")
+    if "peak_pu" in ended:
+        unstable = unstable.sort_values("peak_pu", ascending=False, kind="stable")
     if "damping_inter_area" in ended:
         stable = stable.sort_values("damping_inter_area", na_position="last", kind="stable")
     return [int(r) for r in [*unstable.run, *stable.run][:count]]

@@ -113,8 +113,8 @@ def distribution_figure(rows: pd.DataFrame, groups: str) -> Figure | None:
     wanted = {
         "damping_inter_area": "damping ratio, inter-area",
         "settling_time_s": "settling time (s)",
-        "peak": "peak (10⁻³ pu)",
-        "effort": "control effort (pu² s)",
+        "peak_pu": "peak (10⁻³ pu)",
+        "effort_pu2s": "control effort (pu² s)",
     }
     ok = rows[rows.status == "ok"]
     shown = [c for c in wanted if c in ok and ok[c].notna().sum() > 1]
@@ -127,7 +127,9 @@ def distribution_figure(rows: pd.DataFrame, groups: str) -> Figure | None:
         for axis, column in zip(axes, shown, strict=True):
             for k, name in enumerate(names):
                 part = ok[ok[groups] == name] if groups else ok
-                values = np.sort(part[column].dropna().to_numpy(float)) * (1e3 if column == "peak" else 1.0)
+                values = np.sort(part[column].dropna().to_numpy(float)) * (
+                    1e3 if column == "peak_pu" else 1.0
+                )
                 share = np.arange(1, len(values) + 1) / max(1, len(part))
                 axis.plot(
                     values,

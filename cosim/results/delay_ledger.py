@@ -24,7 +24,7 @@ communication points; that wait is the master's too.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,6 +69,7 @@ class DelayLedger:
     rows: tuple[LedgerRow, ...]
     step_s: float
     inputs: str
+    rounded: tuple[str, ...] = ()  #: times that lay between two ticks of the clock, and what they became
 
     def __getitem__(self, target: str) -> LedgerRow:
         """Return the row of the connection into `instance.input`."""
@@ -85,7 +86,7 @@ class DelayLedger:
         for r in self.rows:
             cells = " ".join(f"{1e3 * v:11.3f}" for v in (r.requested_s, *r.parts_s, r.total_s))
             lines.append(f"{r.connection!s:<{width}}  {cells}  {r.note}".rstrip())
-        return "\n".join(lines)
+        return "\n".join([*lines, *self.rounded])
 
     def as_rows(self) -> list[dict[str, object]]:
         """Return plain dicts, for JSON."""
@@ -101,11 +102,16 @@ class DelayLedger:
         ]
 
 
-def delay_ledger(master: Master, delays: Mapping[str, Delays] | None = None) -> DelayLedger:
-    """Return the delay ledger of a master; `delays`: what is known of channel instances, by name."""
+def delay_ledger(
+    master: Master, delays: Mapping[str, Delays] | None = None, rounded: Sequence[str] = ()
+) -> DelayLedger:
+    """Return the delay ledger of a master; `delays`: what is known of channel instances, by name.
+
+    rounded : lines on times that were not taken as written (`roundings`).
+    """
     place = {name: k for k, name in enumerate(master.graph.order)}
     rows = [_row(master, c, place, dict(delays or {})) for c in master.graph.connections]
-    return DelayLedger(tuple(rows), master.step_s, master.inputs)
+    return DelayLedger(tuple(rows), master.step_s, master.inputs, tuple(rounded))
 
 
 def _row(master: Master, c: Connection, place: Mapping[str, int], delays: Mapping[str, Delays]) -> LedgerRow:
@@ -209,7 +215,7 @@ def packet_ledger(trajectory: Trajectory, channels: Iterable[str]) -> PacketLedg
     return PacketLedger(rows)
 
 
-def explain(master: Master, delays: Mapping[str, Delays] | None = None) -> str:
+def explain(master: Master, ledger: DelayLedger) -> str:
     """Return in words how a master steps: clock, order, loops, unconnected inputs, delay ledger."""
     g = master.graph
     lines = [
@@ -230,4 +236,4 @@ def explain(master: Master, delays: Mapping[str, Delays] | None = None) -> str:
     for e in g.unconnected:
         start = master.participants[e.instance].description.input_of[e.variable].start
         lines.append(f"not connected: {e} keeps its start value {start:g}")
-    return "\n".join([*lines, "", str(delay_ledger(master, delays))])
+    return "\n".join([*lines, "", str(ledger)])

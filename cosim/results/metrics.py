@@ -55,7 +55,8 @@ class Metrics:
     stable : the swing decays, is no sustained oscillation, and no control ends at its limit (`is_stable`).
     damping_ratio : mode -> damping ratio of the ring-down. frequency_hz : mode -> Hz.
     settling_time_s : from the last event to where the signal stays within 2 % of its peak; None: it does not.
-    peak : largest |signal|, pu. energy : integral of its square, pu^2 s. effort : of the controls, pu^2 s.
+    signal : the speed difference that all of these are of (`ringdown.Swing`).
+    peak_pu : largest |signal|. energy_pu2s : integral of its square. effort_pu2s : of the controls.
     """
 
     signal: str
@@ -63,16 +64,16 @@ class Metrics:
     damping_ratio: Mapping[str, float]
     frequency_hz: Mapping[str, float]
     settling_time_s: float | None
-    peak: float
-    energy: float
-    effort: float
+    peak_pu: float
+    energy_pu2s: float
+    effort_pu2s: float
     fit_error: float
     methods: Mapping[str, str] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, object]:
         """Return plain types, for JSON."""
         plain = {k: dict(v) if isinstance(v, Mapping) else v for k, v in asdict(self).items()}
-        return plain | {f"peak_{self.signal}": self.peak}
+        return plain | {f"peak_{self.signal}_pu": self.peak_pu}
 
 
 def uniform(

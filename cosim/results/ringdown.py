@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+
+from interarea.models.case.tables import swing_name
 
 from ..scenario.scenario import Scenario
 from ..trajectory import Curves, Trajectory
@@ -28,19 +31,32 @@ _LEAST_WINDOW_S = 4.0
 _SKIP_S = 0.25  # after the last disturbance: fast, well damped modes die out
 
 
-def swing_signal(trajectory: Curves, case: Case) -> tuple[str, Array]:
-    """Return name and values of the speed difference that a run is judged by, pu.
+@dataclass(frozen=True)
+class Swing:
+    """The speed difference that a run is judged by: machine `ahead` less machine `behind`.
 
-    G2 against G4 where these exist (``dw24``), else the mean speed of the first area against the last.
+    behind : "" where there is one machine only. source : who says that it is these.
     """
-    if "plant.G2_dw" in trajectory.data and "plant.G4_dw" in trajectory.data:
-        return "dw24", trajectory["plant.G2_dw"] - trajectory["plant.G4_dw"]
-    areas = sorted({g.area for g in case.machines})
-    means = [
-        np.mean([trajectory[f"plant.{g.name}_dw"] for g in case.machines if g.area == area], axis=0)
-        for area in (areas[0], areas[-1])
-    ]
-    return f"dw_area{areas[0]}_area{areas[-1]}", means[0] - means[1]
+
+    ahead: str
+    behind: str
+    source: str
+
+    @property
+    def name(self) -> str:
+        """Such as ``dw24`` for G2 less G4, or ``dw_G1_G10``."""
+        return swing_name(self.ahead, self.behind) if self.behind else f"dw_{self.ahead}"
+
+    @property
+    def text(self) -> str:
+        """What the signal is and who says so."""
+        less = f" less that of {self.behind}" if self.behind else ""
+        return f"speed of {self.ahead}{less} ({self.source})"
+
+    def of(self, trajectory: Curves) -> Array:
+        """Return the signal (points,), pu."""
+        ahead = trajectory[f"plant.{self.ahead}_dw"]
+        return ahead - trajectory[f"plant.{self.behind}_dw"] if self.behind else ahead
 
 
 def disturbance_end_s(scenario: Scenario) -> float:
@@ -119,11 +135,16 @@ def _names(shapes: npt.NDArray[np.complex128], areas: Sequence[int]) -> list[tup
 
 
 def run_metrics(
-    trajectory: Trajectory, case: Case, scenario: Scenario, step_s: float, limit_pu: float | None = None
+    trajectory: Trajectory,
+    case: Case,
+    swing: Swing,
+    scenario: Scenario,
+    step_s: float,
+    limit_pu: float | None = None,
 ) -> m.Metrics:
     """Return the metrics of a run; `limit_pu`: of the control signals, None where they have none."""
     time = trajectory.time_s
-    name, signal = swing_signal(trajectory, case)
+    name, signal = swing.name, swing.of(trajectory)
     end = disturbance_end_s(scenario)
     window = fit_window(scenario)
     window = (window[0], min(window[1], float(time[-1])))
@@ -141,18 +162,19 @@ def run_metrics(
         damping_ratio={n: mode.damping_ratio for n, mode in named.items()},
         frequency_hz={n: mode.frequency_hz for n, mode in named.items()},
         settling_time_s=m.settling_time_s(time, signal, end),
-        peak=float(np.max(np.abs(signal))),
-        energy=m.energy(time, signal),
-        effort=effort,
+        peak_pu=float(np.max(np.abs(signal))),
+        energy_pu2s=m.energy(time, signal),
+        effort_pu2s=effort,
         fit_error=error,
         methods={
+            "signal": swing.text,
             "damping_ratio": text,
             "frequency_hz": text,
             "stable": f"largest |{name}| in quarters of the time after {end:g} s: the last below the second, "
             "and 0.5 % below the third or within 2 % of the peak; no control at its limit in the last",
             "settling_time_s": f"from {end:g} s to the last time |{name}| exceeds 2 % of its peak",
-            "peak": f"largest |{name}| of the run",
-            "energy": f"integral of {name}^2 over the run, trapezoids",
-            "effort": "sum over controller outputs of the integral of their square over the run, trapezoids",
+            "peak_pu": f"largest |{name}| of the run",
+            "energy_pu2s": f"integral of {name}^2 over the run, trapezoids",
+            "effort_pu2s": "sum over controller outputs of the integral of their square, trapezoids",
         },
     )

@@ -12,12 +12,22 @@ import numpy as np
 from interarea.design.certificates.closed_loop import certificate
 from interarea.design.controllers.bundled import shipped_controller, shipped_names
 from interarea.design.linear.linearise import linearise, remove_reference, speeds_in_rad
-from interarea.design.modes.modes import modes_of
+from interarea.design.modes.modes import ModeError, modes_of
 from interarea.fmu_build.open.plant import open_plant
-from interarea.fmu_build.write.cache import artefact, code_hash, content_hash, file_hash, numerics_versions
+from interarea.fmu_build.write.cache import (
+    artefact,
+    cached_json,
+    code_hash,
+    content_hash,
+    file_hash,
+    numerics_versions,
+)
 from interarea.fmu_build.write.package import block_fmu
 from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import Case
+
+from ..errors import ScenarioError, nearest
+from ..results.ringdown import Swing
 
 if TYPE_CHECKING:
     from interarea.design.controllers.bank import ControllerBank
@@ -98,6 +108,48 @@ def _save_linear(system: control.StateSpace, path: Path) -> None:
     arrays |= {"states": system.state_labels, "inputs": system.input_labels, "outputs": system.output_labels}
     with path.open("wb") as out:
         np.savez(out, **arrays)
+
+
+def swing_of(case: Case, cache: Path, stated: tuple[str, ...] | None = None) -> Swing:
+    """Return the speed difference that runs of a case are judged by.
+
+    stated : two machines, of the scenario; else those the case states; else the extreme machines of the
+        inter-area mode (the least damped one), of the local mode in a single area.
+    """
+    machines = [m.name for m in case.machines]
+    if stated is not None:
+        return Swing(*_two_of(stated, machines), "stated by the scenario")
+    if case.swing is not None:
+        return Swing(*_two_of(case.swing, machines), "stated by the case")
+    if len(machines) == 1:
+        return Swing(machines[0], "", "the only machine")
+    key = content_hash(
+        plant_fmu(case, cache).name, case.areas, code_hash(modes_of.__module__), numerics_versions()
+    )
+    return Swing(*cached_json(cache, "swing", key, lambda: _extremes(case, cache)))
+
+
+def _two_of(names: tuple[str, ...], machines: Sequence[str]) -> tuple[str, str]:
+    for name in names:
+        if name not in machines:
+            raise ScenarioError(f"swing: machine {name!r} does not exist; {nearest(name, machines)}")
+    return names[0], names[1]
+
+
+def _extremes(case: Case, cache: Path) -> tuple[str, str, str]:
+    """Return the two machines that swing furthest against each other, and in which mode."""
+    try:
+        modes = modes_of(remove_reference(linear_plant(case, cache)), case.areas)
+        between = [m for m in modes.values() if m.name.startswith("inter-area")]
+        mode = min(between or modes.values(), key=lambda m: m.damping_ratio)
+    except ModeError:
+        first, last = case.machines[0].name, case.machines[-1].name
+        return first, last, "first and last machine: the case has no mode with a name"
+    shape = mode.shape
+    far = max(shape, key=lambda m: abs(shape[m]))
+    against = min(shape, key=lambda m: (shape[m] * shape[far].conjugate()).real)
+    ahead, behind = sorted((far, against), key=list(shape).index)
+    return ahead, behind, f"extreme machines of mode {mode.name!r} at {mode.frequency_hz:.3f} Hz"
 
 
 def design_controller(case: Case, name: str, cache: Path, *, reduce: bool = True) -> Controller:

@@ -17,7 +17,6 @@ from interarea.models.files import write_whole
 
 from ..plots.curves import DASHES, MUTED, SERIES, STYLE, new_figure, save_figure
 from ..results.result import Result
-from ..results.ringdown import swing_signal
 from .run import Run
 
 
@@ -34,6 +33,7 @@ def write_result(result: Result, folder: Path) -> list[Path]:
         "step_s": result.ledger.step_s,
         "inputs": result.ledger.inputs,
         "delays": result.ledger.as_rows(),
+        "rounded": list(result.ledger.rounded),
         "packets": {name: dict(row) for name, row in result.packets.rows.items()},
     }
     _write_json(ledgers, files[2])
@@ -54,14 +54,14 @@ def run_plot(run: Run) -> Figure:
     Disturbances and the times without a signal are shaded.
     """
     curves = run.trajectory
-    name, swing = swing_signal(curves, run.case)
+    swing = run.swing.of(curves)
     controls = curves.reals_of("controller")
     rows = 3 if controls else 2
     start, end = float(curves.time_s[0]), float(curves.time_s[-1])
     figure, axes = new_figure(rows, 1, height=1.4 * rows + 0.8, sharex=True)
     with mpl.rc_context(STYLE):
         axes[0].plot(curves.time_s, 1e3 * swing, color=SERIES[0])
-        axes[0].set_ylabel(f"{name}\n(10⁻³ pu)")
+        axes[0].set_ylabel(f"{run.swing.name}\n(10⁻³ pu)")
         for k, machine in enumerate(run.case.machines):
             speed = 1e3 * np.asarray(curves[f"plant.{machine.name}_dw"])
             colour, dash = SERIES[k % len(SERIES)], DASHES[(k + k // len(SERIES)) % len(DASHES)]

@@ -25,7 +25,7 @@ from ..results.delay_ledger import PACKET_COUNTS, delay_ledger, explain, packet_
 from ..results.latency_test import SelfTest
 from ..results.metrics import Metrics
 from ..results.result import Result
-from ..results.ringdown import fit_window, ring_down_of, run_metrics
+from ..results.ringdown import Swing, fit_window, ring_down_of, run_metrics
 from ..scenario.channels import hold_packets
 from ..scenario.scenario import Scenario, load_scenario
 from ..trajectory import Trajectory
@@ -48,6 +48,7 @@ class Run(Result):
 
     scenario: Scenario
     case: Case
+    swing: Swing
     metrics: Metrics
 
     def __repr__(self) -> str:
@@ -61,14 +62,15 @@ class Run(Result):
         settled = self.metrics.settling_time_s
         return (
             f"{self.case.name}, controller {Path(self.scenario.controller).name}, "
-            f"{float(self.trajectory.time_s[-1]):g} s: {'stable' if self.stable else 'not stable'}, "
+            f"{float(self.trajectory.time_s[-1]):g} s: {self.swing.name} "
+            f"{'stable' if self.stable else 'not stable'}, "
             f"damping {damping or 'not to be read'}, "
             f"{'not settled' if settled is None else f'settled in {settled:.2f} s'}"
         )
 
     @property
     def stable(self) -> bool:
-        """Whether the swing between the areas decays, and is no oscillation that goes on (`is_stable`)."""
+        """Whether the swing signal decays, and is no oscillation that goes on (`is_stable`)."""
         return self.metrics.stable
 
     def damping_ratio(
@@ -95,15 +97,15 @@ class Run(Result):
     def settling_time_s(self, column: str | None = None, *, band: float = 0.02) -> float | None:
         """Return the time from the last disturbance to where a signal stays within `band` of its peak.
 
-        column : a column of the trajectory; default the difference of speeds that the metrics use.
+        column : a column of the trajectory; default the speed difference that the metrics are of, `swing`.
         """
         from ..results import metrics
 
         if column is None and band == 0.02:
             return self.metrics.settling_time_s
-        from ..results.ringdown import disturbance_end_s, swing_signal
+        from ..results.ringdown import disturbance_end_s
 
-        values = swing_signal(self.trajectory, self.case)[1] if column is None else self.trajectory[column]
+        values = self.swing.of(self.trajectory) if column is None else self.trajectory[column]
         return metrics.settling_time_s(
             self.trajectory.time_s, values, disturbance_end_s(self.scenario), band=band
         )
@@ -150,8 +152,11 @@ def run_system(
 class Loop:
     """A scenario's FMUs, connected and ready to step: `master`; keeps the case and the scenario with it."""
 
-    def __init__(self, scenario: Scenario, case: Case, master: Master, channels: Sequence[str]) -> None:
-        self.scenario, self.case, self.master, self.channels = scenario, case, master, tuple(channels)
+    def __init__(
+        self, scenario: Scenario, case: Case, swing: Swing, master: Master, channels: Sequence[str]
+    ) -> None:
+        self.scenario, self.case, self.swing, self.master = scenario, case, swing, master
+        self.channels = tuple(channels)
 
     def __enter__(self) -> Loop:
         return self
@@ -163,14 +168,18 @@ class Loop:
         """Return the run so far as a `Run`."""
         done = self.master.trajectory if trajectory is None else trajectory
         delays = {n: c.delays(self.master.clock) for n, c in self.scenario.lines.items()}
+        ledger = delay_ledger(self.master, delays, self.scenario.rounded)
         return Run(
             trajectory=done,
-            ledger=delay_ledger(self.master, delays),
+            ledger=ledger,
             packets=packet_ledger(done, self.channels),
-            explanation=explain(self.master, delays),
+            explanation=explain(self.master, ledger),
             scenario=self.scenario,
             case=self.case,
-            metrics=run_metrics(done, self.case, self.scenario, self.master.step_s, self.control_limit_pu),
+            swing=self.swing,
+            metrics=run_metrics(
+                done, self.case, self.swing, self.scenario, self.master.step_s, self.control_limit_pu
+            ),
         )
 
     @property
@@ -281,7 +290,8 @@ def assemble(
         participant_of(n, file, start, **processes.get(n, {}))
         for n, (file, start) in wiring.instances.items()
     ]
-    return Loop(scenario, case, wiring.master(scenario, participants), list(scenario.lines))
+    swing = artefacts.swing_of(case, folder, scenario.swing)
+    return Loop(scenario, case, swing, wiring.master(scenario, participants), list(scenario.lines))
 
 
 def wire(

@@ -27,6 +27,7 @@ from interarea.models.case.case import Case, load_case
 from interarea.models.case.errors import CaseError
 from interarea.models.case.events import event_of
 
+from ..clock import on_tick
 from ..errors import GraphError, ScenarioError, nearest, one_line
 from ..master.fmu_file import FmuFile
 from ..master.graph import end_of
@@ -39,6 +40,7 @@ from ..results.latency_test import SelfTest, self_test
 from ..results.result import Result
 from ..scenario.channels import ChannelLine, hold_packets
 from ..scenario.concentrators import ConcentratorLine
+from ..scenario.scenario import event_on_ticks, roundings
 from ..trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -73,7 +75,8 @@ class System:
     ) -> None:
         from interarea.fmu_build.write.cache import default_cache
 
-        self.stop_s, self.start_s, self.step_s = stop_s, start_s, step_s
+        self.stop_s, self.start_s = on_tick(stop_s, "stop_s"), on_tick(start_s, "start_s")
+        self.step_s = step_s
         self.options, self.arrivals = options, arrivals
         self.cache = default_cache() if cache is None else cache
         self.channels: dict[str, Line] = {}
@@ -83,6 +86,7 @@ class System:
         self._plants: dict[str, Case] = {}
         self._events: dict[str, list[Any]] = {}
         self._marks: list[float] = []
+        self.rounded: list[str] = []  #: times that lay between two ticks of the clock, and what they became
         self._files: dict[Path, FmuFile] = {}
         self._at_rest = True  # until an instance comes in that may start anywhere
 
@@ -185,6 +189,7 @@ class System:
         if line is None:
             try:
                 line = ChannelLine.model_validate(keys)
+                self.rounded += roundings(keys, line, where)
             except ValidationError as error:
                 text = one_line(error, lambda _: ChannelLine.model_fields)
                 raise ScenarioError(f"{where}.{text}") from None
@@ -215,6 +220,7 @@ class System:
         if line is None:
             try:
                 line = ConcentratorLine.model_validate({"signals": tuple(signals), **keys})
+                self.rounded += roundings(keys, line, f"concentrators.{name}")
             except ValidationError as error:
                 text = one_line(error, ConcentratorLine.keys_at)
                 raise ScenarioError(f"concentrators.{name}.{text}") from None
@@ -251,6 +257,9 @@ class System:
             found = event_of({"kind": kind, **fields}, where="event") if isinstance(kind, str) else kind
         except CaseError as error:
             raise ScenarioError(str(error)) from None
+        number = 1 + sum(len(events) for events in self._events.values())
+        given, found = found, event_on_ticks(found, f"event {number}")
+        self.rounded += roundings(given, found, f"event {number}")
         events = [*self._events.get(plant, []), found]
         event_parameters(self._plants[plant], events)  # refuses an unknown target here
         self._events[plant] = events
@@ -326,11 +335,12 @@ class System:
         """Return what a master of this system has done so far."""
         done = master.trajectory if trajectory is None else trajectory
         delays = {name: line.delays(master.clock) for name, line in self.channels.items()}
+        ledger = delay_ledger(master, delays, self.rounded)
         return Result(
             trajectory=done,
-            ledger=delay_ledger(master, delays),
+            ledger=ledger,
             packets=packet_ledger(done, self.channels),
-            explanation=explain(master, delays),
+            explanation=explain(master, ledger),
         )
 
     def self_test(self, master: Master | None = None) -> SelfTest:

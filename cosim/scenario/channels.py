@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from interarea.models.blocks.channel import OUTAGES, gamma_quantiles, quantiles_of
 from interarea.models.blocks.packet_schedule import packets_of
 
-from ..clock import TICKS_PER_SECOND, Clock, seconds, to_ticks
+from ..clock import TICKS_PER_SECOND, Clock, on_tick, seconds, to_ticks
 from ..errors import ScenarioError
 from ..master.instances import Value
 from ..participant import Participant
@@ -85,16 +85,19 @@ class ChannelLine(Table):
     @field_validator("latency_s")
     @classmethod
     def _on_the_clock(cls, value: float) -> float:
-        to_ticks(value, "latency_s")
-        return value
+        return on_tick(value, "latency_s")
 
     @field_validator("reporting_interval_s")
     @classmethod
     def _frame(cls, value: float) -> float:
         if value and not value >= 1e-4:
             raise ValueError(f"reporting_interval_s = {value:g}, allowed: 0 (continuous) or at least 1e-4")
-        to_ticks(value, "reporting_interval_s")
         return value
+
+    @field_validator("outages_s")
+    @classmethod
+    def _windows_on_the_clock(cls, value: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        return tuple((on_tick(start, "outages_s"), on_tick(end, "outages_s")) for start, end in value)
 
     @model_validator(mode="after")
     def _packets(self) -> Self:
@@ -114,8 +117,6 @@ class ChannelLine(Table):
                 raise ValueError(
                     f"outages_s has [{start:g}, {end:g}] before {last:g}, allowed: in order, no overlap"
                 )
-            to_ticks(start, "outages_s")
-            to_ticks(end, "outages_s")
             last = end
         return self
 

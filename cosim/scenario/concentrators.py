@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from interarea.models.blocks.concentrator import MOST_SIGNALS, FrameSets, frame_sets
 
-from ..clock import TICKS_PER_SECOND, Clock, seconds, to_ticks
+from ..clock import TICKS_PER_SECOND, Clock, on_tick, seconds
 from ..master.instances import Value
 from .channels import Probability, Seconds, Table
 from .delays import Delays
@@ -43,11 +43,10 @@ class ConcentratorLine(Table):
         inside = len(location) > 1 and location[0] == "signals"
         return list((get_args(way)[0] if inside else cls).model_fields)
 
-    @field_validator("reporting_interval_s", "latency_s", "wait_s")
+    @field_validator("latency_s", "wait_s")
     @classmethod
     def _on_the_clock(cls, value: float) -> float:
-        to_ticks(value, "reporting_interval_s, latency_s and wait_s")
-        return value
+        return on_tick(value, "latency_s and wait_s")
 
     @model_validator(mode="after")
     def _windows(self) -> Self:

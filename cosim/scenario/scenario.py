@@ -44,9 +44,11 @@ latency = {kind = "gamma", shape, scale_s} | {kind = "empirical", quantiles_s} o
 loss = {kind = "bernoulli", rate} | {kind = "gilbert_elliott", good_to_bad, bad_to_good, loss_good, loss_bad},
 pdc_wait_s, seed; and, with or without packets, quantum.
 
-Optional besides: `title`, `source`, `[master]` (inputs, loops, tolerance, arrivals, early) and `[expect]`,
-the outcome that the gallery states and the tests assert. A signal without a channel reaches the
-controller undelayed.
+Optional besides: `swing = ["G2", "G4"]`, the machines whose difference of speeds the run is judged by
+(default: those of the case, else the extreme ones of the inter-area mode's shape); `title`, `source`,
+`[master]` (inputs, loops, tolerance, arrivals, early) and `[expect]`, the outcome that the gallery states
+and the tests assert. A signal without a channel reaches the controller undelayed. An instant is a whole
+number of nanoseconds; one between two is taken as the nearer, and the delay ledger says so.
 """
 
 from __future__ import annotations
@@ -55,14 +57,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import AliasChoices, BaseModel, Field, ValidationError, field_validator, model_validator
 
 from interarea.design.controllers.bundled import shipped_names
 from interarea.models.blocks.concentrator import MOST_SIGNALS
 from interarea.models.case.errors import CaseError
 from interarea.models.case.events import events_of
 
-from ..clock import to_ticks
+from ..clock import moved, on_tick
 from ..early_return import Early
 from ..errors import ScenarioError, nearest, one_line
 from ..master.stepping import Loops
@@ -137,7 +139,9 @@ class Expectation(Table):
     stable: bool | None = None
     damping_ratio: Mapping[str, tuple[float, float]] = {}
     settling_time_s: tuple[float, float] | None = None
-    peak_dw24: tuple[float, float] | None = None
+    peak_pu: Annotated[
+        tuple[float, float] | None, Field(validation_alias=AliasChoices("peak_pu", "peak_dw24"))
+    ] = None
 
 
 class Scenario(Table):
@@ -152,31 +156,35 @@ class Scenario(Table):
     fmus: Mapping[str, FmuTable] = {}
     connections: tuple[tuple[str, ...], ...] = ()
     event: tuple[Any, ...] = ()
+    swing: Annotated[tuple[str, ...], Field(min_length=2, max_length=2)] | None = None
     title: str = ""
     source: str = ""
     master: MasterTable = MasterTable()
     expect: Expectation = Expectation()
     name: str = "scenario"
     folder: Path = Path()
+    rounded: tuple[str, ...] = ()  #: times that lay between two ticks, and what they were taken as
+
+    @field_validator("stop_s", "step_s")
+    @classmethod
+    def _on_the_clock(cls, value: float | None) -> float | None:
+        return None if value is None else on_tick(value, "stop_s and step_s")
+
+    @field_validator("event")
+    @classmethod
+    def _events_on_the_clock(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
+        return tuple(event_on_ticks(e, f"event {k}") for k, e in enumerate(value, start=1))
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        to_ticks(self.stop_s, "stop_s")
-        if self.step_s is not None:
-            to_ticks(self.step_s, "step_s")
-            if not self.step_s <= self.stop_s:
-                raise ValueError(f"step_s = {self.step_s:g}, allowed: at most stop_s = {self.stop_s:g}")
+        if self.step_s is not None and not self.step_s <= self.stop_s:
+            raise ValueError(f"step_s = {self.step_s:g}, allowed: at most stop_s = {self.stop_s:g}")
         for k, e in enumerate(self.event, start=1):
-            for key in ("start_s", "end_s"):
-                at = getattr(e, key, None)
-                if at is None:
-                    continue
-                to_ticks(at, f"event {k} ({e.kind}): {key}")
-                if key == "start_s" and not at < self.stop_s:
-                    raise ValueError(
-                        f"event {k} ({e.kind}): start_s = {at:g} lies outside the run, "
-                        f"allowed: 0 to {self.stop_s:g}"
-                    )
+            if not e.start_s < self.stop_s:
+                raise ValueError(
+                    f"event {k} ({e.kind}): start_s = {e.start_s:g} lies outside the run, "
+                    f"allowed: 0 to {self.stop_s:g}"
+                )
         if not self.case:
             if not self.fmus:
                 raise ValueError("case is missing (or fmus: a scenario needs something to run)")
@@ -309,17 +317,53 @@ def _checked(table: dict[str, Any], where: str, folder: Path) -> Scenario:
             if not isinstance(e, Mapping | BaseModel):
                 raise ScenarioError(f"{where}: event {k} = {e!r}, allowed: a table")
         events = events_of(plain, where=where) if len(plain) == len(tables) else tuple(tables)
-        return Scenario.model_validate({"folder": folder, **table, "event": events})
+        scenario = Scenario.model_validate({"folder": folder, **table, "event": events})
+        rounded = (*scenario.rounded, *roundings(table, scenario))
+        return scenario.model_copy(update={"rounded": rounded}) if rounded else scenario
     except CaseError as error:
         raise ScenarioError(str(error)) from None
     except ValidationError as error:
         raise ScenarioError(f"{where}: {one_line(error, _keys)}") from None
 
 
+def event_on_ticks(event: Any, where: str) -> Any:
+    """Return an event with its instants on ticks of the clock.
+
+    Raises
+    ------
+    ScenarioError : it would begin and end at the same tick.
+    """
+    given = {key: getattr(event, key, None) for key in ("start_s", "end_s")}
+    used = {key: on_tick(at, f"{where} ({event.kind}): {key}") for key, at in given.items() if at is not None}
+    if "end_s" in used and not used["end_s"] > used["start_s"]:
+        raise ScenarioError(
+            f"{where} ({event.kind}): start_s = {given['start_s']!r} and end_s = {given['end_s']!r} fall "
+            "on one tick of the clock (1 ns), allowed: at least 1e-9 apart"
+        )
+    same = all(used[key] == given[key] for key in used)
+    return event if same else event.model_copy(update=used)
+
+
+def roundings(given: Any, used: Any, where: str = "") -> list[str]:
+    """Return a line for each time of a table that is not taken as it was written."""
+    if isinstance(given, BaseModel):
+        given = dict(given)
+    if isinstance(given, Mapping):
+        of = used.get if isinstance(used, Mapping) else lambda key: getattr(used, key, None)
+        pairs = [(f"{where}.{key}" if where else str(key), value, of(key)) for key, value in given.items()]
+    elif isinstance(given, list | tuple) and isinstance(used, list | tuple):
+        pairs = [(f"{where} {k}", a, b) for k, (a, b) in enumerate(zip(given, used, strict=False), start=1)]
+    elif isinstance(given, float) and isinstance(used, float) and moved(given, used):
+        return [f"{where} = {given!r} s is taken as {used!r} s, a tick of the clock"]
+    else:
+        return []
+    return [line for name, a, b in pairs for line in roundings(a, b, name)]
+
+
 def _keys(location: tuple[int | str, ...]) -> list[str]:
     """Return the keys allowed where `location` points into the scenario."""
     if len(location) == 1:
-        hidden = ("name", "folder")
+        hidden = ("name", "folder", "rounded")
         return [k for k in Scenario.model_fields if k not in hidden]
     tables: dict[str, type[BaseModel]] = {
         "channels": ChannelTable,

@@ -97,9 +97,9 @@ def scenario_row(run: StudyRun) -> dict[str, Any]:
         "damping_ratio": m["damping_ratio"].get("inter-area"),
         "modes": m["damping_ratio"],
         "settling_time_s": m["settling_time_s"],
-        "peak_dw24": m["peak"],
-        "energy": m["energy"],
-        "effort": m["effort"],
+        "peak_dw24": m["peak_pu"],
+        "energy": m["energy_pu2s"],
+        "effort": m["effort_pu2s"],
     }
 
 

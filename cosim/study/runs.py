@@ -18,7 +18,7 @@ from interarea.models.case.case import load_case
 
 from ..errors import ScenarioError
 from ..results.metrics import ring_down, uniform
-from ..results.ringdown import disturbance_end_s, swing_signal
+from ..results.ringdown import disturbance_end_s
 from ..run.artefacts import CONTROLLER_NAMES, channel_fmu, controller_fmu, design_controller, plant_fmu
 from ..run.run import Run, run_scenario
 from ..scenario.scenario import load_scenario
@@ -154,7 +154,7 @@ def run_all(
 
 def _folder(document: Document, cache: Path) -> Path:
     case = load_case(document["case"])
-    parts: list[object] = [document, file_hash(plant_fmu(case, cache))]
+    parts: list[object] = [document, case.swing, file_hash(plant_fmu(case, cache))]
     if document["controller"] in CONTROLLER_NAMES:
         controller = design_controller(case, document["controller"], cache)
         parts += [file_hash(controller_fmu(controller, case.omega_b, cache)), file_hash(channel_fmu(cache))]
@@ -173,12 +173,12 @@ def _run_into(document: Document, folder: Path, cache: Path) -> None:
 
 
 def _late_damping(run: Run) -> float | None:
-    """Return the damping ratio of what swings longest: the strongest mode of dw24 from 4 s after the last
-    disturbance on; None when a control has been at its limit, or nothing is left.
+    """Return the damping ratio of what swings longest: the swing signal's strongest mode from 4 s after
+    the last disturbance on; None when a control has been at its limit, or nothing is left.
     """
     curves, scenario = run.trajectory, run.scenario
     largest = max((float(np.max(np.abs(curves[c]))) for c in curves.reals_of("controller")), default=0.0)
-    _, signal = swing_signal(curves, run.case)
+    signal = run.swing.of(curves)
     start = round(disturbance_end_s(scenario) + LATE_S, 6)
     if largest >= 0.999 * DEFAULT_LIMIT or start + 3.0 > scenario.stop_s:
         return None

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,8 @@ from interarea.models.files import temporary_folder
 
 from ..errors import ScenarioError, SweepError
 from ..master.fmu_file import FmuFile
-from ..run.artefacts import active_bank, design_controller
+from ..results.ringdown import Swing
+from ..run.artefacts import active_bank, design_controller, swing_of
 from ..run.run import Controllers
 from ..scenario.scenario import NAMED_CONTROLLERS, load_scenario
 from .point import check_paths, check_values
@@ -52,7 +53,8 @@ def code_version() -> str:
 @dataclass(frozen=True)
 class SweepPlan:
     """`cases`: name -> document; `controllers`: "CASE/NAME" -> what a controller file holds; `fmus`: of the
-    user's own, instance -> content hash of its file, which is in the cache (`own_fmu`)."""
+    user's own, instance -> content hash of its file, which is in the cache (`own_fmu`); `swings`: case -> the
+    `Swing` that its runs are judged by, at any operating point."""
 
     sweep: Sweep
     cases: Mapping[str, Mapping[str, Any]]
@@ -60,10 +62,15 @@ class SweepPlan:
     modes: tuple[str, ...]
     version: str
     fmus: Mapping[str, str] = field(default_factory=dict)
+    swings: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def case(self, name: str) -> Case:
         """Return a case of the sweep."""
         return case_of(self.cases[name], where=name)
+
+    def swing(self, case: str) -> Swing:
+        """Return what the runs of a case are judged by."""
+        return Swing(*self.swings[case])
 
     def controller(self, case: str, name: str) -> Controller | ControllerBank | None:
         """Return a controller of the sweep; None where the scenario has none."""
@@ -84,6 +91,7 @@ class SweepPlan:
             "controllers": dict(self.controllers),
             "modes": list(self.modes),
             "fmus": dict(self.fmus),
+            "swings": {name: list(swing) for name, swing in self.swings.items()},
         }
 
     @cached_property
@@ -143,6 +151,7 @@ def plan_sweep(
         modes,
         code_version(),
         {name: _kept_fmu(folder / fmu.file, cache) for name, fmu in sweep.base.fmus.items()},
+        {name: astuple(swing_of(case, cache, sweep.base.swing)) for name, case in cases.items()},
     )
 
 
@@ -173,6 +182,7 @@ def plan_of_document(document: Mapping[str, Any]) -> SweepPlan:
         tuple(document["modes"]),
         document["version"],
         document["fmus"],
+        document.get("swings", {}),
     )
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import pyarrow as pa
 
 from ..results import metrics as m
-from ..results.ringdown import disturbance_end_s, fit_window, ring_down_of, swing_signal
+from ..results.ringdown import disturbance_end_s, fit_window, ring_down_of
 from ..run.run import Loop, packet_counts
 from ..trajectory import Curves, Trajectory
 from .plan import SweepPlan
@@ -48,6 +48,8 @@ def column_of_mode(kind: str, mode: str) -> str:
 def schema_of(plan: SweepPlan) -> pa.Schema:
     """Return the columns of the results; their metadata holds unit and meaning."""
     sweep, wanted = plan.sweep, plan.sweep.metrics
+    swings = {name: plan.swing(name) for name in plan.swings}
+    signal = " or ".join(dict.fromkeys(s.name for s in swings.values())) or "speed difference"
     fields = [_field("run", pa.int64(), "", "number of the run", nullable=False)]
     search = sweep.searched
     for name, p in sweep.parameters.items():
@@ -75,7 +77,7 @@ def schema_of(plan: SweepPlan) -> pa.Schema:
                 "stable",
                 pa.bool_(),
                 "",
-                "the swing between the areas decays (does not just go on) and no control ends at its limit",
+                f"{signal} decays (does not just go on) and no control ends at its limit",
             )
         )
     for kind, unit in (("damping", "1"), ("frequency", "Hz")):
@@ -89,9 +91,9 @@ def schema_of(plan: SweepPlan) -> pa.Schema:
             "s",
             "from the last event to within 2 % of the peak; null: it does not",
         ),
-        ("peak", "peak", "pu", "largest speed difference between the areas"),
-        ("energy", "energy", "pu2 s", "integral of the square of the speed difference"),
-        ("effort", "effort", "pu2 s", "integral of the square of the control signals"),
+        ("peak", "peak_pu", "pu", f"largest |{signal}|"),
+        ("energy", "energy_pu2s", "pu2 s", f"integral of {signal}^2"),
+        ("effort", "effort_pu2s", "pu2 s", "integral of the square of the control signals"),
         ("fit_error", "fit_error", "1", "largest misfit of the ring-down over the largest signal"),
     ):
         if name in wanted:
@@ -99,6 +101,7 @@ def schema_of(plan: SweepPlan) -> pa.Schema:
     if "packets" in wanted:
         fields += [_field(c, pa.int64(), "", f"packets {w}, all channels") for c, w in PACKETS.items()]
     notes = {"specification": plan.hash, "version": plan.version, "title": sweep.title or sweep.name}
+    notes["swing"] = "; ".join(f"{name}: {swing.name}, {swing.text}" for name, swing in swings.items())
     return pa.schema(fields, metadata=notes)
 
 
@@ -117,7 +120,7 @@ def failed_row(sweep: Sweep, run: int, failure: str, reason: str) -> Row:
 def measure(loop: Loop, curves: Curves, wanted: Sequence[str], modes: Sequence[str]) -> Row:
     """Return the metrics of a finished run, by column."""
     scenario, case, time = loop.scenario, loop.case, curves.time_s
-    _, signal = swing_signal(curves, case)
+    signal = loop.swing.of(curves)
     end = disturbance_end_s(scenario)
     row: Row = {}
     if "stable" in wanted:
@@ -140,12 +143,12 @@ def measure(loop: Loop, curves: Curves, wanted: Sequence[str], modes: Sequence[s
     if "settling_time" in wanted:
         row["settling_time_s"] = m.settling_time_s(time, signal, end)
     if "peak" in wanted:
-        row["peak"] = float(abs(signal).max())
+        row["peak_pu"] = float(abs(signal).max())
     if "energy" in wanted:
-        row["energy"] = m.energy(time, signal)
+        row["energy_pu2s"] = m.energy(time, signal)
     if "effort" in wanted:
         controls = [curves[c] for c in curves.reals_of("controller")]
-        row["effort"] = float(sum(m.energy(time, u) for u in controls))
+        row["effort_pu2s"] = float(sum(m.energy(time, u) for u in controls))
     if "packets" in wanted:
         counts = [packet_counts(loop.master.participants[n]) for n in loop.channels]
         for column, name in PACKETS.items():

@@ -346,7 +346,9 @@ class Runner:
         )
         if kept.key != key:
             master = wiring.master(scenario, kept.participants.values())
-            kept.loop, kept.key = Loop(scenario, plant.case, master, list(scenario.lines)), key
+            swing = self.plan.swing(point.change.case)
+            kept.loop = Loop(scenario, plant.case, swing, master, list(scenario.lines))
+            kept.key = key
         kept.loop.scenario = scenario
         return kept, wiring
 

@@ -38,7 +38,18 @@ from .values import Interval, Parameter, Range, Search, Table, Value
 METRICS = (
     "stable", "damping", "frequency", "settling_time", "peak", "energy", "effort", "packets", "fit_error",
 )  # fmt: skip
-COLUMNS_TAKEN = ("run", "status", "failure", "reason", "stable", "peak", "energy", "effort", "fit_error")
+METRIC_COLUMNS = ("peak_pu", "energy_pu2s", "effort_pu2s", "fit_error")
+COLUMNS_TAKEN = (
+    "run",
+    "status",
+    "failure",
+    "reason",
+    "stable",
+    "peak_pu",
+    "energy_pu2s",
+    "effort_pu2s",
+    "fit_error",
+)
 LARGEST = 100_000  #: runs that need no confirmation
 Path_ = tuple[str, ...]
 
@@ -207,7 +218,9 @@ def split_path(text: str, where: str) -> Path_:
 
 def scenario_document(scenario: Scenario) -> dict[str, Any]:
     """Return a scenario as the table of its file (what was given, nothing more)."""
-    return scenario.model_dump(mode="json", exclude_unset=True, exclude_none=True, exclude={"folder"})
+    return scenario.model_dump(
+        mode="json", exclude_unset=True, exclude_none=True, exclude={"folder", "rounded"}
+    )
 
 
 def load_sweep(source: str | Path | Mapping[str, Any]) -> Sweep:

@@ -225,6 +225,10 @@ def read_plan(folder: Path) -> SweepPlan:
         raise SweepError(f"{folder}: manifest.json or sweep.json is damaged ({error})") from None
 
 
+#: columns as version 0.1 wrote them -> with their units
+_NAMES_BEFORE_0_2 = {"peak": "peak_pu", "energy": "energy_pu2s", "effort": "effort_pu2s"}
+
+
 def read_rows(folder: Path) -> pd.DataFrame:
     """Return the rows of a result folder, in the order of the runs.
 
@@ -242,7 +246,7 @@ def read_rows(folder: Path) -> pd.DataFrame:
     except (OSError, pa.ArrowException) as error:
         raise SweepError(f"{folder / _ROWS}: cannot be read: {error}") from None
     rows: pd.DataFrame = table.sort_by("run").to_pandas()
-    return rows
+    return rows.rename(columns=_NAMES_BEFORE_0_2)
 
 
 def read_trajectory(folder: Path, run: int) -> pd.DataFrame | None:

@@ -16,6 +16,8 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
+from interarea.models.case.tables import swing_name
+
 from ..linear.linearise import select
 from ..linear.norms import frequency_response
 from ..reduction.balanced import balanced_truncation
@@ -73,9 +75,7 @@ def difference_signals(areas: Mapping[str, int]) -> dict[str, dict[str, float]]:
     for a, b in combinations(areas, 2):
         if areas[a] == areas[b]:
             continue
-        short = all(len(m) == 2 and m[0] == "G" and m[1].isdigit() for m in (a, b))
-        name = f"dw{a[1]}{b[1]}" if short else f"dw_{a}_{b}"
-        signals[name] = {f"{a}_dw": 1.0, f"{b}_dw": -1.0}
+        signals[swing_name(a, b)] = {f"{a}_dw": 1.0, f"{b}_dw": -1.0}
     return signals
 
 

@@ -8,6 +8,7 @@ apply to all its rows:
     frequency_hz = 60.0
     base_mva = 100.0
     solver_step_s = 0.002       # optional: longest Runge-Kutta step of the plant FMU
+    swing = ["G2", "G4"]        # optional: machines whose speed difference a run is judged by
     [branches]
     source = "Kundur1994, Ex. 12.6"
     "7-8 a" = { from = 7, to = 8, r = 0.011, x = 0.11, b = 0.1925 }
@@ -61,6 +62,7 @@ class Case(CaseTables):
     def hash(self) -> str:
         """Content hash (hex): changes with any name or number, not with titles and sources."""
         content = _without_words(self.model_dump(mode="json"))
+        del content["swing"]  # how a run is judged, nothing that the grid does
         if self.solver_step_s is None:
             del content["solver_step_s"]
         text = json.dumps(content, sort_keys=True)
@@ -74,6 +76,8 @@ class Case(CaseTables):
             for k, v in self.model_dump(by_alias=True, exclude_none=True).items()
             if k in scalars and v not in ("", ())
         }
+        if self.swing is not None:
+            raw["swing"] = list(self.swing)
         for table, key in ROW_TABLES.items():
             short = table != "machines"
             dumped = [

@@ -19,6 +19,12 @@ def check_whole(case: CaseTables) -> None:
     _check_references(case)
     _check_slack(case)
     _check_connection(case)
+    machines = [m.name for m in case.machines]
+    for name in case.swing or ():
+        if name not in machines:
+            raise ValueError(f"swing: machine {name!r} does not exist; {nearest(name, machines)}")
+    if case.swing is not None and case.swing[0] == case.swing[1]:
+        raise ValueError(f"swing = {list(case.swing)}, allowed: two machines")
 
 
 def _check_references(case: CaseTables) -> None:

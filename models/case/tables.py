@@ -37,6 +37,8 @@ class CaseTables(BaseModel):
     frequency_hz: Positive
     base_mva: Positive
     solver_step_s: SolverStep | None = None  #: of the plant FMU; None: its default
+    #: machines whose difference of speeds a run is judged by; None: taken from the inter-area mode's shape
+    swing: Annotated[tuple[str, ...], Field(min_length=2, max_length=2)] | None = None
     sources: dict[str, str] = {}  #: table -> "KEY, where"
     buses: Annotated[tuple[Bus, ...], Field(min_length=1)]
     branches: tuple[Branch, ...] = ()
@@ -78,6 +80,16 @@ class CaseTables(BaseModel):
     def shunt(self, name: str) -> Shunt:
         """Return shunt `name`; CaseError with the nearest names when there is none."""
         return _named(self.shunts, name, f"{self.name}: shunt")
+
+
+def swing_name(one: str, other: str) -> str:
+    """Return the name of the speed of machine `one` less that of `other`.
+
+    >>> swing_name("G2", "G4"), swing_name("G2", "G12")
+    ('dw24', 'dw_G2_G12')
+    """
+    short = all(len(m) == 2 and m[0] == "G" and m[1].isdigit() for m in (one, other))
+    return f"dw{one[1]}{other[1]}" if short else f"dw_{one}_{other}"
 
 
 def _named(rows: Iterable[Named], name: str, what: str) -> Named:

@@ -46,7 +46,7 @@ def outcome(run: int) -> Outcome:
     """What run `run` leaves: a function of its number, every fourth a failure."""
     if run % 4 == 3:
         return Outcome(failed_row(PLAN.sweep, run, "fmu", f"run {run} failed"))
-    row = start_row(run, PLAN.sweep.values(run)) | {"stable": run % 2 == 0, "peak": run / 7.0}
+    row = start_row(run, PLAN.sweep.values(run)) | {"stable": run % 2 == 0, "peak_pu": run / 7.0}
     curve = pa.table(
         {"run": pa.array([run] * 3, pa.int64()), "time_s": [0.0, 1.0, 2.0], "x": [run / 3.0] * 3}
     )

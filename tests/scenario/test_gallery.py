@@ -30,8 +30,8 @@ def test_the_outcome_is_the_stated_one(name: str, scenario: Any) -> None:
         settled = run.settling_time_s()
         assert settled is not None
         assert expect.settling_time_s[0] <= settled <= expect.settling_time_s[1]
-    if expect.peak_dw24 is not None:
-        assert expect.peak_dw24[0] <= run.metrics.peak <= expect.peak_dw24[1]
+    if expect.peak_pu is not None:
+        assert expect.peak_pu[0] <= run.metrics.peak_pu <= expect.peak_pu[1]
 
 
 @pytest.mark.parametrize("name", [_case(n) for n in scenario_names()])

@@ -169,7 +169,7 @@ def test_a_scheduler_that_is_restarted_loses_nothing(
             if by_itself:
                 _wait_until(lambda: clients[0].status in ("running", "closed"))
     assert restarted
-    assert [rows[k]["energy"] for k in range(12)] == list(finished[1].energy)
+    assert [rows[k]["energy_pu2s"] for k in range(12)] == list(finished[1].energy_pu2s)
 
 
 def _restart(cluster: Cluster) -> None:
@@ -271,7 +271,7 @@ def test_two_hosts_one_of_which_is_cut_off(
                 _ip("link", "set", f"{bridge}h3", "down")
                 cut = True
         assert cut
-        assert [rows[k]["energy"] for k in range(12)] == list(finished[1].energy)
+        assert [rows[k]["energy_pu2s"] for k in range(12)] == list(finished[1].energy_pu2s)
     finally:
         for key in timeouts:
             os.environ.pop(key, None)

@@ -28,10 +28,10 @@ def test_a_row_has_the_numbers_of_a_single_run(document: Any, finished: Any, cac
     for k in (1, 11):
         run = run_scenario(point_of(sweep, sweep.values(k)).scenario, cache=cache)
         row = rows.iloc[k]
-        assert (row.peak, row.energy, row.effort) == (
-            run.metrics.peak,
-            run.metrics.energy,
-            run.metrics.effort,
+        assert (row.peak_pu, row.energy_pu2s, row.effort_pu2s) == (
+            run.metrics.peak_pu,
+            run.metrics.energy_pu2s,
+            run.metrics.effort_pu2s,
         )
         assert row.damping_inter_area == run.metrics.damping_ratio["inter-area"]
         assert row.packets_lost == sum(c["dropped"] for c in run.packets.rows.values())
@@ -127,7 +127,7 @@ def test_a_failing_run_is_a_row_with_its_reason(document: Any, cache: Path, tmp_
     assert [r["status"] for r in rows] == ["ok", "failed", "ok"]
     assert rows[1]["failure"] == "invalid"
     assert "power flow" in rows[1]["reason"]
-    assert "peak" not in rows[1]
+    assert "peak_pu" not in rows[1]
 
 
 def test_a_time_limit_is_a_row(document: Any, cache: Path, tmp_path: Path) -> None:
@@ -168,7 +168,7 @@ def test_trajectories_are_kept_on_request(document: Any, cache: Path, tmp_path: 
     assert curves is not None
     assert list(curves) == ["time_s", "plant.G2_dw", "plant.G4_dw"]
     rows = read_rows(tmp_path / "t")
-    assert (curves["plant.G2_dw"] - curves["plant.G4_dw"]).abs().max() <= rows.peak[1]
+    assert (curves["plant.G2_dw"] - curves["plant.G4_dw"]).abs().max() <= rows.peak_pu[1]
     assert read_trajectory(tmp_path / "t", 7) is None
 
 

@@ -102,7 +102,7 @@ def plan(document: Any, cache: Path) -> Any:
 
 
 def _outcomes(plan: Any, *runs: int) -> list[Outcome]:
-    return [Outcome(start_row(k, plan.sweep.values(k)) | {"peak": float(k)}) for k in runs]
+    return [Outcome(start_row(k, plan.sweep.values(k)) | {"peak_pu": float(k)}) for k in runs]
 
 
 def test_a_store_takes_a_run_once(plan: Any, tmp_path: Path) -> None:

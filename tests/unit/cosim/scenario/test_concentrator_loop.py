@@ -132,7 +132,7 @@ def test_a_sweep_varies_what_is_around_it(file: Path, cache: Path, tmp_path: Pat
     run_sweep({"scenario": str(file), "parameters": {"size": size}}, tmp_path / "s", workers=1, cache=cache)
     rows = read_rows(tmp_path / "s")
     single = run_scenario(file, cache=cache)
-    assert rows.peak[0] == single.metrics.peak and rows.peak[1] > 1.4 * rows.peak[0]
+    assert rows.peak_pu[0] == single.metrics.peak_pu and rows.peak_pu[1] > 1.4 * rows.peak_pu[0]
     assert list(rows.packets_sent) == [202, 202]
 
 

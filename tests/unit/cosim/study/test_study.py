@@ -13,7 +13,6 @@ from scipy.linalg import expm
 
 from interarea.cosim.designs.design_file import family_plants, load_design
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.results.ringdown import swing_signal
 from interarea.cosim.run.artefacts import design_controller, linear_plant
 from interarea.cosim.run.run import Controllers, run_scenario
 from interarea.cosim.scenario.scenario import load_scenario
@@ -151,7 +150,7 @@ def test_a_small_pulse_through_the_nonlinear_loop_is_the_linear_response(
         "event": [event],
     }
     run = run_scenario(scenario, cache=cache, controllers=by_hand)
-    time, (_, nonlinear) = run.trajectory.time_s, swing_signal(run.trajectory, two_area)
+    time, nonlinear = run.trajectory.time_s, run.swing.of(run.trajectory)
 
     K = hand_controller.system
     A = certificates.closed_loop_matrix(plant, K)

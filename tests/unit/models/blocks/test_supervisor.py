@@ -191,4 +191,6 @@ def test_scenario_with_a_bank(tmp_path: Path, cache: Path) -> None:
     active = dict(zip(np.round(curves.time_s, 9), curves["controller.active"], strict=True))
     assert (active[0.4], active[0.6], active[1.2], active[1.4]) == (1, 2, 2, 1)
     assert curves.reals_of("controller") == ["controller.G4_vs"]
-    assert run.metrics.effort == pytest.approx(np.trapezoid(curves["controller.G4_vs"] ** 2, curves.time_s))
+    assert run.metrics.effort_pu2s == pytest.approx(
+        np.trapezoid(curves["controller.G4_vs"] ** 2, curves.time_s)
+    )
