@@ -8,5 +8,5 @@ study = {"case": "two-area-thesis", "stop_s": 20.0, "event": [pulse], "channels"
 
 run = run_scenario(study | {"controller": "none"})
 print(run.explain())
-print(f"inter-area damping {run.damping_ratio('inter-area'):.3f}, peak {run.metrics.peak:.2e} pu")
+print(f"inter-area damping {run.damping_ratio('inter-area'):.3f}, peak {run.metrics.peak_pu:.2e} pu")
 print(run.trajectory.data[["time_s", "plant.G2_dw", "remote.y"]].iloc[100:400:50])

@@ -349,8 +349,8 @@ def roundings(given: Any, used: Any, where: str = "") -> list[str]:
     if isinstance(given, BaseModel):
         given = dict(given)
     if isinstance(given, Mapping):
-        of = used.get if isinstance(used, Mapping) else lambda key: getattr(used, key, None)
-        pairs = [(f"{where}.{key}" if where else str(key), value, of(key)) for key, value in given.items()]
+        fields = used if isinstance(used, Mapping) else dict(used) if isinstance(used, BaseModel) else {}
+        pairs = [(f"{where}.{k}" if where else str(k), value, fields.get(k)) for k, value in given.items()]
     elif isinstance(given, list | tuple) and isinstance(used, list | tuple):
         pairs = [(f"{where} {k}", a, b) for k, (a, b) in enumerate(zip(given, used, strict=False), start=1)]
     elif isinstance(given, float) and isinstance(used, float) and moved(given, used):
