@@ -9,7 +9,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from fmu_runner import Runner
+from fmu_runner import Runner, decay_block
 
 from interarea.fmu_build.write.description_xml import record_entries
 from interarea.fmu_build.write.package import build_fmu
@@ -87,6 +87,34 @@ def test_the_step_travels_with_the_state(fmu: Path) -> None:
         assert first.get("G1_dw") == second.get("G1_dw")
         for run, state in ((first, saved), (second, restored)):
             run.fmu.freeFMUstate(state)
+
+
+def runge_kutta(z: float) -> float:
+    """What one step multiplies x by, x' = z x over a step of 1: the exponential's first five terms."""
+    return 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
+
+
+def test_rounding_of_a_step_adds_no_substep(cache: Path, tmp_path: Path) -> None:
+    """0.3 - 0.2 is less than 0.1 and 0.8 - 0.7 more: ten substeps of 0.01 s each, not eleven."""
+    path = build_fmu(decay_block(), tmp_path / "decay.fmu", cache=cache)
+    with Runner(path) as run:
+        run.start({"rate": 20.0})
+        for k in range(10):
+            run.step(0.1 * k, 0.1)
+            assert run.get("y") == pytest.approx(runge_kutta(-0.2) ** (10 * (k + 1)), rel=1e-13)
+    assert abs(runge_kutta(-0.2 * 10 / 11) ** 11 / runge_kutta(-0.2) ** 10 - 1.0) > 1e-6
+
+
+def test_an_event_that_rounding_puts_behind_the_end_belongs_to_the_step(cache: Path, tmp_path: Path) -> None:
+    """3 x 0.1 is one ulp more than 0.3: a master that steps to 0.3 has reached it."""
+    path = build_fmu(decay_block(), tmp_path / "decay.fmu", cache=cache)
+    with Runner(path) as run:
+        run.start({"rate": 0.0, "kicking": True, "kick.time": 3 * 0.1})
+        run.step(0.0, 0.2)
+        run.step(0.2, 0.3 - 0.2)
+        assert (run.get("y"), run.get("kicks")) == (3.0, 1)
+        run.step(0.3, 0.1)
+        assert (run.get("y"), run.get("kicks")) == (3.0, 1)
 
 
 @pytest.mark.parametrize("value", [0.0, -0.001, 0.2, float("nan")])

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from interarea.cosim.participant import Port
 from interarea.cosim.results import metrics as m
-from interarea.cosim.results.ringdown import ring_down_of
+from interarea.cosim.results.ringdown import fit_window, ring_down_of
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.trajectory import Records
 from interarea.models.case.case import Case
 
@@ -110,3 +111,21 @@ def test_settling_and_energy_scale_as_they_must(rate: float, band: float, scale:
     else:  # a line between two samples instead of the exponential
         assert settled == pytest.approx(exact, abs=0.05 * (1.0 - np.exp(-rate * 0.05)))
     assert m.energy(T, scale * signal) == pytest.approx(scale**2 * m.energy(T, signal), rel=1e-12)
+
+
+def test_a_well_damped_mode_has_died_out_where_the_fit_begins(two_area: Case) -> None:
+    """An exciter's mode of 2.5 Hz swings three times as far as the machines at first, and like them: after
+    0.25 s a seventh is left, so that the mode named is the machines'."""
+    pulse = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 0.5, "end_s": 1.0}
+    table = {"case": "two-area-thesis", "controller": "none", "stop_s": float(T[-1]), "event": [pulse]}
+    machines = speeds({"inter-area": (0.08, 0.62, 1.0, 1.0), "local area 1": (0.1, 1.2, 0.0, 1.0)})
+    exciter = speeds({"local area 1": (0.6, 2.5, 0.0, 3.0)})
+    after = round(1.0 / 0.05)  # samples before the pulse ends, in which nothing moves
+    values = np.zeros_like(machines)
+    values[after:] = 1e-3 * (machines + exciter)[:-after]
+    window = fit_window(load_scenario(table))
+    named, _ = ring_down_of(records(values), two_area, window, 0.05)
+    assert named["local area 1"].damping_ratio == pytest.approx(0.1, abs=1e-6)
+    assert named["inter-area"].damping_ratio == pytest.approx(0.08, abs=1e-6)
+    early, _ = ring_down_of(records(values), two_area, (1.0, window[1]), 0.05)
+    assert early["local area 1"].damping_ratio == pytest.approx(0.6, abs=1e-6)

@@ -73,6 +73,25 @@ def test_a_small_gain_has_no_margin_to_lose() -> None:
     assert delay_margin_of(scalar_loop(-2.0, 1.5, 0.0), ("y",)).margin_s == np.inf
 
 
+@pytest.mark.parametrize("above", [1e-6, 1e-9])
+def test_a_peak_between_grid_points_is_found(above: float) -> None:
+    """A resonance that exceeds gain one by a hair does so over 1e-5 of its frequency: no grid sees that.
+
+    |b|^2 = (1 - W)^2 + 4 z^2 W at W = omega^2 gives both crossings; the later root of L is reached first.
+    """
+    z = 0.5
+    b = (1.0 + above) * 2.0 * z * np.sqrt(1.0 - z * z)
+    spread = np.sqrt((1.0 - 2.0 * z * z) ** 2 - (1.0 - b * b))
+    crossings = np.sqrt(1.0 - 2.0 * z * z + spread * np.array([1.0, -1.0]))
+    angles = np.angle(-b / (1.0 - crossings**2 + 2j * z * crossings)) % (2.0 * np.pi)
+    A, e = np.array([[0.0, 1.0], [-1.0, -2.0 * z]]), np.eye(2)
+    loop = DelayedLoop(A, (DelayedChannel("y", 0.0, -b * e[1], e[0]),))
+    margin = delay_margin_of(loop, ("y",))
+    assert margin.margin_s == pytest.approx(np.min(angles / crossings), rel=1e-5 * np.sqrt(above / 1e-9))
+    assert len(margin.crossings) == 2
+    assert [w for _, w in margin.crossings] == pytest.approx(crossings, rel=1e-6)
+
+
 def test_an_unstable_loop_has_no_margin() -> None:
     with pytest.raises(DelayError, match="not stable without latency"):
         delay_margin(INTEGRATOR, gain(1.0))

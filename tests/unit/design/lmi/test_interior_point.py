@@ -11,6 +11,7 @@ import pytest
 import scipy.linalg
 
 from interarea.design.lmi.interior_point.engine import Progress, solve_structured
+from interarea.design.lmi.interior_point.iteration import Iteration
 from interarea.design.lmi.interior_point.operators import AffineMap
 from interarea.design.lmi.interior_point.schur import SchurComplement
 from interarea.design.lmi.problem import BlockLMI, MatrixVariable, Problem, Solution, Term
@@ -300,6 +301,20 @@ def test_infeasible_problems_come_with_a_certificate(make) -> None:  # type: ign
     assert value == pytest.approx(-1.0, rel=1e-9)
     gradient = multiplier_gradient(problem, Z)
     assert max(float(np.abs(g).max()) for g in gradient.values()) < 1e-8
+
+
+def test_rounding_of_the_data_proves_nothing() -> None:
+    """t >= .1, 2 t >= .2, 3 t <= .3 hold at t = .1, but -.1 - .2 + .3 < 0 in doubles: no certificate."""
+    one = np.eye(1)
+    rows = ((-0.1, 1.0), (-0.2, 2.0), (0.3, -3.0))
+    blocks = tuple(BlockLMI(f"{k}", c * one, (), {"t": f * one}) for k, (c, f) in enumerate(rows))
+    problem = Problem((), ("t",), blocks)
+    multipliers = [one, one, one]
+    assert sum(c for c, _ in rows) < 0.0 == sum(f for _, f in rows)
+    run = Iteration(problem, 1e-7, 100, None)
+    assert run.excluded_radius(multipliers) == 0.0
+    assert run.farkas(multipliers) is None
+    assert solve_structured(problem).status != "infeasible"
 
 
 def test_weak_infeasibility_is_left_open_but_said() -> None:

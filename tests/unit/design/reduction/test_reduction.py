@@ -1,5 +1,8 @@
 """Reductions: bounds, Glover's equality, SLICOT, modes that are kept, closed-loop weights."""
 
+from collections.abc import Callable
+from functools import partial
+
 import control
 import numpy as np
 import pytest
@@ -16,7 +19,7 @@ from interarea.design.reduction.balanced import (
     singular_perturbation,
     weighted_reduction,
 )
-from interarea.design.reduction.gramians import difference, matrices
+from interarea.design.reduction.gramians import Reduction, difference, matrices
 
 
 def two_area(name: str = "two-area-thesis") -> control.StateSpace:
@@ -64,6 +67,24 @@ def test_errors_obey_their_bounds(loop: control.StateSpace, order: int) -> None:
         assert r.bound is not None
         # no reduction of this order is closer than sigma_{k+1}, none of these farther than its bound
         assert r.hankel_values[order] * (1 - 1e-6) <= r.error <= r.bound * (1 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    "reduce",
+    [
+        balanced_truncation,
+        singular_perturbation,
+        hankel_reduction,
+        partial(hankel_reduction, feedthrough="optimal"),
+    ],
+)
+def test_bounds_are_reached_where_one_state_goes(reduce: Callable[..., Reduction]) -> None:
+    """Relaxation (A = A^T, C = B^T): truncation errs by 2 sigma_n at rest, singular perturbation by that at
+    infinite frequency; Glover's error is sigma_n times an all-pass, which meets -1 when D is kept."""
+    A = np.diag([-0.5, -2.0, -7.0, -20.0])
+    b = np.array([[1.0], [0.7], [2.0], [1.5]])
+    r = reduce(control.ss(A, b, b.T, 0.0), 3)
+    assert r.error == pytest.approx(r.bound, rel=1e-6)
 
 
 @pytest.mark.parametrize("order", range(1, 13))

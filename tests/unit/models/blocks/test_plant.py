@@ -157,6 +157,20 @@ def test_bolted_fault_brings_the_bus_to_zero():
     assert plant.w[[b.number for b in load_case("two-area-thesis").buses].index(8)] < 1e-5
 
 
+def test_a_cleared_fault_leaves_the_healthy_grid():
+    """A window is [start, end): at its end the fault is gone, to the bit; no later event would clear it."""
+    plant = started(
+        "two-area-thesis", {"kind": "bus_fault", "bus": 8, "start_s": 0.1, "end_s": 0.2, "x_pu": 1e-4}
+    )
+    healthy = plant.derivatives(plant.x)[0]
+    plant.event(0.1, plant.x)
+    faulted = plant.derivatives(plant.x)[0]
+    plant.event(0.2, plant.x)
+    np.testing.assert_array_equal(plant.derivatives(plant.x)[0], healthy)
+    assert np.abs(faulted - healthy).max() > 1.0
+    assert plant.next_event(0.2) == np.inf
+
+
 def test_events_come_at_their_exact_times_in_order():
     clearing = 1.0 + 8.0 / 60.0
     plant = started(
