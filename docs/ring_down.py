@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from interarea.cosim.plots.curves import save_figure, time_plot
+from interarea.cosim.plots.curves import difference_label, save_figure, time_plot
 
 CURVES = {
     "no wide-area control": "none-fault",
@@ -29,7 +29,7 @@ def main(results: Path, target: Path) -> None:
             data["time_s"].to_numpy(),
             (data["plant.G2_dw"] - data["plant.G4_dw"]).to_numpy(),
         )
-    save_figure(time_plot(curves, marks={"signal lost": 1.5}), target)
+    save_figure(time_plot(curves, ylabel=difference_label("dw24"), marks={"signal lost": 1.5}), target)
 
 
 if __name__ == "__main__":

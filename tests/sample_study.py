@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
+from interarea.cosim.study import verdicts
+from interarea.cosim.study.printed import printed_rows
+
 NAMES = ("inter-area", "local area 1", "local area 2")
+COORDINATES = (
+    "pole vectors (free of coordinates)",
+    "states as modelled (rad, pu)",
+    *(f"balanced reduction to {k} states" for k in (6, 8, 16)),
+    "balanced, every state",
+)
+CLAIMS = Path(verdicts.__file__).parent / "thesis" / "published.toml"
 CONDITIONS = ("normal", "remote lost", "synchronous 100 ms", "non-synchronous 100 ms")
 
 
 def sample_study() -> dict[str, Any]:
     """Return a complete study: every key the report and the judgements read."""
-    return {
+    study = {
         "schema": 1,
         "case": "two-area-thesis",
         "title": "The two-area study",
@@ -29,6 +40,10 @@ def sample_study() -> dict[str, Any]:
             ],
             "selected": {"actuator": "G4", "signal": "dw24"},
             "coordinates": "balanced coordinates of a 6-state reduction",
+            "coordinate_table": [
+                {"coordinates": name, "best": ["G4", "dw24"], "indices": [0.19, 0.18, 0.15], "lead": 0.05}
+                for name in COORDINATES
+            ],
         },
         "reduction": {
             order: {
@@ -45,7 +60,15 @@ def sample_study() -> dict[str, Any]:
             "cc": _controller(8, 8, 0.311, 0.223, 0.083),
             "ftc": _controller(8, 5, 0.344, 0.344, 0.11),
         },
-        "sensitivity": {"s_at_zero": 1.0, "w1_s": 1.31, "w2_ks": 0.21},
+        "sensitivity": {
+            "controller": "wdc",
+            "s_at_zero": 1.0,
+            "w1_s": 1.31,
+            "w2_ks": 0.21,
+            "w2_ks_at_rad_s": 38.6,
+            "w2_ks_at_100_rad_s": 0.1,
+        },
+        "latency_comparison": {"synchronous_worse_from_s": 0.12},
         "delay": {
             "synchronous": {
                 **_delay(0.6, 0.4301),
@@ -88,12 +111,13 @@ def sample_study() -> dict[str, Any]:
             ],
             "monte_carlo": [
                 {
-                    "controller": "ftc",
+                    "controller": name,
                     "runs": 12,
                     "stable": 11,
-                    "settling_time_s": [5.2, 6.3, 7.9],
+                    "settling_time_s": [5.2, median, 7.9],
                     "inter_area": None,
                 }
+                for name, median in (("ftc", 6.3), ("cc", 6.4))
             ],
         },
         "scenarios": {
@@ -105,10 +129,24 @@ def sample_study() -> dict[str, Any]:
             "ftc-lost-1s": _scenario(0.343, 3.8),
             "wdc-synchronous-100ms": _scenario(0.24, 5.0),
             "wdc-non-synchronous-100ms": _scenario(0.28, 4.4),
+            "wdc-synchronous-200ms": _scenario(0.06, 7.0),
+            "wdc-synchronous-300ms": _scenario(0.04, 14.0),
+            "wdc-non-synchronous-300ms": _scenario(0.25, 3.0),
+            "none-fault": _scenario(0.083, 14.0),
+            "wdc-fault": _scenario(0.3, 3.7),
+            "cc-fault": _scenario(0.4, 4.0),
+            "ftc-fault": _scenario(0.5, 3.7),
+            "cc-fault-lost": _scenario(0.3, 4.6),
+            "ftc-fault-lost": _scenario(0.4, 4.5),
             "wdc-margin-below": _scenario(0.004, None),
             "wdc-margin-above": _scenario(-0.004, None),
         },
         "figures": {},
+        "figure_list": [
+            {"key": "5.10", "section": "wdc", "title": "without and with the controller"},
+            {"key": "5.15", "section": "delay_runs", "title": "at 100 ms"},
+            {"key": "delay", "section": "delay", "title": "Damping against latency"},
+        ],
         "provenance": {
             "command": "interarea study thesis --out out",
             "case_hash": "0123456789abcdef",
@@ -118,6 +156,7 @@ def sample_study() -> dict[str, Any]:
             "versions": {"interarea": "0.1.0", "numpy": "2.0"},
         },
     }
+    return study | {"printed": printed_rows(CLAIMS, study)}
 
 
 def _mode(frequency_hz: float, damping_ratio: float) -> dict[str, Any]:
@@ -156,7 +195,14 @@ def _controller(full: int, order: int, normal: float, lost: float, effort: float
 
 def _delay(slope: float, margin_s: float | None) -> dict[str, Any]:
     rows = [[k / 50.0, 0.23 - slope * k / 50.0] for k in range(26)]
-    return {"margin_s": margin_s, "damping": rows, "inter_area": [[d, z + 0.05] for d, z in rows]}
+    inter = [[d, z + 0.05] for d, z in rows]
+    return {
+        "margin_s": margin_s,
+        "margin_searched_s": 10.0,
+        "damping": rows,
+        "inter_area": inter,
+        "modes": {"inter-area": inter, "local area 2": rows},
+    }
 
 
 def _cell(zeta: float, *, stable: bool) -> dict[str, Any]:
@@ -176,4 +222,5 @@ def _scenario(zeta: float, settling_time_s: float | None) -> dict[str, Any]:
         "settling_time_s": settling_time_s,
         "peak_dw24": 8.1e-4,
         "energy": 3.2e-7,
+        "effort": 1e-5 / (0.1 + abs(zeta)),
     }

@@ -246,10 +246,16 @@ def signal_label(name: str) -> str:
     return f"$\\Delta\\omega$ of {machine}" if quantity == "dw" else name
 
 
+def difference_label(name: str, power: int = 3) -> str:
+    """Return the axis label of a speed difference drawn in 10^-power pu: `dw24` -> Δω24."""
+    symbol = rf"\Delta\omega_{{{name[2:]}}}" if name.startswith("dw") else rf"\mathrm{{{name}}}"
+    return rf"${symbol}$ ($10^{{-{power}}}$ pu)"
+
+
 def time_plot(
     curves: Mapping[str, Curve],
     *,
-    ylabel: str = r"$\Delta\omega_{24}$ ($10^{-3}$ pu)",
+    ylabel: str,
     scale: float = 1e3,
     span_s: tuple[float, float] | None = None,
     marks: Mapping[str, float] | None = None,
@@ -308,7 +314,7 @@ def label_columns(axes: Any, used: int, xlabel: str) -> None:
         panel.set_xlabel(xlabel)
 
 
-def latency_panels(curves: Mapping[str, Curve], reference: tuple[str, Curve]) -> Figure:
+def latency_panels(curves: Mapping[str, Curve], reference: tuple[str, Curve], ylabel: str) -> Figure:
     """Draw one small panel per latency, each over the response without latency, on one scale.
 
     Growing responses leave the panel: the scale is twice the reference's peak.
@@ -330,7 +336,7 @@ def latency_panels(curves: Mapping[str, Curve], reference: tuple[str, Curve]) ->
         label_columns(axes, len(curves), "time (s)")
         handles, labels = axes[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper right", ncols=2)
-        figure.supylabel(r"$\Delta\omega_{24}$ ($10^{-3}$ pu)", fontsize=9)
+        figure.supylabel(ylabel, fontsize=9)
     return figure
 
 

@@ -1,10 +1,9 @@
-"""Which figure of chapter 5 is drawn from what: number or name -> figure."""
+"""The figures that a study asks for, by kind: key -> figure."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,13 @@ from interarea.design.linear.linearise import select
 from interarea.design.linear.norms import response
 from interarea.design.modes.modes import Modes
 from interarea.design.reduction.balanced import Reduction
+from interarea.design.synthesis.study_designs import WdcSpec
 from interarea.models.case.case import Case
 from interarea.models.grid.powerflow import PowerFlow
 
 from ..plots.curves import (
     bode_plot,
+    difference_label,
     hankel_plot,
     latency_damping_plot,
     latency_panels,
@@ -35,10 +36,9 @@ from ..plots.curves import (
 )
 from ..plots.diagrams import generalised_plant_diagram, one_line_diagram
 from .runs import WIRINGS, StudyRun
+from .spec import latency_name
 
 Array = npt.NDArray[np.float64]
-DW24 = {"dw24": {"G2_dw": 1.0, "G4_dw": -1.0}}
-MICRO: Any = {"scale": 1e6, "ylabel": r"$\Delta\omega_{24}$ ($10^{-6}$ pu)"}
 #: frequencies of the design figures, rad/s
 OMEGA: Array = np.logspace(-1.0, 2.0, 400)
 
@@ -63,57 +63,97 @@ class StudyParts:
     delay: Mapping[str, Mapping[str, Any]]
     runs: Mapping[str, StudyRun]
 
+    @property
+    def difference(self) -> dict[str, dict[str, float]]:
+        """The remote less the local signal under the study's name for it, as `select` takes it."""
+        return difference_of(self.spec)
+
+
+def difference_of(spec: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """Return the remote less the local signal under the study's name for it, as `select` takes it."""
+    return {spec["swing"]: {spec["remote"]: 1.0, spec["local"]: -1.0}}
+
 
 def save_figures(parts: StudyParts, folder: Path, progress: Callable[[float], None]) -> dict[str, Path]:
-    """Draw every figure into `folder` as SVG that is not there yet; return number or name -> file."""
-    recipes = dict(_recipes(parts))
+    """Draw every figure into `folder` as SVG that is not there yet; return key -> file."""
     files = {}
-    for k, (key, draw) in enumerate(recipes.items()):
+    rows = [row for row in parts.spec["figure"] if can_be_drawn(row, parts)]
+    for k, row in enumerate(rows):
+        key = row["key"]
         prefix = "figure-" if key[0].isdigit() else ""
         path = folder / f"{prefix}{key.replace('.', '-')}.svg"
-        files[key] = path if path.exists() else save_figure(draw(), path, transparent=True)
-        progress((k + 1) / len(recipes))
+        files[key] = path if path.exists() else save_figure(_draw(row, parts), path, transparent=True)
+        progress((k + 1) / len(rows))
     return files
 
 
-def _recipes(p: StudyParts) -> Iterator[tuple[str, Callable[[], Figure]]]:
-    positions = {int(bus): place for bus, place in p.spec.get("diagram", {}).items()}
-    if set(positions) >= {bus.number for bus in p.case.buses}:
-        yield "5.1", lambda: one_line_diagram(p.flow, positions)
-    machines = [m.name for m in p.case.machines]
-    numbers = zip(("5.2", "5.3", "5.4"), ("5.5", "5.6", "5.7"), p.modes.items(), strict=False)
-    for first, second, (name, mode) in numbers:
-        title = f"{name}: {mode.frequency_hz:.3f} Hz, ζ = {mode.damping_ratio:.3f}"
-        yield first, partial(participation_plot, mode.participation, machines)
-        yield second, partial(mode_shape_plot, mode.shape, p.case.areas, title)
-    yield "5.8", lambda: singular_value_plot(_against(p, "6", True), OMEGA)
-    yield "5.17", generalised_plant_diagram
-    yield "5.19", lambda: singular_value_plot(_against(p, "8", False), OMEGA)
-    yield (
-        "hankel",
-        lambda: hankel_plot(
-            {f"plant of order {k}": r.hankel_values for k, r in p.reductions.items()},
-            {f"plant of order {k}": r.order for k, r in p.reductions.items()},
-        ),
-    )
-    for number, name in (("5.9", "wdc"), ("5.20", "cc"), ("5.22", "ftc")):
-        yield number, partial(bode_plot, _orders(p, name), OMEGA)
-    yield from _sensitivities(p)
-    yield from _time_figures(p)
-    yield (
-        "delay",
-        lambda: latency_damping_plot(
-            {label: p.delay[key]["damping"] for key, label in WIRINGS.items()},
-            {label: measured_damping(p, label) for label in WIRINGS.values()},
-            {label: p.delay[key]["margin_s"] for key, label in WIRINGS.items()},
-        ),
-    )
+def can_be_drawn(row: Mapping[str, Any], p: StudyParts) -> bool:
+    """Return whether there is what a figure shows: places of every bus, the mode it names."""
+    if row["kind"] == "one_line":
+        return {int(bus) for bus in p.spec.get("diagram", {})} >= {bus.number for bus in p.case.buses}
+    return "mode" not in row or row["mode"] in p.modes
 
 
-def _against(p: StudyParts, order: str, difference: bool) -> dict[str, control.StateSpace]:
+def _draw(row: Mapping[str, Any], p: StudyParts) -> Figure:
+    """Draw one figure of the specification (`spec.FIGURE_KINDS`)."""
+    match row["kind"]:
+        case "one_line":
+            return one_line_diagram(p.flow, {int(bus): place for bus, place in p.spec["diagram"].items()})
+        case "participation":
+            machines = [m.name for m in p.case.machines]
+            return participation_plot(p.modes[row["mode"]].participation, machines)
+        case "mode_shape":
+            mode = p.modes[row["mode"]]
+            title = f"{row['mode']}: {mode.frequency_hz:.3f} Hz, ζ = {mode.damping_ratio:.3f}"
+            return mode_shape_plot(mode.shape, p.case.areas, title)
+        case "singular_values":
+            return singular_value_plot(_against(p, row["reduction"]), OMEGA)
+        case "hankel_values":
+            names = {f"plant of order {k}": r for k, r in p.reductions.items()}
+            return hankel_plot(
+                {name: r.hankel_values for name, r in names.items()},
+                {name: r.order for name, r in names.items()},
+            )
+        case "generalised_plant":
+            return generalised_plant_diagram()
+        case "bode":
+            return bode_plot(_orders(p, row["controller"]), OMEGA)
+        case "sensitivity":
+            return _sensitivity(p, row["function"])
+        case "latency_damping":
+            return latency_damping_plot(
+                {label: p.delay[key]["damping"] for key, label in WIRINGS.items()},
+                {label: measured_damping(p, label) for label in WIRINGS.values()},
+                {label: p.delay[key]["margin_s"] for key, label in WIRINGS.items()},
+            )
+        case _:
+            return _time_figure(row, p)
+
+
+def _time_figure(row: Mapping[str, Any], p: StudyParts) -> Figure:
+    """Draw a figure over time."""
+    label = difference_label(p.spec["swing"])
+    if row["kind"] == "latencies":
+        name, latency = p.spec["latency"]["controller"], p.spec["latency"]["values_s"]
+        runs = {f"{round(1e3 * v)} ms": latency_name(name, row["wiring"], v) for v in latency}
+        curves = {text: swing_of(p, run) for text, run in runs.items()}
+        return latency_panels(curves, ("no latency", swing_of(p, row["reference"])), label)
+    if row["kind"] == "control":
+        shown = {text: _control(p, run) for text, run in row["runs"].items()}
+        actuators = sorted({c.outputs[0].removesuffix("_vs") for c in p.controllers.values()})
+        return time_plot(shown, ylabel=f"control of {', '.join(actuators)} (pu)", scale=1.0)
+    curves = {text: swing_of(p, run) for text, run in row["runs"].items()}
+    wanted: dict[str, Any] = {key: row[key] for key in ("marks", "span_s") if key in row}
+    if row.get("micro"):
+        wanted |= {"scale": 1e6, "ylabel": difference_label(p.spec["swing"], 6)}
+    return time_plot(curves, **{"ylabel": label, **wanted})
+
+
+def _against(p: StudyParts, order: str) -> dict[str, control.StateSpace]:
     """Return the full plant as that reduction saw it, and the reduction."""
     reduced = p.reductions[order].system
-    outputs = DW24 if difference else [p.spec["remote"], p.spec["local"]]
+    signals = [p.spec["remote"], p.spec["local"]]
+    outputs = p.difference if p.spec["reduction"][order] == "difference" else signals
     full = select(p.plant, list(reduced.input_labels), outputs)
     return {f"full, {full.nstates} states": full, f"reduced, {reduced.nstates} states": reduced}
 
@@ -124,82 +164,37 @@ def _orders(p: StudyParts, name: str) -> dict[str, control.StateSpace]:
     return systems | {f"shipped, order {shipped.nstates}": shipped}
 
 
-def loop_functions(p: StudyParts, name: str = "wdc") -> tuple[Array, Array]:
-    """Return |S| and |KS| of the dw24 loop over `OMEGA`: S = 1/(1 - G K), u = +K dw24.
+def loop_functions(p: StudyParts) -> tuple[Array, Array]:
+    """Return |S| and |KS| over `OMEGA` of the loop of the difference: S = 1/(1 - G K), u = +K difference.
 
-    Only for a controller that acts on the difference alone: K of the remote signal.
+    Of the study's `sensitivity` controller, which acts on the difference alone: K of the remote signal.
     """
-    K = p.controllers[name].system
-    G = select(p.plant, list(K.output_labels), DW24)
+    K = p.controllers[p.spec["sensitivity"]].system
+    G = select(p.plant, list(K.output_labels), p.difference)
     remote = list(K.input_labels).index(p.spec["remote"])
     k = response(K, OMEGA)[:, 0, remote]
     s = 1.0 / (1.0 - response(G, OMEGA)[:, 0, 0] * k)
     return np.abs(s), np.abs(k * s)
 
 
-def _sensitivities(p: StudyParts) -> Iterator[tuple[str, Callable[[], Figure]]]:
-    def draw(which: int, label: str, weight: Array) -> Figure:
-        curves = {label: loop_functions(p)[which], "1 / weight": 1.0 / weight}
-        return magnitude_plot(curves, OMEGA, f"|{label}| (dB)")
-
-    jw = 1j * OMEGA
-    yield "5.11", lambda: draw(0, "S", np.abs(30.0 / (jw + 30.0)))
-    yield "5.12", lambda: draw(1, "KS", np.abs(10.0 * jw / (jw + 100.0)))
+def weight_gains(p: StudyParts) -> tuple[Array, Array]:
+    """Return |W1| and |W2| over `OMEGA`, those that this controller was designed with."""
+    asked = p.controllers[p.spec["sensitivity"]].design["specification"]
+    weights = WdcSpec(low_pass=asked["low_pass"], high_pass=tuple(asked["high_pass"])).weights()
+    low, high = (np.abs(response(W, OMEGA)[:, 0, 0]) for W in weights)
+    return low, high
 
 
-def dw24(p: StudyParts, run: str) -> tuple[Array, Array]:
-    """Return time (s) and dw24 = dw2 - dw4 (pu) of a run."""
+def _sensitivity(p: StudyParts, function: str) -> Figure:
+    which = 0 if function == "S" else 1
+    curves = {function: loop_functions(p)[which], "1 / weight": 1.0 / weight_gains(p)[which]}
+    return magnitude_plot(curves, OMEGA, f"|{function}| (dB)")
+
+
+def swing_of(p: StudyParts, run: str) -> tuple[Array, Array]:
+    """Return time (s) and the remote less the local speed (pu) of a run."""
     curves = p.runs[run].curves
     return curves.time_s, curves[f"plant.{p.spec['remote']}"] - curves[f"plant.{p.spec['local']}"]
-
-
-def _time_figures(p: StudyParts) -> Iterator[tuple[str, Callable[[], Figure]]]:
-    def compare(names: Mapping[str, str], **kwargs: Any) -> Callable[[], Figure]:
-        return lambda: time_plot({label: dw24(p, run) for label, run in names.items()}, **kwargs)
-
-    yield "5.10", compare({"without WDC": "none-pulse", "with WDC": "wdc-pulse"})
-    for number, wiring in (("5.13", "synchronous"), ("5.14", "non-synchronous")):
-        names = {
-            f"{round(1e3 * v)} ms": f"wdc-{wiring}-{round(1e3 * v)}ms" for v in p.spec["latency"]["values_s"]
-        }
-        yield number, partial(_panels, p, names)
-    for number, wiring in (("5.15", "synchronous"), ("5.16", "non-synchronous")):
-        yield number, compare({"without WDC": "none-pulse", f"{wiring}, 100 ms": f"wdc-{wiring}-100ms"})
-    lost = {"remote lost": 10.0}
-    for number, name in (("5.21", "cc"), ("5.23", "ftc")):
-        yield (
-            number,
-            compare({"normal": f"{name}-pulse", "remote lost at 10 s": f"{name}-lost-10s"}, marks=lost),
-        )
-    yield (
-        "5.24",
-        compare(
-            {"normal": "ftc-pulse", "remote lost at 10 s": "ftc-lost-10s"},
-            marks=lost,
-            span_s=(9.0, 15.0),
-            **MICRO,
-        ),
-    )
-    yield "5.25", compare({"CC": "cc-pulse", "FTC": "ftc-pulse"})
-    yield "5.26", compare({"CC": "cc-lost-1s", "FTC": "ftc-lost-1s"}, marks={"remote lost": 1.0})
-    yield (
-        "fault",
-        compare({n.upper() if n != "none" else n: f"{n}-fault" for n in ("none", "wdc", "cc", "ftc")}),
-    )
-    yield "fault-lost", compare({"CC": "cc-fault-lost", "FTC": "ftc-fault-lost"}, marks={"remote lost": 1.5})
-    yield (
-        "control",
-        lambda: time_plot(
-            {n.upper(): _control(p, f"{n}-fault") for n in ("wdc", "cc", "ftc")},
-            ylabel="control of G4 (pu)",
-            scale=1.0,
-        ),
-    )
-
-
-def _panels(p: StudyParts, names: Mapping[str, str]) -> Figure:
-    curves = {label: dw24(p, run) for label, run in names.items()}
-    return latency_panels(curves, ("no latency", dw24(p, "wdc-pulse")))
 
 
 def _control(p: StudyParts, run: str) -> tuple[Array, Array]:
@@ -212,7 +207,7 @@ def measured_damping(p: StudyParts, wiring: str) -> list[list[float]]:
     """Return rows (latency, damping ratio of what swings longest) of the co-simulated runs."""
     rows = []
     for value in p.spec["latency"]["values_s"]:
-        run = p.runs[f"{p.spec['latency']['controller']}-{wiring}-{round(1e3 * value)}ms"]
+        run = p.runs[latency_name(p.spec["latency"]["controller"], wiring, value)]
         if run.metrics["late_damping"] is not None:
             rows.append([value, run.metrics["late_damping"]])
     return rows

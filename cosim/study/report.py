@@ -17,12 +17,10 @@ from markupsafe import Markup
 from interarea.models.files import write_whole
 
 from ..plots.html import inline_svg
-from .thesis.claims import judge_loops, judge_modes, judge_statements
-from .thesis.published import published
 
 
 def render_report(study: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
-    """Return the page for `study` (as in study.json) with `figures` (number or name -> SVG file)."""
+    """Return the page for `study` (as in study.json) with `figures` (key -> SVG file)."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -31,16 +29,14 @@ def render_report(study: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
         undefined=jinja2.StrictUndefined,
     )
     environment.filters |= {"number": _number, "percent": _percent, "seconds": _seconds, "pole": _pole}
-    statements = judge_statements(study)
-    titles = {row["number"]: row["title"] for row in published()["figure"]}
-    count = {v: sum(j.verdict == v for j in statements) for v in ("agrees", "partly", "differs")}
+    titles = {row["key"]: row["title"] for row in study["figure_list"]}
+    nothing: dict[str, Any] = {"verdicts": [], "modes": [], "loops": [], "corrections": []}
+    printed = study.get("printed", nothing)
+    verdicts = [row["verdict"] for row in printed["verdicts"]]
     return environment.get_template("report.html.j2").render(
         study=study,
-        statements=statements,
-        count=count,
-        modes=judge_modes(study),
-        loops=judge_loops(study),
-        corrections=published()["correction"],
+        printed=printed,
+        count={verdict: verdicts.count(verdict) for verdict in ("agrees", "partly", "differs")},
         titles=titles,
         svg={key: Markup(inline_svg(path, key, titles.get(key))) for key, path in figures.items()},
     )

@@ -12,8 +12,9 @@ from interarea.design.linear.norms import hinf_of
 from interarea.design.modes.loop_selection import Loops
 from interarea.design.modes.modes import Modes
 
-from .figures import OMEGA, StudyParts, loop_functions
+from .figures import OMEGA, StudyParts, loop_functions, weight_gains
 from .runs import WIRINGS, StudyRun
+from .spec import latency_name
 
 SCHEMA = 1
 
@@ -32,6 +33,7 @@ def study_rows(parts: StudyParts, loops: Loops, states: int) -> dict[str, Any]:
         "sensitivity": sensitivity_row(parts),
         "delay": {wiring: dict(row) for wiring, row in parts.delay.items()},
         "delay_table": delay_table(parts),
+        "latency_comparison": latency_comparison(parts),
         "scenarios": {name: scenario_row(run) for name, run in parts.runs.items()},
     }
 
@@ -109,7 +111,7 @@ def delay_table(parts: StudyParts) -> list[dict[str, Any]]:
     for value in parts.spec["latency"]["values_s"]:
         row: dict[str, Any] = {"latency_s": value}
         for key, label in WIRINGS.items():
-            run = parts.runs[f"{parts.spec['latency']['controller']}-{label}-{round(1e3 * value)}ms"]
+            run = parts.runs[latency_name(parts.spec["latency"]["controller"], label, value)]
             row[key] = {
                 "least": _at(parts.delay[key]["damping"], value),
                 "inter_area": _at(parts.delay[key]["inter_area"], value),
@@ -125,15 +127,26 @@ def _at(pairs: list[list[float]], delay_s: float) -> float:
     return float(np.interp(delay_s, delays, [z for _, z in pairs]))
 
 
-def sensitivity_row(parts: StudyParts) -> dict[str, float]:
-    """Return |S(0)| and the largest |W1 S|, |W2 KS| of the WDC loop on the full plant (frequencies drawn)."""
+def sensitivity_row(parts: StudyParts) -> dict[str, Any]:
+    """Return |S(0)| and the largest |W1 S|, |W2 KS| of a loop on the full plant (frequencies drawn)."""
     s, ks = loop_functions(parts)
-    jw = 1j * OMEGA
+    low, high = weight_gains(parts)
+    w2_ks = high * ks
     return {
+        "controller": parts.spec["sensitivity"],
         "s_at_zero": float(s[0]),
-        "w1_s": float(np.max(np.abs(30.0 / (jw + 30.0)) * s)),
-        "w2_ks": float(np.max(np.abs(10.0 * jw / (jw + 100.0)) * ks)),
+        "w1_s": float(np.max(low * s)),
+        "w2_ks": float(np.max(w2_ks)),
+        "w2_ks_at_rad_s": float(OMEGA[np.argmax(w2_ks)]),
+        f"w2_ks_at_{OMEGA[-1]:.0f}_rad_s": float(w2_ks[-1]),
     }
+
+
+def latency_comparison(parts: StudyParts) -> dict[str, Any]:
+    """Return from which latency on the synchronous wiring damps its least damped swing worse, by 0.01."""
+    rows = (parts.delay[wiring]["damping"] for wiring in WIRINGS)
+    worse = (at for (at, sync), (_, non) in zip(*rows, strict=True) if sync < non - 0.01)
+    return {"synchronous_worse_from_s": next(worse, None)}
 
 
 def sha256(path: Path) -> str:

@@ -23,6 +23,7 @@ from ..run.artefacts import CONTROLLER_NAMES, channel_fmu, controller_fmu, desig
 from ..run.run import Run, run_scenario
 from ..scenario.scenario import load_scenario
 from ..trajectory import Trajectory
+from .spec import latency_name
 
 Array = npt.NDArray[np.float64]
 Document = dict[str, Any]
@@ -68,7 +69,7 @@ def scenario_documents(spec: Mapping[str, Any], margin_s: float | None) -> dict[
     for wiring in WIRINGS.values():
         for value in latency["values_s"]:
             at = {"latency_s": value}
-            documents[f"{latency['controller']}-{wiring}-{round(1e3 * value)}ms"] = document_of(
+            documents[latency_name(latency["controller"], wiring, value)] = document_of(
                 spec,
                 f"{latency['controller'].upper()}, {wiring} feedback, {round(1e3 * value)} ms, Vref pulse",
                 latency["controller"],

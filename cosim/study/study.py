@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, select, speeds_in_rad
-from interarea.design.modes.loop_selection import rank_loops
+from interarea.design.modes.loop_selection import lead_by_coordinates, rank_loops
 from interarea.design.modes.modes import modes_of
 from interarea.design.reduction.balanced import balanced_truncation
 from interarea.fmu_build.open.cross_check import complete_fmu
@@ -33,28 +33,24 @@ from interarea.models.case.case import load_case
 from interarea.models.files import write_whole
 from interarea.models.grid.powerflow import solve_powerflow
 
-from ..errors import ScenarioError, nearest
 from ..run.artefacts import (
-    CONTROLLER_NAMES,
     channel_fmu,
     controller_fmu,
     design_controller,
     linear_plant,
     plant_fmu,
 )
-from ..toml_file import read_toml
 from . import rows
 from .delay import latency_analysis, redesigned
-from .figures import DW24, StudyParts, save_figures
+from .figures import StudyParts, difference_of, save_figures
 from .packet_loss import mean_latency_s, mean_square_rows, monte_carlo_rows
+from .printed import printed_rows
 from .report import write_report
 from .runs import run_all, scenario_documents
-from .thesis.claims import judge_statements
+from .spec import load_study
 
-SPECIFICATIONS = Path(__file__).resolve().parent / "thesis"  #: folder of the bundled studies
 #: Called with a stage's name and how much of it is done, 0..1.
 StageProgress = Callable[[str, float], None]
-PREFIX = "study_"
 STAGES = (
     "plant",
     "modes and loops",
@@ -65,19 +61,6 @@ STAGES = (
     "packets",
     "figures",
     "report",
-)
-KEYS = (
-    "title",
-    "case",
-    "published",
-    "stop_s",
-    "step_s",
-    "remote",
-    "local",
-    "disturbance",
-    "latency",
-    "margin",
-    "scenario",
 )
 
 
@@ -117,19 +100,23 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
 
         done = stage("reduction")
         actuator = [loops.selected.actuator]
+        outputs: dict[str, Any] = {
+            "difference": difference_of(spec),
+            "signals": [spec["remote"], spec["local"]],
+        }
         reductions = {
-            "6": balanced_truncation(select(plant, actuator, DW24), 6),
-            "8": balanced_truncation(select(plant, actuator, [spec["remote"], spec["local"]]), 8),
+            order: balanced_truncation(select(plant, actuator, outputs[seen]), int(order))
+            for order, seen in spec["reduction"].items()
         }
         done(1.0)
 
         done = stage("controllers")
         controllers, unreduced = {}, {}
-        for k, label in enumerate(CONTROLLER_NAMES):
+        for k, label in enumerate(spec["controllers"]):
             controllers[label] = design_controller(case, label, cache)
             unreduced[label] = design_controller(case, label, cache, reduce=False).system
             fmus[label] = controller_fmu(controllers[label], case.omega_b, cache)
-            done((k + 1) / len(CONTROLLER_NAMES))
+            done((k + 1) / len(spec["controllers"]))
 
         done = stage("latency")
         delayed = spec["latency"]["controller"]
@@ -190,7 +177,18 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
         "fmus": {f"{label}.fmu": rows.sha256(path) for label, path in fmus.items()},
         "versions": {"interarea": version("interarea"), **numerics_versions()},
     }
-    study["statements"] = {f"{k.where}: {k.says}": k.verdict for k in judge_statements(study)}
+    study["loops"]["coordinate_table"] = lead_by_coordinates(
+        relative, loops, relative_modes.inter_area.eigenvalue
+    )
+    study["figure_list"] = [
+        {key: row[key] for key in ("key", "section", "title")}
+        for row in spec["figure"]
+        if row["key"] in figures
+    ]
+    if "claims" in spec:
+        study["printed"] = printed_rows(Path(spec["claims"]), study)
+        verdicts = study["printed"]["verdicts"]
+        study["statements"] = {f"{row['where']}: {row['says']}": row["verdict"] for row in verdicts}
     for label, path in fmus.items():
         place(path, out / "fmus" / f"{label}.fmu")
     for label, run in runs.items():
@@ -237,27 +235,3 @@ def _figure_key(parts: StudyParts) -> str:
     return content_hash(
         parts.spec, parts.case.hash, runs, parts.delay, code, version("matplotlib"), *matrices
     )
-
-
-def study_names() -> list[str]:
-    """Return the names of the bundled studies."""
-    return sorted(p.stem.removeprefix(PREFIX) for p in SPECIFICATIONS.glob(f"{PREFIX}*.toml"))
-
-
-def load_study(name: str) -> Mapping[str, Any]:
-    """Return the TOML of a bundled study or of a file.
-
-    Raises
-    ------
-    ScenarioError : neither bundled nor a file, no TOML, or a table is missing.
-    """
-    path = Path(name) if name.endswith(".toml") else SPECIFICATIONS / f"{PREFIX}{name}.toml"
-    if not path.is_file():
-        raise ScenarioError(
-            f"study {name!r} is neither bundled nor a TOML file; {nearest(name, study_names())}"
-        )
-    spec = read_toml(path, "study", ScenarioError)
-    missing = [key for key in KEYS if key not in spec]
-    if missing:
-        raise ScenarioError(f"{path}: {', '.join(missing)} missing; study_thesis.toml shows a whole study")
-    return spec

@@ -8,9 +8,10 @@ change of state coordinates can move; the geometric index is given beside it, in
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import control
 import numpy as np
@@ -180,18 +181,63 @@ def rank_loops(
     )
 
 
+def lead_by_coordinates(
+    system: control.StateSpace, loops: Loops, eigenvalue: complex, orders: Sequence[int] = (6, 8, 16)
+) -> list[dict[str, Any]]:
+    """Return, for several state coordinates, which candidate the geometric index puts first.
+
+    system : as given to `rank_loops`. orders : balanced reductions whose coordinates are tried, beside those
+    of the whole system, as modelled and balanced.
+
+    Returns
+    -------
+    rows: `coordinates`, `best` [actuator, signal], `indices` of the candidates in the order of
+    `loops.ranking`, and `lead`, the index of `loops.selected` over the best of the others, less 1; negative:
+    another is first.
+    """
+    signals = {loop.signal: dict(loop.outputs) for loop in loops.ranking}
+    actuators = [n for n in system.input_labels if any(loop.actuator == n for loop in loops.ranking)]
+    picked = select(system, actuators, signals)
+    tried = {"states as modelled (rad, pu)": picked}
+    tried |= {f"balanced reduction to {k} states": balanced_truncation(picked, k).system for k in orders}
+    tried["balanced, every state"] = balanced_truncation(picked, picked.nstates).system
+    at = [(list(signals).index(loop.signal), actuators.index(loop.actuator)) for loop in loops.ranking]
+    rows = [("pole vectors (free of coordinates)", [loop.index for loop in loops.ranking])]
+    for name, coordinates in tried.items():
+        table, _ = _geometric_index(coordinates, eigenvalue)
+        rows.append((name, [float(table[place]) for place in at]))
+    out = []
+    for name, indices in rows:
+        best = loops.ranking[int(np.argmax(indices))]
+        out.append(
+            {
+                "coordinates": name,
+                "best": [best.actuator.removesuffix("_vs"), best.signal],
+                "indices": indices,
+                "lead": indices[0] / max(indices[1:]) - 1.0 if len(indices) > 1 else float("inf"),
+            }
+        )
+    return out
+
+
 def _geometric_indices(system: control.StateSpace, eigenvalue: complex, order: int) -> tuple[Matrix, int]:
     """Geometric index of every (signal, actuator) in balanced coordinates, and the order used."""
     n = system.nstates
     for k in range(min(max(order, 1), n), n + 1):
         reduced = balanced_truncation(system, k).system
-        A, B, C = (np.asarray(M, dtype=float) for M in (reduced.A, reduced.B, reduced.C))
-        values, right = np.linalg.eig(A)
-        i = int(np.argmin(np.abs(values - eigenvalue)))
+        indices, moved = _geometric_index(reduced, eigenvalue)
         # a reduction that lost the mode measures another one
-        if abs(values[i] - eigenvalue) < 0.1 * abs(eigenvalue) or k == n:
+        if moved < 0.1 * abs(eigenvalue) or k == n:
             break
+    return indices, int(reduced.nstates)
+
+
+def _geometric_index(system: control.StateSpace, eigenvalue: complex) -> tuple[Matrix, float]:
+    """Geometric index (signals, actuators) in a system's own coordinates; distance of its mode to the one."""
+    A, B, C = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C))
+    values, right = np.linalg.eig(A)
+    i = int(np.argmin(np.abs(values - eigenvalue)))
     w, v = np.linalg.inv(right)[i], right[:, i]
     reach = np.abs(w @ B) / (np.linalg.norm(w) * np.maximum(np.linalg.norm(B, axis=0), 1e-300))
     see = np.abs(C @ v) / (np.linalg.norm(v) * np.maximum(np.linalg.norm(C, axis=1), 1e-300))
-    return np.outer(see, reach), int(A.shape[0])
+    return np.outer(see, reach), float(abs(values[i] - eigenvalue))

@@ -35,7 +35,6 @@ __all__ = [
     "conventional",
     "fault_tolerant",
     "hinf_region",
-    "thesis_weights",
     "wide_area_damping",
 ]
 
@@ -59,18 +58,11 @@ class Conditioning:
     gamma_slack: float | None = None
 
 
-def thesis_weights() -> tuple[control.StateSpace, control.StateSpace]:
-    """Return W1 = 30 / (s + 30) and W2 = 10 s / (s + 100). [Sundaria2016], section 5.1.5"""
-    W1 = control.ss([[-30.0]], [[1.0]], [[30.0]], [[0.0]])
-    W2 = control.ss([[-100.0]], [[1.0]], [[-1000.0]], [[10.0]])
-    return W1, W2
-
-
 def wide_area_damping(
     G: control.StateSpace,
     region: PoleRegion,
     *,
-    weights: tuple[control.StateSpace, control.StateSpace] | None = None,
+    weights: tuple[control.StateSpace, control.StateSpace],
     gamma_cap: float | None = 10.0,
     conditioning: Conditioning | None = None,
     engine: str = "structured",
@@ -89,7 +81,7 @@ def wide_area_damping(
     ----------
     G : design plant, D = 0; speeds in rad/s. Reduced: the controller gets the order of G plus weights.
     region : where the closed-loop poles must lie.
-    weights : W1, W2, single-input single-output; None: those of the thesis.
+    weights : W1, W2, single-input single-output.
     gamma_cap : largest acceptable norm; None: any.
     conditioning, engine : see `Conditioning`, `solve`.
 
@@ -97,8 +89,7 @@ def wide_area_damping(
     ------
     InfeasibleDesign, UncertifiedDesign, ValueError
     """
-    W1, W2 = thesis_weights() if weights is None else weights
-    P = mixed_sensitivity(G, W1, W2)
+    P = mixed_sensitivity(G, *weights)
     return hinf_region(
         P, region, gamma_cap=gamma_cap, conditioning=conditioning, engine=engine, what="wide-area damping"
     )

@@ -55,6 +55,14 @@ class WdcSpec:
     latency_s: float = 0.0  #: of both signals (synchronous feedback), as a Padé model in the design plant
     pade_order: int = 2  #: the study's
 
+    def weights(self) -> tuple[control.StateSpace, control.StateSpace]:
+        """Return W1 and W2. [Sundaria2016], section 5.1.5"""
+        gain, corner = self.high_pass
+        return (
+            control.ss([[-self.low_pass]], [[1.0]], [[self.low_pass]], [[0.0]]),
+            control.ss([[-corner]], [[1.0]], [[-gain * corner]], [[gain]]),
+        )
+
 
 @dataclass(frozen=True)
 class CcSpec:
@@ -128,15 +136,10 @@ def design_wdc(
         late = {"difference": spec.latency_s}
         design_plant = delayed_plant(design_plant, late, spec.pade_order)
         loop = delayed_plant(loop, late, spec.pade_order)
-    gain, corner = spec.high_pass
-    weights = (
-        control.ss([[-spec.low_pass]], [[1.0]], [[spec.low_pass]], [[0.0]]),
-        control.ss([[-corner]], [[1.0]], [[-gain * corner]], [[gain]]),
-    )
     synthesis = wide_area_damping(
         design_plant,
         PoleRegion(spec.damping_ratio, spec.decay_rate, spec.radius),
-        weights=weights,
+        weights=spec.weights(),
         gamma_cap=spec.gamma_cap,
         conditioning=Conditioning(spec.trace_weight),
         engine=engine,

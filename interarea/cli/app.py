@@ -126,10 +126,8 @@ def study(
         summary = run_study(name, out, progress)
     typer.echo(out / "study.json")
     typer.echo(out / "report.html")
-    verdicts = summary["statements"]
-    counts = ", ".join(
-        f"{sum(v == k for v in verdicts.values())} {k}" for k in ("agrees", "partly", "differs")
-    )
+    verdicts = [row["verdict"] for row in summary.get("printed", {}).get("verdicts", [])]
+    counts = ", ".join(f"{verdicts.count(k)} {k}" for k in ("agrees", "partly", "differs"))
     typer.echo(f"printed statements: {counts}", err=True)
 
 

@@ -48,7 +48,7 @@ def bundled() -> dict[str, dict[str, str]]:
     """Return kind -> name -> title of all that is bundled."""
     from interarea.cosim.designs.design_file import design_names, load_design
     from interarea.cosim.scenario.scenario import load_scenario, scenario_names
-    from interarea.cosim.study.study import load_study, study_names
+    from interarea.cosim.study.spec import load_study, study_names
     from interarea.design.controllers.bundled import shipped_controller, shipped_names
     from interarea.models.case.case import case_names, load_case
 

@@ -17,7 +17,9 @@ from interarea.models.grid.powerflow import solve_powerflow
 def test_the_same_data_give_the_same_bytes(tmp_path: Path) -> None:
     t = np.linspace(0.0, 5.0, 501)
     files = [
-        plots.save_figure(plots.time_plot({"a": (t, np.sin(t)), "b": (t, np.cos(t))}), tmp_path / f"{k}.svg")
+        plots.save_figure(
+            plots.time_plot({"a": (t, np.sin(t)), "b": (t, np.cos(t))}, ylabel="y"), tmp_path / f"{k}.svg"
+        )
         for k in range(2)
     ]
     assert files[0].read_bytes() == files[1].read_bytes()
@@ -26,7 +28,7 @@ def test_the_same_data_give_the_same_bytes(tmp_path: Path) -> None:
 
 def test_time_plot_draws_the_values_in_thousandths() -> None:
     t = np.array([0.0, 1.0, 2.0])
-    axes = plots.time_plot({"dw24": (t, np.array([0.0, 1e-3, -2e-3]))}).axes[0]
+    axes = plots.time_plot({"dw24": (t, np.array([0.0, 1e-3, -2e-3]))}, ylabel="y").axes[0]
     assert axes.lines[0].get_ydata() == pytest.approx([0.0, 1.0, -2.0])
 
 
@@ -39,14 +41,14 @@ def test_participation_plot_shows_the_largest_first() -> None:
 def test_latency_panels_has_one_panel_for_each_latency() -> None:
     t = np.linspace(0.0, 1.0, 11)
     curves = {f"{k} ms": (t, t * k) for k in (1, 2, 3)}
-    figure = plots.latency_panels(curves, ("none", (t, t)))
+    figure = plots.latency_panels(curves, ("none", (t, t)), "y")
     assert [a.get_title() for a in figure.axes if a.get_visible()] == ["", "", ""]
     assert [a.get_title(loc="left") for a in figure.axes if a.get_visible()] == list(curves)
 
 
 def test_curves_are_told_apart_without_colour() -> None:
     t = np.array([0.0, 1.0])
-    figure = plots.time_plot(dict.fromkeys("abcd", (t, t)))
+    figure = plots.time_plot(dict.fromkeys("abcd", (t, t)), ylabel="y")
     assert (
         len({(line.get_linestyle(), str(line._unscaled_dash_pattern)) for line in figure.axes[0].lines}) == 4
     )
@@ -69,7 +71,9 @@ def test_generalised_plant_diagram_has_its_four_boxes() -> None:
 
 def test_a_marks_name_stands_above_the_axes_and_the_legend_beside_no_curve() -> None:
     t = np.linspace(0.0, 20.0, 200)
-    figure = plots.time_plot({"a": (t, np.sin(t)), "b": (t, np.cos(t))}, marks={"signal lost": 1.5})
+    figure = plots.time_plot(
+        {"a": (t, np.sin(t)), "b": (t, np.cos(t))}, marks={"signal lost": 1.5}, ylabel="y"
+    )
     figure.canvas.draw()
     (axes,) = figure.axes
     top = axes.get_window_extent().y1
@@ -82,7 +86,9 @@ def test_a_marks_name_stands_above_the_axes_and_the_legend_beside_no_curve() -> 
 
 def test_every_column_of_latency_panels_has_its_time_axis() -> None:
     t = np.linspace(0.0, 20.0, 200)
-    figure = plots.latency_panels({f"{k} ms": (t, np.sin(t)) for k in range(3)}, ("none", (t, np.cos(t))))
+    figure = plots.latency_panels(
+        {f"{k} ms": (t, np.sin(t)) for k in range(3)}, ("none", (t, np.cos(t))), "y"
+    )
     shown = [a for a in figure.axes if a.get_visible()]
     assert [a.get_xlabel() for a in shown] == ["", "time (s)", "time (s)"]
     assert [a.xaxis.get_tick_params()["labelbottom"] for a in shown] == [False, True, True]

@@ -8,24 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sample_study import sample_study
+from sample_study import CLAIMS, sample_study
 
+from interarea.cosim.errors import ScenarioError
 from interarea.cosim.plots.curves import SERIES, save_figure, time_plot
 from interarea.cosim.plots.html import inline_svg
+from interarea.cosim.study.printed import PrintedNumber, printed_rows
 from interarea.cosim.study.report import render_report, write_report
-from interarea.cosim.study.thesis.claims import CHECKS, judge_loops, judge_modes, judge_statements
-from interarea.cosim.study.thesis.published import PrintedNumber, published
 
 
 @pytest.fixture
 def figure(tmp_path: Path) -> Path:
     t = np.linspace(0.0, 5.0, 51)
-    return save_figure(time_plot({"a": (t, np.sin(t))}), tmp_path / "figure.svg")
-
-
-def verdict_of(study: dict[str, object], check: str) -> str:
-    says = next(row["says"] for row in published()["statement"] if row["check"] == check)
-    return next(j.verdict for j in judge_statements(study) if j.says == says)
+    return save_figure(time_plot({"a": (t, np.sin(t))}, ylabel="y"), tmp_path / "figure.svg")
 
 
 class Page(HTMLParser):
@@ -101,10 +96,6 @@ def test_names_from_a_study_file_cannot_break_the_page(figure: Path) -> None:
     assert "<script>" not in render_report(study, {"5.10": figure})
 
 
-def test_every_statement_has_its_check_and_every_check_its_statement() -> None:
-    assert {row["check"] for row in published()["statement"]} == set(CHECKS)
-
-
 @pytest.mark.parametrize(
     ("text", "ours", "agrees"), [("0.6227", 0.62274, True), ("0.6227", 0.62276, False), ("8", 8.4, True)]
 )
@@ -112,34 +103,37 @@ def test_printed_digits_are_the_tolerance(text: str, ours: float, agrees: bool) 
     assert PrintedNumber(text).agrees(ours) is agrees
 
 
-def test_modes_are_judged_as_printed_and_exchanged() -> None:
-    verdicts = {(r["mode"], r["reading"]): r["frequency_hz"]["verdict"] for r in judge_modes(sample_study())}
-    assert verdicts["inter-area", "as printed"] == "agrees"
+def test_a_table_that_was_fitted_never_agrees() -> None:
+    rows = sample_study()["printed"]["modes"]
+    verdicts = {(r["mode"], r["reading"]): r["frequency_hz"]["verdict"] for r in rows}
+    assert verdicts["inter-area", "as printed"] == "fitted"
     assert verdicts["local area 1", "as printed"] == "differs"
-    assert verdicts["local area 2", "rows exchanged"] == "agrees"
+    assert verdicts["local area 2", "rows exchanged"] == "fitted"
+    assert "agrees" not in {r[q]["verdict"] for r in rows for q in ("frequency_hz", "damping_ratio")}
 
 
 def test_loops_are_ranked_among_those_that_both_have() -> None:
     rows = {
-        (r["actuator"], r["signal"]): (r["rank_printed"], r["rank_ours"]) for r in judge_loops(sample_study())
+        (r["actuator"], r["signal"]): (r["rank_printed"], r["rank_ours"])
+        for r in sample_study()["printed"]["loops"]
     }
     assert rows["G4", "dw24"] == (1, 1)
     assert rows["G1", "dw13"] == (None, None)  # not in the sample
 
 
-def test_verdicts_follow_the_numbers() -> None:
+def test_a_study_of_another_case_has_a_page_without_claims(figure: Path) -> None:
     study = sample_study()
-    assert verdict_of(study, "cc_lost") == "differs"
-    study["controllers"]["cc"]["stable"]["remote_lost"] = False
-    assert verdict_of(study, "cc_lost") == "agrees"
-    assert verdict_of(study, "effort") == "agrees"
-    study["controllers"]["ftc"]["effort"] = 0.01
-    assert verdict_of(study, "effort") == "differs"
-    assert verdict_of(study, "non_synchronous_delay") == "differs"
-    study["delay"]["non_synchronous"]["margin_s"] = 0.9
-    assert verdict_of(study, "non_synchronous_delay") == "agrees"
-    assert verdict_of(study, "synchronous_delay") == "agrees"
-    study["scenarios"]["wdc-margin-above"]["stable"] = True
-    assert verdict_of(study, "synchronous_delay") == "partly"
-    study["controllers"]["wdc"]["damping_ratio"]["normal"]["inter-area"] = 0.2
-    assert verdict_of(study, "wdc_damping") == "differs"
+    del study["printed"]
+    text = render_report(study, {"5.10": figure})
+    assert "Table 5.1" not in text and "printed statements" not in text
+    page = Page()
+    page.feed(text)
+    assert page.open == [] and "#statements" not in page.addresses
+
+
+def test_claims_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.toml", tmp_path / "bad.toml"):
+        (tmp_path / "bad.toml").write_text("[[statement]\n")
+        with pytest.raises(ScenarioError, match=path.name):
+            printed_rows(path, sample_study())
+    assert printed_rows(CLAIMS, sample_study())["corrections"]

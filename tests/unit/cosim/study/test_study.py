@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from pathlib import Path
 
 import control
 import numpy as np
 import pytest
+from recomputed import recomputed
 from scipy.linalg import expm
 
 from interarea.cosim.designs.design_file import family_plants, load_design
@@ -19,7 +21,8 @@ from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.study.delay import least_damping
 from interarea.cosim.study.packet_loss import monte_carlo_documents
 from interarea.cosim.study.runs import scenario_documents
-from interarea.cosim.study.study import STAGES, load_study, run_study, study_names
+from interarea.cosim.study.spec import SPECIFICATIONS, load_study, study_names
+from interarea.cosim.study.study import STAGES, run_study
 from interarea.design.certificates import closed_loop as certificates
 from interarea.design.certificates.closed_loop import swing_poles
 from interarea.design.controllers.controller import Controller
@@ -79,6 +82,27 @@ def test_unknown_and_incomplete_studies_are_refused(tmp_path: Path) -> None:
     short.write_text('title = "x"\n')
     with pytest.raises(ScenarioError, match=r"short\.toml: case, "):
         load_study(str(short))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('kind = "hankel_values"', 'kind = "hankel"', "kind = 'hankel'.*hankel_values"),
+        ('"with WDC" = "wdc-pulse"', '"with WDC" = "wdc-puls"', r"figure 5\.10: run = 'wdc-puls'.*wdc-pulse"),
+        ('mode = "inter-area"', "", r"figure 5\.2: mode missing"),
+        ('6 = "difference"', '6 = "diff"', "reduction.6 = 'diff'"),
+        ('sensitivity = "wdc"', 'sensitivity = "wdd"', "'wdd'"),
+        ("wiring = ", "wirin = ", "wiring missing"),
+    ],
+)
+def test_a_figure_of_what_is_not_there_is_refused_before_anything_runs(
+    tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    text = (SPECIFICATIONS / "study_thesis.toml").read_text(encoding="utf-8")
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=said):
+        load_study(str(path))
 
 
 def test_swing_poles_are_poles_of_the_closed_loop(
@@ -185,6 +209,10 @@ def test_the_whole_study(tmp_path: Path, cache: Path) -> None:
     assert stages == dict.fromkeys(STAGES, 1.0)
     assert json.loads((tmp_path / "study.json").read_text()) == study
     assert study["schema"] == 1 and study["case"] == "two-area-thesis"
+
+    statements = tomllib.loads(Path(load_study("thesis")["claims"]).read_text(encoding="utf-8"))["statement"]
+    verdicts = {row["says"]: row["verdict"] for row in study["printed"]["verdicts"]}
+    assert verdicts == recomputed(statements, json.loads((tmp_path / "study.json").read_text()))
 
     inter = study["modes"]["inter-area"]
     assert inter["frequency_hz"] == pytest.approx(0.6227, rel=0.005)

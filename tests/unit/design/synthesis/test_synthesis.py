@@ -26,6 +26,7 @@ from interarea.design.synthesis.hinf import (
     hinf_region,
     wide_area_damping,
 )
+from interarea.design.synthesis.study_designs import WdcSpec
 
 
 def two_mass() -> control.StateSpace:
@@ -86,10 +87,10 @@ def test_mixed_sensitivity_of_a_speed_is_never_below_one() -> None:
     """G(0) = 0 makes S(0) = 1: the published goal "< 1" cannot be met."""
     G = two_mass()
     difference = control.ss(G.A, G.B, np.array([[1.0, -1.0]]) @ G.C, 0, inputs=["u"], outputs=["difference"])
-    design = wide_area_damping(difference, PoleRegion(0.05))
+    design = wide_area_damping(difference, PoleRegion(0.05), weights=WdcSpec().weights())
     assert design.norm_of["normal"] >= 1.0
     with pytest.raises(InfeasibleDesign) as error:
-        wide_area_damping(difference, PoleRegion(0.05), gamma_cap=0.9)
+        wide_area_damping(difference, PoleRegion(0.05), weights=WdcSpec().weights(), gamma_cap=0.9)
     assert error.value.constraint == "gamma"
     assert error.value.reachable == pytest.approx(design.gamma, rel=1e-6)
 
