@@ -90,7 +90,12 @@ def import_grid(
 
 def export(
     case: Annotated[str, typer.Argument(metavar="CASE", help="bundled case or TOML file")],
-    out: Annotated[Path, typer.Option("--out", metavar="CASE.toml", help="case file", show_default=False)],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", help=".toml, .raw (PSS/E 33) or .m (MATPOWER)", show_default=False
+        ),
+    ],
     tie_flow: Annotated[
         float, typer.Option("--tie-flow", metavar="MW", help="load moved across the tie")
     ] = 0.0,
@@ -99,10 +104,14 @@ def export(
     ] = None,
     load_scale: Annotated[float, typer.Option("--load-scale", metavar="FACTOR", help="on every load")] = 1.0,
 ) -> None:
-    """Write a case, or it at another operating point, as one self-contained case file."""
+    """Write a case, or it at another operating point, as one file; what its format cannot hold is named."""
     from interarea.models.case.case import load_case
+    from interarea.models.case.errors import CaseError
     from interarea.models.case.variants import operating_variant
     from interarea.models.case.write_toml import export_toml
+    from interarea.models.exporters.matpower import matpower_of
+    from interarea.models.exporters.raw import raw_of
+    from interarea.models.files import write_whole
     from interarea.models.grid.powerflow import solve_powerflow
 
     from .destination import file_for
@@ -111,7 +120,17 @@ def export(
     loaded = load_case(case)
     if tie_flow or circuit_out or load_scale != 1.0:
         loaded = operating_variant(loaded, tie_flow_mw=tie_flow, out=circuit_out or (), load_scale=load_scale)
-    solve_powerflow(loaded)
+    flow = solve_powerflow(loaded)
+    suffix = out.suffix.lower()
+    if suffix not in (".toml", ".raw", ".m"):
+        raise CaseError(f"--out {out}: suffix {out.suffix!r}, allowed: .toml, .raw (PSS/E 33), .m (MATPOWER)")
     out.parent.mkdir(parents=True, exist_ok=True)
-    export_toml(loaded, out)
+    if suffix == ".toml":
+        export_toml(loaded, out)
+        typer.echo(out)
+        return
+    written = raw_of(loaded, flow) if suffix == ".raw" else matpower_of(loaded, flow)
+    write_whole(out, written.text)
     typer.echo(out)
+    for loss in written.losses:
+        typer.echo(f"not in the file: {loss}", err=True)

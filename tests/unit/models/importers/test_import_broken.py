@@ -46,7 +46,7 @@ def broken(text: str, rng: random.Random) -> str:
     return "\n".join(lines)
 
 
-def outcome(read, path: Path) -> str:
+def check_outcome(read, path: Path) -> str:
     """Return "case", or the one line of the error, which must name the file."""
     try:
         solve_powerflow(read(path).case)
@@ -65,7 +65,7 @@ def test_raw_files_with_one_mistake(tmp_path: Path, version: int) -> None:
     seen = set()
     for _ in range(40):
         path.write_text(broken(raw_grid(version), rng), encoding="utf-8")
-        seen.add(outcome(import_psse, path) == "case")
+        seen.add(check_outcome(import_psse, path) == "case")
     assert seen == {True, False}
 
 
@@ -81,7 +81,7 @@ def test_raw_and_dyr_files_with_three_mistakes(tmp_path: Path) -> None:
             texts[k] = broken(texts[k], rng)
         raw.write_text(texts[0], encoding="utf-8")
         dyr.write_text(texts[1], encoding="utf-8")
-        outcome(lambda path: import_psse(path, dyr), raw)
+        check_outcome(lambda path: import_psse(path, dyr), raw)
 
 
 def test_matpower_files_with_two_mistakes(tmp_path: Path) -> None:
@@ -90,7 +90,7 @@ def test_matpower_files_with_two_mistakes(tmp_path: Path) -> None:
     text = matpower_text(load_case("kundur-manual"))
     for _ in range(40):
         path.write_text(broken(broken(text, rng), rng), encoding="utf-8")
-        outcome(import_matpower, path)
+        check_outcome(import_matpower, path)
 
 
 def test_a_command_that_fails_writes_nothing(tmp_path: Path, monkeypatch, capsys) -> None:

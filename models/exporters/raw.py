@@ -1,0 +1,161 @@
+"""A case as a PSS/E RAW file of version 33, with its solved voltages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from ..case.case import Case
+from ..case.errors import CaseError
+from ..case.schema import Branch, Machine
+from ..grid.powerflow import PowerFlow, solve_powerflow
+from .written import Written, losses_of_network, named
+
+_LONGEST_NAME = 12  #: characters of a bus name in PSS/E
+_LARGEST_BUS = 999_997
+
+
+def raw_of(case: Case, flow: PowerFlow | None = None) -> Written:
+    """Return `case` at its power flow (solved here when not given) as a RAW file of version 33.
+
+    Every digit of a number is kept. The charging of a transformer becomes shunts at its ends. Reading the
+    file gives the same admittances, powers and voltages; machines and branches get their names from the
+    buses.
+
+    Raises
+    ------
+    CaseError : a bus number above 999997, more circuits between two buses than identifiers.
+    PowerFlowError : the power flow has no solution.
+    """
+    flow = flow or solve_powerflow(case)
+    losses = losses_of_network(case)
+    for bus in case.buses:
+        if bus.number > _LARGEST_BUS:
+            raise CaseError(f"{case.name}: bus {bus.number}, allowed: at most {_LARGEST_BUS} in a RAW file")
+    long = [str(bus.number) for bus in case.buses if len(bus.name) > _LONGEST_NAME]
+    if long:
+        losses.append(f"names of buses beyond {_LONGEST_NAME} characters (bus {named(long)})")
+    if any(bus.latitude_deg is not None for bus in case.buses):
+        losses.append("places of the buses on the map")
+    swung = [b for b in case.branches if _is_transformer(b)]
+    charged = [b for b in swung if b.b]
+    if charged:
+        losses.append(f"charging of transformers, which becomes shunts ({named(b.name for b in charged)})")
+    title = case.title.replace("\n", " ")[:60]
+    lines = [f"0, {case.base_mva!r}, 33, 0, 1, {case.frequency_hz!r} / {case.name}", title, case.source[:60]]
+    _section(lines, "BUS", "LOAD", _buses(case, flow))
+    _section(lines, "LOAD", "FIXED SHUNT", _loads(case))
+    _section(lines, "FIXED SHUNT", "GENERATOR", _shunts(case, charged))
+    _section(lines, "GENERATOR", "BRANCH", _machines(case, flow))
+    circuit = _circuits(case)
+    _section(lines, "BRANCH", "TRANSFORMER", (_line(b, circuit(b)) for b in case.branches if b not in swung))
+    _section(lines, "TRANSFORMER", "AREA", (_transformer(b, circuit(b)) for b in swung))
+    rest = (
+        "AREA", "TWO-TERMINAL DC", "VSC DC LINE", "IMPEDANCE CORRECTION", "MULTI-TERMINAL DC",
+        "MULTI-SECTION LINE", "ZONE", "INTER-AREA TRANSFER", "OWNER", "FACTS DEVICE", "SWITCHED SHUNT", "GNE",
+        "INDUCTION MACHINE",
+    )  # fmt: skip
+    for name, following in zip(rest, (*rest[1:], ""), strict=True):
+        _section(lines, name, following, ())
+    return Written("\n".join([*lines, "Q", ""]), tuple(losses))
+
+
+def _section(lines: list[str], name: str, following: str, rows: Iterable[str]) -> None:
+    lines.extend(rows)
+    begin = f", BEGIN {following} DATA" if following else ""
+    lines.append(f"0 / END OF {name} DATA{begin}")
+
+
+def _is_transformer(branch: Branch) -> bool:
+    return branch.kind == "transformer" or branch.tap != 1.0 or branch.shift_deg != 0.0
+
+
+def _buses(case: Case, flow: PowerFlow) -> Iterable[str]:
+    kinds = {m.bus: 3 if m.slack else 2 for m in sorted(case.machines, key=lambda m: m.slack)}
+    voltages = zip(case.buses, flow.magnitudes, flow.angles_deg, strict=True)
+    for bus, magnitude, angle in voltages:
+        name = bus.name[:_LONGEST_NAME].replace("'", " ")
+        yield (
+            f"{bus.number},'{name:12s}',{bus.kv or 0.0!r},{kinds.get(bus.number, 1)},{bus.area},1,1,"
+            f"{float(magnitude)!r},{float(angle)!r}"
+        )
+
+
+def _loads(case: Case) -> Iterable[str]:
+    identity = _identities()
+    for q in case.loads:
+        on, name = int(q.in_service), identity(q.bus, q.name)
+        yield f"{q.bus},'{name}',{on},1,1,{q.P_mw!r},{q.Q_mvar!r},0,0,0,0,1,1,0"
+
+
+def _shunts(case: Case, charged: list[Branch]) -> Iterable[str]:
+    identity = _identities()
+    for s in case.shunts:
+        yield f"{s.bus},'{identity(s.bus, s.name)}',{int(s.in_service)},{s.P_mw!r},{s.Q_mvar!r}"
+    for b in charged:
+        half = 0.5 * b.b * case.base_mva
+        for bus, q in ((b.from_bus, half / b.tap**2), (b.to_bus, half)):
+            yield f"{bus},'{identity(bus, b.name)}',{int(b.in_service)},0.0,{q!r}"
+
+
+def _machines(case: Case, flow: PowerFlow) -> Iterable[str]:
+    identity = machine_identities(case)
+    for m, power in zip(case.machines, flow.generation * case.base_mva, strict=True):
+        x = reactance(m)
+        yield (
+            f"{m.bus},'{identity[m.name]}',{float(power.real)!r},{float(power.imag)!r},9999.0,-9999.0,"
+            f"{m.V_pu!r},0,{m.base_mva!r},{m.Ra!r},{x!r},0.0,0.0,1.0,1,100.0,9999.0,-9999.0,1,1.0"
+        )
+
+
+def reactance(machine: Machine) -> float:
+    """Return ZX of a machine, pu: between its inner EMF and its terminal; 1 when it is not known."""
+    value = machine.Xd2 if machine.model == "round_rotor" else machine.Xd1
+    return 1.0 if value is None else value
+
+
+def _line(b: Branch, circuit: str) -> str:
+    on = int(b.in_service)
+    return f"{b.from_bus},{b.to_bus},'{circuit}',{b.r!r},{b.x!r},{b.b!r},0,0,0,0,0,0,0,{on},1,0,1,1"
+
+
+def _transformer(b: Branch, circuit: str) -> str:
+    head = f"{b.from_bus},{b.to_bus},0,'{circuit}',1,1,1,0.0,0.0,2,'            ',{int(b.in_service)},1,1"
+    winding = f"{b.tap!r},0.0,{b.shift_deg!r},0,0,0,0,0,1.1,0.9,1.1,0.9,33,0,0,0,0"
+    return "\n".join([head, f"{b.r!r},{b.x!r},{100.0!r}", winding, "1.0,0.0"])
+
+
+def machine_identities(case: Case) -> dict[str, str]:
+    """Return machine name -> its identifier at its bus, the same in RAW and DYR."""
+    identity = _identities()
+    return {m.name: identity(m.bus, m.name) for m in case.machines}
+
+
+def _circuits(case: Case) -> Callable[[Branch], str]:
+    identity = _identities()
+    words = {
+        b.name: identity(min(b.from_bus, b.to_bus), b.name, max(b.from_bus, b.to_bus)) for b in case.branches
+    }
+    return lambda branch: words[branch.name]
+
+
+def _identities() -> Callable[..., str]:
+    """A function that numbers what stands at a bus; the last word of a name is kept if short and free."""
+    used: dict[tuple[int, int], set[str]] = {}
+
+    def identity(bus: int, name: str, other: int = 0) -> str:
+        taken = used.setdefault((bus, other), set())
+        last = name.replace("_", " ").split()[-1].upper()
+        if len(last) > 2 or last in taken or last == name.upper() or not last.isalnum():
+            last = next(word for word in _words() if word not in taken)
+        taken.add(last)
+        return last
+
+    return identity
+
+
+def _words() -> Iterable[str]:
+    yield from (str(k) for k in range(1, 100))
+    yield from (
+        f"{a}{b}" for a in "ABCDEFGHIJKLMNOPQRSTUVWXYZ" for b in "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+    )
+    raise CaseError("more than 1035 elements at one bus, allowed: as many as identifiers of two characters")

@@ -1,0 +1,38 @@
+"""The text of a case in another format, and what that format cannot hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from ..case.case import Case
+
+
+@dataclass(frozen=True)
+class Written:
+    """A file's text; losses : one line for each kind of thing that the file does not say."""
+
+    text: str
+    losses: tuple[str, ...]
+
+
+def named(names: Iterable[str], most: int = 5) -> str:
+    """Return the first names of a list, and how many more there are."""
+    every = list(names)
+    more = f" and {len(every) - most} more" if len(every) > most else ""
+    return ", ".join(every[:most]) + more
+
+
+def losses_of_network(case: Case) -> list[str]:
+    """Return what no file of a power flow holds."""
+    losses = []
+    curved = [q.name for q in case.loads if q.P_zip or q.Q_zip or (q.P_exponent, q.Q_exponent) != (2.0, 2.0)]
+    if curved:
+        losses.append(f"how loads follow the voltage ({named(curved)})")
+    if case.tie is not None:
+        losses.append("the tie")
+    if case.events:
+        losses.append("the events")
+    if case.solver_step_s is not None:
+        losses.append("the solver step")
+    return losses
