@@ -37,6 +37,7 @@ class Platform:
     suffix: str
     compile_flags: tuple[str, ...] = ()
     link_flags: tuple[str, ...] = ()
+    library: str = "-shared"  #: what makes the linker's output a library
 
 
 #: Platforms by name; `folder` is FMI 2.0's where the standard has one.
@@ -52,6 +53,11 @@ PLATFORMS: dict[str, Platform] = {
         ),
     )
 }
+
+#: What a web page runs; no FMU holds it. 256 KiB of stack: zig's own 16 MiB would be memory of every page.
+WEB_PAGE = Platform(
+    "wasm32", "", "wasm32-wasi", ".wasm", ("-Oz",), ("-s", "-Wl,-z,stack-size=262144"), "-mexec-model=reactor"
+)
 
 
 def host_platform() -> str:
@@ -224,9 +230,19 @@ def compile_library(
     return _compiled(kind, tuple(sources.items()), PLATFORMS[platform], cache or default_cache())
 
 
+def compile_web_page(kind: str, sources: dict[str, bytes], *, cache: Path | None = None) -> Path:
+    """Return the cached WebAssembly module of `sources` (`gather_sources`), compiled with an FMU's flags.
+
+    Raises
+    ------
+    BuildError : no compiler that can make WebAssembly, or the compiler's own message.
+    """
+    return _compiled(kind, tuple(sources.items()), WEB_PAGE, cache or default_cache())
+
+
 def _compiled(kind: str, sources: tuple[tuple[str, bytes], ...], to: Platform, cache: Path) -> Path:
     command, version = _compiler()
-    flags = [*_CODE, *_STRICT, *to.compile_flags, "-shared", *to.link_flags]
+    flags = [*_CODE, *_STRICT, *to.compile_flags, to.library, *to.link_flags]
     if "ziglang" in command:
         flags += ["-target", to.target]
         if to.name.startswith("darwin"):

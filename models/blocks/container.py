@@ -14,16 +14,12 @@ from .plant import SOURCES as PLANT_SOURCES
 from .variables import STEP_PARAMETER, Block, Role, Variable, VariableTable
 
 _HERE = Path(__file__).resolve().parents[1] / "c"
-_SOURCES = tuple(
-    _HERE / "container" / name
-    for name in (
-        "loop.c",
-        "loop_step.c",
-        "plant_member.c",
-        "controller_member.c",
-        "channel_member.c",
-        "supervisor_member.c",
-    )
+_OWN = ("loop", "loop_step", "plant_member", "controller_member", "channel_member", "supervisor_member")
+#: C files of every container: its own, and of the members' those that no `*_member.c` includes.
+SOURCES = (
+    *(_HERE / f"container/{name}.c" for name in _OWN),
+    *(p for p in PLANT_SOURCES if p.name not in ("plant.c", "record.c")),
+    *(p for p in channel_block().sources if p.name != "channel.c"),
 )
 _KINDS = {"plant": 0, "controller": 1, "channel": 2, "supervisor": 3}  #: as loop.h counts
 _MOST = 24  #: LOOP_MEMBERS of loop.h
@@ -95,11 +91,7 @@ def loop_block(
         description=description or f"Closed loop of {', '.join(m.name for m in members)}",
         table=VariableTable([v for m in members for v in _outside(m)]),
         data=data,
-        sources=(
-            *_SOURCES,
-            *(p for p in PLANT_SOURCES if p.name not in ("plant.c", "record.c")),
-            *(p for p in channel_block().sources if p.name != "channel.c"),
-        ),
+        sources=SOURCES,
         step_s=step_s,
         stop_s=stop_s,
         internal_step_s=integrated,
