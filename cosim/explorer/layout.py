@@ -9,7 +9,6 @@ from scipy.sparse.csgraph import shortest_path
 from interarea.models.case.case import Case
 
 _SWEEPS = 400
-_SPREAD = 0.55  #: power of the distance along branches: long ways are drawn shorter, so that areas show
 
 
 def bus_positions(case: Case) -> dict[int, tuple[float, float]]:
@@ -29,7 +28,7 @@ def bus_positions(case: Case) -> dict[int, tuple[float, float]]:
         weight[i, j] = weight[j, i] = 0.8 if branch.kind == "transformer" else 1.0
     distance = shortest_path(np.where(np.isfinite(weight), weight, 0.0), directed=False)
     reach = distance[np.isfinite(distance)].max()
-    wanted = np.where(np.isfinite(distance), distance, reach + 1.0) ** _SPREAD
+    wanted = np.where(np.isfinite(distance), distance, reach + 1.0)
     places = _majorized(_scaled(wanted), wanted)
     return {number: (float(x), float(y)) for number, (x, y) in zip(numbers, _turned(case, places), strict=True)}
 

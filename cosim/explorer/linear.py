@@ -45,9 +45,9 @@ def modal(system: control.StateSpace, inputs: Sequence[str], outputs: Sequence[s
     _check(A, B, C, poles, c, b)
     upper = np.flatnonzero(poles.imag >= 0.0)
     return {
-        "poles": [_pair(z) for z in poles[upper]],
-        "c": [[_pair(z) for z in row] for row in c[:, upper]],
-        "b": [[_pair(z) for z in row] for row in b[upper].T],
+        "poles": [_pair(z, 15) for z in poles[upper]],
+        "c": [[_pair(z, 12) for z in row] for row in c[:, upper]],
+        "b": [[_pair(z, 12) for z in row] for row in b[upper].T],
         "d": D.tolist(),
     }
 
@@ -65,5 +65,5 @@ def _check(A: Any, B: Any, C: Any, poles: ComplexMatrix, c: ComplexMatrix, b: Co
         )
 
 
-def _pair(z: complex) -> list[float]:
-    return [float(f"{z.real:.15g}"), float(f"{z.imag:.15g}")]
+def _pair(z: complex, digits: int) -> list[float]:
+    return [float(f"{z.real:.{digits}g}"), float(f"{z.imag:.{digits}g}")]

@@ -12,7 +12,6 @@ from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.concentrator import concentrator_block
 from interarea.models.blocks.plant import plant_block
 from interarea.models.blocks.variables import Block, VariableTable
-from interarea.models.case.case import load_case
 
 from ..master.fmu_file import FmuFile
 from ..master.instances import Value
@@ -71,7 +70,7 @@ def members_of(scenario: Scenario, *, cache: Path, controllers: Controllers | No
     blocks |= {n: concentrator_block(len(c.signals)) for n, c in scenario.concentrators.items()}
     foreign: dict[str, FmuFile] = {}
     if scenario.case:
-        case = load_case(scenario.case_path)
+        case = scenario.load_case()
         blocks["plant"] = plant_block(case, event_slots=max(EVENT_SLOTS, len(scenario.event)))
         path = scenario.controller_path
         if path is not None and path.suffix == ".fmu":

@@ -14,7 +14,6 @@ from interarea.design.controllers.bundled import shipped_names
 from interarea.fmu_build.write.cache import default_cache
 from interarea.fmu_build.write.package import block_fmu
 from interarea.models.blocks.plant import event_parameters, plant_block
-from interarea.models.case.case import load_case
 
 from ..errors import ScenarioError, nearest
 from ..master.fmu_file import FmuFile
@@ -268,7 +267,7 @@ def assemble(
         raise ScenarioError(f"{scenario.name}: case is missing; run_system runs FMUs without one")
 
     folder = default_cache() if cache is None else cache
-    case = load_case(scenario.case_path)
+    case = scenario.load_case()
     slots = max(EVENT_SLOTS, len(scenario.event))
     if slots == EVENT_SLOTS:
         plant_file = artefacts.plant_fmu(case, folder)
@@ -314,7 +313,7 @@ def wire(
     ScenarioError, CaseError : as `assemble`.
     """
     instances: dict[str, tuple[FmuFile, dict[str, Value]]] = {
-        _PLANT: (plant, dict(event_parameters(case, scenario.event)))
+        _PLANT: (plant, {**_plant_start(scenario, plant), **event_parameters(case, scenario.event)})
     }
     signals = [p.name for p in plant.description.outputs]
     connections: list[tuple[str, str]] = []
@@ -368,6 +367,14 @@ def wire(
     return Wiring(instances, tuple(connections))
 
 
+def _plant_start(scenario: Scenario, plant: FmuFile) -> dict[str, Value]:
+    """Start values of the plant's parameters that the scenario gives."""
+    known = [v.name for v in plant.variables.values() if v.causality == "parameter"]
+    for name in scenario.plant:
+        _known(name, known, f"{scenario.name}: plant.{name} is no parameter of the plant")
+    return dict(scenario.plant)
+
+
 def _known(name: str, known: Iterable[str], what: str) -> None:
     if name not in known:
         raise ScenarioError(f"{what}; {nearest(name, known)}")
@@ -389,7 +396,27 @@ def _controller_file(
 def controller_of(
     scenario: Scenario, case: Case, cache: Path, controllers: Controllers | None
 ) -> Controller | ControllerBank | None:
-    """Return the controller a scenario names, or None."""
+    """Return the controller a scenario names, changed as it says, or None.
+
+    It is that of the case as the file has it: another operating point changes no design.
+    """
+    named = _named_controller(scenario, scenario.as_given(case), cache, controllers)
+    gain, limit = scenario.controller_gain, scenario.controller_limit_pu
+    if named is None or (gain == 1.0 and limit is None):
+        return named
+    from interarea.design.controllers.controller import Controller
+
+    if not isinstance(named, Controller):
+        raise ScenarioError(
+            f"{scenario.name}: controller_gain and controller_limit_pu change one controller, "
+            f"{scenario.controller!r} is a bank; change its members"
+        )
+    return named.scaled(gain, limit)
+
+
+def _named_controller(
+    scenario: Scenario, case: Case, cache: Path, controllers: Controllers | None
+) -> Controller | ControllerBank | None:
     if scenario.controller == "none":
         return None
     path = scenario.controller_path

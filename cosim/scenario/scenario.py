@@ -44,6 +44,16 @@ latency = {kind = "gamma", shape, scale_s} | {kind = "empirical", quantiles_s} o
 loss = {kind = "bernoulli", rate} | {kind = "gilbert_elliott", good_to_bad, bad_to_good, loss_good, loss_bad},
 pdc_wait_s, seed; and, with or without packets, quantum.
 
+Changes to what `case` and `controller` name, so that no copy of either is needed:
+
+    controller_gain = 1.2              # times the controller's output, before its limit
+    controller_limit_pu = 0.1
+    [operating_point]                  # interarea.models.case.variants: also out = ["8-9 a"]
+    tie_flow_mw = 100.0
+    load_scale = 0.95
+    [plant]                            # start values of the plant FMU's parameters
+    "G1.exciter.Efd_max" = 5.0
+
 Optional besides: `swing = ["G2", "G4"]`, the machines whose difference of speeds the run is judged by
 (default: those of the case, else the extreme ones of the inter-area mode's shape); `title`, `source`,
 `[master]` (inputs, loops, tolerance, arrivals, early) and `[expect]`, the outcome that the gallery states
@@ -61,8 +71,10 @@ from pydantic import AliasChoices, BaseModel, Field, ValidationError, field_vali
 
 from interarea.design.controllers.bundled import shipped_names
 from interarea.models.blocks.concentrator import MOST_SIGNALS
+from interarea.models.case.case import Case, load_case
 from interarea.models.case.errors import CaseError
 from interarea.models.case.events import events_of
+from interarea.models.case.variants import operating_variant
 
 from ..clock import moved, on_tick
 from ..early_return import Early
@@ -133,6 +145,14 @@ class MasterTable(Table):
         return self.model_dump(exclude={"arrivals"})
 
 
+class OperatingPointTable(Table):
+    """Another operating point of the case: see `operating_variant`."""
+
+    tie_flow_mw: float = 0.0
+    load_scale: Annotated[float, Field(gt=0.0)] = 1.0
+    out: tuple[str, ...] = ()  #: names of branches
+
+
 class Expectation(Table):
     """The stated outcome: `damping_ratio` and `settling_time_s` as [least, most]."""
 
@@ -149,6 +169,10 @@ class Scenario(Table):
 
     case: str = ""
     controller: Annotated[str, Field(min_length=1)] = "none"
+    controller_gain: float = 1.0
+    controller_limit_pu: Annotated[float, Field(gt=0.0)] | None = None
+    operating_point: OperatingPointTable = OperatingPointTable()
+    plant: Mapping[str, float] = {}
     stop_s: Annotated[float, Field(gt=0.0)]
     step_s: Annotated[float, Field(gt=0.0)] | None = None
     channels: Mapping[str, ChannelTable] = {}
@@ -190,6 +214,14 @@ class Scenario(Table):
                 raise ValueError("case is missing (or fmus: a scenario needs something to run)")
             if self.event or self.controller != "none":
                 raise ValueError("event and controller need a case; FMUs of one's own come under fmus")
+            if self.plant or self.operating_point != OperatingPointTable():
+                raise ValueError("plant and operating_point need a case")
+        if self.controller_gain != 1.0 or self.controller_limit_pu is not None:
+            if self.controller == "none" or self.controller.endswith(".fmu"):
+                raise ValueError(
+                    f"controller_gain and controller_limit_pu do nothing to controller = {self.controller!r}, "
+                    "allowed: with a controller that is made here"
+                )
         for path in self.connections:
             if len(path) < 2:
                 raise ValueError(f"connections has {list(path)}, allowed: source, channels, target")
@@ -262,6 +294,17 @@ class Scenario(Table):
     def case_path(self) -> str | Path:
         """The case as `load_case` takes it: a bundled name, or a file beside the scenario."""
         return _beside(self.folder, self.case)
+
+    def load_case(self) -> Case:
+        """Return the case at the scenario's operating point; CaseError as `load_case`, `operating_variant`."""
+        case = load_case(self.case_path)
+        if self.operating_point == OperatingPointTable():
+            return case
+        return operating_variant(case, **self.operating_point.model_dump())
+
+    def as_given(self, case: Case) -> Case:
+        """Return `case`, which `load_case` gave, without the change of `operating_point`."""
+        return case if self.operating_point == OperatingPointTable() else load_case(self.case_path)
 
     @property
     def controller_path(self) -> Path | None:
@@ -370,6 +413,7 @@ def _keys(location: tuple[int | str, ...]) -> list[str]:
         "fmus": FmuTable,
         "master": MasterTable,
         "expect": Expectation,
+        "operating_point": OperatingPointTable,
     }
     if location[0] == "concentrators":
         return ConcentratorTable.keys_at(location[2:])

@@ -84,6 +84,15 @@ class Controller:
         """Number of states."""
         return int(self.system.nstates)
 
+    def scaled(self, gain: float = 1.0, limit_pu: float | None = None) -> Controller:
+        """Return this controller with its output times `gain` before its limit; what was certified is not it."""
+        K = self.system
+        system = control.ss(
+            K.A, K.B, gain * K.C, gain * K.D, inputs=self.inputs, outputs=self.outputs, name=self.name
+        )
+        limit = self.limit_pu if limit_pu is None else limit_pu
+        return replace(self, system=system, limit_pu=limit, certificate=None)
+
     def save(self, path: str | Path) -> Path:
         """Write the controller as JSON; every number survives to the last bit."""
         return write_whole(path, json_text(self.as_dict()))

@@ -11,6 +11,7 @@
 #define EXPORT(name) __attribute__((export_name(#name)))
 
 enum { FIRST_MESSAGE_SIZE = 1024 };
+#define BOOLEAN 0x80000000u     /* marks the reference of a Boolean, which fmi2GetInteger refuses */
 
 /* One model that the page has opened. */
 typedef struct {
@@ -122,8 +123,10 @@ static fmi2Status read_row(Session *s, const fmi2ValueReference *real_references
     fmi2Status status = fmi2GetReal(s->component, real_references, n_reals, row);
 
     for (size_t i = 0; i < n_integers && status == fmi2OK; ++i) {
+        const fmi2ValueReference reference = integer_references[i] & ~BOOLEAN;
         int value = 0;
-        status = fmi2GetInteger(s->component, &integer_references[i], 1, &value);
+        status = (integer_references[i] & BOOLEAN) != 0 ? fmi2GetBoolean(s->component, &reference, 1, &value)
+                                                        : fmi2GetInteger(s->component, &reference, 1, &value);
         row[n_reals + i] = (double)value;
     }
     return status;

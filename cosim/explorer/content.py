@@ -1,0 +1,278 @@
+"""What a page knows about its grid, as JSON values: names, places, controllers, events, how it starts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from interarea.design.controllers.controller import Controller
+from interarea.design.linear.linearise import LinearisationError
+from interarea.design.modes.modes import ModeError, modes_of
+from interarea.models.blocks.plant import EVENT_CODES, event_parameters, shortest_time_s
+from interarea.models.case.case import Case
+from interarea.models.case.errors import CaseError
+from interarea.models.case.events import event_of
+from interarea.models.grid.equilibrium import operating_point
+from interarea.models.grid.network import load_power
+
+from ..scenario.channels import BernoulliLoss, GilbertElliottLoss
+from ..scenario.scenario import Scenario
+from .layout import bus_positions
+from .linear import modal
+from .models import SLOTS, step_s
+from .subject import Subject
+
+VERSION = 1  #: of the address that a page understands
+#: Longest Runge-Kutta step while a slider moves, in shortest time constants of the grid: stable up to 2.4, and
+#: where limits act the error comes first.
+_COARSE, _COARSE_AT_LIMITS, _COARSEST_S = 2.0, 1.25, 0.005
+_PULSES = ("vref_pulse", "pm_pulse")
+
+
+def content_of(subject: Subject) -> dict[str, Any]:
+    """Return all that a page shows and moves, besides the records and their references.
+
+    Raises
+    ------
+    ScenarioError : more events than a page can set.
+    """
+    scenario, case = subject.scenario, subject.case
+    shortest = shortest_time_s(operating_point(case))
+    exact = case.solver_step_s or max(min(0.001, shortest), 1e-6)
+    return {
+        "version": VERSION,
+        "name": scenario.name,
+        "title": scenario.title,
+        "case": {
+            "name": case.name,
+            "title": case.title,
+            "reference": scenario.case,
+            "frequency": case.frequency_hz,
+            "base": case.base_mva,
+        },
+        "stop": scenario.stop_s,
+        "step": step_s(scenario),
+        "solver": {
+            "exact": exact,
+            "fast": max(exact, min(_COARSE * shortest, _COARSEST_S)),
+            "limits": max(exact, min(_COARSE_AT_LIMITS * shortest, _COARSEST_S)),
+        },
+        "machines": [{"name": m.name, "area": m.area, "bus": m.bus} for m in case.machines],
+        "buses": _buses(case),
+        "branches": [
+            {"name": b.name, "ends": [b.from_bus, b.to_bus], "kind": b.kind, "closed": b.in_service}
+            for b in case.branches
+        ],
+        "tie": None if case.tie is None else {"branches": list(case.tie.branches)},
+        "swing": swing_of(subject),
+        "channels": [
+            {"name": name, "signal": signal, "table": dict(table)}
+            for name, (signal, table) in subject.channels.items()
+        ],
+        "controllers": [_controller(subject, name) for name in subject.controllers],
+        "points": [_point(subject, k) for k in range(len(subject.points))],
+        "events": _events(subject),
+        "ceilings": _ceilings(subject),
+        "plant": dict(scenario.plant),
+        "start": _start(subject),
+    }
+
+
+def _buses(case: Case) -> list[dict[str, Any]]:
+    places = bus_positions(case)
+    loaded = {row.bus for row in case.loads}
+    return [
+        {
+            "number": bus.number,
+            "area": bus.area,
+            "x": round(places[bus.number][0], 4),
+            "y": round(places[bus.number][1], 4),
+            "load": bus.number in loaded,
+        }
+        for bus in case.buses
+    ]
+
+
+def swing_of(subject: Subject) -> dict[str, Any]:
+    """Return the speed difference that the page judges by: weights of the machines, and its name in words.
+
+    That of the signals where the channels carry the speeds of two machines of different areas; else the
+    mean speeds of the first and last area; in one area, of the two sides of its slowest swing mode.
+    """
+    case = subject.case
+    first = subject.first
+    signals = subject.controllers[first].inputs if first is not None else ()
+    carried = [m for m in (s.removesuffix("_dw") for s in signals if s.endswith("_dw")) if m in case.areas]
+    if len(carried) == 2 and case.areas[carried[0]] != case.areas[carried[1]]:
+        return {"label": f"Speed of {carried[0]} less {carried[1]}", "weights": {carried[0]: 1.0, carried[1]: -1.0}}
+    areas = sorted(set(case.areas.values()))
+    if len(areas) > 1:
+        sides = [[m for m, a in case.areas.items() if a == area] for area in (areas[0], areas[-1])]
+        label = f"Speed of area {areas[0]} less area {areas[-1]}"
+    else:
+        sides = _sides(subject)
+        label = f"Speed of {', '.join(sides[0])} less {', '.join(sides[1])}" if sides[1] else f"Speed of {sides[0][0]}"
+    weights = {m: sign / len(side) for sign, side in zip((1.0, -1.0), sides, strict=True) for m in side}
+    return {"label": label, "weights": weights}
+
+
+def _sides(subject: Subject) -> list[list[str]]:
+    """The machines with the largest motion on either side of the slowest swing mode."""
+    try:
+        modes = modes_of(subject.linear(subject.points[0]), subject.case.areas)
+        slowest = min(modes.values(), key=lambda mode: mode.frequency_hz)
+    except (ModeError, LinearisationError, ValueError):
+        return [[subject.case.machines[0].name], []]
+    motion = {m: float(np.real(z)) for m, z in slowest.shape.items()}
+    return [[max(motion, key=motion.__getitem__)], [min(motion, key=motion.__getitem__)]]
+
+
+def _controller(subject: Subject, name: str) -> dict[str, Any]:
+    made = subject.controllers[name]
+    values: dict[str, Any] = {
+        "key": name,
+        "name": made.name,
+        "inputs": list(made.inputs),
+        "outputs": list(made.outputs),
+        "limit": made.limit_pu,
+    }
+    if not isinstance(made, Controller):
+        return values | {"bank": [member.name for member in made.members], "modal": None}
+    K = made.system
+    # as Controller.block: speeds in pu at the FMU, rad/s in the design
+    scale = [subject.case.omega_b if u.endswith("_dw") else 1.0 for u in made.inputs]
+    return values | {
+        "order": made.order,
+        "C": K.C.tolist(),
+        "D": K.D.tolist(),
+        "scale": scale,
+        "modal": _or_why(lambda: modal(K, made.inputs, made.outputs)),
+    }
+
+
+def _point(subject: Subject, number: int) -> dict[str, Any]:
+    point = subject.points[number]
+    actuators = sorted({u for made in subject.controllers.values() for u in made.outputs})
+    signals = sorted({s for s, _ in subject.channels.values()})
+    speeds = [f"{m.name}_dw" for m in point.case.machines]
+    outputs = list(dict.fromkeys([*speeds, *signals]))
+    loads = {row.name: load_power(point.case, row) for row in point.case.loads}
+    return {
+        "label": point.label,
+        "changes": dict(point.changes),
+        "loads": {name: [z.real, z.imag] for name, z in loads.items()},
+        "outputs": outputs,
+        "actuators": actuators,
+        "modal": _or_why(lambda: modal(subject.linear(point), actuators, outputs)),
+    }
+
+
+def _or_why(make: Any) -> dict[str, Any]:
+    """The modal form, or why there is none: a page without eigenvalues is still a page."""
+    try:
+        values: dict[str, Any] = make()
+    except LinearisationError as error:
+        return {"why": str(error)}
+    return values
+
+
+def _events(subject: Subject) -> dict[str, Any]:
+    """For every kind of event of the page: where it can happen, and the number of that place in the plant."""
+    case = subject.case
+
+    def targets(tables: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        places = []
+        for table in tables:
+            key = next(k for k in ("machine", "bus", "branch", "load") if k in table)
+            try:
+                values = event_parameters(case, [event_of(table, where="event")])
+            except CaseError:
+                continue  # such as a trip that cuts the network in pieces
+            places.append({"name": table[key], "target": values["event[1].target"]})
+        return places
+
+    span = {"start_s": 1.0, "end_s": 1.2}
+    return {
+        "codes": EVENT_CODES,
+        "nudge": targets([{"kind": "vref_pulse", "machine": m.name, "size_pu": 0.1, **span} for m in case.machines]),
+        "power": targets([{"kind": "pm_pulse", "machine": m.name, "size_pu": 0.1, **span} for m in case.machines]),
+        "fault": targets([{"kind": "bus_fault", "bus": b.number, **span} for b in case.buses]),
+        "trip": targets(
+            [{"kind": "branch_trip", "branch": b.name, "start_s": 1.0} for b in case.branches if b.in_service]
+        ),
+        "load": targets([{"kind": "load_step", "load": q.name, "size_pu": 0.1, "start_s": 1.0} for q in case.loads]),
+        "given": _given_events(subject),
+    }
+
+
+def _given_events(subject: Subject) -> dict[str, Any]:
+    """The scenario's own events: as parameters of the plant, and as tables for the saved scenario."""
+    from ..errors import ScenarioError
+
+    events = subject.scenario.event
+    if len(events) > SLOTS:
+        raise ScenarioError(
+            f"{subject.scenario.name}: {len(events)} events, allowed on a page: {SLOTS}; take some out"
+        )
+    return {
+        "parameters": {f"plant.{k}": v for k, v in event_parameters(subject.case, events).items()},
+        "tables": [e.model_dump(exclude_none=True) for e in events],
+    }
+
+
+def _ceilings(subject: Subject) -> dict[str, Any] | None:
+    """The exciters that have no limits and could have: names of their parameters, and the least that leaves
+    the operating point alone."""
+    machines = [m for m in subject.case.machines if m.exciter.kind in ("static", "static_tgr")]
+    free = [m.name for m in machines if getattr(m.exciter, "Efd_max", None) is None]
+    if not free or len(free) != len(machines) or any("Efd_" in name for name in subject.scenario.plant):
+        return None
+    point = operating_point(subject.case)
+    voltages = [s.start for s in point.states if s.name.endswith(".Efd")]
+    return {"machines": free, "least": float(np.ceil(max(voltages, default=3.0) + 1.0))}
+
+
+def _start(subject: Subject) -> dict[str, Any]:
+    """The page's state at the start, in the units of its labels; what it lacks is nothing special."""
+    scenario = subject.scenario
+    state: dict[str, Any] = {"k": scenario.controller, "g": scenario.controller_gain, **_event_state(subject)}
+    if scenario.controller_limit_pu is not None:
+        state["l"] = scenario.controller_limit_pu
+    for name, channel in scenario.channels.items():
+        values = {
+            "latency": _ms(channel.latency_s),
+            "jitter": _ms(channel.jitter_s),
+            "interval": _ms(channel.reporting_interval_s),
+            "seed": channel.seed,
+            "on_loss": channel.on_loss,
+            "hold": _ms(channel.hold_s),
+        }
+        if channel.outages_s:
+            values["lost"], values["back"] = channel.outages_s[0]
+        if isinstance(channel.loss, BernoulliLoss):
+            values["loss"] = 100.0 * channel.loss.rate
+        elif isinstance(channel.loss, GilbertElliottLoss):
+            bad = channel.loss.good_to_bad / (channel.loss.good_to_bad + channel.loss.bad_to_good)
+            values["loss"] = 100.0 * (bad * channel.loss.loss_bad + (1.0 - bad) * channel.loss.loss_good)
+            values["burst"] = 1.0 / channel.loss.bad_to_good
+        state |= {f"{name}.{key}": value for key, value in values.items()}
+    return state
+
+
+def _ms(seconds: float) -> float:
+    return float(f"{1000.0 * seconds:.12g}")
+
+
+def _event_state(subject: Subject) -> dict[str, Any]:
+    """The scenario's events as the page's own kinds where they are one of these, else as given."""
+    scenario: Scenario = subject.scenario
+    events = list(scenario.event)
+    if not events:
+        return {"ev": "nothing"}
+    first = events[0]
+    state: dict[str, Any] = {"at": first.start_s}
+    if len(events) == 1 and first.kind in _PULSES:
+        kind = "nudge" if first.kind == "vref_pulse" else "power"
+        return state | {"ev": kind, kind: first.machine, "sz": 100.0 * first.size_pu, "end": first.end_s}
+    return state | {"ev": "given"}

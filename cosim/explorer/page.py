@@ -1,0 +1,90 @@
+"""The page: one HTML file with data, WebAssembly, worker, drawing and style in it."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import html
+import json
+from pathlib import Path
+from typing import Any
+
+from interarea.fmu_build.write.description_xml import product_version
+from interarea.fmu_build.write.package import write_whole
+
+from ..scenario.scenario import Scenario
+from .content import content_of
+from .models import GUID, models_of
+from .picture import picture_of
+from .presets import presets_of
+from .subject import Subject, subject_of
+from .wasm import container_wasm
+
+_WEB = Path(__file__).resolve().parent / "web"
+_SHARED = ("settings.js",)  #: by page and worker
+_WORKER = ("eigenvalues.js", "worker.js")
+_PAGE = ("link.js", "verdict.js", "plots.js", "diagram.js", "controls.js", "page.js")
+
+
+def write_explorer(source: str | Path | Scenario, path: str | Path, *, cache: Path) -> Path:
+    """Write the page of a scenario or case as one file that needs nothing besides it; return its path.
+
+    source : a `Scenario`, or the bundled name or file of a scenario or case. cache : folder of FMUs and designs.
+
+    Raises
+    ------
+    ScenarioError : a scenario that one container cannot hold; the part is named.
+    CaseError, BuildError : as in building its FMUs.
+    """
+    return write_whole(Path(path), explorer_page(subject_of(source, cache)).encode("utf-8"))
+
+
+def explorer_page(subject: Subject) -> str:
+    """Return the page's text."""
+    data, parts = page_data(subject)
+    worker = "\n".join(_compact(_read(name)) for name in _WORKER)
+    blob = base64.b64encode(packed(data, [worker.encode(), container_wasm(subject.cache), *parts])).decode("ascii")
+    name = subject.scenario.title or subject.case.title or subject.case.name
+    text = _read("page.html")
+    fields = {
+        "title": html.escape(f"{name} – interarea explorer"),
+        "style": _compact(_read("style.css")),
+        "picture": picture_of(subject),
+        "blob": blob,
+        "shared": "\n".join(_compact(_read(name)) for name in _SHARED),
+        "script": "\n".join(_compact(_read(name)) for name in _PAGE),
+    }
+    for key, value in fields.items():
+        text = text.replace("{{" + key + "}}", value)
+    return text
+
+
+def page_data(subject: Subject) -> tuple[dict[str, Any], list[bytes]]:
+    """Return what the page knows, as JSON values, and the records of its models."""
+    models, parts = models_of(subject)
+    data = content_of(subject)
+    data |= {"guid": GUID, "models": models, "product": product_version()}
+    return data | {"presets": presets_of(subject, data)}, parts
+
+
+def packed(data: dict[str, Any], parts: list[bytes]) -> bytes:
+    """Return data and parts as one gzip stream: u32 count, u32 lengths, JSON, parts; `unpack` of page.js reads it."""
+    pieces = [json.dumps(data, separators=(",", ":"), allow_nan=False).encode("utf-8"), *parts]
+    lengths = b"".join(len(p).to_bytes(4, "little") for p in pieces)
+    return gzip.compress(len(pieces).to_bytes(4, "little") + lengths + b"".join(pieces), 9, mtime=0)
+
+
+def _read(name: str) -> str:
+    return (_WEB / name).read_text(encoding="utf-8")
+
+
+def _compact(text: str) -> str:
+    """Without indents, blank lines and comments on lines of their own: what a browser does not need."""
+    lines: list[str] = []
+    comment = False
+    for line in (raw.strip() for raw in text.splitlines()):
+        if comment or line.startswith("/*"):
+            comment = "*/" not in line
+        elif line:
+            lines.append(line)
+    return "\n".join(lines)

@@ -1,0 +1,365 @@
+/* Every eigenvalue of the loop in sight, with exact delay, and the proof that none is missing.
+ *
+ * Plant G(s) and controller K(s) come in modal form; with E(s) = diag(exp(-s tau)) the roots are those of
+ * F(s) = det(sI - A) det(sI - A_K) det(I - K E G). Aberth's iteration finds all at once; the argument
+ * principle along the box in sight counts them. Complex numbers are pairs [re, im]. */
+'use strict';
+
+const cMul = (a, b) => [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]];
+const cAdd = (a, b) => [a[0] + b[0], a[1] + b[1]];
+const cSub = (a, b) => [a[0] - b[0], a[1] - b[1]];
+const cInv = (a) => {
+  const m = a[0] * a[0] + a[1] * a[1];
+  return [a[0] / m, -a[1] / m];
+};
+const cDiv = (a, b) => cMul(a, cInv(b));
+const cAbs = (a) => Math.hypot(a[0], a[1]);
+
+const SETTLED = 1e-7;     /* 1/s: the last move of a root that is shown */
+const SEEDS = 10;         /* roots that delay brings in from the left */
+
+/* Modal form with the conjugates filled in, in flat arrays. */
+class Modal {
+  constructor({ poles, c, b, d }, inputScale) {
+    const upper = poles.map((_, j) => j), lower = upper.filter((j) => poles[j][1] > 0);
+    const both = (row, scale) => {
+      const list = [...upper.map((j) => row[j]), ...lower.map((j) => [row[j][0], -row[j][1]])];
+      return Float64Array.from(list.flatMap((z) => [z[0] * scale, z[1] * scale]));
+    };
+    this.poles = [...upper.map((j) => poles[j]), ...lower.map((j) => [poles[j][0], -poles[j][1]])];
+    this.c = c.map((row) => both(row, 1));
+    this.b = b.map((row, i) => both(row, inputScale ? inputScale[i] : 1));
+    this.d = d.map((row) => row.map((x, i) => x * (inputScale ? inputScale[i] : 1)));
+  }
+
+  /* Values and derivatives at s for these outputs: [output][input] of [re, im, re', im']. */
+  at(s, outputs) {
+    const n = this.poles.length, inputs = this.b.length;
+    const out = outputs.map((o) => this.b.map((_, i) => [this.d[o][i], 0, 0, 0]));
+    for (let j = 0; j < n; ++j) {
+      const x = s[0] - this.poles[j][0], y = s[1] - this.poles[j][1], m = x * x + y * y;
+      const gr = x / m, gi = -y / m;                              /* 1 / (s - l) */
+      const hr = gi * gi - gr * gr, hi = -2 * gr * gi;            /* its derivative */
+      for (let i = 0; i < inputs; ++i) {
+        const b = this.b[i], br = b[2 * j], bi = b[2 * j + 1];
+        for (let k = 0; k < outputs.length; ++k) {
+          const c = this.c[outputs[k]], cr = c[2 * j], ci = c[2 * j + 1];
+          const rr = cr * br - ci * bi, ri = cr * bi + ci * br, z = out[k][i];
+          z[0] += rr * gr - ri * gi;
+          z[1] += rr * gi + ri * gr;
+          z[2] += rr * hr - ri * hi;
+          z[3] += rr * hi + ri * hr;
+        }
+      }
+    }
+    return out;
+  }
+}
+
+/* Determinant of a small complex matrix and the solution of M X = R, by elimination with pivots. */
+function eliminate(M, R) {
+  const n = M.length;
+  let det = [1, 0];
+  for (let k = 0; k < n; ++k) {
+    let p = k;
+    for (let i = k + 1; i < n; ++i) if (cAbs(M[i][k]) > cAbs(M[p][k])) p = i;
+    if (p !== k) {
+      [M[p], M[k]] = [M[k], M[p]];
+      if (R) [R[p], R[k]] = [R[k], R[p]];
+      det = [-det[0], -det[1]];
+    }
+    det = cMul(det, M[k][k]);
+    for (let i = k + 1; i < n; ++i) {
+      const f = cDiv(M[i][k], M[k][k]);
+      for (let j = k; j < n; ++j) M[i][j] = cSub(M[i][j], cMul(f, M[k][j]));
+      if (R) for (let j = 0; j < R[i].length; ++j) R[i][j] = cSub(R[i][j], cMul(f, R[k][j]));
+    }
+  }
+  if (R) {
+    for (let k = n - 1; k >= 0; --k) {
+      for (let j = 0; j < R[k].length; ++j) {
+        for (let i = k + 1; i < n; ++i) R[k][j] = cSub(R[k][j], cMul(M[k][i], R[i][j]));
+        R[k][j] = cDiv(R[k][j], M[k][k]);
+      }
+    }
+  }
+  return det;
+}
+
+class Loop {
+  constructor(plant, point, controller, made, signals) {
+    this.plant = plant;
+    this.controller = controller;
+    this.point = point;
+    this.signals = signals;             /* {input of the controller, output of the plant, tau} */
+    this.actuators = made ? made.outputs.map((u) => point.actuators.indexOf(u)) : [];
+    this.open = made === null || signals.length === 0;
+    this.poles = this.open ? plant.poles : [...plant.poles, ...controller.poles];
+  }
+
+  /* I - K E G at s, its derivatives by s and by a common factor on every latency. */
+  matrices(s) {
+    const G = this.plant.at(s, this.signals.map((x) => x.output));
+    const K = this.controller.at(s, this.controller.c.map((_, o) => o));
+    const p = this.actuators.length;
+    const M = [], Ms = [], Mt = [];
+    for (let i = 0; i < p; ++i) {
+      M.push([]);
+      Ms.push([]);
+      Mt.push([]);
+      for (let j = 0; j < p; ++j) {
+        let v = [i === j ? 1 : 0, 0], w = [0, 0], t = [0, 0];
+        this.signals.forEach(({ input, tau }, q) => {
+          const k = K[i][input], g = G[q][this.actuators[j]];
+          const size = Math.exp(-s[0] * tau), e = [size * Math.cos(s[1] * tau), -size * Math.sin(s[1] * tau)];
+          const k0 = [k[0], k[1]], k1 = [k[2], k[3]], g0 = [g[0], g[1]], g1 = [g[2], g[3]];
+          const kg = cMul(e, cMul(k0, g0));
+          v = cSub(v, kg);
+          w = cSub(w, cAdd(cMul(e, cAdd(cMul(k1, g0), cMul(k0, g1))), [-tau * kg[0], -tau * kg[1]]));
+          t = cAdd(t, cMul(s, [tau * kg[0], tau * kg[1]]));
+        });
+        M[i].push(v);
+        Ms[i].push(w);
+        Mt[i].push(t);
+      }
+    }
+    return [M, Ms, Mt];
+  }
+
+  det(s) {
+    return this.open ? [1, 0] : eliminate(this.matrices(s)[0], null);
+  }
+
+  /* F'/F at s, and that of det(I - K E G) by the common factor. */
+  slopes(s) {
+    let sum = [0, 0], byFactor = [0, 0];
+    for (const l of this.poles) sum = cAdd(sum, cInv(cSub(s, l)));
+    if (!this.open) {
+      const [M, Ms, Mt] = this.matrices(s), p = M.length;
+      const R = Ms.map((row, i) => [...row, ...Mt[i]]);
+      eliminate(M, R);
+      for (let i = 0; i < p; ++i) {
+        sum = cAdd(sum, R[i][i]);
+        byFactor = cAdd(byFactor, R[i][p + i]);
+      }
+    }
+    return [sum, byFactor];
+  }
+
+  /* The speeds of the machines in the motion of root s, the largest being 1 with angle 0. */
+  shape(s, machines) {
+    let x;
+    if (this.open) {
+      let near = 0;
+      this.plant.poles.forEach((l, j) => {
+        if (cAbs(cSub(s, l)) < cAbs(cSub(s, this.plant.poles[near]))) near = j;
+      });
+      x = machines.map((o) => [this.plant.c[o][2 * near], this.plant.c[o][2 * near + 1]]);
+    } else {
+      const u = this.nullVector(s), G = this.plant.at(s, machines);
+      x = G.map((row) => this.actuators.reduce((z, a, k) => cAdd(z, cMul([row[a][0], row[a][1]], u[k])), [0, 0]));
+    }
+    let most = [0, 0];
+    for (const z of x) if (cAbs(z) > cAbs(most)) most = z;
+    return cAbs(most) > 0 ? x.map((z) => cDiv(z, most)) : x;
+  }
+
+  /* u with (I - K E G) u = 0: two steps of inverse iteration. */
+  nullVector(s) {
+    const p = this.actuators.length;
+    let u = this.actuators.map((_, k) => [1, 0.1 * k]);
+    if (p === 1) return u;
+    for (let n = 0; n < 3; ++n) {
+      const R = u.map((z) => [z]), M = this.matrices([s[0] + 1e-9, s[1]])[0];
+      eliminate(M, R);
+      const size = Math.max(...R.map((row) => cAbs(row[0])));
+      u = R.map((row) => [row[0][0] / size, row[0][1] / size]);
+    }
+    return u;
+  }
+}
+
+/* One sweep of Aberth's iteration over the roots; returns how far the roots inside `box` moved. */
+function sweep(loop, roots, moves, box) {
+  let worst = 0;
+  for (let k = 0; k < roots.length; ++k) {
+    if (moves[k] < 1e-13) continue;
+    const s = roots[k];
+    const newton = cInv(loop.slopes(s)[0]);
+    let push = [0, 0];
+    for (let j = 0; j < roots.length; ++j) {
+      if (j === k) continue;
+      const gap = cSub(s, roots[j]);
+      if (gap[0] !== 0 || gap[1] !== 0) push = cAdd(push, cInv(gap));
+    }
+    let move = cDiv(newton, cSub([1, 0], cMul(newton, push)));
+    if (!Number.isFinite(move[0] + move[1])) move = [0, 0];   /* on a pole, which then is the root */
+    const size = cAbs(move);
+    if (size > 2) move = [move[0] * 2 / size, move[1] * 2 / size];
+    roots[k] = cSub(s, move);
+    moves[k] = size;
+    if (inside(roots[k], box) && size > worst) worst = size;
+  }
+  return worst;
+}
+
+function inside(s, box) {
+  return s[0] > box.left && s[0] < box.right && s[1] > box.low && s[1] < box.high;
+}
+
+/* How often `f` winds around zero along the box, counter-clockwise; null where it is not resolved. */
+function winding(f, box) {
+  const corners = [[box.left, box.low], [box.right, box.low], [box.right, box.high], [box.left, box.high]];
+  let total = 0, sound = true;
+  const walk = (a, fa, b, fb, depth) => {
+    const r = cDiv(fb, fa), turn = Math.atan2(r[1], r[0]);
+    if (Math.abs(turn) < 0.7 && depth > 0) {
+      total += turn;
+      return;
+    }
+    if (depth > 24 || !Number.isFinite(turn)) {
+      sound = false;
+      return;
+    }
+    const m = [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2], fm = f(m);
+    walk(a, fa, m, fm, depth + 1);
+    walk(m, fm, b, fb, depth + 1);
+  };
+  for (let k = 0; k < 4; ++k) {
+    const a = corners[k], b = corners[(k + 1) % 4];
+    let last = a, fl = f(a);
+    for (let i = 1; i <= 24; ++i) {
+      const next = [a[0] + (b[0] - a[0]) * i / 24, a[1] + (b[1] - a[1]) * i / 24], fn = f(next);
+      walk(last, fl, next, fn, 0);
+      last = next;
+      fl = fn;
+    }
+  }
+  return sound ? Math.round(total / (2 * Math.PI)) : null;
+}
+
+class Eigenvalues {
+  constructor(data) {
+    this.data = data;
+    this.kept = new Map();              /* model -> the roots as last found */
+    this.modals = new Map();
+  }
+
+  modal(key, numbers, scale) {
+    if (!this.modals.has(key)) this.modals.set(key, new Modal(numbers, scale));
+    return this.modals.get(key);
+  }
+
+  /* The loop of a state; its latencies times `factor`. Signals that are gone for good do nothing. */
+  loop(state, factor = 1) {
+    const number = value(this.data, state, 'op'), point = this.data.points[number];
+    if (point.modal.why) return { why: point.modal.why };
+    const made = controllerOf(this.data, state);
+    if (made && !made.modal) return { why: 'a bank of controllers has no one set of eigenvalues' };
+    if (made && made.modal.why) return { why: made.modal.why };
+    const plant = this.modal('p' + number, point.modal, null);
+    let mean = false, lost = false;
+    const signals = [];
+    for (const channel of channelsOf(this.data, state)) {
+      const table = channelTable(this.data, state, channel);
+      const last = (table.outages_s || []).slice(-1)[0];
+      if (last && last[1] >= this.data.stop) {
+        lost = true;
+        continue;
+      }
+      const extra = 0.5 * ((table.reporting_interval_s || 0) + (table.jitter_s || 0));
+      mean = mean || extra > 0;
+      signals.push({ input: made.inputs.indexOf(channel.signal), output: point.outputs.indexOf(channel.signal),
+        tau: factor * ((table.latency_s || 0) + extra) });
+    }
+    const gain = value(this.data, state, 'g');
+    let controller = null;
+    if (made) {
+      const numbers = gain === 1 ? made.modal
+        : { ...made.modal, c: made.modal.c.map((row) => row.map((z) => [gain * z[0], gain * z[1]])),
+          d: made.modal.d.map((row) => row.map((x) => gain * x)) };
+      controller = gain === 1 ? this.modal('k' + made.key, numbers, made.scale) : new Modal(numbers, made.scale);
+    }
+    const loop = new Loop(plant, point, controller, made, signals);
+    return { loop, mean, lost, key: number + '/' + (made ? made.key : '') + '/' + signals.map((x) => x.input).join() };
+  }
+
+  /* What is in sight: the swing modes of this grid with room around them. */
+  box(point) {
+    let high = 1.35;
+    for (const [re, im] of point.modal.poles)
+      if (im > 0.6 && -re / Math.hypot(re, im) < 0.35) high = Math.max(high, 1.08 * im / (2 * Math.PI));
+    return { left: -3.3, right: 1.05, low: 0.3, high: 2 * Math.PI * Math.min(high, 3) };
+  }
+
+  start(loop) {
+    const roots = loop.poles.map((l, k) => [l[0] + 1e-3 * Math.cos(k + 1), l[1] + 1e-3 * Math.sin(k + 1)]);
+    if (!loop.open)
+      for (let k = 0; k < SEEDS / 2; ++k)
+        for (const sign of [1, -1]) roots.push([-4 - 0.3 * k, sign * (1.2 + 2.2 * k)]);
+    return roots;
+  }
+
+  solve(loop, box, roots, sweeps) {
+    const moves = roots.map(() => 1);
+    for (let n = 0; n < sweeps; ++n) if (sweep(loop, roots, moves, box) < 1e-10) break;
+    return roots.filter((s, k) => moves[k] < SETTLED && inside(s, box));
+  }
+
+  /* {roots: [{s, shape}], open: [s], box, proven, mean, lost} or {why}. */
+  of(state) {
+    const { loop, mean, lost, key, why } = this.loop(state);
+    if (why) return { why };
+    const { point } = loop, box = this.box(point);
+    const open = loop.plant.poles.filter((s) => inside(s, box));
+    if (loop.open) return this.result(loop, open, open, box, true, mean, lost);
+    const edge = winding((s) => loop.det(s), box);
+    const wanted = edge === null ? null : edge + loop.poles.filter((s) => inside(s, box)).length;
+    let roots = this.kept.get(key) || this.start(loop);
+    let seen = this.solve(loop, box, roots, this.kept.has(key) ? 12 : 60);
+    if (seen.length !== wanted) {
+      roots = this.start(loop);
+      seen = this.solve(loop, box, roots, 90);
+    }
+    if (seen.length === wanted) this.kept.set(key, roots);
+    else this.kept.delete(key);
+    return this.result(loop, seen, open, box, seen.length === wanted, mean, lost);
+  }
+
+  result(loop, roots, open, box, proven, mean, lost) {
+    const machines = this.data.machines.map((m) => loop.point.outputs.indexOf(m.name + '_dw'));
+    return { box, proven, mean, lost, open, exact: !loop.open,
+      roots: roots.map((s) => ({ s, shape: loop.shape(s, machines) })) };
+  }
+
+  /* The roots while every latency grows from nothing to twice what it is, each step from the exact derivative. */
+  async track(state, goOn) {
+    const first = this.loop(state);
+    if (first.why || first.loop.open || !first.loop.signals.some((x) => x.tau > 0)) return { paths: [] };
+    const box = this.box(first.loop.point), kept = this.kept.get(first.key);
+    if (!kept) return { paths: [] };
+    const paths = [];
+    for (const direction of [-1, 1]) {
+      let roots = kept.filter((s) => inside(s, box)), factor = 1;
+      for (let n = 0; n < 24; ++n) {
+        const now = this.loop(state, factor).loop, to = factor + direction / 24, next = this.loop(state, to).loop;
+        roots = roots.map((s) => {
+          const [by, byFactor] = now.slopes(s), slope = cDiv(byFactor, by);
+          let z = cSub(s, [slope[0] * (to - factor) / factor, slope[1] * (to - factor) / factor]);
+          if (!Number.isFinite(z[0] + z[1])) z = s;
+          for (let i = 0, size = 1; i < 6 && size > 1e-10; ++i) {
+            const move = cInv(next.slopes(z)[0]);
+            size = cAbs(move);
+            if (!(size < 1)) return null;
+            z = cSub(z, move);
+          }
+          return inside(z, box) ? z : null;
+        }).filter((z) => z !== null);
+        paths.push(...roots.map((z) => [z[0], z[1], to]));
+        factor = to;
+        if (factor < 1e-9 || (n % 6 === 5 && goOn && !(await goOn()))) break;
+      }
+    }
+    return { paths };
+  }
+}
