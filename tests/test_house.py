@@ -30,7 +30,7 @@ ORDER = {
         *("synthesis", "certificates", "robust"),
     ],
     "cosim": [
-        *("plots", "master", "scenario", "results", "run", "export", "designs"),
+        *("plots", "master", "scenario", "results", "run", "export", "designs", "explorer"),
         *("sweep", "maps", "study"),
     ],
     "interarea": ["cli"],

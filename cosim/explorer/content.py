@@ -24,8 +24,8 @@ from .models import SLOTS, step_s
 from .subject import Subject
 
 VERSION = 1  #: of the address that a page understands
-#: Longest Runge-Kutta step while a slider moves, in shortest time constants of the grid: stable up to 2.4, and
-#: where limits act the error comes first.
+#: Longest Runge-Kutta step while a slider moves, in shortest time constants of the grid: stable up to 2.4,
+#: and where limits act the error comes first.
 _COARSE, _COARSE_AT_LIMITS, _COARSEST_S = 2.0, 1.25, 0.005
 _PULSES = ("vref_pulse", "pm_pulse")
 
@@ -105,14 +105,21 @@ def swing_of(subject: Subject) -> dict[str, Any]:
     signals = subject.controllers[first].inputs if first is not None else ()
     carried = [m for m in (s.removesuffix("_dw") for s in signals if s.endswith("_dw")) if m in case.areas]
     if len(carried) == 2 and case.areas[carried[0]] != case.areas[carried[1]]:
-        return {"label": f"Speed of {carried[0]} less {carried[1]}", "weights": {carried[0]: 1.0, carried[1]: -1.0}}
+        return {
+            "label": f"Speed of {carried[0]} less {carried[1]}",
+            "weights": {carried[0]: 1.0, carried[1]: -1.0},
+        }
     areas = sorted(set(case.areas.values()))
     if len(areas) > 1:
         sides = [[m for m, a in case.areas.items() if a == area] for area in (areas[0], areas[-1])]
         label = f"Speed of area {areas[0]} less area {areas[-1]}"
     else:
         sides = _sides(subject)
-        label = f"Speed of {', '.join(sides[0])} less {', '.join(sides[1])}" if sides[1] else f"Speed of {sides[0][0]}"
+        label = (
+            f"Speed of {', '.join(sides[0])} less {', '.join(sides[1])}"
+            if sides[1]
+            else f"Speed of {sides[0][0]}"
+        )
     weights = {m: sign / len(side) for sign, side in zip((1.0, -1.0), sides, strict=True) for m in side}
     return {"label": label, "weights": weights}
 
@@ -195,13 +202,19 @@ def _events(subject: Subject) -> dict[str, Any]:
     span = {"start_s": 1.0, "end_s": 1.2}
     return {
         "codes": EVENT_CODES,
-        "nudge": targets([{"kind": "vref_pulse", "machine": m.name, "size_pu": 0.1, **span} for m in case.machines]),
-        "power": targets([{"kind": "pm_pulse", "machine": m.name, "size_pu": 0.1, **span} for m in case.machines]),
+        "nudge": targets(
+            [{"kind": "vref_pulse", "machine": m.name, "size_pu": 0.1, **span} for m in case.machines]
+        ),
+        "power": targets(
+            [{"kind": "pm_pulse", "machine": m.name, "size_pu": 0.1, **span} for m in case.machines]
+        ),
         "fault": targets([{"kind": "bus_fault", "bus": b.number, **span} for b in case.buses]),
         "trip": targets(
             [{"kind": "branch_trip", "branch": b.name, "start_s": 1.0} for b in case.branches if b.in_service]
         ),
-        "load": targets([{"kind": "load_step", "load": q.name, "size_pu": 0.1, "start_s": 1.0} for q in case.loads]),
+        "load": targets(
+            [{"kind": "load_step", "load": q.name, "size_pu": 0.1, "start_s": 1.0} for q in case.loads]
+        ),
         "given": _given_events(subject),
     }
 
@@ -251,10 +264,11 @@ def _start(subject: Subject) -> dict[str, Any]:
         if channel.outages_s:
             values["lost"], values["back"] = channel.outages_s[0]
         if isinstance(channel.loss, BernoulliLoss):
-            values["loss"] = 100.0 * channel.loss.rate
+            values["loss"] = _percent(channel.loss.rate)
         elif isinstance(channel.loss, GilbertElliottLoss):
-            bad = channel.loss.good_to_bad / (channel.loss.good_to_bad + channel.loss.bad_to_good)
-            values["loss"] = 100.0 * (bad * channel.loss.loss_bad + (1.0 - bad) * channel.loss.loss_good)
+            chances = channel.loss.good_to_bad, channel.loss.bad_to_good
+            bad = chances[0] / sum(chances)
+            values["loss"] = _percent(bad * channel.loss.loss_bad + (1.0 - bad) * channel.loss.loss_good)
             values["burst"] = 1.0 / channel.loss.bad_to_good
         state |= {f"{name}.{key}": value for key, value in values.items()}
     return state
@@ -262,6 +276,10 @@ def _start(subject: Subject) -> dict[str, Any]:
 
 def _ms(seconds: float) -> float:
     return float(f"{1000.0 * seconds:.12g}")
+
+
+def _percent(share: float) -> float:
+    return float(f"{100.0 * share:.12g}")
 
 
 def _event_state(subject: Subject) -> dict[str, Any]:
@@ -274,5 +292,5 @@ def _event_state(subject: Subject) -> dict[str, Any]:
     state: dict[str, Any] = {"at": first.start_s}
     if len(events) == 1 and first.kind in _PULSES:
         kind = "nudge" if first.kind == "vref_pulse" else "power"
-        return state | {"ev": kind, kind: first.machine, "sz": 100.0 * first.size_pu, "end": first.end_s}
+        return state | {"ev": kind, kind: first.machine, "sz": _percent(first.size_pu), "end": first.end_s}
     return state | {"ev": "given"}

@@ -30,7 +30,9 @@ def bus_positions(case: Case) -> dict[int, tuple[float, float]]:
     reach = distance[np.isfinite(distance)].max()
     wanted = np.where(np.isfinite(distance), distance, reach + 1.0)
     places = _majorized(_scaled(wanted), wanted)
-    return {number: (float(x), float(y)) for number, (x, y) in zip(numbers, _turned(case, places), strict=True)}
+    return {
+        number: (float(x), float(y)) for number, (x, y) in zip(numbers, _turned(case, places), strict=True)
+    }
 
 
 def _scaled(wanted: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -60,8 +60,8 @@ def _check(A: Any, B: Any, C: Any, poles: ComplexMatrix, c: ComplexMatrix, b: Co
     error = float(np.max(np.abs(direct - modal_form)) / max(float(np.max(np.abs(direct))), 1e-300))
     if not error <= _AGREES:
         raise LinearisationError(
-            f"eigenvectors of the linear model are nearly parallel: its transfer function at {_AT} 1/s differs "
-            f"by {error:.1e} in modal form, allowed {_AGREES:g}; the page cannot show eigenvalues"
+            f"eigenvectors of the linear model are nearly parallel: its transfer function at {_AT} 1/s "
+            f"differs by {error:.1e} in modal form, allowed {_AGREES:g}; the page cannot show eigenvalues"
         )
 
 

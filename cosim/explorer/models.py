@@ -25,9 +25,9 @@ _UNTOUCHED = ("quantile[", "quantum", "pdc_wait")  #: of a channel: as the scena
 def models_of(subject: Subject) -> tuple[list[dict[str, Any]], list[bytes]]:
     """Return a description of each model and the bytes it is made of.
 
-    A description: ``controller`` (name), ``point`` (number), ``part`` (which bytes) and ``reference`` (the part
-    that these bytes change, or -1); and once for each controller ``reals``, ``integers`` (outputs: name ->
-    reference, Booleans marked), ``parameters`` and ``whole`` (Real and other ones: name -> reference).
+    A description: ``controller`` (name), ``point`` (number), ``part`` (which bytes) and ``reference`` (the
+    part that these bytes change, or -1); and once for each controller ``reals``, ``integers`` (outputs:
+    name -> reference, Booleans marked), ``parameters`` and ``whole`` (Real and other ones: name -> reference).
 
     Raises
     ------
@@ -121,4 +121,3 @@ def _moved(block: Block) -> Iterator[str]:
                 yield v.name
         elif not rest.startswith(_UNTOUCHED):
             yield v.name
-

@@ -29,7 +29,8 @@ _PAGE = ("link.js", "verdict.js", "plots.js", "diagram.js", "controls.js", "page
 def write_explorer(source: str | Path | Scenario, path: str | Path, *, cache: Path) -> Path:
     """Write the page of a scenario or case as one file that needs nothing besides it; return its path.
 
-    source : a `Scenario`, or the bundled name or file of a scenario or case. cache : folder of FMUs and designs.
+    source : a `Scenario`, or the bundled name or file of a scenario or case.
+    cache : folder of FMUs and designs.
 
     Raises
     ------
@@ -43,7 +44,9 @@ def explorer_page(subject: Subject) -> str:
     """Return the page's text."""
     data, parts = page_data(subject)
     worker = "\n".join(_compact(_read(name)) for name in _WORKER)
-    blob = base64.b64encode(packed(data, [worker.encode(), container_wasm(subject.cache), *parts])).decode("ascii")
+    blob = base64.b64encode(packed(data, [worker.encode(), container_wasm(subject.cache), *parts])).decode(
+        "ascii"
+    )
     name = subject.scenario.title or subject.case.title or subject.case.name
     text = _read("page.html")
     fields = {
@@ -68,7 +71,10 @@ def page_data(subject: Subject) -> tuple[dict[str, Any], list[bytes]]:
 
 
 def packed(data: dict[str, Any], parts: list[bytes]) -> bytes:
-    """Return data and parts as one gzip stream: u32 count, u32 lengths, JSON, parts; `unpack` of page.js reads it."""
+    """Return data and parts as one gzip stream, which `unpack` of page.js reads.
+
+    u32 number of pieces, u32 length of each, then the pieces: data as JSON, and the parts.
+    """
     pieces = [json.dumps(data, separators=(",", ":"), allow_nan=False).encode("utf-8"), *parts]
     lengths = b"".join(len(p).to_bytes(4, "little") for p in pieces)
     return gzip.compress(len(pieces).to_bytes(4, "little") + lengths + b"".join(pieces), 9, mtime=0)

@@ -16,7 +16,7 @@ _POINTS = 400
 
 
 def picture_of(subject: Subject) -> str:
-    """Return an SVG of the page's start, the speed difference over time, and a sentence on how the run ends."""
+    """Return an SVG of the page's start, the speed difference over time, and how the run ends in words."""
     run = run_scenario(subject.scenario, cache=subject.cache)
     time = np.linspace(0.0, float(run.trajectory.time_s[-1]), _POINTS)
     name, values = swing_signal(run.trajectory, run.case)

@@ -34,7 +34,9 @@ def presets_of(subject: Subject, data: dict[str, Any]) -> list[dict[str, Any]]:
         presets.append({"label": "The wide-area loop", "state": quiet | calm | {"k": first}})
         late = late_ms(subject, first)
         if late is not None:
-            presets.append({"label": "A late signal", "state": quiet | _latency(subject, late) | {"k": first}})
+            presets.append(
+                {"label": "A late signal", "state": quiet | _latency(subject, late) | {"k": first}}
+            )
         lost = calm | _lost(subject, data, first)
         if lost != calm:
             presets.append({"label": "A lost signal", "state": quiet | lost | {"k": first}})
@@ -100,7 +102,7 @@ def _tolerant(subject: Subject, first: str) -> str | None:
 
 
 def _fault(subject: Subject, data: dict[str, Any]) -> dict[str, Any]:
-    """A fault amid the tie, cleared late by opening one of its circuits, with field limits where there are none."""
+    """A fault amid the tie, cleared late by opening a circuit, with field limits where there are none."""
     case: Case = subject.case
     if case.tie is None:
         return {}

@@ -1,4 +1,4 @@
-"""Several records that are nearly alike as one and how the others differ from it; `undelta` of page.js reads it."""
+"""Records that are nearly alike: one as it is, of the others how they differ (`undelta` of worker.js)."""
 
 from __future__ import annotations
 

@@ -88,14 +88,16 @@ class Subject:
         return set(made.outputs) <= set(point.input_names) and set(made.inputs) <= known | {"tie_p"}
 
     def with_controller(self, name: str) -> Scenario:
-        """Return the scenario with another controller and a channel for each of its signals, as `models` has it."""
+        """Return the scenario with another controller as it is, and no channels."""
         changes = {"controller": name, "controller_gain": 1.0, "controller_limit_pu": None, "channels": {}}
         return self.scenario.model_copy(update=changes)
 
     @cached_property
     def channels(self) -> dict[str, tuple[str, Mapping[str, Any]]]:
-        """Name -> signal and table of a channel for every signal of every controller; the scenario's first."""
-        named = {n: (c.signal, _given(c)) for n, c in self.scenario.channels.items() if c.signal}
+        """Name -> signal and table of a channel for every signal of all controllers; the scenario's first."""
+        named: dict[str, tuple[str, Mapping[str, Any]]] = {
+            n: (c.signal, _given(c)) for n, c in self.scenario.channels.items() if c.signal
+        }
         taken = {signal for signal, _ in named.values()}
         for controller, made in self.controllers.items():
             for signal in made.inputs:
@@ -110,7 +112,7 @@ class Subject:
     @cached_property
     def points(self) -> list[Point]:
         """Operating points: the scenario's, then prepared ones that have a power flow."""
-        own = {k: v for k, v in self.scenario.operating_point.model_dump(exclude_defaults=True).items()}
+        own = self.scenario.operating_point.model_dump(exclude_defaults=True)
         points = [Point("as given", own, self.scenario.load_case())]
         if own:
             return points
@@ -220,5 +222,3 @@ def _given(channel: Any) -> dict[str, Any]:
     """Return the keys of a channel's table that differ from their defaults."""
     table: dict[str, Any] = channel.model_dump(mode="json", exclude_defaults=True)
     return table
-
-

@@ -216,12 +216,12 @@ class Scenario(Table):
                 raise ValueError("event and controller need a case; FMUs of one's own come under fmus")
             if self.plant or self.operating_point != OperatingPointTable():
                 raise ValueError("plant and operating_point need a case")
-        if self.controller_gain != 1.0 or self.controller_limit_pu is not None:
-            if self.controller == "none" or self.controller.endswith(".fmu"):
-                raise ValueError(
-                    f"controller_gain and controller_limit_pu do nothing to controller = {self.controller!r}, "
-                    "allowed: with a controller that is made here"
-                )
+        changed = self.controller_gain != 1.0 or self.controller_limit_pu is not None
+        if changed and (self.controller == "none" or self.controller.endswith(".fmu")):
+            raise ValueError(
+                f"controller_gain and controller_limit_pu do nothing to controller = {self.controller!r}, "
+                "allowed: with a controller that is made here"
+            )
         for path in self.connections:
             if len(path) < 2:
                 raise ValueError(f"connections has {list(path)}, allowed: source, channels, target")
@@ -296,7 +296,7 @@ class Scenario(Table):
         return _beside(self.folder, self.case)
 
     def load_case(self) -> Case:
-        """Return the case at the scenario's operating point; CaseError as `load_case`, `operating_variant`."""
+        """Return the case at its operating point here; CaseError as `load_case` and `operating_variant`."""
         case = load_case(self.case_path)
         if self.operating_point == OperatingPointTable():
             return case

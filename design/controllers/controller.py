@@ -85,7 +85,7 @@ class Controller:
         return int(self.system.nstates)
 
     def scaled(self, gain: float = 1.0, limit_pu: float | None = None) -> Controller:
-        """Return this controller with its output times `gain` before its limit; what was certified is not it."""
+        """Return this controller, uncertified, with its output times `gain` before its limit."""
         K = self.system
         system = control.ss(
             K.A, K.B, gain * K.C, gain * K.D, inputs=self.inputs, outputs=self.outputs, name=self.name

@@ -12,6 +12,7 @@ import typer
 
 from .check import check
 from .design import certify, design
+from .explore import explore
 from .export import build, container, ssp
 from .grids import export, import_grid
 from .listing import list_bundled
@@ -141,6 +142,7 @@ app.command()(check)
 app.command()(build)
 app.command()(ssp)
 app.command()(container)
+app.command()(explore)
 app.command()(sweep)
 app.command()(maps)
 

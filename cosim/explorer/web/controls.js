@@ -36,6 +36,7 @@ class Slider {
   }
 
   set(x) {
+    if (x === this.now) return;
     this.now = x;
     const share = ((Math.min(this.max, Math.max(this.min, x)) - this.min) / (this.max - this.min)) ** (1 / (this.bend || 1));
     this.input.value = Math.round(1000 * share);
@@ -120,6 +121,7 @@ function buildControls(host, data, change) {
     section.querySelector('i').classList.add(role);
     section.classList.add('as-' + role);
     section.querySelector('span').textContent = title;
+    section.note = section.querySelector('.note');
     host.append(section);
     groups.push({ section, shown });
     return section;
@@ -185,16 +187,20 @@ function buildControls(host, data, change) {
     add(List, section, { key: 'op', label: 'Operating point', options: data.points.map((p, k) => [k, p.label]), number: true });
 
   const show = (state) => {
-    for (const { section: part, shown } of groups) part.hidden = Boolean(shown) && !shown(state);
+    for (const { section: part, shown } of groups) {
+      const hidden = Boolean(shown) && !shown(state);
+      if (part.hidden !== hidden) part.hidden = hidden;
+    }
     for (const [key, control] of Object.entries(controls)) {
-      control.element.hidden = !control.shown(state);
+      const hidden = !control.shown(state);
+      if (control.element.hidden !== hidden) control.element.hidden = hidden;
       control.set(value(data, state, key));
     }
     const chosen = controllerOf(data, state);
-    own.querySelector('.note').textContent = !chosen ? 'No signal, no control: the grid as it is.'
+    own.note.textContent = !chosen ? 'No signal, no control: the grid as it is.'
       : chosen.bank ? `A bank of ${chosen.bank.length} controllers, output at ${chosen.outputs.join(', ')}.`
         : `Order ${chosen.order}, from ${chosen.inputs.join(', ')} to ${chosen.outputs.join(', ')}.`;
-    section.querySelector('.note').textContent = EVENT_TEXT[value(data, state, 'ev')];
+    section.note.textContent = EVENT_TEXT[value(data, state, 'ev')];
   };
   return { controls, show };
 }

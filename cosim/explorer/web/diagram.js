@@ -45,7 +45,7 @@ class Diagram {
       const x = Math.max(2, Math.min(...xs) - room), y = Math.min(...ys) - room - 2;
       const wide = Math.min(638, Math.max(...xs) + room) - x;
       draw(this.svg, 'rect', { x, y, width: wide, height: Math.max(...ys) + room + 14 - y, rx: 12, class: 'ground ' + areaName(this.data, area) });
-      draw(this.svg, 'text', { x: x + 10, y: y + 16, class: 'areaname ' + areaName(this.data, area) }, 'Area ' + area);
+      draw(this.svg, 'text', { x: x + 10, y: Math.max(...ys) + room + 6, class: 'areaname ' + areaName(this.data, area) }, 'Area ' + area);
     }
   }
 
@@ -93,9 +93,11 @@ class Diagram {
 
   /* Which signals come how late, what is opened: from the state. */
   show(state) {
-    const { data } = this, made = controllerOf(data, state);
+    const { data } = this, made = controllerOf(data, state), tables = eventTables(data, state);
+    const seen = JSON.stringify([made && made.key, tables, channelsOf(data, state).map((c) => channelTable(data, state, c))]);
+    if (seen === this.seen) return;
+    this.seen = seen;
     this.ways.replaceChildren();
-    const tables = eventTables(data, state);
     data.branches.forEach((b, k) => {
       const opened = !b.closed || tables.some((e) => e.kind === 'branch_trip' && e.branch === b.name);
       this.branches[k].setAttribute('class', 'branch' + (opened ? ' opened' : '') + (b.kind === 'transformer' ? ' transformer' : ''));

@@ -179,12 +179,13 @@ class Loop {
   }
 }
 
-/* One sweep of Aberth's iteration over the roots; returns how far the roots inside `box` moved. */
-function sweep(loop, roots, moves, box) {
+/* One sweep of Aberth's iteration over the roots that are not still; `near` leaves those far from the box where
+ * they are. Returns how far the roots inside `box` moved. */
+function sweep(loop, roots, moves, box, near) {
   let worst = 0;
   for (let k = 0; k < roots.length; ++k) {
-    if (moves[k] < 1e-13) continue;
     const s = roots[k];
+    if (moves[k] < 1e-12 || (near && !inside(s, near))) continue;
     const newton = cInv(loop.slopes(s)[0]);
     let push = [0, 0];
     for (let j = 0; j < roots.length; ++j) {
@@ -300,9 +301,9 @@ class Eigenvalues {
     return roots;
   }
 
-  solve(loop, box, roots, sweeps) {
-    const moves = roots.map(() => 1);
-    for (let n = 0; n < sweeps; ++n) if (sweep(loop, roots, moves, box) < 1e-10) break;
+  solve(loop, box, roots, sweeps, warm) {
+    const moves = roots.map(() => 1), near = warm ? { left: box.left - 1.5, right: box.right + 1, low: box.low - 0.15, high: box.high + 4 } : null;
+    for (let n = 0; n < sweeps; ++n) if (sweep(loop, roots, moves, box, near) < 1e-9) break;
     return roots.filter((s, k) => moves[k] < SETTLED && inside(s, box));
   }
 
@@ -316,7 +317,7 @@ class Eigenvalues {
     const edge = winding((s) => loop.det(s), box);
     const wanted = edge === null ? null : edge + loop.poles.filter((s) => inside(s, box)).length;
     let roots = this.kept.get(key) || this.start(loop);
-    let seen = this.solve(loop, box, roots, this.kept.has(key) ? 12 : 60);
+    let seen = this.solve(loop, box, roots, this.kept.has(key) ? 12 : 60, this.kept.has(key));
     if (seen.length !== wanted) {
       roots = this.start(loop);
       seen = this.solve(loop, box, roots, 90);

@@ -135,13 +135,31 @@ class Explorer {
     this.update(true);
   }
 
-  update(settled) {
+  /* Controls and diagram as the state has them. */
+  drawState() {
     this.controls.show(this.state);
     this.diagram.show(this.state);
     const current = this.data.presets.findIndex((_, k) => this.isPreset(k));
     [...$('presets').children].forEach((button, k) => button.setAttribute('aria-pressed', k === current));
-    this.plots.control.element.hidden = this.plots.age.element.hidden = controllerOf(this.data, this.state) === null;
-    $('words').setAttribute('aria-live', 'off');
+    const alone = controllerOf(this.data, this.state) === null;
+    if (this.plots.control.element.hidden !== alone) {
+      this.plots.control.element.hidden = this.plots.age.element.hidden = alone;
+      this.measure();
+    }
+  }
+
+  /* Sizes are read here and nowhere else: reading one between two changes lays the page out anew. */
+  measure() {
+    for (const plot of Object.values(this.plots)) plot.measure();
+    this.plane.measure();
+    const host = $('plots').querySelector('.host');
+    this.cursor = [host.offsetLeft, host.offsetHeight - 24];
+    $('cursor').style.height = this.cursor[1] + 'px';
+  }
+
+  update(settled) {
+    this.later('state');
+    if (!settled) $('words').setAttribute('aria-live', 'off');
     this.ask(settled ? { coarse: false } : { coarse: true });
     clearTimeout(this.timer);
     if (!settled) this.timer = setTimeout(() => this.ask({ coarse: false }), EXACT_AFTER);
@@ -212,6 +230,8 @@ class Explorer {
   ready() {
     document.body.classList.remove('waiting');
     this.fromAddress();
+    this.drawState();
+    this.drawAll();
     if (!matchMedia('(prefers-reduced-motion: reduce)').matches) this.play(true);
   }
 
@@ -232,12 +252,15 @@ class Explorer {
       const { due } = this;
       this.frame = 0;
       this.due = {};
+      if (due.state) this.drawState();
       if (due.curves) this.drawCurves();
       if (due.plane) this.drawPlane();
     });
   }
 
   drawAll() {
+    newPalette();
+    this.measure();
     if (this.result) this.later('curves');
     if (this.roots) this.later('plane');
   }
@@ -275,10 +298,10 @@ class Explorer {
       limits: [limit, -limit], fit: most < 0.6 * limit ? [] : [limit, -limit] });
     const ages = channels.map((c, k) => ({ y: column(result, c.name + '_age').map((x) => 1000 * x), colour: 'area' + (data.channels.indexOf(c) % 2 + 1), step: false, dash: k % 2 ? [4, 3] : [] }));
     const entries = ledger(data, state, result), marks = [];
-    for (const { name, packets } of entries) {
+    for (const { name, packets, outages } of entries) {
       if (!packets) continue;
-      const dropped = column(result, name + '_dropped');
-      for (let i = 1; i < dropped.length; ++i) if (dropped[i] > dropped[i - 1]) marks.push(i * shared.h);
+      const dropped = column(result, name + '_dropped'), away = (t) => outages.some(([from, to]) => t >= from && t < to);
+      for (let i = 1; i < dropped.length; ++i) if (dropped[i] > dropped[i - 1] && !away(i * shared.h)) marks.push(i * shared.h);
     }
     const hatches = entries.flatMap((e) => e.outages);
     const cap = 3 * Math.max(60, ...entries.map((e) => e.total));
@@ -292,17 +315,17 @@ class Explorer {
   /* Verdict, second line, and what screen readers say of the curves. */
   describe() {
     const { data, result, judged } = this, state = this.resultState, words = $('words');
-    const [bold, rest, kind] = verdictWords(data, state, judged, this.base);
-    const least = this.roots && this.roots.roots instanceof Array ? leastDamped(this.roots.roots) : null;
-    const well = judged.kind === 'step' && least && least.zeta > 0.02 ? ` Yet every eigenvalue is damped above ${digits(least.zeta - 5e-3, 2)}.` : '';
+    const least = this.roots && this.roots.roots ? leastDamped(this.roots.roots) : null;
+    const [bold, rest, kind] = verdictWords(data, state, judged, least);
     words.setAttribute('aria-live', result.exact ? 'polite' : 'off');
     words.firstElementChild.textContent = bold;
     words.firstElementChild.className = kind;
-    words.lastElementChild.textContent = rest + well;
+    words.lastElementChild.textContent = rest;
     const entries = ledger(data, state, result), sent = entries.reduce((n, e) => n + e.sent, 0), lost = entries.reduce((n, e) => n + e.dropped + e.late, 0);
     const limited = atLimit(data, state, result);
     $('numbers').textContent = [
       least ? `least damped swing: ${digits(least.hertz, 2)} Hz, damping ratio ${digits(least.zeta, 3)}` : '',
+      aloneWords(data, state, judged, this.base),
       lost ? `${lost} of ${sent} packets lost or late` : '',
       limited > 0.05 ? `control at its limit ${digits(limited, 1)} s` : '',
       judged.kind === 'collapse' ? result.why.replace(/^fmi2\w+: /, '') : '',
@@ -404,9 +427,7 @@ class Explorer {
     const { data, result, plots } = this;
     if (!result || !plots.swing.X) return;
     const t = this.time * data.stop, rows = result.rows.length / result.columns.length, i = Math.min(rows - 1, Math.round(t / result.h));
-    const host = $('plots').querySelector('.host');
-    $('cursor').style.transform = `translateX(${plots.swing.X(t) + host.offsetLeft}px)`;
-    $('cursor').style.height = host.offsetHeight - 24 + 'px';
+    $('cursor').style.transform = `translateX(${plots.swing.X(t) + this.cursor[0]}px)`;
     const read = (name, n) => {
       if (plots[name] && this.curves[name]) plots[name].reading.textContent = i < this.curves[name].length ? digits(this.curves[name][i], n) : '';
     };

@@ -3,8 +3,16 @@
 
 const LEFT = 52, RIGHT = 10;
 
+/* Colours and font of the theme: asked for once, because each question makes the browser lay out the page. */
+let palette = {};
+
+function newPalette() {
+  palette = { font: '12px ' + getComputedStyle(document.body).fontFamily };
+}
+
 function colour(name) {
-  return getComputedStyle(document.documentElement).getPropertyValue('--' + name).trim();
+  if (!(name in palette)) palette[name] = getComputedStyle(document.documentElement).getPropertyValue('--' + name).trim();
+  return palette[name];
 }
 
 function niceStep(range, most) {
@@ -37,8 +45,13 @@ class Plot {
   }
 
   rename(title) {
+    if (title === this.title) return;
     this.title = title;
     this.element.querySelector('.name').textContent = title;
+  }
+
+  measure() {
+    this.width = this.element.clientWidth;
   }
 
   /* A calm axis: it moves only where the curve leaves it or fills less than .45 of it. */
@@ -72,7 +85,7 @@ class Plot {
 
   /* series: {y, colour, width, dash, step}; limits, hatches ([from, to]), marks (times), h, stop. */
   draw({ series, limits = [], hatches = [], marks = [], fit = [], h, stop, axis }) {
-    const width = this.element.clientWidth, { height } = this, ratio = window.devicePixelRatio || 1;
+    const { width, height } = this, ratio = window.devicePixelRatio || 1;
     if (!width) return;
     const tall = height + (axis ? 22 : 0);
     if (this.canvas.width !== Math.round(width * ratio) || this.canvas.height !== Math.round(tall * ratio)) {
@@ -88,7 +101,7 @@ class Plot {
     this.Y = Y;
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     c.clearRect(0, 0, width, tall);
-    c.font = '12px ' + getComputedStyle(document.body).fontFamily;
+    c.font = palette.font;
     c.lineWidth = 1;
     const step = niceStep(high - low, Math.max(3, Math.min(5, height / 24)));
     c.textAlign = 'right';
@@ -187,19 +200,25 @@ class Plane {
     this.height = 190;
   }
 
+  measure() {
+    this.width = this.canvas.parentElement.clientWidth;
+  }
+
   draw(roots, paths, chosen, sector) {
-    const width = this.canvas.parentElement.clientWidth, { height } = this, ratio = window.devicePixelRatio || 1;
+    const { width, height } = this, ratio = window.devicePixelRatio || 1;
     if (!width) return;
-    this.canvas.width = Math.round(width * ratio);
-    this.canvas.height = Math.round(height * ratio);
-    this.canvas.style.height = height + 'px';
+    if (this.canvas.width !== Math.round(width * ratio)) {
+      this.canvas.width = Math.round(width * ratio);
+      this.canvas.height = Math.round(height * ratio);
+      this.canvas.style.height = height + 'px';
+    }
     const c = this.canvas.getContext('2d'), { box } = roots;
     const X = (re) => 6 + (width - 12) * (re - box.left) / (box.right - box.left);
     const Y = (im) => 6 + (height - 28) * (1 - im / box.high);
     this.places = roots.roots.map(({ s }) => [X(s[0]), Y(s[1])]);
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     c.clearRect(0, 0, width, height);
-    c.font = '12px ' + getComputedStyle(document.body).fontFamily;
+    c.font = palette.font;
     const edge = box.high * sector / Math.sqrt(1 - sector * sector);
     c.fillStyle = colour('sector');
     c.beginPath();

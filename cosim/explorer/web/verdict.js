@@ -92,15 +92,12 @@ function atLimit(data, state, result) {
   return most;
 }
 
-function verdictWords(data, state, verdict, base) {
+function verdictWords(data, state, verdict, least) {
   const seconds = (t) => digits(t, 1) + ' s';
   switch (verdict.kind) {
     case 'step': {
-      const alone = base && judge(data, { ...state, k: 'none' }, base).kind;
-      const also = controllerOf(data, state) && alone
-        ? alone === 'step' || alone === 'collapse' ? ' Without the controller it does so too.'
-          : ' Without the controller the grid stays in step.' : '';
-      return ['Out of step', `at ${seconds(verdict.t)}: the machines lose synchronism.${also}`, 'bad'];
+      const well = least && least.zeta > 0.02 ? `, though every eigenvalue is damped above ${digits(least.zeta - 5e-3, 2)}` : '';
+      return ['Out of step', `at ${seconds(verdict.t)}${well}.`, 'bad'];
     }
     case 'collapse': return ['Collapse', `at ${seconds(verdict.t)}: the network equations have no solution.`, 'bad'];
     case 'grows': return ['Unstable.', controllerOf(data, state) ? 'The loop feeds the swing.' : 'The swing grows by itself.', 'bad'];
@@ -111,6 +108,15 @@ function verdictWords(data, state, verdict, base) {
         : ['Stable.', `The swing has died out after ${seconds(verdict.t)}.`, 'good'];
     default: return ['Still.', 'Nothing moves.', 'good'];
   }
+}
+
+/* How the grid does without the controller, where that is worth a word. */
+function aloneWords(data, state, verdict, base) {
+  if (!base || !controllerOf(data, state)) return '';
+  const alone = judge(data, { ...state, k: 'none' }, base), fails = (v) => v.kind === 'step' || v.kind === 'collapse';
+  if (fails(verdict)) return fails(alone) ? 'without the controller it does so too' : 'without the controller the grid stays in step';
+  if (fails(alone)) return 'without the controller the machines lose synchronism';
+  return '';
 }
 
 /* What every channel adds on the way, and what it counted. */

@@ -2,7 +2,8 @@
  *   {start, data, wasm, parts}                     -> {ready}
  *   {run, state, every, coarse, all, base, roots, track}
  *       -> {eigenvalues: run, ...}, {result: run, ...} | {error: run, why} | {dropped: run}, {track: run, paths}
- * The newest run wins: of those that wait, only the last is done. */
+ * The newest run wins: of those that wait only the last is done, and an exact run makes way for it. A coarse one
+ * is always finished: else nothing would be drawn while somebody drags faster than a run takes. */
 'use strict';
 
 /* The target of records.py's `delta`. */
@@ -137,7 +138,7 @@ async function simulate(container, request, goOn) {
       why = container.text(container.exports.message(container.session));
       break;
     }
-    if (performance.now() - began > 60 && !(await goOn())) return null;
+    if (!request.coarse && performance.now() - began > 60 && !(await goOn())) return null;
   }
   return { columns: [...reals, ...integers].map((p) => p[0]), rows: rows.subarray(0, done * width).slice(), h, why,
     ms: performance.now() - began };
@@ -162,14 +163,14 @@ function serve(scope) {
     const { data } = container;
     const goOn = async () => {
       await turn();
-      return waiting === null || request.keep;
+      return waiting === null || request.coarse || request.keep;
     };
     try {
       if (request.roots) {
         const roots = eigenvalues.of(request.state);
         scope.postMessage({ eigenvalues: request.run, ...roots });
       }
-      const exact = { settings: settingsOf(data, request.state), every: request.every, all: request.all,
+      const exact = { settings: settingsOf(data, request.state), every: request.every, all: request.all, coarse: request.coarse,
         solver: request.coarse ? coarseStep(data, request.state) : 0 };
       const result = await simulate(container, exact, goOn);
       if (!result) return scope.postMessage({ dropped: request.run });

@@ -1,0 +1,138 @@
+"""The page against the FMU of the scenario it saves: the same bits from WebAssembly as from the binary."""
+
+from __future__ import annotations
+
+import hashlib
+import random
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fmu_runner import Runner
+
+from interarea.cosim.export.container import container_block
+from interarea.cosim.run.artefacts import block_fmu
+from interarea.cosim.scenario.scenario import load_scenario
+
+
+def native_rows(toml: str, columns: Sequence[str], cache: Path) -> np.ndarray[Any, Any]:
+    """Return the rows of the container FMU of a saved scenario: every column at every communication step."""
+    scenario = load_scenario({"name": "saved", **tomllib.loads(toml)})
+    block = container_block(scenario, cache=cache)
+    assert scenario.step_s is not None
+    count = round(scenario.stop_s / scenario.step_s)
+    rows = np.empty((count + 1, len(columns)))
+    with Runner(block_fmu(block, cache)) as fmu:
+        fmu.start(stopTime=scenario.stop_s)
+        reals = [c for c in columns if fmu.variables[c].type == "Real"]
+        others = [c for c in columns if fmu.variables[c].type != "Real"]
+        assert [*reals, *others] == list(columns)
+        references = [fmu.reference(c) for c in reals]
+        for k in range(count + 1):
+            if k > 0:
+                fmu.step((k - 1) * scenario.step_s, scenario.step_s)
+            rows[k] = [*fmu.fmu.getReal(references), *(fmu.get(c) for c in others)]
+    return rows
+
+
+def settings(known: dict[str, Any], count: int) -> list[dict[str, Any]]:
+    """Return random states of the page, every control moved now and then."""
+    rng = random.Random(22)
+    states = []
+    for _ in range(count):
+        state: dict[str, Any] = {"k": rng.choice([c["key"] for c in known["controllers"]])}
+        state["g"] = rng.choice([1.0, round(rng.uniform(0.2, 2.5), 2)])
+        state["l"] = round(rng.uniform(0.03, 0.3), 3)
+        for channel in known["channels"]:
+            values = {
+                "latency": rng.choice([0, rng.randrange(0, 1000, 5)]),
+                "loss": rng.choice([0, rng.randint(1, 50)]),
+                "burst": rng.choice([1, 2.5, 7]),
+                "jitter": rng.choice([0, rng.randint(1, 80)]),
+                "interval": rng.choice([0, 20, 33]),
+                "seed": rng.randint(0, 99),
+                "on_loss": rng.choice(["zero", "hold", "hold_then_zero"]),
+                "hold": rng.randrange(0, 2000, 10),
+                "lost": rng.choice([known["stop"], round(rng.uniform(0, 15), 1)]),
+                "back": rng.choice([known["stop"], round(rng.uniform(10, 19), 1)]),
+            }
+            state |= {f"{channel['name']}.{key}": value for key, value in values.items()}
+        state["ev"] = rng.choice(["nudge", "fault", "load", "trip"])
+        for kind in ("nudge", "fault", "load", "trip"):
+            state[kind] = rng.choice(known["events"][kind])["name"]
+        state["sz"] = rng.randint(-10, 15)
+        state["tc"] = rng.randrange(10, 200, 5)
+        state["br"] = rng.choice(["", rng.choice(known["events"]["trip"])["name"]])
+        state["cl"] = rng.choice([0, round(rng.uniform(4, 12), 2)])
+        state["op"] = rng.randrange(len(known["points"]))
+        states.append(state)
+    return states
+
+
+def assert_same_bits(node: Any, states: list[dict[str, Any]], cache: Path, folder: Path) -> None:
+    jobs: list[dict[str, Any]] = []
+    for k, state in enumerate(states):
+        jobs += [{"run": state, "file": str(folder / f"{k}.bin")}, {"toml": state}]
+    answers = node(jobs)
+    for k, (state, result, toml) in enumerate(zip(states, answers[::2], answers[1::2], strict=True)):
+        assert "error" not in result, (state, result)
+        if result["why"]:
+            continue  # a collapse: the container's own refusal to go on
+        rows = native_rows(toml, result["columns"], cache)
+        assert len(rows) == 2001 == result["rows"]
+        assert np.isfinite(rows).all()
+        here = np.frombuffer((folder / f"{k}.bin").read_bytes()).reshape(rows.shape)
+        worst = np.abs(here - rows).max(axis=0)
+        same = hashlib.sha256(rows.tobytes()).hexdigest() == result["hash"]
+        assert same, (toml, dict(zip(result["columns"], worst, strict=True)))
+
+
+def test_presets_and_their_saved_scenarios_have_the_bits_of_the_fmu(
+    node: Any, data: dict[str, Any], cache: Path, tmp_path: Path
+) -> None:
+    states = [preset["state"] for preset in data["presets"]]
+    assert len(states) == 6
+    assert_same_bits(node, [states[2], states[4], states[5]], cache, tmp_path)
+
+
+@pytest.mark.slow
+def test_random_settings_have_the_bits_of_the_fmu(
+    node: Any, data: dict[str, Any], cache: Path, tmp_path: Path
+) -> None:
+    assert_same_bits(node, [p["state"] for p in data["presets"]] + settings(data, 50), cache, tmp_path)
+
+
+def test_rows_twice_as_far_apart_are_the_same_rows(node: Any, data: dict[str, Any], tmp_path: Path) -> None:
+    state = data["presets"][3]["state"]
+    files = [tmp_path / "every.bin", tmp_path / "other.bin"]
+    every, other = node([{"run": state, "every": k + 1, "file": str(file)} for k, file in enumerate(files)])
+    rows = [np.frombuffer(f.read_bytes()).reshape(-1, len(every["columns"])) for f in files]
+    assert other["rows"] == 1001
+    assert np.array_equal(rows[0][::2], rows[1])
+
+
+def test_drawn_step_shows_what_the_exact_one_shows(node: Any, data: dict[str, Any]) -> None:
+    """While a slider moves the solver's step is longer: the error is below .1 mHz, the verdict the same."""
+    states = [preset["state"] for preset in data["presets"]]
+    exact = node([{"judge": state} for state in states])
+    coarse = node([{"judge": state, "coarse": True} for state in states])
+    assert [run["kind"] for run in coarse] == [run["kind"] for run in exact]
+    assert [run["kind"] for run in exact] == ["settles", "settles", "grows", "settles", "settles", "step"]
+    for fine, drawn in zip(exact, coarse, strict=True):
+        until = slice(None) if fine["kind"] != "step" else slice(0, int(100 * fine["t"]))
+        assert np.max(np.abs(np.subtract(fine["swing"][until], drawn["swing"][until]))) < 0.1
+
+
+def test_the_module_imports_nothing(node: Any) -> None:
+    assert node([{"imports": True}]) == [[]]
+
+
+def test_hundred_runs_leave_the_memory_as_it_was(node: Any, data: dict[str, Any]) -> None:
+    runs = [{"run": p["state"], "all": False, "every": 2, "coarse": True} for p in data["presets"]]
+    sizes = [
+        a for a in node([*runs * 2, {"memory": True}, *runs * 4, {"memory": True}]) if isinstance(a, int)
+    ]
+    assert sizes[0] == sizes[1] < 16e6
