@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from interarea.cosim.explorer.page import write_explorer
-from interarea.cosim.run.artefacts import default_cache
+from interarea.fmu_build.write.cache import default_cache
 
 ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
 #: case -> largest page in kB, redraws a second

@@ -8,7 +8,6 @@ import numpy as np
 
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import LinearisationError
-from interarea.design.modes.modes import ModeError, modes_of
 from interarea.models.blocks.plant import EVENT_CODES, event_parameters, shortest_time_s
 from interarea.models.case.case import Case
 from interarea.models.case.errors import CaseError
@@ -16,6 +15,7 @@ from interarea.models.case.events import event_of
 from interarea.models.grid.equilibrium import operating_point
 from interarea.models.grid.network import load_power
 
+from ..run.artefacts import swing_of
 from ..scenario.channels import BernoulliLoss, GilbertElliottLoss
 from ..scenario.scenario import Scenario
 from .layout import bus_positions
@@ -65,7 +65,7 @@ def content_of(subject: Subject) -> dict[str, Any]:
             for b in case.branches
         ],
         "tie": None if case.tie is None else {"branches": list(case.tie.branches)},
-        "swing": swing_of(subject),
+        "swing": _swing(subject),
         "channels": [
             {"name": name, "signal": signal, "table": dict(table)}
             for name, (signal, table) in subject.channels.items()
@@ -94,45 +94,15 @@ def _buses(case: Case) -> list[dict[str, Any]]:
     ]
 
 
-def swing_of(subject: Subject) -> dict[str, Any]:
-    """Return the speed difference that the page judges by: weights of the machines, and its name in words.
-
-    That of the signals where the channels carry the speeds of two machines of different areas; else the
-    mean speeds of the first and last area; in one area, of the two sides of its slowest swing mode.
-    """
-    case = subject.case
-    first = subject.first
-    signals = subject.controllers[first].inputs if first is not None else ()
-    carried = [m for m in (s.removesuffix("_dw") for s in signals if s.endswith("_dw")) if m in case.areas]
-    if len(carried) == 2 and case.areas[carried[0]] != case.areas[carried[1]]:
-        return {
-            "label": f"Speed of {carried[0]} less {carried[1]}",
-            "weights": {carried[0]: 1.0, carried[1]: -1.0},
-        }
-    areas = sorted(set(case.areas.values()))
-    if len(areas) > 1:
-        sides = [[m for m, a in case.areas.items() if a == area] for area in (areas[0], areas[-1])]
-        label = f"Speed of area {areas[0]} less area {areas[-1]}"
-    else:
-        sides = _sides(subject)
-        label = (
-            f"Speed of {', '.join(sides[0])} less {', '.join(sides[1])}"
-            if sides[1]
-            else f"Speed of {sides[0][0]}"
-        )
-    weights = {m: sign / len(side) for sign, side in zip((1.0, -1.0), sides, strict=True) for m in side}
-    return {"label": label, "weights": weights}
-
-
-def _sides(subject: Subject) -> list[list[str]]:
-    """The machines with the largest motion on either side of the slowest swing mode."""
-    try:
-        modes = modes_of(subject.linear(subject.points[0]), subject.case.areas)
-        slowest = min(modes.values(), key=lambda mode: mode.frequency_hz)
-    except (ModeError, LinearisationError, ValueError):
-        return [[subject.case.machines[0].name], []]
-    motion = {m: float(np.real(z)) for m, z in slowest.shape.items()}
-    return [[max(motion, key=motion.__getitem__)], [min(motion, key=motion.__getitem__)]]
+def _swing(subject: Subject) -> dict[str, Any]:
+    """The speed difference that a run is judged by, as `interarea run` has it."""
+    swing = swing_of(subject.case, subject.cache, subject.scenario.swing)
+    if not swing.behind:
+        return {"label": f"Speed of {swing.ahead}", "weights": {swing.ahead: 1.0}}
+    return {
+        "label": f"Speed of {swing.ahead} less {swing.behind}",
+        "weights": {swing.ahead: 1.0, swing.behind: -1.0},
+    }
 
 
 def _controller(subject: Subject, name: str) -> dict[str, Any]:

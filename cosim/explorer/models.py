@@ -27,7 +27,7 @@ def models_of(subject: Subject) -> tuple[list[dict[str, Any]], list[bytes]]:
 
     A description: ``controller`` (name), ``point`` (number), ``part`` (which bytes) and ``reference`` (the
     part that these bytes change, or -1); and once for each controller ``reals``, ``integers`` (outputs:
-    name -> reference, Booleans marked), ``parameters`` and ``whole`` (Real and other ones: name -> reference).
+    name -> reference, Booleans marked), ``parameters`` and ``whole`` (Real ones and others, likewise).
 
     Raises
     ------

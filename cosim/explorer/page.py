@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from interarea.fmu_build.write.description_xml import product_version
-from interarea.fmu_build.write.package import write_whole
+from interarea.models.files import write_whole
 
 from ..scenario.scenario import Scenario
 from .content import content_of

@@ -6,7 +6,6 @@ import html
 
 import numpy as np
 
-from ..results.ringdown import swing_signal
 from ..run.run import Run, run_scenario
 from .subject import Subject
 
@@ -19,7 +18,7 @@ def picture_of(subject: Subject) -> str:
     """Return an SVG of the page's start, the speed difference over time, and how the run ends in words."""
     run = run_scenario(subject.scenario, cache=subject.cache)
     time = np.linspace(0.0, float(run.trajectory.time_s[-1]), _POINTS)
-    name, values = swing_signal(run.trajectory, run.case)
+    name, values = run.swing.name, run.swing.of(run.trajectory)
     millihertz = 1e3 * run.case.frequency_hz * np.interp(time, run.trajectory.time_s, values)
     most = max(float(np.max(np.abs(millihertz))), 1e-3)
     x = _LEFT + (_WIDTH - _LEFT - 12) * time / time[-1]

@@ -67,7 +67,7 @@ def _latency(subject: Subject, ms: float) -> dict[str, float]:
 
 
 def late_ms(subject: Subject, name: str) -> float | None:
-    """Return a common latency, ms, a tenth beyond the delay margin of a controller; None where there is none."""
+    """Return a common latency, ms, a tenth beyond the delay margin of a controller; None without a margin."""
     made = subject.controllers[name]
     if not isinstance(made, Controller):
         return None

@@ -16,7 +16,7 @@ def container_wasm(cache: Path | None = None) -> bytes:
     """Return the WebAssembly module of a closed loop: the sources of its FMU, unchanged, and `PAGE_SOURCE`.
 
     One module serves every case and scenario; what it simulates is a record (`models`). It imports
-    nothing. cache : folder of compiled binaries; default `fmu_build.write.compile.default_cache()`.
+    nothing. cache : folder of compiled binaries; default `fmu_build.write.cache.default_cache()`.
 
     Raises
     ------

@@ -23,7 +23,7 @@ def explore(
     It needs no server and no network: the simulation is the container's C as WebAssembly.
     """
     from interarea.cosim.explorer.page import write_explorer
-    from interarea.cosim.run.artefacts import default_cache
+    from interarea.fmu_build.write.cache import default_cache
 
     from .destination import file_for
 

@@ -14,8 +14,8 @@ import pytest
 from fmu_runner import Runner
 
 from interarea.cosim.export.container import container_block
-from interarea.cosim.run.artefacts import block_fmu
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.fmu_build.write.package import block_fmu
 
 
 def native_rows(toml: str, columns: Sequence[str], cache: Path) -> np.ndarray[Any, Any]:
