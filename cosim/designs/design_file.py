@@ -18,12 +18,14 @@ from interarea.design.robust.design import design_robust
 from interarea.design.robust.operating_points import FamilyCertificate, judge_family
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.spec import RobustSpec, require_moved
+from interarea.models.blocks.controller import Guard
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.variants import operating_variant
 
 from ..errors import ScenarioError, nearest
 from ..run.artefacts import linear_plant
 from ..toml_file import read_toml
+from .acceptance import AcceptanceTable
 from .first_swing import FaultTable, after_fault, predicted_drive
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -64,6 +66,20 @@ class PartTable(_Table):
     order: Annotated[int, Field(ge=1, le=20)] = 4
 
 
+class GuardTable(_Table):
+    """Which side of the output limit falls while a first swing lasts (`models.blocks.controller.Guard`)."""
+
+    watched: dict[str, str] = Field(min_length=1)  #: output -> signal, a speed, that tells of the swing
+    sides: dict[str, Annotated[float, Field(ge=-1.0, le=1.0)]]  #: above 0 the upper limit falls
+    threshold: Positive  #: rad/s
+    washout_s: Positive = 10.0
+    lowpass_s: Positive = 1.0
+
+    def guard(self) -> Guard:
+        """Return it as a controller has it."""
+        return Guard(**self.model_dump())
+
+
 class DesignTable(_Table):
     """A robust design: one controller for a family of operating points, losses and latencies.
 
@@ -88,12 +104,14 @@ class DesignTable(_Table):
     #: (rad/s, damping): how much more than elsewhere the optimisation wants there, piecewise linear
     offset: tuple[tuple[float, float], ...] = Field(tuple(zip(*_OFFSETS, strict=True)), min_length=2)
     limit_pu: Positive = 0.15
+    guard: GuardTable | None = None
     starts: Annotated[int, Field(ge=1)] = 3
     evaluations: Annotated[int, Field(ge=1)] = 1800
     polishes: Annotated[int, Field(ge=0)] = 20
     seed: int = 1
     ask: AskTable = AskTable()
     fault: FaultTable | None = None
+    acceptance: AcceptanceTable | None = None
     source: str = ""
 
     @model_validator(mode="after")
@@ -249,7 +267,8 @@ def run_design(
         "objective": made.objective,
         "evaluations": made.evaluations,
     }
-    controller = Controller(table.name, made.system, table.limit_pu, facts)
+    guard = None if table.guard is None else table.guard.guard()
+    controller = Controller(table.name, made.system, table.limit_pu, facts, guard=guard)
     controller = replace(controller, certificate=certify(table, controller, cache).as_dict())
     return Designed(controller, {f"start {k}": K for k, K in enumerate(made.tried, start=1)})
 
