@@ -153,7 +153,6 @@ class Trial:
         t, case = self.table, self.cases[setting.point]
         fault = setting.fault
         clear_s = t.start_s + (t.clear_cycles if cycles is None else cycles) / case.frequency_hz
-        clear_s = round(clear_s, 9)
         document = after_clearing(
             self._case_file(setting), case, fault.bus, fault.trip, t.start_s, clear_s, x_pu=t.x_pu
         )
@@ -254,3 +253,22 @@ def judge_acceptance(
                     )
                 )
     return Acceptance(count, tuple(lost), tuple(gained), float(np.degrees(largest)), tuple(rows))
+
+
+def in_words(found: Mapping[str, Any] | None) -> str:
+    """Return the acceptance of a certificate in a line: what is lost first, or that nothing is.
+
+    found : as `Acceptance.as_dict` gives it; None: never judged.
+    """
+    if found is None:
+        return "non-linear faults: not judged"
+    text = f"non-linear faults: {len(found['lost'])} of {found['cases']} lost that hold without it"
+    if found["lost"]:
+        text += f" (first: {found['lost'][0]})"
+    text += f", {len(found['gained'])} gained"
+    if found["clearing_mean_change_cycles"] is not None:
+        text += (
+            f"; clearing times {found['clearing_mean_change_cycles']:+.1f} cycles on average, "
+            f"{found['clearing_worst_change_cycles']:+.1f} at worst"
+        )
+    return text

@@ -25,7 +25,7 @@ from interarea.models.case.variants import operating_variant
 from ..errors import ScenarioError, nearest
 from ..run.artefacts import linear_plant
 from ..toml_file import read_toml
-from .acceptance import AcceptanceTable
+from .acceptance import AcceptanceTable, judge_acceptance
 from .first_swing import FaultTable, after_fault, predicted_drive
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -295,9 +295,30 @@ def judge(table: DesignTable, K: control.StateSpace, cache: Path) -> FamilyCerti
     )
 
 
-def certify(table: DesignTable, controller: Controller, cache: Path) -> FamilyCertificate:
-    """Judge a controller on the family of a design and by what it asks; its fault is run at every point."""
+def certify(
+    table: DesignTable,
+    controller: Controller,
+    cache: Path,
+    *,
+    acceptance: bool = False,
+    progress: Callable[[int, int], object] | None = None,
+) -> FamilyCertificate:
+    """Judge a controller on the family of a design and by what it asks; its fault is run at every point.
+
+    acceptance : every case of the design's acceptance too, clearing times included (minutes).
+    progress : called with settings of the acceptance done and all.
+    """
     found = judge(table, controller.system, cache)
+    if acceptance and table.acceptance is not None:
+        tried = judge_acceptance(controller, family_cases(table), table.acceptance, cache, progress=progress)
+        found = replace(
+            found,
+            acceptance=tried.as_dict(),
+            violations=(
+                *found.violations,
+                *(f"{case}: synchronism lost, kept without it" for case in tried.lost),
+            ),
+        )
     if table.fault is None:
         return found
     cases = family_cases(table)

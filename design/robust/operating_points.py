@@ -56,6 +56,8 @@ class FamilyCertificate:
     faults: tuple[
         Mapping[str, Any], ...
     ] = ()  #: the runs of that fault, one for each operating point and loss
+    #: what the acceptance of the specification found; None: it was not run
+    acceptance: Mapping[str, Any] | None = None
 
     @property
     def passed(self) -> bool:

@@ -112,6 +112,12 @@ def certify(
     case: Annotated[
         str | None, typer.Option("--case", metavar="CASE", help="another case than the design's")
     ] = None,
+    acceptance: Annotated[
+        bool,
+        typer.Option(
+            "--acceptance", help="every fault of the design's acceptance and its clearing times too"
+        ),
+    ] = False,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
     """Recompute a controller's certificate on full plants with exact latency; exit code 1 if it fails.
@@ -145,7 +151,7 @@ def certify(
     if own is not None:
         table = own if case is None else own.model_copy(update={"case": case})
     with busy(f"certifying {controller}"):
-        found = recompute(table, made, default_cache())
+        found = recompute(table, made, default_cache(), acceptance=acceptance)
     if json_:
         typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
     else:
@@ -180,6 +186,8 @@ def _certify_bank(bank: ControllerBank, case: Case, json_: bool) -> None:
 
 
 def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
+    from interarea.cosim.designs.acceptance import in_words
+
     print_table(
         f"{name}: full plants, exact latency",
         ("operating point", "condition", "stable", "worst swing", "inter-area", "rightmost (1/s)"),
@@ -207,6 +215,8 @@ def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
     for run in found.faults:
         said = f"settled in {run['settled_s']:.1f} s" if run["synchronism"] else "SYNCHRONISM LOST"
         typer.echo(f"fault at {run['point']}, {' and '.join(run['lost']) or 'nothing'} lost: {said}")
+    if found.acceptance is not None:
+        typer.echo(in_words(found.acceptance))
     for violation in found.violations:
         typer.echo(f"violated: {violation}")
     slips = any(not run["synchronism"] for run in found.faults)
