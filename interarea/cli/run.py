@@ -63,6 +63,10 @@ def run(
             typer.echo(file)
         if isinstance(result, Run):
             typer.echo(result.summary, err=True)
+            if loaded.controller != "none":
+                typer.echo(
+                    _survived(str(loaded.controller_path or loaded.controller), result.case.omega_b), err=True
+                )
     if tested is not None and not tested.passed:
         raise typer.Exit(1)
 
@@ -74,3 +78,16 @@ def _tested(scenario: Scenario) -> SelfTest:
         return system_of(scenario).self_test()
     with assemble(scenario) as loop:
         return loop.self_test()
+
+
+def _survived(controller: str, omega_b: float) -> str:
+    """What the controller's own record says of faults: a run shows one of them at most."""
+    from interarea.cosim.designs.acceptance import in_words
+    from interarea.cosim.designs.controller_file import any_controller
+    from interarea.design.controllers.controller import ControllerError
+
+    try:
+        certificate = any_controller(controller, omega_b).certificate
+    except ControllerError:  # designed for the case, a bank, an FMU that is no linear controller: no record
+        certificate = None
+    return in_words((certificate or {}).get("acceptance"))
