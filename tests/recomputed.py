@@ -15,8 +15,10 @@ def walk(study: Any, path: str) -> float:
         elif word[0] == "@":
             study = sorted((abs(x - float(word[1:])), y) for x, y in study)[0][1]
         elif "=" in word:
-            key, wanted = word.split("=")
-            (study,) = [row for row in study if str(row[key]) == wanted]
+            entries = dict(entry.split("=") for entry in word.split("&"))
+            (study,) = [
+                row for row in study if entries.items() <= {k: str(v) for k, v in row.items()}.items()
+            ]
         else:
             study = study[int(word)]
     return math.inf if study is None else study

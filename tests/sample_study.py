@@ -120,6 +120,28 @@ def sample_study() -> dict[str, Any]:
                 for name, median in (("ftc", 6.3), ("cc", 6.4))
             ],
         },
+        "survival": {
+            "clearing_cycles": 8.0,
+            "lost_at_s": 1.0,
+            "watch_s": 9.0,
+            "cycles": {"from": 1.0, "to": 30.0, "tolerance": 0.15},
+            "rows": [
+                {
+                    "point": point,
+                    "ceiling": "none",
+                    "controller": name,
+                    "signals": signals,
+                    "stable": True,
+                    "least_damping": 0.2,
+                    "synchronism": signals == "nothing lost",
+                    "largest_angle_rad": 1.3 if signals == "nothing lost" else None,
+                    "critical_cycles": 12.3 if signals == "nothing lost" else 0.0,
+                }
+                for point in ("base", "circuit out", "tie +100 MW", "tie -200 MW", "tie reversed")
+                for name in ("none", "wdc", "cc", "ftc")
+                for signals in (("nothing lost",) if name == "none" else ("nothing lost", "remote lost"))
+            ],
+        },
         "scenarios": {
             "none-pulse": _scenario(0.081, 13.1),
             "wdc-pulse": _scenario(0.296, 4.2),

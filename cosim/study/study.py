@@ -48,6 +48,7 @@ from .printed import printed_rows
 from .report import write_report
 from .runs import run_all, scenario_documents
 from .spec import load_study
+from .survival import survival_record
 
 #: Called with a stage's name and how much of it is done, 0..1.
 StageProgress = Callable[[str, float], None]
@@ -59,6 +60,7 @@ STAGES = (
     "latency",
     "co-simulation",
     "packets",
+    "survival",
     "figures",
     "report",
 )
@@ -148,6 +150,13 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
         done = stage("packets")
         packets = _packets(spec, plant, controllers, fmus, cache, done) if "packets" in spec else None
 
+        done = stage("survival")
+        survival = None
+        if "survival" in spec:
+            tried = {name: design_controller(case, name, cache) for name in spec["survival"]["controllers"]}
+            survival = survival_record(spec, tried, cache, done)
+        done(1.0)
+
         done = stage("figures")
         parts = StudyParts(
             spec,
@@ -168,6 +177,7 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
     fmus = {label: complete_fmu(path, cache) for label, path in fmus.items()}
     study = rows.study_rows(parts, loops, full.nstates)
     study["packets"] = packets
+    study["survival"] = survival
     study["figures"] = {key: path.relative_to(out).as_posix() for key, path in figures.items()}
     study["provenance"] = {
         "command": f"interarea study {name} --out DIR",

@@ -2,8 +2,9 @@
 
 A statement names its evidence (name -> path into study.json) and its parts, comparisons of that evidence.
 It agrees where every part holds, in part where some do, and differs where none does. A path is made of keys
-and list positions between slashes; ``key=value`` takes the row of a list that has this entry, ``@x`` of rows
-[x, y] the y at the nearest x. A number that is null ("never settled", "never unstable") counts as infinite.
+and list positions between slashes; ``key=value&key=value`` takes the row of a list that has these entries,
+``@x`` of rows [x, y] the y at the nearest x. A number that is null ("never settled", "never unstable") counts
+as infinite.
 """
 
 from __future__ import annotations
@@ -98,8 +99,8 @@ def _step(value: Any, word: str) -> Any:
         at = float(word[1:])
         return min(value, key=lambda row: abs(row[0] - at))[1]
     if "=" in word:
-        key, _, wanted = word.partition("=")
-        return next(row for row in value if str(row[key]) == wanted)
+        wanted = [entry.partition("=")[::2] for entry in word.split("&")]
+        return next(row for row in value if all(str(row[key]) == text for key, text in wanted))
     return value[int(word)]
 
 

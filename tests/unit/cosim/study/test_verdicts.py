@@ -31,7 +31,7 @@ def test_every_verdict_comes_out_again_from_its_evidence() -> None:
     ("check", "path", "value", "before", "after"),
     [
         ("plant_order", "plant/states", 58, "differs", "agrees"),
-        ("cc_lost", "controllers/cc/stable/remote_lost", False, "differs", "partly"),
+        ("cc_damping", "controllers/cc/damping_ratio/normal/inter-area", 0.1, "agrees", "partly"),
         ("effort", "controllers/ftc/effort", 0.01, "partly", "differs"),
         ("non_synchronous_delay", "delay/non_synchronous/margin_s", 0.9, "differs", "agrees"),
         ("synchronous_delay", "scenarios/wdc-margin-above/stable", True, "agrees", "partly"),

@@ -1,0 +1,288 @@
+"""What a study's controllers do not survive: a fault at every operating point, signals there and lost.
+
+Each operating point is a case of its own, with and without ceilings of the exciters; a setting is a
+controller with every signal there or the remote one lost. Synchronism is kept while no two machines are more
+than pi apart. The critical clearing time is bisected, all settings of a case side by side in the lanes of the
+processor, every run with the bits of the run made alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from interarea.design.certificates.closed_loop import closed_loop_matrix
+from interarea.design.controllers.controller import Controller
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, source_hash
+from interarea.models.case.case import Case, load_case
+from interarea.models.case.variants import operating_variant
+
+from ..errors import StepError
+from ..master.fmu_file import FmuFile
+from ..master.instances import FmuParticipant
+from ..master.isolated import participant_of
+from ..master.lockstep import advance_together
+from ..master.master import Master
+from ..run.artefacts import channel_fmu, controller_fmu, linear_plant, plant_fmu
+from ..run.run import wire
+from ..scenario.scenario import load_scenario
+from ..sweep.lane_batches import lanes_here
+from .delay import BAND_HZ
+
+NONE = "none"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One controller (or none) with every signal there, or with the remote one lost."""
+
+    controller: str
+    lost: bool
+
+    @property
+    def signals(self) -> str:
+        """What of its signals is there, in words."""
+        return "remote lost" if self.lost else "nothing lost"
+
+
+def survival_record(
+    spec: Mapping[str, Any],
+    controllers: Mapping[str, Controller],
+    cache: Path,
+    progress: Callable[[float], None],
+) -> dict[str, Any]:
+    """Return `rows` as `survival_rows`, the clearing time of the fault as specified and what was asked."""
+    table = spec["survival"]
+    fault = next(e for e in spec["disturbance"][table["disturbance"]] if e["kind"] == "bus_fault")
+    cycles = (fault["end_s"] - fault["start_s"]) * load_case(spec["case"]).frequency_hz
+    return {
+        "clearing_cycles": round(cycles, 3),
+        **{key: table[key] for key in ("lost_at_s", "watch_s", "cycles")},
+        "rows": survival_rows(spec, controllers, cache, progress),
+    }
+
+
+def survival_rows(
+    spec: Mapping[str, Any],
+    controllers: Mapping[str, Controller],
+    cache: Path,
+    progress: Callable[[float], None],
+    *,
+    processes: int = 2,
+) -> list[dict[str, Any]]:
+    """Return one row for each operating point, ceiling, controller and loss of `spec["survival"]`.
+
+    Each row: point, ceiling, controller, signals; `stable` and `least_damping` of the linear loop (that of
+    the swings; the same with every ceiling); `synchronism` and `largest_angle_rad` (None where it is lost) of
+    the fault as specified; `critical_cycles`, the longest clearing time that keeps synchronism, in cycles
+    of the case's frequency, to the tolerance: 0 where the shortest tried loses it, the longest tried where it
+    never does.
+    """
+    table = spec["survival"]
+    tried = [(point, ceiling) for ceiling in table["ceiling"] for point in table["point"]]
+    rows: list[dict[str, Any]] = []
+    with TemporaryDirectory() as folder, ProcessPoolExecutor(processes) as pool:
+        # a state-space model of python-control cannot be pickled
+        files = {name: controllers[name].save(Path(folder) / f"{name}.json") for name in controllers}
+        waiting = [pool.submit(_rows_of_case, spec, files, point, ceiling, cache) for point, ceiling in tried]
+        for k, future in enumerate(waiting):
+            rows += future.result()
+            progress((k + 1) / len(waiting))
+    return rows
+
+
+def case_at(case: Case, point: Mapping[str, Any], ceiling: Mapping[str, Any]) -> Case:
+    """Return a case at an operating point of a study, with the ceilings of its exciters."""
+    if ceiling.get("change"):
+        case = case.with_changes(ceiling["change"], name=f"{case.name}-{ceiling['key']}")
+    return operating_variant(case, tie_flow_mw=point.get("tie_flow_mw", 0.0), out=tuple(point.get("out", ())))
+
+
+def _rows_of_case(
+    spec: Mapping[str, Any],
+    files: Mapping[str, Path],
+    point: Mapping[str, Any],
+    ceiling: Mapping[str, Any],
+    cache: Path,
+) -> list[dict[str, Any]]:
+    """Return the rows of one operating point with one ceiling."""
+    case = case_at(load_case(spec["case"]), point, ceiling)
+    controllers = {name: Controller.load(path) for name, path in files.items()}
+    key = content_hash(
+        plant_fmu(case, cache).name,
+        *(controller_fmu(c, case.omega_b, cache).name for c in controllers.values()),
+        [spec[k] for k in ("survival", "disturbance", "remote", "local", "step_s")],
+        code_hash(__name__),
+        source_hash("cosim", "*.[ch]"),
+    )
+
+    def make() -> list[dict[str, Any]]:
+        with threadpool_limits(1):
+            return _make_rows(spec, controllers, case, cache)
+
+    named = {"point": point["name"], "ceiling": ceiling["name"]}
+    return [{**named, **row} for row in cached_json(cache, "survival", key, make)]
+
+
+def _make_rows(
+    spec: Mapping[str, Any], controllers: Mapping[str, Controller], case: Case, cache: Path
+) -> list[dict[str, Any]]:
+    table = spec["survival"]
+    settings = [Setting(NONE, False), *(Setting(n, lost) for n in controllers for lost in (False, True))]
+    cycle_s, cycles = 1.0 / case.frequency_hz, table["cycles"]
+    with Faults(spec, controllers, case, cache) as faults:
+        angles = faults.largest_angles(dict.fromkeys(settings, faults.clearing_s))
+
+        def kept(tried: Mapping[Setting, float]) -> dict[Setting, bool]:
+            found = faults.largest_angles({s: n * cycle_s for s, n in tried.items()})
+            return {setting: angle < np.pi for setting, angle in found.items()}
+
+        critical = longest_kept(settings, kept, cycles["from"], cycles["to"], cycles["tolerance"])
+    plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
+    rows = []
+    for setting in settings:
+        poles = np.linalg.eigvals(plant.A)
+        if setting.controller != NONE:
+            lost = (spec["remote"],) if setting.lost else ()
+            poles = np.linalg.eigvals(
+                closed_loop_matrix(plant, controllers[setting.controller].system, lost=lost)
+            )
+        hertz = np.abs(poles.imag) / (2.0 * np.pi)
+        swings = poles[(hertz >= BAND_HZ[0]) & (hertz <= BAND_HZ[1])]
+        synchronous = bool(angles[setting] < np.pi)
+        rows.append(
+            {
+                "controller": setting.controller,
+                "signals": setting.signals,
+                "stable": bool(np.max(poles.real) < 0.0),
+                "least_damping": float(np.min(-swings.real / np.abs(swings), initial=1.0)),
+                "synchronism": synchronous,
+                "largest_angle_rad": float(angles[setting]) if synchronous else None,
+                "critical_cycles": critical[setting],
+            }
+        )
+    return rows
+
+
+def longest_kept(
+    settings: Sequence[Setting],
+    kept: Callable[[Mapping[Setting, float]], Mapping[Setting, bool]],
+    low: float,
+    high: float,
+    tolerance: float,
+) -> dict[Setting, float]:
+    """Bisect for each setting where `kept` ends between `low` and `high`; all settings in each call.
+
+    Returns
+    -------
+    setting -> the longest value found kept; 0 where `low` is not, `high` where that still is.
+    """
+    first, last = kept(dict.fromkeys(settings, low)), kept(dict.fromkeys(settings, high))
+    good = {s: (high if last[s] else low) if first[s] else 0.0 for s in settings}
+    bad = {s: high for s in settings if first[s] and not last[s]}
+    while bad:
+        found = kept({s: 0.5 * (good[s] + limit) for s, limit in bad.items()})
+        for s, holds in found.items():
+            middle = 0.5 * (good[s] + bad[s])
+            good[s], bad[s] = (middle, bad[s]) if holds else (good[s], middle)
+        bad = {s: limit for s, limit in bad.items() if limit - good[s] > tolerance}
+    return good
+
+
+class Faults:
+    """Live loops of one case, one for each setting, made once and reset for every clearing time."""
+
+    def __init__(
+        self, spec: Mapping[str, Any], controllers: Mapping[str, Controller], case: Case, cache: Path
+    ) -> None:
+        self.spec, self.case = spec, case
+        events = spec["disturbance"][spec["survival"]["disturbance"]]
+        self.clear_s = float(next(e["end_s"] for e in events if e["kind"] == "bus_fault"))
+        self.start_s = float(next(e["start_s"] for e in events if e["kind"] == "bus_fault"))
+        self.clearing_s = self.clear_s - self.start_s  #: of the fault as specified
+        self._files = ExitStack()
+        self._library = lanes_here(cache).library
+        self._plant = self._open(plant_fmu(case, cache))
+        self._channel = self._open(channel_fmu(cache))
+        self._controllers = {
+            name: self._open(controller_fmu(made, case.omega_b, cache)) for name, made in controllers.items()
+        }
+        self._live: dict[Setting, dict[str, FmuParticipant]] = {}
+
+    def __enter__(self) -> Faults:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for participants in self._live.values():
+            for p in participants.values():
+                p.close()
+        self._files.close()
+
+    def _open(self, path: Path) -> FmuFile:
+        file = FmuFile(path)
+        self._files.callback(file.close)
+        return file
+
+    def largest_angles(self, clearing_s: Mapping[Setting, float]) -> dict[Setting, float]:
+        """Return the largest angle between two machines (rad) in the run of each setting; inf: it failed."""
+        masters = [self._master(setting, value) for setting, value in clearing_s.items()]
+        for master in masters:
+            master.start()
+        errors = advance_together(masters)
+        found = {}
+        for setting, master, error in zip(clearing_s, masters, errors, strict=True):
+            if error is not None and not isinstance(error, StepError):
+                raise error
+            curves = master.records
+            angles = np.array([curves[f"plant.{m.name}_delta"] for m in self.case.machines])
+            found[setting] = float("inf") if error else float(np.ptp(angles, axis=0).max())
+        return found
+
+    def document(self, setting: Setting, clearing_s: float) -> dict[str, Any]:
+        """Return the scenario of a setting; a branch that is out already is not tripped."""
+        table, end = self.spec["survival"], self.start_s + clearing_s
+        events = []
+        for event in self.spec["disturbance"][table["disturbance"]]:
+            if event["kind"] == "branch_trip" and not self.case.branch(event["branch"]).in_service:
+                continue
+            moved = {k: end for k in ("start_s", "end_s") if event.get(k) == self.clear_s}
+            events.append(event | moved)
+        stop = self.start_s + table["watch_s"]
+        document: dict[str, Any] = {
+            "case": self.spec["case"],
+            "controller": setting.controller,
+            "stop_s": stop,
+            "step_s": self.spec["step_s"],
+            "event": events,
+        }
+        if setting.lost:
+            outage = [[table["lost_at_s"], stop]]
+            document["channels"] = {"remote": {"signal": self.spec["remote"], "outages_s": outage}}
+        return document
+
+    def _master(self, setting: Setting, clearing_s: float) -> Master:
+        scenario = load_scenario(self.document(setting, clearing_s))
+        wiring = wire(
+            scenario,
+            self.case,
+            plant=self._plant,
+            controller=self._controllers.get(setting.controller),
+            channel=self._channel if setting.lost else None,
+        )
+        live = self._live.setdefault(setting, {})
+        for name, (file, start) in wiring.instances.items():
+            if name in live:
+                live[name].set_start(start)
+            else:
+                live[name] = participant_of(name, file, start)
+                live[name].group = self._library if name == "plant" else None
+        return wiring.master(scenario, list(live.values()))

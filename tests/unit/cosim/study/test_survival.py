@@ -1,0 +1,75 @@
+"""Faults that controllers do not survive: the search, the loops side by side, the operating points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from interarea.cosim.run.run import Controllers, run_scenario
+from interarea.cosim.study.spec import load_study
+from interarea.cosim.study.survival import NONE, Faults, Setting, case_at, longest_kept
+from interarea.design.controllers.controller import Controller
+from interarea.models.case.case import Case
+
+SETTINGS = [Setting("a", False), Setting("a", True), Setting("b", False), Setting("c", False)]
+
+
+def test_the_search_ends_within_its_tolerance_below_the_limit() -> None:
+    limit = dict(zip(SETTINGS, (8.123, 0.5, 29.99, 40.0), strict=True))
+    calls: list[int] = []
+
+    def kept(tried: Any) -> Any:
+        calls.append(len(tried))
+        return {s: value <= limit[s] for s, value in tried.items()}
+
+    found = longest_kept(SETTINGS, kept, 1.0, 30.0, 0.15)
+    for setting in (SETTINGS[0], SETTINGS[2]):
+        assert limit[setting] - 0.15 <= found[setting] <= limit[setting]
+    assert found[SETTINGS[1]] == 0.0 and found[SETTINGS[3]] == 30.0
+    assert calls[0] == calls[1] == 4 and calls[2] == 2  # settings that are decided are not run again
+    assert len(calls) == 2 + 8  # 29 cycles halved to below 0.15
+
+
+def test_points_and_ceilings_are_cases_of_their_own(two_area: Case) -> None:
+    table = load_study("thesis")["survival"]
+    points = {p["name"]: p for p in table["point"]}
+    free, ceiled = table["ceiling"]
+    assert case_at(two_area, points["base"], free) == two_area
+    out = case_at(two_area, points["circuit out"], ceiled)
+    assert not out.branch("8-9 a").in_service and {m.exciter.Efd_max for m in out.machines} == {5.0}
+    more = case_at(two_area, points["tie +100 MW"], free)
+    loads = [{q.name: q.P_mw for q in c.loads} for c in (two_area, more)]
+    assert loads[1]["L7"] == loads[0]["L7"] - 100.0 and loads[1]["L9"] == loads[0]["L9"] + 100.0
+    assert abs(sum(loads[1].values()) - sum(loads[0].values())) < 1e-9
+
+
+def test_side_by_side_every_fault_is_the_run_made_alone(
+    two_area: Case, hand_controller: Controller, by_hand: Controllers, cache: Path
+) -> None:
+    """The angles of lanes that are reset and run again are those of `run_scenario`, to the bit."""
+    spec = dict(load_study("thesis"))
+    spec["survival"] = spec["survival"] | {"watch_s": 2.0}
+    settings = [Setting(NONE, False), Setting("wdc", False), Setting("wdc", True)]
+    clearing = dict(zip(settings, (0.1, 0.1333333, 0.2), strict=True))
+    with Faults(spec, {"wdc": hand_controller}, two_area, cache) as faults:
+        first = faults.largest_angles(dict.fromkeys(settings, 0.3))
+        found = faults.largest_angles(clearing)
+        assert faults.clearing_s == pytest.approx(8.0 / 60.0, abs=1e-6)
+        documents = {s: faults.document(s, at) for s, at in clearing.items()}
+    for setting, document in documents.items():
+        data = run_scenario(document, cache=cache, controllers=by_hand).trajectory.data
+        angles = np.array([data[f"plant.{m.name}_delta"] for m in two_area.machines])
+        assert found[setting] == float(np.ptp(angles, axis=0).max()) < first[setting]
+    assert [e["kind"] for e in documents[settings[0]]["event"]] == ["bus_fault", "branch_trip"]
+    assert {e.get("end_s", e["start_s"]) for e in documents[settings[0]]["event"]} == {1.1}
+
+
+def test_a_branch_that_is_out_is_not_tripped(two_area: Case, cache: Path) -> None:
+    spec = load_study("thesis")
+    case = case_at(two_area, {"out": ["8-9 a"]}, {})
+    with Faults(spec, {}, case, cache) as faults:
+        events = faults.document(Setting(NONE, False), 0.1)["event"]
+    assert [e["kind"] for e in events] == ["bus_fault"]
