@@ -88,7 +88,7 @@ def default_step_s(point: OperatingPoint) -> float:
 
 def shortest_time_s(point: OperatingPoint) -> float:
     """Return the shortest time constant of the controls and of the machines' dampers, s."""
-    machines = [m for m in point.case.machines if m.model != "classical"]
+    machines = [m for m in point.case.machines if not m.has_constant_emf]
     dampers = [m.number(key) for m in machines for key in ("Td02", "Tq02")]
     return min([s.time_s for s in point.states] + dampers, default=math.inf)
 

@@ -100,7 +100,7 @@ def require_dynamics(case: CaseTables) -> None:
     if bare:
         raise CaseError(
             f"{case.name}: machines {', '.join(bare[:10])} have no dynamic data (model power_flow), "
-            "allowed: round_rotor or classical; a DYR file or the tables of the case give them"
+            "allowed: round_rotor, classical or infinite_bus; a DYR file or the tables of the case give them"
         )
 
 

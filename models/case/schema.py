@@ -150,6 +150,7 @@ class Saturation(Row):
 NEEDED: dict[str, tuple[str, ...]] = {
     "round_rotor": ("H", "Xd1", "Xd", "Xq", "Xl", "Xq1", "Xd2", "Xq2", "Td01", "Tq01", "Td02", "Tq02"),
     "classical": ("H", "Xd1"),
+    "infinite_bus": ("Xd1",),
     "power_flow": (),
 }
 
@@ -159,6 +160,7 @@ class Machine(Row):
 
     round_rotor: sixth order, needs Xd, Xq, Xl, Xd1, Xq1, Xd2, Xq2, Td01, Tq01, Td02, Tq02 with
     Xd > Xd1 >= Xd2 > Xl >= 0 and Xq >= Xq1 >= Xq2 > Xl. classical: H and a constant EMF behind Ra + j Xd1.
+    infinite_bus: that EMF turns at nominal frequency whatever happens (a classical machine of infinite H).
     power_flow: a dispatch without dynamic data, good for the power flow only.
     """
 
@@ -166,7 +168,7 @@ class Machine(Row):
     bus: BusNumber
     area: Annotated[int, Field(strict=True, ge=1)] = 1
     base_mva: Positive
-    model: Literal["round_rotor", "classical", "power_flow"] = "round_rotor"
+    model: Literal["round_rotor", "classical", "infinite_bus", "power_flow"] = "round_rotor"
     H: Positive | None = None  #: s
     D: NonNegative = 0.0  #: pu torque per pu speed
     Ra: NonNegative = 0.0
@@ -203,6 +205,10 @@ class Machine(Row):
                 raise ValueError(
                     f"a {self.model} machine has no field circuit, allowed: constant exciter, no stabilizer"
                 )
+            if self.model == "infinite_bus" and (
+                self.governor.kind != "none" or self.H is not None or self.D
+            ):
+                raise ValueError("an infinite bus has neither inertia nor a governor, allowed: Ra and Xd1")
             return self
         for chain in (
             ("Xl", "<", "Xd2", "<=", "Xd1", "<", "Xd"),
@@ -213,6 +219,11 @@ class Machine(Row):
                 if not (a < b or (sign == "<=" and a == b)):
                     raise ValueError(f"{high} = {b:g} with {low} = {a:g}, allowed: {' '.join(chain)}")
         return self
+
+    @property
+    def has_constant_emf(self) -> bool:
+        """True when the machine is a constant EMF behind Ra + j Xd1."""
+        return self.model in ("classical", "infinite_bus")
 
     def number(self, key: str) -> float:
         """Return the value `key` that the machine's model needs; ValueError when it is not given."""

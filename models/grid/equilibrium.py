@@ -89,7 +89,7 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
     for k, m in enumerate(case.machines):
         i = current[k] / base[k]
         delta[k] = rotor_angle(m, complex(voltage[k]), complex(i))
-        emf[k] = voltage[k] + complex(m.Ra, m.number("Xd1" if m.model == "classical" else "Xd2")) * i
+        emf[k] = voltage[k] + complex(m.Ra, m.number("Xd1" if m.has_constant_emf else "Xd2")) * i
     solved, current, load_volts = _network(case, power_flow, emf)
     worst = int(np.argmax(np.abs(solved - power_flow.voltages)))
     error = abs(solved[worst] - power_flow.voltages[worst])
@@ -112,7 +112,7 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
 
 def rotor_angle(m: Machine, voltage: complex, current: complex) -> float:
     """Return the angle of the q axis (classical: of the EMF) at a terminal phasor, machine base, rad."""
-    if m.model == "classical":
+    if m.has_constant_emf:
         return float(np.angle(voltage + complex(m.Ra, m.number("Xd1")) * current))
     Xq, Xl = m.number("Xq"), m.number("Xl")
     if saturation_of(m) is not None:
@@ -164,7 +164,7 @@ def _machine_point(
     m: Machine, delta: float, emf: complex, current: complex, gap: AirGap | None
 ) -> MachinePoint:
     """The machine at rest; `emf` is that behind Ra + j Xd2, which with a port is not eq2 - j ed2."""
-    if m.model == "classical":
+    if m.has_constant_emf:
         drop = complex(m.Ra, m.number("Xd1")) * current
         power = float((emf * np.conj(current)).real)
         return MachinePoint(delta, 0.0, 0.0, abs(emf), 0.0, abs(emf), power, abs(emf - drop))
@@ -254,7 +254,7 @@ def _machine_states(
     states = []
     for key, (unit, description) in words.items():
         for k, (m, point) in enumerate(zip(case.machines, points, strict=True)):
-            if m.model == "classical" and key not in ("delta", "slip"):
+            if m.has_constant_emf and key not in ("delta", "slip"):
                 continue
             own = frozenset({f"{m.name}.{key}"})
             depends = {

@@ -70,7 +70,7 @@ class MachinePoint:
 
 
 #: states through which a machine acts on the network
-NETWORK_KEYS = {"round_rotor": ("delta", "eq2", "ed2"), "classical": ("delta",)}
+NETWORK_KEYS = {"round_rotor": ("delta", "eq2", "ed2"), "classical": ("delta",), "infinite_bus": ("delta",)}
 MACHINE_KEYS = ("Ra", "Xl", "Xd", "Xd1", "Xd2", "Xq", "Xq1", "Xq2", "Td01", "Td02", "Tq01", "Tq02", "H", "D")
 
 
@@ -84,8 +84,10 @@ def machine_table(case: Case, points: Sequence[MachinePoint]) -> npt.NDArray[np.
 
 
 def _number(m: Machine, key: str) -> float:
-    """A classical machine has its Xd1 on both axes and nothing else but what moves it."""
-    if m.model == "classical":
+    """A constant EMF has its Xd1 on both axes and nothing else but what moves it."""
+    if m.has_constant_emf:
+        if key == "H" and m.model == "infinite_bus":
+            return math.inf
         key = {"Xd2": "Xd1", "Xq2": "Xd1"}.get(key, key)
         return m.number(key) if key in ("Ra", "H", "D", "Xd1") else 0.0
     return m.number(key)
@@ -97,6 +99,6 @@ def network_states(case: Case) -> frozenset[str]:
 
 
 def in_plant_order(case: Case) -> Case:
-    """Return `case` with the machines as the plant has them: classical ones after all others."""
-    machines = tuple(sorted(case.machines, key=lambda m: m.model == "classical"))
+    """Return `case` with the machines as the plant has them: constant EMFs after all others."""
+    machines = tuple(sorted(case.machines, key=lambda m: m.has_constant_emf))
     return case if machines == case.machines else case.model_copy(update={"machines": machines})

@@ -134,9 +134,9 @@ def kron_reduction(Y: npt.ArrayLike, keep: Sequence[int]) -> ComplexArray:
 
 
 def machine_norton_admittance(case: Case) -> ComplexArray:
-    """Return 1/(Ra + j X) of each machine on the base of the case, X = Xd2 (classical: Xd1), (machines,)."""
+    """Return 1/(Ra + j X) of each machine on the base of the case, X = Xd2, or Xd1; (machines,)."""
     impedances = [
-        complex(m.Ra, m.number("Xd1" if m.model == "classical" else "Xd2")) * case.base_mva / m.base_mva
+        complex(m.Ra, m.number("Xd1" if m.has_constant_emf else "Xd2")) * case.base_mva / m.base_mva
         for m in case.machines
     ]
     return np.array([1.0 / z for z in impedances], dtype=complex)

@@ -6,7 +6,7 @@ GENROU, GENROE  -> round_rotor; X''q = X''d, Ra from the RAW file; S(1.0), S(1.2
                    become the exponential through both points.
 GENSAL          -> round_rotor with Xq1 = Xq: then ed1 stays 0 and the one q damper is the outer one.
                    Its saturation, on the d axis only, has no counterpart: S(1.0), S(1.2) must be 0.
-GENCLS          -> classical behind ZR + jZX of the RAW file.
+GENCLS          -> classical behind ZR + jZX of the RAW file; with H = 0 an infinite bus there.
 SEXS            -> static or static_tgr;   EXST1, ESST1A -> st1a;   IEEET1, IEEEX1, ESDC1A -> dc1, the
                    saturation factor being the exponential through both points.
 IEEEST, STAB1   -> stabilizer;             TGOV1 -> tgov1.
@@ -159,8 +159,10 @@ def _gensal(where: str, *p: float) -> dict[str, Any]:
 
 
 def _gencls(where: str, H: float, D: float) -> dict[str, Any]:
+    if H == 0.0:
+        return {"model": "infinite_bus"}
     if not H > 0.0:
-        raise CaseError(f"{where}: GENCLS with H = {H:g} is an infinite bus, allowed: H > 0")
+        raise CaseError(f"{where}: GENCLS with H = {H:g}, allowed: 0 (an infinite bus) or above")
     return {"model": "classical", "H": H, "D": D}
 
 

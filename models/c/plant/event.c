@@ -112,14 +112,21 @@ static double branch_state(const Block *b, const Plan *plan, size_t branch, int 
     return state;
 }
 
+/* Infinite buses, as long as one runs, are the centre: their H is infinite. */
 static void centre_of_inertia(double *memory, const Plan *plan)
 {
     const size_t n = plan->n_machine;
     const double *H = memory + plan->machine + M_H * n, *ratio = memory + plan->machine + M_RATIO * n;
-    double total = 0.0;
-    for (size_t k = 0; k < n; ++k) total += H[k] * ratio[k] * memory[plan->running + k];
-    for (size_t k = 0; k < n; ++k)
-        memory[plan->coi + k] = H[k] * ratio[k] * memory[plan->running + k] / total;
+    const double *running = memory + plan->running;
+    double total = 0.0, infinite = 0.0;
+    for (size_t k = 0; k < n; ++k) {
+        if (isinf(H[k])) infinite += running[k];
+        else total += H[k] * ratio[k] * running[k];
+    }
+    for (size_t k = 0; k < n; ++k) {
+        const double weight = isinf(H[k]) ? 1.0 : infinite > 0.0 ? 0.0 : H[k] * ratio[k];
+        memory[plan->coi + k] = weight * running[k] / (infinite > 0.0 ? infinite : total);
+    }
 }
 
 /* Ports of loads draw what the case says, before load steps. */
