@@ -28,11 +28,11 @@ from chain.peers import PEERS, Route, plain_c
 from chain.trivial import H, trivial_fmu
 from study_loop import SCENARIO
 
-from interarea.cosim.master.fmu_file import FmuFile
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.master.master import Master
 from interarea.cosim.run.run import assemble
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.fmu_build.open.fmu_file import FmuFile
 
 #: microseconds per step and FMU at N = 10, every output recorded
 WANTED_KERNEL, WANTED_PYTHON = 0.15, 3.5

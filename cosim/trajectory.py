@@ -14,7 +14,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from .participant import Port
+from interarea.fmu_build.open.ports import Port
 
 TIME = "time_s"
 

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from interarea.models.case.errors import OneLineError
+
+
+class FmuFileError(OneLineError):
+    """A file that is no FMU, or none that can be used here: file, what is wrong, what is needed."""
+
 
 class BuildError(RuntimeError):
     """An FMU could not be built: no compiler, a compiler error, or a block whose parts do not fit."""

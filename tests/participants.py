@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.linalg import expm
 
-from interarea.cosim.participant import Description, Port
+from interarea.fmu_build.open.ports import Description, Port
 
 
 class _Numpy:

@@ -16,9 +16,8 @@ from interarea.design.certificates.switching import (
 )
 from interarea.design.controllers.bank import ControllerBank, bank_of_record, load_controller
 from interarea.design.controllers.controller import Controller, ControllerError
+from interarea.fmu_build.open.fmu_file import describe
 from interarea.models.blocks.binary_table import unpack_record
-
-from ..master.fmu_file import read_description
 
 RECORD = "resources/model.bin"
 
@@ -32,8 +31,8 @@ def bank_from_fmu(path: Path, omega_b: float) -> ControllerBank:
     """
     if not path.is_file():
         raise ControllerError(f"controller FMU {path}: not found")
-    description, _ = read_description(path)
-    variables = {v.name: v for v in description.modelVariables}
+    description = describe(path)
+    variables = {v.name: v for v in description.variables}
     inputs = [n for n, v in variables.items() if v.causality == "input" and f"{n}_valid" in variables]
     outputs = [n for n, v in variables.items() if v.causality == "output" and v.type == "Real"]
     members = [n.removesuffix(".weight") for n in variables if n.endswith(".weight") and "der(" not in n]
@@ -44,8 +43,8 @@ def bank_from_fmu(path: Path, omega_b: float) -> ControllerBank:
             arrays = unpack_record(archive.read(RECORD))
         except (KeyError, ValueError, zipfile.BadZipFile, zlib.error) as error:
             raise ControllerError(f"controller FMU {path}: {RECORD}: {error}") from error
-    numbers = {n: float(v.start) for n, v in variables.items() if v.causality == "parameter"}
-    return bank_of_record(description.modelName, members, inputs, outputs, arrays, numbers, omega_b)
+    numbers = {n: v.number("start") or 0.0 for n, v in variables.items() if v.causality == "parameter"}
+    return bank_of_record(description.name, members, inputs, outputs, arrays, numbers, omega_b)
 
 
 def any_bank(name: str, omega_b: float) -> ControllerBank | None:

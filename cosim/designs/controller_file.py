@@ -14,9 +14,9 @@ import numpy as np
 
 from interarea.design.controllers.bundled import shipped_controller, shipped_names
 from interarea.design.controllers.controller import RECORD, Controller, ControllerError, guard_of
+from interarea.fmu_build.open.fmu_file import describe
 
 from ..errors import nearest
-from ..master.fmu_file import read_description
 
 
 def any_controller(name: str, omega_b: float) -> Controller:
@@ -41,9 +41,9 @@ def _from_fmu(path: Path, omega_b: float) -> Controller:
     """Read A, B, C, D (pu) and the limit from an FMU's parameters; speeds become rad/s."""
     if not path.is_file():
         raise ControllerError(f"controller FMU {path}: not found")
-    description, _ = read_description(path)
-    variables = description.modelVariables
-    starts = {v.name: v.start for v in variables if v.causality == "parameter"}
+    description = describe(path)
+    variables = description.variables
+    starts = {v.name: v.number("start") or 0.0 for v in variables if v.causality == "parameter"}
     inputs = [v.name for v in variables if v.causality == "input"]
     outputs = [v.name for v in variables if v.causality == "output"]
     orders = [int(m[1]) for n in starts if (m := re.fullmatch(r"A\[(\d+),\1\]", n))]
@@ -53,7 +53,7 @@ def _from_fmu(path: Path, omega_b: float) -> Controller:
 
     def matrix(letter: str, rows: int, columns: int) -> Any:
         return np.array(
-            [[float(starts[f"{letter}[{i + 1},{j + 1}]"]) for j in range(columns)] for i in range(rows)]
+            [[starts[f"{letter}[{i + 1},{j + 1}]"] for j in range(columns)] for i in range(rows)]
         ).reshape(rows, columns)
 
     scale = np.array([omega_b if name.endswith("_dw") else 1.0 for name in inputs])
@@ -67,9 +67,9 @@ def _from_fmu(path: Path, omega_b: float) -> Controller:
     )
     record = record_of_fmu(path)
     return Controller(
-        description.modelName,
+        description.name,
         system,
-        float(starts["limit"]),
+        starts["limit"],
         record.get("design") or {"method": "read from the FMU"},
         record.get("certificate"),
         None if record.get("guard") is None else guard_of(record["guard"]),

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.package import block_fmu
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.concentrator import concentrator_block
 from interarea.models.blocks.plant import plant_block
 from interarea.models.blocks.variables import Block, VariableTable
 
-from ..master.fmu_file import FmuFile
 from ..master.instances import Value
 from ..master.step_choice import choose_step
 from ..run.run import EVENT_SLOTS, Controllers, controller_of, wire

@@ -12,12 +12,13 @@ from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
+from interarea.fmu_build.open.description import ScalarVariable
+from interarea.fmu_build.open.ports import Port
+from interarea.fmu_build.open.units import BASE, UnitOf
 from interarea.fmu_build.write.description_xml import product_version
 from interarea.fmu_build.write.package import archive_bytes, build_fmu
 from interarea.models.files import temporary_folder, write_whole
 
-from ..master.fmu_file import BASE_UNITS, FmuVariable
-from ..participant import Port, UnitOf
 from ..run.run import Controllers
 from ..scenario.scenario import Scenario
 from .instances import Member, Members, members_of
@@ -107,7 +108,7 @@ def parameter_set(member: Member) -> str:
     Enumerations are left out where the FMU has them as its start values: libcosim ends the process at one.
     """
     variables = _settable(member)
-    known = member.file.units
+    known = member.file.model.unit_table
     units = {v.unit: known[v.unit] for v in variables if v.unit in known}
     # one name for all: Ecos applies the sets of a name that it is told
     head = {"xmlns:ssv": _SSV, "xmlns:ssc": _SSC, "version": "1.0", "name": "start"}
@@ -126,7 +127,7 @@ def parameter_set(member: Member) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _settable(member: Member) -> list[FmuVariable]:
+def _settable(member: Member) -> list[ScalarVariable]:
     variables = [member.file.variables[name] for name in member.start]
     return [v for v in variables if member.block is None or v.type != "Enumeration"]
 
@@ -176,13 +177,13 @@ def _connections(pairs: Iterable[tuple[str, str]]) -> list[str]:
     return ["    <ssd:Connections>", *lines, "    </ssd:Connections>"] if lines else []
 
 
-def _value(member: Member, v: FmuVariable) -> str:
+def _value(member: Member, v: ScalarVariable) -> str:
     number = member.start[v.name] if v.type == "String" else member.number(v.name)
     kinds = {"Real": float, "Integer": int, "Boolean": bool, "String": str}
     if v.type == "Enumeration":
         items = {value: item for item, value in member.file.enumerations[v.name].items()}
         return f"<ssv:Enumeration{_attributes({'value': items[int(number)]})}/>"
-    unit = v.unit if v.unit in member.file.units else None
+    unit = v.unit if v.unit in member.file.model.unit_table else None
     return f"<ssv:{v.type}{_attributes({'value': kinds[v.type](number), 'unit': unit})}/>"
 
 
@@ -191,7 +192,7 @@ def _units(space: str, units: Mapping[str, UnitOf]) -> list[str]:
     for name, unit in sorted(units.items()):
         if unit.exponents is None:
             continue
-        base: dict[str, object] = {k: e for k, e in zip(BASE_UNITS, unit.exponents, strict=True) if e}
+        base: dict[str, object] = {k: e for k, e in zip(BASE, unit.exponents, strict=True) if e}
         base |= {
             k: v for k, v, usual in (("factor", unit.factor, 1.0), ("offset", unit.offset, 0.0)) if v != usual
         }

@@ -15,8 +15,10 @@ import itertools
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from interarea.fmu_build.open.ports import Description, Port
+from interarea.fmu_build.open.units import UnitOf
+
 from ..errors import GraphError, nearest
-from ..participant import Description, Port, UnitOf
 
 
 @dataclass(frozen=True, order=True)

@@ -1,26 +1,22 @@
-"""One FMI 2.0 co-simulation FMU as a participant, over fmpy."""
+"""One FMI 2.0 co-simulation FMU as a participant, over `fmu_build.open`'s binding."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
-from ctypes import byref, c_double, c_int, c_size_t, c_uint, c_void_p, cast
+from ctypes import byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p, cast
 from typing import Any, NoReturn
 
-import fmpy.fmi2 as fmi2
-from fmpy import calloc, free
-
+from interarea.fmu_build.open.description import ScalarVariable
+from interarea.fmu_build.open.fmi2 import DISCARD, STATUS, Instance, Library
+from interarea.fmu_build.open.fmu_file import FmuFile
+from interarea.fmu_build.open.ports import Description
 from interarea.fmu_build.write.lane_library import GroupLibrary
 
 from ..early_return import EarlyReturn, go_on, reached_s
 from ..errors import GraphError, StepError, nearest
-from ..participant import Description
-from .fmu_file import FmuFile, FmuVariable
 
 Value = float | int | bool | str
 _LOGGED = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
-_DISCARD = 2
-_STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 
 
 class FmuParticipant:
@@ -50,7 +46,7 @@ class FmuParticipant:
         self.group = group
         self.description: Description = file.description
         self.set_start(start or {})
-        self._fmu: Any = None
+        self._fmu: Instance | None = None
         self._log: list[str] = []
         self._initialised = False
         self.time_s: float | None = None  #: where the last step ended
@@ -154,43 +150,35 @@ class FmuParticipant:
         if self._fmu is None:
             return
         if self._initialised:
-            self._raw.fmi2Terminate(self._c)
-        self._fmu.freeInstance()
+            self._fmu.call("Terminate")
+        self._fmu.free()
+        self._fmu.library.close()
         self._fmu = None
-        _logs.pop(self._callbacks.componentEnvironment, None)
 
     def _instantiate(self) -> None:
-        model = self.file.model
+        file = self.file
+        binary = file.binary if self.group is None else self.group.path
         try:
-            self._fmu = fmi2.FMU2Slave(
-                instanceName=self.name,
-                guid=model.guid,
-                modelIdentifier=model.coSimulation.modelIdentifier,
-                unzipDirectory=str(self.file.folder),
-                libraryPath=None if self.group is None else str(self.group.path),
-                requireFunctions=False,
-            )
-        except Exception as error:
+            library = Library(file.model, file.interface, file.folder, binary, log=self._log)
+        except (OSError, AttributeError) as error:
             raise StepError(str(error), instance=self.name, call="loading the FMU", time_s=None) from error
-        self._callbacks = _callbacks(self._log)
-        try:
-            self._fmu.instantiate(callbacks=self._callbacks, loggingOn=True)
-            known = [c for c in self.file.log_categories if c in _LOGGED]
-            if known:
-                self._fmu.setDebugLogging(True, known)
-        except Exception as error:
-            self._fmu.freeLibrary()
-            self._fmu = None
+        fmu = library.instantiate(name=self.name, logging=True)
+        if fmu is None:
+            library.close()
             raise StepError(
-                f"returned no instance ({error})",
+                "returned no instance",
                 instance=self.name,
                 call="fmi2Instantiate",
                 time_s=None,
                 last_log=self.last_log(),
-            ) from error
-        self._raw = self._fmu.dll
-        self._c = c_void_p(self._fmu.component)
-        # functions of our own, without the argument checks that fmpy gives its: half the time of a call
+            )
+        self._fmu = fmu
+        known = [c.encode() for c in file.model.log_categories if c in _LOGGED]
+        if known:
+            fmu.call("SetDebugLogging", 1, len(known), (c_char_p * len(known))(*known))
+        self._raw = library.dll
+        self._c = c_void_p(fmu.component)
+        # functions without declared argument types: half the time of a call
         self._do_step = self._raw["fmi2DoStep"]
         self._set_real = self._raw["fmi2SetReal"]
         self._get_real = self._raw["fmi2GetReal"]
@@ -202,7 +190,7 @@ class FmuParticipant:
     @property
     def component(self) -> int:
         """Address of the FMU instance; 0 when there is none."""
-        return 0 if self._fmu is None else int(self._c.value or 0)
+        return 0 if self._fmu is None else self._fmu.component
 
     def address(self, function: str) -> int | None:
         """Return the address of one of the FMU's functions, None when it has no such function."""
@@ -241,7 +229,7 @@ class FmuParticipant:
         status = self._do_step(self._c, c_double(time_s), c_double(length_s), 1)
         if status > 1:
             self.time_s = time_s
-            if status != _DISCARD:
+            if status != DISCARD:
                 self.fail("fmi2DoStep", status)
             self.discarded(time_s, length_s)
         self.time_s = time_s + length_s
@@ -260,9 +248,9 @@ class FmuParticipant:
         """Step; return False when the FMU discards the step."""
         self.time_s = time_s
         status = self._do_step(self._c, c_double(time_s), c_double(length_s), 1)
-        if status > _DISCARD:
+        if status > DISCARD:
             self.fail("fmi2DoStep", status)
-        return bool(status != _DISCARD)
+        return bool(status != DISCARD)
 
     def status_of(self, function: str, kind: int) -> float | None:
         """Return what fmi2GetRealStatus or fmi2GetBooleanStatus says, None when it says nothing."""
@@ -308,16 +296,11 @@ class FmuParticipant:
     def value_of(self, name: str) -> float:
         """Return the present value of any Real, Integer, Boolean or Enumeration variable."""
         variable = self._variable(name)
-        reference = self._references([name])
-        if variable.type == "Real":
-            real = c_double()
-            self._call(
-                "fmi2GetReal", self._get_real(self._c, reference, c_size_t(1), byref(real)), self.time_s
-            )
-            return real.value
-        box = c_int()
-        getter = self._raw.fmi2GetBoolean if variable.type == "Boolean" else self._raw.fmi2GetInteger
-        self._call("fmi2GetInteger", getter(self._c, reference, c_size_t(1), byref(box)), self.time_s)
+        box = c_double() if variable.type == "Real" else c_int()
+        kind = "Integer" if variable.type == "Enumeration" else variable.type
+        assert self._fmu is not None
+        status = self._fmu.call(f"Get{kind}", self._references([name]), 1, byref(box))
+        self._call(f"fmi2Get{kind}", status, self.time_s)
         return float(box.value)
 
     def last_log(self) -> str:
@@ -333,7 +316,7 @@ class FmuParticipant:
 
     def fail(self, call: str, status: int, time_s: float | None = None) -> NoReturn:
         """Raise the error of an FMI call that returned `status`."""
-        label = _STATUS[status] if 0 <= status < len(_STATUS) else str(status)
+        label = STATUS[status].removeprefix("fmi2").lower() if 0 <= status < len(STATUS) else str(status)
         raise StepError(
             f"returned {label}",
             instance=self.name,
@@ -342,7 +325,7 @@ class FmuParticipant:
             last_log=self.last_log(),
         )
 
-    def _variable(self, name: str) -> FmuVariable:
+    def _variable(self, name: str) -> ScalarVariable:
         try:
             return self.file.variables[name]
         except KeyError:
@@ -351,7 +334,7 @@ class FmuParticipant:
                 f"{nearest(name, self.file.variables)}"
             ) from None
 
-    def _encode(self, variable: FmuVariable, value: Value) -> Value:
+    def _encode(self, variable: ScalarVariable, value: Value) -> Value:
         where = f"{self.name}.{variable.name}"
         if variable.causality in ("output", "calculatedParameter", "independent"):
             raise GraphError(f"{where}: has causality {variable.causality} and takes no start value")
@@ -368,51 +351,16 @@ class FmuParticipant:
             raise GraphError(f"{where} = {value!r}: the FMU wants a whole number ({variable.type})")
         return value
 
-    def _set(self, variable: FmuVariable, value: Value, time_s: float) -> None:
+    def _set(self, variable: ScalarVariable, value: Value, time_s: float) -> None:
         encoded = self._encode(variable, value)
-        reference = self._references([variable.name])
-        what = f"setting {variable.name} = {value!r}"
-        if variable.type == "Real":
-            status = self._set_real(self._c, reference, c_size_t(1), (c_double * 1)(float(encoded)))
-        elif variable.type == "String":
-            status = self._raw.fmi2SetString(
-                self._c, reference, 1, (fmi2.fmi2String * 1)(str(encoded).encode())
-            )
-        elif variable.type == "Boolean":
-            status = self._raw.fmi2SetBoolean(self._c, reference, 1, (c_int * 1)(int(encoded)))
+        kind = "Integer" if variable.type == "Enumeration" else variable.type
+        box: Any
+        if kind == "Real":
+            box = c_double(float(encoded))
+        elif kind == "String":
+            box = c_char_p(str(encoded).encode())
         else:
-            status = self._raw.fmi2SetInteger(self._c, reference, 1, (c_int * 1)(int(encoded)))
-        self._call(what, status, time_s)
-
-
-_logs: dict[int, list[str]] = {}  # by componentEnvironment
-_next_log = itertools.count(1)
-
-
-@fmi2.fmi2CallbackLoggerTYPE  # type: ignore[untyped-decorator]
-def _logger(environment: int | None, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
-    """Keep the last hundred lines of each instance.
-
-    One logger for all instances: fmpy's proxy, which fills in the placeholders, knows only one.
-    """
-    lines = _logs.get(environment or 0)
-    if lines is not None:
-        lines.append(message.decode("utf-8", "replace").strip() if message else "")
-        del lines[:-100]
-
-
-def _callbacks(lines: list[str]) -> Any:
-    """Return FMI callbacks whose logger adds to `lines`."""
-    callbacks = fmi2.fmi2CallbackFunctions()
-    callbacks.logger = _logger
-    callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
-    callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
-    callbacks.componentEnvironment = next(_next_log)
-    _logs[callbacks.componentEnvironment] = lines
-    try:
-        from fmpy.logging import addLoggerProxy
-
-        addLoggerProxy(byref(callbacks))
-    except (ImportError, OSError):
-        pass  # without the proxy a message keeps its %-placeholders
-    return callbacks
+            box = c_int(int(encoded))
+        assert self._fmu is not None
+        status = self._fmu.call(f"Set{kind}", self._references([variable.name]), 1, byref(box))
+        self._call(f"setting {variable.name} = {value!r}", status, time_s)

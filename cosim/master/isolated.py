@@ -23,10 +23,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.lane_library import GroupLibrary
 
 from ..errors import ScenarioError, StepError
-from .fmu_file import FmuFile
 from .instances import FmuParticipant, Value
 
 _PATIENCE_S = 5.0

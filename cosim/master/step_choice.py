@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
+from interarea.fmu_build.open.ports import Description
+
 from ..clock import Clock, seconds, to_ticks
 from ..errors import GraphError
-from ..participant import Description
 
 _DEFAULT, _LEAST = 10_000_000, 1_000_000  # ticks
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
+from interarea.fmu_build.open.ports import Description
+
 from ..errors import GraphError
-from ..participant import Description
 from .graph import Graph, Group
 from .signals import Signal
 from .wiring import Inputs

@@ -22,11 +22,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, cast
 
+from interarea.fmu_build.open.ports import Description, Port
+
 from .. import polynomials as ip
 from ..clock import Clock, seconds, to_ticks
 from ..master.graph import Connection, End
 from ..master.master import Master
-from ..participant import Description, Participant, Port
+from ..participant import Participant
 from ..scenario.delays import Delays
 from .delay_ledger import delay_ledger
 

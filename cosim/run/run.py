@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from interarea.design.controllers.bundled import shipped_names
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.cache import default_cache
 from interarea.fmu_build.write.package import block_fmu
 from interarea.models.blocks.plant import event_parameters, plant_block
 
 from ..errors import ScenarioError, nearest
-from ..master.fmu_file import FmuFile
 from ..master.instances import FmuParticipant, Value
 from ..master.isolated import participant_of
 from ..master.master import Master

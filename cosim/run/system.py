@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import ValidationError
 
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.errors import CaseError
@@ -29,7 +30,6 @@ from interarea.models.case.events import event_of
 
 from ..clock import on_tick
 from ..errors import GraphError, ScenarioError, nearest, one_line
-from ..master.fmu_file import FmuFile
 from ..master.graph import end_of
 from ..master.instances import FmuParticipant, Value
 from ..master.isolated import participant_of

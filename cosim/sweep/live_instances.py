@@ -8,10 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.models.case.case import Case
 
 from ..errors import ScenarioError
-from ..master.fmu_file import FmuFile
 from ..master.instances import FmuParticipant
 from ..master.instances import Value as Start
 from ..run.run import Loop
@@ -80,9 +80,9 @@ def controller_start(file: FmuFile, point: Point) -> dict[str, Start]:
     """
     start: dict[str, Start] = {}
     if point.gain != 1.0:
-        for v in file.model.modelVariables:
-            if v.causality == "parameter" and v.name[:2] in ("C[", "D[") and float(v.start) != 0.0:
-                start[v.name] = point.gain * float(v.start)
+        for v in file.model.variables:
+            if v.causality == "parameter" and v.name[:2] in ("C[", "D[") and file.start_of(v.name) != 0.0:
+                start[v.name] = point.gain * file.start_of(v.name)
         if not start:
             raise ScenarioError(
                 f"controller.gain = {point.gain:g}: {file.path.name} has no matrices among its parameters; "

@@ -16,6 +16,7 @@ from typing import Any
 
 from interarea.design.controllers.bank import ControllerBank, load_controller
 from interarea.design.controllers.controller import Controller
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.cache import (
     artefact,
     code_hash,
@@ -28,7 +29,6 @@ from interarea.models.case.case import Case, case_of, load_case
 from interarea.models.files import temporary_folder
 
 from ..errors import ScenarioError, SweepError
-from ..master.fmu_file import FmuFile
 from ..results.ringdown import Swing
 from ..run.artefacts import active_bank, design_controller, swing_of
 from ..run.run import Controllers

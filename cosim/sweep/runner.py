@@ -11,13 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import Case
 
 from ..clock import seconds
 from ..errors import StepError
-from ..master.fmu_file import FmuFile
 from ..master.isolated import participant_of
 from ..master.lockstep import advance_together
 from ..run.artefacts import channel_fmu, concentrator_fmu, controller_fmu, plant_fmu

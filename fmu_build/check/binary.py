@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..finding import Report
 from ..open.description import ModelDescription
-from .finding import Report
 from .images import Image, ImageError, read_image
 
 #: Folder of FMI 2.0 (and of FMI 3.0 style names) -> format, machine, suffix.

@@ -7,15 +7,15 @@ from pathlib import Path
 
 from interarea.models.files import temporary_folder
 
+from ..finding import CheckError, Finding, Report
+from ..open.archive import unpack_checked
 from ..open.description import read_description
-from .archive import unpack_checked
+from ..open.xml import obeys_schema, read_xml
 from .binary import check_binaries
 from .delegated import fmpy_rules, toolbox_rules
-from .finding import CheckError, Finding, Report
 from .load import TIMEOUT_S, check_running
 from .semantics import check_semantics
 from .ssp import STRUCTURE, check_ssp
-from .xml import obeys_schema, read_xml
 
 __all__ = ["CheckError", "Finding", "Report", "check_file"]
 

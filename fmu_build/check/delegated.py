@@ -12,7 +12,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from .finding import Report
+from ..finding import Report
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from pathlib import Path
 from interarea.models.files import temporary_folder
 
 from ..errors import BuildError
+from ..finding import Report
 from ..open.description import ModelDescription
 from ..write.compile import PLATFORMS, host_platform
 from .binary import FOLDERS
-from .finding import Report
 
 TIMEOUT_S = 120.0  #: for the topics of one process
 _TOPICS = (

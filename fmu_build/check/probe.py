@@ -12,12 +12,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
+from ..finding import Report
 from ..open.description import read_description
 from ..open.fmi2 import CallFailed, Library
+from ..open.xml import read_xml
 from . import runs as check_runs
 from . import sensitivity as check_sensitivity
-from .finding import Report
-from .xml import read_xml
 
 TOPICS: dict[str, Callable[[Library, check_runs.Tell], None]] = {
     "load": check_runs.load,

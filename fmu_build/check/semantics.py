@@ -7,8 +7,8 @@ import math
 import re
 from pathlib import Path
 
+from ..finding import Report
 from ..open.description import ModelDescription, ScalarVariable
-from .finding import Report
 
 _WHERE = "modelDescription.xml"
 _RANGES = {"Integer": (-(2**31), 2**31 - 1), "Enumeration": (-(2**31), 2**31 - 1)}
@@ -106,11 +106,15 @@ def _type(d: ModelDescription, v: ScalarVariable, report: Report) -> None:
                 f"declaredType {name} is a {base}, the variable a {v.type}",
                 "declare a type of the variable's own base type",
             )
-        elif base == "Enumeration" and v.start is not None and v.start not in attributes["items"]:
+        elif (
+            base == "Enumeration"
+            and v.start is not None
+            and v.start not in (values := [value for _, value in attributes["items"]])
+        ):
             report.add(
                 "FMI2 2.2.7 start",
                 where,
-                f"start {v.start} is none of the values {', '.join(attributes['items'])} of {name}",
+                f"start {v.start} is none of the values {', '.join(values)} of {name}",
                 "use a value of the enumeration",
             )
     display, unit = v.typed.get("displayUnit"), d.unit_of(v)

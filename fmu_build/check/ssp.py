@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
+from ..finding import Finding, Report
 from ..open.description import ModelDescription, read_description
 from ..open.units import Units, unit_definitions
-from .finding import Finding, Report
-from .xml import obeys_schema, read_xml
+from ..open.xml import obeys_schema, read_xml
 
 SSD = "{http://ssp-standard.org/SSP1/SystemStructureDescription}"
 SSC = "{http://ssp-standard.org/SSP1/SystemStructureCommon}"

@@ -7,21 +7,23 @@ values and slopes, so they are the same to the bit wherever the files are made.
 
 from __future__ import annotations
 
-import shutil
 import zipfile
 from collections.abc import Sequence
+from ctypes import c_double, c_int
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from interarea.models.files import new_folder, write_whole
+from interarea.models.files import write_whole
 
 from ..errors import BuildError
 from ..write.cache import artefact, code_hash, content_hash, file_hash
 from ..write.compile import PLATFORMS, host_platform
 from ..write.package import archive_bytes
+from .description import ScalarVariable
+from .fmi2 import CallFailed, Library, references
+from .fmu_file import FmuFile
 
 Array = npt.NDArray[np.float64]
 _MOST_STEPS = 2000
@@ -38,29 +40,24 @@ def add_cross_check(fmu: Path, path: Path) -> Path:
 
     Raises
     ------
-    BuildError : no binary for this platform, or the FMU refuses to run; with its message.
+    FmuFileError : no binary for this platform. BuildError : the FMU refuses to run; with its message.
     """
-    import fmpy
-
-    folder = str(new_folder())
+    file = FmuFile(fmu)
     try:
-        fmpy.extract(str(fmu), folder)
-        model = fmpy.read_model_description(folder)
-        experiment = model.defaultExperiment
-        step_s = float(experiment.stepSize)
-        count = max(1, min(_MOST_STEPS, round(float(experiment.stopTime) / step_s)))
-        inputs = [v for v in model.modelVariables if v.causality == "input" and v.type == "Real"]
-        outputs = [v for v in model.modelVariables if v.causality == "output"][:_MOST_OUTPUTS]
+        experiment = file.model.experiment
+        step_s, stop_s = (float(experiment.get(k, d)) for k, d in (("stepSize", "0.01"), ("stopTime", "1")))
+        count = max(1, min(_MOST_STEPS, round(stop_s / step_s)))
+        variables = file.model.variables
+        inputs = [v for v in variables if v.causality == "input" and v.type == "Real"]
+        outputs = [v for v in variables if v.causality == "output" and v.type != "String"][:_MOST_OUTPUTS]
         knots, values = _excitation(inputs, count * step_s)
-        rows = _run(model, folder, inputs, outputs, knots, values, step_s, count)
-    except BuildError:
-        raise
-    except Exception as error:  # fmpy raises Exception itself
+        rows = _run(file, inputs, outputs, knots, values, step_s, count)
+    except (CallFailed, OSError) as error:
         raise BuildError(f"{fmu.name}: the cross-check run failed: {error}") from error
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        file.close()
     options = (("StartTime", 0.0), ("StopTime", count * step_s), ("StepSize", step_s), ("RelTol", 1e-4))
-    name = model.modelName
+    name = file.model.name
     extra = {f"extra/{name}_ref.opt": "".join(f"{k}, {v!r}\n" for k, v in options)}
     extra[f"extra/{name}_ref.csv"] = _csv([v.name for v in outputs], rows)
     if inputs:
@@ -81,10 +78,10 @@ def complete_fmu(fmu: Path, cache: Path) -> Path:
     return artefact(cache, "complete", f"{fmu.stem}-{key}", ".fmu", lambda p: add_cross_check(fmu, p))
 
 
-def _excitation(inputs: Sequence[Any], stop_s: float) -> tuple[Array, Array]:
+def _excitation(inputs: Sequence[ScalarVariable], stop_s: float) -> tuple[Array, Array]:
     """Knots (s) and values (knots, inputs) of the straight lines that the inputs follow."""
-    starts = [float(v.start) for v in inputs]
-    sizes = [_AMPLITUDE * float(v.nominal or 1.0) for v in inputs]
+    starts = [v.number("start") or 0.0 for v in inputs]
+    sizes = [_AMPLITUDE * (v.number("nominal") or 1.0) for v in inputs]
     times = {0.0, stop_s / 2.0, 0.55 * stop_s, stop_s}
     times |= {(k + j) * stop_s / 20.0 for k in range(1, min(len(inputs), 8) + 1) for j in (0, 1)}
     knots = np.array(sorted(times))
@@ -97,50 +94,37 @@ def _excitation(inputs: Sequence[Any], stop_s: float) -> tuple[Array, Array]:
 
 
 def _run(
-    model: Any,
-    folder: str,
-    inputs: Sequence[Any],
-    outputs: Sequence[Any],
+    file: FmuFile,
+    inputs: Sequence[ScalarVariable],
+    outputs: Sequence[ScalarVariable],
     knots: Array,
     values: Array,
     step_s: float,
     count: int,
 ) -> Array:
     """Time and outputs at every communication point, (count + 1, 1 + outputs)."""
-    from fmpy.fmi2 import FMU2Slave
-
-    fmu = FMU2Slave(
-        guid=model.guid,
-        modelIdentifier=model.coSimulation.modelIdentifier,
-        unzipDirectory=folder,
-        instanceName="cross_check",
-    )
-    references = [v.valueReference for v in inputs]
-    fmu.instantiate()
+    library = Library(file.model, file.interface, file.folder, file.binary)
+    n, known = len(inputs), references(inputs)
+    orders = (c_int * n)(*[1] * n)
+    fmu = library.fresh()
     try:
-        fmu.setupExperiment(startTime=0.0)
-        fmu.enterInitializationMode()
-        fmu.exitInitializationMode()
-        rows = [[0.0, *_read(fmu, outputs)]]
+        fmu.initialise()
+        rows = [[0.0, *fmu.get(outputs)]]
         for k in range(count):
             t, end = k * step_s, (k + 1) * step_s
-            if references:
+            if inputs:
                 now = [float(np.interp(t, knots, c)) for c in values.T]
                 then = [float(np.interp(end, knots, c)) for c in values.T]
-                fmu.setReal(references, now)
                 slopes = [(b - a) / step_s for a, b in zip(now, then, strict=True)]
-                fmu.setRealInputDerivatives(references, [1] * len(references), slopes)
-            fmu.doStep(t, step_s)
-            rows.append([end, *_read(fmu, outputs)])
-        fmu.terminate()
+                fmu.do("SetReal", known, n, (c_double * n)(*now))
+                fmu.do("SetRealInputDerivatives", known, n, orders, (c_double * n)(*slopes))
+            fmu.step(t, step_s)
+            rows.append([end, *fmu.get(outputs)])
+        fmu.do("Terminate")
     finally:
-        fmu.freeInstance()
+        fmu.free()
+        library.close()
     return np.array(rows, dtype=float)
-
-
-def _read(fmu: Any, outputs: Sequence[Any]) -> list[float]:
-    calls = {"Real": fmu.getReal, "Boolean": fmu.getBoolean}
-    return [float(calls.get(v.type, fmu.getInteger)([v.valueReference])[0]) for v in outputs]
 
 
 def _csv(names: Sequence[str], rows: Array) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from .units import Dimension, dimension_of
+from .units import Dimension, UnitOf, unit_of
 
 TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")
 
@@ -31,6 +31,8 @@ class ScalarVariable:
     initial: str
     typed: dict[str, str]  #: attributes of the <Real>, <Integer>, ... element
     line: int
+    unit: str | None = None  #: its own or that of its declared type
+    description: str = ""
 
     @property
     def start(self) -> str | None:
@@ -69,7 +71,9 @@ class ModelDescription:
     units: dict[str, tuple[str, ...]]  #: unit -> display units
     types: dict[str, tuple[str, dict[str, Any]]]  #: declared type -> (base type, attributes and items)
     sources: tuple[str, ...] = field(default=())
-    dimensions: dict[str, Dimension | None] = field(default_factory=dict)  #: unit -> base unit exponents
+    unit_table: dict[str, UnitOf] = field(default_factory=dict)  #: unit -> what it means
+    description: str = ""
+    log_categories: tuple[str, ...] = ()
 
     def flag(self, interface: str, attribute: str) -> bool:
         """Return a Boolean capability of an interface."""
@@ -77,12 +81,12 @@ class ModelDescription:
 
     def dimension(self, unit: str) -> Dimension | None:
         """Return the exponents of the base units of a unit, None if they are not known."""
-        return self.dimensions.get(unit)
+        defined = self.unit_table.get(unit)
+        return None if defined is None else defined.exponents
 
     def unit_of(self, v: ScalarVariable) -> str | None:
         """Return the unit of a variable, its own or that of its declared type."""
-        declared = self.types.get(v.typed.get("declaredType", ""))
-        return v.typed.get("unit") or (declared[1].get("unit") if declared else None)
+        return v.unit
 
 
 def read_description(root: Any) -> ModelDescription:
@@ -95,7 +99,7 @@ def read_description(root: Any) -> ModelDescription:
     for simple in root.findall("TypeDefinitions/SimpleType"):
         for child in simple:
             if child.tag in TYPES:
-                items = [item.get("value") for item in child.findall("Item")]
+                items = [(i.get("name", ""), i.get("value", "")) for i in child.findall("Item")]
                 types[simple.get("name", "")] = (child.tag, {**dict(child.attrib), "items": items})
     experiment = root.find("DefaultExperiment")
     sources = {f.get("name", "") for f in root.iter("File")}
@@ -104,7 +108,7 @@ def read_description(root: Any) -> ModelDescription:
         guid=root.get("guid", ""),
         name=root.get("modelName", ""),
         interfaces={tag: dict(root.find(tag).attrib) for tag in _interfaces(root)},
-        variables=tuple(_variables(root)),
+        variables=tuple(_variables(root, types)),
         outputs=_unknowns(root, "Outputs"),
         derivatives=_unknowns(root, "Derivatives"),
         initial_unknowns=_unknowns(root, "InitialUnknowns"),
@@ -112,7 +116,9 @@ def read_description(root: Any) -> ModelDescription:
         units=units,
         types=types,
         sources=tuple(sorted(sources)),
-        dimensions={u.get("name", ""): dimension_of(u) for u in root.findall("UnitDefinitions/Unit")},
+        unit_table={u.get("name", ""): unit_of(u) for u in root.findall("UnitDefinitions/Unit")},
+        description=root.get("description", ""),
+        log_categories=tuple(c.get("name", "") for c in root.findall("LogCategories/Category")),
     )
 
 
@@ -120,7 +126,7 @@ def _interfaces(root: Any) -> list[str]:
     return [tag for tag in ("ModelExchange", "CoSimulation") if root.find(tag) is not None]
 
 
-def _variables(root: Any) -> list[ScalarVariable]:
+def _variables(root: Any, types: dict[str, tuple[str, dict[str, Any]]]) -> list[ScalarVariable]:
     found = []
     for index, e in enumerate(root.findall("ModelVariables/ScalarVariable"), start=1):
         typed = next((c for c in e if c.tag in TYPES), None)
@@ -129,6 +135,8 @@ def _variables(root: Any) -> list[ScalarVariable]:
         if causality in ("input", "independent"):
             initial = ""
         reference = e.get("valueReference", "")
+        attributes = {} if typed is None else dict(typed.attrib)
+        declared = types.get(attributes.get("declaredType", ""))
         found.append(
             ScalarVariable(
                 index=index,
@@ -138,8 +146,10 @@ def _variables(root: Any) -> list[ScalarVariable]:
                 causality=causality,
                 variability=variability,
                 initial=initial,
-                typed={} if typed is None else dict(typed.attrib),
+                typed=attributes,
                 line=e.sourceline or 0,
+                unit=attributes.get("unit") or (declared[1].get("unit") if declared else None),
+                description=e.get("description", ""),
             )
         )
     return found

@@ -1,11 +1,16 @@
-"""An FMI 2.0 binary called function by function, every status returned instead of raised.
+"""The one binding of FMI 2.0: a binary called function by function, every status returned instead of raised.
 
-Runs only inside the process that `check_probe` is; a binary may crash it.
+Numbers go through ctypes; argument types are declared once, in `_SIGNATURES`. Who calls a function thousands
+of times takes it from `Library.dll` by ``dll["fmi2DoStep"]``: without the declared types a call takes half
+the time, and the caller wraps its arguments itself.
 """
 
 from __future__ import annotations
 
 import ctypes
+import functools
+import importlib.util
+import itertools
 import sys
 from collections.abc import Sequence
 from ctypes import byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
@@ -24,19 +29,88 @@ CODE = {"ModelExchange": 0, "CoSimulation": 1}
 _Vector = npt.NDArray[np.float64]
 
 _LOGGER = ctypes.CFUNCTYPE(None, c_void_p, c_char_p, c_int, c_char_p, c_char_p)
-_ALLOCATE = ctypes.CFUNCTYPE(c_void_p, c_size_t, c_size_t)
-_FREE = ctypes.CFUNCTYPE(None, c_void_p)
-_FINISHED = ctypes.CFUNCTYPE(None, c_void_p, c_int)
+_C_TYPES = {"p": c_void_p, "s": c_char_p, "d": c_double, "i": c_int, "n": c_size_t}
+#: argument types of the functions: pointer, text, double, int, size_t
+_SIGNATURES = {
+    **dict.fromkeys(("GetVersion", "GetTypesPlatform"), ""),
+    **dict.fromkeys(
+        (
+            *("FreeInstance", "EnterInitializationMode", "ExitInitializationMode", "Terminate", "Reset"),
+            *("EnterEventMode", "EnterContinuousTimeMode", "CancelStep"),
+        ),
+        "p",
+    ),
+    **dict.fromkeys((f"{g}{t}" for g in ("Get", "Set") for t in ("Real", "Integer", "Boolean")), "ppnp"),
+    **dict.fromkeys(("GetString", "SetString"), "ppnp"),
+    **dict.fromkeys(("GetFMUstate", "SetFMUstate", "FreeFMUstate", "NewDiscreteStates"), "pp"),
+    **dict.fromkeys(
+        (
+            *("SetContinuousStates", "GetContinuousStates", "GetDerivatives", "GetEventIndicators"),
+            "GetNominalsOfContinuousStates",
+        ),
+        "ppn",
+    ),
+    **dict.fromkeys(("SetRealInputDerivatives", "GetRealOutputDerivatives"), "ppnpp"),
+    **dict.fromkeys((f"Get{t}Status" for t in ("Real", "Integer", "Boolean", "String")), "pip"),
+    "GetStatus": "pip",
+    "Instantiate": "sisspii",
+    "SetDebugLogging": "pinp",
+    "SetupExperiment": "pidd" + "id",
+    "SerializedFMUstateSize": "ppp",
+    "SerializeFMUstate": "pppn",
+    "DeSerializeFMUstate": "ppnp",
+    "GetDirectionalDerivative": "ppnpnpp",
+    "SetTime": "pd",
+    "CompletedIntegratorStep": "pipp",
+    "DoStep": "pddi",
+}
 
 
 class _Callbacks(ctypes.Structure):
     _fields_ = (
         ("logger", _LOGGER),
-        ("allocateMemory", _ALLOCATE),
-        ("freeMemory", _FREE),
-        ("stepFinished", _FINISHED),
+        ("allocateMemory", c_void_p),
+        ("freeMemory", c_void_p),
+        ("stepFinished", c_void_p),
         ("componentEnvironment", c_void_p),
     )
+
+
+_MOST_LINES = 100
+_logs: dict[int, list[str]] = {}  # by componentEnvironment
+_next_log = itertools.count(1)
+
+
+@_LOGGER  # type: ignore[untyped-decorator]
+def _logger(environment: int | None, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
+    """Keep the last lines of each instance: one logger for all, for the proxy knows only one."""
+    lines = _logs.get(environment or 0)
+    if lines is not None:
+        lines.append(message.decode("utf-8", "replace").strip() if message else "")
+        del lines[:-_MOST_LINES]
+
+
+@functools.cache
+def _proxy() -> Any | None:
+    """Return what puts a logger in front of ours that fills in a message's placeholders; fmpy brings it."""
+    spec = importlib.util.find_spec("fmpy")
+    if spec is None or spec.origin is None:
+        return None
+    name = {"win32": "win64/logging.dll", "darwin": "darwin64/logging.dylib"}
+    file = Path(spec.origin).parent / "logging" / name.get(sys.platform, "linux64/logging.so")
+    try:
+        add = ctypes.CDLL(str(file)).addLoggerProxy
+    except OSError:
+        return None  # a message keeps its %-placeholders
+    add.argtypes, add.restype = (c_void_p,), None
+    return add
+
+
+@functools.cache
+def _memory() -> tuple[int, int]:
+    """Addresses of calloc and free."""
+    c = ctypes.CDLL("msvcrt" if sys.platform == "win32" else None)
+    return tuple(int(ctypes.cast(f, c_void_p).value or 0) for f in (c.calloc, c.free))  # type: ignore[return-value]
 
 
 class EventInfo(ctypes.Structure):
@@ -53,52 +127,70 @@ class EventInfo(ctypes.Structure):
 
 
 class CallFailed(Exception):
-    """A call that the standard says must work did not."""
+    """A call that the standard says must work did not; `call` and `reason` are the message's parts."""
+
+    def __init__(self, call: str, reason: str) -> None:
+        super().__init__(f"{call} {reason}")
+        self.call, self.reason = call, reason
 
 
 class Library:
-    """The shared library of one interface."""
+    """The shared library of one interface of an unpacked FMU, which is not unpacked further or looked at.
 
-    def __init__(self, d: ModelDescription, interface: str, folder: Path, binary: Path) -> None:
-        if sys.platform == "win32":
-            self._c = ctypes.CDLL("msvcrt")
-        else:
-            self._c = ctypes.CDLL(None)
-        self._c.calloc.restype, self._c.calloc.argtypes = c_void_p, (c_size_t, c_size_t)
-        self._c.free.restype, self._c.free.argtypes = None, (c_void_p,)
+    log : receives what its instances log, last lines.
+    """
+
+    def __init__(
+        self,
+        d: ModelDescription,
+        interface: str,
+        folder: Path,
+        binary: Path,
+        *,
+        log: list[str] | None = None,
+    ) -> None:
         self.d, self.interface = d, interface
         self.resources = (folder / "resources").resolve().as_uri()
+        self.log: list[str] = [] if log is None else log
         self.dll = ctypes.CDLL(str(binary.resolve()))
-        self.log: list[str] = []
-        log = self.log
-
-        def logger(_: Any, __: Any, ___: int, ____: Any, message: bytes | None) -> None:
-            log.append((message or b"").decode("utf-8", "replace").replace("%%", "%"))
-
-        allocate, free = self._c.calloc, self._c.free
-        self.callbacks = _Callbacks(
-            _LOGGER(logger),
-            _ALLOCATE(lambda n, size: allocate(n, size)),
-            _FREE(lambda p: free(p)),
-            _FINISHED(),
-            None,
-        )
+        for name, arguments in _SIGNATURES.items():
+            function = getattr(self.dll, f"fmi2{name}", None)
+            if function is not None:
+                function.argtypes = [_C_TYPES[c] for c in arguments]
+                function.restype = c_char_p if name.startswith(("GetV", "GetT")) else c_int
         self.dll.fmi2Instantiate.restype = c_void_p
-        self.dll.fmi2GetVersion.restype = c_char_p
-        self.dll.fmi2GetTypesPlatform.restype = c_char_p
+        self.dll.fmi2FreeInstance.restype = None
+        self._number = next(_next_log)
+        _logs[self._number] = self.log
+        self.callbacks = _Callbacks(_logger, *_memory(), None, self._number)
+        add = _proxy()
+        if add is not None:
+            add(byref(self.callbacks))
 
-    def instantiate(self, guid: str | None = None, name: str = "checked") -> Instance | None:
+    def instantiate(
+        self, guid: str | None = None, name: str = "checked", *, logging: bool = False
+    ) -> Instance | None:
         """Return a new instance, or None when the binary refuses."""
         component = self.dll.fmi2Instantiate(
             name.encode(),
-            c_int(CODE[self.interface]),
+            CODE[self.interface],
             (self.d.guid if guid is None else guid).encode(),
             self.resources.encode(),
             byref(self.callbacks),
-            c_int(0),
-            c_int(0),
+            0,
+            int(logging),
         )
         return Instance(self, component) if component else None
+
+    def close(self) -> None:
+        """Unload the library; none of its instances may be left."""
+        import _ctypes
+
+        handle, self.dll._handle = self.dll._handle, 0
+        _logs.pop(self._number, None)
+        if handle:
+            free: Any = getattr(_ctypes, "FreeLibrary" if sys.platform == "win32" else "dlclose")
+            free(handle)
 
     def fresh(self) -> Instance:
         """Return a new instance.
@@ -109,7 +201,7 @@ class Library:
         """
         made = self.instantiate()
         if made is None:
-            raise CallFailed(f"fmi2Instantiate returned null{self.said()}")
+            raise CallFailed("fmi2Instantiate", f"returned null{self.said()}")
         return made
 
     def said(self) -> str:
@@ -126,8 +218,7 @@ class Instance:
 
     def call(self, name: str, *arguments: Any) -> int:
         """Call ``fmi2<name>(component, ...)`` and return its status."""
-        function = getattr(self.library.dll, f"fmi2{name}")
-        return int(function(c_void_p(self.component), *arguments))
+        return int(getattr(self.library.dll, f"fmi2{name}")(self.component, *arguments))
 
     def do(self, name: str, *arguments: Any) -> None:
         """Call a function that has to work."""
@@ -135,18 +226,18 @@ class Instance:
         status = self.call(name, *arguments)
         if status > WARNING:
             shown = STATUS[status] if status < len(STATUS) else str(status)
-            raise CallFailed(f"fmi2{name} returned {shown}{self.library.said()}")
+            raise CallFailed(f"fmi2{name}", f"returned {shown}{self.library.said()}")
 
     def free(self) -> None:
         """Free the instance."""
-        self.library.dll.fmi2FreeInstance(c_void_p(self.component))
+        self.library.dll.fmi2FreeInstance(self.component)
 
     # Call sequences ------------------------------------------------------------
 
     def set_up(self) -> None:
         """fmi2SetupExperiment from the description's start time, no tolerance, no stop time."""
         start = start_time(self.library.d)
-        self.do("SetupExperiment", c_int(0), c_double(0.0), c_double(start), c_int(0), c_double(0.0))
+        self.do("SetupExperiment", 0, 0.0, start, 0, 0.0)
 
     def initialise(self) -> Instance:
         """Up to the first step or the first event mode."""
@@ -163,13 +254,13 @@ class Instance:
             if not info.newDiscreteStatesNeeded:
                 break
         else:
-            raise CallFailed("fmi2NewDiscreteStates asked for another round 100 times")
+            raise CallFailed("fmi2NewDiscreteStates", "asked for another round 100 times")
         self.do("EnterContinuousTimeMode")
         return info
 
     def step(self, t: float, h: float) -> None:
         """fmi2DoStep."""
-        self.do("DoStep", c_double(t), c_double(h), c_int(1))
+        self.do("DoStep", t, h, 1)
 
     # Values --------------------------------------------------------------------
 
@@ -180,7 +271,7 @@ class Instance:
             places = [k for k, v in enumerate(variables) if _getter(v) == kind]
             if places:
                 out = (ctype * len(places))()
-                self.do("Get" + kind, references([variables[k] for k in places]), c_size_t(len(places)), out)
+                self.do("Get" + kind, references([variables[k] for k in places]), len(places), out)
                 values[places] = list(out)
         return values
 
@@ -188,7 +279,7 @@ class Instance:
         """Set one numeric or Boolean variable; return the status."""
         kind = _getter(v)
         held = c_double(value) if kind == "Real" else c_int(int(value))
-        return self.call("Set" + kind, references([v]), c_size_t(1), byref(held))
+        return self.call("Set" + kind, references([v]), 1, byref(held))
 
     def directional(
         self, unknowns: Sequence[ScalarVariable], known: ScalarVariable, direction: float = 1.0
@@ -196,26 +287,19 @@ class Instance:
         """Return d(unknowns) in the direction of one known."""
         out = (c_double * len(unknowns))()
         seed = c_double(direction)
-        self.do(
-            "GetDirectionalDerivative",
-            references(unknowns),
-            c_size_t(len(unknowns)),
-            references([known]),
-            c_size_t(1),
-            byref(seed),
-            out,
-        )
+        knowns = references([known])
+        self.do("GetDirectionalDerivative", references(unknowns), len(unknowns), knowns, 1, byref(seed), out)
         return np.array(out)
 
     def states(self, n: int) -> _Vector:
         """Return the continuous states."""
         out = (c_double * n)()
-        self.do("GetContinuousStates", out, c_size_t(n))
+        self.do("GetContinuousStates", out, n)
         return np.array(out)
 
     def set_states(self, x: _Vector) -> None:
         """Set the continuous states."""
-        self.do("SetContinuousStates", (c_double * x.size)(*x), c_size_t(x.size))
+        self.do("SetContinuousStates", (c_double * x.size)(*x), x.size)
 
     def save(self) -> c_void_p:
         """Return a new FMU state."""
@@ -242,7 +326,7 @@ class Instance:
     def deserialise(self, kept: bytes) -> c_void_p:
         """Return an FMU state from bytes."""
         state = c_void_p()
-        self.do("DeSerializeFMUstate", kept, c_size_t(len(kept)), byref(state))
+        self.do("DeSerializeFMUstate", kept, len(kept), byref(state))
         return state
 
 

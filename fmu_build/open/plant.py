@@ -1,20 +1,22 @@
-"""Open an FMU by names, and as the `Plant` that the design rooms work on."""
+"""Open an FMU by names, as the `Plant` that the design rooms work on."""
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
-import shutil
 import weakref
+from collections.abc import Iterator, Sequence
+from ctypes import c_double
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from interarea.models.files import new_folder
-
-from ..errors import FmuError
+from ..errors import FmuError, FmuFileError
+from .description import ScalarVariable
+from .fmi2 import CallFailed, Instance, Library
+from .fmu_file import FmuFile
 
 Vector = npt.NDArray[np.float64]
 
@@ -28,59 +30,38 @@ class PlantFmu:
     """
 
     def __init__(self, path: Path | str) -> None:
-        import fmpy
-        from fmpy.fmi2 import FMU2Model
-
-        self.path = Path(path)
-        try:
-            self.description: Any = fmpy.read_model_description(str(self.path))
-        except Exception as error:
-            raise FmuError(self.path.name, "open", f"not a readable FMU: {error}") from error
-        if self.description.fmiVersion != "2.0" or self.description.modelExchange is None:
-            raise FmuError(self.path.name, "open", "an FMI 2.0 FMU for model exchange is needed")
-        if not self.description.modelExchange.providesDirectionalDerivative:
-            raise FmuError(
-                self.path.name, "open", "the FMU offers no directional derivatives, which `jacobians` needs"
+        self._file = file = FmuFile(path, "ModelExchange")
+        self._name = file.model.name
+        if not file.model.flag("ModelExchange", "providesDirectionalDerivative"):
+            raise FmuFileError(
+                f"{file.path.name}: the FMU offers no directional derivatives, which `jacobians` needs"
             )
-        variables = self.description.modelVariables
-        derivatives = [u.variable for u in self.description.derivatives]
-        self._derivatives = derivatives
-        self._states = [v.derivative for v in derivatives]
+        variables = file.model.variables
+        self._derivatives = [variables[u.index - 1] for u in file.model.derivatives]
+        self._states = [variables[int(v.typed["derivative"]) - 1] for v in self._derivatives]
         self._inputs = [v for v in variables if v.causality == "input" and v.type == "Real"]
-        self._outputs = [u.variable for u in self.description.outputs if u.variable.type == "Real"]
+        outputs = [variables[u.index - 1] for u in file.model.outputs]
+        self._outputs = [v for v in outputs if v.type == "Real"]
         self.state_names: tuple[str, ...] = tuple(v.name for v in self._states)
         self.input_names: tuple[str, ...] = tuple(v.name for v in self._inputs)
         self.output_names: tuple[str, ...] = tuple(v.name for v in self._outputs)
-
-        folder = str(new_folder())
-        self._name = self.description.modelName
-        self._log: list[str] = []
-        log = self._log
         try:
-            fmpy.extract(str(self.path), folder)
-            _has_binary(self.path.name, Path(folder))
-            self._fmu: Any = FMU2Model(
-                guid=self.description.guid,
-                modelIdentifier=self.description.modelExchange.modelIdentifier,
-                unzipDirectory=folder,
-                instanceName=self._name,
-            )
-            self._callbacks = _callbacks(log)
-            self._call("instantiate", callbacks=self._callbacks)
+            library = Library(file.model, file.interface, file.folder, file.binary)
+            with self._errors():
+                self._fmu = library.fresh()
+        except OSError as error:
+            file.close()
+            raise FmuError(file.path.name, "loading the FMU", str(error)) from error
         except FmuError:
-            shutil.rmtree(folder, ignore_errors=True)
+            library.close()
+            file.close()
             raise
-        except Exception as error:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise FmuError(self.path.name, "fmi2Instantiate", str(error), log_line=_last(log)) from error
-        self._finalizer = weakref.finalize(self, _release, self._fmu, folder, self._callbacks)
-        self._call("setupExperiment", startTime=0.0)
-        self._call("enterInitializationMode")
-        self._call("exitInitializationMode")
-        self._call("newDiscreteStates")
-        self._call("enterContinuousTimeMode")
-        self._x0 = self._read_states()
-        self._u0 = self._get(self._inputs)
+        self._finalizer = weakref.finalize(self, _release, self._fmu, file)
+        with self._errors():
+            self._fmu.initialise()
+            self._fmu.to_continuous()
+            self._x0 = self._fmu.states(len(self._states))
+            self._u0 = self._fmu.get(self._inputs)
 
     def operating_point(self) -> tuple[Vector, Vector]:
         """Return the states and inputs at the start, shapes (n,) and (m,)."""
@@ -94,9 +75,10 @@ class PlantFmu:
         FmuError : wrong lengths, values that are not finite, or a failing call.
         """
         self._move(x, u)
-        dx = np.empty(len(self._states))
-        self._call("getDerivatives", dx.ctypes.data_as(ctypes.POINTER(ctypes.c_double)), dx.size)
-        return dx, self._get(self._outputs)
+        with self._errors():
+            dx = np.empty(len(self._states))
+            self._fmu.do("GetDerivatives", _at(dx), dx.size)
+            return dx, self._fmu.get(self._outputs)
 
     def jacobians(
         self, x: npt.ArrayLike | None = None, u: npt.ArrayLike | None = None
@@ -110,11 +92,9 @@ class PlantFmu:
         FmuError : as `derivatives`.
         """
         self._move(self._x0 if x is None else x, self._u0 if u is None else u)
-        unknowns = [v.valueReference for v in (*self._derivatives, *self._outputs)]
-        columns = [
-            self._call("getDirectionalDerivative", unknowns, [v.valueReference], [1.0])
-            for v in (*self._states, *self._inputs)
-        ]
+        unknowns: Sequence[ScalarVariable] = (*self._derivatives, *self._outputs)
+        with self._errors():
+            columns = [self._fmu.directional(unknowns, v) for v in (*self._states, *self._inputs)]
         n, m = len(self._states), len(self._inputs)
         J = np.array(columns, dtype=np.float64).reshape(n + m, len(unknowns)).T
         return J[:n, :n].copy(), J[:n, n:].copy(), J[n:, :n].copy(), J[n:, n:].copy()
@@ -133,9 +113,11 @@ class PlantFmu:
 
     def _move(self, x: npt.ArrayLike, u: npt.ArrayLike) -> None:
         x, u = self._vector("x", x, len(self._states)), self._vector("u", u, len(self._inputs))
-        self._call("setContinuousStates", x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)), x.size)
-        if u.size:
-            self._call("setReal", [v.valueReference for v in self._inputs], u)
+        with self._errors():
+            self._fmu.set_states(x)
+            for v, value in zip(self._inputs, u, strict=True):
+                if self._fmu.set(v, value) > 1:
+                    raise CallFailed("fmi2SetReal", f"refused {v.name} = {value!r}{self._fmu.library.said()}")
 
     def _vector(self, name: str, value: npt.ArrayLike, size: int) -> Vector:
         vector = np.ascontiguousarray(value, dtype=np.float64)
@@ -145,23 +127,13 @@ class PlantFmu:
             )
         return vector
 
-    def _read_states(self) -> Vector:
-        x = np.empty(len(self._states))
-        self._call("getContinuousStates", x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)), x.size)
-        return x
-
-    def _get(self, variables: list[Any]) -> Vector:
-        if not variables:
-            return np.empty(0)
-        return np.array(self._call("getReal", [v.valueReference for v in variables]), dtype=np.float64)
-
-    def _call(self, method: str, *arguments: Any, **named: Any) -> Any:
-        call = f"fmi2{method[0].upper()}{method[1:]}"
-        self._log.clear()
+    @contextlib.contextmanager
+    def _errors(self) -> Iterator[None]:
+        """Raise what a call says as an error of this FMU."""
         try:
-            return getattr(self._fmu, method)(*arguments, **named)
-        except Exception as error:
-            raise FmuError(self._name, call, str(error), time_s=0.0, log_line=_last(self._log)) from error
+            yield
+        except CallFailed as error:
+            raise FmuError(self._name, error.call, error.reason, time_s=0.0) from error
 
 
 def open_plant(path: Path | str) -> PlantFmu:
@@ -169,53 +141,18 @@ def open_plant(path: Path | str) -> PlantFmu:
 
     Raises
     ------
-    FmuError : no FMI 2.0 model-exchange FMU, no binary for this machine, no directional
-        derivatives, or a failing initialization.
+    FmuFileError : no FMI 2.0 model-exchange FMU, no binary for this machine, no directional derivatives.
+    FmuError : a failing initialization.
     """
     return PlantFmu(path)
 
 
-def _has_binary(name: str, folder: Path) -> None:
-    """Refuse an FMU that has no binary for this machine, before the loader says something about files."""
-    import fmpy
-
-    there = sorted(p.name for p in (folder / "binaries").glob("*") if p.is_dir())
-    if not there or fmpy.platform in there or fmpy.platform_tuple in there:
-        return
-    raise FmuError(
-        name,
-        "open",
-        f"the FMU has no binary for this machine ({fmpy.platform}); it has {', '.join(there)}. "
-        "Build it for this platform too (--platforms), or run it on one of those",
-    )
+def _at(values: Vector) -> ctypes._Pointer[c_double]:
+    return values.ctypes.data_as(ctypes.POINTER(c_double))
 
 
-def _last(log: list[str]) -> str:
-    return log[-1] if log else ""
-
-
-def _callbacks(log: list[str]) -> Any:
-    """FMI callbacks that collect the log; kept alive by the caller."""
-    from fmpy import calloc, free
-    from fmpy.fmi2 import (
-        fmi2CallbackAllocateMemoryTYPE,
-        fmi2CallbackFreeMemoryTYPE,
-        fmi2CallbackFunctions,
-        fmi2CallbackLoggerTYPE,
-    )
-
-    def logger(_: Any, __: bytes, ___: int, ____: bytes, message: bytes) -> None:
-        log.append(message.decode("utf-8", "replace").replace("%%", "%"))
-
-    callbacks = fmi2CallbackFunctions()
-    callbacks.logger = fmi2CallbackLoggerTYPE(logger)
-    callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
-    callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
-    return callbacks
-
-
-def _release(fmu: Any, folder: str, callbacks: Any) -> None:
-    """Free the instance, then its files; `callbacks` must live until here."""
-    fmu.freeInstance()
-    shutil.rmtree(folder, ignore_errors=True)
-    del callbacks
+def _release(fmu: Instance, file: FmuFile) -> None:
+    """Free the instance, then its files."""
+    fmu.free()
+    fmu.library.close()
+    file.close()

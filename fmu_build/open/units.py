@@ -20,6 +20,26 @@ class Units:
         return self.names.get(unit)
 
 
+@dataclass(frozen=True)
+class UnitOf:
+    """A unit by FMI 2.0: exponents of kg, m, s, A, K, mol, cd, rad, and base = factor value + offset."""
+
+    name: str
+    exponents: Dimension | None = None  #: None: the FMU names the unit without defining it
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+def unit_of(unit: Any) -> UnitOf:
+    """Return what a Unit element of FMI 2.0 defines."""
+    base, name = unit.find("BaseUnit"), unit.get("name", "")
+    try:
+        factor, offset = (float(base.get(k, d)) for k, d in (("factor", "1"), ("offset", "0")))
+    except (AttributeError, ValueError):  # no base unit, or none that can be read
+        return UnitOf(name)
+    return UnitOf(name, dimension_of(unit), factor, offset)
+
+
 def dimension_of(unit: Any, namespace: str = "") -> Dimension | None:
     """Return the exponents in the BaseUnit of a Unit element."""
     base = unit.find(f"{namespace}BaseUnit")

@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from interarea.models.files import write_whole
-
+from ..files import write_whole
 from .case import ROW_TABLES, Case
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")

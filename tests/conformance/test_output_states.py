@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from fmu_runner import Runner
 
-from interarea.cosim.master.fmu_file import FmuFile
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.run.artefacts import plant_fmu
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.models.blocks.binary_table import pack_record, unpack_record
 from interarea.models.case.case import load_case
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from interarea.cosim.errors import StepError
-from interarea.cosim.master.fmu_file import FmuFile
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.run.artefacts import plant_fmu
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.plant_batch import PlantBatch
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import Case, load_case

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from fmu_runner import Runner, decay_block
 
-from interarea.cosim.errors import GraphError
-from interarea.cosim.master.fmu_file import FmuFile
-from interarea.fmu_build.errors import FmuError
+from interarea.fmu_build.errors import FmuFileError
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.open.plant import open_plant
 from interarea.fmu_build.write.package import build_fmu
 
@@ -99,8 +98,8 @@ def test_machine_without_a_binary(tmp_path: Path) -> None:
     other = "win64" if here != "win64" else "linux64"
     fmu = build_fmu(decay_block(), tmp_path, platforms=[other])
     with pytest.raises(
-        FmuError, match=rf"no binary for this machine \({here}\); it has {other}.*--platforms"
+        FmuFileError, match=rf"no binary for this platform \({here}\); it has {other}.*--platforms"
     ):
         open_plant(fmu)
-    with pytest.raises(GraphError, match=rf"no binary for this platform \({here}\); it has {other}"):
+    with pytest.raises(FmuFileError, match=rf"no binary for this platform \({here}\); it has {other}"):
         FmuFile(fmu)

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from interarea.cosim.participant import Port
 from interarea.cosim.results import metrics as m
 from interarea.cosim.results.ringdown import fit_window, ring_down_of
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.trajectory import Records
+from interarea.fmu_build.open.ports import Port
 from interarea.models.case.case import Case
 
 T = 0.05 * np.arange(300)

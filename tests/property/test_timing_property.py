@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from interarea.cosim.clock import TICKS_PER_SECOND, Clock, seconds, to_ticks
 from interarea.cosim.errors import GraphError
 from interarea.cosim.master.step_choice import clock_of, step_and_reason
-from interarea.cosim.participant import Description, Port
 from interarea.cosim.polynomials import continued, hermite, mean_between, slope_at, through, value_at
 from interarea.cosim.scenario.channels import ChannelLine
+from interarea.fmu_build.open.ports import Description, Port
 
 PLAIN = Description((), (Port("y"),), {})
 RIGID = Description((), (Port("y"),), {}, variable_step=False)

@@ -14,10 +14,10 @@ import pytest
 from tools.conftest import RunTool, require
 
 from interarea.cosim.export.instances import Member, members_of
-from interarea.cosim.master.fmu_file import FmuFile
 from interarea.cosim.run.run import Controllers, run_scenario
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.package import block_fmu, build_fmu
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.plant import event_parameters, plant_block

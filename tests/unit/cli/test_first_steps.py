@@ -16,13 +16,13 @@ from interarea.cli.destination import folder_for
 from interarea.cli.terminal import complain, steady_streams
 from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.errors import DestinationError, ScenarioError
-from interarea.cosim.master.fmu_file import FmuFile
 from interarea.cosim.run.artefacts import channel_fmu
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.run.system import System
 from interarea.cosim.scenario.scenario import NAMED_CONTROLLERS, scenario_names
 from interarea.cosim.study.report import _number, _percent
 from interarea.cosim.sweep.store import read_rows
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import case_names, load_case
 

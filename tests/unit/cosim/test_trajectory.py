@@ -9,8 +9,9 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from interarea.cosim.participant import Port, UnitOf
 from interarea.cosim.trajectory import Trajectory
+from interarea.fmu_build.open.ports import Port
+from interarea.fmu_build.open.units import UnitOf
 
 
 @pytest.fixture

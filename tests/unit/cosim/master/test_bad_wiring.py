@@ -12,9 +12,10 @@ import pytest
 from whims import whims_fmu
 
 from interarea.cosim.errors import GraphError, ScenarioError, StepError
-from interarea.cosim.master.fmu_file import FmuFile
 from interarea.cosim.run.run import run_system
 from interarea.cosim.run.system import System
+from interarea.fmu_build.errors import FmuFileError
+from interarea.fmu_build.open.fmu_file import FmuFile
 
 ENGINES = ("kernel", "python")
 
@@ -72,7 +73,7 @@ def test_compatible_units_are_converted(tmp_path: Path) -> None:
 
 def test_a_unit_that_nobody_defines_is_refused(tmp_path: Path) -> None:
     odd = whims_fmu(tmp_path, unit="furlong")
-    with pytest.raises(GraphError, match=r'The unit "furlong" of variable "u" .*is not defined'):
+    with pytest.raises(FmuFileError, match=r'The unit "furlong" of variable "u" .*is not defined'):
         System(stop_s=0.1).fmu("x", odd)
 
 
@@ -104,12 +105,12 @@ def changed(path: Path, to: Path, old: str, new: str, *, platform: str | None = 
     ],
 )
 def test_other_standards(whims: Path, tmp_path: Path, old: str, new: str, says: str) -> None:
-    with pytest.raises(GraphError, match=says):
+    with pytest.raises(FmuFileError, match=says):
         FmuFile(changed(whims, tmp_path / "odd.fmu", old, new))
 
 
 def test_another_platform(whims: Path, tmp_path: Path) -> None:
-    with pytest.raises(GraphError, match=r"has no binary for this platform \(\w+\); it has amiga68"):
+    with pytest.raises(FmuFileError, match=r"has no binary for this platform \(\w+\); it has amiga68"):
         FmuFile(changed(whims, tmp_path / "odd.fmu", "", "", platform="amiga68"))
 
 

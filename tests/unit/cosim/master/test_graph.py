@@ -8,7 +8,8 @@ import pytest
 
 from interarea.cosim.errors import GraphError
 from interarea.cosim.master.graph import build_graph, strongly_connected
-from interarea.cosim.participant import Description, Port, UnitOf
+from interarea.fmu_build.open.ports import Description, Port
+from interarea.fmu_build.open.units import UnitOf
 
 RAD = UnitOf("rad", (0, 0, 0, 0, 0, 0, 0, 1))
 DEG = UnitOf("deg", (0, 0, 0, 0, 0, 0, 0, 1), factor=0.017453292519943295)

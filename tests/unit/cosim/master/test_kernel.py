@@ -16,13 +16,13 @@ from fmu_runner import decay_block
 from participants import Linear
 
 from interarea.cosim.errors import GraphError, StepError
-from interarea.cosim.master.fmu_file import FmuFile
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.master.kernel import build as kernel_build
 from interarea.cosim.master.master import Master
 from interarea.cosim.run.run import Controllers, Loop, assemble
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.errors import BuildError
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.package import block_fmu
 
 PULSE = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 0.5, "end_s": 0.7}

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from interarea.cosim.errors import GraphError, StepError
-from interarea.cosim.master.fmu_file import FmuFile
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.master.master import Master
 from interarea.cosim.results.delay_ledger import delay_ledger, explain
+from interarea.fmu_build.errors import FmuFileError
+from interarea.fmu_build.open.fmu_file import FmuFile
 
 pythonfmu = pytest.importorskip("pythonfmu.builder")
 
@@ -94,13 +95,13 @@ def test_start_values_are_checked(lag: FmuFile, start: dict[str, float], says: s
 
 
 def test_what_is_no_fmi_2_fmu_is_refused(lag: FmuFile, tmp_path: Path) -> None:
-    with pytest.raises(GraphError, match="no such FMU file"):
+    with pytest.raises(FmuFileError, match="no such FMU file"):
         FmuFile(tmp_path / "none.fmu")
     (tmp_path / "text.fmu").write_text("no zip", encoding="utf-8")
-    with pytest.raises(GraphError, match="not an FMU"):
+    with pytest.raises(FmuFileError, match="not an FMU"):
         FmuFile(tmp_path / "text.fmu")
     for version in ("1.0", "3.0"):
-        with pytest.raises(GraphError, match=f"is FMI {version}"):
+        with pytest.raises(FmuFileError, match=f"is FMI {version}"):
             FmuFile(
                 _changed(
                     lag.path, tmp_path / "v.fmu", b'fmiVersion="2.0"', f'fmiVersion="{version}"'.encode()
@@ -110,7 +111,7 @@ def test_what_is_no_fmi_2_fmu_is_refused(lag: FmuFile, tmp_path: Path) -> None:
     with zipfile.ZipFile(lag.path) as old, zipfile.ZipFile(bare, "w") as new:
         new.writestr("modelDescription.xml", old.read("modelDescription.xml"))
         new.writestr("binaries/other64/x.so", b"")
-    with pytest.raises(GraphError, match=r"no binary for this platform.*it has other64"):
+    with pytest.raises(FmuFileError, match=r"no binary for this platform.*it has other64"):
         FmuFile(bare)
 
 

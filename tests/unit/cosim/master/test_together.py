@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from interarea.cosim.errors import StepError
-from interarea.cosim.master.fmu_file import FmuFile
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.master.lockstep import advance_together
 from interarea.cosim.master.master import Master
 from interarea.cosim.run.run import Controllers, Loop, assemble
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.lane_library import GroupLibrary, plant_group
 from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import load_case

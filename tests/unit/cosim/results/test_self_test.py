@@ -10,10 +10,10 @@ import pytest
 from participants import Delay, Linear
 
 from interarea.cosim.master.master import INPUTS, Master
-from interarea.cosim.participant import UnitOf
 from interarea.cosim.results.delay_ledger import Delays
 from interarea.cosim.results.latency_test import self_test
 from interarea.cosim.run.system import System
+from interarea.fmu_build.open.units import UnitOf
 
 RAD = UnitOf("rad", (0, 0, 0, 0, 0, 0, 0, 1))
 DEG = UnitOf("deg", (0, 0, 0, 0, 0, 0, 0, 1), factor=0.017453292519943295)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from fmu_runner import decay_block
 
-from interarea.fmu_build.errors import BuildError, FmuError
+from interarea.fmu_build.errors import BuildError, FmuError, FmuFileError
 from interarea.fmu_build.open.plant import open_plant
 from interarea.fmu_build.write.package import build_fmu
 
@@ -90,10 +90,10 @@ def test_open_plant_gives_exact_matrices(tmp_path: Path) -> None:
 def test_open_plant_says_what_is_wrong(tmp_path: Path) -> None:
     file = tmp_path / "not.fmu"
     file.write_bytes(b"no archive")
-    with pytest.raises(FmuError, match="not a readable FMU"):
+    with pytest.raises(FmuFileError, match="not an FMU"):
         open_plant(file)
     only_cs = build_fmu(decay_block(model_exchange=False), tmp_path / "cs.fmu")
-    with pytest.raises(FmuError, match="model exchange is needed"):
+    with pytest.raises(FmuFileError, match="has no model-exchange part"):
         open_plant(only_cs)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from .finding import Report
+from ..finding import Report
 
 MOST_BYTES = 256 << 20
 
@@ -23,13 +23,17 @@ class _Refused(Exception):
 
 def read_xml(file: Path, where: str, report: Report) -> Any | None:
     """Return the root element of `file`, or None with a finding that says why not."""
-    from lxml import etree
-
     size = file.stat().st_size
     if size > MOST_BYTES:
         report.add("XML", where, f"has {size} bytes, at most {MOST_BYTES} are read", "write a smaller file")
         return None
-    content = file.read_bytes()
+    return parse_xml(file.read_bytes(), where, report)
+
+
+def parse_xml(content: bytes, where: str, report: Report) -> Any | None:
+    """Return the root element of a file's content, or None with a finding that says why not."""
+    from lxml import etree
+
     try:
         _refuse_doctype(content)
     except _Refused:

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import stat
 import zipfile
+from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 
-from .finding import Report
+from ..finding import Report
 
 MOST_ENTRIES = 20_000
 MOST_BYTES = 2 << 30  #: unpacked, all entries together
@@ -23,13 +24,16 @@ _WINDOWS_NAMES = {"con", "prn", "aux", "nul", *(f"{d}{k}" for d in ("com", "lpt"
 _HOSTILE = "archive"
 
 
-def unpack_checked(path: Path, folder: Path, report: Report) -> bool:
+def unpack_checked(
+    path: Path, folder: Path, report: Report, *, wanted: Callable[[str], bool] | None = None
+) -> bool:
     """Unpack `path` into `folder`; return False, with findings, if it must not or cannot be unpacked.
 
     Parameters
     ----------
     folder : an existing, empty folder.
     report : receives findings about entries; some of them do not stop the unpacking.
+    wanted : of an entry's name, whether it is unpacked; default: all are.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -37,7 +41,8 @@ def unpack_checked(path: Path, folder: Path, report: Report) -> bool:
             if not _begins_with_the_file(entries, path, report) or not _entries_are_harmless(entries, report):
                 return False
             _check_entries(entries, report)
-            return _unpack(archive, entries, folder, report)
+            chosen = [e for e in entries if wanted is None or wanted(e.filename)]
+            return _unpack(archive, chosen, folder, report)
     except (
         zipfile.BadZipFile,
         EOFError,

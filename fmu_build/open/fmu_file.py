@@ -1,0 +1,236 @@
+"""An FMI 2.0 FMU as a file: checked, described, unpacked when its binary is needed."""
+
+from __future__ import annotations
+
+import shutil
+import zipfile
+import zlib
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from interarea.models.files import new_folder
+
+from ..errors import BuildError, FmuFileError
+from ..finding import Report
+from ..write.compile import PLATFORMS, host_platform
+from .archive import unpack_checked
+from .description import ModelDescription, ScalarVariable, read_description
+from .ports import Description, Port, Type
+from .units import UnitOf
+from .xml import parse_xml
+
+DESCRIPTION = "modelDescription.xml"
+_TYPE_OF: dict[str, Type] = {
+    "Real": "Real",
+    "Integer": "Integer",
+    "Enumeration": "Integer",
+    "Boolean": "Boolean",
+}
+_PARTS = {"CoSimulation": "co-simulation", "ModelExchange": "model-exchange"}
+
+
+class FmuFile:
+    """An FMU, checked; its files are unpacked where its `folder` is asked for, until `close` or the end.
+
+    interface : "CoSimulation", which the master steps, or "ModelExchange".
+
+    Raises
+    ------
+    FmuFileError : see `describe`; no binary for this platform.
+    """
+
+    def __init__(self, path: str | Path, interface: str = "CoSimulation") -> None:
+        self.path = Path(path)
+        self.interface = interface
+        self.model = describe(self.path, interface)
+        with zipfile.ZipFile(self.path) as archive:
+            names = archive.namelist()
+        folders = {n.split("/")[1] for n in names if n.startswith("binaries/") and n.count("/") > 1}
+        self._platform = next((f for f in host_folders() if f in folders), None)
+        if self._platform is None:
+            raise FmuFileError(
+                f"{self.path.name}: has no binary for this platform ({host_folders()[0]}); it has "
+                f"{', '.join(sorted(folders)) or 'none'}. Build it for this platform too (--platforms), "
+                "or run it on one of those"
+            )
+        self._folder: Path | None = None
+
+    @property
+    def folder(self) -> Path:
+        """The unpacked FMU: this platform's binaries and the resources.
+
+        Raises
+        ------
+        FmuFileError : an archive that would do harm, or is damaged.
+        """
+        if self._folder is None:
+            wanted = (f"binaries/{self._platform}/", "resources/")
+            report, folder = Report(str(self.path)), new_folder()
+            whole = unpack_checked(self.path, folder, report, wanted=lambda n: n.startswith(wanted))
+            if not whole:
+                shutil.rmtree(folder, ignore_errors=True)
+                found = report.findings[0]
+                raise FmuFileError(f"{self.path.name}: not unpacked: {found.where}: {found.message}")
+            self._folder = folder
+        return self._folder
+
+    @property
+    def binary(self) -> Path:
+        """The unpacked shared library of this platform."""
+        suffix = PLATFORMS[host_platform()].suffix
+        name = self.model.interfaces[self.interface].get("modelIdentifier", "")
+        return self.folder / "binaries" / str(self._platform) / f"{name}{suffix}"
+
+    def start_of(self, name: str) -> float:
+        """Return the start value that modelDescription.xml gives a variable, 0 where it gives none."""
+        return float(_number(self.variables[name].start, 0.0))
+
+    def close(self) -> None:
+        """Remove the unpacked files."""
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder = None
+
+    @cached_property
+    def variables(self) -> dict[str, ScalarVariable]:
+        """Every variable by name."""
+        return {v.name: v for v in self.model.variables}
+
+    @cached_property
+    def enumerations(self) -> dict[str, dict[str, int]]:
+        """Of each Enumeration variable: item name -> value."""
+        types = self.model.types
+        return {
+            v.name: {item: int(_number(value, 0.0)) for item, value in types[declared][1]["items"]}
+            for v in self.model.variables
+            if v.type == "Enumeration" and (declared := v.typed.get("declaredType", "")) in types
+        }
+
+    @cached_property
+    def description(self) -> Description:
+        """Ports, direct dependencies (ModelStructure) and abilities."""
+        flags = self.model.interfaces[self.interface]
+        return Description(
+            inputs=tuple(_port(v, self.model) for v in self._of("input")),
+            outputs=tuple(_port(v, self.model) for v in self._of("output")),
+            feedthrough=self._dependencies(self.model.outputs),
+            initial_feedthrough=self._dependencies(self.model.initial_unknowns),
+            input_order=3 if self.model.flag(self.interface, "canInterpolateInputs") else 0,
+            output_order=int(_number(flags.get("maxOutputDerivativeOrder"), 0.0)),
+            saves_state=self.model.flag(self.interface, "canGetAndSetFMUstate"),
+            variable_step=self.model.flag(self.interface, "canHandleVariableCommunicationStepSize"),
+            title=self.model.name or self.path.stem,
+        )
+
+    def _of(self, causality: str) -> list[ScalarVariable]:
+        return [v for v in self.model.variables if v.causality == causality and v.type in _TYPE_OF]
+
+    def _dependencies(self, unknowns: Any) -> dict[str, frozenset[str]]:
+        """Output -> inputs it depends on; missing `dependencies` means all, empty ones none (FMI2, 2.2.8)."""
+        names = [v.name for v in self.model.variables]
+        inputs = frozenset(v.name for v in self._of("input"))
+        direct: dict[str, frozenset[str]] = {v.name: inputs for v in self._of("output")}
+        for unknown in unknowns:
+            name = names[unknown.index - 1]
+            if name in direct and unknown.dependencies is not None:
+                direct[name] = frozenset(names[k - 1] for k in unknown.dependencies) & inputs
+        return direct
+
+
+def describe(path: Path, interface: str = "CoSimulation") -> ModelDescription:
+    """Return what the modelDescription.xml of an FMU says.
+
+    Raises
+    ------
+    FmuFileError : no such file, not an FMU, of another version, against the standard, without `interface`.
+    """
+    if not path.is_file():
+        raise FmuFileError(f"{path}: no such FMU file")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            report = Report(str(path))
+            root = parse_xml(archive.read(DESCRIPTION), DESCRIPTION, report)
+    except (zipfile.BadZipFile, zlib.error, KeyError, RuntimeError, NotImplementedError, EOFError) as error:
+        raise FmuFileError(f"{path.name}: not an FMU ({error})") from error
+    if root is None:
+        raise FmuFileError(f"{path.name}: not an FMU ({DESCRIPTION} {report.findings[0].message})")
+    version = root.get("fmiVersion")
+    if version != "2.0":
+        raise FmuFileError(f"{path.name}: is FMI {version}; the master steps FMI 2.0 FMUs")
+    model = read_description(root)
+    if interface not in model.interfaces:
+        raise FmuFileError(f"{path.name}: has no {_PARTS[interface]} part, which is needed here")
+    broken = next(_broken(model), None)
+    if broken is not None:
+        raise FmuFileError(f"{path.name}: its {DESCRIPTION} breaks the standard: {broken}")
+    return model
+
+
+def host_folders() -> tuple[str, ...]:
+    """Return the folders below ``binaries/`` whose libraries this machine can load, FMI 2.0's name first.
+
+    Raises
+    ------
+    FmuFileError : a platform that no binary is made for.
+    """
+    try:
+        name = host_platform()
+    except BuildError as error:
+        raise FmuFileError(str(error)) from error
+    machine, system, *_ = PLATFORMS[name].target.split("-")
+    return tuple(
+        dict.fromkeys((PLATFORMS[name].folder, f"{machine}-{system.replace('macos.11.0', 'darwin')}"))
+    )
+
+
+_CAUSALITY = {"parameter", "calculatedParameter", "input", "output", "local", "independent"}
+_VARIABILITY = {"constant", "fixed", "tunable", "discrete", "continuous"}
+
+
+def _broken(d: ModelDescription) -> Any:
+    """What keeps a master from using a description, sentence by sentence."""
+    seen: set[str] = set()
+    for v in d.variables:
+        where = f'variable "{v.name}" (line {v.line})'
+        if not v.name or v.name in seen:
+            yield f"{where} has no name of its own"
+        seen.add(v.name)
+        if v.causality not in _CAUSALITY:
+            yield f'{where} has causality "{v.causality}", allowed: {", ".join(sorted(_CAUSALITY))}'
+        if v.variability not in _VARIABILITY:
+            yield f'{where} has variability "{v.variability}", allowed: {", ".join(sorted(_VARIABILITY))}'
+        if not v.type or v.reference < 0:
+            yield f"{where} has no {'type' if not v.type else 'valueReference'}"
+        if v.unit is not None and v.unit not in d.units:
+            yield f'The unit "{v.unit}" of {where} is not defined'
+        if v.start is not None and v.type in _TYPE_OF and _number(v.start, None) is None:
+            yield f"{where} has the start value {v.start[:40]!r}, which is no number"
+    count = len(d.variables)
+    for section in (d.outputs, d.derivatives, d.initial_unknowns):
+        for u in section:
+            if not all(1 <= k <= count for k in (u.index, *(u.dependencies or ()))):
+                yield f"ModelStructure names variable {u.index} or one of its dependencies; there are {count}"
+
+
+def _port(v: ScalarVariable, d: ModelDescription) -> Port:
+    return Port(
+        name=v.name,
+        type=_TYPE_OF[v.type],
+        unit=None if v.unit is None else d.unit_table.get(v.unit, UnitOf(v.unit)),
+        start=_number(v.start, 0.0),
+        nominal=abs(_number(v.typed.get("nominal"), 1.0)) or 1.0,
+        discrete=v.type != "Real" or v.variability == "discrete",
+        description=v.description,
+    )
+
+
+def _number(text: str | None, default: Any) -> Any:
+    """Return a number or a Boolean as written; `default` where there is none or it is none."""
+    truth = {"true": 1.0, "false": 0.0}.get((text or "").strip().lower())
+    if truth is not None:
+        return truth
+    try:
+        return float(text) if text is not None else default
+    except ValueError:
+        return default
