@@ -19,13 +19,13 @@ from plant_shim import FLAGS, compile_shared
 
 from interarea.cosim.clock import seconds
 from interarea.cosim.master import kernel
-from interarea.cosim.master.fmu_file import FmuFile
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.master.kernel.build import KIND_OF, KernelSignal
 from interarea.cosim.master.master import Master
 from interarea.cosim.master.signals import Kind, Signal
 from interarea.cosim.polynomials import mean_between, slope_at, value_at
 from interarea.cosim.run.artefacts import block_fmu
+from interarea.fmu_build.open.fmu_file import FmuFile
 
 SHIM = """
 #include "kernel_signal.h"
