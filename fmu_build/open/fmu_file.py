@@ -151,7 +151,7 @@ def describe(path: Path, interface: str = "CoSimulation") -> ModelDescription:
         with zipfile.ZipFile(path) as archive:
             report = Report(str(path))
             root = parse_xml(archive.read(DESCRIPTION), DESCRIPTION, report)
-    except (zipfile.BadZipFile, zlib.error, KeyError, RuntimeError, NotImplementedError, EOFError) as error:
+    except (zipfile.BadZipFile, zlib.error, KeyError, RuntimeError, EOFError) as error:
         raise FmuFileError(f"{path.name}: not an FMU ({error})") from error
     if root is None:
         raise FmuFileError(f"{path.name}: not an FMU ({DESCRIPTION} {report.findings[0].message})")

@@ -10,13 +10,14 @@ from typing import Any
 import pytest
 from whims import whims_fmu
 
-from interarea.cosim.errors import GraphError, SweepError
+from interarea.cosim.errors import SweepError
 from interarea.cosim.master.isolated import WorkerParticipant
 from interarea.cosim.sweep.front import run_sweep
 from interarea.cosim.sweep.plan import plan_of_document, plan_sweep
 from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.spec import load_sweep
 from interarea.cosim.sweep.store import read_rows
+from interarea.fmu_build.errors import FmuFileError
 
 STOPS = {"stop": {"path": "stop_s", "values": [0.4, 0.8, 0.42]}}
 
@@ -56,7 +57,7 @@ def test_the_file_goes_into_the_plan_by_its_content(own: Any, cache: Path, tmp_p
     again = plan_of_document(json.loads(json.dumps(plan.document())))
     with Runner(again, cache, tmp_path / "scratch") as runner:
         assert runner.outcome(0).row["status"] == "ok"
-    with pytest.raises(GraphError, match="no such FMU file"):
+    with pytest.raises(FmuFileError, match="no such FMU file"):
         plan_sweep(load_sweep(table), cache)
 
 

@@ -12,6 +12,7 @@ from interarea.cosim.errors import GraphError, ScenarioError
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.run.system import System
 from interarea.design.controllers.controller import Controller
+from interarea.fmu_build.errors import FmuFileError
 from interarea.models.case.case import CaseError
 
 PULSE = {"machine": "G1", "size_pu": 0.05, "start_s": 0.5, "end_s": 0.7}
@@ -112,7 +113,7 @@ def test_a_path_goes_through_channels_and_any_participant() -> None:
         (lambda s: s.controller("wdc"), ScenarioError, "add the plant first"),
         (lambda s: s.plant("two-area-thesys"), CaseError, "two-area-thesis"),
         (lambda s: s.event("vref_pulse", **PULSE), ScenarioError, "add the plant first"),
-        (lambda s: s.fmu("x", "missing.fmu"), GraphError, "missing.fmu: no such FMU file"),
+        (lambda s: s.fmu("x", "missing.fmu"), FmuFileError, "missing.fmu: no such FMU file"),
         (lambda s: s.connect("a.y", "b.v").master(), GraphError, "b has no input 'v'; there are: u"),
         (lambda s: s.participant("aa"), GraphError, "did you mean 'a'"),
     ],
