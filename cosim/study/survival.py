@@ -22,12 +22,12 @@ from threadpoolctl import threadpool_limits
 from interarea.design.certificates.closed_loop import closed_loop_matrix
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, source_hash
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.variants import operating_variant
 
 from ..errors import StepError
-from ..master.fmu_file import FmuFile
 from ..master.instances import FmuParticipant
 from ..master.isolated import participant_of
 from ..master.lockstep import advance_together
