@@ -16,6 +16,7 @@ from .raw.converters import read_converters
 from .raw.file import RawFile, read_raw
 from .raw.lines import read_lines_of
 from .raw.motors import read_motors
+from .raw.multi_terminal import read_multi_terminal
 from .raw.nodes import read_nodes
 from .raw.transformers import read_transformers
 from .report import Report
@@ -109,6 +110,7 @@ def static_grid(file: RawFile, report: Report, frequency_hz: float | None = None
     read_lines_of(file, grid, report)
     read_transformers(file, grid, report)
     read_converters(file, grid, report)
+    read_multi_terminal(file, grid, report)
     read_motors(file, grid, report)
     return grid
 

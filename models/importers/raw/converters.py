@@ -64,14 +64,17 @@ def _two_terminal(record: Record, raw: RawFile, grid: StaticGrid, report: Report
     ):
         number = converter.bus("IP")
         bus = grid.bus(number, converter.where)
-        q = _reactive(converter, bus.v, dc_volts, current, sign, report)
+        q = reactive_power(converter, bus.v, dc_volts, current, sign, report)
         _add(grid, record, number, "D", end, complex(sign * dc_volts * current, q))
 
 
-def _reactive(
+def reactive_power(
     converter: Record, volts: float, dc_volts: float, current: float, sign: float, report: Report
 ) -> float:
-    """Mvar that a line-commutated converter takes, from its commutation overlap."""
+    """Return the Mvar that a line-commutated converter takes, from its commutation overlap.
+
+    volts : at its bus, pu. dc_volts, current : kV, kA. sign : 1 for a rectifier, -1 for an inverter.
+    """
     bridges, x, r = converter.whole("NB"), converter.number("XC"), converter.number("RC", 0.0)
     tap = converter.number("TAP", 1.0)
     line = volts * converter.number("EBAS") * converter.number("TR", 1.0) / tap if tap > 0.0 else 0.0

@@ -70,10 +70,10 @@ _FIELDS: dict[str, tuple[tuple[int, str], ...]] = {
     ),
     "multi-terminal dc": ((23, "NAME NCONV NDCBS NDCLN MDC VCONV VCMOD VCONVN"),),
     "multi-terminal converter": (
-        (23, "IB N ANGMX ANGMN RC XC EBAS TR TAP TPMX TPMN TSTP SETVL DCPF MARG CNVCOD"),
+        (23, "IB NB ANGMX ANGMN RC XC EBAS TR TAP TPMX TPMN TSTP SETVL DCPF MARG CNVCOD"),
     ),
     "multi-terminal bus": ((23, "IDC IB AREA ZONE DCNAME IDC2 RGRND OWNER"),),
-    "multi-terminal link": ((23, "IDC JDC DCCKT MET RDC LDC"), (29, "IDC JDC DCCKT MET RDC LDC")),
+    "multi-terminal link": ((23, "IDC JDC DCCKT MET RDC LDC"),),
     "FACTS": ((23, _FACTS),),
     "GNE": ((32, "NAME MODEL NTERM"),),
     "induction machine": (

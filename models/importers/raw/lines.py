@@ -78,14 +78,11 @@ def read_lines_of(raw: RawFile, grid: StaticGrid, report: Report) -> None:
             )
         )
     report.read["lines"] = sum(not b.transformer for b in grid.branches)
-    for section in ("multi-terminal dc", "GNE"):
-        for record in raw.records(section):
-            if section == "multi-terminal dc" and record.whole("MDC", 0) == 0:
-                report.drop("multi-terminal dc out of service", record.where)
-            elif section == "GNE" and record.parts and record.parts[0].words[:1] == ("0",):
-                report.drop("generic network element out of service", record.where)
-            else:
-                raise record.refused("has no counterpart here; take it out or replace it by loads")
+    for record in raw.records("GNE"):
+        if record.parts and record.parts[0].words[:1] == ("0",):
+            report.drop("generic network element out of service", record.where)
+        else:
+            raise record.refused("has no counterpart here; take it out or replace it by loads")
 
 
 def apply(row: StaticBranch, tables: dict[int, Correction], number: int, where: str, report: Report) -> None:

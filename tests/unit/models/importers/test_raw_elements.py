@@ -21,6 +21,7 @@ from interarea.models.importers.static import StaticGrid
 
 SECTIONS = {
     "two_terminal_dc": "two-terminal dc",
+    "multi_terminal_dc": "multi-terminal dc",
     "VSC_dc": "VSC dc",
     "impedance_correction": "impedance correction",
     "induction_machine": "induction machine",
@@ -202,6 +203,50 @@ def test_the_reactive_power_of_a_converter_is_that_of_its_overlap_integral(tmp_p
     assert load.q / load.p == pytest.approx(behind / in_phase, rel=2e-3)
 
 
+CONVERTER = "{bus},2,20,8,0.0,6.0,110.0,0.9,1.0,1.5,0.5,0.01,{setting},1.0,0.1,1"
+STAR_DC = [
+    "'MT',3,4,3,1,1,0,0",
+    CONVERTER.format(bus=1, setting=200.0),  # holds 200 kV
+    CONVERTER.format(bus=2, setting=30.0),
+    CONVERTER.format(bus=3, setting=-50.0),
+    *(f"{k},{k},1,1,'D{k}',0,0,1" for k in (1, 2, 3)),
+    "4,0,1,1,'MIDDLE',0,0,1",
+    *(f"{k},4,'1',1,{r},0" for k, r in ((1, 4.0), (2, 6.0), (3, 10.0))),
+]
+
+
+def test_a_multi_terminal_line_balances_at_the_converter_that_holds_its_voltage(tmp_path: Path) -> None:
+    grid = static(tmp_path, multi_terminal_dc=STAR_DC)
+    p = {q.bus: q.p for q in grid.loads if q.letter == "D"}
+    assert (p[2], p[3]) == pytest.approx((30.0, -50.0), rel=1e-12)
+    i1 = p[1] / 200.0
+    middle = 200.0 - 4.0 * i1
+    v2 = 0.5 * (middle + math.sqrt(middle**2 + 4.0 * 6.0 * 30.0))  # v2 (v2 - middle)/6 = 30
+    v3 = 0.5 * (middle + math.sqrt(middle**2 - 4.0 * 10.0 * 50.0))
+    assert i1 + 30.0 / v2 - 50.0 / v3 == pytest.approx(0.0, abs=1e-12)
+    assert all(q.q > 0.0 for q in grid.loads if q.letter == "D")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("'MT',3,4,3,1,1,", "'MT',3,4,3,1,9,", "VCONV .* = 9, allowed: the bus of one of its converters"),
+        (
+            "3,4,'1',1,10.0",
+            "3,7,'1',1,10.0",
+            r"JDC \(field 2\) = 7, allowed: a dc bus of the line: 1, 2, 3, 4",
+        ),
+        ("3,4,'1',1,10.0", "2,4,'2',1,10.0", "the dc network is not connected"),
+        ("0.01,-50.0,", "0.01,-5000.0,", "no dc voltages carry the powers"),
+        ("3,3,1,1,'D3'", "3,8,1,1,'D3'", "no dc bus belongs to the converter at bus 3"),
+    ],
+)
+def test_a_wrong_multi_terminal_line_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert any(old in row for row in STAR_DC)
+    with pytest.raises(CaseError, match=rf"grid\.raw:\d+: multi-terminal .*{message}"):
+        static(tmp_path, multi_terminal_dc=[row.replace(old, new) for row in STAR_DC])
+
+
 def test_a_vsc_line_loses_what_its_converters_and_its_resistance_do(tmp_path: Path) -> None:
     rows = [
         "'V',1,2.0,1,1.0",
@@ -324,7 +369,7 @@ def test_a_flow_without_solution_names_the_worst_bus_and_the_voltages(tmp_path: 
 
 
 REFUSED = {
-    "multi-terminal dc": (["'M',0,0,0,1,1,0,0"], r"multi-terminal dc record: has no counterpart here"),
+    "multi-terminal dc": (["'M',0,0,0,1,1,0,0"], r"multi-terminal dc record: dc buses without numbers"),
     "GNE": (["'G','MODEL',1,3,0,0,0,1,1,1"], r"GNE record: has no counterpart here"),
     "FACTS": (["'F',77,0,1"], r"bus 77 does not exist"),
     "two-terminal dc": (["'D',1,10,50,0", "2,2", "3,2"], r"VSCHD \(field 5\) = 0, allowed: above 0 kV"),
