@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
-from interarea.models.case.errors import OneLineError
+from interarea.models.errors import InterareaError, UserError
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -14,23 +14,23 @@ if TYPE_CHECKING:
     from .trajectory import Trajectory
 
 
-class ScenarioError(OneLineError):
+class ScenarioError(UserError):
     """A scenario that cannot be run as written: file, key, value, what is allowed."""
 
 
-class GraphError(OneLineError):
+class GraphError(UserError):
     """Connections that do not fit the participants they name."""
 
 
-class DestinationError(OneLineError):
+class DestinationError(UserError):
     """A place where results cannot be written."""
 
 
-class SweepError(OneLineError):
+class SweepError(UserError):
     """A sweep that cannot run as written, or results that do not belong to it."""
 
 
-class StepError(RuntimeError):
+class StepError(InterareaError, RuntimeError):
     """A run that stopped: which instance, in which call, at what time, and its last log line.
 
     `trajectory` holds the results up to the last finished step (None when there are none yet).

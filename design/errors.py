@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from interarea.models.errors import InterareaError
 
-class InfeasibleDesign(ValueError):
+
+class InfeasibleDesign(InterareaError, ValueError):
     """No controller meets the specification; `constraint` names what cannot be met, `relaxed` what can.
 
     Attributes
@@ -22,9 +24,9 @@ class InfeasibleDesign(ValueError):
         self.reachable = reachable
 
 
-class UncertifiedDesign(RuntimeError):
+class UncertifiedDesign(InterareaError, RuntimeError):
     """A controller was computed, but a check of the closed loop contradicts what was asked."""
 
 
-class SolverError(RuntimeError):
+class SolverError(InterareaError, RuntimeError):
     """An LMI engine stopped without an answer."""

@@ -1,8 +1,8 @@
 """A system put together in Python: plant, controller, a channel with an outage, a pulse."""
 
-from interarea.cosim.run.system import System
+import interarea as ia
 
-grid = System(stop_s=20.0)
+grid = ia.System(stop_s=20.0)
 grid.plant("two-area-thesis")
 grid.controller("wdc")
 grid.channel("remote", latency_s=0.1, outages_s=[(10.0, 12.0)])

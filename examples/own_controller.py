@@ -7,24 +7,21 @@ rad/s, the output is in pu and limited to +-0.15 pu by the controller FMU.
 import control
 import numpy as np
 
-from interarea.cosim.run.run import run_scenario
-from interarea.design.controllers.controller import Controller
+import interarea as ia
 
 s = control.tf("s")
 shape = -0.02 * (5 * s / (1 + 5 * s)) * (1 + 0.25 * s) / (1 + 0.05 * s) / (1 + 0.02 * s)
 K = control.ss(shape)
-both = control.ss(
+mine = control.ss(
     K.A, K.B @ np.array([[1.0, -1.0]]), K.C, np.zeros((1, 2)), inputs=["G2_dw", "G4_dw"], outputs=["G4_vs"]
 )
-mine = Controller("wash_out_and_lead", both)
 
 study = {
     "case": "two-area-thesis",
-    "controller": "wdc",  # the name that `controllers` is asked for
     "stop_s": 20.0,
     "channels": {"remote": {"signal": "G2_dw", "latency_s": 0.05}},  # G4_dw is local and comes undelayed
     "event": [{"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.0, "end_s": 1.2}],
 }
-without = run_scenario(study | {"controller": "none"})
-with_it = run_scenario(study, controllers=lambda name, case: mine)
+without = ia.simulate(study)
+with_it = ia.simulate(study, controller=mine)
 print(f"inter-area damping {without.damping_ratio():.3f} -> {with_it.damping_ratio():.3f}")

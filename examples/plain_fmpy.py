@@ -9,18 +9,14 @@ from __future__ import annotations
 
 import shutil
 import sys
+import tempfile
 from pathlib import Path
 
 import fmpy
 import numpy as np
 from fmpy.fmi2 import FMU2Slave
 
-from interarea.cosim.run.artefacts import channel_fmu, controller_fmu, plant_fmu
-from interarea.design.controllers.controller import Controller
-from interarea.fmu_build.write.cache import default_cache
-from interarea.models.blocks.plant import event_parameters
-from interarea.models.case.case import load_case
-from interarea.models.case.events import event_of
+import interarea as ia
 
 STEP_S, STOP_S = 0.01, 5.0
 
@@ -61,14 +57,21 @@ class Instance:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def run(controller: Controller) -> np.ndarray:
+#: event 1 of the plant: kind 4 is a pulse on a voltage reference, target 1 is the first machine
+PULSE = {"kind": 4, "target": 1, "start": 1.0, "end": 1.2, "size": 0.05}
+
+
+def run(controller: ia.Controller) -> np.ndarray:
     """Return rows (time in s, speed of G2 less speed of G4 in pu)."""
-    case, cache = load_case("two-area-thesis"), default_cache()
-    pulse = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.0, "end_s": 1.2}
-    events = event_parameters(case, [event_of(pulse, where="example")])
-    plant = Instance(plant_fmu(case, cache), "plant", events)
-    channels = {s: Instance(channel_fmu(cache), s, {"latency": 0.1}) for s in controller.inputs}
-    control = Instance(controller_fmu(controller, case.omega_b, cache), "controller")
+    case = ia.load_case("two-area-thesis")
+    with tempfile.TemporaryDirectory() as folder:
+        plant_fmu, channel_fmu, controller_fmu = (
+            ia.build_fmu(thing, Path(folder) / f"{name}.fmu", case=case)
+            for name, thing in (("plant", case), ("channel", "channel"), ("controller", controller))
+        )
+        plant = Instance(plant_fmu, "plant", {f"event[1].{key}": value for key, value in PULSE.items()})
+        channels = {s: Instance(channel_fmu, s, {"latency": 0.1}) for s in controller.inputs}
+        control = Instance(controller_fmu, "controller")
     rows = []
     for k in range(round(STOP_S / STEP_S)):
         t = k * STEP_S
@@ -87,5 +90,5 @@ def run(controller: Controller) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    for time_s, dw24 in run(Controller.load(sys.argv[1]))[::50]:
+    for time_s, dw24 in run(ia.load_controller(sys.argv[1] if len(sys.argv) > 1 else "robust"))[::50]:
         print(f"{time_s:5.2f} s  {dw24:+.3e} pu")

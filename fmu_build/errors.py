@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from interarea.models.case.errors import OneLineError
+from interarea.models.errors import InterareaError, UserError
 
 
-class FmuFileError(OneLineError):
+class FmuFileError(UserError):
     """A file that is no FMU, or none that can be used here: file, what is wrong, what is needed."""
 
 
-class BuildError(RuntimeError):
+class BuildError(InterareaError, RuntimeError):
     """An FMU could not be built: no compiler, a compiler error, or a block whose parts do not fit."""
 
 
-class FmuError(RuntimeError):
+class FmuError(InterareaError, RuntimeError):
     """A call into an FMU failed.
 
     Attributes

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from interarea.models.errors import UserError
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -56,5 +58,5 @@ class Report:
         }
 
 
-class CheckError(ValueError):
+class CheckError(UserError):
     """The file given to the check is not there or is neither an FMU nor an SSP."""

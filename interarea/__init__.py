@@ -1,11 +1,89 @@
-"""Wide-area damping of inter-area oscillations: the front door."""
+"""Wide-area damping of inter-area oscillations: the front door.
+
+    import interarea as ia
+
+loads nothing until a name is used; what stands in `__all__` is public, all else may change.
+"""
 
 from __future__ import annotations
 
+import sys
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.2.0"
 
 # In a checkout the floors lie beside this folder, in an installed wheel below it: without this line a
 # Python started in the checkout's root finds this folder and none of the floors.
 _ROOT = Path(__file__).resolve().parent.parent
 if (_ROOT / "pyproject.toml").is_file() and (_ROOT / "models" / "py.typed").is_file():
     __path__.append(str(_ROOT))
+
+if TYPE_CHECKING:  # what the table below says, for type checkers and editors
+    from .cosim.errors import StepError as StepError
+    from .cosim.run.system import System as System
+    from .design.controllers.controller import Controller as Controller
+    from .design.errors import InfeasibleDesign as InfeasibleDesign
+    from .design.errors import UncertifiedDesign as UncertifiedDesign
+    from .exchange import build_fmu as build_fmu
+    from .exchange import check as check
+    from .exchange import write_container as write_container
+    from .exchange import write_ssp as write_ssp
+    from .grids import import_case as import_case
+    from .grids import linearise as linearise
+    from .grids import load_case as load_case
+    from .grids import loops as loops
+    from .grids import modes as modes
+    from .grids import reduce as reduce
+    from .models.errors import InterareaError as InterareaError
+    from .models.errors import UserError as UserError
+    from .simulation import Channel as Channel
+    from .simulation import read_sweep as read_sweep
+    from .simulation import simulate as simulate
+    from .simulation import sweep as sweep
+    from .synthesis import certify as certify
+    from .synthesis import design_controller as design_controller
+    from .synthesis import load_controller as load_controller
+
+#: module -> the public names it gives
+_PUBLIC = {
+    "grids": "load_case import_case modes loops linearise reduce",
+    "synthesis": "design_controller load_controller certify",
+    "simulation": "simulate Channel sweep read_sweep",
+    "exchange": "build_fmu write_ssp write_container check",
+    "design.controllers.controller": "Controller",
+    "cosim.run.system": "System",
+    "models.errors": "InterareaError UserError",
+    "design.errors": "InfeasibleDesign UncertifiedDesign",
+    "cosim.errors": "StepError",
+}
+_PLACE = {name: module for module, names in _PUBLIC.items() for name in names.split()}
+__all__ = ["__version__", *_PLACE]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACE:
+        raise AttributeError(f"module 'interarea' has no {name!r}; public are {', '.join(_PLACE)}")
+    value = getattr(import_module(f"{__name__}.{_PLACE[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_PLACE})
+
+
+class _MovedModules:
+    """Asked last for a module that nobody found: one that moved is named in the error (`moved`)."""
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> None:
+        if name.startswith(f"{__name__}."):
+            from .moved import explain
+
+            explain(name)
+
+
+if not any(getattr(finder, "__name__", "") == _MovedModules.__name__ for finder in sys.meta_path):
+    sys.meta_path.append(_MovedModules)

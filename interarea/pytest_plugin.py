@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:  # imported when a test asks for a run: a plugin must not slow down every pytest
-    from interarea.cosim.run.run import Run
+    from interarea.cosim.results.run import Run
     from interarea.cosim.scenario.scenario import Scenario
 
 RunScenario = Callable[..., "Run"]

@@ -21,7 +21,6 @@ from interarea.design.delay.curves import delayed_loop, rightmost_roots
 from interarea.design.linear.linearise import select, speeds_in_rad
 from interarea.design.linear.norms import response
 from interarea.design.robust.operating_points import FamilyCertificate
-from interarea.models.case.case import load_case
 
 from ..plots.curves import (
     DASHES,
@@ -80,7 +79,7 @@ def save_comparison(
 ) -> tuple[Path, ...]:
     """Draw the four figures at the design's first operating point into `folder`; return their files."""
     name, plant = next(iter(family_plants(table, cache).items()))
-    G = speeds_in_rad(plant, load_case(table.case).omega_b)
+    G = speeds_in_rad(plant, table.grid.omega_b)
     figures = {
         "root-loci": root_locus_figure(G, alternatives, name),
         "controller-gain": gain_figure(alternatives),

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import control
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
 
 from interarea.design.controllers.controller import Controller
 from interarea.design.delay.signal_conditions import Condition, condition_of_many
@@ -113,6 +113,19 @@ class DesignTable(_Table):
     fault: FaultTable | None = None
     acceptance: AcceptanceTable | None = None
     source: str = ""
+    _grid: Case | None = PrivateAttr(None)  # of `on`
+
+    @property
+    def grid(self) -> Case:
+        """The case of the design, before its operating points change it."""
+        return self._grid if self._grid is not None else load_case(self.case)
+
+    def on(self, case: Case | str | Path) -> DesignTable:
+        """Return this design for another case: a `Case`, a bundled name or a file."""
+        grid = case if isinstance(case, Case) else load_case(case)
+        changed = self.model_copy(update={"case": grid.name if isinstance(case, Case) else str(case)})
+        changed._grid = grid
+        return changed
 
     @model_validator(mode="after")
     def _caps_agree(self) -> DesignTable:
@@ -195,14 +208,21 @@ def load_design(path: str | Path) -> DesignTable:
         raise ScenarioError(
             f"design {str(path)!r} is neither a file nor bundled; {nearest(str(path), design_names())}"
         )
-    raw = read_toml(file, "design", ScenarioError)
+    return design_of(read_toml(file, "design", ScenarioError), where=str(path))
+
+
+def design_of(keys: Mapping[str, Any], *, where: str = "design") -> DesignTable:
+    """Return the design of the keys of a design file; `where` names them in errors.
+
+    Raises ScenarioError naming key, value and what is allowed.
+    """
     try:
-        table = DesignTable.model_validate(raw)
+        table = DesignTable.model_validate(keys)
         table.spec()
     except ValidationError as error:
-        raise ScenarioError(f"{path}: {_said(error)}") from error
+        raise ScenarioError(f"{where}: {_said(error)}") from error
     except ValueError as error:
-        raise ScenarioError(f"{path}: {error}") from error
+        raise ScenarioError(f"{where}: {error}") from error
     return table
 
 
@@ -225,9 +245,8 @@ def design_names() -> list[str]:
 
 def family_cases(table: DesignTable) -> dict[str, Case]:
     """Return operating point -> case of a design."""
-    case = load_case(table.case)
     return {
-        p.name: operating_variant(case, tie_flow_mw=p.tie_flow_mw, out=p.out, load_scale=p.load_scale)
+        p.name: operating_variant(table.grid, tie_flow_mw=p.tie_flow_mw, out=p.out, load_scale=p.load_scale)
         for p in table.point
     }
 
@@ -247,7 +266,7 @@ class Designed:
 
 
 def run_design(
-    table: DesignTable, cache: Path, *, progress: Callable[[str, float], None] | None = None
+    table: DesignTable, cache: Path, *, progress: Callable[[str, float], object] | None = None
 ) -> Designed:
     """Design the controller of `table`; its certificate, on full plants with exact latency, comes with it.
 
@@ -256,7 +275,7 @@ def run_design(
     InfeasibleDesign : a mode out of reach, or no start that keeps every design model stable.
     """
     plants = family_plants(table, cache)
-    omega_b = load_case(table.case).omega_b
+    omega_b = table.grid.omega_b
     spec = table.spec()
     for name, case in family_cases(table).items():
         require_moved(name, plants[name], spec, modes_of(plants[name], case.areas))
@@ -282,7 +301,7 @@ def _recorded(table: DesignTable) -> dict[str, Any]:
 
 def judge(table: DesignTable, K: control.StateSpace, cache: Path) -> FamilyCertificate:
     """Judge a controller (speeds in rad/s) on the family of a design and by what it asks, no fault run."""
-    omega_b = load_case(table.case).omega_b
+    omega_b = table.grid.omega_b
     plants = {name: speeds_in_rad(p, omega_b) for name, p in family_plants(table, cache).items()}
     return judge_family(
         plants,

@@ -6,7 +6,8 @@ import html
 
 import numpy as np
 
-from ..run.run import Run, run_scenario
+from ..results.run import Run
+from ..run.run import run_scenario
 from .subject import Subject
 
 _WIDTH, _HEIGHT = 760, 240

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.files import temporary_folder, write_whole
 
+from ..errors import SweepError
 from ..plots.curves import save_figure
 from ..plots.html import inline_svg
 from ..sweep.plan import SweepPlan, code_version
@@ -123,6 +124,19 @@ def _draw(sweep: Sweep, rows: pd.DataFrame, margins: list[Margin], curves: list[
     if curves:
         found["worst"] = figures.worst_figure(curves)
     return found
+
+
+def first_figure(sweep: Sweep, rows: pd.DataFrame) -> Figure:
+    """Return the first map of a sweep without margins; with one parameter of numbers damping over it.
+
+    Raises
+    ------
+    SweepError : nothing to draw: no parameter of numbers with two values.
+    """
+    drawn = _draw(sweep, rows, [], [])
+    if not drawn:
+        raise SweepError(f"{sweep.name}: no parameter has two numbers or more, so there is nothing to draw")
+    return next(iter(drawn.values()))
 
 
 def _lines(

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import html
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+
+from interarea.models.files import write_whole
 
 from ..trajectory import Trajectory
 from .delay_ledger import DelayLedger, PacketLedger
@@ -39,6 +44,36 @@ class Result:
         """Return one column as an array; the error names the columns there are."""
         return self.trajectory[column]
 
+    def to_frame(self) -> pd.DataFrame:
+        """Return the signals over time: index ``time_s``, columns ``INSTANCE.VARIABLE``."""
+        return self.data.set_index("time_s")
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write trajectory.csv, trajectory.parquet and ledger.json into a folder; return the files."""
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        files = [folder / name for name in ("trajectory.csv", "trajectory.parquet", "ledger.json")]
+        self.trajectory.write_csv(files[0])
+        self.trajectory.write_parquet(files[1])
+        ledgers = {
+            "step_s": self.ledger.step_s,
+            "inputs": self.ledger.inputs,
+            "delays": self.ledger.as_rows(),
+            "rounded": list(self.ledger.rounded),
+            "packets": {name: dict(row) for name, row in self.packets.rows.items()},
+        }
+        write_json(ledgers, files[2])
+        return files
+
+    def _repr_html_(self) -> str:
+        table = self.data.describe().to_html(float_format="{:.4g}".format)
+        return f"<p><b>{html.escape(repr(self))}</b></p>{table}"
+
     def explain(self) -> str:
         """Return how it was stepped: step, order, loops, unconnected inputs, delay and packet ledgers."""
         return f"{self.explanation}\n\n{self.packets}"
+
+
+def write_json(value: object, path: Path) -> None:
+    """Write a value of JSON types, one line a leaf."""
+    write_whole(path, json.dumps(value, indent=1, allow_nan=False) + "\n")

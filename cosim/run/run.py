@@ -22,9 +22,9 @@ from ..master.isolated import participant_of
 from ..master.master import Master
 from ..results.delay_ledger import PACKET_COUNTS, delay_ledger, explain, packet_ledger
 from ..results.latency_test import SelfTest
-from ..results.metrics import Metrics
 from ..results.result import Result
-from ..results.ringdown import Swing, fit_window, ring_down_of, run_metrics
+from ..results.ringdown import Swing, run_metrics
+from ..results.run import Run
 from ..scenario.channels import hold_packets
 from ..scenario.scenario import Scenario, load_scenario
 from ..trajectory import Trajectory
@@ -41,78 +41,11 @@ _PLANT, _CONTROLLER = "plant", "controller"
 EVENT_SLOTS = 8  #: of the plant FMU; a scenario with more events gets one of its own
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
-class Run(Result):
-    """What a scenario did: `trajectory`, `metrics`, `ledger` (delays), `packets`."""
-
-    scenario: Scenario
-    case: Case
-    swing: Swing
-    metrics: Metrics
-
-    def __repr__(self) -> str:
-        """Return in a line what ran and how it went: pytest shows it where an assertion fails."""
-        return f"Run({self.scenario.name!r}: {self.summary})"
-
-    @property
-    def summary(self) -> str:
-        """What ran and how it went, in a line."""
-        damping = ", ".join(f"{n} {zeta:.3f}" for n, zeta in sorted(self.metrics.damping_ratio.items()))
-        settled = self.metrics.settling_time_s
-        return (
-            f"{self.case.name}, controller {Path(self.scenario.controller).name}, "
-            f"{float(self.trajectory.time_s[-1]):g} s: {self.swing.name} "
-            f"{'stable' if self.stable else 'not stable'}, "
-            f"damping {damping or 'not to be read'}, "
-            f"{'not settled' if settled is None else f'settled in {settled:.2f} s'}"
-        )
-
-    @property
-    def stable(self) -> bool:
-        """Whether the swing signal decays, and is no oscillation that goes on (`is_stable`)."""
-        return self.metrics.stable
-
-    def damping_ratio(
-        self, mode: str = "inter-area", *, start_s: float | None = None, stop_s: float | None = None
-    ) -> float:
-        """Return the damping ratio of a mode in the ring-down (window: `fit_window`, unless given).
-
-        Raises
-        ------
-        ValueError : the mode does not show in the window; the message names those that do.
-        """
-        if start_s is None and stop_s is None:
-            found = dict(self.metrics.damping_ratio)
-        else:
-            window = fit_window(self.scenario)
-            chosen = (window[0] if start_s is None else start_s, window[1] if stop_s is None else stop_s)
-            step = self.ledger.step_s
-            named, _ = ring_down_of(self.trajectory, self.case, chosen, step)
-            found = {name: m.damping_ratio for name, m in named.items()}
-        if mode not in found:
-            raise ValueError(f"mode {mode!r} does not show in this run; {nearest(mode, found)}")
-        return found[mode]
-
-    def settling_time_s(self, column: str | None = None, *, band: float = 0.02) -> float | None:
-        """Return the time from the last disturbance to where a signal stays within `band` of its peak.
-
-        column : a column of the trajectory; default the speed difference that the metrics are of, `swing`.
-        """
-        from ..results import metrics
-
-        if column is None and band == 0.02:
-            return self.metrics.settling_time_s
-        from ..results.ringdown import disturbance_end_s
-
-        values = self.swing.of(self.trajectory) if column is None else self.trajectory[column]
-        return metrics.settling_time_s(
-            self.trajectory.time_s, values, disturbance_end_s(self.scenario), band=band
-        )
-
-
 def run_scenario(
     scenario: Scenario | str | Path | Mapping[str, Any],
     *,
+    case: Case | None = None,
+    controller: Controller | ControllerBank | None = None,
     cache: Path | None = None,
     progress: Callable[[float, float], object] | None = None,
     controllers: Controllers | None = None,
@@ -121,6 +54,7 @@ def run_scenario(
 
     Parameters
     ----------
+    case, controller : instead of those that the scenario names.
     cache : folder of FMUs and designs; default `default_cache()`.
     progress : called with (present time, stop time), s.
     controllers : (name, case) -> Controller for wdc, cc and ftc; default designs them once into `cache`.
@@ -130,7 +64,7 @@ def run_scenario(
     ScenarioError, CaseError : a mistake in the scenario. StepError : an FMU failed, with the results so far.
     """
     loaded = load_scenario(scenario)
-    with assemble(loaded, cache=cache, controllers=controllers) as loop:
+    with assemble(loaded, case=case, controller=controller, cache=cache, controllers=controllers) as loop:
         trajectory = loop.master.run(progress=progress)
         return loop.result(trajectory)
 
@@ -252,9 +186,16 @@ class Wiring:
 
 
 def assemble(
-    scenario: Scenario, *, cache: Path | None = None, controllers: Controllers | None = None
+    scenario: Scenario,
+    *,
+    case: Case | None = None,
+    controller: Controller | ControllerBank | None = None,
+    cache: Path | None = None,
+    controllers: Controllers | None = None,
 ) -> Loop:
     """Build the FMUs of a scenario and connect them: signal -> channel -> controller -> plant.
+
+    case, controller : instead of those that the scenario names.
 
     Raises
     ------
@@ -267,7 +208,7 @@ def assemble(
         raise ScenarioError(f"{scenario.name}: case is missing; run_system runs FMUs without one")
 
     folder = default_cache() if cache is None else cache
-    case = scenario.load_case()
+    case = scenario.load_case() if case is None else case
     slots = max(EVENT_SLOTS, len(scenario.event))
     if slots == EVENT_SLOTS:
         plant_file = artefacts.plant_fmu(case, folder)
@@ -277,7 +218,7 @@ def assemble(
         scenario,
         case,
         plant=FmuFile(plant_file),
-        controller=_controller_file(scenario, case, folder, controllers),
+        controller=_controller_file(scenario, case, folder, controller, controllers),
         channel=FmuFile(artefacts.channel_fmu(folder)) if scenario.channels else None,
         concentrators={
             n: FmuFile(artefacts.concentrator_fmu(len(c.signals), folder))
@@ -381,15 +322,20 @@ def _known(name: str, known: Iterable[str], what: str) -> None:
 
 
 def _controller_file(
-    scenario: Scenario, case: Case, cache: Path, controllers: Controllers | None
+    scenario: Scenario,
+    case: Case,
+    cache: Path,
+    controller: Controller | ControllerBank | None,
+    controllers: Controllers | None,
 ) -> FmuFile | None:
     """Return the FMU of the controller, which may be anybody's, or None."""
     from . import artefacts
 
     path = scenario.controller_path
-    if path is not None and path.suffix == ".fmu":
+    if controller is None and path is not None and path.suffix == ".fmu":
         return FmuFile(path)
-    controller = controller_of(scenario, case, cache, controllers)
+    if controller is None:
+        controller = controller_of(scenario, case, cache, controllers)
     return None if controller is None else FmuFile(artefacts.controller_fmu(controller, case.omega_b, cache))
 
 

@@ -44,6 +44,8 @@ from ..scenario.scenario import event_on_ticks, roundings
 from ..trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from control import StateSpace
+
     from interarea.design.controllers.controller import Controller
 
 Line = ChannelLine | ConcentratorLine
@@ -106,8 +108,12 @@ class System:
         self._plants[name] = loaded
         return self
 
-    def controller(self, controller: str | Path | Controller, name: str = "controller") -> System:
+    def controller(
+        self, controller: str | Path | Controller | StateSpace, name: str = "controller"
+    ) -> System:
         """Add a controller: a `Controller`, its file, any FMU (``.fmu``), or a name (wdc, cc, ftc, shipped).
+
+        A `control.StateSpace` is taken too: u = +K y, speeds in rad/s, outputs in pu.
 
         A named controller is designed for the plant added before, once into the cache.
 
@@ -115,6 +121,8 @@ class System:
         ------
         ScenarioError : no such controller, or no plant to design it for.
         """
+        from control import StateSpace
+
         from interarea.design.controllers.controller import Controller
 
         from .artefacts import CONTROLLER_NAMES, controller_fmu, design_controller
@@ -137,6 +145,8 @@ class System:
                     f"{name} = {str(controller)!r} is neither a name nor a file; "
                     f"{nearest(str(controller), known)}"
                 )
+        if isinstance(controller, StateSpace):
+            controller = Controller.of(controller)
         fmu = controller_fmu(controller, case.omega_b, self.cache)
         return self._put(FmuParticipant(name, self._file(fmu)))
 

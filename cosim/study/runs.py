@@ -19,8 +19,9 @@ from interarea.models.case.case import load_case
 from ..errors import ScenarioError
 from ..results.metrics import ring_down, uniform
 from ..results.ringdown import disturbance_end_s
+from ..results.run import Run
 from ..run.artefacts import CONTROLLER_NAMES, channel_fmu, controller_fmu, design_controller, plant_fmu
-from ..run.run import Run, run_scenario
+from ..run.run import run_scenario
 from ..scenario.scenario import load_scenario
 from ..trajectory import Trajectory
 from .spec import latency_name

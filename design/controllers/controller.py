@@ -18,6 +18,7 @@ import numpy as np
 
 from interarea.models.blocks.controller import Guard, controller_block
 from interarea.models.blocks.variables import Block
+from interarea.models.errors import UserError
 from interarea.models.files import write_whole
 
 from .json_text import json_text
@@ -28,7 +29,7 @@ SCHEMA = 1
 RECORD = "record"
 
 
-class ControllerError(ValueError):
+class ControllerError(UserError):
     """A controller file or its numbers cannot be used."""
 
 
@@ -56,6 +57,10 @@ class Controller:
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
             raise ControllerError(f"controller: name is {self.name!r}, wanted letters, digits and _")
+        if self.system.isdtime(strict=True):
+            raise ControllerError(
+                f"controller {self.name}: is in discrete time (dt = {self.system.dt:g} s), wanted continuous"
+            )
         for matrix in ("A", "B", "C", "D"):
             if not np.all(np.isfinite(getattr(self.system, matrix))):
                 raise ControllerError(f"controller {self.name}: {matrix} has numbers that are not finite")
@@ -68,6 +73,14 @@ class Controller:
                 self.guard.check(self.name, self.inputs, self.outputs)
             except ValueError as error:
                 raise ControllerError(str(error)) from None
+
+    @classmethod
+    def of(cls, system: control.StateSpace) -> Controller:
+        """Return a linear system as a controller (u = +K y), under the system's name where it has a good one.
+
+        system : inputs named by signal, speeds in rad/s; outputs by actuator, pu.
+        """
+        return cls(system.name if str(system.name).isidentifier() else "controller", system)
 
     @property
     def inputs(self) -> tuple[str, ...]:

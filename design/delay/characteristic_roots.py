@@ -18,13 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import matrix_balance
 
+from interarea.models.errors import UserError
+
 from ..modes.modes import damping_ratio
 
 Matrix = NDArray[np.float64]
 ComplexMatrix = NDArray[np.complex128]
 
 
-class DelayError(ValueError):
+class DelayError(UserError):
     """An analysis that does not apply to this loop, or that did not converge."""
 
 

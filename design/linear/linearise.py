@@ -13,13 +13,15 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
+from interarea.models.errors import InterareaError
+
 if TYPE_CHECKING:
     from interarea.models.blocks.linear_plant import Plant
 
 Matrix = NDArray[np.float64]
 
 
-class LinearisationError(ValueError):
+class LinearisationError(InterareaError, ValueError):
     """The linear model would not describe the plant at this operating point."""
 
 

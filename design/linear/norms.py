@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from scipy.linalg import matrix_balance, qr, schur, solve_triangular
 from scipy.optimize import minimize_scalar
 
+from interarea.models.errors import InterareaError
+
 Matrix = NDArray[np.float64]
 ComplexMatrix = NDArray[np.complex128]
 
 
-class UnstableSystem(ValueError):
+class UnstableSystem(InterareaError, ValueError):
     """A norm or Gramian that exists only for a stable system was asked for."""
 
 

@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 from scipy.linalg import eig
 from scipy.optimize import linear_sum_assignment
 
+from interarea.models.errors import UserError
+
 Matrix = NDArray[np.float64]
 ComplexMatrix = NDArray[np.complex128]
 _AS_WELL = 0.8  #: a fit this near to the best one is as good
 
 
-class ModeError(ValueError):
+class ModeError(UserError):
     """A mode that was asked for is not in the system."""
 
 

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import matrix_balance, schur, solve_sylvester
 
+from interarea.models.errors import UserError
+
 from ..linear.norms import gramian_factor
 
 Matrix = NDArray[np.float64]
 
 
-class ReductionError(ValueError):
+class ReductionError(UserError):
     """The reduction asked for does not exist or would not keep what it must."""
 
 

@@ -50,7 +50,7 @@ def design_robust(
     spec: RobustSpec,
     omega_b: float,
     *,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Callable[[str, float], object] | None = None,
 ) -> RobustDesign:
     """Return the best controller found for `spec` over all `plants` and conditions.
 

@@ -36,8 +36,8 @@ def run(
 
     With --self-test and no --out only the self-test is done.
     """
-    from interarea.cosim.run.files import write_result
-    from interarea.cosim.run.run import Run, run_system
+    from interarea.cosim.results.run import Run
+    from interarea.cosim.run.run import run_system
     from interarea.cosim.scenario.scenario import load_scenario
     from interarea.fmu_build.write.cache import default_cache
 
@@ -56,7 +56,7 @@ def run(
     if out is not None:
         with busy(f"running {scenario}"):
             result = run_system(loaded, cache=default_cache())
-            files = write_result(result, out)
+            files = result.save(out)
         if explain:
             typer.echo(result.explain())
         for file in files:

@@ -4,23 +4,15 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
 
-from pydantic import ValidationError
+from ..errors import UserError
 
-_LONGEST = 900  #: characters of a message; what a wrong file holds may be as long as it likes
-
-
-class OneLineError(ValueError):
-    """A mistake of the user's, told in one line whatever the wrong file has in it."""
-
-    def __init__(self, text: str) -> None:
-        line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
-        if len(line) > _LONGEST:
-            line = f"{line[: _LONGEST // 2]} ... {line[5 - _LONGEST // 2 :]}"
-        super().__init__(line)
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 
-class CaseError(OneLineError):
+class CaseError(UserError):
     """A case, or what is asked of it, is wrong: one line with file, key, value and what is allowed."""
 
 

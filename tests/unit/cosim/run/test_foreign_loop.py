@@ -10,7 +10,8 @@ import pytest
 
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.results.delay_ledger import delay_ledger
-from interarea.cosim.run.run import Run, run_scenario, run_system
+from interarea.cosim.results.run import Run
+from interarea.cosim.run.run import run_scenario, run_system
 from interarea.cosim.run.system import System
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.write.package import build_fmu

@@ -10,8 +10,9 @@ import pytest
 from participants import delayed_reference
 
 from interarea.cosim.errors import ScenarioError
+from interarea.cosim.results.run import Run
 from interarea.cosim.run.artefacts import linear_plant
-from interarea.cosim.run.run import Controllers, Run, assemble, run_scenario
+from interarea.cosim.run.run import Controllers, assemble, run_scenario
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import Case, CaseError

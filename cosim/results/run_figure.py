@@ -1,11 +1,11 @@
-"""What `interarea run` leaves in its folder: trajectory as CSV and Parquet, ledgers and metrics, a plot."""
+"""The figure of a run: the swing it is judged by, the machines' speeds, the controls."""
 
 from __future__ import annotations
 
-import json
+import html
+import io
 import textwrap
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import matplotlib as mpl
 import numpy as np
@@ -13,42 +13,32 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from interarea.models.files import write_whole
+from ..plots.curves import DASHES, MUTED, SERIES, STYLE, new_figure
 
-from ..plots.curves import DASHES, MUTED, SERIES, STYLE, new_figure, save_figure
-from ..results.result import Result
-from .run import Run
+if TYPE_CHECKING:
+    from interarea.models.case.case import Case
 
-
-def write_result(result: Result, folder: Path) -> list[Path]:
-    """Write trajectory.csv, trajectory.parquet and ledger.json, for a `Run` also metrics.json and run.svg.
-
-    Returns the files.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / name for name in ("trajectory.csv", "trajectory.parquet", "ledger.json")]
-    result.trajectory.write_csv(files[0])
-    result.trajectory.write_parquet(files[1])
-    ledgers = {
-        "step_s": result.ledger.step_s,
-        "inputs": result.ledger.inputs,
-        "delays": result.ledger.as_rows(),
-        "rounded": list(result.ledger.rounded),
-        "packets": {name: dict(row) for name, row in result.packets.rows.items()},
-    }
-    _write_json(ledgers, files[2])
-    if isinstance(result, Run):
-        files += [folder / "metrics.json", folder / "run.svg"]
-        _write_json(result.metrics.as_dict(), files[3])
-        save_figure(run_plot(result), files[4])
-    return files
+    from ..scenario.scenario import Scenario
+    from ..trajectory import Trajectory
+    from .ringdown import Swing
 
 
-def _write_json(value: object, path: Path) -> None:
-    write_whole(path, json.dumps(value, indent=1, allow_nan=False) + "\n")
+class Ran(Protocol):
+    """What is drawn: a trajectory with its case and scenario."""
+
+    @property
+    def trajectory(self) -> Trajectory: ...
+    @property
+    def case(self) -> Case: ...
+    @property
+    def scenario(self) -> Scenario: ...
+    @property
+    def swing(self) -> Swing: ...
+    @property
+    def summary(self) -> str: ...
 
 
-def run_plot(run: Run) -> Figure:
+def run_plot(run: Ran) -> Figure:
     """Draw a run: the speed difference it is judged by, speeds of the machines, controls if there are any.
 
     Disturbances and the times without a signal are shaded.
@@ -98,7 +88,14 @@ def run_plot(run: Run) -> Figure:
 _BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "fontsize": 7, "borderaxespad": 0.2}
 
 
-def _spans(run: Run, end_s: float) -> list[tuple[str, list[tuple[float, float]]]]:
+def run_html(run: Ran) -> str:
+    """Return the summary of a run and its figure as an HTML fragment."""
+    drawn = io.StringIO()
+    run_plot(run).savefig(drawn, format="svg")
+    return f"<p><b>{html.escape(run.summary)}</b></p>{drawn.getvalue().partition('?>')[2]}"
+
+
+def _spans(run: Ran, end_s: float) -> list[tuple[str, list[tuple[float, float]]]]:
     """Return what is shaded: disturbances first, then the outages of each channel; label, times (s)."""
     events = [
         (e.start_s, t if (t := getattr(e, "end_s", None)) is not None else e.start_s)

@@ -1,0 +1,109 @@
+"""What a scenario did: its result with metrics, named by the modes of its case."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import nearest
+from ..scenario.scenario import Scenario
+from .metrics import Metrics
+from .result import Result, write_json
+from .ringdown import Swing, fit_window, ring_down_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from interarea.models.case.case import Case
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Run(Result):
+    """What a scenario did: `trajectory`, `metrics`, `ledger` (delays), `packets`."""
+
+    scenario: Scenario
+    case: Case
+    swing: Swing
+    metrics: Metrics
+
+    def __repr__(self) -> str:
+        """Return in a line what ran and how it went: pytest shows it where an assertion fails."""
+        return f"Run({self.scenario.name!r}: {self.summary})"
+
+    @property
+    def summary(self) -> str:
+        """What ran and how it went, in a line."""
+        damping = ", ".join(f"{n} {zeta:.3f}" for n, zeta in sorted(self.metrics.damping_ratio.items()))
+        settled = self.metrics.settling_time_s
+        return (
+            f"{self.case.name}, controller {Path(self.scenario.controller).name}, "
+            f"{float(self.trajectory.time_s[-1]):g} s: {self.swing.name} "
+            f"{'stable' if self.stable else 'not stable'}, "
+            f"damping {damping or 'not to be read'}, "
+            f"{'not settled' if settled is None else f'settled in {settled:.2f} s'}"
+        )
+
+    def plot(self) -> Figure:
+        """Draw the swing between the areas, the speeds of the machines and the controls over time."""
+        from .run_figure import run_plot
+
+        return run_plot(self)
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write trajectory.csv, trajectory.parquet, ledger.json, metrics.json and run.svg; return them."""
+        from ..plots.curves import save_figure
+
+        files = super().save(folder)
+        files += [Path(folder) / "metrics.json", Path(folder) / "run.svg"]
+        write_json(self.metrics.as_dict(), files[3])
+        save_figure(self.plot(), files[4])
+        return files
+
+    def _repr_html_(self) -> str:
+        """Return the summary and the figure, for notebooks."""
+        from .run_figure import run_html
+
+        return run_html(self)
+
+    @property
+    def stable(self) -> bool:
+        """Whether the swing signal decays, and is no oscillation that goes on (`is_stable`)."""
+        return self.metrics.stable
+
+    def damping_ratio(
+        self, mode: str = "inter-area", *, start_s: float | None = None, stop_s: float | None = None
+    ) -> float:
+        """Return the damping ratio of a mode in the ring-down (window: `fit_window`, unless given).
+
+        Raises
+        ------
+        ValueError : the mode does not show in the window; the message names those that do.
+        """
+        if start_s is None and stop_s is None:
+            found = dict(self.metrics.damping_ratio)
+        else:
+            window = fit_window(self.scenario)
+            chosen = (window[0] if start_s is None else start_s, window[1] if stop_s is None else stop_s)
+            step = self.ledger.step_s
+            named, _ = ring_down_of(self.trajectory, self.case, chosen, step)
+            found = {name: m.damping_ratio for name, m in named.items()}
+        if mode not in found:
+            raise ValueError(f"mode {mode!r} does not show in this run; {nearest(mode, found)}")
+        return found[mode]
+
+    def settling_time_s(self, column: str | None = None, *, band: float = 0.02) -> float | None:
+        """Return the time from the last disturbance to where a signal stays within `band` of its peak.
+
+        column : a column of the trajectory; default the speed difference that the metrics are of, `swing`.
+        """
+        from . import metrics
+
+        if column is None and band == 0.02:
+            return self.metrics.settling_time_s
+        from .ringdown import disturbance_end_s
+
+        values = self.swing.of(self.trajectory) if column is None else self.trajectory[column]
+        return metrics.settling_time_s(
+            self.trajectory.time_s, values, disturbance_end_s(self.scenario), band=band
+        )

@@ -1,0 +1,114 @@
+"""Public functions that hand models to other tools: FMUs, SSP archives, and the check of both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import control
+
+from interarea.design.controllers.bank import ControllerBank
+from interarea.design.controllers.controller import Controller
+from interarea.fmu_build.check.check import check_file
+from interarea.fmu_build.finding import Report
+from interarea.fmu_build.open.cross_check import complete_fmu
+from interarea.fmu_build.write.cache import default_cache, place
+from interarea.fmu_build.write.package import block_fmu
+from interarea.models.blocks.plant import plant_block
+from interarea.models.case.case import Case
+
+from .grids import case_like
+from .synthesis import controller_like
+
+if TYPE_CHECKING:
+    from interarea.models.blocks.variables import Block
+
+
+def build_fmu(
+    thing: Case | Controller | ControllerBank | control.StateSpace | str,
+    path: str | Path,
+    *,
+    case: Case | str | Path = "two-area-thesis",
+    platforms: Sequence[str] | None = None,
+) -> Path:
+    """Write the FMU of a case's plant, a controller or a channel, with documentation and sources.
+
+    Parameters
+    ----------
+    thing : `Case`, controller object, `control.StateSpace` (u = +K y, speeds in rad/s), or ``"channel"``.
+    path : the file to write.
+    case : gives a controller its base speed.
+    platforms : of the binaries (linux64, win64, darwin64, linux-arm64, ...); default this machine's.
+
+    Raises
+    ------
+    UserError : a thing that is no model. InterareaError : no compiler for a platform.
+    """
+    cache = default_cache()
+    fmu = block_fmu(_block(thing, case), cache, platforms=platforms)
+    return place(complete_fmu(fmu, cache), Path(path))
+
+
+def _block(thing: Case | Controller | ControllerBank | control.StateSpace | str, case: Any) -> Block:
+    if thing == "channel":
+        from interarea.models.blocks.channel import channel_block
+
+        return channel_block()
+    if isinstance(thing, Case):
+        return plant_block(thing)
+    if isinstance(thing, Controller | ControllerBank | control.StateSpace):
+        return controller_like(thing).block(case_like(case).omega_b)
+    from interarea.models.errors import UserError
+
+    raise UserError(
+        f"build_fmu: {thing!r}, allowed: a Case (load_case), a controller (load_controller, "
+        "control.StateSpace) or 'channel'"
+    )
+
+
+def write_ssp(
+    scenario: str | Path | Mapping[str, Any], path: str | Path, *, platforms: Sequence[str] | None = None
+) -> Path:
+    """Write plant, channels and controller of a scenario, connected, as one SSP 1.0 archive.
+
+    Parameters
+    ----------
+    scenario : TOML file, bundled name, or a dict of the same keys.
+    platforms : of the binaries inside; default this machine's.
+
+    Raises
+    ------
+    UserError : a mistake in the scenario.
+    """
+    from interarea.cosim.export.ssp import write_ssp as write
+    from interarea.cosim.scenario.scenario import load_scenario
+
+    return write(load_scenario(scenario), path, cache=default_cache(), platforms=platforms)
+
+
+def write_container(
+    scenario: str | Path | Mapping[str, Any], path: str | Path, *, platforms: Sequence[str] | None = None
+) -> Path:
+    """Write plant, channels and controller of a scenario as one FMU that simulates by itself.
+
+    Parameters and errors as `write_ssp`.
+    """
+    from interarea.cosim.export.container import write_container as write
+    from interarea.cosim.scenario.scenario import load_scenario
+
+    return write(load_scenario(scenario), path, cache=default_cache(), platforms=platforms)
+
+
+def check(path: str | Path, *, run: bool = True) -> Report:
+    """Check an FMU or SSP of any origin: `clean`, and `findings` with rule, place and fix.
+
+    Parameters
+    ----------
+    run : load the FMU's binary too and see how it behaves.
+
+    Raises
+    ------
+    UserError : no such file, or neither an FMU nor an SSP.
+    """
+    return check_file(Path(path), run=run)

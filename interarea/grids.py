@@ -1,0 +1,142 @@
+"""Public functions on a grid: load or import a case, its modes, loops, linear and reduced models."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import control
+
+from interarea.cosim.run.artefacts import linear_plant
+from interarea.design.linear.linearise import remove_reference
+from interarea.design.modes.loop_selection import rank_loops
+from interarea.design.modes.modes import modes_of
+from interarea.design.reduction.balanced import (
+    Reduction,
+    ReductionError,
+    balanced_truncation,
+    hankel_reduction,
+    singular_perturbation,
+)
+from interarea.fmu_build.write.cache import default_cache
+from interarea.models.case.case import Case, CaseError
+from interarea.models.case.case import load_case as load_case
+
+from .shown import RankedLoops, SwingModes
+
+_SUFFIXES = "allowed: .raw (PSS/E) or .m (MATPOWER), plain, .gz or .xz"
+_METHODS: Mapping[str, Callable[[control.StateSpace, int], Reduction]] = {
+    "balanced": balanced_truncation,
+    "singular_perturbation": singular_perturbation,
+    "hankel": hankel_reduction,
+}
+
+
+def case_like(case: Case | str | Path) -> Case:
+    """Return a case, or load the one of that name or file."""
+    return case if isinstance(case, Case) else load_case(case)
+
+
+def import_case(
+    grid: str | Path,
+    *,
+    dyr: str | Path | None = None,
+    frequency_hz: float | None = None,
+    P_exponent: float | None = None,
+    Q_exponent: float | None = None,
+    strict: bool = False,
+    report: Callable[[str], object] | None = None,
+) -> Case:
+    """Read a grid of PSS/E (RAW, with dynamic data in a DYR file) or MATPOWER; plain, .gz or .xz.
+
+    Parameters
+    ----------
+    frequency_hz : for a file that has none; 60 Hz when not given.
+    P_exponent, Q_exponent : of RAW loads against voltage; constant impedance (2) when not given.
+    strict : an assumption is an error.
+    report : called with what was read, assumed and dropped, as text.
+
+    Raises
+    ------
+    UserError : no such file, another format, or what has no counterpart, by name.
+    """
+    from interarea.models.importers.matpower import import_matpower
+    from interarea.models.importers.psse import import_psse
+
+    file = Path(grid)
+    if not file.is_file():
+        raise CaseError(f"{file}: {'is a folder' if file.is_dir() else 'no such file'}, {_SUFFIXES}")
+    suffix = (Path(file.stem) if file.suffix.lower() in (".gz", ".xz") else file).suffix.lower()
+    exponents: dict[str, Any] = {"P_exponent": P_exponent, "Q_exponent": Q_exponent}
+    if suffix == ".m":
+        if dyr is not None:
+            raise CaseError(f"{dyr}: dynamic data goes with a RAW file, not with MATPOWER")
+        found = import_matpower(file, frequency_hz=frequency_hz, strict=strict, **exponents)
+    elif suffix == ".raw":
+        found = import_psse(file, dyr, frequency_hz=frequency_hz, strict=strict, **exponents)
+    else:
+        raise CaseError(f"{file}: suffix {suffix!r}, {_SUFFIXES}")
+    if report is not None:
+        report(found.report.text())
+    return found.case
+
+
+def linearise(case: Case | str | Path, *, reference: bool = False) -> control.StateSpace:
+    """Return the plant linearised at its operating point; states, inputs and outputs have names.
+
+    Inputs ``G1_vs`` ... in pu; outputs as the plant FMU gives them, speeds ``G1_dw`` ... in pu; time in s.
+
+    Parameters
+    ----------
+    case : bundled name, file or `Case`.
+    reference : keep the reference angle with its zero mode; default: angles relative to the first machine.
+
+    Raises
+    ------
+    UserError : no such case, or no operating point.
+    """
+    system = linear_plant(case_like(case), default_cache())
+    return system if reference else remove_reference(system)
+
+
+def modes(case: Case | str | Path) -> SwingModes:
+    """Return the swing modes of a case, a Mapping name -> `Mode`, named by shape (``inter-area``).
+
+    Raises
+    ------
+    UserError : no such case, or swing modes that cannot be told apart.
+    """
+    loaded = case_like(case)
+    return SwingModes.of(modes_of(linear_plant(loaded, default_cache()), loaded.areas), loaded)
+
+
+def loops(case: Case | str | Path) -> RankedLoops:
+    """Rank actuators with speed differences by how well they reach and see the inter-area mode.
+
+    Raises
+    ------
+    UserError : no such case, or no inter-area mode.
+    """
+    loaded = case_like(case)
+    system = remove_reference(linear_plant(loaded, default_cache()))
+    ranked = rank_loops(system, modes_of(system, loaded.areas).inter_area, areas=loaded.areas)
+    return RankedLoops(ranked.mode, ranked.ranking, ranked.coordinates)
+
+
+def reduce(system: control.StateSpace, order: int, *, method: str = "balanced") -> Reduction:
+    """Return a reduced model: `system`, measured `error` (H-infinity) and a-priori `bound`.
+
+    Parameters
+    ----------
+    system : n states; unstable and zero modes are kept as they are.
+    order : states of the result.
+    method : "balanced" (truncation), "singular_perturbation" or "hankel" (optimal Hankel norm).
+
+    Raises
+    ------
+    UserError : an order out of range, or an unknown method.
+    """
+    if method not in _METHODS:
+        raise ReductionError(f"method = {method!r}, allowed: {', '.join(_METHODS)}")
+    return _METHODS[method](system, order)

@@ -1,0 +1,231 @@
+"""What the front door returns: a line where it is printed, a table in a notebook, a DataFrame, a figure."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from interarea.cosim.sweep.store import read_plan, read_rows, read_trajectory, summary_of
+from interarea.design.modes.loop_selection import Loops
+from interarea.design.modes.modes import Modes
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from interarea.design.certificates.switching import SwitchingCertificate
+    from interarea.design.robust.operating_points import FamilyCertificate
+    from interarea.models.case.case import Case
+
+
+def _frame(rows: Sequence[Mapping[str, Any]], index: str | None = None) -> pd.DataFrame:
+    import pandas as pd
+
+    table = pd.DataFrame([dict(row) for row in rows])
+    return table if index is None else table.set_index(index)
+
+
+def _html(title: str, table: pd.DataFrame) -> str:
+    return f"<p><b>{html.escape(title)}</b></p>{table.to_html(float_format='{:.4g}'.format, max_rows=40)}"
+
+
+@dataclass(frozen=True, repr=False)
+class SwingModes(Modes):
+    """The swing modes of a case by name; a Mapping name -> `Mode`."""
+
+    case: Case | None = None
+
+    @classmethod
+    def of(cls, modes: Modes, case: Case) -> SwingModes:
+        """Return named modes with the case they belong to."""
+        return cls(modes.by_name, modes.eigenvalues, case)
+
+    def __repr__(self) -> str:
+        listed = ", ".join(f"{n} {m.frequency_hz:.3f} Hz {m.damping_ratio:.3f}" for n, m in self.items())
+        return f"Modes({self._title}: {listed})"
+
+    @property
+    def _title(self) -> str:
+        return self.case.name if self.case is not None else "modes"
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return one row a mode: frequency_hz, damping_ratio, real and imaginary part (1/s), share, doubt."""
+        rows = [
+            {
+                "mode": name,
+                "frequency_hz": mode.frequency_hz,
+                "damping_ratio": mode.damping_ratio,
+                "real": mode.eigenvalue.real,
+                "imag": mode.eigenvalue.imag,
+                "share": mode.share,
+                "doubt": mode.doubt,
+            }
+            for name, mode in self.items()
+        ]
+        return _frame(rows, "mode")
+
+    def plot(self, mode: str = "") -> Figure:
+        """Draw the shape of a mode: speed of each machine, size and angle. Default: the inter-area mode."""
+        from interarea.cosim.plots.curves import mode_shape_plot
+
+        chosen = self[mode] if mode else self.inter_area
+        areas = dict.fromkeys(chosen.shape, 1) if self.case is None else self.case.areas
+        title = f"{chosen.name}: {chosen.frequency_hz:.3f} Hz, damping {chosen.damping_ratio:.3f}"
+        return mode_shape_plot(chosen.shape, areas, title)
+
+    def _repr_html_(self) -> str:
+        return _html(f"{self._title}: swing modes", self.to_frame())
+
+
+@dataclass(frozen=True, repr=False)
+class RankedLoops(Loops):
+    """Actuators with signals for one mode, best first."""
+
+    def __repr__(self) -> str:
+        best = self.selected
+        return f"Loops({self.mode}: {len(self.ranking)}, best {best.actuator} with {best.signal})"
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return one row a loop: actuator, signal, index, controllability, observability, geometric index."""
+        keys = ("actuator", "signal", "index", "controllability", "observability", "geometric")
+        return _frame([{key: getattr(loop, key) for key in keys} for loop in self.ranking])
+
+    def plot(self) -> Figure:
+        """Draw the index of each loop, best first."""
+        from interarea.cosim.plots.curves import new_figure
+
+        labels = [f"{loop.actuator.removesuffix('_vs')} with {loop.signal}" for loop in self.ranking]
+        figure, axes = new_figure(height=0.22 * len(labels) + 0.9)
+        axes.barh(labels, [loop.index for loop in self.ranking])
+        axes.invert_yaxis()
+        axes.set_xlabel(f"loop index for the {self.mode} mode")
+        return figure
+
+    def _repr_html_(self) -> str:
+        return _html(f"loops for the {self.mode} mode", self.to_frame())
+
+
+@dataclass(frozen=True, repr=False)
+class Certificate:
+    """What a controller holds: `ok`, `rows` as a DataFrame, `violations`; `record` has everything.
+
+    A controller is judged over a family of operating points, losses and latencies; a bank of controllers
+    for every sequence of losses and returns.
+    """
+
+    controller: str
+    case: str
+    record: FamilyCertificate | SwitchingCertificate
+    conditions: Mapping[str, str] = field(default_factory=dict)  #: name -> in words
+
+    @property
+    def ok(self) -> bool:
+        """Whether all that was asked is held."""
+        return not self.violations
+
+    @property
+    def violations(self) -> tuple[str, ...]:
+        """What is missed, a line each."""
+        from interarea.design.robust.operating_points import FamilyCertificate
+
+        if isinstance(self.record, FamilyCertificate):
+            return self.record.violations
+        wait = self.record.dwell_s
+        return () if wait == 0.0 else (f"changes of the signals must be at least {wait:.3g} s apart",)
+
+    @property
+    def rows(self) -> pd.DataFrame:
+        """One row for each operating point and condition; of a bank, one for each loop of its proof."""
+        return self.to_frame()
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return `rows`: point, condition, stable, rightmost (1/s), worst_swing, inter_area."""
+        from dataclasses import asdict
+
+        from interarea.design.robust.operating_points import FamilyCertificate
+
+        if isinstance(self.record, FamilyCertificate):
+            return _frame([asdict(row) for row in self.record.rows])
+        return _frame([{"loop": loop} for loop in self.record.loops])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as JSON values."""
+        return self.record.as_dict()
+
+    def plot(self) -> Figure:
+        """Draw the least damping of every swing, for each operating point under each condition."""
+        import numpy as np
+
+        from interarea.cosim.plots.curves import new_figure
+
+        table = self.to_frame()
+        if "worst_swing" not in table:
+            from interarea.models.errors import UserError
+
+            raise UserError(f"{self.controller}: the proof of a bank has no damping ratios to draw")
+        points, conditions = (list(dict.fromkeys(table[key])) for key in ("point", "condition"))
+        figure, axes = new_figure(height=0.35 * len(points) + 1.2)
+        for k, condition in enumerate(conditions):
+            some = table[table.condition == condition].set_index("point")
+            places = np.arange(len(points)) + 0.1 * (k - (len(conditions) - 1) / 2)
+            axes.plot([some.worst_swing[p] for p in points], places, "o", markersize=4, label=condition)
+        axes.set_yticks(range(len(points)), points)
+        axes.invert_yaxis()
+        axes.set_xlabel("least damping ratio of the swings")
+        axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        return figure
+
+    def __repr__(self) -> str:
+        said = "holds what was asked" if self.ok else "; ".join(self.violations)
+        return f"Certificate({self.controller} on {self.case}: {said})"
+
+    def _repr_html_(self) -> str:
+        said = "holds what was asked" if self.ok else "; ".join(self.violations)
+        return _html(f"{self.controller} on {self.case}: {said}", self.to_frame())
+
+
+@dataclass(frozen=True, repr=False)
+class SweepResults:
+    """The results of a sweep in their folder: `to_frame()` has a row for each run that is there."""
+
+    folder: Path
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Counts of the runs: runs, ok, failed, failures by kind, stable, unstable."""
+        return summary_of(self.folder)
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return one row for each run, in order: parameters, status, metrics."""
+        return read_rows(self.folder)
+
+    def trajectory(self, run: int) -> pd.DataFrame | None:
+        """Return the trajectory of a run, None where it was not kept."""
+        return read_trajectory(self.folder, run)
+
+    def plot(self) -> Figure:
+        """Draw the map of the first two parameters: share of stable runs, least damping.
+
+        With one parameter of numbers, the damping over it.
+        """
+        from interarea.cosim.maps.page import first_figure
+
+        return first_figure(read_plan(self.folder).sweep, self.to_frame())
+
+    def maps(self, file: str | Path | None = None, *, worst: int = 6) -> Path:
+        """Write the page of all maps, margins and worst runs; default ``maps.html`` in the folder."""
+        from interarea.cosim.maps.page import write_maps
+
+        return write_maps(self.folder, Path(file or self.folder / "maps.html"), worst=worst)
+
+    def __repr__(self) -> str:
+        counts = self.summary
+        return f"SweepResults({str(self.folder)!r}: {counts['runs']} runs, {counts['stable']} stable)"
+
+    def _repr_html_(self) -> str:
+        counts = self.summary
+        title = f"{self.folder}: {counts['runs']} runs, {counts['stable']} stable, {counts['failed']} failed"
+        return _html(title, self.to_frame())

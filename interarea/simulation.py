@@ -1,0 +1,154 @@
+"""Public functions that simulate: one scenario, many of them, and results read back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import control
+from pydantic import ValidationError
+
+from interarea.cosim.errors import ScenarioError, SweepError, nearest, one_line
+from interarea.cosim.results.result import Result
+from interarea.cosim.run.run import run_scenario, run_system
+from interarea.cosim.scenario.scenario import NAMED_CONTROLLERS, ChannelTable, load_scenario
+from interarea.design.controllers.bank import ControllerBank
+from interarea.design.controllers.controller import Controller
+
+from .grids import case_like
+from .shown import SweepResults
+
+if TYPE_CHECKING:
+    from interarea.cosim.sweep.front import Progress
+    from interarea.models.case.case import Case
+
+
+class Channel(ChannelTable):
+    """How a signal is delayed and lost on its way: the keys of `[channels.NAME]` in a scenario file.
+
+    For the `channels` of a scenario given as a dict, and for `System.channel`.
+
+    Raises
+    ------
+    UserError : a key or value that a channel does not take.
+    """
+
+    def __init__(self, **keys: Any) -> None:
+        try:
+            super().__init__(**keys)
+        except ValidationError as error:
+            raise ScenarioError(f"Channel: {one_line(error, lambda _: ChannelTable.model_fields)}") from None
+
+
+def simulate(
+    scenario: str | Path | Mapping[str, Any],
+    *,
+    case: Case | str | Path | None = None,
+    controller: Controller | ControllerBank | control.StateSpace | str | Path | None = None,
+    progress: Callable[[float, float], object] | None = None,
+) -> Result:
+    """Co-simulate a scenario; return trajectory, metrics and delay ledger.
+
+    The result of a scenario with a case is a `Run`: ``run.data``, ``run["plant.G2_dw"]``, ``run.metrics``,
+    ``run.ledger``, ``run.plot()``, ``run.save(folder)``.
+
+    Parameters
+    ----------
+    scenario : TOML file, bundled name (``interarea list``), or a dict of the same keys.
+    case : instead of the scenario's: a `Case`, a bundled name or a file.
+    controller : instead of the scenario's: an object, a `control.StateSpace` (u = +K y; inputs named by
+        signal, speeds in rad/s; outputs by actuator, pu), a name (``"none"``: none), a JSON file or any FMU.
+    progress : called with (present time, stop time), s.
+
+    Raises
+    ------
+    UserError : a mistake in the scenario. StepError : an FMU failed; has the trajectory so far.
+    """
+    if case is not None and isinstance(scenario, Mapping):
+        scenario = {**scenario, "case": case_like(case).name}
+    loaded = load_scenario(scenario)
+    own: Controller | ControllerBank | None = None
+    changes: dict[str, Any] = {}
+    if case is not None:
+        changes["case"] = case_like(case).name
+    if isinstance(controller, str | Path):
+        named = str(controller) in NAMED_CONTROLLERS
+        changes["controller"] = str(controller) if named else str(_file(controller))
+    elif controller is not None:
+        own = _controller_of(controller)
+        changes["controller"] = own.name
+    loaded = loaded.model_copy(update=changes)
+    if not loaded.case:
+        if own is not None:
+            raise ScenarioError(f"{loaded.name}: a controller needs a case; name one (case = ...)")
+        return run_system(loaded, progress=progress)
+    grid = None if case is None else case_like(case)
+    return run_scenario(loaded, case=grid, controller=own, progress=progress)
+
+
+def _controller_of(
+    controller: Controller | ControllerBank | control.StateSpace,
+) -> Controller | ControllerBank:
+    from .synthesis import controller_like
+
+    if not isinstance(controller, Controller | ControllerBank | control.StateSpace):
+        raise ScenarioError(
+            f"controller = {controller!r}, allowed: a Controller, a control.StateSpace, a name, a JSON file "
+            "or an FMU"
+        )
+    return controller_like(controller)
+
+
+def _file(controller: str | Path) -> Path:
+    path = Path(controller).absolute()
+    if not path.is_file():
+        raise ScenarioError(
+            f"controller = {str(controller)!r} is neither a name nor a file; "
+            f"{nearest(str(controller), NAMED_CONTROLLERS)}"
+        )
+    return path
+
+
+def sweep(
+    spec: str | Path | Mapping[str, Any],
+    *,
+    out: str | Path,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    large: bool = False,
+    progress: Callable[[Progress], object] | None = None,
+) -> SweepResults:
+    """Run a scenario over many parameters; what is in `out` already is not run again.
+
+    Parameters
+    ----------
+    spec : sweep file, or a dict of the same keys.
+    out : folder of the results.
+    workers : processes; default one for each core. scheduler : address of a dask scheduler instead.
+    large : confirm a very large number of runs.
+    progress : called with where the sweep stands.
+
+    Raises
+    ------
+    UserError : a mistake in the sweep, or `out` holds another one.
+    """
+    from interarea.cosim.sweep.front import run_sweep
+
+    run_sweep(spec, Path(out), workers=workers, scheduler=scheduler, large=large, progress=progress)
+    return read_sweep(out)
+
+
+def read_sweep(folder: str | Path) -> SweepResults:
+    """Return the results of a sweep that are in a folder.
+
+    Raises
+    ------
+    UserError : no results there.
+    """
+    from interarea.cosim.sweep.store import read_plan
+
+    if not Path(folder).is_dir():
+        raise SweepError(f"{folder}: no such folder, allowed: the folder of a sweep's results")
+    read_plan(Path(folder))
+    return SweepResults(Path(folder))

@@ -1,0 +1,134 @@
+"""Public functions on controllers: design one, load one, recompute what it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import control
+
+from interarea.cosim.designs.bank_certificate import any_bank, certify_bank
+from interarea.cosim.designs.controller_file import any_controller
+from interarea.cosim.designs.design_file import (
+    DesignTable,
+    design_of,
+    load_design,
+    run_design,
+    specification_of,
+)
+from interarea.cosim.designs.design_file import certify as certify_family
+from interarea.cosim.run.artefacts import (
+    CONTROLLER_NAMES,
+    active_bank,
+    linear_plant,
+)
+from interarea.cosim.run.artefacts import (
+    design_controller as designed_for,
+)
+from interarea.design.controllers.bank import ControllerBank
+from interarea.design.controllers.controller import Controller
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.fmu_build.write.cache import default_cache
+
+from .grids import case_like
+from .shown import Certificate
+
+if TYPE_CHECKING:
+    from interarea.models.case.case import Case
+
+
+def design_controller(
+    spec: str | Path | Mapping[str, Any],
+    *,
+    case: Case | str | Path | None = None,
+    progress: Callable[[str, float], object] | None = None,
+) -> Controller:
+    """Design a fixed-order controller for a family of operating points, losses and latencies.
+
+    Its `certificate` is on full plants with exact latency and says whether what was asked is held.
+
+    Parameters
+    ----------
+    spec : design file, bundled name (``interarea list``), or the keys of such a file.
+    case : another case than the design's.
+    progress : called with what is done and the damping reached.
+
+    Raises
+    ------
+    UserError : a mistake in the design. InfeasibleDesign : a mode out of reach, or no stable start.
+    """
+    table = _table(spec, case)
+    return run_design(table, default_cache(), progress=progress).controller
+
+
+def load_controller(
+    name: str | Path, *, case: Case | str | Path = "two-area-thesis"
+) -> Controller | ControllerBank:
+    """Return a controller: bundled (``interarea list``), from a JSON file, or read back from its FMU.
+
+    case : for which wdc, cc, ftc and active are designed; its base speed is that of an FMU.
+
+    Raises
+    ------
+    UserError : no such controller, or a file of something else.
+    """
+    text = str(name)
+    if text == "active":
+        return active_bank(case_like(case), default_cache())
+    if text in CONTROLLER_NAMES:
+        return designed_for(case_like(case), text, default_cache())
+    omega_b = case_like(case).omega_b
+    return any_bank(text, omega_b) or any_controller(text, omega_b)
+
+
+def controller_like(
+    controller: Controller | ControllerBank | control.StateSpace | str | Path,
+    case: Case | str | Path = "two-area-thesis",
+) -> Controller | ControllerBank:
+    """Return a controller as it is, of a `StateSpace` (u = +K y, speeds in rad/s), or by name or file."""
+    if isinstance(controller, Controller | ControllerBank):
+        return controller
+    if isinstance(controller, control.StateSpace):
+        return Controller.of(controller)
+    return load_controller(controller, case=case)
+
+
+def certify(
+    controller: Controller | ControllerBank | control.StateSpace | str | Path,
+    case: Case | str | Path | None = None,
+    *,
+    spec: str | Path | Mapping[str, Any] | None = None,
+) -> Certificate:
+    """Recompute what a controller holds, on full plants with exact latency.
+
+    A controller is judged by the design in its own record, else by `robust`; a bank of controllers for every
+    sequence of losses and returns.
+
+    Parameters
+    ----------
+    controller : object, `control.StateSpace` (u = +K y, speeds in rad/s, actuators in pu), name, JSON or FMU.
+    case : another case than the design's.
+    spec : design (file, bundled name, keys) that judges instead.
+
+    Raises
+    ------
+    UserError : no such controller, case or design.
+    """
+    table = _table(spec or "robust", case)
+    loaded = table.grid
+    made = controller_like(controller, loaded)
+    if isinstance(made, ControllerBank):
+        plant = remove_reference(linear_plant(loaded, default_cache()))
+        proof = certify_bank(speeds_in_rad(plant, loaded.omega_b), made)
+        return Certificate(made.name, loaded.name, proof)
+    own = specification_of(made) if spec is None else None
+    if own is not None:
+        table = own if case is None else own.on(case)
+    found = certify_family(table, made, default_cache())
+    return Certificate(made.name, table.case, found, {c.name: c.in_words for c in table.family()})
+
+
+def _table(spec: str | Path | Mapping[str, Any], case: Case | str | Path | None) -> DesignTable:
+    table = design_of(spec) if isinstance(spec, Mapping) else load_design(spec)
+    return table if case is None else table.on(case)

@@ -1,0 +1,143 @@
+"""The public surface, frozen: a change of a name or signature is a decision, made here and in CHANGELOG."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import interarea as ia
+
+CONTROLLER = "Controller | ControllerBank | control.StateSpace | str | Path"
+FUNCTIONS = {
+    "load_case": "name_or_path: str | Path -> Case",
+    "import_case": "grid: str | Path, *, dyr: str | Path | None = None, frequency_hz: float | None = None, "
+    "P_exponent: float | None = None, Q_exponent: float | None = None, strict: bool = False, "
+    "report: Callable[[str], object] | None = None -> Case",
+    "modes": "case: Case | str | Path -> SwingModes",
+    "loops": "case: Case | str | Path -> RankedLoops",
+    "linearise": "case: Case | str | Path, *, reference: bool = False -> control.StateSpace",
+    "reduce": "system: control.StateSpace, order: int, *, method: str = 'balanced' -> Reduction",
+    "design_controller": "spec: str | Path | Mapping[str, Any], *, case: Case | str | Path | None = None, "
+    "progress: Callable[[str, float], object] | None = None -> Controller",
+    "load_controller": "name: str | Path, *, case: Case | str | Path = 'two-area-thesis' "
+    "-> Controller | ControllerBank",
+    "certify": f"controller: {CONTROLLER}, case: Case | str | Path | None = None, *, "
+    "spec: str | Path | Mapping[str, Any] | None = None -> Certificate",
+    "simulate": "scenario: str | Path | Mapping[str, Any], *, case: Case | str | Path | None = None, "
+    f"controller: {CONTROLLER} | None = None, progress: Callable[[float, float], object] | None = None "
+    "-> Result",
+    "sweep": "spec: str | Path | Mapping[str, Any], *, out: str | Path, workers: int | None = None, "
+    "scheduler: str | None = None, large: bool = False, "
+    "progress: Callable[[Progress], object] | None = None -> SweepResults",
+    "read_sweep": "folder: str | Path -> SweepResults",
+    "build_fmu": "thing: Case | Controller | ControllerBank | control.StateSpace | str, path: str | Path, *, "
+    "case: Case | str | Path = 'two-area-thesis', platforms: Sequence[str] | None = None -> Path",
+    "write_ssp": "scenario: str | Path | Mapping[str, Any], path: str | Path, *, "
+    "platforms: Sequence[str] | None = None -> Path",
+    "write_container": "scenario: str | Path | Mapping[str, Any], path: str | Path, *, "
+    "platforms: Sequence[str] | None = None -> Path",
+    "check": "path: str | Path, *, run: bool = True -> Report",
+    "Controller": "name: str, system: control.StateSpace, limit_pu: float = 0.15, "
+    "design: Mapping[str, Any] = <factory>, certificate: Mapping[str, Any] | None = None, "
+    "guard: Guard | None = None -> None",
+    "System": "*, stop_s: float, start_s: float = 0.0, step_s: float | None = None, "
+    "cache: Path | None = None, arrivals: Literal['exact', 'grid'] = 'exact', **options: Any -> None",
+    "Channel": "**keys: Any -> None",
+}
+ERRORS = {
+    "InterareaError": Exception,
+    "UserError": ia.InterareaError,
+    "InfeasibleDesign": ia.InterareaError,
+    "UncertifiedDesign": ia.InterareaError,
+    "StepError": ia.InterareaError,
+}
+CHANNEL = (
+    "signal latency_s on_loss hold_s reporting_interval_s jitter_s latency loss quantum pdc_wait_s seed "
+    "outages_s"
+)
+METHODS = {
+    "Result": "data units to_frame save explain trajectory ledger packets explanation",
+    "Run": "damping_ratio settling_time_s plot stable summary metrics scenario case",
+    "SwingModes": "inter_area to_frame plot",
+    "RankedLoops": "selected to_frame plot",
+    "Certificate": "ok violations rows to_frame plot as_dict",
+    "SweepResults": "summary to_frame trajectory plot maps",
+    "System": "plant controller fmu add channel concentrator connect event run self_test",
+}
+
+
+def test_there_are_these_names_and_no_others() -> None:
+    assert set(ia.__all__) == {"__version__", *FUNCTIONS, *ERRORS}
+    assert set(ia.__all__) <= set(dir(ia))
+    with pytest.raises(AttributeError, match=r"no 'simulte'; public are load_case"):
+        _ = ia.simulte  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_signatures_are_frozen(name: str) -> None:
+    thing = getattr(ia, name)
+    target = thing.__init__ if name == "Channel" else thing
+    text = str(inspect.signature(target)).replace("(self, ", "(")
+    parameters, _, result = text.rpartition(") -> ")
+    plain = re.sub(r": '([^']*)'", r": \1", parameters.removeprefix("("))
+    plain = re.sub(r': "([^"]*)"', r": \1", plain)
+    assert f"{plain} -> {result.strip(chr(39))}" == FUNCTIONS[name]
+    assert inspect.getdoc(thing), name
+
+
+def test_a_channel_takes_the_keys_of_a_scenario_file() -> None:
+    assert set(ia.Channel.model_fields) == set(CHANNEL.split())
+
+
+@pytest.mark.parametrize("name", ERRORS)
+def test_every_error_is_an_interarea_error(name: str) -> None:
+    assert issubclass(getattr(ia, name), ERRORS[name])
+
+
+def test_what_is_returned_has_these_methods() -> None:
+    from interarea import shown
+    from interarea.cosim.results.result import Result
+    from interarea.cosim.results.run import Run
+    from interarea.cosim.run.system import System
+
+    classes = {c.__name__: c for c in (Result, Run, System)} | vars(shown)
+    for name, members in METHODS.items():
+        there = {*dir(classes[name]), *getattr(classes[name], "__dataclass_fields__", ())}
+        assert set(members.split()) <= there, name
+
+
+def test_no_error_of_the_package_stands_outside() -> None:
+    """Every error class that can leave a function of ours is an `InterareaError`."""
+    import importlib
+    import pkgutil
+
+    inside = {"CallFailed", "ImageError", "TimeUpError", "_Refused"}  # caught where they are raised
+    floors = [importlib.import_module(f"interarea.{f}") for f in ("models", "design", "fmu_build", "cosim")]
+    for module in (
+        m for floor in floors for m in pkgutil.walk_packages(floor.__path__, f"{floor.__name__}.")
+    ):
+        for name, thing in vars(importlib.import_module(module.name)).items():
+            if isinstance(thing, type) and issubclass(thing, Exception) and thing.__module__ == module.name:
+                assert issubclass(thing, ia.InterareaError) or name in inside, f"{module.name}.{name}"
+
+
+def test_importing_it_loads_nothing() -> None:
+    code = "import sys; before = set(sys.modules); import interarea; print(*(set(sys.modules) - before))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    ours = [m for m in done.stdout.split() if m.startswith("interarea")]
+    assert ours == ["interarea"]
+    heavy = {"numpy", "scipy", "pandas", "control", "pydantic", "typer", "rich"}
+    assert not heavy & set(done.stdout.split())
+
+
+def test_pages_and_examples_import_the_front_door_alone() -> None:
+    root = Path(__file__).resolve().parents[1]
+    pages = [root / "README.md", *(root / "docs").glob("*.md"), *(root / "examples").glob("*.py")]
+    for page in pages:
+        inner = re.findall(r"^ *(?:from|import) +interarea\.\S+", page.read_text("utf-8"), re.MULTILINE)
+        assert not inner, f"{page.name}: {inner}"
