@@ -37,6 +37,12 @@ ORDER = {
 }
 PYTHON = [p for floor in FLOORS for p in sorted((ROOT / floor).rglob("*.py"))]
 SOURCES = PYTHON + [p for floor in FLOORS for p in sorted((ROOT / floor).rglob("*.[ch]"))]
+#: C has its order of folders too: each includes from those before it.
+C_ORDER = [
+    *(f"models/c/{k}" for k in ("block", "channel", "concentrator", "controller", "plant", "container")),
+    *("fmu_build/c", "fmu_build/c/group", "cosim/master/kernel", "cosim/explorer/web"),
+]
+C_FILES = {p for p in SOURCES if p.suffix in {".c", ".h"}}
 LONGEST_FILE = 450  # lines: what a person reads in one sitting
 MOST_MODULES = 16  # in a folder: what a person takes in at a glance
 
@@ -115,6 +121,35 @@ def test_no_module_imports_itself_through_others() -> None:
     circle: list[str] = []
     try:
         sorter.prepare()
+    except CycleError as error:
+        circle = error.args[1]
+    assert not circle, " -> ".join(circle)
+
+
+def _includes(path: Path) -> set[Path]:
+    """Return our files that a C file includes, as the build finds them: beside it or among all headers."""
+    names = re.findall(r'^\s*#\s*include\s+"([^"]+)"', path.read_text(encoding="utf-8"), re.MULTILINE)
+    found = {(path.parent / name).resolve() for name in names} & C_FILES
+    return found | {p for p in C_FILES for name in names if name == p.name}
+
+
+def _unit(path: Path) -> str:
+    """Return a C file without its ending: a header and the file that defines what it declares are one."""
+    return _name(path.with_suffix(""))
+
+
+def test_c_includes_go_one_way() -> None:
+    """Between folders in the order above; between files without circles, a header with what it declares."""
+    arrows: dict[str, set[str]] = {}
+    for path in C_FILES:
+        assert _name(path.parent) in C_ORDER, f"{_name(path)}: its folder has no place in C_ORDER"
+        for other in _includes(path):
+            here, there = (C_ORDER.index(_name(p.parent)) for p in (path, other))
+            assert there <= here, f"{_name(path)} must not include {_name(other)}"
+            arrows.setdefault(_unit(path), set()).add(_unit(other))
+    circle: list[str] = []
+    try:
+        TopologicalSorter({unit: others - {unit} for unit, others in arrows.items()}).prepare()
     except CycleError as error:
         circle = error.args[1]
     assert not circle, " -> ".join(circle)

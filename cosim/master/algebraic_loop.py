@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from ..clock import Step
 from ..errors import StepError
 from ..polynomials import slope_at, value_at
-from .broyden import Secant
+from .broyden import Broyden
 from .graph import Group
 from .node import Node
 from .signals import Signal
@@ -31,7 +31,7 @@ def iterate_loop(
     h = step.length_s
     members = [nodes[name].participant for name in group.members]
     states = [p.save() for p in members]
-    solver = Secant(2 * len(signals))
+    solver = Broyden(2 * len(signals))
     supposed = [v for s in signals for v in (value_at(s.d, h), h * slope_at(s.d, h))]
     error = 0.0
     try:

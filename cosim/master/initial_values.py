@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ..errors import StepError
-from .broyden import Secant
+from .broyden import Broyden
 from .graph import Graph
 from .node import Node
 from .signals import Signal
@@ -50,7 +50,7 @@ def _sweep(members: tuple[str, ...], nodes: Mapping[str, Node], tick: int) -> No
 def _solve(
     members: tuple[str, ...], signals: list[Signal], nodes: Mapping[str, Node], tick: int, tolerance: float
 ) -> float:
-    solver = Secant(len(signals))
+    solver = Broyden(len(signals))
     x = [s.v1 for s in signals]
     sweeps = 2 * len(signals) + _EXTRA_SWEEPS
     for _ in range(sweeps):

@@ -38,7 +38,7 @@ def advance_together(masters: Sequence[Master], *, watch: Watch | None = None) -
     handed: list[tuple[int, Kernel]] = []
     for number, master in enumerate(masters):
         try:
-            kernel = master.hand_over()
+            kernel = master.to_kernel()
             if kernel is not None:
                 handed.append((number, kernel))
             elif watch is None:
@@ -68,12 +68,12 @@ def _step(
             errors = run_kernels(kernels, [steps[number] for number, _ in under_way], budget_s=_BUDGET_S)
         finally:  # Ctrl-C too
             for number, kernel in under_way:
-                masters[number].follow(kernel)
+                masters[number].sync_from_kernel(kernel)
         going: list[tuple[int, Kernel]] = []
         for (number, kernel), error in zip(under_way, errors, strict=True):
             master = masters[number]
             if error is not None:
-                master.refuse(error)
+                master.fail(error)
             elif watch is not None:
                 try:
                     watch(number, master.time_s, seconds(master.clock.stop))

@@ -9,7 +9,7 @@ One step from t to t + H, all times whole ticks (`clock`), every known event a c
    (value and three derivatives) or, where an FMU takes none, as means over parts of the step;
 4. a loop without a channel is stepped on predicted signals; when what comes out differs from what was
    predicted by more than the tolerance, the FMU states are put back and the step is repeated with a
-   better guess (`secant`), until it agrees;
+   better guess (`broyden`), until it agrees;
 5. outputs are recorded.
 
 Modes ``hold-jacobi`` and ``hold-gauss-seidel`` hold inputs instead, as most masters do; the delay that
@@ -260,10 +260,10 @@ class Master:
 
     # -- for `together` -------------------------------------------------------------------
 
-    def hand_over(self) -> Kernel | None:
+    def to_kernel(self) -> Kernel | None:
         """Start if need be and make the kernel begin where this stands; None: Python has to step.
 
-        What the kernel then does is to be followed (`follow`).
+        What the kernel then does is to be followed (`sync_from_kernel`).
         """
         self._cancelled = False
         if self._index < 0:
@@ -274,12 +274,12 @@ class Master:
             kernel.begin(self._index, self._rows)
         return kernel
 
-    def follow(self, kernel: Kernel) -> None:
+    def sync_from_kernel(self, kernel: Kernel) -> None:
         """Go where the kernel has come to."""
         self._index, self._rows = kernel.index, kernel.row
         self.repeated += kernel.repeated
 
-    def refuse(self, error: Exception) -> None:
+    def fail(self, error: Exception) -> None:
         """Put the results so far into the error of a step."""
         if isinstance(error, StepError):
             error.trajectory = self.trajectory
@@ -423,9 +423,9 @@ class Master:
         try:
             error = run_kernels([kernel], [last])[0]
         finally:  # Ctrl-C too
-            self.follow(kernel)
+            self.sync_from_kernel(kernel)
         if error is not None:
-            self.refuse(error)
+            self.fail(error)
             raise error
 
     def _note(self, engine: str) -> None:

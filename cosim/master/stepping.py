@@ -50,8 +50,8 @@ class Stepping:
             return "inputs held, not iterated"
         if self._iterates(group):
             return f"iterated with saved states to {self._tolerance:g} of the largest value"
-        lame = self._lame(group)
-        return "extrapolated" + (f": {', '.join(lame)} cannot save its state" if lame else "")
+        names = ", ".join(self._cannot_rewind(group))
+        return f"extrapolated: {names} cannot save its state" if names else "extrapolated"
 
     # -- private --------------------------------------------------------------------------
 
@@ -59,14 +59,14 @@ class Stepping:
         """Whether a loop is iterated: not with held inputs, not when told to extrapolate."""
         if self._holds or self._loops == "extrapolate":
             return False
-        lame = self._lame(group)
-        if self._loops == "iterate" and lame:
+        cannot_rewind = self._cannot_rewind(group)
+        if self._loops == "iterate" and cannot_rewind:
             raise GraphError(
-                f"loop {' -> '.join(group.members)}: {', '.join(lame)} cannot save its state "
+                f"loop {' -> '.join(group.members)}: {', '.join(cannot_rewind)} cannot save its state "
                 '(canGetAndSetFMUstate), so the step cannot be iterated; use loops = "extrapolate"'
             )
-        return not lame
+        return not cannot_rewind
 
-    def _lame(self, group: Group) -> list[str]:
+    def _cannot_rewind(self, group: Group) -> list[str]:
         """Members that cannot go back to a saved state."""
         return [n for n in group.members if not self._descriptions[n].saves_state]

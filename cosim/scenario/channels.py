@@ -68,7 +68,7 @@ class GilbertElliottLoss(Table):
 
 
 class ChannelLine(Table):
-    """How a channel delays and loses what is sent (semantics: models/c/channel/channel.h)."""
+    """How a channel delays and loses what is sent (semantics: models/c/channel/channel_variables.h)."""
 
     latency_s: Seconds = 0.0
     on_loss: Literal["zero", "hold", "hold_then_zero"] = "zero"

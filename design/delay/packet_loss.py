@@ -9,7 +9,7 @@ one time stamp to the next the state :math:`z` (plant, controller, packets under
 
 so that the root mean square decays as :math:`\rho^{k/2}` with the spectral radius :math:`\rho` of
 :math:`\sum_S P(S) A_S \otimes A_S`. With bursts (Gilbert and Elliott) there is one second moment for each
-state of the chains [Costa2005]. The rules are those of `models/c/channel/channel.h`.
+state of the chains [Costa2005]. The rules are those of `models/c/channel/channel_variables.h`.
 """
 
 from __future__ import annotations

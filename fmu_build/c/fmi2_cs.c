@@ -3,7 +3,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "instance.h"
+#include "fmi2_cs.h"
+#include "solver.h"
 
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component component, const fmi2ValueReference references[],
                                        size_t count, const fmi2Integer orders[], const fmi2Real values[])

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "instance.h"
+#include "resource.h"
 
 enum { FORMAT = 1, WHY_SIZE = 512 };
 static const size_t LARGEST_COUNT = 1u << 24;

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "instance.h"
+#include "solver.h"
 
 fmi2Status fmi2EnterEventMode(fmi2Component component)
 {

@@ -74,7 +74,6 @@ typedef struct {
     unsigned long memory_written;   /* how often block.memory was: for those who keep copies */
 } Instance;
 
-/* instance.c */
 int instance_allowed(Instance *c, int modes, const char *call);
 /* Logs the text, and with fmi2Error puts the instance into its error mode.
  * Returns `status`. */
@@ -92,22 +91,5 @@ fmi2Status instance_initialise(Instance *c, const char *call);
 fmi2Status instance_refresh_outputs(Instance *c, const char *call);
 fmi2Status instance_refresh_derivatives(Instance *c, const char *call);
 fmi2Status instance_check_finite(Instance *c, const char *call);
-
-/* fmi2_cs.c: whether a step can be tried, reports why not; after a step the inputs
- * stay where it left them and their derivatives must be given anew. */
-int step_is_sane(Instance *c, double begin, double step, const char *call);
-void step_consume_inputs(Instance *c, double elapsed);
-
-/* resource.c: reads `model.bin` out of the folder that a FMI resource location
- * names. Returns null and writes what is wrong into why. */
-unsigned char *resource_read(const char *location, const fmi2CallbackFunctions *callbacks,
-                             size_t *size, char *why, size_t why_size);
-
-/* solver.c: from run->time to `end`, with inputs following u_poly from `begin`.
- * Events on the way split the interval and are handled exactly. */
-BlockStatus solver_advance(Instance *c, double begin, double end, BlockMessage *message);
-/* Input values at `elapsed` seconds into the step. */
-void solver_inputs(const Instance *c, double elapsed, double *u);
-enum { SOLVER_MAX_SUBSTEPS = 1000000 };
 
 #endif

@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "instance.h"
+#include "resource.h"
 
 enum { PATH_SIZE = 4096 };
 static const size_t LARGEST_RECORD = (size_t)256 << 20;

@@ -1,11 +1,9 @@
-/* Classical Runge-Kutta of order 4 with a whole number of equal substeps
- * between communication points and events. The substeps depend only on the
- * interval, so a run that is saved, restored and continued gives the same bits. */
-#include <math.h>
+/* A co-simulation step: the block integrated over it, its events handled on the way. */
 #include <stdio.h>
 #include <string.h>
 
-#include "instance.h"
+#include "solver.h"
+#include "stretch.h"
 
 void solver_inputs(const Instance *c, double elapsed, double *u)
 {
@@ -15,42 +13,30 @@ void solver_inputs(const Instance *c, double elapsed, double *u)
     }
 }
 
-static BlockStatus runge_kutta_step(Instance *c, double begin, double t, double h,
-                                    BlockMessage *message)
+typedef struct {
+    Instance *c;
+    double begin, t, h;     /* of the communication step; of the Runge-Kutta step */
+    double *u;
+    BlockMessage *message;
+} Flow;
+
+static BlockStatus flow(void *context, RungeKuttaStage stage, const double *x, double *k)
 {
-    Block *b = &c->block;
-    const size_t n = b->layout.n_x;
-    double *k1 = c->work, *k2 = k1 + n, *k3 = k2 + n, *k4 = k3 + n, *x = k4 + n, *u = x + n;
-    BlockStatus status;
+    const Flow *f = context;
+    const double t = stage == RK_BEGIN ? f->t : stage == RK_END ? f->t + f->h : f->t + f->h / 2.0;
 
-    solver_inputs(c, t - begin, u);
-    if ((status = block_derivatives(b, t, b->x, u, k1, message)) != BLOCK_OK) return status;
-
-    for (size_t i = 0; i < n; ++i) x[i] = b->x[i] + h / 2.0 * k1[i];
-    solver_inputs(c, t + h / 2.0 - begin, u);
-    if ((status = block_derivatives(b, t + h / 2.0, x, u, k2, message)) != BLOCK_OK) return status;
-
-    for (size_t i = 0; i < n; ++i) x[i] = b->x[i] + h / 2.0 * k2[i];
-    if ((status = block_derivatives(b, t + h / 2.0, x, u, k3, message)) != BLOCK_OK) return status;
-
-    for (size_t i = 0; i < n; ++i) x[i] = b->x[i] + h * k3[i];
-    solver_inputs(c, t + h - begin, u);
-    if ((status = block_derivatives(b, t + h, x, u, k4, message)) != BLOCK_OK) return status;
-
-    for (size_t i = 0; i < n; ++i)
-        b->x[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
-    return BLOCK_OK;
+    if (stage != RK_MIDDLE_AGAIN) solver_inputs(f->c, t - f->begin, f->u);
+    return block_derivatives(&f->c->block, t, x, f->u, k, f->message);
 }
 
-static BlockStatus integrate(Instance *c, double begin, double from, double to, BlockMessage *message)
+static BlockStatus integrate(Instance *c, Stretch *s, BlockMessage *message)
 {
-    const double length = to - from;
-    const double wanted = ceil(length / *c->internal_step - 1e-9);
-    const long count = wanted < 1.0 ? 1 : (long)wanted;
+    const size_t n = c->block.layout.n_x;
+    Flow f = {c, s->begin, 0.0, stretch_h(s), c->work + 5 * n, message};
 
-    for (long k = 0; k < count; ++k) {
-        const double t = from + length * ((double)k / (double)count);
-        const BlockStatus status = runge_kutta_step(c, begin, t, length / (double)count, message);
+    for (; s->done < s->count; ++s->done) {
+        f.t = stretch_t(s);
+        const BlockStatus status = runge_kutta_step(flow, &f, n, f.h, c->block.x, c->work);
         if (status != BLOCK_OK) return status;
     }
     return BLOCK_OK;
@@ -60,30 +46,25 @@ BlockStatus solver_advance(Instance *c, double begin, double end, BlockMessage *
 {
     Block *b = &c->block;
     RunState *run = c->run;
-    /* An event this close to the end counts as reached: masters round. */
-    const double slack = 1e-9 * (end - begin);
+    Stretch s = {.begin = begin, .end = end, .longest = *c->internal_step};
+    BlockStatus status;
 
-    for (long n_events = 0;; ++n_events) {
-        const double after = run->last_event > run->time ? run->last_event : run->time;
-        const double event = block_next_event(b, after);
-        const int reached = event <= end + slack;
-        const double stop = reached && event < end ? event : end;
-        BlockStatus status;
-
-        if (stop > run->time && b->layout.n_x > 0
-            && (status = integrate(c, begin, run->time, stop, message)) != BLOCK_OK)
-            return status;
-        if (stop > run->time) run->time = stop;
-        if (!reached) return BLOCK_OK;
-        if (!(event > after) || n_events > SOLVER_MAX_SUBSTEPS) {
+    for (;;) {
+        s.time = run->time;
+        s.last_event = run->last_event;
+        if (!stretch_next(&s, b)) {
             snprintf(message->text, sizeof message->text,
-                     "time %.17g: the next event at %.17g does not lie ahead", after, event);
+                     "time %.17g: the next event does not lie ahead, or they are more than %d",
+                     stretch_after(&s), STRETCH_MOST_EVENTS);
             return BLOCK_ERROR;
         }
-        solver_inputs(c, stop - begin, b->u);
-        instance_log_event(c, "event at time %.9g s", event);
+        if (b->layout.n_x > 0 && (status = integrate(c, &s, message)) != BLOCK_OK) return status;
+        if (s.to > run->time) run->time = s.to;
+        if (!(s.event < INFINITY)) return BLOCK_OK;
+        solver_inputs(c, s.to - begin, b->u);
+        instance_log_event(c, "event at time %.9g s", s.event);
         ++c->memory_written;
-        if ((status = block_event(b, event, b->x, message)) != BLOCK_OK) return status;
-        run->last_event = event;
+        if ((status = block_event(b, s.event, b->x, message)) != BLOCK_OK) return status;
+        run->last_event = s.event;
     }
 }

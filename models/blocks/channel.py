@@ -11,6 +11,7 @@ from scipy.special import gammaincc, gammaincinv
 from .variables import Block, Enumeration, Variable, VariableTable
 
 _FOLDER = Path(__file__).resolve().parents[1] / "c" / "channel"
+_PARTS = ("channel", "history", "outage", "packets", "random")
 
 OUTAGES = 8  #: outage windows of a channel; as in channel.h
 QUANTILES = 33  #: points of a latency distribution, at probabilities 0, 1/32, ..., 1; as in channel.h
@@ -138,7 +139,7 @@ def channel_block(
         description="Communication channel: exact latency, packets, loss, outages, rule on loss",
         table=VariableTable(variables),
         data={"capacity": np.array([capacity], dtype=np.int32)},
-        sources=(_FOLDER / "channel.c", _FOLDER / "history.c", _FOLDER / "packets.c", _FOLDER / "random.c"),
+        sources=tuple(_FOLDER / f"{part}.c" for part in _PARTS),
         step_s=step_s,
         model_exchange=False,
         documentation={"Behaviour": _BEHAVIOUR, **(documentation or {})},

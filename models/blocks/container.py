@@ -14,16 +14,17 @@ from .plant import SOURCES as PLANT_SOURCES
 from .variables import STEP_PARAMETER, Block, Role, Variable, VariableTable
 
 _HERE = Path(__file__).resolve().parents[1] / "c"
-_OWN = ("loop", "loop_step", "plant_member", "controller_member", "channel_member", "supervisor_member")
+_KINDS_INSIDE = ("plant", "controller", "channel", "supervisor")
+_OWN = ("container", "closed_loop_step", *(f"{kind}_member" for kind in _KINDS_INSIDE))
 #: C files of every container: its own, and of the members' those that no `*_member.c` includes.
 SOURCES = (
     *(_HERE / f"container/{name}.c" for name in _OWN),
     *(p for p in PLANT_SOURCES if p.name not in ("plant.c", "record.c")),
     *(p for p in channel_block().sources if p.name != "channel.c"),
 )
-_KINDS = {"plant": 0, "controller": 1, "channel": 2, "supervisor": 3}  #: as loop.h counts
-_MOST = 24  #: LOOP_MEMBERS of loop.h
-#: What feeds what; anything else would need an order of evaluation that loop.h does not promise.
+_KINDS = {kind: number for number, kind in enumerate(_KINDS_INSIDE)}  #: as closed_loop.h counts
+_MOST = 24  #: LOOP_MEMBERS of closed_loop.h
+#: What feeds what; anything else would need an order of evaluation that closed_loop.h does not promise.
 _MAY_FEED = {
     *((source, target) for source in ("plant", "channel") for target in ("controller", "supervisor")),
     *((source, "plant") for source in ("controller", "supervisor")),

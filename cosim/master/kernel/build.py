@@ -1,4 +1,4 @@
-"""Compile and load the kernel; its structures, field by field as in kernel.h."""
+"""Compile and load the kernel; its structures, field by field as in structures.h."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from interarea.fmu_build.write.compile import compile_library, gather_sources, h
 _log = logging.getLogger("interarea")
 _SOURCE = Path(__file__).resolve().parent / "kernel.c"
 
-#: codes of kernel.h
+#: codes of structures.h
 OK, STOPPED, CALL_FAILED, NOT_FINITE, NOT_SETTLED, PAUSED = range(6)
 KIND_OF = {"hermite": 0, "points": 1, "linear": 2, "held": 3, "newest": 4}
 TYPE_OF = {"Real": 0, "Integer": 1, "Enumeration": 1, "Boolean": 2}
@@ -54,7 +54,7 @@ def _fields(kind: Any, names: str) -> list[tuple[str, Any]]:
 
 
 class KernelSignal(ctypes.Structure):
-    """See kernel.h."""
+    """See structures.h."""
 
     _fields_ = [
         *_fields(c_double, "v0 s0 v1 s1"),
@@ -67,18 +67,18 @@ class KernelSignal(ctypes.Structure):
 
 
 class KernelFeed(ctypes.Structure):
-    """See kernel.h."""
+    """See structures.h."""
 
     _fields_ = [*_fields(c_double, "gain offset"), *_fields(c_int32, "signal type")]
 
 
 class KernelNode(ctypes.Structure):
-    """See kernel.h."""
+    """See structures.h."""
 
     _fields_ = [
         ("component", c_void_p),
         *_fields(c_void_p, " ".join(FUNCTIONS)),
-        *_fields(c_void_p, "together work state"),
+        *_fields(c_void_p, "lanes work state"),
         ("time", c_double),
         *_fields(c_void_p, "feeds u_reference u du_reference du_order du"),
         *_fields(c_void_p, "y y_home y_place y_reference y_real y_integer dy dy_reference dy_order"),
@@ -88,7 +88,7 @@ class KernelNode(ctypes.Structure):
 
 
 class KernelGroup(ctypes.Structure):
-    """See kernel.h."""
+    """See structures.h."""
 
     _fields_ = _fields(c_int32, "first count torn n_torn iterated unused")
 
@@ -97,7 +97,7 @@ DISCARDED = ctypes.CFUNCTYPE(c_int32, c_int32, c_double, c_double)
 
 
 class KernelRun(ctypes.Structure):
-    """`Kernel` of kernel.h."""
+    """`Kernel` of structures.h."""
 
     _fields_ = [
         ("discarded", DISCARDED),
@@ -116,14 +116,14 @@ def _library(path: Path) -> ctypes.CDLL:
     library = ctypes.CDLL(str(path))
     library.kernel_run.argtypes = [ctypes.POINTER(KernelRun), c_int64]
     library.kernel_run.restype = c_int32
-    library.kernel_run_together.argtypes = [
+    library.kernel_run_lockstep.argtypes = [
         ctypes.POINTER(c_void_p),
         ctypes.POINTER(c_int64),
         c_int32,
         c_double,
         ctypes.POINTER(c_int32),
     ]
-    library.kernel_run_together.restype = c_int32
+    library.kernel_run_lockstep.restype = c_int32
     sizes = (c_int32 * len(_MIRRORED))()
     count = library.kernel_layout(sizes, len(_MIRRORED))
     if count != len(_MIRRORED) or list(sizes) != [ctypes.sizeof(s) for s in _MIRRORED]:

@@ -1,9 +1,9 @@
 /* The communication step of master.py in C: predict, step in order, iterate
- * loops, record. See kernel.h. */
+ * loops, record. See structures.h. */
 #if !defined _WIN32 && !defined _POSIX_C_SOURCE
 #define _POSIX_C_SOURCE 199309L /* clock_gettime */
 #endif
-#include "kernel.h"
+#include "structures.h"
 
 #include <math.h>
 #include <string.h>
@@ -14,8 +14,8 @@
 #include <time.h>
 #endif
 
-#include "kernel_loop.h"
-#include "kernel_node.h"
+#include "broyden.h"
+#include "node.h"
 
 #if defined _WIN32
 #define EXPORT __declspec(dllexport)
@@ -24,12 +24,12 @@
 #endif
 
 EXPORT int32_t kernel_run(Kernel *k, int64_t until);
-EXPORT int32_t kernel_run_together(Kernel *const k[], const int64_t until[], int32_t n, double budget,
+EXPORT int32_t kernel_run_lockstep(Kernel *const k[], const int64_t until[], int32_t n, double budget,
                                    int32_t code[]);
 EXPORT int32_t kernel_layout(int32_t *sizes, int32_t room);
 
 enum { MAX_SWEEPS = 50 };
-static const double LEAST_SCALE = 1e-4; /* of the nominal value: loops.py */
+static const double LEAST_SCALE = 1e-4; /* of the nominal value: algebraic_loop.py */
 
 enum { UNDER_WAY = -1, MOST_RUNS = 64 };
 
@@ -61,7 +61,7 @@ typedef struct {
     Place at;
     Step step;
     int group, member, sweep;
-    Secant secant;
+    Broyden broyden;
     KernelNode *node;               /* under way: its part, when that ends      */
     int parts;
     int64_t part, part_end;
@@ -94,7 +94,7 @@ static int step_node(Run *r, double time, double length)
     r->time = time;
     r->time_length = length;
     r->at = WAITING;
-    if (!r->alone && node->together != NULL) return KERNEL_OK;
+    if (!r->alone && node->lanes != NULL) return KERNEL_OK;
     r->status = node->do_step(node->component, time, length, fmi2True);
     r->at = STEPPED;
     return KERNEL_OK;
@@ -171,18 +171,18 @@ static int begin_node(Run *r, const KernelGroup *group)
     return code == KERNEL_OK ? step_node(r, r->step.start_s, r->step.length_s) : code;
 }
 
-/* Loops are stepped until the torn signals end as supposed: loops.py. */
+/* Loops are stepped until the torn signals end as supposed: algebraic_loop.py. */
 static int begin_loop(Run *r, const KernelGroup *group)
 {
     Kernel *k = r->k;
     const double h = r->step.length_s;
     const int code = save_members(k, group);
 
-    r->secant = secant_of(k->work, 2 * group->n_torn);
+    r->broyden = broyden_of(k->work, 2 * group->n_torn);
     for (int i = 0; i < group->n_torn; ++i) {
         const KernelSignal *s = k->signals + k->torn[group->torn + i];
-        r->secant.x[2 * i] = value_at(s->d, h);
-        r->secant.x[2 * i + 1] = h * slope_at(s->d, h);
+        r->broyden.x[2 * i] = value_at(s->d, h);
+        r->broyden.x[2 * i + 1] = h * slope_at(s->d, h);
     }
     r->sweep = 0;
     return code;
@@ -192,7 +192,7 @@ static int begin_loop(Run *r, const KernelGroup *group)
 static int end_loop(Run *r, const KernelGroup *group)
 {
     Kernel *k = r->k;
-    Secant *secant = &r->secant;
+    Broyden *broyden = &r->broyden;
     const Step *step = &r->step;
     const double h = step->length_s;
     const int n = group->n_torn;
@@ -202,11 +202,11 @@ static int end_loop(Run *r, const KernelGroup *group)
     for (int i = 0; i < n; ++i) {
         const KernelSignal *s = k->signals + k->torn[group->torn + i];
         const double scale = larger(larger(s->peak, fabs(s->v1)), LEAST_SCALE * s->nominal);
-        const double value = s->v1 - secant->x[2 * i];
+        const double value = s->v1 - broyden->x[2 * i];
         const double slope =
-            s->kind == KIND_HERMITE && !step->edge ? h * s->s1 - secant->x[2 * i + 1] : 0.0;
-        secant->r[2 * i] = value;
-        secant->r[2 * i + 1] = slope;
+            s->kind == KIND_HERMITE && !step->edge ? h * s->s1 - broyden->x[2 * i + 1] : 0.0;
+        broyden->r[2 * i] = value;
+        broyden->r[2 * i + 1] = slope;
         error = larger(larger(error, fabs(value) / scale), fabs(slope) / scale / 8.0);
     }
     if (error <= k->tolerance) {
@@ -220,11 +220,11 @@ static int end_loop(Run *r, const KernelGroup *group)
         k->value = error;
         return KERNEL_NOT_SETTLED;
     }
-    secant_correct(secant);
+    broyden_correct(broyden);
     if ((code = restore_members(k, group)) != KERNEL_OK) return code;
     for (int i = 0; i < n; ++i)
-        signal_know(k->signals + k->torn[group->torn + i], step->start, h, step->edge, secant->x[2 * i],
-                    secant->x[2 * i + 1] / h);
+        signal_know(k->signals + k->torn[group->torn + i], step->start, h, step->edge, broyden->x[2 * i],
+                    broyden->x[2 * i + 1] / h);
     r->member = 0;
     return KERNEL_OK;
 }
@@ -316,7 +316,7 @@ static void go_on(Run *r)
 }
 
 /* Steps the waiting node of run `first` and of all after it whose nodes go together with it. */
-static void step_together(Run *runs, int first, int n)
+static void step_lanes(Run *runs, int first, int n)
 {
     void *const work = runs[first].node->work;
     fmi2Component component[MOST_RUNS];
@@ -335,7 +335,7 @@ static void step_together(Run *runs, int first, int n)
         slopes |= r->node->n_dy > 0;
         member[count++] = r;
     }
-    runs[first].node->together(work, count, component, time, length, slopes, status);
+    runs[first].node->lanes(work, count, component, time, length, slopes, status);
     for (size_t i = 0; i < count; ++i) {
         member[i]->status = status[i];
         member[i]->at = STEPPED;
@@ -385,7 +385,7 @@ int32_t kernel_run(Kernel *k, int64_t until)
 /* kernel_run of n runs: nodes that go together are stepped at once, of as many runs as
  * wait for one. Runs need not be at the same time, nor of the same structure. Returns
  * -1 when there are more than 64. */
-int32_t kernel_run_together(Kernel *const k[], const int64_t until[], int32_t n, double budget, int32_t code[])
+int32_t kernel_run_lockstep(Kernel *const k[], const int64_t until[], int32_t n, double budget, int32_t code[])
 {
     Watch watch = new_watch(budget);
     Run runs[MOST_RUNS];
@@ -398,7 +398,7 @@ int32_t kernel_run_together(Kernel *const k[], const int64_t until[], int32_t n,
         for (int i = 0; i < n; ++i) go_on(runs + i);
         for (int i = 0; i < n; ++i)
             if (runs[i].code == UNDER_WAY && runs[i].at == WAITING) {
-                step_together(runs, i, n);
+                step_lanes(runs, i, n);
                 waiting = 1;
             }
     }

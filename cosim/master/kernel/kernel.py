@@ -144,12 +144,12 @@ class Kernel:
 
     def join(self, number: int, step: int, work: int) -> None:
         """Step participant `number` by the function at `step`, with the others that join `work`."""
-        self._k_nodes[number].together, self._k_nodes[number].work = step, work
+        self._k_nodes[number].lanes, self._k_nodes[number].work = step, work
 
     def leave(self) -> None:
         """Step every participant alone again."""
         for mirror in self._k_nodes:
-            mirror.together = mirror.work = None
+            mirror.lanes = mirror.work = None
 
     def close(self) -> None:
         """Free the FMU states that iterating loops left, while the instances live."""
@@ -293,7 +293,7 @@ def run_kernels(
             codes[0] = kernels[0]._library.kernel_run(byref(kernels[0]._run), until[0])
         else:
             runs = (c_void_p * n)(*(addressof(k._run) for k in kernels))
-            if kernels[0]._library.kernel_run_together(runs, (c_int64 * n)(*until), n, budget_s, codes):
+            if kernels[0]._library.kernel_run_lockstep(runs, (c_int64 * n)(*until), n, budget_s, codes):
                 raise ValueError(f"{n} runs together, allowed: {MOST_TOGETHER}")
     finally:
         for kernel in kernels:

@@ -1,12 +1,13 @@
-/* See fmu_group.h. A lane is a cursor over its instance's step: stretches between
- * events, each a whole number of substeps, as in solver.c. */
+/* See fmu_group.h. A lane goes through its instance's step as solver.c does (stretch.h). */
 #include "fmu_group.h"
 
 #include <math.h>
 #include <string.h>
 
 #include "block_group.h"
-#include "instance.h"
+#include "fmi2_cs.h"
+#include "solver.h"
+#include "stretch.h"
 
 enum { ALIGNMENT = 8, ELAPSED = 3 };  /* doubles */
 enum { GUID_ROOM = 64 };
@@ -16,12 +17,9 @@ typedef struct {
     Instance *c;            /* whose step it is                                    */
     size_t place;           /* in the caller's arrays                              */
     int failed;             /* repeats its step alone                              */
-    int events;             /* how many it has met: then c->undo holds the step's start */
+    int events;             /* how many it has handled: then c->undo holds the step's start */
     double point, step;     /* as the caller gave them                             */
-    double begin, end;
-    double time, last_event;
-    double from, to, event; /* stretch under way, the event at its end or infinity */
-    long count, done;       /* substeps of the stretch                             */
+    Stretch way;
 } Lane;
 
 typedef struct {
@@ -139,43 +137,31 @@ static void load_memory(Group *g, const Instance *c, size_t k)
 static int meet_event(Group *g, Lane *lane, size_t k)
 {
     Instance *c = lane->c;
+    Stretch *way = &lane->way;
     BlockMessage message;
 
     if (lane->events++ == 0) memcpy(c->undo, c->run, c->saved_size);
     get(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
-    c->run->time = lane->time;
-    solver_inputs(c, lane->time - lane->begin, c->block.u);
+    c->run->time = way->time;
+    solver_inputs(c, way->time - way->begin, c->block.u);
     ++c->memory_written;
-    if (block_event(&c->block, lane->event, c->block.x, &message) != BLOCK_OK) return 0;
-    c->run->last_event = lane->last_event = lane->event;
+    if (block_event(&c->block, way->event, c->block.x, &message) != BLOCK_OK) return 0;
+    c->run->last_event = way->last_event = way->event;
     put(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     load_memory(g, c, k);
     return 1;
 }
 
-/* The next stretch, ending at an event or at the step's end: solver_advance. */
+/* The next stretch in which there is something to do, or the end: solver_advance. */
 static void next_stretch(Group *g, Lane *lane, size_t k)
 {
-    const double slack = 1e-9 * (lane->end - lane->begin);
+    Stretch *way = &lane->way;
 
-    lane->count = lane->done = 0;
-    for (;;) {
-        if (lane->event < INFINITY && !meet_event(g, lane, k)) break;
-        const double after = lane->last_event > lane->time ? lane->last_event : lane->time;
-        const double event = block_next_event(&lane->c->block, after);
-        const int reached = event <= lane->end + slack;
-        if (reached && (!(event > after) || lane->events > SOLVER_MAX_SUBSTEPS)) break;
-        lane->event = reached ? event : INFINITY;
-        lane->from = lane->time;
-        lane->to = reached && event < lane->end ? event : lane->end;
-        if (lane->to > lane->from) {
-            const double wanted = ceil((lane->to - lane->from) / *lane->c->internal_step - 1e-9);
-            lane->count = wanted < 1.0 ? 1 : (long)wanted;
-            return;
-        }
-        if (!reached) return;
-    }
-    lane->failed = 1;
+    do {
+        const int met = !(way->event < INFINITY) || meet_event(g, lane, k);
+        lane->failed = !met || !stretch_next(way, &lane->c->block);
+    } while (!lane->failed && way->count == 0 && way->event < INFINITY);
+    if (lane->failed) way->count = way->done = 0;
 }
 
 static void begin_lane(Group *g, Lane *lane, size_t k)
@@ -186,11 +172,10 @@ static void begin_lane(Group *g, Lane *lane, size_t k)
     put(g->u_poly, c->u_poly, 4 * g->layout.n_u, g->lanes, k);
     put(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     load_memory(g, c, k);
-    lane->begin = lane->time = c->run->time;
-    lane->end = lane->point + lane->step;
-    lane->last_event = c->run->last_event;
-    lane->event = INFINITY;
-    lane->events = lane->failed = 0;
+    lane->way = (Stretch){.begin = c->run->time, .end = lane->point + lane->step,
+                          .longest = *c->internal_step, .time = c->run->time,
+                          .last_event = c->run->last_event, .event = INFINITY};
+    lane->events = 0;
     next_stretch(g, lane, k);
 }
 
@@ -202,24 +187,22 @@ static void advance(Group *g, size_t n)
     for (;;) {
         int busy = 0;
         for (size_t k = 0; k < n; ++k) {
-            const Lane *lane = &g->lane[k];
-            const int runs = !lane->failed && lane->done < lane->count;
-            const double length = lane->to - lane->from;
-            const double h = runs ? length / (double)lane->count : 0.0;
-            const double t = runs ? lane->from + length * ((double)lane->done / (double)lane->count) : 0.0;
+            const Stretch *way = &g->lane[k].way;
+            const int runs = way->done < way->count;
+            const double h = runs ? stretch_h(way) : 0.0, t = runs ? stretch_t(way) : 0.0;
             g->group.h[k] = h;
-            g->elapsed[k] = t - lane->begin;
-            g->elapsed[lanes + k] = t + h / 2.0 - lane->begin;
-            g->elapsed[2 * lanes + k] = t + h - lane->begin;
+            g->elapsed[k] = t - way->begin;
+            g->elapsed[lanes + k] = t + h / 2.0 - way->begin;
+            g->elapsed[2 * lanes + k] = t + h - way->begin;
             busy |= runs;
         }
         if (!busy) return;
         block_group_step(&g->group, lanes);
         for (size_t k = 0; k < n; ++k) {
-            Lane *lane = &g->lane[k];
-            if (lane->failed || lane->done == lane->count || ++lane->done < lane->count) continue;
-            lane->time = lane->to;
-            if (lane->event < INFINITY) next_stretch(g, lane, k);
+            Stretch *way = &g->lane[k].way;
+            if (way->done == way->count || ++way->done < way->count) continue;
+            way->time = way->to;
+            if (way->event < INFINITY) next_stretch(g, &g->lane[k], k);
         }
     }
 }
@@ -246,7 +229,7 @@ static void accept(Group *g, const Lane *lane, size_t k)
     }
     get(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     get(g->group.y, c->block.y, g->layout.n_y, g->lanes, k);
-    c->run->time = lane->time;
+    c->run->time = lane->way.time;
     step_consume_inputs(c, lane->step);
     c->run->outputs_fresh = FRESH_BUT_LOCALS;
     c->run->derivatives_fresh = STALE;

@@ -1,10 +1,10 @@
-#include "channel.h"
-
-#include <math.h>
+/* The block of a channel (block.h): what it is sent into its history, out of it what arrives. */
 #include <stdio.h>
 
 #include "../block/sampled.h"
+#include "channel_variables.h"
 #include "history.h"
+#include "outage.h"
 #include "packets.h"
 
 static size_t capacity_of(const Record *record)
@@ -35,12 +35,6 @@ BlockStatus block_needs(const Record *record, const BlockLayout *n, BlockNeeds *
     return BLOCK_OK;
 }
 
-double channel_quantised(const Block *b, double value)
-{
-    const double quantum = b->p[P_QUANTUM];
-    return quantum > 0.0 ? quantum * floor(value / quantum + 0.5) : value;
-}
-
 BlockStatus block_start(Block *b, double t, BlockMessage *message)
 {
     BlockStatus status;
@@ -62,29 +56,6 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     for (int k = 0; k < IY_COUNT; ++k) b->iy[k] = 0;
     packets_start(b, t);
     return BLOCK_OK;
-}
-
-int outage_at(const Block *b, double t, double *since)
-{
-    const double *window = b->p + P_OUTAGES;
-    double at = t;
-    int found = 0, moved = 1;
-
-    for (int round = 0; round < CHANNEL_OUTAGES && moved; ++round) {
-        moved = 0;
-        for (int k = 0; k < CHANNEL_OUTAGES; ++k) {
-            const double start = window[2 * k], end = window[2 * k + 1];
-            /* the first window must hold at t itself, further ones reach back from it */
-            const int reaches = found ? start < at && at <= end + TIME_SLACK
-                                      : start <= t + TIME_SLACK && t < end - TIME_SLACK;
-            if (reaches && end > start) {
-                at = start;
-                found = moved = 1;
-            }
-        }
-    }
-    *since = at;
-    return found;
 }
 
 static BlockStatus delayed(Block *b, double t, double *value, double *slope, BlockMessage *message)

@@ -18,7 +18,7 @@ typedef struct {
 void history_add(const History *history, double t, const double *u, int order);
 
 /* Value and slope at time s: constant before the first sample, between samples
- * as channel.h says, after the last one its polynomial. Returns 0, or 1 when s
+ * as channel_variables.h says, after the last one its polynomial. Returns 0, or 1 when s
  * lies before the oldest sample that the ring still has. */
 int history_at(const History *history, double s, double *value, double *slope);
 

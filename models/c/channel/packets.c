@@ -3,6 +3,8 @@
 #include <math.h>
 #include <stdio.h>
 
+#include "channel_variables.h"
+#include "outage.h"
 #include "random.h"
 
 enum { STREAM_JITTER = 1, STREAM_TABLE, STREAM_STATE, STREAM_LOSS };

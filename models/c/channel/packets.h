@@ -1,12 +1,8 @@
 #ifndef INTERAREA_PACKETS_H
 #define INTERAREA_PACKETS_H
-/* Packets of a channel with a reporting interval (semantics: channel.h). */
-#include "channel.h"
+/* Packets of a channel with a reporting interval (semantics: channel_variables.h). */
+#include "../block/block.h"
 #include "history.h"
-
-/* Start of the outage that holds at time t, over touching windows; returns 0
- * when there is none. */
-int outage_at(const Block *b, double t, double *since);
 
 BlockStatus packets_check(const Block *b, BlockMessage *message);
 void packets_start(Block *b, double t);

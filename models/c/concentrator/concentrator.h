@@ -4,7 +4,7 @@
  * (IEEE C37.247: aligned with wait time, absolute or relative).
  *
  * PMU i samples its signal at k T (T = reporting_interval), exactly as a channel
- * does (channel.h), and its frame reaches the concentrator latency[i] +
+ * does (channel_variables.h), and its frame reaches the concentrator latency[i] +
  * jitter[i] U later, U uniform in [0, 1), or never: lost with probability
  * loss[i], or stamped inside [lost[i].start, lost[i].end).
  *

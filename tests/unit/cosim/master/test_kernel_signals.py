@@ -28,7 +28,7 @@ from interarea.cosim.run.artefacts import block_fmu
 from interarea.fmu_build.open.fmu_file import FmuFile
 
 SHIM = """
-#include "kernel_signal.h"
+#include "signals.h"
 void begin(KernelSignal *s, int64_t tick, int edge);
 void know(KernelSignal *s, int64_t tick, double h, int edge, double value, double slope);
 void accept(KernelSignal *s, int64_t end, double h, int edge);

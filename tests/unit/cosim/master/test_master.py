@@ -202,12 +202,14 @@ def test_iterating_asks_for_saved_states() -> None:
 
 
 def test_the_explanation_names_order_loops_and_what_is_not_connected() -> None:
-    text = explain(loop(0.01, synchronous=False))
+    master = loop(0.01, synchronous=False)
+    text = explain(master, delay_ledger(master))
     assert "order of a step: remote | controller <-> plant" in text
     assert "iterated with saved states" in text
     assert "events at 1, 1.1, 1.2, 1.3 s" in text
     alone = Linear("x", A, B, C, np.zeros((2, 1)), ["vs"], ["r", "l"])
-    assert "not connected: x.vs keeps its start value 0" in explain(Master([alone], [], stop_s=1.0))
+    single = Master([alone], [], stop_s=1.0)
+    assert "not connected: x.vs keeps its start value 0" in explain(single, delay_ledger(single))
 
 
 def test_steps_of_one_length_refuse_events_off_the_grid() -> None:

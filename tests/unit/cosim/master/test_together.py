@@ -236,17 +236,17 @@ def test_what_watches_can_end_one_run(masters: list[Master], alone: list[Any]) -
 def test_a_cancelled_run_stops_where_it_is_and_can_go_on(masters: list[Master], alone: list[Any]) -> None:
     for master in masters[:3]:
         master.start()
-    original = masters[1].hand_over
+    original = masters[1].to_kernel
 
-    def hand_over_and_cancel() -> Any:
+    def to_kernel_and_cancel() -> Any:
         kernel = original()
         masters[1].cancel()
         return kernel
 
-    masters[1].hand_over = hand_over_and_cancel  # type: ignore[method-assign]
+    masters[1].to_kernel = to_kernel_and_cancel  # type: ignore[method-assign]
     assert advance_together(masters[:3]) == [None] * 3
     assert [m.finished for m in masters[:3]] == [True, False, True]
-    masters[1].hand_over = original  # type: ignore[method-assign]
+    masters[1].to_kernel = original  # type: ignore[method-assign]
     assert advance_together(masters[1:2]) == [None]
     assert [bits(m) for m in masters[:3]] == alone[:3]
 

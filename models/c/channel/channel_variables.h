@@ -1,5 +1,5 @@
-#ifndef INTERAREA_CHANNEL_H
-#define INTERAREA_CHANNEL_H
+#ifndef INTERAREA_CHANNEL_VARIABLES_H
+#define INTERAREA_CHANNEL_VARIABLES_H
 /* A communication channel for one scalar signal.
  *
  * Time and sides. At a communication point t the channel is told u(t) and, when
@@ -47,6 +47,8 @@
  * interval and latency nothing is lost by that.
  *
  * quantum > 0 rounds what is sent to its nearest multiple (slopes are then 0). */
+#include <math.h>
+
 #include "../block/block.h"
 
 enum { CHANNEL_OUTAGES = 8, CHANNEL_QUANTILES = 33, CHANNEL_IN_FLIGHT = 512 };
@@ -75,6 +77,10 @@ enum {
 static const double TIME_SLACK = 1e-10; /* s */
 
 /* What is sent of a value. */
-double channel_quantised(const Block *b, double value);
+static inline double channel_quantised(const Block *b, double value)
+{
+    const double quantum = b->p[P_QUANTUM];
+    return quantum > 0.0 ? quantum * floor(value / quantum + 0.5) : value;
+}
 
 #endif

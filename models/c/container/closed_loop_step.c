@@ -1,5 +1,6 @@
-/* Stepping the closed loop: see loop.h. */
-#include "loop.h"
+/* Stepping the closed loop: see closed_loop.h. */
+#include "closed_loop_step.h"
+#include "../block/runge_kutta.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -35,7 +36,7 @@ static void draw(double *d, double v0, double s0, double v1, double s1, double h
 
 /* Outputs of plant and controller at t, from states x and from the channels'
  * outputs in y; the plant's first, they depend on its states only. Fills u. */
-static BlockStatus signals(Loop *l, double t, const double *x, double *y, double *u, BlockMessage *message)
+static BlockStatus signals(ClosedLoop *l, double t, const double *x, double *y, double *u, BlockMessage *message)
 {
     for (int plant = 1; plant >= 0; --plant)
         for (size_t k = 0; k < l->count; ++k) {
@@ -59,7 +60,7 @@ static BlockStatus signals(Loop *l, double t, const double *x, double *y, double
 }
 
 /* dx of plant and controller at `elapsed` into the step, channels along l->poly. */
-static BlockStatus flow(Loop *l, double t, double elapsed, const double *x, double *dx, BlockMessage *message)
+static BlockStatus flow(ClosedLoop *l, double t, double elapsed, const double *x, double *dx, BlockMessage *message)
 {
     double *u = l->work + 5 * l->n_x, *y = u + l->n_u;
     BlockStatus status;
@@ -77,33 +78,36 @@ static BlockStatus flow(Loop *l, double t, double elapsed, const double *x, doub
     return BLOCK_OK;
 }
 
-static BlockStatus integrate(Loop *l, double begin, double length, BlockMessage *message)
+typedef struct {
+    ClosedLoop *l;
+    double t, elapsed, h;   /* Runge-Kutta step: where it begins, how long it is  */
+    BlockMessage *message;
+} Flow;
+
+static BlockStatus stage_flow(void *context, RungeKuttaStage stage, const double *x, double *dx)
 {
-    const size_t n = l->n_x;
-    const double wanted = ceil(length / l->internal_step - 1e-9);
-    const long count = wanted < 1.0 ? 1 : (long)wanted;
-    const double h = length / (double)count;
-    double *k1 = l->work, *k2 = k1 + n, *k3 = k2 + n, *k4 = k3 + n, *x = k4 + n;
-    BlockStatus status;
+    const Flow *f = context;
+    const double into = stage == RK_BEGIN ? 0.0 : stage == RK_END ? f->h : f->h / 2.0;
+
+    return flow(f->l, f->t + into, f->elapsed + into, x, dx, f->message);
+}
+
+static BlockStatus integrate(ClosedLoop *l, double begin, double length, BlockMessage *message)
+{
+    const long count = runge_kutta_count(length, l->internal_step);
+    Flow f = {l, begin, 0.0, length / (double)count, message};
 
     for (long step = 0; step < count; ++step) {
-        const double s = length * ((double)step / (double)count), t = begin + s;
-
-        if ((status = flow(l, t, s, l->state, k1, message)) != BLOCK_OK) return status;
-        for (size_t i = 0; i < n; ++i) x[i] = l->state[i] + h / 2.0 * k1[i];
-        if ((status = flow(l, t + h / 2.0, s + h / 2.0, x, k2, message)) != BLOCK_OK) return status;
-        for (size_t i = 0; i < n; ++i) x[i] = l->state[i] + h / 2.0 * k2[i];
-        if ((status = flow(l, t + h / 2.0, s + h / 2.0, x, k3, message)) != BLOCK_OK) return status;
-        for (size_t i = 0; i < n; ++i) x[i] = l->state[i] + h * k3[i];
-        if ((status = flow(l, t + h, s + h, x, k4, message)) != BLOCK_OK) return status;
-        for (size_t i = 0; i < n; ++i)
-            l->state[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
+        f.elapsed = length * ((double)step / (double)count);
+        f.t = begin + f.elapsed;
+        const BlockStatus status = runge_kutta_step(stage_flow, &f, l->n_x, f.h, l->state, l->work);
+        if (status != BLOCK_OK) return status;
     }
     return BLOCK_OK;
 }
 
 /* Inputs, outputs and slopes of plant and controller where they now are. */
-static BlockStatus settle(Loop *l, double t, BlockMessage *message)
+static BlockStatus settle(ClosedLoop *l, double t, BlockMessage *message)
 {
     double *dx = l->work, *vu = l->work + 5 * l->n_x, *y = l->outer->y;
     BlockStatus status = signals(l, t, l->state, y, vu, message);
@@ -135,7 +139,7 @@ static BlockStatus settle(Loop *l, double t, BlockMessage *message)
 }
 
 /* Steps the channels, each told its input as the polynomial of its source. */
-static BlockStatus step_channels(Loop *l, double t, double h, BlockMessage *message)
+static BlockStatus step_channels(ClosedLoop *l, double t, double h, BlockMessage *message)
 {
     static const double nothing[4] = {0.0, 0.0, 0.0, 0.0};
 
@@ -152,7 +156,7 @@ static BlockStatus step_channels(Loop *l, double t, double h, BlockMessage *mess
     return BLOCK_OK;
 }
 
-BlockStatus loop_refresh(Loop *l, double t, BlockMessage *message)
+BlockStatus closed_loop_refresh(ClosedLoop *l, double t, BlockMessage *message)
 {
     BlockStatus status = BLOCK_OK;
 
@@ -168,7 +172,7 @@ BlockStatus loop_refresh(Loop *l, double t, BlockMessage *message)
     return status == BLOCK_OK ? settle(l, t, message) : status;
 }
 
-static int repeats(const Loop *l, double length)
+static int repeats(const ClosedLoop *l, double length)
 {
     for (size_t k = 0; k < l->count; ++k)
         if (l->kind[k] == KIND_CHANNEL && channel_member_latency(&l->block[k]) < length - SLACK) return 1;
@@ -176,7 +180,7 @@ static int repeats(const Loop *l, double length)
 }
 
 /* How far what the channels were told is from what came out; takes over the latter. */
-static double correct(Loop *l, double h)
+static double correct(ClosedLoop *l, double h)
 {
     const double *y = l->outer->y;
     double worst = 0.0;
@@ -196,7 +200,7 @@ static double correct(Loop *l, double h)
 }
 
 /* Polynomials over the coming step: bent on as they were over the last one. */
-static void predict(Loop *l, double last)
+static void predict(ClosedLoop *l, double last)
 {
     for (size_t i = 0; i < l->n_y; ++i) {
         double *d = l->poly + 4 * i;
@@ -210,7 +214,7 @@ static void predict(Loop *l, double last)
 
 /* Handles the events of plant and controllers up to `t`; counts them. A plant's
  * are known by their times, a supervisor's come from its flags. */
-static BlockStatus events(Loop *l, double t, int *count, BlockMessage *message)
+static BlockStatus events(ClosedLoop *l, double t, int *count, BlockMessage *message)
 {
     double *last = &l->outer->memory[M_LAST_EVENT];
 
@@ -235,7 +239,7 @@ static BlockStatus events(Loop *l, double t, int *count, BlockMessage *message)
 }
 
 /* One step between inner communication points. */
-static BlockStatus step_once(Loop *l, double t, double end, BlockMessage *message)
+static BlockStatus step_once(ClosedLoop *l, double t, double end, BlockMessage *message)
 {
     const double h = end - t;
     const int edge = h <= EDGE, again = !edge && repeats(l, h);
@@ -287,7 +291,7 @@ static BlockStatus step_once(Loop *l, double t, double end, BlockMessage *messag
 }
 
 /* The first inner communication point after `now`, ns. */
-static int64_t next_point(const Loop *l, int64_t now)
+static int64_t next_point(const ClosedLoop *l, int64_t now)
 {
     const double *m = l->outer->memory;
     const int64_t origin = (int64_t)floor(m[M_ORIGIN] * 1e9 + 0.5);
@@ -320,7 +324,7 @@ static double whole(double t)
     return fabs(near - t) < 0.1 * NANOSECOND ? near : t;
 }
 
-BlockStatus loop_advance(Loop *l, double t, double end, BlockMessage *message)
+BlockStatus closed_loop_advance(ClosedLoop *l, double t, double end, BlockMessage *message)
 {
     t = whole(t);
     end = whole(end);

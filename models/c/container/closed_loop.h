@@ -1,5 +1,5 @@
-#ifndef INTERAREA_LOOP_H
-#define INTERAREA_LOOP_H
+#ifndef INTERAREA_CLOSED_LOOP_H
+#define INTERAREA_CLOSED_LOOP_H
 /* A plant, its controller and the channels between them in one block that has
  * no inputs: the whole closed loop, stepped inside one FMU.
  *
@@ -51,19 +51,10 @@ typedef struct {
     size_t n_members;
     /* scratch */
     double *saved, *saved_state, *saved_iy, *poly, *y0, *slope0, *work;
-} Loop;
-
-/* Reads the record; sizes only where `b` is null. */
-BlockStatus loop_open(Loop *l, Block *b, const Record *record, const BlockLayout *n, BlockMessage *message);
-
-/* Outputs and their slopes at time t from the states and the channels' outputs. */
-BlockStatus loop_refresh(Loop *l, double t, BlockMessage *message);
-
-/* From `t` to `end` over all inner communication points between. */
-BlockStatus loop_advance(Loop *l, double t, double end, BlockMessage *message);
+} ClosedLoop;
 
 /* Whether a member is a plant, or what controls it. */
-static inline int loop_is(const Loop *l, size_t k, int plant)
+static inline int loop_is(const ClosedLoop *l, size_t k, int plant)
 {
     return plant ? l->kind[k] == KIND_PLANT : l->kind[k] == KIND_CONTROLLER || l->kind[k] == KIND_SUPERVISOR;
 }

@@ -1,5 +1,5 @@
 /* The closed loop as a block (block.h): reads the record, lays out the members. */
-#include "loop.h"
+#include "closed_loop_step.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -53,7 +53,7 @@ static int layout_of(const Record *record, BlockLayout *n)
 }
 
 /* Layouts and needs of the members; their sum must be the outer layout. */
-static BlockStatus read_members(Loop *l, const Record *record, const BlockLayout *outer, int check,
+static BlockStatus read_members(ClosedLoop *l, const Record *record, const BlockLayout *outer, int check,
                                 size_t *inner_scratch, size_t memory[], BlockMessage *message)
 {
     size_t count, n_p = 0, n_ip = 0;
@@ -96,7 +96,7 @@ static BlockStatus read_members(Loop *l, const Record *record, const BlockLayout
     return BLOCK_OK;
 }
 
-static BlockStatus read_wiring(Loop *l, const Record *record, size_t n_p, BlockMessage *message)
+static BlockStatus read_wiring(ClosedLoop *l, const Record *record, size_t n_p, BlockMessage *message)
 {
     size_t count[4], n_solver;
     const double *step = record_f64(record, "loop.step", &count[0]);
@@ -121,7 +121,7 @@ static BlockStatus read_wiring(Loop *l, const Record *record, size_t n_p, BlockM
     return BLOCK_OK;
 }
 
-BlockStatus loop_open(Loop *l, Block *b, const Record *record, const BlockLayout *n, BlockMessage *message)
+static BlockStatus open_loop(ClosedLoop *l, Block *b, const Record *record, const BlockLayout *n, BlockMessage *message)
 {
     size_t scratch, memory[LOOP_MEMBERS];
     double *next;
@@ -178,8 +178,8 @@ BlockStatus loop_open(Loop *l, Block *b, const Record *record, const BlockLayout
 BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNeeds *needs,
                         BlockMessage *message)
 {
-    Loop l;
-    const BlockStatus status = loop_open(&l, NULL, record, layout, message);
+    ClosedLoop l;
+    const BlockStatus status = open_loop(&l, NULL, record, layout, message);
 
     if (status != BLOCK_OK) return status;
     needs->n_memory = l.n_memory;
@@ -188,7 +188,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
 }
 
 /* Adds an instant after the start and, through every channel, its echo. */
-static int add_mark(const Loop *l, double t)
+static int add_mark(const ClosedLoop *l, double t)
 {
     double *m = l->outer->memory;
 
@@ -207,7 +207,7 @@ static int add_mark(const Loop *l, double t)
     return 0;
 }
 
-static BlockStatus collect_marks(const Loop *l, double t, BlockMessage *message)
+static BlockStatus collect_marks(const ClosedLoop *l, double t, BlockMessage *message)
 {
     double at[CHANNEL_MEMBER_JUMPS];
     int full = 0;
@@ -236,8 +236,8 @@ static BlockStatus collect_marks(const Loop *l, double t, BlockMessage *message)
 
 BlockStatus block_start(Block *b, double t, BlockMessage *message)
 {
-    Loop l;
-    BlockStatus status = loop_open(&l, b, b->record, &b->layout, message);
+    ClosedLoop l;
+    BlockStatus status = open_loop(&l, b, b->record, &b->layout, message);
     size_t count;
 
     if (status != BLOCK_OK) return status;
@@ -263,8 +263,8 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
 
 BlockStatus block_step(Block *b, double t, double h, const double *u_poly, double *dy, BlockMessage *message)
 {
-    Loop l;
-    BlockStatus status = loop_open(&l, b, b->record, &b->layout, message);
+    ClosedLoop l;
+    BlockStatus status = open_loop(&l, b, b->record, &b->layout, message);
 
     (void)u_poly;
     if (status != BLOCK_OK) return status;
@@ -272,7 +272,7 @@ BlockStatus block_step(Block *b, double t, double h, const double *u_poly, doubl
         snprintf(message->text, sizeof message->text, "loop: step of %g s at %g s, allowed: up to 9e6 s", h, t);
         return BLOCK_ERROR;
     }
-    status = h > 0.0 ? loop_advance(&l, t, t + h, message) : loop_refresh(&l, t, message);
+    status = h > 0.0 ? closed_loop_advance(&l, t, t + h, message) : closed_loop_refresh(&l, t, message);
     memcpy(dy, l.slope, l.n_y * sizeof(double));
     return status;
 }

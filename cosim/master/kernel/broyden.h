@@ -1,18 +1,18 @@
-#ifndef INTERAREA_KERNEL_LOOP_H
-#define INTERAREA_KERNEL_LOOP_H
-/* secant.py, line by line. `work` holds n n + 6 n doubles: the inverse, residual,
- * move, image, row, supposed values, present residual. */
+#ifndef INTERAREA_KERNEL_BROYDEN_H
+#define INTERAREA_KERNEL_BROYDEN_H
+/* broyden.py, line by line. `work` holds n n + 6 n doubles: the inverse, residual,
+ * step, predicted, row, supposed values, present residual. */
 #include <string.h>
 
 typedef struct {
-    double *inverse, *residual, *move, *image, *row, *x, *r;
+    double *inverse, *residual, *step, *predicted, *row, *x, *r;
     int n, started;
-} Secant;
+} Broyden;
 
-static Secant secant_of(double *work, int n)
+static Broyden broyden_of(double *work, int n)
 {
     double *vectors = work + n * n;
-    Secant s = {work, vectors, vectors + n, vectors + 2 * n, vectors + 3 * n, vectors + 4 * n,
+    Broyden s = {work, vectors, vectors + n, vectors + 2 * n, vectors + 3 * n, vectors + 4 * n,
                 vectors + 5 * n, n, 0};
 
     for (int i = 0; i < n; ++i)
@@ -21,7 +21,7 @@ static Secant secant_of(double *work, int n)
 }
 
 /* The next x given the residual r at the present one. */
-static void secant_correct(Secant *s)
+static void broyden_correct(Broyden *s)
 {
     const int n = s->n;
     double *inverse = s->inverse, denominator = 0.0;
@@ -30,17 +30,17 @@ static void secant_correct(Secant *s)
         for (int i = 0; i < n; ++i) {
             double total = 0.0;
             for (int j = 0; j < n; ++j) total += inverse[i * n + j] * (s->residual[j] - s->r[j]);
-            s->image[i] = total;
+            s->predicted[i] = total;
         }
-        for (int i = 0; i < n; ++i) denominator += s->move[i] * s->image[i];
+        for (int i = 0; i < n; ++i) denominator += s->step[i] * s->predicted[i];
         if (denominator != 0.0) {
             for (int j = 0; j < n; ++j) {
                 double total = 0.0;
-                for (int i = 0; i < n; ++i) total += s->move[i] * inverse[i * n + j];
+                for (int i = 0; i < n; ++i) total += s->step[i] * inverse[i * n + j];
                 s->row[j] = total;
             }
             for (int i = 0; i < n; ++i) {
-                const double factor = (s->move[i] - s->image[i]) / denominator;
+                const double factor = (s->step[i] - s->predicted[i]) / denominator;
                 for (int j = 0; j < n; ++j) inverse[i * n + j] += factor * s->row[j];
             }
         }
@@ -48,11 +48,11 @@ static void secant_correct(Secant *s)
     for (int i = 0; i < n; ++i) {
         double total = 0.0;
         for (int j = 0; j < n; ++j) total += inverse[i * n + j] * s->r[j];
-        s->move[i] = total;
+        s->step[i] = total;
     }
     memcpy(s->residual, s->r, (size_t)n * sizeof(double));
     s->started = 1;
-    for (int i = 0; i < n; ++i) s->x[i] += s->move[i];
+    for (int i = 0; i < n; ++i) s->x[i] += s->step[i];
 }
 
 #endif

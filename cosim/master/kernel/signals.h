@@ -1,10 +1,10 @@
-#ifndef INTERAREA_KERNEL_SIGNAL_H
-#define INTERAREA_KERNEL_SIGNAL_H
-/* interpolation.py and signals.py, line by line. */
+#ifndef INTERAREA_KERNEL_SIGNALS_H
+#define INTERAREA_KERNEL_SIGNALS_H
+/* polynomials.py and signals.py, line by line. */
 #include <math.h>
 #include <string.h>
 
-#include "kernel.h"
+#include "structures.h"
 
 static double seconds(int64_t ticks)
 {

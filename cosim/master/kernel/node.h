@@ -3,7 +3,7 @@
 /* One node: what it is sent, what is read from it, its state saved and put back. */
 #include <math.h>
 
-#include "kernel_signal.h"
+#include "signals.h"
 
 static int call_failed(Kernel *k, const KernelNode *node, int call, fmi2Status status)
 {

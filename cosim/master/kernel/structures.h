@@ -1,11 +1,11 @@
-#ifndef INTERAREA_KERNEL_H
-#define INTERAREA_KERNEL_H
+#ifndef INTERAREA_KERNEL_STRUCTURES_H
+#define INTERAREA_KERNEL_STRUCTURES_H
 /* The master's step (master.py) over FMI 2.0 function pointers.
  *
- * kernel.py fills these structures, which it mirrors field by field, and owns
+ * kernel.py fills these structures, which build.py mirrors field by field, and owns
  * all memory they point to; nothing is allocated while stepping and there are no
- * globals. The arithmetic is that of interpolation.py, signals.py, node.py,
- * loops.py and secant.py, operation by operation, so that the results are the
+ * globals. The arithmetic is that of polynomials.py, signals.py, node.py,
+ * algebraic_loop.py and broyden.py, operation by operation, so that the results are the
  * same bits.                                                                  */
 #include <stddef.h>
 #include <stdint.h>
@@ -48,10 +48,10 @@ typedef struct {
     int32_t signal, type;
 } KernelFeed;
 
-/* fmi2DoStep of several instances at once (fmu_group.h): status[i] for component c[i] from
+/* fmi2DoStep of several instances at once (lane_library.h): status[i] for component c[i] from
  * time[i] over length[i]; slopes: output slopes will be read. */
-typedef void KernelTogether(void *work, size_t n, const fmi2Component c[], const fmi2Real time[],
-                            const fmi2Real length[], int slopes, fmi2Status status[]);
+typedef void KernelLanes(void *work, size_t n, const fmi2Component c[], const fmi2Real time[],
+                         const fmi2Real length[], int slopes, fmi2Status status[]);
 
 /* One FMU instance and its place in the graph: node.py, instances.py. */
 typedef struct {
@@ -67,8 +67,8 @@ typedef struct {
     fmi2GetRealOutputDerivativesTYPE *get_derivatives;
     fmi2GetFMUstateTYPE *get_state;
     fmi2SetFMUstateTYPE *set_state;
-    KernelTogether *together;       /* or null: it is stepped alone             */
-    void *work;                     /* of `together`; nodes with the same one go together */
+    KernelLanes *lanes;             /* or null: it is stepped alone             */
+    void *work;                     /* of `lanes`; nodes with the same one are stepped at once */
     fmi2FMUstate state;             /* before the step, of a member of a loop   */
     double time;                    /* end of its last step, as the FMU was told */
 
@@ -117,7 +117,7 @@ typedef struct {
     const unsigned char *flags;     /* of each step                             */
     double *times, *records;        /* one row for each recorded point          */
     double *spare;                  /* a row for points that are not            */
-    double *work;                   /* kernel_loop.h says how much              */
+    double *work;                   /* broyden.h says how much                  */
     int64_t index, row, repeated;   /* next step, next row, loop steps done again */
     double tolerance;
     double budget;                  /* s of computing until KERNEL_PAUSED       */

@@ -1,0 +1,10 @@
+#ifndef INTERAREA_FMI2_CS_H
+#define INTERAREA_FMI2_CS_H
+#include "instance.h"
+
+/* Whether a step can be tried; reports why not. */
+int step_is_sane(Instance *c, double begin, double step, const char *call);
+/* After a step the inputs stay where it left them and their derivatives must be given anew. */
+void step_consume_inputs(Instance *c, double elapsed);
+
+#endif

@@ -1,0 +1,50 @@
+#ifndef INTERAREA_RUNGE_KUTTA_H
+#define INTERAREA_RUNGE_KUTTA_H
+/* The classical Runge-Kutta method of order 4, in steps of equal length between events: the one
+ * integrator of FMUs, of lanes side by side and of closed loops, so that all give the same bits.
+ *
+ * Written over RK_NUM: double, or several doubles side by side. There RK_MOVED(h, moved, x) picks
+ * `x` for the lanes that have nothing to do.                                               */
+#include <math.h>
+#include <stddef.h>
+
+#include "block.h"
+
+#ifndef RK_NUM
+#define RK_NUM double
+#define RK_MOVED(h, moved, x) (moved)
+#endif
+
+/* Where in a step dx/dt is asked for. */
+typedef enum { RK_BEGIN, RK_MIDDLE, RK_MIDDLE_AGAIN, RK_END } RungeKuttaStage;
+
+/* dx/dt at `stage` of a step, at the states x, into k. */
+typedef BlockStatus RungeKuttaFlow(void *context, RungeKuttaStage stage, const RK_NUM *x, RK_NUM *k);
+
+/* One step of n states over h. work: 5 n numbers, the slopes of the stages and the states there.
+ * Where the flow does not return BLOCK_OK, x is left as it was. */
+static inline BlockStatus runge_kutta_step(RungeKuttaFlow *flow, void *context, size_t n, RK_NUM h, RK_NUM *x,
+                                           RK_NUM *work)
+{
+    RK_NUM *k1 = work, *k2 = k1 + n, *k3 = k2 + n, *k4 = k3 + n, *at = k4 + n;
+    BlockStatus status;
+
+    if ((status = flow(context, RK_BEGIN, x, k1)) != BLOCK_OK) return status;
+    for (size_t i = 0; i < n; ++i) at[i] = x[i] + h / 2.0 * k1[i];
+    if ((status = flow(context, RK_MIDDLE, at, k2)) != BLOCK_OK) return status;
+    for (size_t i = 0; i < n; ++i) at[i] = x[i] + h / 2.0 * k2[i];
+    if ((status = flow(context, RK_MIDDLE_AGAIN, at, k3)) != BLOCK_OK) return status;
+    for (size_t i = 0; i < n; ++i) at[i] = x[i] + h * k3[i];
+    if ((status = flow(context, RK_END, at, k4)) != BLOCK_OK) return status;
+    for (size_t i = 0; i < n; ++i)
+        x[i] = RK_MOVED(h, x[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]), x[i]);
+    return BLOCK_OK;
+}
+
+/* Steps of at most `longest` that fill `length`; what rounding adds to a whole number is none. */
+static inline long runge_kutta_count(double length, double longest)
+{
+    const double needed = ceil(length / longest - 1e-9);
+    return needed < 1.0 ? 1 : (long)needed;
+}
+#endif
