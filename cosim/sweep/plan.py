@@ -22,6 +22,7 @@ from interarea.fmu_build.write.cache import (
     code_hash,
     content_hash,
     file_hash,
+    is_whole,
     numerics_versions,
     source_hash,
 )
@@ -156,8 +157,16 @@ def plan_sweep(
 
 
 def own_fmu(cache: Path, key: str) -> Path:
-    """Return where in the cache the user's FMU with content hash `key` is."""
-    return cache / "own" / f"{key}.fmu"
+    """Return where in the cache the user's FMU with content hash `key` is.
+
+    Raises
+    ------
+    SweepError : it is damaged, or gone.
+    """
+    path = cache / "own" / f"{key}.fmu"
+    if not is_whole(path):
+        raise SweepError(f"{path}: the copy of an FMU is not what was written; run the same command again")
+    return path
 
 
 def _kept_fmu(path: Path, cache: Path) -> str:

@@ -3,17 +3,22 @@
 A key holds the bytes of the inputs and of the sources that turn them into the
 artefact, so a changed case, design or C file gives a new file and an unchanged
 one is never computed twice. Files appear by an atomic rename: a killed run
-leaves no half-written artefact behind.
+leaves no half-written artefact behind. A digest beside each file says whether
+it still is what was written.
 """
 
 from __future__ import annotations
 
 import ast
+import contextlib
 import hashlib
 import json
+import logging
 import os
+import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import cache as forever
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import resolve_name
@@ -24,6 +29,9 @@ import numpy as np
 
 from interarea.models.files import settle, temporary_folder, write_whole
 
+_log = logging.getLogger("interarea")
+_PROOF = ".sha256"
+COMPILERS_OWN = "zig"  #: folder in which the compiler keeps what it compiled before
 ROOMS = Path(__file__).resolve().parents[2]
 
 
@@ -125,15 +133,99 @@ def _version(name: str) -> str:
 
 
 def artefact(cache: Path, kind: str, key: str, suffix: str, make: Callable[[Path], object]) -> Path:
-    """Return the file `cache/KIND/KEYSUFFIX`, calling `make(temporary path)` when it is not there yet."""
+    """Return the file `cache/KIND/KEYSUFFIX`, calling `make(temporary path)` when it is not there yet.
+
+    Beside it lies its SHA-256, as sha256sum writes it. A file that is not what was written is made again.
+    """
     path = cache / kind / f"{key}{suffix}"
     if path.exists():
-        return path
+        if is_whole(path):
+            with contextlib.suppress(OSError):  # a cache that only others write
+                os.utime(_proof(path))  # when it was last used
+            return path
+        _log.warning("%s is not what was written there (SHA-256): it is made again", path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with temporary_folder(cache) as folder:
         made = folder / path.name
         make(made)
+        # the proof first: a file without one is no artefact, a proof without its file is nothing
+        _prove(path, made.read_bytes())
         return settle(made, path)
+
+
+def keep(path: Path, content: bytes) -> Path:
+    """Write an artefact that was made elsewhere, with its proof; return `path`."""
+    _prove(path, content)
+    return write_whole(path, content)
+
+
+def is_whole(path: Path) -> bool:
+    """Whether the file of an artefact is what was written there."""
+    try:
+        return _proof(path).read_bytes() == _said(path, path.read_bytes())
+    except OSError:
+        return False
+
+
+def _prove(path: Path, content: bytes) -> None:
+    write_whole(_proof(path), _said(path, content))
+
+
+def _said(path: Path, content: bytes) -> bytes:
+    return f"{hashlib.sha256(content).hexdigest()}  {path.name}\n".encode()
+
+
+def _proof(path: Path) -> Path:
+    return path.with_name(f"{path.name}{_PROOF}")
+
+
+@dataclass(frozen=True)
+class Kept:
+    """An artefact in the cache."""
+
+    kind: str  #: name of its folder
+    path: Path
+    size: int  #: bytes
+    used_s: float  #: when it was last asked for, seconds since the epoch
+
+
+def artefacts_in(cache: Path) -> list[Kept]:
+    """Return what the cache holds, the longest unused first; what the compiler keeps is one of them."""
+    found = []
+    for folder in cache.iterdir() if cache.is_dir() else ():
+        if folder.name.startswith("interarea-") or not folder.is_dir():
+            continue
+        files = [(p, p.stat()) for p in folder.rglob("*") if p.is_file() and p.suffix != _PROOF]
+        rows = [Kept(folder.name, p, s.st_size, _used(p, s.st_mtime)) for p, s in files]
+        if folder.name == COMPILERS_OWN and rows:
+            rows = [Kept(COMPILERS_OWN, folder, sum(r.size for r in rows), max(r.used_s for r in rows))]
+        found += rows
+    return sorted(found, key=lambda k: k.used_s)
+
+
+def _used(path: Path, written_s: float) -> float:
+    try:
+        return _proof(path).stat().st_mtime
+    except OSError:
+        return written_s
+
+
+def damaged(cache: Path) -> list[Kept]:
+    """Return the artefacts that are not what was written; nothing proves what the compiler keeps."""
+    return [k for k in artefacts_in(cache) if k.kind != COMPILERS_OWN and not is_whole(k.path)]
+
+
+def remove(kept: Iterable[Kept]) -> int:
+    """Remove artefacts with their proofs; return how many bytes they had. What is needed is made again."""
+    freed = 0
+    for k in kept:
+        if k.path.is_dir():
+            shutil.rmtree(k.path, ignore_errors=True)
+        else:
+            k.path.unlink(missing_ok=True)
+            _proof(k.path).unlink(missing_ok=True)
+        freed += k.size
+    return freed
 
 
 def cached_json(cache: Path, kind: str, key: str, make: Callable[[], Any]) -> Any:

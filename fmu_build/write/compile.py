@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import BuildError
-from .cache import artefact, default_cache
+from .cache import COMPILERS_OWN, artefact, default_cache
 
 _C = Path(__file__).resolve().parents[1] / "c"
 _CODE = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-fno-ident", "-g0")
@@ -266,11 +266,22 @@ def _compiled(kind: str, sources: tuple[tuple[str, bytes], ...], to: Platform, c
 
 
 def _run_compiler(command: list[str], folder: Path, cache: Path, kind: str, platform: str) -> None:
-    zig_cache = str((cache / "zig").absolute())
+    kept = (cache / COMPILERS_OWN).absolute()
+    try:
+        _compile(command, folder, kept, kind, platform)
+    except BuildError:
+        if "ziglang" not in command or not kept.is_dir():
+            raise
+        # nothing proves what the compiler keeps for itself; if that was damaged it compiles without it
+        _compile(command, folder, folder / COMPILERS_OWN, kind, platform)
+        shutil.rmtree(kept, ignore_errors=True)
+
+
+def _compile(command: list[str], folder: Path, zig_cache: Path, kind: str, platform: str) -> None:
     environment = {
         **os.environ,
-        "ZIG_GLOBAL_CACHE_DIR": zig_cache,
-        "ZIG_LOCAL_CACHE_DIR": zig_cache,
+        "ZIG_GLOBAL_CACHE_DIR": str(zig_cache),
+        "ZIG_LOCAL_CACHE_DIR": str(zig_cache),
         "LC_ALL": "C",
     }
     try:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from .cache import cache
 from .check import check
 from .design import certify, design
 from .explore import explore
@@ -145,6 +146,7 @@ app.command()(container)
 app.command()(explore)
 app.command()(sweep)
 app.command()(maps)
+app.command()(cache)
 
 
 def _modes(name: str) -> tuple[Case, control.StateSpace, Modes]:

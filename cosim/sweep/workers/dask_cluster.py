@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from interarea.models.files import write_whole
+from interarea.fmu_build.write.cache import is_whole, keep
 
 from ...errors import SweepError
 from ..plan import SweepPlan, code_version, plan_of_document
@@ -284,8 +284,8 @@ def _runner(plan: SweepPlan, files: Mapping[str, bytes]) -> Runner:
     with _files:
         for name, raw in files.items():
             path = cache / name
-            if not path.exists():
-                write_whole(path, raw)
+            if not is_whole(path):
+                keep(path, raw)
         os.environ.setdefault("INTERAREA_CACHE", str(cache))  # where the kernel's binary is found too
     keep_freed_memory()
     scratch = Path(tempfile.mkdtemp(prefix="runs-", dir=root))

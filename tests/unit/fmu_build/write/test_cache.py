@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+import hashlib
+import logging
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fmu_runner import decay_block
 
 from interarea.fmu_build.write import cache as store
-from interarea.fmu_build.write.cache import artefact, code_hash, content_hash, place
+from interarea.fmu_build.write.cache import (
+    artefact,
+    artefacts_in,
+    code_hash,
+    content_hash,
+    damaged,
+    is_whole,
+    keep,
+    place,
+)
+from interarea.fmu_build.write.package import block_fmu
 
 
 def test_an_artefact_is_made_once_and_never_half(tmp_path: Path) -> None:
@@ -28,7 +43,7 @@ def test_an_artefact_is_made_once_and_never_half(tmp_path: Path) -> None:
     first = artefact(tmp_path, "kind", "key", ".txt", make)
     assert artefact(tmp_path, "kind", "key", ".txt", make) == first and len(made) == 1
     assert place(first, tmp_path / "out" / "copy.txt").read_text() == "whole"
-    assert sorted(p.name for p in (tmp_path / "kind").iterdir()) == ["key.txt"]
+    assert sorted(p.name for p in (tmp_path / "kind").iterdir()) == ["key.txt", "key.txt.sha256"]
 
 
 def test_keys_tell_apart_what_differs() -> None:
@@ -64,3 +79,86 @@ def test_a_key_follows_every_form_of_import(tmp_path: Path, monkeypatch: pytest.
     assert fresh("interarea.design.start") == before
     with pytest.raises(ValueError, match="no module of this package"):
         fresh("interarea.design.moved_away")
+
+
+def _flipped(path: Path) -> None:
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 2] ^= 1
+    path.write_bytes(raw)
+
+
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "one bit": _flipped,
+    "cut short": lambda p: p.write_bytes(p.read_bytes()[:-1]),
+    "empty": lambda p: p.write_bytes(b""),
+    "zeros": lambda p: p.write_bytes(bytes(p.stat().st_size)),
+    "more": lambda p: p.write_bytes(p.read_bytes() + b"x"),
+}
+
+
+@pytest.mark.parametrize("what", ["a.json", "a.json.sha256"])
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_file_is_made_again(
+    damage: str, what: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Whatever happened to the file or to its proof: the same bytes come back, with one line."""
+
+    def get() -> Path:
+        return artefact(tmp_path, "kind", "a", ".json", lambda p: p.write_text("[1.25, 2.5]"))
+
+    get()
+    before = {p: p.read_bytes() for p in (tmp_path / "kind").iterdir()}
+    DAMAGES[damage](tmp_path / "kind" / what)
+    assert [k.path.name for k in damaged(tmp_path)] == ["a.json"]
+    with caplog.at_level(logging.WARNING, "interarea"):
+        get()
+        get()
+    assert {p: p.read_bytes() for p in (tmp_path / "kind").iterdir()} == before and len(before) == 2
+    assert [r.getMessage().count("is made again") for r in caplog.records] == [1]
+
+
+@pytest.mark.slow
+def test_a_damaged_fmu_and_its_damaged_binary_come_back(
+    cache: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    block_fmu(decay_block(), cache)
+    (tmp_path / "zig").symlink_to(cache / "zig")
+    fmu = block_fmu(decay_block(), tmp_path)
+    files = [k.path for k in artefacts_in(tmp_path) if k.kind != "zig"]
+    before = {p: p.read_bytes() for p in files}
+    for path in files:
+        _flipped(path)
+    with caplog.at_level(logging.WARNING, "interarea"):
+        assert block_fmu(decay_block(), tmp_path) == fmu
+    assert {p: p.read_bytes() for p in files} == before and len(files) == 2
+    assert [r.getMessage().count("is made again") for r in caplog.records] == [1, 1]
+
+
+def test_the_proof_is_what_sha256sum_writes(tmp_path: Path) -> None:
+    path = keep(tmp_path / "kind" / "a.bin", b"content")
+    proof = path.with_name("a.bin.sha256").read_text()
+    assert proof == f"{hashlib.sha256(b'content').hexdigest()}  a.bin\n" and is_whole(path)
+
+
+def test_the_cache_shows_checks_and_trims(interarea, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.setenv("INTERAREA_CACHE", str(tmp_path))
+    assert interarea("cache")[0] == 0  # empty
+    now = 1.0e9
+    for k, name in enumerate(("old", "middle", "new")):
+        path = keep(tmp_path / "linear" / f"{name}.npz", bytes(1_000_000))
+        os.utime(path.with_name(f"{path.name}.sha256"), (now + k, now + k))
+    code, out, _ = interarea("cache")
+    assert code == 0 and "linear" in out and "3.0" in out
+    _flipped(tmp_path / "linear" / "middle.npz")
+    code, out, _ = interarea("cache", "--check")
+    assert code == 0 and "1 damaged: removed" in out and "1.0 MB freed" in out
+    assert sorted(p.name for p in (tmp_path / "linear").iterdir()) == [
+        *("new.npz", "new.npz.sha256", "old.npz", "old.npz.sha256")
+    ]
+    assert "every file is what was written" in interarea("cache", "--check")[1]
+    assert interarea("cache", "--keep-mb", "1.5")[0] == 0
+    assert sorted(p.name for p in (tmp_path / "linear").iterdir()) == ["new.npz", "new.npz.sha256"]
+    assert interarea("cache", "--unused-days", "1")[0] == 0
+    assert list((tmp_path / "linear").iterdir()) == []
+    for wrong in ("-1", "nan"):
+        assert interarea("cache", "--keep-mb", wrong)[0] == 2
