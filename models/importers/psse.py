@@ -80,6 +80,10 @@ def import_psse(
         )
         rows, lines = dynamics.rows, lines | dynamics.where
         constant = {names.index(n): exponent for n, exponent in dynamics.constant.items()}
+        for unit, key in zip(grid.units, names, strict=True):
+            subtransient = rows.get(key, {}).get("Xd2")
+            if subtransient is not None and abs(subtransient - unit.x) > 1e-6:
+                report.assume("X''d of the DYR taken, ZX of the RAW is another", unit.where)
         grid.source += f" and {Path(dyr).name}"
         if len(constant) == len(names):
             raise CaseError(f"{dyr}: no machine model for any unit of {path.name}, allowed: at least one")

@@ -59,6 +59,16 @@ def test_dyr_gives_the_same_machines_and_controls(write: Write) -> None:
     require_dynamics(copy)
 
 
+def test_another_reactance_in_the_raw_file_is_told(write: Write) -> None:
+    case = load_case("kundur-pss")
+    dyr = write("grid.dyr", dyr_text(case))
+    text = raw_text(case)
+    report = import_psse(write("grid.raw", text), dyr).report
+    other = import_psse(write("grid.raw", text.replace(f",{case.machines[0].Xd1},", ",0.25,")), dyr).report
+    what = "X''d of the DYR taken, ZX of the RAW is another"
+    assert (report.assumed[what], other.assumed[what]) == (4, 0)
+
+
 def test_saturation_goes_through_both_points(write: Write) -> None:
     case = load_case("kundur-pss")
     text = dyr_text(case).replace(" 0.0 0.0 /", " 0.04 0.3 /")
