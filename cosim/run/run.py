@@ -206,6 +206,11 @@ def assemble(
 
     if not scenario.case:
         raise ScenarioError(f"{scenario.name}: case is missing; run_system runs FMUs without one")
+    if scenario.master.joint:
+        raise ScenarioError(
+            f"{scenario.name}: master.joint = true asks for one block and no master; run it by "
+            "`interarea run` or cosim.export.joint.run_joint, or take it out"
+        )
 
     folder = default_cache() if cache is None else cache
     case = scenario.load_case() if case is None else case

@@ -56,9 +56,10 @@ Changes to what `case` and `controller` name, so that no copy of either is neede
 
 Optional besides: `swing = ["G2", "G4"]`, the machines whose difference of speeds the run is judged by
 (default: those of the case, else the extreme ones of the inter-area mode's shape); `title`, `source`,
-`[master]` (inputs, loops, tolerance, arrivals, early) and `[expect]`, the outcome that the gallery states
-and the tests assert. A signal without a channel reaches the controller undelayed. An instant is a whole
-number of nanoseconds; one between two is taken as the nearer, and the delay ledger says so.
+`[master]` (inputs, loops, tolerance, arrivals, early; `joint = true`: one block and no master) and
+`[expect]`, the outcome that the gallery states and the tests assert. A signal without a channel reaches the
+controller undelayed. An instant is a whole number of nanoseconds; one between two is taken as the nearer,
+and the delay ledger says so.
 """
 
 from __future__ import annotations
@@ -138,11 +139,12 @@ class MasterTable(Table):
     tolerance: Annotated[float, Field(gt=0.0, lt=1.0)] = 1e-7
     early: Early = "go on"
     arrivals: Literal["exact", "grid"] = "exact"  #: packets come out at their instant, or on the grid
+    joint: bool = False  #: no master: plant, controller and channels in one block (`run_joint`)
 
     @property
     def options(self) -> dict[str, Any]:
         """What `Master` takes of this table."""
-        return self.model_dump(exclude={"arrivals"})
+        return self.model_dump(exclude={"arrivals", "joint"})
 
 
 class OperatingPointTable(Table):

@@ -36,6 +36,7 @@ def run(
 
     With --self-test and no --out only the self-test is done.
     """
+    from interarea.cosim.export.joint import run_joint
     from interarea.cosim.results.run import Run
     from interarea.cosim.run.run import run_system
     from interarea.cosim.scenario.scenario import load_scenario
@@ -55,7 +56,8 @@ def run(
         typer.echo(tested)
     if out is not None:
         with busy(f"running {scenario}"):
-            result = run_system(loaded, cache=default_cache())
+            run_it = run_joint if loaded.master.joint else run_system
+            result = run_it(loaded, cache=default_cache())
             files = result.save(out)
         if explain:
             typer.echo(result.explain())

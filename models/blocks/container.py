@@ -142,14 +142,18 @@ def _check_pairs(name: str, pairs: Sequence[tuple[str, str]], by_name: Mapping[s
         fed.add(target)
 
 
+def shown_name(member: str, kind: str, output: Variable) -> str:
+    """Return what the loop calls an output of one of its members, a block of that kind."""
+    own = kind == "channel" or output.type != "Real"
+    return f"{member}_{output.name}" if own else output.name
+
+
 def _outside(member: LoopMember) -> list[Variable]:
     """The variables of a member that the loop shows: outputs, which depend on nothing, and parameters."""
     found = []
     for v in member.block.table:
         if v.role == "output":
-            own = member.block.kind == "channel" or v.type != "Real"
-            shown = f"{member.name}_{v.name}" if own else v.name
-            found.append(replace(v, name=shown, depends_on=()))
+            found.append(replace(v, name=shown_name(member.name, member.block.kind, v), depends_on=()))
         elif v.role == "parameter":
             found.append(replace(v, name=f"{member.name}.{v.name}"))
     return found

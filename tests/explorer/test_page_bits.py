@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import json
 import random
+import sys
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from fmu_runner import Runner
 
+from interarea.cli.app import main
 from interarea.cosim.export.container import container_block
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.write.package import block_fmu
@@ -136,3 +141,26 @@ def test_hundred_runs_leave_the_memory_as_it_was(node: Any, data: dict[str, Any]
         a for a in node([*runs * 2, {"memory": True}, *runs * 4, {"memory": True}]) if isinstance(a, int)
     ]
     assert sizes[0] == sizes[1] < 16e6
+
+
+def test_interarea_run_repeats_the_page(
+    node: Any, data: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The saved scenario run by the command line: every column of the page, bit by bit."""
+    state = data["presets"][4]["state"] | {"g": 1.2, "l": 0.09, "op": 1}
+    file = tmp_path / "rows.bin"
+    result, toml = node([{"run": state, "file": str(file)}, {"toml": state, "title": "kept"}])
+    (tmp_path / "saved.toml").write_text(toml, encoding="utf-8")
+    arguments = ["interarea", "run", str(tmp_path / "saved.toml"), "--out", str(tmp_path / "out")]
+    monkeypatch.setattr(sys, "argv", arguments)
+    with contextlib.suppress(SystemExit):
+        main()
+    table = pd.read_parquet(tmp_path / "out" / "trajectory.parquet")
+    rows = np.frombuffer(file.read_bytes()).reshape(-1, len(result["columns"]))
+    names = {c.replace(".", "_", 1): c for c in table}
+    for k, column in enumerate(result["columns"]):
+        name = names.get(column) or next(n for n in table if n.partition(".")[2] == column)
+        assert np.array_equal(table[name].to_numpy(dtype=float), rows[:, k]), (column, name)
+    ledger = json.loads((tmp_path / "out" / "ledger.json").read_text(encoding="utf-8"))
+    assert ledger["inputs"] == "joint"
+    assert {round(r["total_s"], 9) for r in ledger["delays"]} == {0.0, 0.06}  # 50 ms and half an interval

@@ -204,8 +204,8 @@ class Explorer {
       this.later('plane');
       return undefined;
     }
+    this.waiters.delete(id);
     if (waiter && waiter.resolve) {
-      this.waiters.delete(id);
       waiter.resolve(message);
       return undefined;
     }

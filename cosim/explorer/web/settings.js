@@ -212,5 +212,5 @@ function tomlOf(data, state, title) {
   for (const channel of channelsOf(data, state))
     text += '\n[channels.' + channel.name + ']\n' + tomlTable(channelTable(data, state, channel));
   for (const event of eventTables(data, state)) text += '\n[[event]]\n' + tomlTable(event);
-  return text;
+  return text + '\n[master]\njoint = true\n';
 }

@@ -45,7 +45,7 @@ function outOfStep(data, result) {
 /* {kind, t, peak}: kind is one of still, collapse, step, grows, never, settles. */
 function judge(data, state, result) {
   const swing = weighted(data, result, 'dw', 1000 * data.case.frequency), { h } = result;
-  const at = value(data, state, 'at'), window = Math.round(2 / h), begin = Math.round(at / h);
+  const at = value(data, state, 'at'), window = Math.round(2 / h), begin = Math.round(at / h), last = Math.max(at, ...eventTables(data, state).map((e) => e.start_s));
   const lost = outOfStep(data, result);
   if (Number.isFinite(lost)) return { kind: 'step', t: lost, swing };
   if (result.why) return { kind: 'collapse', t: (swing.length - 1) * h, swing };
@@ -64,7 +64,7 @@ function judge(data, state, result) {
   let settled = null;
   for (let k = spans.length - 1; k >= 0 && spans[k][1] <= 0.05 * most; --k) settled = spans[k][0];
   if (settled === null) return { kind: 'slow', t: data.stop, swing };
-  return { kind: 'settles', t: settled - at, swing };
+  return { kind: 'settles', t: Math.max(settled - last, 0), swing };
 }
 
 /* Least damped swing mode of the roots in sight. */

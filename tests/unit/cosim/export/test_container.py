@@ -25,6 +25,7 @@ from interarea.cli.app import main
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.export.container import container_block, write_container
 from interarea.cosim.export.instances import members_of
+from interarea.cosim.export.joint import run_joint
 from interarea.cosim.run.run import Controllers, run_scenario
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.bank import ControllerBank
@@ -256,3 +257,28 @@ def test_command_writes_it(
     assert capfd.readouterr().out.strip() == str(out)
     result = fmpy.simulate_fmu(str(out), stop_time=0.1)
     assert abs(result["tie_p"][-1] - result["tie_p"][0]) < 1e-9
+
+
+def test_joint_run_has_the_masters_columns_and_the_containers_bits(
+    cache: Path, hand_controller: Controller
+) -> None:
+    table = scenario(latency_s=0.0537, reporting_interval_s=0.02, loss={"kind": "bernoulli", "rate": 0.2})
+    joint = run_joint(table, cache=cache, controllers=lambda *_: hand_controller)
+    apart = run_scenario(table, cache=cache, controllers=lambda *_: hand_controller)
+    assert set(joint.data) == set(apart.data)
+    assert joint.units == apart.units
+    speed = "plant.G2_dw"
+    on_grid = apart.data.merge(joint.data[["time_s"]], on="time_s")
+    assert len(on_grid) == len(joint.data) == 301
+    span = np.ptp(joint[speed])
+    assert np.max(np.abs(on_grid[speed] - joint[speed])) < TOLERANCE * span
+    assert joint.packets["remote"]["sent"] == apart.packets["remote"]["sent"] > 100
+    assert joint.ledger["remote.u"].total_s == pytest.approx(0.0637)
+    assert joint.metrics.stable == apart.metrics.stable
+
+
+def test_joint_scenario_is_not_run_by_a_master(hand_controller: Controller) -> None:
+    with pytest.raises(ScenarioError, match="joint = true asks for one block"):
+        run_scenario({**scenario(), "master": {"joint": True}}, controllers=lambda *_: hand_controller)
+    with pytest.raises(ScenarioError, match="case is missing"):
+        run_joint({"stop_s": 1.0, "fmus": {"a": {"file": "a.fmu"}}})

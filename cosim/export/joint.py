@@ -1,0 +1,111 @@
+"""A scenario run as its container: plant, channels and controller in one block, no master between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from interarea.fmu_build.write.cache import default_cache
+from interarea.fmu_build.write.package import block_fmu
+from interarea.models.blocks.container import shown_name
+
+from ..errors import ScenarioError
+from ..master.fmu_file import FmuFile
+from ..master.graph import Connection, End
+from ..master.isolated import participant_of
+from ..master.master import Master
+from ..results.delay_ledger import DelayLedger, LedgerRow, packet_ledger
+from ..results.ringdown import run_metrics
+from ..run.artefacts import swing_of
+from ..run.run import Controllers, Run
+from ..scenario.delays import Delays
+from ..scenario.scenario import Scenario, load_scenario
+from ..trajectory import TIME, Trajectory
+from .container import container_block
+from .instances import Members, members_of
+
+_NAME = "loop"  #: of the one instance
+_HOW = "joint: plant, controller and channels are one block, their delays exact inside"
+
+
+def run_joint(
+    scenario: Scenario | str | Path | Mapping[str, Any],
+    *,
+    cache: Path | None = None,
+    progress: Callable[[float, float], object] | None = None,
+    controllers: Controllers | None = None,
+) -> Run:
+    """Run a scenario as its container FMU and return what `run_scenario` does, columns named alike.
+
+    What a page of `interarea explore` shows for the same settings has the same bits. Parameters as
+    `run_scenario`.
+
+    Raises
+    ------
+    ScenarioError, CaseError : a mistake in the scenario, or a loop that one block cannot hold.
+    StepError : the container refused a step; the results so far are with it.
+    """
+    loaded = load_scenario(scenario)
+    if not loaded.case:
+        raise ScenarioError(f"{loaded.name}: case is missing; FMUs of one's own are stepped by a master")
+    folder = default_cache() if cache is None else cache
+    block = container_block(loaded, cache=folder, controllers=controllers)
+    members = members_of(loaded, cache=folder, controllers=controllers)
+    participant = participant_of(_NAME, FmuFile(block_fmu(block, folder)), {})
+    with Master([participant], (), stop_s=loaded.stop_s, step_s=members.step_s) as master:
+        trajectory = _named(master.run(progress=progress), members)
+    ledger = _ledger(loaded, members)
+    case = loaded.load_case()
+    swing = swing_of(case, folder, loaded.swing)
+    limits = [float(m.start.get("limit", _limit(m))) for m in members.all if m.name == "controller"]
+    return Run(
+        trajectory=trajectory,
+        ledger=ledger,
+        packets=packet_ledger(trajectory, loaded.lines),
+        explanation=f"step {1e3 * members.step_s:g} ms, {_HOW}\n{ledger}",
+        scenario=loaded,
+        case=case,
+        swing=swing,
+        metrics=run_metrics(trajectory, case, swing, loaded, members.step_s, next(iter(limits), None)),
+    )
+
+
+def _limit(member: Any) -> float:
+    return float(member.block.table["limit"].start) if "limit" in member.block.table else float("inf")
+
+
+def _named(trajectory: Trajectory, members: Members) -> Trajectory:
+    """Columns by the instances that the container is made of, as a master names them."""
+    names = {TIME: TIME}
+    for member in members.all:
+        assert member.block is not None  # a container holds no other
+        for v in member.block.table:
+            if v.role == "output":
+                shown = shown_name(member.name, member.block.kind, v)
+                names[f"{_NAME}.{shown}"] = f"{member.name}.{v.name}"
+    data = trajectory.data.rename(columns=names)
+    units = {names[k]: unit for k, unit in trajectory.units.items()}
+    data.attrs["units"] = dict(units)
+    descriptions = {names[k]: text for k, text in trajectory.descriptions.items()}
+    return replace(trajectory, data=data, units=units, descriptions=descriptions)
+
+
+def _ledger(scenario: Scenario, members: Members) -> DelayLedger:
+    """What each connection delays: the channels' own latency and nothing else."""
+    rows = []
+    for source, target in members.connections:
+        ends = [End(*name.split(".", 1)) for name in (source, target)]
+        line = scenario.lines.get(ends[1].instance)
+        d = Delays(0.0, 0.0) if line is None else line.delays()
+        rows.append(
+            LedgerRow(
+                Connection(*ends),
+                d.requested_s,
+                d.network_s,
+                reporting_s=d.reporting_s,
+                jitter_mean_s=d.jitter_mean_s,
+            )
+        )
+    return DelayLedger(tuple(rows), members.step_s, "joint", scenario.rounded)
