@@ -179,7 +179,8 @@ def test_without_scripts_the_picture_stands(browser: Any, page: Path) -> None:
 @pytest.mark.slow
 def test_ten_thousand_inputs_leave_no_trace(browser: Any, page: Path) -> None:
     drag = """async (count) => {
-      const { controls } = explorer.controls, keys = Object.keys(controls).filter((key) => controls[key].min !== undefined);
+      const { controls } = explorer.controls;
+      const keys = Object.keys(controls).filter((key) => controls[key].min !== undefined);
       let seed = 1;
       const random = () => (seed = (seed * 16807) % 2147483647) / 2147483647;
       for (let n = 0; n < count; ++n) {
