@@ -7,12 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.cache import default_cache
 from interarea.fmu_build.write.package import block_fmu
 from interarea.models.blocks.container import shown_name
 
 from ..errors import ScenarioError
-from ..master.fmu_file import FmuFile
 from ..master.graph import Connection, End
 from ..master.isolated import participant_of
 from ..master.master import Master
@@ -96,12 +96,12 @@ def _ledger(scenario: Scenario, members: Members) -> DelayLedger:
     """What each connection delays: the channels' own latency and nothing else."""
     rows = []
     for source, target in members.connections:
-        ends = [End(*name.split(".", 1)) for name in (source, target)]
-        line = scenario.lines.get(ends[1].instance)
+        begin, end = (End(*name.split(".", 1)) for name in (source, target))
+        line = scenario.lines.get(end.instance)
         d = Delays(0.0, 0.0) if line is None else line.delays()
         rows.append(
             LedgerRow(
-                Connection(*ends),
+                Connection(begin, end),
                 d.requested_s,
                 d.network_s,
                 reporting_s=d.reporting_s,
