@@ -18,8 +18,9 @@ from ..master.isolated import participant_of
 from ..master.master import Master
 from ..results.delay_ledger import DelayLedger, LedgerRow, packet_ledger
 from ..results.ringdown import run_metrics
+from ..results.run import Run
 from ..run.artefacts import swing_of
-from ..run.run import Controllers, Run
+from ..run.run import Controllers
 from ..scenario.delays import Delays
 from ..scenario.scenario import Scenario, load_scenario
 from ..trajectory import TIME, Trajectory
