@@ -1,11 +1,10 @@
-"""What a batch gains: CPU time of many scenarios of one grid, one at a time over several side by side.
+"""What plants side by side gain: CPU time of many scenarios of one grid, one at a time over several at once.
 
-    python benchmarks/bench_batch.py [--scenarios 64] [--repeat 5] [--case two-area-thesis --case nets-nyps]
+    python benchmarks/bench_batch.py [--scenarios 64] [--repeat 5] [--case two-area-thesis --case new-england]
 
 Every scenario has a fault of its own. The widths alternate within one process and the least CPU time of
-the repeats counts, so that other load of the machine cancels. All widths give the same bits. Where loads or
-saturation need the Newton solve, each scenario has matrices of its own: 35 KB in the 68-bus system, which
-one scenario keeps in the first-level cache and four do not, so that those wait for the second.
+the repeats counts, so that other load of the machine cancels. All widths give the same bits. A plant whose
+loads or saturation need the Newton solve goes one at a time, whatever is asked.
 """
 
 from __future__ import annotations
@@ -13,11 +12,16 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 
-from interarea.fmu_build.write.plant_batch import LANES, PlantBatch
-from interarea.models.blocks.plant import event_parameters, plant_block
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from plant_lanes import PlantLanes
+
+from interarea.fmu_build.write.cache import default_cache
+from interarea.models.blocks.plant import event_parameters
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import events_of
 
@@ -38,18 +42,19 @@ def faults(case: Case, count: int) -> list[dict[str, float | int]]:
 
 def measure(case: Case, scenarios: int, repeat: int) -> bool:
     """Print a line for each width; whether AVX2 gains the target (or is not there)."""
-    batch = PlantBatch(plant_block(case))
+    plants = PlantLanes(case, default_cache())
     rows = faults(case, scenarios)
-    widths = [lanes for lanes in LANES if lanes <= batch.widest]
+    widths = [lanes for lanes in (1, 2, 4, 8) if lanes <= plants.group.lanes]
     cpu = dict.fromkeys(widths, np.inf)
-    results = {}
+    results = {w: plants.run(rows[:w], stop_s=1.0, step_s=STEP_S, lanes=w) for w in widths}
+    single = plants.run(rows[: widths[-1]], stop_s=1.0, step_s=STEP_S, lanes=1)
     for _ in range(repeat):
         for lanes in widths:
             begin = time.process_time()
-            results[lanes] = batch.run(rows, stop_s=STOP_S, step_s=STEP_S, lanes=lanes)
+            plants.run(rows, stop_s=STOP_S, step_s=STEP_S, lanes=lanes, record=False)
             cpu[lanes] = min(cpu[lanes], time.process_time() - begin)
     for lanes in widths:
-        same = np.array_equal(results[lanes].outputs, results[1].outputs, equal_nan=True)
+        same = np.array_equal(results[lanes].outputs, single.outputs[:, :, :lanes], equal_nan=True)
         per_second = 1e6 * cpu[lanes] / (scenarios * STOP_S)
         note = "same bits" if same else "OTHER BITS"
         print(

@@ -22,14 +22,14 @@ import numpy as np
 import numpy.typing as npt
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from bench_batch import faults
 from compare_andes import FAULT, RUNS, THYRISTOR, TRIP, ask_andes, impedance_loads, two_area
 from fmu_run import PlantSlave
 from plain_loop import PlainPlant
+from plant_lanes import PlantLanes
 
 from interarea.fmu_build.write.cache import default_cache
-from interarea.fmu_build.write.plant_batch import LANES, PlantBatch
-from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import events_of
 
@@ -118,13 +118,13 @@ def against_size(small: Case, large: Case, repeat: int) -> float:
 
 def batch_gain(case: Case, repeat: int, scenarios: int) -> dict[int, float]:
     """Scenarios per CPU second with several side by side over one at a time, by their number."""
-    batch = PlantBatch(plant_block(case), cache=default_cache())
+    plants = PlantLanes(case, default_cache())
     rows = faults(case, scenarios)
-    cost = {lanes: np.inf for lanes in LANES if lanes <= batch.widest}
+    cost = {lanes: np.inf for lanes in (1, 2, 4, 8) if lanes <= plants.group.lanes}
     for _ in range(repeat):
         for lanes in cost:
             begin = time.process_time()
-            batch.run(rows, stop_s=5.0, step_s=0.02, lanes=lanes)
+            plants.run(rows, stop_s=5.0, step_s=0.02, lanes=lanes, record=False)
             cost[lanes] = min(cost[lanes], time.process_time() - begin)
     return {lanes: cost[1] / value for lanes, value in cost.items()}
 

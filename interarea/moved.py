@@ -18,7 +18,7 @@ models -> models.importers: import_matpower:matpower import_psse:psse import_pss
     import_psse_dyr:dyr
 models -> models.importers.raw: import_psse_records:record
 fmu_build -> fmu_build.write: compile render:description_xml package documentation
-    group:lane_library batch:plant_batch
+    group:lane_library batch:lane_library
 fmu_build -> fmu_build.open: check_description:description check_ssp_units:units open:plant
     check_fmi2:fmi2 cross_check
     check_archive:archive check_xml:xml

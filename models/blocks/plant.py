@@ -34,12 +34,8 @@ SOURCES = tuple(
         "block/record.c",
     )
 )
-#: what many scenarios at once need besides (plant/batch.h)
-BATCH_SOURCES = tuple(
-    _HERE / f"plant/{name}.c" for name in ("batch", "batch_plain", "batch_avx2", "batch_avx512")
-)
 #: what FMUs stepped side by side need besides (block/block_group.h)
-GROUP_SOURCES = (*BATCH_SOURCES, _HERE / "plant/plant_group.c")
+GROUP_SOURCES = tuple(_HERE / f"plant/{name}.c" for name in ("lanes_2", "lanes_4", "lanes_8", "plant_group"))
 
 #: Value of each kind in the FMI enumeration; plant/plant.h counts alike.
 EVENT_CODES = {

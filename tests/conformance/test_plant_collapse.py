@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from plant_lanes import PlantLanes
 
 from interarea.cosim.errors import StepError
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.run.artefacts import plant_fmu
 from interarea.fmu_build.open.fmu_file import FmuFile
-from interarea.fmu_build.write.plant_batch import PlantBatch
-from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.blocks.plant import event_parameters
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import events_of
 
@@ -50,16 +50,6 @@ def test_the_step_is_discarded_with_the_bus_and_the_last_good_time(case, start, 
     plant.close()
 
 
-def test_a_batch_ends_that_scenario_alone(case, start, cache):
-    run = PlantBatch(plant_block(case), cache=cache).run([start, {}], stop_s=6.0, step_s=STEP_S)
-    assert "no voltage found at bus" in run.errors[0]
-    assert not run.errors[1]
-    last = round(run.ended_s[0] / STEP_S)
-    assert np.all(np.isfinite(run.outputs[: last + 1, :, 0]))
-    assert np.all(np.isnan(run.outputs[last + 1 :, :, 0]))
-    assert np.abs(run.of("G1_dw")[:, 1]).max() < 1e-9
-
-
 def test_constant_power_finds_its_solution_through_faults_at_every_bus(cache):
     """The network of bounded injections always has a solution; after long faults it is one of low voltage."""
     change = {
@@ -76,7 +66,7 @@ def test_constant_power_finds_its_solution_through_faults_at_every_bus(cache):
             if k == 1:
                 events.append({"kind": "machine_trip", "machine": f"G{1 + bus % 4}", "start_s": 0.2})
             rows.append(event_parameters(case, events_of(events, where="test")))
-    run = PlantBatch(plant_block(case), cache=cache).run(rows, stop_s=2.5, step_s=STEP_S)
+    run = PlantLanes(case, cache).run(rows, stop_s=2.5, step_s=STEP_S)
     assert not any(run.errors)
     assert np.all(np.isfinite(run.outputs))
     lowest = min(run.of(f"G{k}_vt")[-1].min() for k in range(1, 5))

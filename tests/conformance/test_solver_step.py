@@ -10,10 +10,10 @@ import fmpy
 import numpy as np
 import pytest
 from fmu_runner import Runner, decay_block
+from plant_lanes import PlantLanes
 
 from interarea.fmu_build.write.description_xml import record_entries
 from interarea.fmu_build.write.package import build_fmu
-from interarea.fmu_build.write.plant_batch import PlantBatch
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.container import LoopMember, loop_block
@@ -143,8 +143,6 @@ def test_a_step_beyond_stability_is_told(cache: Path, tmp_path: Path) -> None:
         with pytest.raises(Exception, match="fmi2DoStep"):
             run.run(np.arange(0.0, 2.0, 0.02), "G1_dw")
         assert "try a shorter solver.step" in run.log[-1]
-    alone = PlantBatch(block, cache=cache).run([start | {"solver.step": 0.004}], stop_s=2.0, step_s=0.02)
-    assert "try a shorter substep than 0.004 s" in alone.errors[0]
 
 
 def test_model_exchange_leaves_steps_to_its_importer(fmu: Path) -> None:
@@ -156,16 +154,14 @@ def test_model_exchange_leaves_steps_to_its_importer(fmu: Path) -> None:
     assert np.sum(rates[0] != rates[1]) == 1  # the parameter itself
 
 
-def test_a_batch_takes_the_step_of_each_scenario(fmu: Path, cache: Path) -> None:
-    batch = PlantBatch(plant_block(load_case(CASE)), cache=cache)
+def test_plants_side_by_side_take_each_its_own_step(fmu: Path, cache: Path) -> None:
+    plants = PlantLanes(load_case(CASE), cache)
     rows = [pulse() | {"solver.step": h} for h in STEPS_S] + [pulse()]
-    run = batch.run(rows, stop_s=TIMES[-1], step_s=0.04)
-    alone = batch.run(rows, stop_s=TIMES[-1], step_s=0.04, lanes=1)
+    run = plants.run(rows, stop_s=TIMES[-1], step_s=0.04)
+    alone = plants.run(rows, stop_s=TIMES[-1], step_s=0.04, lanes=1)
     np.testing.assert_array_equal(run.outputs, alone.outputs)
     for k, h in enumerate((*STEPS_S, 0.001)):
         np.testing.assert_allclose(run.of("G1_dw")[:, k], with_step(fmu, h), rtol=0, atol=1e-13)
-        one = batch.run([pulse()], stop_s=TIMES[-1], step_s=0.04, substep_s=h)
-        np.testing.assert_array_equal(one.outputs[:, :, 0], run.outputs[:, :, k])
 
 
 def test_a_case_may_say_its_step() -> None:
@@ -204,7 +200,7 @@ def test_the_default_is_accurate_through_the_fault_of_the_study(cache: Path, exc
     block = plant_block(case)
     fine = min(0.0001, block.longest_step_s / 4)
     rows = [start, start | {"solver.step": fine}]
-    run = PlantBatch(block, cache=cache).run(rows, stop_s=6.0, step_s=0.02)
+    run = PlantLanes(case, cache).run(rows, stop_s=6.0, step_s=0.02)
     for m in case.machines:
         dw = run.of(f"{m.name}_dw")
         assert np.abs(dw[:, 0]).max() > 1e-3

@@ -1,4 +1,4 @@
-/* batch_group.h over 4 scenarios, for processors with AVX2; elsewhere never called. */
+/* lanes_step.h over 8 plants, for processors with AVX512; elsewhere never called. */
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -7,20 +7,20 @@
 #include "../block/block.h"
 
 #if defined __x86_64__ && defined __clang__
-#pragma clang attribute push(__attribute__((target("avx2"))), apply_to = function)
+#pragma clang attribute push(__attribute__((target("avx512f"))), apply_to = function)
 #elif defined __x86_64__
-#pragma GCC target("avx2")
+#pragma GCC target("avx512f")
 #endif
-#define PLANT_LANES 4
-#define NAME(f) f##_4
+#define PLANT_LANES 8
+#define NAME(f) f##_8
 #define PART(a) (a)
-#define BATCH_STEP batch_step_4
-#define BATCH_OUTPUTS batch_outputs_4
-#define BATCH_RATES batch_rates_4
+#define LANES_STEP lanes_step_8
+#define LANES_OUTPUTS lanes_outputs_8
+#define LANES_RATES lanes_rates_8
 #if !defined __x86_64__ && defined __GNUC__ && !defined __clang__
 #pragma GCC diagnostic ignored "-Wpsabi"
 #endif
-#include "batch_group.h"
+#include "lanes_step.h"
 #if defined __x86_64__ && defined __clang__
 #pragma clang attribute pop
 #endif

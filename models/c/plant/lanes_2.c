@@ -1,4 +1,4 @@
-/* batch_group.h over 2 scenarios. */
+/* lanes_step.h over 2 plants. */
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -9,7 +9,7 @@
 #define PLANT_LANES 2
 #define NAME(f) f##_2
 #define PART(a) (a)
-#define BATCH_STEP batch_step_2
-#define BATCH_OUTPUTS batch_outputs_2
-#define BATCH_RATES batch_rates_2
-#include "batch_group.h"
+#define LANES_STEP lanes_step_2
+#define LANES_OUTPUTS lanes_outputs_2
+#define LANES_RATES lanes_rates_2
+#include "lanes_step.h"

@@ -1,6 +1,6 @@
-/* One Runge-Kutta step, the outputs and the rates of PLANT_LANES scenarios (batch.h). */
+/* One Runge-Kutta step, the outputs and the rates of PLANT_LANES plants (lanes_steps.h). */
 #include "flow.h"
-#include "batch.h"
+#include "lanes_steps.h"
 #define RK_NUM num
 #define RK_MOVED(h, moved, x) keep_idle(h, moved, x)
 static inline num keep_idle(num h, num moved, num x)
@@ -33,19 +33,19 @@ static BlockStatus lane_flow(void *context, RungeKuttaStage stage, const num *x,
     return BLOCK_OK;
 }
 
-void BATCH_STEP(const BlockGroup *g)
+void LANES_STEP(const BlockGroup *g)
 {
     BlockGroup context = *g;
 
     (void)runge_kutta_step(lane_flow, &context, g->layout->n_x, *lanes_of(g->h), lanes_of(g->x), lanes_of(g->k));
 }
 
-void BATCH_OUTPUTS(const BlockGroup *g)
+void LANES_OUTPUTS(const BlockGroup *g)
 {
     (void)NAME(plant_outputs)(lanes_of(g->memory), lanes_of(g->x), lanes_of(g->y), lanes_of(g->scratch));
 }
 
-void BATCH_RATES(const BlockGroup *g)
+void LANES_RATES(const BlockGroup *g)
 {
     (void)NAME(plant_flow)(lanes_of(g->memory), lanes_of(g->x), lanes_of(g->u), lanes_of(g->k),
                            lanes_of(g->scratch));

@@ -1,0 +1,132 @@
+"""Plant FMUs through whole runs, alone or side by side in the lanes of the group library."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from ctypes import c_double, c_int, c_size_t, c_void_p
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from interarea.cosim.run.artefacts import plant_fmu
+from interarea.fmu_build.open.fmi2 import CallFailed, Instance, Library
+from interarea.fmu_build.open.fmu_file import FmuFile
+from interarea.fmu_build.write.lane_library import GroupLibrary, GroupWork, plant_group
+from interarea.models.case.case import Case
+
+Array = npt.NDArray[np.float64]
+_STEP = ctypes.CFUNCTYPE(
+    None,
+    c_void_p,
+    c_size_t,
+    ctypes.POINTER(c_void_p),
+    ctypes.POINTER(c_double),
+    ctypes.POINTER(c_double),
+    c_int,
+    ctypes.POINTER(c_int),
+)
+
+
+@dataclass
+class Runs:
+    """What the runs gave, the run as last index."""
+
+    times_s: Array  #: (steps + 1,)
+    outputs: Array  #: (steps + 1, outputs, runs); NaN after a run has failed
+    names: tuple[str, ...]
+    errors: list[str]  #: why a run ended early, "" when it did not
+    ended_s: list[float]
+
+    def of(self, name: str) -> Array:
+        """Return one output, (steps + 1, runs)."""
+        return self.outputs[:, self.names.index(name), :]
+
+
+@dataclass
+class _Run:
+    fmu: Instance
+    error: str = ""
+    log: list[str] = field(default_factory=list)
+
+
+class PlantLanes:
+    """Runs of the plant FMU of a case; `lanes` = 1 lets each fmi2DoStep be called by itself."""
+
+    def __init__(self, case: Case, cache: Path) -> None:
+        self.group: GroupLibrary = plant_group(cache=cache)
+        self.file = FmuFile(plant_fmu(case, cache))
+        self.outputs = [v for v in self.file.model.variables if v.causality == "output"]
+
+    def run(
+        self,
+        rows: Sequence[Mapping[str, float | int]],
+        *,
+        stop_s: float,
+        step_s: float = 0.01,
+        lanes: int | None = None,
+        inputs: Mapping[tuple[int, int, str], float] | None = None,
+        record: bool = True,
+    ) -> Runs:
+        """Run `rows` of start values; inputs: (step, run, name) -> value from there on."""
+        steps = round(stop_s / step_s)
+        runs = [self._started(row) for row in rows]
+        y = np.full((steps + 1, len(self.outputs), len(rows)), np.nan)
+        ended = [0.0] * len(rows)
+        self._record(runs, y[0])
+        width = self.group.lanes if lanes is None else lanes
+        works: dict[int, GroupWork | None] = {}
+        for k in range(steps):
+            for (at, number, name), value in (inputs or {}).items():
+                if at == k:
+                    runs[number].fmu.set(self.file.variables[name], value)
+            alive = [r for r in runs if not r.error]
+            for first in range(0, len(alive), width):
+                some = alive[first : first + width]
+                if len(some) not in works and width > 1:
+                    works[len(some)] = self.group.work(some[0].fmu.component, len(some))
+                self._step(some, works.get(len(some)), k * step_s, step_s)
+            if record:
+                self._record(runs, y[k + 1])
+            ended = [(k + 1) * step_s if not r.error else e for r, e in zip(runs, ended, strict=True)]
+        for r in runs:
+            r.fmu.free()
+        names = tuple(v.name for v in self.outputs)
+        return Runs(step_s * np.arange(steps + 1), y, names, [r.error for r in runs], ended)
+
+    def _started(self, row: Mapping[str, float | int]) -> _Run:
+        log: list[str] = []
+        file = self.file
+        library = Library(file.model, file.interface, file.folder, self.group.path, log=log)
+        made = _Run(library.fresh(), log=log)
+        try:
+            made.fmu.set_up()
+            for name, value in row.items():
+                if made.fmu.set(file.variables[name], value) > 1:
+                    made.error = log[-1]
+            made.fmu.do("EnterInitializationMode")
+            made.fmu.do("ExitInitializationMode")
+        except CallFailed:
+            made.error = log[-1]
+        return made
+
+    def _step(self, runs: list[_Run], work: GroupWork | None, time_s: float, step_s: float) -> None:
+        n = len(runs)
+        if work is None:
+            status: Any = [r.fmu.call("DoStep", time_s, step_s, 1) for r in runs]
+        else:
+            status = (c_int * n)()
+            components = (c_void_p * n)(*(r.fmu.component for r in runs))
+            points, lengths = (c_double * n)(*[time_s] * n), (c_double * n)(*[step_s] * n)
+            _STEP(self.group.step)(work.address, n, components, points, lengths, 0, status)
+        for r, code in zip(runs, status, strict=True):
+            if code > 1:
+                r.error = r.log[-1]
+
+    def _record(self, runs: list[_Run], row: Array) -> None:
+        for k, r in enumerate(runs):
+            if not r.error:
+                row[:, k] = r.fmu.get(self.outputs)

@@ -1,0 +1,101 @@
+"""Plants side by side: the bits of each alone, the numbers of other tools' FMU runs, failures told apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from plant_lanes import PlantLanes
+
+from interarea.models.blocks.plant import event_parameters
+from interarea.models.case.case import load_case
+from interarea.models.case.events import events_of
+
+CASE = "two-area-thesis"
+
+
+@pytest.fixture(scope="module")
+def plants(cache: Path) -> PlantLanes:
+    return PlantLanes(load_case(CASE), cache)
+
+
+def scenarios(count: int) -> list[dict]:
+    """Faults at other buses, times and gains; every third with a machine that trips."""
+    case, rows = load_case(CASE), []
+    for k in range(count):
+        end = 0.2 + 0.0137 * (k % 3)
+        events = [
+            {"kind": "bus_fault", "bus": 5 + k % 7, "start_s": 0.1, "end_s": end, "x_pu": 0.01},
+            {"kind": "branch_trip", "branch": "8-9 a", "start_s": end},
+        ]
+        if k % 3 == 0:
+            events.append({"kind": "machine_trip", "machine": "G2", "start_s": 0.31})
+        row = event_parameters(case, events_of(events, where="test"))
+        rows.append(row | {"G1.exciter.KA": 150.0 + k, "G3.exciter.Efd_max": 4.0 + 0.1 * k})
+    return rows
+
+
+def test_every_number_of_lanes_gives_the_same_bits(plants: PlantLanes) -> None:
+    rows = scenarios(11)
+    alone = plants.run(rows, stop_s=0.5, lanes=1)
+    assert np.all(np.isfinite(alone.outputs)) and not any(alone.errors)
+    for lanes in (2, 4, 8):
+        if lanes <= plants.group.lanes:
+            beside = plants.run(rows, stop_s=0.5, lanes=lanes)
+            np.testing.assert_array_equal(beside.outputs, alone.outputs)
+
+
+def test_a_run_has_the_numbers_of_another_tool(plants: PlantLanes) -> None:
+    """The FMU's own binary under fmpy; its step from k h is (k + 1) h - k h, rounded."""
+    rows = scenarios(2)
+    run = plants.run(rows, stop_s=0.4)
+    for k, row in enumerate(rows):
+        result = fmpy.simulate_fmu(
+            str(plants.file.path),
+            stop_time=0.4,
+            output_interval=0.01,
+            step_size=0.01,
+            start_values=row,
+            output=run.names,
+            fmi_type="CoSimulation",
+        )
+        outputs = np.array([list(r)[1:] for r in result])
+        np.testing.assert_allclose(run.outputs[:, :, k], outputs, rtol=0, atol=1e-12)
+
+
+def test_an_input_reaches_its_own_plant(plants: PlantLanes) -> None:
+    rest = plants.run([{}] * 3, stop_s=0.2)
+    moved = plants.run([{}] * 3, stop_s=0.2, inputs={(5, 1, "G1_vs"): 0.02})
+    np.testing.assert_array_equal(moved.of("G1_vt")[:, [0, 2]], rest.of("G1_vt")[:, [0, 2]])
+    assert np.abs(moved.of("G1_vt")[:6, 1] - rest.of("G1_vt")[:6, 1]).max() == 0.0
+    assert np.abs(moved.of("G1_vt")[7:, 1] - rest.of("G1_vt")[7:, 1]).max() > 1e-4
+
+
+def test_plants_whose_network_iterates_go_one_by_one(cache: Path) -> None:
+    plants = PlantLanes(load_case("kundur-thyristor"), cache)
+    fault = {"kind": "bus_fault", "bus": 8, "start_s": 0.02, "end_s": 0.07, "x_pu": 0.01}
+    rows = [event_parameters(load_case("kundur-thyristor"), events_of([fault], where="test")), {}]
+    beside, alone = plants.run(rows, stop_s=0.2), plants.run(rows, stop_s=0.2, lanes=1)
+    assert np.all(np.isfinite(alone.outputs))
+    np.testing.assert_array_equal(beside.outputs, alone.outputs)
+
+
+def test_a_run_that_fails_says_why_and_leaves_the_others_alone(plants: PlantLanes) -> None:
+    rows = scenarios(5)
+    branch = next(k for k, b in enumerate(load_case(CASE).branches) if 1 in (b.from_bus, b.to_bus))
+    rows[2] |= {
+        "event[3].kind": 2,
+        "event[3].target": branch + 1,
+        "event[3].start": 0.25,
+        "event[3].end": 1e30,
+    }
+    rows[4] |= {"event[1].target": 99}
+    good, run = plants.run(scenarios(5), stop_s=0.4), plants.run(rows, stop_s=0.4)
+    assert "is cut off" in run.errors[2]
+    assert run.ended_s[2] in (pytest.approx(0.24), pytest.approx(0.25))
+    assert np.all(np.isfinite(run.outputs[:25, :, 2])) and np.all(np.isnan(run.outputs[26:, :, 2]))
+    assert "event[1].target = 99" in run.errors[4]
+    assert np.all(np.isnan(run.outputs[:, :, 4]))
+    np.testing.assert_array_equal(run.outputs[:, :, [0, 1, 3]], good.outputs[:, :, [0, 1, 3]])
