@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import control
 
@@ -20,12 +19,11 @@ from interarea.design.reduction.balanced import (
     singular_perturbation,
 )
 from interarea.fmu_build.write.cache import default_cache
-from interarea.models.case.case import Case, CaseError
+from interarea.models.case.case import Case
 from interarea.models.case.case import load_case as load_case
 
 from .shown import RankedLoops, SwingModes
 
-_SUFFIXES = "allowed: .raw (PSS/E) or .m (MATPOWER), plain, .gz or .xz"
 _METHODS: Mapping[str, Callable[[control.StateSpace, int], Reduction]] = {
     "balanced": balanced_truncation,
     "singular_perturbation": singular_perturbation,
@@ -46,6 +44,9 @@ def import_case(
     P_exponent: float | None = None,
     Q_exponent: float | None = None,
     strict: bool = False,
+    island: int | None = None,
+    converters: str = "refuse",
+    coordinates: str | Path | None = None,
     report: Callable[[str], object] | None = None,
 ) -> Case:
     """Read a grid of PSS/E (RAW, with dynamic data in a DYR file) or MATPOWER; plain, .gz or .xz.
@@ -55,28 +56,28 @@ def import_case(
     frequency_hz : for a file that has none; 60 Hz when not given.
     P_exponent, Q_exponent : of RAW loads against voltage; constant impedance (2) when not given.
     strict : an assumption is an error.
+    island : a bus of the island to keep; the largest with a slack bus when not given.
+    converters : "refuse", or "current" for inverters as constant currents.
+    coordinates : CSV with the columns bus, latitude, longitude.
     report : called with what was read, assumed and dropped, as text.
 
     Raises
     ------
     UserError : no such file, another format, or what has no counterpart, by name.
     """
-    from interarea.models.importers.matpower import import_matpower
-    from interarea.models.importers.psse import import_psse
+    from interarea.models.importers.file import import_grid
 
-    file = Path(grid)
-    if not file.is_file():
-        raise CaseError(f"{file}: {'is a folder' if file.is_dir() else 'no such file'}, {_SUFFIXES}")
-    suffix = (Path(file.stem) if file.suffix.lower() in (".gz", ".xz") else file).suffix.lower()
-    exponents: dict[str, Any] = {"P_exponent": P_exponent, "Q_exponent": Q_exponent}
-    if suffix == ".m":
-        if dyr is not None:
-            raise CaseError(f"{dyr}: dynamic data goes with a RAW file, not with MATPOWER")
-        found = import_matpower(file, frequency_hz=frequency_hz, strict=strict, **exponents)
-    elif suffix == ".raw":
-        found = import_psse(file, dyr, frequency_hz=frequency_hz, strict=strict, **exponents)
-    else:
-        raise CaseError(f"{file}: suffix {suffix!r}, {_SUFFIXES}")
+    found = import_grid(
+        grid,
+        dyr=dyr,
+        frequency_hz=frequency_hz,
+        P_exponent=P_exponent,
+        Q_exponent=Q_exponent,
+        strict=strict,
+        island=island,
+        converters=converters,
+        coordinates=coordinates,
+    )
     if report is not None:
         report(found.report.text())
     return found.case

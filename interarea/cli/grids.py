@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-_GRIDS = ".raw (PSS/E version 23 to 36) or .m (MATPOWER), plain, .gz or .xz"
+_GRIDS = ".raw (PSS/E version 23 to 36) or .m (MATPOWER), plain, .gz, .xz or .bz2"
 
 
 def import_grid(
@@ -40,48 +40,23 @@ def import_grid(
     ] = None,
 ) -> None:
     """Read a grid, solve its power flow, write it as a case file; say what was read, assumed and dropped."""
-    from interarea.models.case.errors import CaseError
     from interarea.models.case.write_toml import export_toml
-    from interarea.models.importers.matpower import import_matpower
-    from interarea.models.importers.psse import import_psse
+    from interarea.models.importers.file import import_grid as read_grid
 
     from .destination import file_for
 
     file_for(out)
-    if not grid.is_file():
-        what = "is a folder" if grid.is_dir() else "no such file"
-        raise CaseError(f"{grid}: {what}, allowed: {_GRIDS}")
-    if converters not in ("refuse", "current"):
-        raise CaseError(f"--converters {converters}, allowed: refuse, current")
-    if frequency is not None and not frequency > 0.0:
-        raise CaseError(f"--frequency {frequency:g}, allowed: above 0 Hz")
-    suffix = Path(grid.stem).suffix if grid.suffix.lower() in (".gz", ".xz") else grid.suffix
-    if suffix.lower() == ".m":
-        if dyr is not None:
-            raise CaseError(f"{dyr}: dynamic data goes with a RAW file, not with MATPOWER")
-        imported = import_matpower(
-            grid,
-            frequency_hz=frequency,
-            P_exponent=P_exponent,
-            Q_exponent=Q_exponent,
-            strict=strict,
-            island=island,
-            coordinates=coordinates,
-        )
-    elif suffix.lower() == ".raw":
-        imported = import_psse(
-            grid,
-            dyr,
-            P_exponent=P_exponent,
-            Q_exponent=Q_exponent,
-            strict=strict,
-            island=island,
-            converters_as_current=converters == "current",
-            coordinates=coordinates,
-            frequency_hz=frequency,
-        )
-    else:
-        raise CaseError(f"{grid}: suffix {suffix!r}, allowed: {_GRIDS}")
+    imported = read_grid(
+        grid,
+        dyr=dyr,
+        frequency_hz=frequency,
+        P_exponent=P_exponent,
+        Q_exponent=Q_exponent,
+        strict=strict,
+        island=island,
+        converters=converters,
+        coordinates=coordinates,
+    )
     out.parent.mkdir(parents=True, exist_ok=True)
     export_toml(imported.case, out)
     typer.echo(out)
