@@ -72,8 +72,13 @@ class Setting:
     lost: tuple[str, ...] = ()
     latency_s: float = 0.0
 
+    @property
+    def ceilings(self) -> str:
+        """The exciters' ceilings in words."""
+        return "of the case" if self.ceiling is None else f"{self.ceiling[0]:g}/{self.ceiling[1]:g} pu"
+
     def __str__(self) -> str:
-        limits = "" if self.ceiling is None else f", ceilings {self.ceiling[0]:g}/{self.ceiling[1]:g} pu"
+        limits = "" if self.ceiling is None else f", ceilings {self.ceilings}"
         missing = f", {' and '.join(self.lost)} lost" if self.lost else ""
         return f"{self.point}{limits}, fault at {self.fault}{missing}, {1e3 * self.latency_s:g} ms"
 
@@ -83,7 +88,7 @@ class ClearingRow:
     """Longest fault that keeps synchronism, cycles; None: as long as was tried."""
 
     point: str
-    ceiling: tuple[float, float] | None
+    ceilings: str
     fault: str
     without: float | None
     with_control: float | None
@@ -246,7 +251,7 @@ def judge_acceptance(
                 rows.append(
                     ClearingRow(
                         alone.point,
-                        alone.ceiling,
+                        alone.ceilings,
                         str(alone.fault),
                         trial.clearing_cycles(alone, control=False),
                         trial.clearing_cycles(hardest, control=True),
