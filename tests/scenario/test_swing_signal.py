@@ -11,7 +11,6 @@ import pytest
 
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.run.artefacts import linear_plant, swing_of
-from interarea.cosim.run.files import write_result
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.sweep.front import run_sweep
 from interarea.cosim.sweep.store import read_rows
@@ -61,7 +60,7 @@ def test_every_result_names_it_and_its_numbers_have_units(cache: Path, tmp_path:
     signal = run["plant.G1_dw"] - run["plant.G3_dw"]
     assert run.metrics.signal == "dw13" and "dw13" in run.summary
     assert run.metrics.peak_pu == pytest.approx(np.max(np.abs(signal)), rel=1e-12)
-    write_result(run, tmp_path / "run")
+    run.save(tmp_path / "run")
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert metrics["signal"] == "dw13" and metrics["peak_dw13_pu"] == metrics["peak_pu"]
     assert "G1 less that of G3 (stated by the scenario)" in metrics["methods"]["signal"]
