@@ -52,6 +52,11 @@ def sample_study() -> dict[str, Any]:
                 "relative_error": 0.11 / int(order),
                 "relative_bound": 0.4 / int(order),
                 "relative_next_hankel": 0.05 / int(order),
+                "optimal_hankel": {
+                    "relative_error": 0.1 / int(order),
+                    "relative_bound": 0.4 / int(order),
+                    "relative_hankel_error": 0.05 / int(order),
+                },
             }
             for order in ("6", "8")
         },
@@ -75,11 +80,26 @@ def sample_study() -> dict[str, Any]:
                 "redesigned": [
                     {
                         "latency_s": 0.2,
+                        "on": "both",
+                        "plant_order": 6,
                         "order": 8,
+                        "failed": None,
                         "margin_s": None,
                         "least_damping": 0.2267,
+                        "least_damping_pade": 0.2266,
                         "least_damping_without": 0.0631,
-                    }
+                        "least_damping_undelayed": 0.1632,
+                        "least_damping_remote_lost": 0.1311,
+                        "effort": 0.441,
+                    },
+                    {
+                        "latency_s": 0.2,
+                        "on": "both",
+                        "plant_order": 6,
+                        "order": 4,
+                        "failed": "the closed loop is not stable",
+                        "least_damping_without": 0.0631,
+                    },
                 ],
             },
             "non_synchronous": _delay(0.2, None),
@@ -142,6 +162,45 @@ def sample_study() -> dict[str, Any]:
                 for signals in (("nothing lost",) if name == "none" else ("nothing lost", "remote lost"))
             ],
         },
+        "pade": {
+            "order": 2,
+            "synchronous": {"margin_s": 0.44, "margin_exact_s": 0.43, "largest_error": 0.014},
+            "non_synchronous": {"margin_s": None, "margin_exact_s": None, "largest_error": 0.004},
+        },
+        "methods": {
+            "orders": {
+                "wdc": [
+                    {
+                        "order": 4,
+                        "failed": None,
+                        "norm": 1.469,
+                        "effort": 0.502,
+                        "inter_area": 0.337,
+                        "least_damping": 0.249,
+                    },
+                    {"order": 3, "failed": "the closed loop is not stable"},
+                ]
+            },
+            "inter_area_roots": {"wdc": {"normal": [[0.572, 0.337], [0.759, 0.304]], "remote_lost": []}},
+            "printed_ftc": {
+                "theta_rad": [1.49, 0.26],
+                "damping_ratio_asked": [0.08, 0.97],
+                "lmi_problems": 88,
+                "rows": [
+                    {
+                        "method": "printed",
+                        "order": 8,
+                        "fastest_pole": 3.3e6,
+                        "design_plant_effort": 4.3e5,
+                        **{
+                            f"{plant}_{pattern}": {"rightmost": 23.1, "damping_ratio": 1.0, "stable": False}
+                            for plant in ("design_plant", "full_plant")
+                            for pattern in ("normal", "remote_lost")
+                        },
+                    }
+                ],
+            },
+        },
         "scenarios": {
             "none-pulse": _scenario(0.081, 13.1),
             "wdc-pulse": _scenario(0.296, 4.2),
@@ -203,6 +262,7 @@ def _controller(full: int, order: int, normal: float, lost: float, effort: float
         "region": {"normal": "damping ratio >= 0.3"},
         "effort": effort,
         "remote_utilisation": 0.4,
+        "reduction_price": {"norm": [1.0, 1.4], "effort": [0.25, effort]},
         "conditions": [
             {
                 "condition": c,

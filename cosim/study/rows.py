@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from interarea.design.linear.linearise import select
 from interarea.design.linear.norms import hinf_of
 from interarea.design.modes.loop_selection import Loops
 from interarea.design.modes.modes import Modes
 
 from .figures import OMEGA, StudyParts, loop_functions, weight_gains
+from .methods import hankel_row
 from .runs import WIRINGS, StudyRun
 from .spec import latency_name
 
@@ -29,7 +31,10 @@ def study_rows(parts: StudyParts, loops: Loops, states: int) -> dict[str, Any]:
         "modes": mode_rows(parts.modes),
         "loops": loop_rows(loops),
         "reduction": reduction_rows(parts),
-        "controllers": {name: dict(c.certificate or {}) for name, c in parts.controllers.items()},
+        "controllers": {
+            name: {**(c.certificate or {}), "reduction_price": c.design["reduction_price"]}
+            for name, c in parts.controllers.items()
+        },
         "sensitivity": sensitivity_row(parts),
         "delay": {wiring: dict(row) for wiring, row in parts.delay.items()},
         "delay_table": delay_table(parts),
@@ -75,6 +80,9 @@ def reduction_rows(parts: StudyParts) -> dict[str, dict[str, Any]]:
     for order, reduction in parts.reductions.items():
         system = reduction.system
         size = hinf_of(system.A, system.B, system.C, system.D).value
+        signals = [parts.spec["remote"], parts.spec["local"]]
+        seen = parts.difference if parts.spec["reduction"][order] == "difference" else signals
+        full = select(parts.plant, list(system.input_labels), seen)
         sigma = np.asarray(reduction.hankel_values)
         following = float(sigma[reduction.order]) if reduction.order < sigma.size else 0.0
         out[order] = {
@@ -86,6 +94,7 @@ def reduction_rows(parts: StudyParts) -> dict[str, dict[str, Any]]:
             "relative_bound": None if reduction.bound is None else float(reduction.bound / size),
             "relative_next_hankel": following / float(sigma[0]),
             "hankel_values": [float(s) for s in sigma[:20]],
+            "optimal_hankel": hankel_row(full, reduction.order),
         }
     return out
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -41,8 +43,9 @@ from ..run.artefacts import (
     plant_fmu,
 )
 from . import rows
-from .delay import latency_analysis, redesigned
+from .delay import latency_analysis, pade_record, redesigned
 from .figures import StudyParts, difference_of, save_figures
+from .methods import method_record
 from .packet_loss import mean_latency_s, mean_square_rows, monte_carlo_rows
 from .printed import printed_rows
 from .report import write_report
@@ -58,6 +61,7 @@ STAGES = (
     "reduction",
     "controllers",
     "latency",
+    "methods",
     "co-simulation",
     "packets",
     "survival",
@@ -84,7 +88,7 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
         told(label, 0.0)
         return lambda done: told(label, done)
 
-    with threadpool_limits(1):
+    with threadpool_limits(1), ExitStack() as ending:
         done = stage("plant")
         case = load_case(spec["case"])
         flow = solve_powerflow(case)
@@ -116,9 +120,13 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
         controllers, unreduced = {}, {}
         for k, label in enumerate(spec["controllers"]):
             controllers[label] = design_controller(case, label, cache)
-            unreduced[label] = design_controller(case, label, cache, reduce=False).system
+            unreduced[label] = design_controller(case, label, cache, reduce=False)
             fmus[label] = controller_fmu(controllers[label], case.omega_b, cache)
             done((k + 1) / len(spec["controllers"]))
+
+        # in a process beside: it needs nothing but what the cache holds by now
+        beside = ending.enter_context(ProcessPoolExecutor(1))
+        waiting = beside.submit(method_record, spec["case"], list(controllers), spec["remote"], cache)
 
         done = stage("latency")
         delayed = spec["latency"]["controller"]
@@ -139,9 +147,16 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
             "latency",
             f"redesigned-{key}",
             lambda: redesigned(
-                relative, controllers["wdc"], case.omega_b, spec["latency"]["redesigned_for_s"]
+                relative, controllers[delayed], case.omega_b, spec["latency"].get("redesign", ())
             ),
         )
+        pade = cached_json(
+            cache, "latency", f"pade-{key}", lambda: pade_record(plant, controllers[delayed], spec, delay)
+        )
+        done(1.0)
+
+        done = stage("methods")
+        methods = waiting.result()
         done(1.0)
 
         done = stage("co-simulation")
@@ -166,7 +181,7 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
             plant,
             reductions,
             controllers,
-            unreduced,
+            {label: made.system for label, made in unreduced.items()},
             delay,
             runs,
         )
@@ -178,6 +193,8 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
     study = rows.study_rows(parts, loops, full.nstates)
     study["packets"] = packets
     study["survival"] = survival
+    study["methods"] = methods
+    study["pade"] = pade
     study["figures"] = {key: path.relative_to(out).as_posix() for key, path in figures.items()}
     study["provenance"] = {
         "command": f"interarea study {name} --out DIR",

@@ -36,7 +36,7 @@ from ..run.artefacts import channel_fmu, controller_fmu, linear_plant, plant_fmu
 from ..run.run import wire
 from ..scenario.scenario import load_scenario
 from ..sweep.lane_batches import lanes_here
-from .delay import BAND_HZ
+from .delay import least_swing
 
 NONE = "none"
 
@@ -156,15 +156,13 @@ def _make_rows(
             poles = np.linalg.eigvals(
                 closed_loop_matrix(plant, controllers[setting.controller].system, lost=lost)
             )
-        hertz = np.abs(poles.imag) / (2.0 * np.pi)
-        swings = poles[(hertz >= BAND_HZ[0]) & (hertz <= BAND_HZ[1])]
         synchronous = bool(angles[setting] < np.pi)
         rows.append(
             {
                 "controller": setting.controller,
                 "signals": setting.signals,
                 "stable": bool(np.max(poles.real) < 0.0),
-                "least_damping": float(np.min(-swings.real / np.abs(swings), initial=1.0)),
+                "least_damping": least_swing(poles),
                 "synchronism": synchronous,
                 "largest_angle_rad": float(angles[setting]) if synchronous else None,
                 "critical_cycles": critical[setting],

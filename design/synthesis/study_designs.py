@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import control
 import numpy as np
@@ -21,13 +21,23 @@ from ..controllers.controller import Controller
 from ..delay.curves import delayed_plant
 from ..errors import InfeasibleDesign, UncertifiedDesign
 from ..linear.linearise import select, speeds_in_rad
-from ..linear.norms import hinf_of
 from ..lmi.problem import Matrix
 from ..reduction.balanced import balanced_truncation
-from ..reduction.weighted import closed_loop_reduction
 from .check import UNREACHABLE_MODE, describe_mode, modal_shares
+from .generalized_plant import mixed_sensitivity
 from .hinf import Conditioning, Synthesis, conventional, fault_tolerant, wide_area_damping
 from .lmi_form import PoleRegion
+from .reduced_order import (
+    closed_loop_poles,
+    closed_norm,
+    effort_of,
+    on_difference,
+    reduced_order,
+    reduction_price,
+)
+
+#: by how much reducing its order may raise a controller's norm and its effort on the full plant
+PRICE_CAP = 2.5
 
 
 @dataclass(frozen=True)
@@ -52,7 +62,9 @@ class WdcSpec:
     gamma_cap: float = 10.0
     trace_weight: float = 1e-3
     limit_pu: float = 0.15
-    latency_s: float = 0.0  #: of both signals (synchronous feedback), as a Padé model in the design plant
+    price_cap: float = PRICE_CAP
+    latency_s: float = 0.0  #: as a Padé model in the design plant
+    latency_on: Literal["both", "remote"] = "both"  #: synchronous feedback, or non-synchronous
     pade_order: int = 2  #: the study's
 
     def weights(self) -> tuple[control.StateSpace, control.StateSpace]:
@@ -82,6 +94,7 @@ class CcSpec:
     effort_cap: float | None = None
     trace_weight: float = 1e-3
     limit_pu: float = 0.15
+    price_cap: float = PRICE_CAP
 
 
 @dataclass(frozen=True)
@@ -104,6 +117,7 @@ class FtcSpec:
     radius: float = 100.0
     effort_cap: float | None = None
     limit_pu: float = 0.15
+    price_cap: float = PRICE_CAP
 
 
 def design_wdc(
@@ -132,10 +146,21 @@ def design_wdc(
     require_target_modes(loop, "wide-area damping")
     reduction = balanced_truncation(loop, _plant_order(spec.plant_order, loop, "wide-area damping"))
     design_plant = reduction.system
-    if spec.latency_s != 0.0:
+    if spec.latency_s != 0.0 and spec.latency_on == "both":
         late = {"difference": spec.latency_s}
         design_plant = delayed_plant(design_plant, late, spec.pade_order)
         loop = delayed_plant(loop, late, spec.pade_order)
+    elif spec.latency_s != 0.0:
+        late = {spec.remote: spec.latency_s}
+        signals = select(plant, [spec.actuator], [spec.remote, spec.local])
+        design_plant, loop = (
+            select(
+                delayed_plant(G, {spec.remote: spec.latency_s}, spec.pade_order),
+                None,
+                {"difference": difference},
+            )
+            for G in (balanced_truncation(signals, reduction.order).system, signals)
+        )
     synthesis = wide_area_damping(
         design_plant,
         PoleRegion(spec.damping_ratio, spec.decay_rate, spec.radius),
@@ -144,18 +169,21 @@ def design_wdc(
         conditioning=Conditioning(spec.trace_weight),
         engine=engine,
     )
-    k = _reduced(loop, synthesis.controller, spec.order)
-    K = control.ss(
-        k.A,
-        k.B @ np.array([[1.0, -1.0]]),
-        k.C,
-        k.D @ np.array([[1.0, -1.0]]),
-        inputs=[spec.remote, spec.local],
-        outputs=[spec.actuator],
-    )
+    made = synthesis.controller, reduced_order(loop, synthesis.controller, spec.order)
+    full, K = (on_difference(k, spec.remote, spec.local, spec.actuator) for k in made)
     facts = {"gamma": synthesis.gamma, "mixed_sensitivity": synthesis.norm_of["normal"]}
+    P = mixed_sensitivity(loop, *spec.weights())
+    norms = closed_norm(P, made[0]), closed_norm(P, made[1])
     return _finish(
-        "wdc", "H-infinity mixed sensitivity with a pole region", plant, K, spec, synthesis, facts, {}
+        "wdc",
+        "H-infinity mixed sensitivity with a pole region",
+        plant,
+        (full, K),
+        norms,
+        spec,
+        synthesis,
+        facts,
+        {},
     )
 
 
@@ -186,9 +214,10 @@ def design_cc(
         conditioning=Conditioning(spec.trace_weight),
         engine=engine,
     )
-    K = _reduced(loop, synthesis.controller, spec.order)
+    K = reduced_order(loop, synthesis.controller, spec.order)
     facts = {"effort_bound": synthesis.gamma}
-    return _finish("cc", "least effort with a pole region", plant, K, spec, synthesis, facts, {})
+    made = synthesis.controller, K
+    return _finish("cc", "least effort with a pole region", plant, made, None, spec, synthesis, facts, {})
 
 
 def design_cc_like(
@@ -254,10 +283,18 @@ def design_ftc(
         effort_cap=spec.effort_cap,
         engine=engine,
     )
-    K = _reduced(loop, synthesis.controller, spec.order)
+    K = reduced_order(loop, synthesis.controller, spec.order)
     facts = {"effort_bound": synthesis.gamma, "half_steps": len(synthesis.facts["history"])}
     return _finish(
-        "ftc", "passive fault tolerance by alternating LMIs", plant, K, spec, synthesis, facts, spec.loss_of
+        "ftc",
+        "passive fault tolerance by alternating LMIs",
+        plant,
+        (synthesis.controller, K),
+        None,
+        spec,
+        synthesis,
+        facts,
+        spec.loss_of,
     )
 
 
@@ -288,20 +325,6 @@ def require_target_modes(
         )
 
 
-def closed_loop_poles(plant: control.StateSpace, K: control.StateSpace, lost: tuple[str, ...] = ()) -> Matrix:
-    """Return the poles of the full plant (speeds in rad/s) with u = +K y, some signals lost (zero)."""
-    G = select(plant, list(K.output_labels), list(K.input_labels))
-    keep = np.array([0.0 if s in lost else 1.0 for s in K.input_labels])
-    values: Matrix = np.linalg.eigvals(_closed(G, K, keep))
-    return values
-
-
-def _closed(G: control.StateSpace, K: control.StateSpace, keep: Matrix) -> Matrix:
-    """State matrix of the loop; D of the plant is zero."""
-    B_K, D_K = K.B * keep, K.D * keep
-    return np.block([[G.A + G.B @ D_K @ G.C, G.B @ K.C], [B_K @ G.C, K.A]])
-
-
 def _plant_order(order: int, loop: control.StateSpace, what: str) -> int:
     """Refuse a design order above the plant's."""
     if not 1 <= order <= loop.nstates:
@@ -309,16 +332,6 @@ def _plant_order(order: int, loop: control.StateSpace, what: str) -> int:
             f"{what}: plant_order is {order}, the plant has {loop.nstates} states; give 1..{loop.nstates}"
         )
     return order
-
-
-def _reduced(loop: control.StateSpace, K: control.StateSpace, order: int) -> control.StateSpace:
-    """Reduce K by its closed-loop Gramians where it has more than `order` states."""
-    if not order >= 1:
-        raise ValueError(f"controller: order is {order}, wanted at least 1")
-    if K.nstates <= order:
-        return K
-    named = control.ss(K.A, K.B, K.C, K.D, inputs=list(loop.output_labels), outputs=list(loop.input_labels))
-    return closed_loop_reduction(loop, named, order).system
 
 
 def _band_damping(poles: Matrix, band_hz: tuple[float, float]) -> float:
@@ -332,14 +345,20 @@ def _finish(
     name: str,
     method: str,
     plant: control.StateSpace,
-    K: control.StateSpace,
+    made: tuple[control.StateSpace, control.StateSpace],
+    norms: tuple[float, float] | None,
     spec: WdcSpec | CcSpec | FtcSpec,
     synthesis: Synthesis,
     facts: Mapping[str, Any],
     loss_of: Mapping[str, tuple[str, ...]],
 ) -> Controller:
-    """Check stability on the full plant for every promised pattern and attach the provenance."""
-    effort_of = {}
+    """Check a controller on the full plant and attach the provenance.
+
+    It must be stable for every promised pattern, and reducing its order must not have raised norm and effort
+    by more than `spec.price_cap`. made : before and after; norms : of the two, None: the effort is the norm.
+    """
+    full, K = made
+    efforts = {}
     for pattern, lost in {"normal": (), **loss_of}.items():
         poles = closed_loop_poles(plant, K, lost)
         worst = complex(poles[np.argmax(poles.real)])
@@ -348,7 +367,8 @@ def _finish(
                 f"{name}, {pattern}: the controller of order {K.nstates} leaves the full plant with the pole "
                 f"{worst:.4g}; ask for a higher controller order, a higher plant order or a milder region"
             )
-        effort_of[pattern] = _effort(plant, K, lost)
+        efforts[pattern] = effort_of(plant, K, lost)
+    price = reduction_price(name, plant, full, K, norms, efforts["normal"], spec.price_cap)
     design = {
         "method": method,
         "specification": asdict(spec),
@@ -356,19 +376,10 @@ def _finish(
         "order": int(K.nstates),
         "region": {pattern: region.describe() for pattern, region in synthesis.region_of.items()},
         "design_plant_damping_ratio": synthesis.damping_ratio,
-        "effort": effort_of,
+        "effort": efforts,
         "engine": synthesis.engine,
         "lmi_problems": synthesis.solves,
+        "reduction_price": price,
         **facts,
     }
     return Controller(name=name, system=K, limit_pu=spec.limit_pu, design=design)
-
-
-def _effort(plant: control.StateSpace, K: control.StateSpace, lost: tuple[str, ...]) -> float:
-    """Norm of K (I - G K)^-1 on the full plant, pu per rad/s."""
-    G = select(plant, list(K.output_labels), list(K.input_labels))
-    keep = np.array([0.0 if s in lost else 1.0 for s in K.input_labels])
-    A = _closed(G, K, keep)
-    B = np.vstack([G.B @ (K.D * keep), K.B * keep])
-    C = np.hstack([(K.D * keep) @ G.C, K.C])
-    return hinf_of(A, B, C, K.D * keep).value
