@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-from interarea.models.case.errors import CaseError
+from interarea.models.errors import CaseError
 from interarea.models.grid.powerflow import solve_powerflow
 from interarea.models.importers.imported import Imported
 from interarea.models.importers.matpower import import_matpower

@@ -88,7 +88,10 @@ def compile_shared(sources: tuple[Path, ...], flags: tuple[str, ...] = tuple(FLA
     """Compile C sources into a shared library and return its path."""
     key = hashlib.sha256(repr((sources, flags, compiler())).encode()).hexdigest()[:12]
     path = _folder() / f"{key}.so"
-    command = [*compiler(), *flags, "-shared", "-fPIC", "-o", str(path), *map(str, sources), "-lm"]
+    folders = [f"-I{source.parent}" for source in sources if source.suffix == ".h"]  # generated headers
+    code = [str(source) for source in sources if source.suffix == ".c"]
+    folders += [f"-I{source.parent}" for source in sources if source.name == "plant.c"] if folders else []
+    command = [*compiler(), *flags, "-shared", "-fPIC", "-o", str(path), *folders, *code, "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command)}\n{done.stderr}")

@@ -23,7 +23,7 @@ MAY_IMPORT = {
 }
 #: Inside a floor the rooms have an order too: each imports from those before it and from the floor's files.
 ORDER = {
-    "models": ["case", "grid", "blocks", "importers", "exporters"],
+    "models": ["devices", "case", "grid", "blocks", "importers", "exporters"],
     "fmu_build": ["write", "open", "check"],
     "design": [
         *("linear", "lmi", "reduction", "modes", "controllers", "delay"),

@@ -10,8 +10,8 @@ from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import LinearisationError
 from interarea.models.blocks.plant import EVENT_CODES, event_parameters, shortest_time_s
 from interarea.models.case.case import Case
-from interarea.models.case.errors import CaseError
 from interarea.models.case.events import event_of
+from interarea.models.errors import CaseError
 from interarea.models.grid.equilibrium import operating_point
 from interarea.models.grid.network import load_power
 

@@ -17,7 +17,7 @@ from interarea.design.errors import InfeasibleDesign, SolverError, UncertifiedDe
 from interarea.design.linear.linearise import LinearisationError, remove_reference
 from interarea.design.modes.modes import ModeError
 from interarea.models.case.case import Case, case_names, load_case
-from interarea.models.case.errors import CaseError
+from interarea.models.errors import CaseError
 from interarea.models.grid.equilibrium import operating_point
 
 from ..errors import ScenarioError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from interarea.fmu_build.write.compile import compile_web_page, fmi_sources, gather_sources, record_source
-from interarea.models.blocks.container import SOURCES
+from interarea.models.blocks.container import container_sources
 
 #: The page's own calls; they take the place of the FMI layer's reading of a file.
 PAGE_SOURCE = Path(__file__).resolve().parent / "web" / "page.c"
@@ -23,5 +23,5 @@ def container_wasm(cache: Path | None = None) -> bytes:
     BuildError : no compiler that can make WebAssembly, or the compiler's own message.
     """
     layer = tuple(path for path in fmi_sources() if path.name != _READS_FILES)
-    sources = gather_sources((PAGE_SOURCE, *layer, *SOURCES, record_source()))
+    sources = gather_sources((PAGE_SOURCE, *layer, *container_sources(), record_source()))
     return compile_web_page("container", sources, cache=cache).read_bytes()

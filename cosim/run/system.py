@@ -25,8 +25,8 @@ from pydantic import ValidationError
 from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import Case, load_case
-from interarea.models.case.errors import CaseError
 from interarea.models.case.events import event_of
+from interarea.models.errors import CaseError
 
 from ..clock import on_tick
 from ..errors import GraphError, ScenarioError, nearest, one_line

@@ -73,9 +73,9 @@ from pydantic import AliasChoices, BaseModel, Field, ValidationError, field_vali
 from interarea.design.controllers.bundled import shipped_names
 from interarea.models.blocks.concentrator import MOST_SIGNALS
 from interarea.models.case.case import Case, load_case
-from interarea.models.case.errors import CaseError
 from interarea.models.case.events import events_of
 from interarea.models.case.variants import operating_variant
+from interarea.models.errors import CaseError
 
 from ..clock import moved, on_tick
 from ..early_return import Early

@@ -16,7 +16,6 @@ import json
 import logging
 import os
 import shutil
-import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache as forever
@@ -27,21 +26,13 @@ from typing import Any
 
 import numpy as np
 
+from interarea.models.cache_folder import default_cache as default_cache
 from interarea.models.files import settle, temporary_folder, write_whole
 
 _log = logging.getLogger("interarea")
 _PROOF = ".sha256"
 COMPILERS_OWN = "zig"  #: folder in which the compiler keeps what it compiled before
 ROOMS = Path(__file__).resolve().parents[2]
-
-
-def default_cache() -> Path:
-    """Return the artefact folder: `$INTERAREA_CACHE`, else `interarea` in the user's cache folder."""
-    if os.environ.get("INTERAREA_CACHE"):
-        return Path(os.environ["INTERAREA_CACHE"])
-    if sys.platform == "win32" and os.environ.get("LOCALAPPDATA"):
-        return Path(os.environ["LOCALAPPDATA"]) / "interarea"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "interarea"
 
 
 def content_hash(*parts: object) -> str:

@@ -148,7 +148,9 @@ def _read_sources(c_files: tuple[Path, ...]) -> tuple[dict[str, bytes], list[Pat
     origin: dict[str, Path] = {}
     parts: set[Path] = set()
     to_do = [p.resolve() for p in c_files]
-    folders = (_C, fmi_headers(), _block_folder())
+    # a generated header lies in a folder of its own, and includes what lies beside the others
+    folders = (_C, fmi_headers(), _block_folder(), *dict.fromkeys(p.parent for p in to_do))
+    given = {p.name: p for p in to_do if p.suffix == ".h"}
     while to_do:
         path = to_do.pop()
         name = _flat_name(path, parts)
@@ -166,6 +168,7 @@ def _read_sources(c_files: tuple[Path, ...]) -> tuple[dict[str, bytes], list[Pat
             words = line.split('"')
             if line.startswith("#include") and len(words) >= 3:
                 found = [f / words[1] for f in (path.parent, *folders) if (f / words[1]).is_file()]
+                found += [given[words[1]]] if words[1] in given else []
                 if not found:
                     raise BuildError(
                         f'{path}: #include "{words[1]}" is neither beside it nor among the headers'

@@ -7,7 +7,7 @@ import functools
 from ctypes import c_size_t, c_void_p
 from pathlib import Path
 
-from interarea.models.blocks.plant import GROUP_SOURCES, SOURCES
+from interarea.models.blocks.plant import GROUP_SOURCES, plant_sources
 
 from ..errors import BuildError
 from .compile import compile_library, fmi_sources, gather_sources, host_platform, record_source
@@ -71,7 +71,7 @@ def _loaded(path: Path) -> GroupLibrary:
 
 def group_sources() -> tuple[Path, ...]:
     """Return the C files of the library."""
-    return (*fmi_sources(), *SOURCES, record_source(), *GROUP_SOURCES, _SOURCE)
+    return (*fmi_sources(), *plant_sources(), record_source(), *GROUP_SOURCES, _SOURCE)
 
 
 def plant_group(*, cache: Path | None = None) -> GroupLibrary:

@@ -81,9 +81,9 @@ def export(
 ) -> None:
     """Write a case, or it at another operating point, as one file; what its format cannot hold is named."""
     from interarea.models.case.case import load_case
-    from interarea.models.case.errors import CaseError
     from interarea.models.case.variants import operating_variant
     from interarea.models.case.write_toml import export_toml
+    from interarea.models.errors import CaseError
     from interarea.models.exporters.matpower import matpower_of
     from interarea.models.exporters.raw import raw_of
     from interarea.models.files import write_whole

@@ -10,18 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from .channel import channel_block
-from .plant import SOURCES as PLANT_SOURCES
+from .plant import plant_sources
 from .variables import STEP_PARAMETER, Block, Role, Variable, VariableTable
 
 _HERE = Path(__file__).resolve().parents[1] / "c"
 _KINDS_INSIDE = ("plant", "controller", "channel", "supervisor")
 _OWN = ("container", "closed_loop_step", *(f"{kind}_member" for kind in _KINDS_INSIDE))
-#: C files of every container: its own, and of the members' those that no `*_member.c` includes.
-SOURCES = (
-    *(_HERE / f"container/{name}.c" for name in _OWN),
-    *(p for p in PLANT_SOURCES if p.name not in ("plant.c", "record.c")),
-    *(p for p in channel_block().sources if p.name != "channel.c"),
-)
 _KINDS = {kind: number for number, kind in enumerate(_KINDS_INSIDE)}  #: as closed_loop.h counts
 _MOST = 24  #: LOOP_MEMBERS of closed_loop.h
 #: What feeds what; anything else would need an order of evaluation that closed_loop.h does not promise.
@@ -30,6 +24,15 @@ _MAY_FEED = {
     *((source, "plant") for source in ("controller", "supervisor")),
     ("plant", "channel"),
 }
+
+
+def container_sources() -> tuple[Path, ...]:
+    """Return the C files of every container: its own, and of the members' those no `*_member.c` includes."""
+    return (
+        *(_HERE / f"container/{name}.c" for name in _OWN),
+        *(p for p in plant_sources() if p.name not in ("plant.c", "record.c")),
+        *(p for p in channel_block().sources if p.name != "channel.c"),
+    )
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ def loop_block(
         description=description or f"Closed loop of {', '.join(m.name for m in members)}",
         table=VariableTable([v for m in members for v in _outside(m)]),
         data=data,
-        sources=SOURCES,
+        sources=container_sources(),
         step_s=step_s,
         stop_s=stop_s,
         internal_step_s=integrated,

@@ -14,9 +14,14 @@ import numpy.typing as npt
 from ..case.case import Case, CaseError
 from ..case.event_targets import check_events, target_index
 from ..case.tables import SOLVER_STEP_S
+from ..devices.document import devices_html
+from ..devices.header import library_header, signature
+from ..devices.language.device import NO_LIMIT
+from ..devices.library import library
 from ..grid.bus_devices import port_table
+from ..grid.control_tables import Group, Parameter
 from ..grid.equilibrium import OperatingPoint, operating_point
-from ..grid.machine_tables import NO_LIMIT, Device, Parameter, in_plant_order, machine_table, network_states
+from ..grid.machine_tables import in_plant_order, machine_table, network_states
 from ..grid.network import branch_stamp, bus_index, load_power, machine_bus_index, shunt_admittance
 from .variables import STEP_PARAMETER, Block, Enumeration, Variable, VariableTable
 
@@ -31,9 +36,17 @@ SOURCES = tuple(
         "plant/event.c",
         "plant/stage.c",
         "plant/port.c",
+        "plant/rest.c",
         "block/record.c",
     )
 )
+
+
+def plant_sources() -> tuple[Path, ...]:
+    """Return the C files of the plant and the generated header of its devices."""
+    return (*SOURCES, library_header())
+
+
 #: what FMUs stepped side by side need besides (block/block_group.h)
 GROUP_SOURCES = tuple(_HERE / f"plant/{name}.c" for name in ("lanes_2", "lanes_4", "lanes_8", "plant_group"))
 
@@ -96,9 +109,15 @@ def _integration(point: OperatingPoint, step_s: float) -> str:
         f"<p>In co-simulation the plant takes Runge-Kutta steps of at most <code>{STEP_PARAMETER}</code>, "
         f"{step_s:g} s unless set otherwise. The shortest time constant of this grid is {shortest:g} s: "
         f"steps up to about {2.4 * shortest:.2g} s are stable, less if a parameter makes a control faster. "
-        "Accuracy is of fourth order while no limit of an exciter or stabilizer is reached and of second "
+        "Accuracy is of fourth order while no limit of an exciter or stabilizer is reached and of first "
         "order when one is: compare with half the step where it matters.</p>"
     )
+
+
+def _controls(point: OperatingPoint) -> dict[str, str]:
+    """What the FMU's documentation says about the controls in use."""
+    keys = dict.fromkeys(d.key for d in point.controls.devices)
+    return {"Controls": devices_html(library()[key].device for key in keys)} if keys else {}
 
 
 def plant_block(case: Case, *, event_slots: int = 8) -> Block:
@@ -120,17 +139,15 @@ def plant_block(case: Case, *, event_slots: int = 8) -> Block:
     original, case = case, in_plant_order(case)
     point = operating_point(case)
     step_s = default_step_s(point) if case.solver_step_s is None else case.solver_step_s
-    solver = Device(0, 0, [step_s])  # of no machine: the FMI layer reads its parameter, the plant does not
-    solver.parameters = [Parameter(STEP_PARAMETER, 0, "s", _STEP_TEXT, *SOLVER_STEP_S)]
-    devices = ((1, point.exciters), (2, point.stabilizers), (3, point.governors), (0, (solver,)))
-    parameters = [
-        (table, k, device, parameter)
-        for table, group in devices
-        for k, device in enumerate(group)
-        for parameter in device.parameters
-    ]
+    groups = point.controls.running()
+    place = {
+        id(d): (g, k) for g, (group, _) in enumerate(groups, start=1) for k, d in enumerate(group.devices)
+    }
+    parameters = [(*place[id(d)], parameter) for d in point.controls.devices for parameter in d.parameters()]
+    # of no group: the FMI layer reads it, the plant does not
+    parameters.append((0, 0, Parameter(STEP_PARAMETER, 0, "s", _STEP_TEXT, *SOLVER_STEP_S, value=step_s)))
     variables = _states(point) + _inputs(point) + _outputs(case) + _locals(case)
-    variables += [_parameter_variable(device, parameter) for _, _, device, parameter in parameters]
+    variables += [_parameter_variable(parameter) for *_, parameter in parameters]
     variables += _event_variables(event_slots)
     return Block(
         kind="plant",
@@ -138,8 +155,8 @@ def plant_block(case: Case, *, event_slots: int = 8) -> Block:
         description=case.title or case.name,
         table=VariableTable(variables),
         data=_data(case, point, parameters, event_slots),
-        sources=SOURCES,
-        documentation={"Integration": _integration(point, step_s)},
+        sources=plant_sources(),
+        documentation={"Integration": _integration(point, step_s)} | _controls(point),
         provenance={"case": case.name, "case hash": original.hash, "source": case.source},
     )
 
@@ -249,13 +266,13 @@ def _locals(case: Case) -> list[Variable]:
     return values
 
 
-def _parameter_variable(device: Device, parameter: Parameter) -> Variable:
+def _parameter_variable(parameter: Parameter) -> Variable:
     return Variable(
         parameter.name,
         "parameter",
         parameter.description,
         unit=parameter.unit,
-        start=device.column[parameter.row],
+        start=parameter.value,
         min=parameter.low,
         max=parameter.high,
     )
@@ -300,7 +317,7 @@ def _event_variables(slots: int) -> list[Variable]:
 def _data(
     case: Case,
     point: OperatingPoint,
-    parameters: list[tuple[int, int, Device, Parameter]],
+    parameters: list[tuple[int, int, Parameter]],
     slots: int,
 ) -> dict[str, Any]:
     index = bus_index(case)
@@ -309,7 +326,9 @@ def _data(
     ends = [int(case.branches[k].from_bus != case.tie.from_bus) for k in tie] if case.tie else []
     sixth = sum(m.model == "round_rotor" for m in case.machines)
     counts = [len(case.machines), sixth, len(case.buses), len(case.branches), len(case.loads)]
-    counts += [len(point.exciters), len(point.stabilizers), len(point.governors), len(tie), slots]
+    groups = point.controls.running()
+    before = sum(group.devices[0].word != "exciter" for group, _ in groups)
+    counts += [len(groups), before, len(tie), slots]
     ports = port_table(case, point.load_volts, list(range(len(case.machines))), list(point.gaps))
     counts += [len(case.shunts), len(parameters), len(ports)]
     shunts = np.array([shunt_admittance(case, s) for s in case.shunts], dtype=complex)
@@ -342,22 +361,16 @@ def _data(
         "output.state": _int(_states_of_outputs(case, point)),
         "tie.branch": _int(tie),
         "tie.end": _int(ends),
-        "parameter.table": _int(table for table, _, _, _ in parameters),
-        "parameter.device": _int(k for _, k, _, _ in parameters),
-        "parameter.row": _int(p.row for _, _, _, p in parameters),
+        "parameter.table": _int(table for table, _, _ in parameters),
+        "parameter.device": _int(k for _, k, _ in parameters),
+        "parameter.row": _int(p.row for *_, p in parameters),
         "parameter.range": np.array(
             [[p.low for *_, p in parameters], [p.high for *_, p in parameters]], dtype=float
         ),
         "parameter.names": _lines(p.name for *_, p in parameters),
     }
-    for word, devices in (
-        ("exciter", point.exciters),
-        ("stabilizer", point.stabilizers),
-        ("governor", point.governors),
-    ):
-        arrays |= _device_arrays(word, devices, point.state_names)
-    arrays["exciter.input"] = _int(range(len(point.exciters)))
-    return arrays
+    first = len(point.states) - len(point.controls.states())
+    return arrays | _group_arrays(point, groups, first)
 
 
 def _states_of_outputs(case: Case, point: OperatingPoint) -> list[int]:
@@ -371,13 +384,21 @@ def _machine_of_states(case: Case, point: OperatingPoint) -> list[int]:
     return [position[name.split(".")[0]] for name in point.state_names]
 
 
-def _device_arrays(word: str, devices: tuple[Device, ...], names: tuple[str, ...]) -> dict[str, Any]:
-    first = [names.index(d.states[0].name) if d.states else 0 for d in devices]
+def _group_arrays(point: OperatingPoint, groups: tuple[tuple[Group, int], ...], first: int) -> dict[str, Any]:
+    """Groups of devices in the order in which they run; `first`: place of the first state of a device."""
+    numbers = {key: k for k, key in enumerate(library())}
+    given = [group.table.ravel() for group, _ in groups]
     return {
-        f"{word}.table": np.array([d.column for d in devices], dtype=float).T,
-        f"{word}.kind": _int(d.kind for d in devices),
-        f"{word}.machine": _int(d.machine for d in devices),
-        f"{word}.state": _int(first),
+        "group.device": _int(numbers[group.key] for group, _ in groups),
+        "group.count": _int(len(group.devices) for group, _ in groups),
+        "group.has": _int(group.has for group, _ in groups),
+        "group.state": _int(first + place for _, place in groups),
+        "device.machine": _int(d.machine for group, _ in groups for d in group.devices),
+        "device.table": np.concatenate(given) if given else np.zeros(0),
+        "device.signature": _int([signature()]),
+        "input.machine": _int(d.machine for d in point.controls.of("exciter")),
+        "machine.rest": point.controls.seen,
+        "state.rest": point.x0,
     }
 
 

@@ -33,8 +33,8 @@ from typing import Any, Self
 
 from pydantic import ValidationError, model_validator
 
+from ..errors import CaseError, nearest, one_line, reason
 from .checks import check_whole
-from .errors import CaseError, nearest, one_line, reason
 from .event_targets import check_events
 from .events import events_of
 from .file_kind import other_kind
@@ -269,7 +269,7 @@ def _path(location: Sequence[int | str], raw: Mapping[str, Any]) -> list[str]:
     return path
 
 
-_KINDS = {"constant", "static", "static_tgr", "st1a", "dc1", "none", "steam", "tgov1", "float", "int", "str"}
+_KINDS = {"none", "float", "int", "str"}  # parts of a location that are no keys
 _WORDS = {"source", "sources", "title"}
 
 

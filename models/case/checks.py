@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 
-from .errors import CaseError, nearest
+from ..errors import CaseError, nearest
 from .tables import CaseTables
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from ..errors import CaseError, nearest
 from .checks import islands_of
-from .errors import CaseError, nearest
 from .tables import CaseTables
 
 

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
-from .errors import CaseError, nearest, one_line
+from ..errors import CaseError, nearest, one_line
 
 Number = Annotated[float, Field(strict=True)]
 Time = Annotated[float, Field(strict=True, ge=0.0)]

@@ -6,8 +6,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from ..errors import nearest
 from .case import Case, CaseError
-from .errors import nearest
 
 _TABLES = ("buses", "branches", "shunts", "loads", "machines")
 
@@ -26,7 +26,9 @@ def parameter_value(case: Case, path: str) -> float:
     table, name, fields = _split(case, path)
     value: Any = _rows(case, table)[name]
     for field in fields:
-        known = type(value).model_fields if isinstance(value, BaseModel) else {}
+        known = (
+            {*type(value).model_fields, *(value.model_extra or ())} if isinstance(value, BaseModel) else ()
+        )
         if field not in known:
             raise CaseError(f"{case.name}: {path}: no field {field!r}; {nearest(field, known)}")
         value = getattr(value, field)

@@ -12,10 +12,10 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from .control_schema import (
-    ConstantExciter,
+    Compensator,
+    Control,
     Exciter,
     Governor,
-    NoGovernor,
     NonNegative,
     Number,
     Positive,
@@ -189,9 +189,10 @@ class Machine(Row):
     V_pu: Positive
     slack: Switch = False
     angle_deg: Number = 0.0  #: bus angle, slack only
-    exciter: Exciter = ConstantExciter()
+    exciter: Exciter = Control(kind="constant")
     stabilizer: Stabilizer | None = None
-    governor: Governor = NoGovernor()
+    compensator: Compensator | None = None
+    governor: Governor = Control(kind="none")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -210,6 +211,9 @@ class Machine(Row):
             ):
                 raise ValueError("an infinite bus has neither inertia nor a governor, allowed: Ra and Xd1")
             return self
+        if self.exciter.kind == "constant" and (self.stabilizer or self.compensator):
+            what = "stabilizer" if self.stabilizer else "compensator"
+            raise ValueError(f"a {what} but constant excitation; give it an exciter")
         for chain in (
             ("Xl", "<", "Xd2", "<=", "Xd1", "<", "Xd"),
             ("Xl", "<", "Xq2", "<=", "Xq1", "<=", "Xq"),

@@ -9,8 +9,8 @@ from typing import Annotated, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..errors import CaseError, nearest
 from .control_schema import Positive
-from .errors import CaseError, nearest
 from .events import Event
 from .schema import Branch, Bus, Load, Machine, Shunt, Tie
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from ..case.case import Case
-from ..case.errors import CaseError
 from ..case.schema import Branch, Machine
+from ..errors import CaseError
 from ..grid.powerflow import PowerFlow, solve_powerflow
 from .written import Written, losses_of_network, named
 

@@ -11,8 +11,8 @@ from ..case.case import Case, CaseError
 from ..case.checks import require_dynamics
 from ..case.schema import Machine
 from .bus_devices import AirGap, air_gap, has_port, port_loads, saturation_factor, saturation_of
-from .control_tables import exciter, governor, stabilizer
-from .machine_tables import Device, MachinePoint, State, network_states
+from .control_tables import Controls, controls_at_rest
+from .machine_tables import MachinePoint, State, network_states
 from .network import admittance_matrix, bus_index, load_power, machine_bus_index, machine_norton_admittance
 from .powerflow import PowerFlow, solve_powerflow
 
@@ -24,15 +24,14 @@ _REPETITIONS = 20  #: of the linear network; each brings the loads' volts about 
 class OperatingPoint:
     """Equilibrium of a case; arrays read-only.
 
-    States come quantity by quantity for the machines (all `delta`, all `slip`, ...), then device by device.
+    States come quantity by quantity for the machines (all `delta`, all `slip`, ...), then for each group of
+    devices of one kind and structure.
     """
 
     case: Case
     power_flow: PowerFlow
     machines: tuple[MachinePoint, ...]  #: per unit on each machine's base
-    exciters: tuple[Device, ...]
-    stabilizers: tuple[Device, ...]
-    governors: tuple[Device, ...]
+    controls: Controls
     states: tuple[State, ...]
     load_volts: npt.NDArray[np.float64]  #: (loads,) voltage magnitude at each load, as the plant solves it
     gaps: tuple[AirGap | None, ...]  #: of machines that saturate or have X''d != X''q
@@ -47,7 +46,7 @@ class OperatingPoint:
     @property
     def input_names(self) -> tuple[str, ...]:
         """Names of the inputs: one per exciter."""
-        return tuple(f"{self.case.machines[e.machine].name}_vs" for e in self.exciters)
+        return tuple(f"{self.case.machines[e.machine].name}_vs" for e in self.controls.of("exciter"))
 
 
 def operating_point(case: Case, power_flow: PowerFlow | None = None) -> OperatingPoint:
@@ -167,7 +166,10 @@ def _machine_point(
     if m.has_constant_emf:
         drop = complex(m.Ra, m.number("Xd1")) * current
         power = float((emf * np.conj(current)).real)
-        return MachinePoint(delta, 0.0, 0.0, abs(emf), 0.0, abs(emf), power, abs(emf - drop))
+        turn = np.exp(-1j * delta)
+        v, i = (emf - drop) * turn, current * turn
+        at_terminal = {"vd": -v.imag, "vq": v.real, "id": -i.imag, "iq": i.real}
+        return MachinePoint(delta, 0.0, 0.0, abs(emf), 0.0, abs(emf), power, abs(v), **at_terminal)
     Xd, Xd1, Xd2, Xq1, Xq2 = (m.number(key) for key in ("Xd", "Xd1", "Xd2", "Xq1", "Xq2"))
     turn = np.exp(-1j * delta)
     e, i = emf * turn, current * turn
@@ -178,6 +180,7 @@ def _machine_point(
     Xl = m.number("Xl")
     eq2_rotor, ed2_rotor = eq2 + (Xd2 - Xl) * isd, ed2 - (Xq2 - Xl) * isq
     eq1 = eq2_rotor + (Xd1 - Xd2) * (id_ + isd)
+    vd, vq = ed2 - m.Ra * id_ + Xq2 * iq, eq2 - m.Ra * iq - Xd2 * id_
     return MachinePoint(
         delta=delta,
         eq1=eq1,
@@ -186,7 +189,11 @@ def _machine_point(
         ed2=ed2_rotor,
         efd=eq1 + (Xd - Xd1) * (id_ + isd),
         pm=ed2 * id_ + eq2 * iq + (Xq2 - Xd2) * id_ * iq,
-        vt=float(np.hypot(ed2 - m.Ra * id_ + Xq2 * iq, eq2 - m.Ra * iq - Xd2 * id_)),
+        vt=float(np.hypot(vd, vq)),
+        vd=float(vd),
+        vq=float(vq),
+        id=float(id_),
+        iq=float(iq),
     )
 
 
@@ -197,50 +204,21 @@ def _assemble(
     load_volts: npt.NDArray[np.float64],
     gaps: tuple[AirGap | None, ...],
 ) -> OperatingPoint:
-    stabilizers, exciters, governors = [], [], []
-    field_voltage: list[frozenset[str]] = []
-    power: list[frozenset[str]] = []
-    for k, point in enumerate(points):
-        pss = stabilizer(case, k)
-        avr = exciter(case, k, point, pss.output if pss else frozenset())
-        gov = governor(case, k, point)
-        if pss and not avr:
-            name = case.machines[k].name
-            raise CaseError(
-                f"{case.name}: machines.{name} has a stabilizer but constant excitation; give it an exciter"
-            )
-        stabilizers += [pss] if pss else []
-        exciters += [avr] if avr else []
-        governors += [gov] if gov else []
-        field_voltage.append(avr.output if avr else frozenset())
-        power.append(gov.output if gov else frozenset())
-    states = _machine_states(case, points, field_voltage, power)
-    for device in (*exciters, *stabilizers, *governors):
-        states += device.states
+    controls = controls_at_rest(case, points)
+    states = _machine_states(case, points, controls.outputs("exciter"), controls.outputs("governor"))
+    states += controls.states()
     x0 = np.array([s.start for s in states])
-    u0 = np.zeros(len(exciters))
+    u0 = np.zeros(len(controls.of("exciter")))
     for array in (x0, u0, load_volts):
         array.flags.writeable = False
-    return OperatingPoint(
-        case,
-        power_flow,
-        points,
-        tuple(exciters),
-        tuple(stabilizers),
-        tuple(governors),
-        tuple(states),
-        load_volts,
-        gaps,
-        x0,
-        u0,
-    )
+    return OperatingPoint(case, power_flow, points, controls, tuple(states), load_volts, gaps, x0, u0)
 
 
 def _machine_states(
     case: Case,
     points: tuple[MachinePoint, ...],
-    field_voltage: list[frozenset[str]],
-    power: list[frozenset[str]],
+    field_voltage: tuple[frozenset[str], ...],
+    power: tuple[frozenset[str], ...],
 ) -> list[State]:
     network = network_states(case)
     words = {

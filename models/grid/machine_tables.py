@@ -1,22 +1,19 @@
-"""Machines of a case as the C plant takes them, and what a device of the plant consists of.
+"""Machines of a case as the C plant takes them, and what a state of the plant is.
 
-Row orders are those of the enumerations in plant/plan.h; the states of a device follow each other in
-the order in which its C function meets them.
+Row orders are those of the enumerations in plant/plan.h.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from ..case.case import Case
 from ..case.schema import Machine
-
-NO_LIMIT = 1e30  #: stands for an absent limit
 
 
 @dataclass(frozen=True)
@@ -32,30 +29,6 @@ class State:
 
 
 @dataclass(frozen=True)
-class Parameter:
-    """One number of a device that a user may change without losing the equilibrium."""
-
-    name: str
-    row: int
-    unit: str
-    description: str
-    low: float
-    high: float
-
-
-@dataclass
-class Device:
-    """A control of one machine: its column of the C table, its states, what its output depends on."""
-
-    kind: int
-    machine: int
-    column: list[float]
-    states: list[State] = field(default_factory=list)
-    parameters: list[Parameter] = field(default_factory=list)
-    output: frozenset[str] = frozenset()
-
-
-@dataclass(frozen=True)
 class MachinePoint:
     """Operating point of one machine, per unit on its own base; angles in rad."""
 
@@ -67,6 +40,15 @@ class MachinePoint:
     efd: float
     pm: float
     vt: float
+    vd: float
+    vq: float
+    id: float
+    iq: float
+
+    @property
+    def pe(self) -> float:
+        """Active power at the terminals."""
+        return self.vd * self.id + self.vq * self.iq
 
 
 #: states through which a machine acts on the network

@@ -7,9 +7,7 @@ GENROU, GENROE  -> round_rotor; X''q = X''d, Ra from the RAW file; S(1.0), S(1.2
 GENSAL          -> round_rotor with Xq1 = Xq: then ed1 stays 0 and the one q damper is the outer one.
                    Its saturation, on the d axis only, has no counterpart: S(1.0), S(1.2) must be 0.
 GENCLS          -> classical behind ZR + jZX of the RAW file; with H = 0 an infinite bus there.
-SEXS            -> static or static_tgr;   EXST1, ESST1A -> st1a;   IEEET1, IEEEX1, ESDC1A -> dc1, the
-                   saturation factor being the exponential through both points.
-IEEEST, STAB1   -> stabilizer;             TGOV1 -> tgov1.
+controls        -> devices of the package, by their `[dyr]` tables (models/devices).
 """
 
 from __future__ import annotations
@@ -20,11 +18,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..case.errors import CaseError
-from .dyr import read_dyr
+from ..devices.dyr import device_for_dyr, dyr_models
+from ..errors import CaseError, nearest
+from .dyr import DyrRecord, read_dyr
 from .raw.record import Record
 from .report import Report
 
+MACHINE = "machine model"
 #: machine models that are converters
 CONVERTERS = frozenset(
     ["REGCA1", "REGCB1", "REGCC1", "GDFORM", "WT1G1", "WT2G1", "WT3G1", "WT3G2", "WT4G1", "WT4G2", "PVGU1"]
@@ -88,27 +88,15 @@ def machine_dynamics(
         if name in constant:
             report.drop("further DYR record of a constant current", record.where)
             continue
-        if model not in _MODELS:
-            raise CaseError(f"{record.where}: {_unknown(model, record.bus)}")
-        kind, count, convert = _MODELS[model]
-        if len(record.fields) != count:
-            less = len(record.fields) < count
-            raise CaseError(
-                f"{record.where}: {model} has {len(record.fields)} parameters, allowed: {count} "
-                f"({'cut off?' if less else 'is the / of the record missing?'})"
-            )
-        position = {str(k + 1): k for k in range(count)}
-        fields = Record(model, record.fields, record.where, position)
-        values = [fields.number(str(k + 1)) for k in range(count)]
+        kind, row = _row(record)
         if (name, kind) in seen:
             raise CaseError(f"{record.where}: second {kind} of {name}, the first is at {seen[name, kind]}")
         seen[name, kind] = record.where
-        table = convert(record.where, *values)
-        if kind == "machine model":
+        if kind == MACHINE:
             where[name] = record.where
-        rows[name] |= (
-            table if kind == "machine model" else {kind: {"source": f"{path.name}, {model}"} | table}
-        )
+            rows[name] |= row
+        else:
+            rows[name][kind] = {"source": f"{path.name}, {model}"} | row
         report.read[f"{model}"] += 1
     for (bus, identity), name in machine_of.items():
         if name in where or name in constant:
@@ -121,9 +109,30 @@ def machine_dynamics(
     return Dynamics({name: row for name, row in rows.items() if name not in constant}, where, constant)
 
 
+def _row(record: DyrRecord) -> tuple[str, dict[str, Any]]:
+    """What a record is, and the keys it gives."""
+    if record.model not in _MACHINES:
+        if record.model not in dyr_models():
+            raise CaseError(f"{record.where}: {_unknown(record.model, record.bus)}")
+        found = device_for_dyr(record)
+        device = found.model.device
+        return device.kind, {"kind": device.key} | dict(found.parameters)
+    count, convert = _MACHINES[record.model]
+    if len(record.fields) != count:
+        less = len(record.fields) < count
+        raise CaseError(
+            f"{record.where}: {record.model} has {len(record.fields)} parameters, allowed: {count} "
+            f"({'cut off?' if less else 'is the / of the record missing?'})"
+        )
+    position = {str(k + 1): k for k in range(count)}
+    fields = Record(record.model, record.fields, record.where, position)
+    return MACHINE, convert(record.where, *(fields.number(str(k + 1)) for k in range(count)))
+
+
 def _unknown(model: str, bus: int) -> str:
     advice = "; --converters current takes converters as constant currents" if model in CONVERTERS else ""
-    return f"model {model!r} at bus {bus} is not supported, allowed: {', '.join(_MODELS)}{advice}"
+    near = nearest(model, [*_MACHINES, *dyr_models()])
+    return f"model {model!r} at bus {bus} is not supported; {near}{advice}"
 
 
 def _through(e1: float, s1: float, e2: float, s2: float, where: str) -> tuple[float, float]:
@@ -166,122 +175,9 @@ def _gencls(where: str, H: float, D: float) -> dict[str, Any]:
     return {"model": "classical", "H": H, "D": D}
 
 
-def _sexs(
-    where: str, ratio: float, TB: float, K: float, TE: float, low: float, high: float
-) -> dict[str, Any]:
-    row = {"KA": K, "TA": TE, "Efd_min": low, "Efd_max": high}
-    if TB == 0.0 or ratio == 1.0:
-        return {"kind": "static"} | row
-    return {"kind": "static_tgr", "TC": ratio * TB, "TB": TB} | row
-
-
-def _st1a(
-    where: str, TR: float, high: float, low: float, TC: float, TB: float, KA: float, TA: float, *rest: float
-) -> dict[str, Any]:
-    VRmax, VRmin, KC, KF, _TF = rest
-    if KF:
-        raise CaseError(f"{where}: KF = {KF:g}: rate feedback, allowed: 0")
-    if high < 1.0 or low > -1.0:
-        raise CaseError(
-            f"{where}: VIMAX = {high:g}, VIMIN = {low:g}, allowed: beyond +-1 pu (no limit on the error)"
-        )
-    if TC == TB:
-        TC = TB = 0.0
-    return {
-        "kind": "st1a",
-        "TR": TR,
-        "TC": TC,
-        "TB": TB,
-        "KA": KA,
-        "TA": TA,
-        "VRmax": VRmax,
-        "VRmin": VRmin,
-        "KC": KC,
-    }
-
-
-def _esst1a(where: str, *p: float) -> dict[str, Any]:
-    TR, high, low, TC, TB, TC1, TB1, KA, TA, VAmax, VAmin, VRmax, VRmin, KC, KF, TF, KLR, _ILR = p[2:]
-    if TC1 != TB1:
-        raise CaseError(f"{where}: TC1 = {TC1:g}, TB1 = {TB1:g}: second lead-lag, allowed: equal times")
-    if KLR:
-        raise CaseError(f"{where}: KLR = {KLR:g}: field current limiter, allowed: 0")
-    if p[1] != 1.0:
-        raise CaseError(f"{where}: VOS = {p[1]:g}, allowed: 1 (stabilizer at the summing point)")
-    if VAmax < VRmax or VAmin > VRmin:
-        raise CaseError(
-            f"{where}: VAMAX = {VAmax:g}, VAMIN = {VAmin:g} inside VRMAX, VRMIN, allowed: not inside"
-        )
-    return _st1a(where, TR, high, low, TC, TB, KA, TA, VRmax, VRmin, KC, KF, TF)
-
-
-def _ieeet1(where: str, TR: float, KA: float, TA: float, *rest: float) -> dict[str, Any]:
-    return _ieeex1(where, TR, KA, TA, 0.0, 0.0, *rest)
-
-
-def _ieeex1(
-    where: str, TR: float, KA: float, TA: float, TB: float, TC: float, *rest: float
-) -> dict[str, Any]:
-    VRmax, VRmin, KE, TE, KF, TF, _switch, E1, S1, E2, S2 = rest
-    if KE == 0.0 or VRmax == 0.0:
-        raise CaseError(
-            f"{where}: KE = {KE:g}, VRMAX = {VRmax:g}: to be computed by PSS/E, allowed: given values"
-        )
-    if TB == TC:
-        TB = TC = 0.0
-    Aex, Bex = _through(E1, S1, E2, S2, where)
-    row = {"TR": TR, "KA": KA, "TA": TA, "TB": TB, "TC": TC, "VRmax": VRmax, "VRmin": VRmin}
-    return {"kind": "dc1", "KE": KE, "TE": TE, "KF": KF, "TF": TF or 1.0, "Aex": Aex, "Bex": Bex} | row
-
-
-def _ieeest(where: str, mode: float, *p: float) -> dict[str, Any]:
-    if mode != 1.0:
-        raise CaseError(f"{where}: IEEEST input code {mode:g}, allowed: 1 (speed deviation)")
-    if p[0]:
-        raise CaseError(f"{where}: IEEEST remote bus {p[0]:g}, allowed: 0 (own machine)")
-    if any(p[1:7]):
-        raise CaseError(f"{where}: IEEEST filter A1..A6 = {list(p[1:7])}, allowed: 0")
-    T1, T2, T3, T4, T5, T6, KS, high, low, over, under = p[7:]
-    if over or under:
-        raise CaseError(f"{where}: IEEEST VCU = {over:g}, VCL = {under:g}, allowed: 0")
-    row = {"K": KS * T5 / T6 if T6 else KS, "Tw": T6, "Vs_max": high, "Vs_min": low}
-    return row | _stages(where, (T1, T2), (T3, T4))
-
-
-def _stab1(
-    where: str, K: float, T: float, a: float, T3: float, b: float, T4: float, limit: float
-) -> dict[str, Any]:
-    row = {"K": K, "Tw": T, "Vs_max": limit, "Vs_min": -limit}
-    return row | _stages(where, (a * T3, T3), (b * T4, T4))
-
-
-def _stages(where: str, *pairs: tuple[float, float]) -> dict[str, float]:
-    kept = [pair for pair in pairs if pair[0] != pair[1]]
-    for lead, lag in kept:
-        if not lag > 0.0:
-            raise CaseError(f"{where}: lead-lag (1 + {lead:g} s)/(1 + {lag:g} s), allowed: a lag above 0")
-    keys = (("T1", "T2"), ("T3", "T4"))
-    return {k: v for names, pair in zip(keys, kept, strict=False) for k, v in zip(names, pair, strict=True)}
-
-
-def _tgov1(
-    where: str, R: float, T1: float, high: float, low: float, T2: float, T3: float, Dt: float
-) -> dict[str, Any]:
-    return {"kind": "tgov1", "R": R, "T1": T1, "Vmax": high, "Vmin": low, "T2": T2, "T3": T3, "Dt": Dt}
-
-
-_MODELS: dict[str, tuple[str, int, Callable[..., dict[str, Any]]]] = {
-    "GENROU": ("machine model", 14, _genrou),
-    "GENROE": ("machine model", 14, _genrou),
-    "GENSAL": ("machine model", 12, _gensal),
-    "GENCLS": ("machine model", 2, _gencls),
-    "SEXS": ("exciter", 6, _sexs),
-    "EXST1": ("exciter", 12, _st1a),
-    "ESST1A": ("exciter", 20, _esst1a),
-    "IEEET1": ("exciter", 14, _ieeet1),
-    "IEEEX1": ("exciter", 16, _ieeex1),
-    "ESDC1A": ("exciter", 16, _ieeex1),
-    "IEEEST": ("stabilizer", 19, _ieeest),
-    "STAB1": ("stabilizer", 7, _stab1),
-    "TGOV1": ("governor", 7, _tgov1),
+_MACHINES: dict[str, tuple[int, Callable[..., dict[str, Any]]]] = {
+    "GENROU": (14, _genrou),
+    "GENROE": (14, _genrou),
+    "GENSAL": (12, _gensal),
+    "GENCLS": (2, _gencls),
 }

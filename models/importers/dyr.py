@@ -10,7 +10,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..case.errors import CaseError
+from ..errors import CaseError
 from .raw.text import read_lines, split_record
 
 #: user-written models that are a plain one under another name

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..case.errors import CaseError
+from ..errors import CaseError
 from .imported import Imported
 from .matpower import import_matpower
 from .psse import import_psse

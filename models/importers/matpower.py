@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..case.case import case_of
-from ..case.errors import CaseError
+from ..errors import CaseError
 from .document import document_of
 from .imported import Imported
 from .places import read_places

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from ..case.errors import CaseError
+from ..errors import CaseError
 from .raw.text import read_lines
 from .static import StaticGrid
 

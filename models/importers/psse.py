@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..case.case import case_of
-from ..case.errors import CaseError
+from ..errors import CaseError
 from .document import document_of, unit_names
 from .dynamics import machine_dynamics
 from .imported import Imported

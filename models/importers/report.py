@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from ..case.errors import CaseError
+from ..errors import CaseError
 
 
 @dataclass

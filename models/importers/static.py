@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from ..case.errors import CaseError
+from ..errors import CaseError
 
 LOAD, SLACK, UNIT, ISOLATED = 1, 3, 2, 4  #: types of buses as in every such file
 

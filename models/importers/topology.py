@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TypeVar
 
-from ..case.errors import CaseError
+from ..errors import CaseError
 from .report import Report
 from .static import ISOLATED, SLACK, StaticBus, StaticGrid, StaticLoad, StaticShunt, StaticUnit
 

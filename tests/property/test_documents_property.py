@@ -18,8 +18,8 @@ from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.sweep.plan import plan_sweep
 from interarea.cosim.sweep.spec import load_sweep, scenario_document
 from interarea.models.case.case import Case, case_of, load_case
-from interarea.models.case.errors import CaseError
 from interarea.models.case.write_toml import export_toml
+from interarea.models.errors import CaseError
 from interarea.models.grid.equilibrium import operating_point
 
 milliseconds = st.integers(0, 3000).map(lambda n: n / 1000)

@@ -65,8 +65,8 @@ BlockStatus event_check(const Block *b, const Plan *plan, const Network *net, Bl
                               k + 1, p[SLOT_R], p[SLOT_X]);
         if (kind == EVENT_VREF_PULSE) {
             int found = 0;
-            for (size_t j = 0; j < plan->n_exciter; ++j)
-                found |= index_at(b->memory + plan->exciter_of, plan->n_exciter + j) == (size_t)target - 1;
+            for (size_t j = 0; j < plan->n_input; ++j)
+                found |= index_at(b->memory + plan->input_machine, j) == (size_t)target - 1;
             if (!found) {
                 char name[64];
                 return plant_fail(message, BLOCK_ERROR,

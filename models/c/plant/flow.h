@@ -1,21 +1,20 @@
 /* The right-hand side and the outputs, written once over `num`; flow.c compiles
  * it as double, tangent.c as double complex. The order is that of the physics:
- * angles -> EMFs -> network -> terminals -> stabilizers -> exciters -> governors
+ * angles -> EMFs -> network -> terminals -> governors -> stabilizers -> exciters
  * -> machines. Outputs depend on the states only. */
 #ifndef INTERAREA_FLOW_H
 #define INTERAREA_FLOW_H
-#include "exciter.h"
-#include "governor.h"
+#include "devices.h"
 #include "machine.h"
 #include "network.h"
 #include "plant.h"
 #include "port.h"
-#include "stabilizer.h"
 
 /* Work arrays, one entry per machine; e also one per port. id_rotor is what the
  * rotor circuits see: id, or id + isd. */
 typedef struct {
     num *sine, *cosine, *i_re, *i_im, *id, *iq, *vd, *vq, *vt, *vs, *efd, *pm, *id_rotor;
+    num *vc, *pe, *ifd;
     num *e_re, *e_im;
     PortWork port;
     num *newton;
@@ -24,11 +23,11 @@ typedef struct {
 static Work work_arrays(num *scratch, const Plan *plan)
 {
     const size_t n = plan->n_machine;
-    num *e = scratch + 13 * n;
+    num *e = scratch + 16 * n;
     Work w = { scratch, scratch + n, scratch + 2 * n, scratch + 3 * n, scratch + 4 * n,
                scratch + 5 * n, scratch + 6 * n, scratch + 7 * n, scratch + 8 * n,
                scratch + 9 * n, scratch + 10 * n, scratch + 11 * n, scratch + 12 * n,
-               .e_re = e, .e_im = e + plan->n_source };
+               scratch + 13 * n, scratch + 14 * n, scratch + 15 * n, .e_re = e, .e_im = e + plan->n_source };
     w.port = port_arrays(e + 2 * plan->n_source, plan->n_port);
     w.newton = e + 2 * plan->n_source + PORT_ARRAYS * plan->n_port;
     return w;
@@ -117,15 +116,42 @@ static void hold_tripped(const real *memory, const Plan *plan, num *dx)
     }
 }
 
+static void run_groups(const real *memory, const Plan *plan, size_t first, size_t last,
+                       const DeviceSignals *signals, const num *x, num *dx)
+{
+    for (size_t k = first; k < last; ++k) {
+        const real *row = memory + plan->group + G_ROWS * k;
+        const DeviceGroup group = { memory + index_at(row, G_TABLE), memory + index_at(row, G_MACHINE),
+                                    index_at(row, G_COUNT), (uint64_t)index_at(row, G_HAS) };
+        const size_t state = index_at(row, G_STATE);
+        device_run(index_at(row, G_DEVICE), &group, signals, x + state, dx + state);
+    }
+}
+
+/* Field voltages and mechanical powers of all machines: constants of the operating point,
+ * or what their devices give. Steps of Vref and the inputs act where the exciters add
+ * the stabilizers' signals, a step of Pm on the load reference of a governed machine. */
 static void solve_devices(const real *memory, const Plan *plan, const num *x, const num *u,
                           num *dx, Work *w)
 {
     const size_t n = plan->n_machine;
+    const real *table = memory + plan->machine, *of = memory + plan->input_machine;
     const MachineStates states = machine_states(x, n, plan->n_sixth);
+    const DeviceSignals signals = { w->vt, w->vd, w->vq, w->id, w->iq, w->pe, states.slip, w->ifd,
+                                    memory + plan->pm_step, w->vc, w->vs, w->pm, w->efd };
 
-    stabilizer_all(memory, plan, states.slip, x, dx, w->vs);
-    exciter_all(memory, plan, w->vt, w->id_rotor, w->vs, u, x, dx, w->efd);
-    governor_all(memory, plan, states.slip, x, dx, w->pm);
+    for (size_t k = 0; k < n; ++k) {
+        w->efd[k] = NUM(table[M_EFD0 * n + k]);
+        w->pm[k] = NUM(table[M_PM0 * n + k] + memory[plan->pm_step + k]);
+        w->vs[k] = NUM(0.0);
+        w->vc[k] = w->vt[k];
+        w->pe[k] = w->vd[k] * w->id[k] + w->vq[k] * w->iq[k];
+    }
+    machine_field_currents(table, n, plan->n_sixth, states, w->id_rotor, w->ifd);
+    run_groups(memory, plan, 0, plan->exciters, &signals, x, dx);
+    for (size_t k = 0; k < n; ++k) w->vs[k] += memory[plan->vref_step + k];
+    for (size_t k = 0; k < plan->n_input; ++k) w->vs[index_at(of, k)] += u[k];
+    run_groups(memory, plan, plan->exciters, plan->n_group, &signals, x, dx);
 }
 
 size_t NAME(plant_flow)(real *memory, const num *x, const num *u, num *dx, num *scratch)

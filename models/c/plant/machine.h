@@ -101,11 +101,16 @@ static inline void machine_terminal(const real *table, size_t n, size_t sixth, M
     }
 }
 
-/* Field current of machine k in per unit of the field voltage that holds it, Xad ifd. */
-static inline num machine_field_current(const real *table, size_t n, size_t k, MachineStates x, num id)
+/* Field currents in per unit of the field voltage that holds them, Xad ifd. */
+static inline void machine_field_currents(const real *table, size_t n, size_t sixth, MachineStates x,
+                                          const num *id, num *ifd)
 {
-    return x.eq1[k] + (table[M_XD * n + k] - table[M_XD1 * n + k])
-        * (table[M_A * n + k] * id + (x.eq1[k] - x.eq2[k]) * table[M_LEAK_D * n + k]);
+    const real *Xd = table + M_XD * n, *Xd1 = table + M_XD1 * n, *A = table + M_A * n;
+    const real *leak_d = table + M_LEAK_D * n;
+
+    for (size_t k = 0; k < sixth; ++k)
+        ifd[k] = x.eq1[k] + (Xd[k] - Xd1[k]) * (A[k] * id[k] + (x.eq1[k] - x.eq2[k]) * leak_d[k]);
+    for (size_t k = sixth; k < n; ++k) ifd[k] = NUM(table[M_EFD0 * n + k]);
 }
 
 static inline void machine_derivatives(const real *table, size_t n, size_t sixth, real omega_b,

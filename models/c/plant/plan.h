@@ -22,19 +22,15 @@ enum {  /* machine, per unit on the machine base */
     M_PER_TD01, M_PER_TD02, M_PER_TQ01, M_PER_TQ02, M_PER_2H, M_PER_RATIO,
     M_ROWS
 };
-enum {  /* exciter */
-    E_KA, E_TA, E_TR, E_TB, E_TC, E_MIN, E_MAX,
-    E_VREF,             /* follows from the operating point             */
-    E_KE, E_TE, E_KF, E_TF, E_AEX, E_BEX,  /* dc type 1                 */
-    E_KC,               /* st1a: commutation drop per pu field current  */
-    E_ROWS
+enum {  /* group of devices of one kind and structure (devices.h)     */
+    G_DEVICE, G_COUNT,  /* number in devices.h, how many                */
+    G_HAS,              /* which optional parts are there               */
+    G_STATE,            /* first state; quantity by quantity from there */
+    G_TABLE, G_MACHINE, /* where in memory: its table, its machines     */
+    G_ROWS
 };
-enum {  /* stabilizer */
-    S_K, S_TS, S_TW, S_T1, S_T2, S_T3, S_T4, S_T5, S_T6, S_MIN, S_MAX, S_ROWS
-};
-enum {  /* governor and turbine */
-    G_KP, G_RP, G_TSR, G_TSM, G_VMIN, G_VMAX, G_GMIN, G_GMAX,
-    G_T2, G_T3, G_T4, G_T5, G_F2, G_F3, G_F4, G_F5, G_DT, G_ROWS
+enum {  /* what devices see at the operating point, for each machine    */
+    R_VT, R_VD, R_VQ, R_ID, R_IQ, R_PE, R_IFD, R_VC, R_VS, R_PM, R_EFD, R_ROWS
 };
 enum {  /* branch: its 2 x 2 admittance, system base */
     B_FF_RE, B_FF_IM, B_FT_RE, B_FT_IM, B_TF_RE, B_TF_IM, B_TT_RE, B_TT_IM, B_ROWS
@@ -73,22 +69,21 @@ enum {  /* tie branch: buses of its measured and its other end, admittances seen
     T_BRANCH, T_OWN, T_OTHER, T_OWN_RE, T_OWN_IM, T_MUTUAL_RE, T_MUTUAL_IM, T_ROWS
 };
 
-typedef enum { EXCITER_STATIC = 1, EXCITER_ST1A, EXCITER_DC1 } ExciterKind;
-typedef enum { GOVERNOR_STEAM = 1, GOVERNOR_TGOV1 } GovernorKind;
-
 /* Header of memory. */
 enum {
     H_READY, H_OMEGA_B, H_N_MACHINE, H_N_SIXTH, H_N_BUS, H_N_BRANCH, H_N_LOAD,
-    H_N_EXCITER, H_N_STABILIZER, H_N_GOVERNOR, H_N_TIE, H_N_SLOT, H_N_PORT, H_N_STATE,
+    H_N_GROUP, H_N_DEVICE, H_N_TABLE, H_N_INPUT, H_N_TIE, H_N_SLOT, H_N_PORT, H_N_STATE,
+    H_EXCITERS,         /* first group of exciters                      */
     H_TRIPPED,          /* machines that are tripped                    */
     H_PORT_READY,       /* 1: port_b and port_z are good for this stage */
     H_IDLE,             /* 1: a lane of a batch that has nothing to do  */
-    H_SIZE = 20
+    H_SIZE = 24
 };
 
 typedef struct {
     size_t n_machine, n_sixth, n_bus, n_branch, n_load;
-    size_t n_exciter, n_stabilizer, n_governor, n_tie, n_slot, n_port, n_state;
+    size_t n_group, n_device, n_table, n_input, n_tie, n_slot, n_port, n_state;
+    size_t exciters;      /* groups before this one run before the inputs are added */
     size_t n_source;      /* n_machine + n_port: EMFs, then what the ports inject  */
     /* offsets into memory, in doubles */
     size_t machine;       /* M_ROWS x n_machine                                    */
@@ -97,12 +92,11 @@ typedef struct {
     size_t running;       /* n_machine: 1, or 0 after a trip                       */
     size_t pm_step;       /* n_machine: added to the mechanical power, machine base */
     size_t vref_step;     /* n_machine: added at the exciter's summing point       */
-    size_t exciter;       /* E_ROWS x n_exciter                                    */
-    size_t exciter_of;    /* 4 x n_exciter: kind, machine, input, first state      */
-    size_t stabilizer;    /* S_ROWS x n_stabilizer                                 */
-    size_t stabilizer_of; /* 2 x n_stabilizer: machine, first state                */
-    size_t governor;      /* G_ROWS x n_governor                                   */
-    size_t governor_of;   /* 3 x n_governor: kind, machine, first state            */
+    size_t rest;          /* R_ROWS x n_machine                                    */
+    size_t group;         /* G_ROWS for each group, in the order in which they run */
+    size_t device_machine; /* n_device: machines, group by group                   */
+    size_t device_table;  /* n_table: tables, group by group                       */
+    size_t input_machine; /* n_input: the machine an input acts on                 */
     size_t tie;           /* T_ROWS x n_tie: branches whose power is the output tie_p */
     size_t in_service;    /* n_branch: 1 or 0                                      */
     size_t state_machine; /* n_state: the machine a state belongs to               */
@@ -129,12 +123,11 @@ static inline void plan_offsets(Plan *p)
     p->running = at;       at += n;
     p->pm_step = at;       at += n;
     p->vref_step = at;     at += n;
-    p->exciter = at;       at += (size_t)E_ROWS * p->n_exciter;
-    p->exciter_of = at;    at += 4u * p->n_exciter;
-    p->stabilizer = at;    at += (size_t)S_ROWS * p->n_stabilizer;
-    p->stabilizer_of = at; at += 2u * p->n_stabilizer;
-    p->governor = at;      at += (size_t)G_ROWS * p->n_governor;
-    p->governor_of = at;   at += 3u * p->n_governor;
+    p->rest = at;          at += (size_t)R_ROWS * n;
+    p->group = at;         at += (size_t)G_ROWS * p->n_group;
+    p->device_machine = at; at += p->n_device;
+    p->device_table = at;  at += p->n_table;
+    p->input_machine = at; at += p->n_input;
     p->tie = at;           at += (size_t)T_ROWS * p->n_tie;
     p->in_service = at;    at += p->n_branch;
     p->state_machine = at; at += p->n_state;
@@ -152,11 +145,6 @@ static inline void plan_offsets(Plan *p)
     p->total = at;
 }
 
-static inline size_t index_at(const real *memory, size_t at)
-{
-    return (size_t)(ptrdiff_t)FIRST(memory[at]);
-}
-
 static inline int port_is_load(const real *row) { return index_at(row, P_KIND) == PORT_LOAD; }
 
 static inline void plan_of(const real *memory, Plan *p)
@@ -166,9 +154,11 @@ static inline void plan_of(const real *memory, Plan *p)
     p->n_bus = index_at(memory, H_N_BUS);
     p->n_branch = index_at(memory, H_N_BRANCH);
     p->n_load = index_at(memory, H_N_LOAD);
-    p->n_exciter = index_at(memory, H_N_EXCITER);
-    p->n_stabilizer = index_at(memory, H_N_STABILIZER);
-    p->n_governor = index_at(memory, H_N_GOVERNOR);
+    p->n_group = index_at(memory, H_N_GROUP);
+    p->n_device = index_at(memory, H_N_DEVICE);
+    p->n_table = index_at(memory, H_N_TABLE);
+    p->n_input = index_at(memory, H_N_INPUT);
+    p->exciters = index_at(memory, H_EXCITERS);
     p->n_tie = index_at(memory, H_N_TIE);
     p->n_slot = index_at(memory, H_N_SLOT);
     p->n_port = index_at(memory, H_N_PORT);

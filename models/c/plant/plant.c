@@ -2,8 +2,6 @@
  * work to tables.c, flow.c, tangent.c, event.c and stage.c. */
 #include "plant.h"
 
-#include "exciter.h"
-
 #include <stdarg.h>
 #include <stdio.h>
 
@@ -62,35 +60,6 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
     return BLOCK_OK;
 }
 
-/* Vref such that the operating point stays an equilibrium for the parameters in
- * use; the exciter's states at rest move with them. */
-static BlockStatus set_references(Block *b, const Plan *plan, const Network *net, BlockMessage *message)
-{
-    const size_t n = plan->n_exciter, m = plan->n_machine;
-    const double *machine = b->memory + plan->machine, *of = b->memory + plan->exciter_of;
-    size_t count;
-    const double *original = record_f64(b->record, "exciter.table", &count);
-    char name[64];
-
-    for (size_t k = 0; k < n; ++k) {
-        double *p = b->memory + plan->exciter + k;
-        const size_t kind = index_at(of, k), at = index_at(of, n + k), state = index_at(of, 3 * n + k);
-        const double efd = machine[M_EFD0 * m + at], vt = machine[M_VT0 * m + at];
-        double before[EXCITER_STATES], after[EXCITER_STATES], low, high;
-        const double limited = exciter_limited(p, n, kind, efd, vt, &low, &high);
-        if (!(limited >= low && limited <= high))
-            return plant_fail(message, BLOCK_ERROR,
-                              "%s.exciter: the %s at the operating point is %g, outside the limits %g to %g",
-                              plant_name(net->machine_names, at, name),
-                              kind == EXCITER_DC1 ? "regulator's output" : "field voltage", limited, low, high);
-        p[E_VREF * n] = exciter_rest(p, n, kind, efd, vt, after);
-        (void)exciter_rest(original + k, n, kind, efd, vt, before);
-        for (size_t j = 0; j < EXCITER_STATES; ++j)
-            if (after[j] != before[j]) b->x[state + j] += after[j] - before[j];
-    }
-    return BLOCK_OK;
-}
-
 BlockStatus block_start(Block *b, double t, BlockMessage *message)
 {
     Plan plan;
@@ -107,15 +76,17 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     memory[H_N_BUS] = (double)plan.n_bus;
     memory[H_N_BRANCH] = (double)plan.n_branch;
     memory[H_N_LOAD] = (double)plan.n_load;
-    memory[H_N_EXCITER] = (double)plan.n_exciter;
-    memory[H_N_STABILIZER] = (double)plan.n_stabilizer;
-    memory[H_N_GOVERNOR] = (double)plan.n_governor;
+    memory[H_N_GROUP] = (double)plan.n_group;
+    memory[H_N_DEVICE] = (double)plan.n_device;
+    memory[H_N_TABLE] = (double)plan.n_table;
+    memory[H_N_INPUT] = (double)plan.n_input;
+    memory[H_EXCITERS] = (double)plan.exciters;
     memory[H_N_TIE] = (double)plan.n_tie;
     memory[H_N_SLOT] = (double)plan.n_slot;
     memory[H_N_PORT] = (double)plan.n_port;
     memory[H_N_STATE] = (double)plan.n_state;
     status = plant_tables(b, &plan, &net, message);
-    if (status == BLOCK_OK) status = set_references(b, &plan, &net, message);
+    if (status == BLOCK_OK) status = rest_settle(b, &plan, &net, message);
     if (status == BLOCK_OK) status = event_check(b, &plan, &net, message);
     if (status == BLOCK_OK) status = event_apply(b, &plan, &net, t, message);
     if (status == BLOCK_OK) memory[H_READY] = READY;

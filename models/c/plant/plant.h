@@ -38,6 +38,11 @@ BlockStatus plant_check(const Record *record, const BlockLayout *layout, const P
                         BlockMessage *message);
 BlockStatus plant_tables(Block *b, const Plan *plan, const Network *network, BlockMessage *message);
 
+/* rest.c: what is computed once from the tables; set-points and states of devices whose
+ * parameters are not those of the record, so that the operating point stays at rest. */
+void rest_prepare(double *memory, const Plan *plan);
+BlockStatus rest_settle(Block *b, const Plan *plan, const Network *network, BlockMessage *message);
+
 /* event.c */
 BlockStatus event_check(const Block *b, const Plan *plan, const Network *network, BlockMessage *message);
 double event_next(const Block *b, const Plan *plan, double t);
@@ -69,6 +74,6 @@ size_t plant_directional(double *memory, const BlockLayout *layout, const double
 
 static inline size_t flow_work(const Plan *plan)
 {
-    return 15 * plan->n_machine + (16 + 4 * plan->n_port) * plan->n_port;
+    return 18 * plan->n_machine + (16 + 4 * plan->n_port) * plan->n_port;
 }
 #endif

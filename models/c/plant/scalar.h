@@ -116,42 +116,15 @@ static inline num num_ratio(num a, num b) { return a / b; }
 #endif
 #endif
 
+/* A whole number that a table holds. */
+static inline size_t index_at(const real *memory, size_t at)
+{
+    return (size_t)(ptrdiff_t)FIRST(memory[at]);
+}
+
 static inline num num_clamp(num a, real low, real high)
 {
     return num_pick(num_above(low, a), NUM(low), num_pick(num_above(a, high), NUM(high), a));
-}
-
-/* T dx/dt = u - x. Returns the output: x, or u itself when T = 0 (no state). */
-static inline num num_lag(num u, real T, const num **x, num **dx)
-{
-    if (!(FIRST(T) > 0.0)) return u;
-    const num state = *(*x)++;
-    *(*dx)++ = (u - state) / T;
-    return state;
-}
-
-/* (1 + s T1)/(1 + s T2): T2 dx/dt = u - x, y = x + (u - x) T1/T2. T2 = 0: y = u. */
-static inline num num_lead_lag(num u, real T1, real T2, const num **x, num **dx)
-{
-    if (!(FIRST(T2) > 0.0)) return u;
-    const num state = *(*x)++;
-    *(*dx)++ = (u - state) / T2;
-    return state + (u - state) * (T1 / T2);
-}
-
-/* Gain 1 first-order lag whose state stays within [low, high] (non-windup); the
- * limits may move. At a limit the state moves only inwards; what a step of the
- * solver carried beyond a limit goes back to it with T, and the output never shows
- * it. T = 0: the clamped input. */
-static inline num num_limited_lag(num u, real T, num low, num high, const num **x, num **dx)
-{
-    const int lags = FIRST(T) > 0.0;
-    const num state = lags ? *(*x)++ : u;
-    const flag above = num_above(u, high) & num_reaches(state, high);
-    const flag below = num_above(low, u) & num_reaches(low, state);
-    const num aim = num_pick(above, high, num_pick(below, low, u));
-    if (lags) *(*dx)++ = (aim - state) / T;
-    return num_pick(num_above(low, state), low, num_pick(num_above(state, high), high, state));
 }
 
 /* y += M s, the columns of M one after the other, `rows` numbers each. Four columns

@@ -2,13 +2,13 @@
  * copied into memory, the FMI parameters over them. */
 #include "plant.h"
 
+#include "devices.h"
 #include "machine.h"
 
 enum {
-    C_MACHINE, C_SIXTH, C_BUS, C_BRANCH, C_LOAD, C_EXCITER, C_STABILIZER, C_GOVERNOR,
+    C_MACHINE, C_SIXTH, C_BUS, C_BRANCH, C_LOAD, C_GROUP, C_EXCITERS,
     C_TIE, C_SLOT, C_ITEM, C_PARAMETER, C_PORT, C_COUNTS
 };
-enum { TABLE_SOLVER, TABLE_EXCITER, TABLE_STABILIZER, TABLE_GOVERNOR };
 
 /* Everything the record must hold; `bad` keeps the first array that does not fit. */
 typedef struct { const Record *record; const char *bad; } Reader;
@@ -45,6 +45,21 @@ static BlockStatus unfit(const Reader *r, BlockMessage *message)
                       "record: array %s is missing, has another length, or points outside", r->bad);
 }
 
+/* Rows and devices of all groups; 0: the groups do not fit together. */
+static int count_devices(const Record *record, Plan *plan)
+{
+    size_t count, same;
+    const int32_t *device = record_i32(record, "group.device", &count), *n = record_i32(record, "group.count", &same);
+    if (count != plan->n_group || same != count) return 0;
+    plan->n_device = plan->n_table = 0;
+    for (size_t k = 0; k < count; ++k) {
+        if (device[k] < 0 || device[k] >= DEVICE__COUNT || n[k] < 1 || n[k] > 100000) return 0;
+        plan->n_device += (size_t)n[k];
+        plan->n_table += (size_t)n[k] * device_rows((size_t)device[k]);
+    }
+    return 1;
+}
+
 static const int32_t *read_plan(const Record *record, const BlockLayout *layout, Plan *plan)
 {
     size_t count;
@@ -58,13 +73,14 @@ static const int32_t *read_plan(const Record *record, const BlockLayout *layout,
     plan->n_bus = (size_t)c[C_BUS];
     plan->n_branch = (size_t)c[C_BRANCH];
     plan->n_load = (size_t)c[C_LOAD];
-    plan->n_exciter = (size_t)c[C_EXCITER];
-    plan->n_stabilizer = (size_t)c[C_STABILIZER];
-    plan->n_governor = (size_t)c[C_GOVERNOR];
+    plan->n_group = (size_t)c[C_GROUP];
+    plan->exciters = (size_t)c[C_EXCITERS];
+    plan->n_input = layout->n_u;
     plan->n_tie = (size_t)c[C_TIE];
     plan->n_slot = (size_t)c[C_SLOT];
     plan->n_port = (size_t)c[C_PORT];
     plan->n_state = layout->n_x;
+    if (plan->exciters > plan->n_group || !count_devices(record, plan)) return NULL;
     plan_offsets(plan);
     return c;
 }
@@ -116,6 +132,27 @@ static const double *read_ports(Reader *r, const Plan *plan)
     return table;
 }
 
+/* Every group: its device is one of this binary, its states and tables lie inside. */
+static void check_groups(Reader *r, const BlockLayout *layout, const Plan *plan)
+{
+    const size_t n = plan->n_group;
+    const int32_t *device = integers(r, "group.device", n, DEVICE__COUNT), *count = integers(r, "group.count", n, 100001);
+    const int32_t *state = integers(r, "group.state", n, layout->n_x + 1), *known;
+    const int32_t *has = integers(r, "group.has", n, (size_t)INT32_MAX + 1);
+    size_t given = 0, length;
+
+    (void)integers(r, "device.machine", plan->n_device, plan->n_machine);
+    known = record_i32(r->record, "device.signature", &length);
+    if (r->bad == NULL && (length != 1 || (uint32_t)known[0] != DEVICE_SIGNATURE)) r->bad = "device.signature";
+    for (size_t k = 0; r->bad == NULL && k < n; ++k) {
+        const size_t number = (size_t)count[k];
+        given += number * device_given((size_t)device[k]);
+        if ((size_t)state[k] + number * device_states((size_t)device[k], (uint64_t)has[k]) > layout->n_x)
+            r->bad = "group.state";
+    }
+    if (r->bad == NULL) (void)reals(r, "device.table", given);
+}
+
 BlockStatus plant_check(const Record *record, const BlockLayout *layout, const Plan *plan,
                         BlockMessage *message)
 {
@@ -124,30 +161,22 @@ BlockStatus plant_check(const Record *record, const BlockLayout *layout, const P
     size_t count;
 
     if (layout->n_y != 4 * n + (plan->n_tie > 0 ? 1u : 0u) || layout->n_w != plan->n_bus + 2 * n
-        || layout->n_u != plan->n_exciter || layout->n_p < SLOT_REALS * plan->n_slot
+        || layout->n_p < SLOT_REALS * plan->n_slot
         || n_parameter != (size_t)record_i32(record, "plant.counts", &count)[C_PARAMETER]
         || layout->n_ip != SLOT_INTEGERS * plan->n_slot || layout->n_x < 2 * n + 4 * plan->n_sixth)
         return plant_fail(message, BLOCK_ERROR, "record: its counts disagree with the list of variables");
     (void)reals(&r, "plant.base", 2);
     (void)reals(&r, "machine.table", M_GIVEN * n);
-    (void)reals(&r, "exciter.table", E_ROWS * plan->n_exciter);
-    (void)integers(&r, "exciter.kind", plan->n_exciter, 100);
-    (void)integers(&r, "exciter.machine", plan->n_exciter, n);
-    (void)integers(&r, "exciter.input", plan->n_exciter, layout->n_u);
-    (void)integers(&r, "exciter.state", plan->n_exciter, layout->n_x);
-    (void)reals(&r, "stabilizer.table", S_ROWS * plan->n_stabilizer);
-    (void)integers(&r, "stabilizer.machine", plan->n_stabilizer, n);
-    (void)integers(&r, "stabilizer.state", plan->n_stabilizer, layout->n_x);
-    (void)reals(&r, "governor.table", G_ROWS * plan->n_governor);
-    (void)integers(&r, "governor.kind", plan->n_governor, 100);
-    (void)integers(&r, "governor.machine", plan->n_governor, n);
-    (void)integers(&r, "governor.state", plan->n_governor, layout->n_x);
+    (void)reals(&r, "machine.rest", R_ROWS * n);
+    (void)reals(&r, "state.rest", layout->n_x);
+    check_groups(&r, layout, plan);
+    (void)integers(&r, "input.machine", plan->n_input, n);
     (void)read_ports(&r, plan);
     (void)integers(&r, "state.machine", layout->n_x, n);
     (void)integers(&r, "tie.branch", plan->n_tie, plan->n_branch);
     (void)integers(&r, "tie.end", plan->n_tie, 2);
-    (void)integers(&r, "parameter.table", n_parameter, 4);
-    (void)integers(&r, "parameter.row", n_parameter, 100);
+    (void)integers(&r, "parameter.table", n_parameter, plan->n_group + 1);
+    (void)integers(&r, "parameter.row", n_parameter, 1000);
     (void)integers(&r, "parameter.device", n_parameter, 100000);
     (void)reals(&r, "parameter.range", 2 * n_parameter);
     (void)text_of(&r, "parameter.names");
@@ -164,26 +193,43 @@ static void copy_integers(double *to, const int32_t *from, size_t n)
     for (size_t k = 0; k < n; ++k) to[k] = (double)from[k];
 }
 
+/* Groups, their machines, and the rows of their tables that the case gives. */
+static void read_groups(Reader *r, const Plan *plan, double *memory)
+{
+    const size_t n = plan->n_group;
+    const int32_t *device = integers(r, "group.device", n, DEVICE__COUNT), *count = integers(r, "group.count", n, 100001);
+    const int32_t *has = integers(r, "group.has", n, SIZE_MAX), *state = integers(r, "group.state", n, SIZE_MAX);
+    size_t length, table = plan->device_table, machine = plan->device_machine;
+    const double *given = record_f64(r->record, "device.table", &length);
+
+    copy_integers(memory + machine, integers(r, "device.machine", plan->n_device, plan->n_machine), plan->n_device);
+    for (size_t k = 0; k < n; ++k) {
+        double *row = memory + plan->group + G_ROWS * k;
+        const size_t number = (size_t)count[k], rows = device_given((size_t)device[k]) * number;
+        row[G_DEVICE] = (double)device[k];
+        row[G_COUNT] = (double)number;
+        row[G_HAS] = (double)has[k];
+        row[G_STATE] = (double)state[k];
+        row[G_TABLE] = (double)table;
+        row[G_MACHINE] = (double)machine;
+        copy_reals(memory + table, given, rows);
+        given += rows;
+        table += device_rows((size_t)device[k]) * number;
+        machine += number;
+    }
+}
+
 static void read_tables(const Record *record, const Plan *plan, const Network *net, double *memory)
 {
     Reader r = { record, NULL };
-    const size_t n = plan->n_machine, e = plan->n_exciter, s = plan->n_stabilizer, g = plan->n_governor;
+    const size_t n = plan->n_machine;
 
     copy_reals(memory + plan->machine, reals(&r, "machine.table", M_GIVEN * n), M_GIVEN * n);
     machine_prepare(memory + plan->machine, n, plan->n_sixth);
     copy_integers(memory + plan->machine_bus, net->machine_bus, n);
-    copy_reals(memory + plan->exciter, reals(&r, "exciter.table", E_ROWS * e), E_ROWS * e);
-    copy_integers(memory + plan->exciter_of, integers(&r, "exciter.kind", e, 100), e);
-    copy_integers(memory + plan->exciter_of + e, integers(&r, "exciter.machine", e, n), e);
-    copy_integers(memory + plan->exciter_of + 2 * e, integers(&r, "exciter.input", e, e), e);
-    copy_integers(memory + plan->exciter_of + 3 * e, integers(&r, "exciter.state", e, SIZE_MAX), e);
-    copy_reals(memory + plan->stabilizer, reals(&r, "stabilizer.table", S_ROWS * s), S_ROWS * s);
-    copy_integers(memory + plan->stabilizer_of, integers(&r, "stabilizer.machine", s, n), s);
-    copy_integers(memory + plan->stabilizer_of + s, integers(&r, "stabilizer.state", s, SIZE_MAX), s);
-    copy_reals(memory + plan->governor, reals(&r, "governor.table", G_ROWS * g), G_ROWS * g);
-    copy_integers(memory + plan->governor_of, integers(&r, "governor.kind", g, 100), g);
-    copy_integers(memory + plan->governor_of + g, integers(&r, "governor.machine", g, n), g);
-    copy_integers(memory + plan->governor_of + 2 * g, integers(&r, "governor.state", g, SIZE_MAX), g);
+    copy_reals(memory + plan->rest, reals(&r, "machine.rest", R_ROWS * n), R_ROWS * n);
+    copy_integers(memory + plan->input_machine, integers(&r, "input.machine", plan->n_input, n), plan->n_input);
+    read_groups(&r, plan, memory);
     copy_integers(memory + plan->state_machine, integers(&r, "state.machine", plan->n_state, n), plan->n_state);
     copy_reals(memory + plan->port, read_ports(&r, plan), P_ROWS * plan->n_port);
 }
@@ -214,8 +260,8 @@ static BlockStatus read_parameters(const Block *b, const Plan *plan, double *mem
 {
     Reader r = { b->record, NULL };
     const size_t n = b->layout.n_p - SLOT_REALS * plan->n_slot;
-    const int32_t *table = integers(&r, "parameter.table", n, 4);
-    const int32_t *row = integers(&r, "parameter.row", n, 100);
+    const int32_t *table = integers(&r, "parameter.table", n, plan->n_group + 1);
+    const int32_t *row = integers(&r, "parameter.row", n, 1000);
     const int32_t *device = integers(&r, "parameter.device", n, 100000);
     const double *range = reals(&r, "parameter.range", 2 * n);
     const char *names = text_of(&r, "parameter.names");
@@ -226,17 +272,13 @@ static BlockStatus read_parameters(const Block *b, const Plan *plan, double *mem
         if (!(value >= range[k] && value <= range[n + k]))
             return plant_fail(message, BLOCK_ERROR, "parameter %s = %g, allowed: %g to %g",
                               plant_name(names, k, name), value, range[k], range[n + k]);
-        if (table[k] == TABLE_SOLVER) continue;   /* the FMI layer's own */
-        const size_t start = table[k] == TABLE_EXCITER ? plan->exciter
-            : table[k] == TABLE_STABILIZER ? plan->stabilizer : plan->governor;
-        const size_t rows = table[k] == TABLE_EXCITER ? (size_t)E_ROWS
-            : table[k] == TABLE_STABILIZER ? (size_t)S_ROWS : (size_t)G_ROWS;
-        const size_t count = table[k] == TABLE_EXCITER ? plan->n_exciter
-            : table[k] == TABLE_STABILIZER ? plan->n_stabilizer : plan->n_governor;
-        if ((size_t)row[k] >= rows || (size_t)device[k] >= count)
+        if (table[k] == 0) continue;   /* the FMI layer's own */
+        const double *group = memory + plan->group + G_ROWS * ((size_t)table[k] - 1);
+        const size_t count = index_at(group, G_COUNT);
+        if ((size_t)row[k] >= device_given(index_at(group, G_DEVICE)) || (size_t)device[k] >= count)
             return plant_fail(message, BLOCK_ERROR, "record: parameter %s points outside its table",
                               plant_name(names, k, name));
-        memory[start + (size_t)row[k] * count + (size_t)device[k]] = value;
+        memory[index_at(group, G_TABLE) + (size_t)row[k] * count + (size_t)device[k]] = value;
     }
     return BLOCK_OK;
 }
@@ -245,5 +287,7 @@ BlockStatus plant_tables(Block *b, const Plan *plan, const Network *net, BlockMe
 {
     read_tables(b->record, plan, net, b->memory);
     read_tie(b->record, plan, net, b->memory);
-    return read_parameters(b, plan, b->memory, message);
+    const BlockStatus status = read_parameters(b, plan, b->memory, message);
+    if (status == BLOCK_OK) rest_prepare(b->memory, plan);
+    return status;
 }

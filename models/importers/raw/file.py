@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ...case.errors import CaseError
+from ...errors import CaseError
 from .layouts import fields, layout_of, sections
 from .record import Record
 from .text import read_lines, split_words

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from ...case.errors import CaseError
+from ...errors import CaseError
 from ..report import Report
 from ..static import StaticGrid, StaticLoad
 from .file import RawFile

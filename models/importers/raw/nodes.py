@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...case.errors import CaseError
+from ...errors import CaseError
 from ..report import Report
 from ..static import ISOLATED, StaticBus, StaticGrid, StaticLoad, StaticShunt, StaticUnit
 from .file import RawFile

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from ...case.errors import CaseError
+from ...errors import CaseError
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-from ...case.errors import CaseError, reason
+from ...errors import CaseError, reason
 
 LARGEST_BYTES = 1 << 30  #: of the unpacked text; a packed file can claim any size
 LONGEST_LINE = 20_000  #: characters; PSS/E itself writes less than 2000

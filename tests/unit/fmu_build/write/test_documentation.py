@@ -37,7 +37,8 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_plant_page_states_equations_works_case_and_platform(plant: Path, two_area: Case) -> None:
     page = html.unescape(page_of(plant))
     assert "2H  d slip/dt  = Tm - Te - D slip" in page
-    assert "T_A dEfd/dt = K_A y - Efd" in page
+    assert "efd = lag(vref + vs - v, TA, K=KA, min=Efd_min, max=Efd_max)" in page
+    assert "T y' = K u - y within min .. max" in page
     assert "Power System Stability and Control" in page  # cited by machine.h, from the bibliography
     assert two_area.hash in page
     assert f"binaries in this archive: {host_platform()}" in page

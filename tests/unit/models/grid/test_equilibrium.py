@@ -49,9 +49,12 @@ def test_power_flow_of_another_case_is_refused(point):
     [
         (
             {"machines": {"G1": {"exciter": {"Efd_min": -1.0, "Efd_max": 0.5}}}},
-            r"G1\.exciter: Efd .* outside",
+            r"G1\.exciter: efd .* above Efd_max = 0.5; set Efd_max to at least 1",
         ),
-        ({"machines": {"G1": {"governor": {"gate_max": 0.5}}}}, r"G1\.governor: the gate is"),
+        (
+            {"machines": {"G1": {"governor": {"gate_max": 0.5}}}},
+            r"G1\.governor: gate .* above gate_max = 0.5; set gate_max to",
+        ),
         ({"machines": {"G1": {"exciter": {"kind": "constant"}}}}, "constant excitation"),
     ],
 )

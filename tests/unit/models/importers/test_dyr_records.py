@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from interarea.models.case.errors import CaseError
+from interarea.models.errors import CaseError
 from interarea.models.importers.dyr import DyrFile, read_dyr
 
 

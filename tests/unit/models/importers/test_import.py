@@ -51,9 +51,11 @@ def test_dyr_gives_the_same_machines_and_controls(write: Write) -> None:
     for ours, theirs in zip(copy.machines, case.machines, strict=True):
         keys = ("H", "D", "Xd", "Xq", "Xl", "Xd1", "Xq1", "Xd2", "Xq2", "Td01", "Tq01", "Td02", "Tq02", "Ra")
         assert [getattr(ours, k) for k in keys] == [getattr(theirs, k) for k in keys]
-        assert (ours.exciter.KA, ours.exciter.TR, ours.exciter.kind) == (200.0, 0.01, "st1a")
-        assert ours.stabilizer.lead_lags == theirs.stabilizer.lead_lags
-        assert (ours.stabilizer.K, ours.stabilizer.Tw, ours.stabilizer.Vs_max) == (20.0, 10.0, 0.05)
+        assert (ours.exciter.KA, ours.exciter.TR, ours.exciter.kind) == (200.0, 0.01, "exst1")
+        assert all(
+            getattr(ours.stabilizer, f"T{k}") == getattr(theirs.stabilizer, f"T{k}") for k in range(1, 5)
+        )
+        assert (ours.stabilizer.KS, ours.stabilizer.T6, ours.stabilizer.LSMAX) == (20.0, 10.0, 0.05)
         assert ours.saturation is None
     assert [(q.P_exponent, q.Q_exponent) for q in copy.loads] == [(1.0, 2.0)] * 2
     require_dynamics(copy)
@@ -80,16 +82,24 @@ def test_saturation_goes_through_both_points(write: Write) -> None:
 MAPPED = [
     (
         "'SEXS' 1 0.1 10.0 100 0.05 -4 5 /",
-        {"kind": "static_tgr", "KA": 100.0, "TC": 1.0, "TB": 10.0, "TA": 0.05},
+        {"kind": "sexs", "K": 100.0, "TA_TB": 0.1, "TB": 10.0, "TE": 0.05, "EMIN": -4.0, "EMAX": 5.0},
     ),
-    ("'SEXS' 1 1.0 10.0 100 0.05 -4 5 /", {"kind": "static", "KA": 100.0, "Efd_min": -4.0, "Efd_max": 5.0}),
     (
         "'IEEEX1' 1 0.02 40 0.05 0 0 5 -5 1 0.5 0.03 1 0 3 0.08 4 0.3 /",
-        {"kind": "dc1", "TR": 0.02, "KA": 40.0, "KE": 1.0, "TE": 0.5, "KF": 0.03, "VRmin": -5.0},
+        {
+            "kind": "ieeet1",
+            "TR": 0.02,
+            "KA": 40.0,
+            "KE": 1.0,
+            "TE": 0.5,
+            "KF": 0.03,
+            "VRMIN": -5.0,
+            "S2": 0.3,
+        },
     ),
     (
         "'ESST1A' 1 1 1 0.01 99 -99 1 10 1 1 200 0 4 -4 4 -4 0 0 1 0 3 /",
-        {"kind": "st1a", "TC": 1.0, "TB": 10.0, "VRmax": 4.0},
+        {"kind": "esst1a", "TC": 1.0, "TB": 10.0, "TB1": 1.0, "VRMAX": 4.0},
     ),
 ]
 
@@ -101,11 +111,6 @@ def test_exciter_records_map(write: Write, record: str, expected: dict) -> None:
     machine = import_psse(write("grid.raw", raw_text(case)), write("grid.dyr", text)).case.machine("G2")
     assert {k: getattr(machine.exciter, k) for k in expected} == expected
     assert (machine.governor.kind, machine.governor.R, machine.governor.T3) == ("tgov1", 0.05, 7.0)
-    if expected["kind"] == "dc1":
-        for volts, factor in ((3.0, 0.08), (4.0, 0.3)):
-            assert machine.exciter.Aex * np.exp(machine.exciter.Bex * volts) == pytest.approx(
-                factor, rel=1e-12
-            )
 
 
 def full_dyr(case: Case) -> str:
@@ -119,8 +124,7 @@ def full_dyr(case: Case) -> str:
             times = f"{e.TC} {e.TB} {e.KA} {e.TA} {e.VRmax} {e.VRmin} {e.KC}"
             lines.append(f"{m.bus} 'EXST1' 1 {e.TR} 9 -9 {times} 0 1 /")
         elif e.kind == "dc1":
-            points = " ".join(f"{x} {float(e.Aex * np.exp(e.Bex * x))!r}" for x in (3.0, 4.0))
-            rest = f"{e.VRmax} {e.VRmin} {e.KE} {e.TE} {e.KF} {e.TF} 0 {points}"
+            rest = f"{e.VRmax} {e.VRmin} {e.KE} {e.TE} {e.KF} {e.TF} 0 3 0 4 0"
             lines.append(f"{m.bus} 'ESDC1A' 1 {e.TR} {e.KA} {e.TA} {e.TB} {e.TC} {rest} /")
         if g.kind == "tgov1":
             lines.append(f"{m.bus} 'TGOV1' 1 {g.R} {g.T1} {g.Vmax} {g.Vmin} {g.T2} {g.T3} {g.Dt} /")
@@ -139,7 +143,7 @@ CONTROLS = {
     },
     "EXST1": {"kind": "st1a", "KA": 200.0, "TA": 0.02, "TR": 0.01, "VRmin": -6.0, "VRmax": 6.0, "KC": 0.1},
     "ESDC1A": {"kind": "dc1", "KA": 20.0, "TA": 0.055, "TR": 0.05, "TE": 0.36, "KF": 0.125, "TF": 1.8}
-    | {"Aex": 0.0056, "Bex": 1.075, "VRmin": -3.0, "VRmax": 5.0},
+    | {"VRmin": -3.0, "VRmax": 5.0},  # without saturation, which is of another shape
 }
 
 
@@ -147,7 +151,7 @@ CONTROLS = {
 def test_an_imported_grid_has_the_linear_plant_of_the_case_it_was_written_from(
     write: Write, tmp_path: Path, model: str
 ) -> None:
-    """Case -> RAW + DYR -> case -> TOML -> case: the same state matrix of the C plant."""
+    """Case -> RAW + DYR -> case -> TOML -> case: the same eigenvalues, of other devices with other states."""
     stabilizer = {
         "K": 20.0,
         "Tw": 10.0,
@@ -174,8 +178,10 @@ def test_an_imported_grid_has_the_linear_plant_of_the_case_it_was_written_from(
     export_toml(copy, tmp_path / "grid.toml")
     read_back = load_case(tmp_path / "grid.toml")
     assert read_back.hash == copy.hash
-    A, wanted = (BlockShim(plant_block(c)).jacobians()[0] for c in (read_back, case))
-    np.testing.assert_allclose(A, wanted, rtol=1e-9, atol=1e-7)
+    got, wanted = (np.linalg.eigvals(BlockShim(plant_block(c)).jacobians()[0]) for c in (read_back, case))
+    assert len(got) == len(wanted)
+    moving = wanted[abs(wanted) > 1e-2]  # the reference angle's zero is a multiple one, and ill conditioned
+    assert all(np.abs(got - z).min() < 1e-7 * abs(z) for z in moving)
 
 
 def test_a_salient_pole_machine_is_the_round_rotor_one_without_transient_in_q(write: Write) -> None:
@@ -243,11 +249,14 @@ def test_a_raw_file_cut_short_is_named(write: Write) -> None:
 
 
 DYR_REFUSED = [
-    ("'EXST1'", "'AC4A'", r"grid\.dyr:4: model 'AC4A' at bus 1 is not supported, allowed: GENROU, "),
+    ("'EXST1'", "'AC4A'", r"grid\.dyr:4: model 'AC4A' at bus 1 is not supported; did you mean EXAC4"),
     (" 0.0 0.0 /", " 0.0 /", r"grid\.dyr:2: GENROU has 13 parameters, allowed: 14 \(cut off\?\)"),
     (" 0.0 0.0 /", " 0.0 0.0 7.0 /", r"grid\.dyr:2: GENROU has 15 parameters, allowed: 14 \(is the /"),
     ("1.7 0.3 0.55", "1.7 nan 0.55", r"grid\.dyr:2: GENROU record: 9 .* 'nan', allowed: a finite number"),
-    ("'IEEEST' 1 1 0", "'IEEEST' 1 3 0", r"grid\.dyr:5: IEEEST input code 3, allowed: 1"),
+    ("'IEEEST' 1 1 0", "'IEEEST' 1 9 0", r"grid\.dyr:5: IEEEST ICS = 9, allowed: 0 to 5"),
+    ("'IEEEST' 1 1 0", "'IEEEST' 1 1 7", r"grid\.dyr:5: IEEEST field 2 = 7, allowed: 0 \(what it asks for"),
+    ("'IEEEST' 1 1 0", "'IEEEST' 1 1 x", r"grid\.dyr:5: IEEEST field 2 \(0\) = 'x', allowed: a number"),
+    ("'IEEEST' 1 1 0", "'IEEEST' 1 1", r"grid\.dyr:5: IEEEST has 18 fields, allowed: 19, ICS 0 A1"),
     ("1.7 0.3 0.55", "1.7 1.9 0.55", r"Xd = 1.8 with Xd1 = 1.9.*\(given at .*grid\.dyr:2\)"),
     ("1 'EXST1'", "1 'GENROU'", r"grid\.dyr:4: GENROU has 12 parameters"),
     ("2 'GENROU' 1", "2 'REGCA1' 1", r"model 'REGCA1' at bus 2 .*--converters current"),

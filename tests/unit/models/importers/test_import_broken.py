@@ -12,7 +12,7 @@ from grid_text import dyr_text, matpower_text, raw_text
 from raw_grids import VERSIONS, raw_grid
 
 from interarea.models.case.case import load_case
-from interarea.models.case.errors import CaseError
+from interarea.models.errors import CaseError
 from interarea.models.grid.powerflow import solve_powerflow
 from interarea.models.importers.matpower import import_matpower
 from interarea.models.importers.psse import import_psse

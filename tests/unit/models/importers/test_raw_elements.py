@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from raw_grids import raw_grid
 
-from interarea.models.case.errors import CaseError
+from interarea.models.errors import CaseError
 from interarea.models.grid.network import admittance_matrix
 from interarea.models.grid.powerflow import PowerFlowError, solve_powerflow
 from interarea.models.importers.imported import Imported

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from interarea.models.case.errors import CaseError
+from interarea.models.errors import CaseError
 from interarea.models.importers.raw.record import Record
 from interarea.models.importers.raw.text import LONGEST_LINE, read_lines, split_record, split_words
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from raw_grids import VERSIONS, raw_grid
 
-from interarea.models.case.errors import CaseError
+from interarea.models.errors import CaseError
 from interarea.models.grid.powerflow import solve_powerflow
 from interarea.models.importers.psse import import_psse, static_grid
 from interarea.models.importers.raw.file import RawFile, read_raw

@@ -1,0 +1,1 @@
+"""Devices as files: exciters, governors, stabilizers, compensators, one TOML file each."""

@@ -1,0 +1,151 @@
+"""C of expressions: over the plant's scalar `num`, what holds parameters only prepared once."""
+
+from __future__ import annotations
+
+from .language.device import MBASE
+from .language.element import On
+from .language.expression import ONE, Node
+from .language.structure import Model
+
+_FUNCTION = {
+    "min": "element_min",
+    "max": "element_max",
+    "clamp": "element_clamp",
+    "deadband": "element_deadband",
+    "abs": "element_abs",
+    "sqrt": "element_sqrt",
+    "exp": "num_exp",
+    "log": "num_log",
+    "sin": "element_sin",
+    "cos": "element_cos",
+    "fex": "element_fex",
+    "vx": "element_vx",
+    "vx_inverse": "element_vx_inverse",
+}
+
+
+def given_rows(model: Model) -> tuple[str, ...]:
+    """Return the rows of a device's table that the case gives: parameters, MBASE, references."""
+    return (*(p.name for p in model.device.parameters), MBASE, *model.device.references)
+
+
+class ExpressionWriter:
+    """C of the expressions of one device; `on` says which parts are there."""
+
+    def __init__(self, model: Model) -> None:
+        self.model, self.device = model, model.device
+        self.prefix = self.device.key
+        self.big = self.prefix.upper()
+        self.given = given_rows(model)
+        self.prepared: dict[Node, int] = {}
+        self.in_prepare = False
+        self.on: On = lambda condition: condition if isinstance(condition, bool) else None
+
+    def row(self, name: str) -> str:
+        """A row of the table."""
+        return f"p[{self.big}__{name} * n]"
+
+    def constant(self, node: Node) -> str:
+        """C of a node of parameters and numbers: a literal, a row, or a row prepared once."""
+        if node.op == "number":
+            return _literal(node.value)
+        if node.op == "name":
+            return self.row(node.name)
+        if node not in self.prepared:
+            self.prepared[node] = len(self.prepared)
+        return self.row(f"_{self.prepared[node]}")
+
+    def code_of(self, node: Node) -> tuple[str, bool]:
+        """C of a node, and whether it is a `num` (else a `real`)."""
+        if not self.in_prepare and self.device.constant(node):
+            return self.constant(node), False
+        if node.op == "number":
+            return _literal(node.value), False
+        if node.op == "name":
+            given = node.name in self.given and node.name != "pref"  # a step is added to pref
+            return (self.row(node.name), False) if given else (f"s_{node.name}", True)
+        if node.op == "neg":
+            text, is_num = self.code_of(node.args[0])
+            return f"(-{text})", is_num
+        if node.op in ("+", "-", "*", "/"):
+            return self.binary(node)
+        if node.op == "**":
+            power = int(node.args[1].value)
+            text = self.num(node.args[0])
+            square = f"element_square({text})"
+            return {2: square, 3: f"({square} * {text})", 4: f"element_square({square})"}[power], True
+        if node.op == "pick":
+            return self.pick(node), True
+        if node.op == "table":
+            return self.table(node), True
+        if node.op == "per":
+            return f"element_per({self.code_of(node.args[0])[0]})", False
+        if node.op in ("vx_a", "vx_b"):
+            return f"element_{node.op}({', '.join(self.code_of(a)[0] for a in node.args)})", False
+        args = [self.num(a) for a in node.args]
+        name, text = _FUNCTION[node.op], args[-1]
+        if node.op in ("min", "max"):
+            for other in reversed(args[:-1]):
+                text = f"{name}({other}, {text})"
+            return text, True
+        return f"{name}({', '.join(args)})", True
+
+    def binary(self, node: Node) -> tuple[str, bool]:
+        """C of + - * /."""
+        (a, a_num), (b, b_num) = (self.code_of(part) for part in node.args)
+        if node.op == "/" and b_num:
+            return f"num_ratio({a if a_num else f'NUM({a})'}, {b})", True
+        if node.op == "/" and not self.in_prepare:  # by a parameter: its reciprocal is prepared
+            return f"({a} * {self.constant(Node('/', (ONE, node.args[1])))})", a_num
+        return f"({a} {node.op} {b})", a_num or b_num
+
+    def num(self, node: Node) -> str:
+        """C of a node as a `num`."""
+        text, is_num = self.code_of(node)
+        return text if is_num else f"NUM({text})"
+
+    def pick(self, node: Node) -> str:
+        """C of a choice: by a bit of the structure, or by signals."""
+        condition, yes, no = node.args
+        if not self.in_prepare and self.device.constant(condition):
+            decided = self.on(condition)
+            if decided is not None:
+                return self.num(yes if decided else no)
+            return f"({self.bit(condition)} ? {self.num(yes)} : {self.num(no)})"
+        return f"num_pick({self.flag(condition)}, {self.num(yes)}, {self.num(no)})"
+
+    def flag(self, node: Node) -> str:
+        """C of a comparison of signals."""
+        a, b = (self.num(part) for part in node.args)
+        return {
+            ">": f"num_above({a}, {b})",
+            "<": f"num_above({b}, {a})",
+            ">=": f"num_reaches({a}, {b})",
+            "<=": f"num_reaches({b}, {a})",
+            "==": f"(num_reaches({a}, {b}) & num_reaches({b}, {a}))",
+            "!=": f"flag_not(num_reaches({a}, {b}) & num_reaches({b}, {a}))",
+        }[node.op]
+
+    def table(self, node: Node) -> str:
+        """C of a table, piece by piece, held beyond the ends."""
+        u, points = self.num(node.args[0]), node.args[1:]
+        xs, ys = points[0::2], points[1::2]
+        text = self.num(ys[0])
+        for k in range(len(xs) - 1):
+            rise, run = Node("-", (ys[k + 1], ys[k])), Node("-", (xs[k + 1], xs[k]))
+            slope = self.num(Node("/", (rise, run)))
+            text = f"element_piece({text}, {u}, {self.num(xs[k])}, {self.num(ys[k])}, {slope})"
+        return f"element_piece({text}, {u}, {self.num(xs[-1])}, {self.num(ys[-1])}, NUM(0.0))"
+
+    def bit(self, condition: Node) -> str:
+        """C of a bit of the structure."""
+        return f"(has & {hex(1 << self.model.bits[condition])}u)"
+
+    def times(self, K: Node, u: Node) -> str:
+        """C of K u."""
+        return self.num(u) if K == ONE else f"{self.constant(K)} * {self.num(u)}"
+
+
+def _literal(value: float) -> str:
+    text = repr(float(value))
+    return f"({text})" if value < 0.0 else text

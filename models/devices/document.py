@@ -1,0 +1,67 @@
+"""What a device is, as text and HTML: diagram, parameters, sources, what it was checked against."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable
+
+from .language.device import NO_LIMIT, Device, Parameter
+
+#: what each element means; the same words in the documentation of every device
+ELEMENTS = {
+    "lag(u, T)": "T y' = K u - y within min .. max (non-windup); T = 0: y = K u",
+    "leadlag(u, T1, T2)": "y = K u (1 + s T1)/(1 + s T2); T2 = 0: y = K u",
+    "washout(u, T)": "y = K u s T/(1 + s T); T = 0: y = K u",
+    "rate(u, K, T)": "y = u s K/(1 + s T); K = 0: absent",
+    "integrator(u)": "T y' = K u within min .. max (non-windup)",
+    "pi(u, KP, KI)": "y = KP u + KI u/s + add within min .. max; the integral stands while it pushes out",
+    "filter2(u, A1, A2, B1, B2)": "y = u (1 + B1 s + B2 s^2)/(1 + A1 s + A2 s^2)",
+    "vx(E, E1, S1, E2, S2)": "E SE(E) = B (E - A)^2 above A, through both points (scaled quadratic of PSS/E)",
+    "fex(n)": "regulation of a rectifier",
+}
+
+
+def diagram_text(device: Device) -> str:
+    """Return the diagram with parameters put in, one line a signal."""
+    rows = [(f"{line.name} = {line.node}", line.comment) for line in device.lines]
+    width = min(max(len(row) for row, _ in rows), 72)
+    return "\n".join(f"{row:<{width}}  # {comment}" if comment else row for row, comment in rows)
+
+
+def range_text(p: Parameter) -> str:
+    """Return the range of a parameter in words."""
+    low = "" if p.low <= -NO_LIMIT else f"> {p.low:g}" if p.open else f">= {p.low:g}"
+    high = "" if p.high >= NO_LIMIT else f"<= {p.high:g}"
+    return ", ".join(part for part in (low, high) if part)
+
+
+def device_html(device: Device) -> str:
+    """Return one device as HTML; everything from the file is escaped."""
+    rows = "".join(
+        f"<tr><td><code>{html.escape(p.name)}</code></td><td>{html.escape(p.unit)}</td>"
+        f"<td>{html.escape(range_text(p))}</td><td>{html.escape(p.text)}</td></tr>"
+        for p in device.parameters
+    )
+    checked = (
+        f"Checked against: {device.oracle}." if device.oracle else "No record to check it against is known."
+    )
+    notes = f" {device.notes}." if device.notes else ""
+    return (
+        f"<h4>{html.escape(device.name)}: {html.escape(device.title)}</h4>"
+        f"<pre>{html.escape(diagram_text(device))}</pre>"
+        f"<table><tr><th>parameter</th><th>unit</th><th>range</th><th>what</th></tr>{rows}</table>"
+        f"<p>{html.escape('; '.join(device.sources))}. {html.escape(checked)}{html.escape(notes)}</p>"
+    )
+
+
+def devices_html(devices: Iterable[Device]) -> str:
+    """Return several devices as HTML, after what the elements in them mean."""
+    devices = list(devices)
+    used = {line.node.op for device in devices for line in device.lines}
+    used |= {part.op for device in devices for line in device.lines for part in line.node.args}
+    words = "".join(
+        f"<tr><td><code>{html.escape(call)}</code></td><td>{html.escape(text)}</td></tr>"
+        for call, text in ELEMENTS.items()
+        if call.partition("(")[0] in used
+    )
+    return f"<table>{words}</table>" + "".join(device_html(device) for device in devices)

@@ -1,0 +1,120 @@
+"""Records of PSS/E's DYR files as devices, and devices as records: each `[dyr]` line is both."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from ..errors import nearest
+from .errors import DeviceError
+from .language.device import DyrModel
+from .language.expression import evaluate
+from .language.structure import Model
+from .library import library
+
+
+class DyrRecord(Protocol):
+    """One record: its model's name in capitals, its bus, its fields after the ID, and where it stands."""
+
+    @property
+    def model(self) -> str: ...
+    @property
+    def bus(self) -> int: ...
+    @property
+    def fields(self) -> Sequence[float | str]: ...
+    @property
+    def where(self) -> str: ...
+
+
+@dataclass(frozen=True)
+class DyrDevice:
+    """A device and the parameters that a record gives it."""
+
+    model: Model
+    parameters: Mapping[str, float]
+
+
+@functools.cache
+def dyr_models() -> dict[str, tuple[Model, DyrModel]]:
+    """Return the record names that devices of the package read."""
+    return {row.model: (model, row) for model in library().values() for row in model.device.dyr}
+
+
+def device_for_dyr(record: DyrRecord, own: Sequence[Model] = ()) -> DyrDevice:
+    """Return the device of a record; `own`: a user's devices, which come first.
+
+    Raises
+    ------
+    DeviceError : unknown model (with the nearest names), too few or too many fields, a field that is no
+        number or out of the parameter's range, a function of the model that is not modelled.
+    """
+    known = dyr_models() | {row.model: (model, row) for model in own for row in model.device.dyr}
+    if record.model not in known:
+        raise DeviceError(
+            f"{record.where}: model {record.model!r} at bus {record.bus}; {nearest(record.model, known)}"
+        )
+    model, row = known[record.model]
+    if len(record.fields) != len(row.fields):
+        hint = " (is the / of the record missing?)" if len(record.fields) > len(row.fields) else ""
+        raise DeviceError(
+            f"{record.where}: {record.model} has {len(record.fields)} fields, allowed: {len(row.fields)}, "
+            f"{' '.join(row.fields)}{hint}"
+        )
+    values: dict[str, float] = {}
+    for k, (name, text) in enumerate(zip(row.fields, record.fields, strict=True), start=1):
+        if name == "-":
+            continue
+        values_of = _number(text)
+        if values_of is None:
+            raise DeviceError(
+                f"{record.where}: {record.model} field {k} ({name}) = {str(text)[:40]!r}, allowed: a number"
+            )
+        if name == "0":
+            if values_of != 0.0:
+                raise DeviceError(
+                    f"{record.where}: {record.model} field {k} = {values_of:g}, allowed: 0 "
+                    "(what it asks for is not modelled)"
+                )
+            continue
+        values[name] = values_of
+    values |= {name: float(evaluate(node, values)) for name, node in row.assigned}
+    parameters = {p.name: values[p.name] for p in model.device.parameters if p.name in values}
+    for p in model.device.parameters:
+        value = parameters.get(p.name, p.default)
+        if value is None:
+            raise DeviceError(
+                f"{record.where}: {record.model} gives no {p.name}, which {model.device.name} needs"
+            )
+        rule = model.device.computed.get(p.name)
+        if rule is not None and value == rule.when:
+            continue
+        if not (p.low <= value <= p.high) or (p.open and value == p.low):
+            allowed = f"above {p.low:g}" if p.open else f"{p.low:g} to {p.high:g}"
+            raise DeviceError(f"{record.where}: {record.model} {p.name} = {value:g}, allowed: {allowed}")
+    return DyrDevice(model, parameters)
+
+
+def dyr_fields(model: Model, values: Mapping[str, float]) -> tuple[str, tuple[float, ...]]:
+    """Return the record's name and fields that give a device with parameters `values`.
+
+    Raises
+    ------
+    DeviceError : no record of the device's can hold these values.
+    """
+    for row in model.device.dyr:
+        fits = (evaluate(node, values) == values[name] for name, node in row.assigned)
+        if all(fits):
+            return row.model, tuple(0.0 if n in ("-", "0") else float(values[n]) for n in row.fields)
+    known = ", ".join(row.model for row in model.device.dyr) or "none"
+    raise DeviceError(f"{model.device.name}: no record holds these values; its records: {known}")
+
+
+def _number(text: float | str) -> float | None:
+    if isinstance(text, str):
+        try:
+            text = float(text.strip().replace("D", "E").replace("d", "e"))
+        except ValueError:
+            return None
+    return float(text) if abs(text) < 1e30 else None

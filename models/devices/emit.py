@@ -1,0 +1,350 @@
+"""C code of devices: one straight line for each line of a diagram, over the plant's scalar `num`."""
+
+from __future__ import annotations
+
+import re
+import zlib
+from collections.abc import Iterable, Iterator
+
+from .c_expression import ExpressionWriter
+from .language.device import KINDS
+from .language.element import Condition, Element, resolved
+from .language.elements import Pi, Plain
+from .language.expression import ONE, ZERO, Node, names_of, number
+from .language.structure import Model, Order
+
+_TEXT = re.compile(r"[^A-Za-z0-9 ,.:;()=+-]")
+
+
+def devices_header(models: Iterable[Model]) -> str:
+    """Return `devices.h` for `models`: tables, equations and the choice by number, in their order."""
+    written = [Writer(model) for model in models]
+    out = [
+        "/* Written by models/devices/emit.py from the device files; not to be edited. */",
+        "#ifndef INTERAREA_DEVICES_H",
+        "#define INTERAREA_DEVICES_H",
+        '#include "elements.h"',
+        "",
+    ]
+    for writer in written:
+        out += [*writer.code(), ""]
+    names = [w.prefix for w in written]
+    digest = zlib.crc32("\n".join(out).encode())  # a record made for other devices is refused
+    out += [f"#define DEVICE_SIGNATURE {digest}u"]
+    out += [
+        f"enum {{ {', '.join(f'DEVICE__{n.upper()}' for n in names)}{', ' if names else ''}DEVICE__COUNT }};"
+    ]
+    numbers = {
+        "rows": [f"{n.upper()}___ROWS" for n in names],
+        "given": [f"{n.upper()}___GIVEN" for n in names],
+        "kind": [str(list(KINDS).index(w.device.kind)) for w in written],
+        "reference": [w.reference for w in written],
+    }
+    for what, values in numbers.items():
+        out += _choice(what, "size_t device", names, values)
+    out += _choice("states", "size_t device, uint64_t has", names, [w.states() for w in written])
+    out += [
+        "static inline void device_run(size_t device, const DeviceGroup *g, const DeviceSignals *in,",
+        "                              const num *x, num *dx)",
+        "{",
+        "    switch (device) {",
+        *(f"    case DEVICE__{n.upper()}: run_{n}(g, in, x, dx); break;" for n in names),
+        "    default: (void)g; (void)in; (void)x; (void)dx;",
+        "    }",
+        "}",
+        "#if !defined PLANT_TANGENT && !defined PLANT_LANES",
+        "static inline void device_prepare(size_t device, double *table, size_t n)",
+        "{",
+        "    switch (device) {",
+        *(f"    case DEVICE__{n.upper()}: prepare_{n}(table, n); break;" for n in names),
+        "    default: (void)table; (void)n;",
+        "    }",
+        "}",
+        "#endif",
+        "#endif",
+    ]
+    return "\n".join(out) + "\n"
+
+
+def _choice(what: str, arguments: str, names: list[str], values: list[str]) -> list[str]:
+    return [
+        f"static inline size_t device_{what}({arguments})",
+        "{",
+        *(["    (void)has;"] if "has" in arguments else []),
+        "    switch (device) {",
+        *(f"    case DEVICE__{n.upper()}: return {v};" for n, v in zip(names, values, strict=True)),
+        "    default: return 0;",
+        "    }",
+        "}",
+    ]
+
+
+class Writer(ExpressionWriter):
+    """The C code of one device."""
+
+    @property
+    def reference(self) -> str:
+        """C of the row of the set-point that is solved for, 0 where there is none."""
+        fixed = {name for name, _ in self.device.fixed}
+        solved = [name for name in self.device.references if name not in fixed]
+        return f"{self.big}__{solved[0]}" if solved else "0"
+
+    def states(self) -> str:
+        """C of the number of states."""
+        present = [state.present for _, state in self.model.states]
+        optional = [f"({self.bit(p)} ? 1u : 0u)" for p in present if isinstance(p, Node)]
+        return " + ".join([f"{sum(p is True for p in present)}u", *optional])
+
+    # ------------------------------------------------------------ the device
+
+    def code(self) -> list[str]:
+        """Enumeration, what is prepared, the equations."""
+        device = self.device
+        states = self.model.states
+        body = self.branch(self.model.order, {}, 2)
+        inputs = sorted({n for line in device.lines for n in names_of(line.node)} & set(device.inputs))
+        head = [
+            f"static inline void run_{self.prefix}(const DeviceGroup *g, const DeviceSignals *in,",
+            f"                       {' ' * len(self.prefix)} const num *x, num *dx)",
+            "{",
+            "    const size_t n = g->n;",
+            *(["    const uint64_t has = g->has;"] if self.model.bits else []),
+        ]
+        at = "0"
+        for _, state in states:
+            head.append(f"    const size_t at_{state.name} = {at};")
+            there = "n" if state.present is True else f"({self.condition(state.present)} ? n : 0)"
+            at = f"at_{state.name} + {there}"
+        if not states:
+            head += ["    (void)x;", "    (void)dx;"]
+        loop = ["    for (size_t k = 0; k < n; ++k) {", "        const real *p = g->table + k;"]
+        loop += ["        const size_t m = index_at(g->machine, k);"]
+        loop += [f"        const num s_{name} = in->{name}[m];" for name in inputs]
+        if "pref" in device.references:
+            loop.append(f"        const num s_pref = NUM({self.row('pref')} + in->pref_step[m]);")
+        for _, state in states:
+            value = f"x[at_{state.name} + k]"
+            if state.present is not True:
+                value = f"{self.condition(state.present)} ? {value} : NUM(0.0)"
+            loop.append(f"        const num x_{state.name} = {value};")
+        if not any("p[" in row for row in body + loop[2:]):
+            loop[1] = ""
+        rows = [
+            f"{self.big}__{name}" for name in (*self.given, *(f"_{k}" for k in range(len(self.prepared))))
+        ]
+        size = len(self.given)
+        enumeration = _wrapped(
+            f"enum {{ {', '.join(rows)}, {self.big}___ROWS,", f"       {self.big}___GIVEN = {size} }};"
+        )
+        return [
+            f"/* {device.name}: {_TEXT.sub(' ', device.title)} */",
+            *enumeration,
+            *self.prepare(),
+            *head,
+            *[row for row in loop if row],
+            *body,
+            "    }",
+            "}",
+        ]
+
+    def prepare(self) -> list[str]:
+        """The rows computed once."""
+        self.in_prepare = True
+        rows = [
+            f"        p[{self.big}___{k} * n] = {self.code_of(node)[0]};" for node, k in self.prepared.items()
+        ]
+        self.in_prepare = False
+        head = ["#if !defined PLANT_TANGENT && !defined PLANT_LANES"]
+        head += [f"static inline void prepare_{self.prefix}(double *table, size_t n)", "{"]
+        if not rows:
+            return [*head, "    (void)table;", "    (void)n;", "}", "#endif"]
+        return [
+            *head,
+            "    for (size_t k = 0; k < n; ++k) {",
+            "        double *p = table + k;",
+            *rows,
+            "    }",
+            "}",
+            "#endif",
+        ]
+
+    def branch(self, order: Order, decided: dict[int, bool], depth: int) -> list[str]:
+        """The lines in an order, or a choice between two."""
+        pad = "    " * depth
+        if order.bit is not None and order.yes is not None and order.no is not None:
+            return [
+                f"{pad}if (has & {hex(1 << order.bit)}u) {{",
+                *self.branch(order.yes, decided | {order.bit: True}, depth + 1),
+                f"{pad}}} else {{",
+                *self.branch(order.no, decided | {order.bit: False}, depth + 1),
+                f"{pad}}}",
+            ]
+        output = self.device.output
+        if order.loop:  # refused when the case is read
+            return [f"{pad}in->{output}[m] = NUM(NAN);"]
+        self.on = self.model.on(decided)
+        rows: list[str] = []
+        for name in order.lines:
+            rows += self.output_of(self.model.elements[name])
+        rows.append(f"in->{output}[m] = s_{output};")
+        for element in self.model.elements.values():
+            rows += self.rates_of(element)
+        return [pad + row for row in rows]
+
+    def condition(self, condition: Condition) -> str:
+        """C of a condition."""
+        return "1" if condition is True else "0" if condition is False else self.bit(condition)
+
+    def chosen(self, present: Condition, yes: str, no: str) -> str:
+        """`yes` where a state is there, else `no`."""
+        decided = self.on(present)
+        if decided is not None or isinstance(present, bool):
+            return yes if decided else no
+        return f"{self.bit(present)} ? {yes} : {no}"
+
+    def output_of(self, e: Element) -> Iterator[str]:
+        """The line of a signal."""
+        name = e.line.name
+        comment = _TEXT.sub(" ", e.line.comment).strip()
+        end = f";  /* {comment} */" if comment else ";"
+        if isinstance(e, Plain):
+            yield f"const num s_{name} = {self.num(resolved(self.device, e.u, self.on))}{end}"
+            return
+        value = getattr(self, f"{e.line.element}_output")(e)
+        if e.is_limited:
+            low, high = (
+                self.num(Node("number", value=bare) if limit is None else limit)
+                for limit, bare in zip(e.limits, (-1e30, 1e30), strict=True)
+            )
+            yield f"const num low_{name} = {low};"
+            fixed = all(limit is None or self.device.constant(limit) for limit in e.limits)
+            yield f"const num high_{name} = {high if fixed else f'element_max({high}, low_{name})'};"
+        if isinstance(e, Pi):
+            yield f"const num whole_{name} = {value};"
+            value = f"whole_{name}"
+        if e.is_limited:
+            value = f"element_clamp({value}, low_{name}, high_{name})"
+        yield f"const num s_{name} = {value}{end}"
+
+    def rates_of(self, e: Element) -> Iterator[str]:
+        """The rates of a line's states."""
+        for state in e.states():
+            if self.on(state.present) is False:
+                continue
+            guard = "" if self.on(state.present) else f"if {self.bit(state.present)} "  # type: ignore[arg-type]
+            value = getattr(self, f"{e.line.element}_rate")(e, state.name)
+            yield f"{guard}dx[at_{state.name} + k] = {value};"
+
+    # ------------------------------------------------------------ elements
+
+    def lag_output(self, e: Element) -> str:
+        return self.chosen(e.states()[0].present, f"x_{e.line.name}", self.times(e.K, e.u))
+
+    def lag_rate(self, e: Element, x: str) -> str:
+        name, per = e.line.name, self.constant(Node("per", (e.args[1],)))
+        low, high = e.line.option("rate_min"), e.line.option("rate_max")
+        u = self.times(e.K, e.u)
+        if low is None and high is None:
+            if not e.is_limited:
+                return f"({u} - x_{x}) * {per}"
+            return f"element_lag_rate({u}, x_{x}, low_{name}, high_{name}) * {per}"
+        slowest = self.num(number(-1e30) if low is None else low)
+        fastest = self.num(number(1e30) if high is None else high)
+        rate = f"element_clamp(({u} - x_{x}) * {per}, {slowest}, {fastest})"
+        return self.held(e, rate, x, per)
+
+    def held(self, e: Element, rate: str, x: str, per: str) -> str:
+        name = e.line.name
+        if not e.is_limited:
+            return rate
+        return f"element_held_rate({rate}, x_{x}, s_{name}, low_{name}, high_{name}, {per})"
+
+    def integrator_output(self, e: Element) -> str:
+        return f"x_{e.line.name}"
+
+    def integrator_rate(self, e: Element, x: str) -> str:
+        T = e.option("T", ONE)
+        per: Node = ONE if T == ONE else Node("/", (ONE, T))
+        gain = per if e.K == ONE else Node("*", (e.K, per))
+        rate = self.num(e.u) if gain == ONE else f"{self.constant(gain)} * {self.num(e.u)}"
+        return self.held(e, rate, x, self.real(per))
+
+    def real(self, node: Node) -> str:
+        """C of a constant as a `real`, which a literal is not in lanes."""
+        return f"REAL({self.constant(node)})" if node.op == "number" else self.constant(node)
+
+    def leadlag_output(self, e: Element) -> str:
+        name, ratio = e.line.name, self.constant(Node("*", (e.args[1], Node("per", (e.args[2],)))))
+        u = self.times(e.K, e.u)
+        return self.chosen(e.states()[0].present, f"x_{name} + ({u} - x_{name}) * {ratio}", u)
+
+    def leadlag_rate(self, e: Element, x: str) -> str:
+        return f"({self.times(e.K, e.u)} - x_{x}) * {self.constant(Node('per', (e.args[2],)))}"
+
+    def washout_output(self, e: Element) -> str:
+        u = self.num(e.u)
+        high = f"({u} - x_{e.line.name})"
+        if e.K != ONE:
+            high = f"{self.constant(e.K)} * {high}"
+        return self.chosen(e.states()[0].present, high, self.times(e.K, e.u))
+
+    def washout_rate(self, e: Element, x: str) -> str:
+        return f"({self.num(e.u)} - x_{x}) * {self.constant(Node('per', (e.args[1],)))}"
+
+    def rate_output(self, e: Element) -> str:
+        gain = self.constant(Node("*", (e.args[1], Node("per", (e.args[2],)))))
+        return self.chosen(e.states()[0].present, f"({self.num(e.u)} - x_{e.line.name}) * {gain}", "NUM(0.0)")
+
+    def rate_rate(self, e: Element, x: str) -> str:
+        return f"({self.num(e.u)} - x_{x}) * {self.constant(Node('per', (e.args[2],)))}"
+
+    def pi_output(self, e: Element) -> str:
+        add, feedback = e.option("add", ZERO), e.option("feedback", ZERO)
+        KP = self.constant(e.args[1])
+        whole = f"{KP} * {self.num(e.u)}"
+        if add != ZERO:
+            whole += f" + {self.num(add)}"
+        whole += f" + x_{e.line.name}"  # 0 where the state is not there
+        if feedback == ZERO:
+            return whole
+        return f"num_ratio({whole}, 1.0 + {KP} * {self.num(feedback)})"
+
+    def pi_rate(self, e: Element, x: str) -> str:
+        name, feedback = e.line.name, e.option("feedback", ZERO)
+        error = self.num(e.u)
+        if feedback != ZERO:
+            error = f"({error} - {self.num(feedback)} * s_{name})"
+        rate = f"{self.constant(e.args[2])} * {error}"
+        if not e.is_limited:
+            return rate
+        return f"element_pi_rate({rate}, whole_{name}, low_{name}, high_{name})"
+
+    def _filter(self, e: Element) -> tuple[str, str]:
+        name, per = e.line.name, self.constant(Node("per", (e.args[2],)))
+        slow = f"({self.num(e.u)} - x_{name})"
+        return f"({slow} - {self.constant(e.args[1])} * x_{name}_rate) * {per}", slow
+
+    def filter2_output(self, e: Element) -> str:
+        name, (fast, slow) = e.line.name, self._filter(e)
+        B1, B2 = (self.constant(b) for b in e.args[3:5])
+        first, second = e.states()
+        ratio = self.constant(Node("*", (e.args[3], Node("per", (e.args[1],)))))
+        inner = self.chosen(first.present, f"x_{name} + {slow} * {ratio}", self.num(e.u))
+        return self.chosen(second.present, f"x_{name} + {B1} * x_{name}_rate + {B2} * ({fast})", inner)
+
+    def filter2_rate(self, e: Element, x: str) -> str:
+        fast, slow = self._filter(e)
+        if x.endswith("_rate"):
+            return fast
+        flat = f"{slow} * {self.constant(Node('per', (e.args[1],)))}"
+        return self.chosen(e.states()[1].present, f"x_{x}_rate", flat)
+
+
+def _wrapped(text: str, last: str) -> list[str]:
+    rows, row = [], ""
+    for word in text.split(" "):
+        if len(row) + len(word) > 100:
+            rows.append(row.rstrip())
+            row = "       "
+        row += word + " "
+    return [*rows, row.rstrip(), last]

@@ -1,0 +1,196 @@
+"""What a device file holds once it is read: kind, lines of the diagram, parameters, DYR tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from .expression import Node, is_constant
+
+NO_LIMIT = 1e30  #: stands for an absent limit
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What devices of one kind are given and give."""
+
+    inputs: Mapping[str, str]  #: name -> what it is
+    output: str
+    references: tuple[str, ...]
+    text: str
+
+
+_TERMINAL = {
+    "vt": "terminal voltage, pu",
+    "vd": "terminal voltage, d axis, pu",
+    "vq": "terminal voltage, q axis, pu",
+    "id": "current out of the machine, d axis, pu of its base",
+    "iq": "current out of the machine, q axis, pu of its base",
+    "pe": "electrical power, pu of the machine's base",
+    "slip": "speed deviation, pu",
+}
+KINDS: dict[str, Kind] = {
+    "governor": Kind(
+        {"slip": _TERMINAL["slip"], "pe": _TERMINAL["pe"]}, "pm", ("pref",), "governor and turbine"
+    ),
+    "compensator": Kind(dict(_TERMINAL), "vc", (), "voltage that the exciter regulates"),
+    "stabilizer": Kind(
+        {"pm": "mechanical power, pu of the machine's base"} | _TERMINAL, "vs", (), "power system stabilizer"
+    ),
+    "exciter": Kind(
+        {
+            "vc": "terminal voltage, compensated where there is a compensator, pu",
+            "vs": "signals added at the summing point: stabilizer, steps, the FMU's input, pu",
+            "ifd": "field current Xad ifd, pu",
+        }
+        | _TERMINAL,
+        "efd",
+        ("vref",),
+        "excitation system",
+    ),
+}
+MBASE = "MBASE"  #: MVA base of the machine, known to every device
+UNITS = ("1", "s", "pu", "pu/s", "rad", "deg", "Hz", "MVA", "1/s")
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of the diagram: a signal and how it comes about."""
+
+    name: str
+    node: Node  #: of an element: its call
+    comment: str
+    number: int  #: line in the file
+
+    @property
+    def element(self) -> str:
+        """Name of the element, empty for a line without states."""
+        return self.node.op if self.node.op in ELEMENTS else ""
+
+    def option(self, name: str) -> Node | None:
+        """Return the element's option `name`, None when it is not given."""
+        return dict(self.node.options).get(name)
+
+
+_LIMITS = frozenset({"min", "max"})
+#: element -> number of arguments, options
+ELEMENTS: dict[str, tuple[int, frozenset[str]]] = {
+    "lag": (2, _LIMITS | {"K", "rate_min", "rate_max", "rest"}),
+    "leadlag": (3, _LIMITS | {"K"}),
+    "washout": (2, frozenset({"K"})),
+    "rate": (3, frozenset()),
+    "integrator": (1, _LIMITS | {"K", "T", "rest"}),
+    "pi": (3, _LIMITS | {"add", "feedback"}),
+    "filter2": (5, frozenset()),
+}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of a device: `low` and `high` bound it, `open` says that `low` itself is not allowed."""
+
+    name: str
+    unit: str
+    text: str
+    low: float
+    high: float
+    open: bool
+    default: float | None  #: None: must be given; +-NO_LIMIT: an absent limit
+
+    @property
+    def is_optional_limit(self) -> bool:
+        """True for a limit that may be left away."""
+        return self.default is not None and abs(self.default) >= NO_LIMIT
+
+
+@dataclass(frozen=True)
+class Computed:
+    """A parameter that is computed at rest when it is given as `when`."""
+
+    when: float | str
+    value: Node
+
+
+@dataclass(frozen=True)
+class Check:
+    """A condition between parameters, and what to do when it does not hold."""
+
+    text: str
+    node: Node
+    remedy: str
+
+    @property
+    def says(self) -> str:
+        """What an error says after the values."""
+        plain = all(part.op in ("name", "number") for part in self.node.args)
+        return f", allowed: {self.text}; {self.remedy}" if plain else f"; {self.remedy}"
+
+
+@dataclass(frozen=True)
+class DyrModel:
+    """A record of a DYR file: its fields in order, and what is fixed or follows.
+
+    A field is a parameter's or another name, "-" (ignored) or "0" (must be 0).
+    """
+
+    model: str
+    fields: tuple[str, ...]
+    assigned: tuple[tuple[str, Node], ...]
+
+
+@dataclass(frozen=True)
+class Device:
+    """A device as its file says; lines in the order of the file, constants already put in."""
+
+    name: str
+    kind: str
+    title: str
+    sources: tuple[str, ...]
+    oracle: str  #: what it was checked against; empty: nothing
+    notes: str
+    lines: tuple[Line, ...]
+    parameters: tuple[Parameter, ...]
+    references: tuple[str, ...]
+    fixed: tuple[tuple[str, Node], ...]  #: references that are not solved for: their value at rest
+    computed: Mapping[str, Computed]
+    checks: tuple[Check, ...]
+    dyr: tuple[DyrModel, ...]
+    file: str
+    text: str = field(repr=False, default="")
+
+    @property
+    def key(self) -> str:
+        """Name as `kind` of a case has it."""
+        return self.name.lower()
+
+    @property
+    def output(self) -> str:
+        """Name of the output."""
+        return KINDS[self.kind].output
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Inputs that its kind has."""
+        return tuple(KINDS[self.kind].inputs)
+
+    @cached_property
+    def constants(self) -> frozenset[str]:
+        """Names whose value is fixed when the case is read."""
+        return frozenset(p.name for p in self.parameters) | {MBASE}
+
+    @cached_property
+    def by_name(self) -> dict[str, Parameter]:
+        """Parameters by name."""
+        return {p.name: p for p in self.parameters}
+
+    def constant(self, node: Node) -> bool:
+        """Return whether `node` holds parameters and numbers only."""
+        return is_constant(node, self.constants)
+
+    def always_positive(self, node: Node) -> bool:
+        """Return whether the ranges alone say that the parameter or number `node` is above 0."""
+        if node.op == "number":
+            return node.value > 0.0
+        p = self.by_name.get(node.name) if node.op == "name" else None
+        return p is not None and (p.low > 0.0 or (p.low == 0.0 and p.open))

@@ -1,0 +1,311 @@
+"""Expressions of a device's diagram: read from text, evaluated for numbers.
+
+A file is data. Python's parser gives the tree only; every node of it is taken over by type, so that nothing
+but numbers, names, ``+ - * / **``, comparisons and calls of known functions comes through.
+"""
+
+from __future__ import annotations
+
+import ast
+import cmath
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ...errors import nearest
+from ..errors import DeviceError
+
+LONGEST_LINE = 240  #: characters
+DEEPEST = 40
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,23}")
+Value = Any  #: float or complex (the complex step)
+
+
+@dataclass(frozen=True)
+class Node:
+    """A number, a name or an operation: `op` is "number", "name", an operator or a function's name."""
+
+    op: str
+    args: tuple[Node, ...] = ()
+    name: str = ""
+    value: float = 0.0
+    options: tuple[tuple[str, Node], ...] = ()  #: keyword arguments, of elements only
+
+    def __str__(self) -> str:
+        return text_of(self)
+
+
+OPERATORS = ("+", "-", "*", "/", "**")
+COMPARISONS = ("<", "<=", ">", ">=", "==", "!=")
+#: least and most arguments
+FUNCTIONS = {
+    "min": (2, 4),
+    "max": (2, 4),
+    "lv": (2, 4),  # low-value gate
+    "hv": (2, 4),  # high-value gate
+    "clamp": (3, 3),
+    "deadband": (2, 2),
+    "pick": (3, 3),
+    "abs": (1, 1),
+    "sqrt": (1, 1),
+    "exp": (1, 1),
+    "log": (1, 1),
+    "vx": (5, 5),  # E SE(E), scaled quadratic of PSS/E: (E, E1, S1, E2, S2)
+    "vx_inverse": (6, 6),  # v for which KE v + vx(v) = F: (F, KE, E1, S1, E2, S2)
+    "sin": (1, 1),
+    "cos": (1, 1),
+    "fex": (1, 1),  # regulation of the rectifier
+    "table": (5, 25),  # linear between points: (u, x1, y1, x2, y2, ...), held beyond the ends
+}
+_BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
+_COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
+ZERO, ONE = Node("number"), Node("number", value=1.0)
+
+
+def number(value: float) -> Node:
+    """Return `value` as a node."""
+    return Node("number", value=float(value))
+
+
+def parse(text: str, where: str, calls: Mapping[str, tuple[int, int]] = FUNCTIONS) -> Node:
+    """Return the tree of `text`; `calls`: functions allowed, with least and most arguments.
+
+    Raises
+    ------
+    DeviceError : anything but numbers, names, operators and those calls.
+    """
+    if len(text) > LONGEST_LINE:
+        raise DeviceError(f"{where}: {len(text)} characters, allowed: {LONGEST_LINE}; break the line up")
+    if not text.isascii():
+        raise DeviceError(f"{where}: {text.strip()[:60]!r} has letters beyond ASCII, allowed: ASCII")
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise DeviceError(f"{where}: {text.strip()[:60]!r} is no expression") from None
+    return _node(tree, where, calls, 0)
+
+
+def _node(tree: ast.AST, where: str, calls: Mapping[str, tuple[int, int]], depth: int) -> Node:
+    if depth > DEEPEST:
+        raise DeviceError(f"{where}: nested deeper than {DEEPEST}; break the line up")
+
+    def inner(part: ast.AST) -> Node:
+        return _node(part, where, calls, depth + 1)
+
+    if isinstance(tree, ast.Constant):
+        value = tree.value
+        if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e30:
+            return number(value)
+    elif isinstance(tree, ast.Name):
+        if NAME.fullmatch(tree.id):
+            return Node("name", name=tree.id)
+    elif isinstance(tree, ast.UnaryOp) and isinstance(tree.op, ast.USub):
+        part = inner(tree.operand)
+        return number(-part.value) if part.op == "number" else Node("neg", (part,))
+    elif isinstance(tree, ast.BinOp) and type(tree.op) in _BINARY:
+        op = _BINARY[type(tree.op)]
+        args = (inner(tree.left), inner(tree.right))
+        if op == "**" and not (args[1].op == "number" and args[1].value in (2.0, 3.0, 4.0)):
+            raise DeviceError(f"{where}: the power {args[1]}, allowed: 2, 3, 4")
+        return Node(op, args)
+    elif isinstance(tree, ast.Compare) and len(tree.ops) == 1 and type(tree.ops[0]) in _COMPARE:
+        return Node(_COMPARE[type(tree.ops[0])], (inner(tree.left), inner(tree.comparators[0])))
+    elif isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name):
+        return _call(tree, tree.func.id, where, calls, inner)
+    what = {ast.Constant: "such a constant", ast.Name: "such a name"}.get(
+        type(tree), f"{type(tree).__name__.lower()} in an expression"
+    )
+    raise DeviceError(f"{where}: {what} is not allowed; allowed: numbers, names, + - * / **, <, calls")
+
+
+def _call(
+    tree: ast.Call,
+    name: str,
+    where: str,
+    calls: Mapping[str, tuple[int, int]],
+    inner: Callable[[ast.AST], Node],
+) -> Node:
+    if name not in calls:
+        raise DeviceError(f"{where}: {name[:24]}(): no such function here, {nearest(name[:40], calls)}")
+    low, high = calls[name]
+    if not low <= len(tree.args) <= high:
+        wanted = f"{low}" if low == high else f"{low} to {high}"
+        raise DeviceError(f"{where}: {name}() has {len(tree.args)} arguments, allowed: {wanted}")
+    args = tuple(inner(part) for part in tree.args)
+    options = tuple((str(key.arg), inner(key.value)) for key in tree.keywords)
+    if name in ("vx", "vx_inverse"):  # the coefficients of the curve are parameters only: prepared once
+        curve = args[-4:]
+        return Node(name, (*args[:-4], Node("vx_a", curve), Node("vx_b", curve)))
+    if name == "table" and len(args) % 2 == 0:
+        raise DeviceError(f"{where}: table() takes u and pairs x, y: an odd number of arguments")
+    return Node({"lv": "min", "hv": "max"}.get(name, name), args, options=options)
+
+
+def names_of(node: Node) -> Iterator[str]:
+    """Yield every name in `node`, options included."""
+    if node.op == "name":
+        yield node.name
+    for part in node.args:
+        yield from names_of(part)
+    for _, part in node.options:
+        yield from names_of(part)
+
+
+def replaced(node: Node, by: Mapping[str, Node]) -> Node:
+    """Return `node` with names replaced by nodes."""
+    if node.op == "name":
+        return by.get(node.name, node)
+    if not node.args and not node.options:
+        return node
+    return Node(
+        node.op,
+        tuple(replaced(part, by) for part in node.args),
+        node.name,
+        node.value,
+        tuple((key, replaced(part, by)) for key, part in node.options),
+    )
+
+
+_STRENGTH = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3, "**": 4}
+
+
+def text_of(node: Node) -> str:
+    """Return `node` as it is written in a diagram."""
+    if node.op == "number":
+        return f"{node.value:g}"
+    if node.op == "name":
+        return node.name
+    if node.op in OPERATORS or node.op in COMPARISONS:
+        mine = _STRENGTH.get(node.op, 0)
+        left, right = (
+            f"({part})" if _STRENGTH.get(part.op, 9) < mine + side else str(part)
+            for side, part in zip((0, int(node.op in ("-", "/"))), node.args, strict=True)
+        )
+        space = "" if node.op in ("*", "/", "**") else " "
+        return f"{left}{space}{node.op}{space}{right}"
+    if node.op == "neg":
+        return f"-({node.args[0]})" if node.args[0].op in OPERATORS else f"-{node.args[0]}"
+    if node.op in ("vx", "vx_inverse"):
+        return f"{node.op}({', '.join(map(str, (*node.args[:-2], *node.args[-1].args)))})"
+    parts = [*map(str, node.args), *(f"{key}={part}" for key, part in node.options)]
+    return f"{node.op}({', '.join(parts)})"
+
+
+# ---------------------------------------------------------------- numbers
+
+
+def scaled_quadratic(E1: float, S1: float, E2: float, S2: float) -> tuple[float, float]:
+    """Return A, B of E SE(E) = B (E - A)^2 through both points, B = 0 when there is no saturation.
+
+    The two points may come in either order.  [PSS/E model library]
+    """
+    root1, root2 = math.sqrt(max(S1 * E1, 0.0)), math.sqrt(max(S2 * E2, 0.0))
+    if not (abs(root2 - root1) > 0.0 and abs(E2 - E1) > 0.0):
+        return 0.0, 0.0
+    slope = (root2 - root1) / (E2 - E1)
+    return (0.0, 0.0) if not slope > 0.0 else (E1 - root1 / slope, slope * slope)
+
+
+def _part(a: Value) -> float:
+    return a.real if isinstance(a, complex) else a
+
+
+def _clamp(a: Value, low: Value, high: Value) -> Value:
+    return low if _part(low) > _part(a) else high if _part(a) > _part(high) else a
+
+
+def _sqrt(a: Value) -> Value:
+    if isinstance(a, complex):
+        return cmath.sqrt(a) if a.real > 0.0 else 0.0
+    return math.sqrt(a) if a > 0.0 else 0.0
+
+
+def _fex(n: Value) -> Value:
+    """Rectifier regulation with the exact constants: 1/sqrt 3, sqrt 3/4, sqrt 3 make it continuous."""
+    v = _part(n)
+    if v <= 0.0:
+        return 1.0
+    if v <= 0.75 / math.sqrt(3.0):
+        return 1.0 - n / math.sqrt(3.0)
+    if v < 0.75:
+        return _sqrt(0.75 - n * n)
+    return math.sqrt(3.0) * (1.0 - n) if v < 1.0 else 0.0
+
+
+def _vx(e: Value, a: float, b: float) -> Value:
+    return b * (e - a) * (e - a) if _part(e) > a else 0.0
+
+
+def _vx_inverse(f: Value, KE: float, a: float, b: float) -> Value:
+    v = f / KE if KE else math.inf
+    if not (b > 0.0 and _part(v) > a):
+        return v
+    return a + (_sqrt(KE * KE + 4.0 * b * (f - KE * a)) - KE) / (2.0 * b)
+
+
+def _table(u: Value, *points: float) -> Value:
+    xs, ys = points[0::2], points[1::2]
+    if _part(u) <= xs[0]:
+        return ys[0]
+    for k in range(1, len(xs)):
+        if _part(u) < xs[k]:
+            return ys[k - 1] + (u - xs[k - 1]) * ((ys[k] - ys[k - 1]) / (xs[k] - xs[k - 1]))
+    return ys[-1]
+
+
+def _divide(a: Value, b: Value) -> Value:
+    return a / b if b != 0.0 else math.nan
+
+
+_VALUE: dict[str, Callable[..., Value]] = {
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    "/": _divide,
+    "**": lambda a, b: a ** int(b),
+    "neg": lambda a: -a,
+    "<": lambda a, b: _part(a) < _part(b),
+    "<=": lambda a, b: _part(a) <= _part(b),
+    ">": lambda a, b: _part(a) > _part(b),
+    ">=": lambda a, b: _part(a) >= _part(b),
+    "==": lambda a, b: _part(a) == _part(b),
+    "!=": lambda a, b: _part(a) != _part(b),
+    "min": lambda *a: min(a, key=_part),
+    "max": lambda *a: max(a, key=_part),
+    "clamp": _clamp,
+    "deadband": lambda a, d: a - _clamp(a, -d, d),
+    "abs": lambda a: -a if _part(a) < 0.0 else a,
+    "sqrt": _sqrt,
+    "exp": lambda a: cmath.exp(a) if isinstance(a, complex) else math.exp(min(a, 700.0)),
+    "log": lambda a: cmath.log(a) if isinstance(a, complex) else math.log(a) if a > 0.0 else math.nan,
+    "vx": _vx,
+    "vx_a": lambda *p: scaled_quadratic(*p)[0],
+    "vx_b": lambda *p: scaled_quadratic(*p)[1],
+    "vx_inverse": _vx_inverse,
+    "sin": lambda a: cmath.sin(a) if isinstance(a, complex) else math.sin(a),
+    "cos": lambda a: cmath.cos(a) if isinstance(a, complex) else math.cos(a),
+    "fex": _fex,
+    "table": _table,
+}
+
+
+def evaluate(node: Node, values: Mapping[str, Value]) -> Value:
+    """Return the value of `node` where names have `values`; KeyError names one that has none."""
+    if node.op == "number":
+        return node.value
+    if node.op == "name":
+        return values[node.name]
+    if node.op == "pick":
+        chosen = node.args[1] if evaluate(node.args[0], values) else node.args[2]
+        return evaluate(chosen, values)
+    try:
+        return _VALUE[node.op](*(evaluate(part, values) for part in node.args))
+    except OverflowError:
+        return math.inf
+
+
+def is_constant(node: Node, constants: frozenset[str]) -> bool:
+    """Return whether `node` holds numbers and names of `constants` only."""
+    return all(name in constants for name in names_of(node))

@@ -1,0 +1,349 @@
+"""Start values: each line gives one equation; those with one unknown are turned round until none is left.
+
+Limits are left out on the way (a clamp or gate passes the argument that leads on) and checked at the end.
+What stays coupled is torn: one unknown is bracketed, and found by Brent's method.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import scipy.optimize
+
+from .errors import DeviceError
+from .instance import Instance, Margin
+from .language.device import MBASE
+from .language.element import Equation
+from .language.elements import Plain
+from .language.expression import Node, evaluate, names_of
+from .language.structure import Model
+
+STILL = 1e-8  #: largest rate at rest, pu/s, relative to the size of the state
+_GRID = [10.0 ** (k / 8) for k in range(-32, 33)]
+
+
+class _Stuck(Exception):
+    """An expression that cannot be turned round."""
+
+
+@dataclass(frozen=True)
+class RestPoint:
+    """A device at rest."""
+
+    instance: Instance  #: its values hold the references and what was computed
+    states: tuple[float, ...]
+    signals: Mapping[str, float]
+    margins: tuple[Margin, ...]
+    steps: tuple[str, ...]  #: how the unknowns were found, in order
+
+    @property
+    def output(self) -> float:
+        """Output at rest."""
+        return float(self.signals[self.instance.model.device.output])
+
+
+def rest_of(
+    model: Model, values: Mapping[str, float | str], inputs: Mapping[str, float], output: float | None,
+    who: str, *, check: bool = True,
+) -> RestPoint:  # fmt: skip
+    """Return the device at rest with `inputs` and, when it has references, with `output`.
+
+    values : parameters, MBASE among them; one that equals its `computed.when` is computed. `who` names the
+    device in errors.  check : refuse a rest beyond a limit.
+
+    Raises
+    ------
+    DeviceError : a check between parameters fails, no rest is found, or it lies beyond a limit.
+    """
+    device = model.device
+    known = {name: value for name, value in values.items() if not isinstance(value, str)} | dict(inputs)
+    at_rest = dict(known) | ({} if output is None else {device.output: output})
+    steps: list[str] = []
+    for name, rule in device.computed.items():
+        if values[name] == rule.when:
+            known[name] = at_rest[name] = float(evaluate(rule.value, at_rest))
+            steps.append(f"{name} = {rule.value}")
+    parameters = {p.name: float(known[p.name]) for p in device.parameters} | {MBASE: float(known[MBASE])}
+    for check_ in device.checks:
+        if not evaluate(check_.node, parameters):
+            parts = ", ".join(f"{n} = {parameters[n]:g}" for n in dict.fromkeys(names_of(check_.node)))
+            raise DeviceError(f"{who}: {parts}{check_.says}")
+    for name, node in device.fixed:
+        parameters[name] = known[name] = float(evaluate(node, at_rest))
+    walk = _Walk(model, Instance(model, parameters), known, output, who, steps)
+    walk.solve()
+    return _checked(walk, parameters, inputs, who, check=check)
+
+
+class _Walk:
+    """The equations at rest while they are solved."""
+
+    def __init__(
+        self, model: Model, instance: Instance, known: dict[str, float], output: float | None, who: str,
+        steps: list[str],
+    ) -> None:  # fmt: skip
+        self.model, self.instance, self.who = model, instance, who
+        self.known: dict[str, float] = dict(known)
+        self.steps = steps
+        self.equations: list[Equation] = []
+        for name, element in model.elements.items():
+            start = element.line.option("rest")
+            if start is not None:
+                self.equations.append(Equation(Node("name", name=name), start, name))
+            elif isinstance(element, Plain):
+                self.equations.append(Equation(Node("name", name=name), element.u, name))
+            else:
+                self.equations.append(element.at_rest(instance.on))
+        if output is not None and model.device.references:
+            self.known[model.device.output] = output
+        self.unknown = set(model.elements) | set(model.device.references)
+        self.unknown -= set(self.known)
+
+    def solve(self) -> None:
+        """Find every unknown."""
+        while True:
+            plan = self.plan(set(self.known), set(range(len(self.equations))))
+            for k, name in plan:
+                self.take(k, name, self.known)
+                self.steps.append(self.story(k, name))
+            used = {k for k, _ in plan}
+            self.unknown -= {name for _, name in plan}
+            self.equations = [e for k, e in enumerate(self.equations) if k not in used]
+            if not self.unknown:
+                return
+            self.tear()
+
+    def plan(self, known: set[str], left: set[int]) -> list[tuple[int, str]]:
+        """Equations in an order in which each has one unknown; forward ones first."""
+        found: list[tuple[int, str]] = []
+        while True:
+            choice: tuple[int, str] | None = None
+            for k in sorted(left):
+                free = {n for n in self.names(k) if n not in known}
+                if len(free) == 1:
+                    name = next(iter(free))
+                    if name == self.equations[k].left.name and name not in names_of(self.equations[k].right):
+                        choice = (k, name)
+                        break
+                    choice = choice or (k, name)
+            if choice is None:
+                return found
+            found.append(choice)
+            known.add(choice[1])
+            left.discard(choice[0])
+
+    def names(self, k: int) -> list[str]:
+        """Names in equation `k`, as often as they stand there."""
+        return [*names_of(self.equations[k].left), *names_of(self.equations[k].right)]
+
+    def story(self, k: int, name: str) -> str:
+        """How equation `k` gave `name`."""
+        e = self.equations[k]
+        return f"{name} from {e.left} = {e.right}" if str(e.left) != name else f"{name} = {e.right}"
+
+    def take(self, k: int, name: str, known: dict[str, float]) -> None:
+        """Put the value of `name` from equation `k` into `known`."""
+        e = self.equations[k]
+        known[name] = self.value_of(e, name, known)
+
+    def value_of(self, e: Equation, name: str, known: dict[str, float]) -> float:
+        """Value of `name` from equation `e`."""
+        sides = [list(names_of(side)).count(name) for side in (e.left, e.right)]
+        if sum(sides) == 1:
+            inner, outer = (e.left, e.right) if sides[0] else (e.right, e.left)
+            try:
+                return _turned(inner, name, float(evaluate(outer, known)), known)
+            except _Stuck:
+                pass
+        found = _root(lambda z: _residual(e, known | {name: z}))
+        if found is None:
+            raise DeviceError(f"{self.who}: no {name} found at rest from {e.left} = {e.right}")
+        return found
+
+    def tear(self) -> None:
+        """Find one unknown so that what it leads to fits, by bracketing."""
+        left = set(range(len(self.equations)))
+        for name in [n for n in self.model.elements if n in self.unknown] + sorted(self.unknown):
+            plan = self.plan(set(self.known) | {name}, set(left))
+            reached = set(self.known) | {name} | {found for _, found in plan}
+            closing = [k for k in sorted(left - {k for k, _ in plan}) if set(self.names(k)) <= reached]
+            if not closing:
+                continue
+
+            def residual(
+                z: float, name: str = name, plan: list[tuple[int, str]] = plan, k: int = closing[0]
+            ) -> float:
+                trial = self.known | {name: z}
+                try:
+                    for at, found in plan:
+                        self.take(at, found, trial)
+                except DeviceError:
+                    return math.nan
+                return _residual(self.equations[k], trial)
+
+            value = _root(residual)
+            if value is not None:
+                self.known[name] = value
+                self.unknown.discard(name)
+                self.steps.append(f"{name} so that {self.story(closing[0], '')[6:]}")
+                del self.equations[closing[0]]
+                return
+        raise DeviceError(f"{self.who}: no rest found for {', '.join(sorted(self.unknown))}")
+
+
+def _residual(e: Equation, known: Mapping[str, float]) -> float:
+    return float(evaluate(e.left, known)) - float(evaluate(e.right, known))
+
+
+def _root(f: Callable[[float], float]) -> float | None:
+    """A zero of `f`: the first change of sign on a grid, positive numbers before negative ones."""
+    for grid in ([0.0, *_GRID], [0.0, *(-g for g in _GRID)]):
+        before: tuple[float, float] | None = None
+        for z in grid:
+            try:
+                value = f(z)
+            except (ZeroDivisionError, ValueError, OverflowError):
+                value = math.nan
+            if value == 0.0:
+                return float(z)
+            if math.isfinite(value):
+                if before is not None and (value > 0.0) != (before[1] > 0.0):
+                    return float(scipy.optimize.brentq(f, before[0], z, xtol=1e-300, rtol=8.9e-16))
+                before = (z, value)
+    return None
+
+
+def _turned(node: Node, name: str, value: float, known: Mapping[str, float]) -> float:
+    """Value of `name` for which `node` has `value`; _Stuck where that is not to be told."""
+    if node.op == "name":
+        return value
+    k = next(k for k, part in enumerate(node.args) if name in names_of(part))
+    part = node.args[k]
+
+    def other(j: int) -> float:
+        return float(evaluate(node.args[j], known))
+
+    match node.op:
+        case "+":
+            inner = value - other(1 - k)
+        case "-":
+            inner = value + other(1) if k == 0 else other(0) - value
+        case "*":
+            inner = _over(value, other(1 - k))
+        case "/":
+            inner = value * other(1) if k == 0 else _over(other(0), value)
+        case "neg":
+            inner = -value
+        case "min" | "max":
+            inner = value
+        case "clamp" if k == 0:
+            inner = value
+        case "deadband" if k == 0:
+            inner = value + math.copysign(other(1), value) if value else 0.0
+        case "pick" if k > 0:
+            if bool(evaluate(node.args[0], known)) != (k == 1):
+                raise _Stuck
+            inner = value
+        case "**":
+            if value < 0.0:
+                raise _Stuck
+            inner = value ** (1.0 / node.args[1].value)
+        case "exp" if value > 0.0:
+            inner = math.log(value)
+        case "sqrt":
+            inner = value * value
+        case _:
+            raise _Stuck
+    return _turned(part, name, inner, known)
+
+
+def _over(a: float, b: float) -> float:
+    if b == 0.0:
+        raise _Stuck
+    return a / b
+
+
+def _checked(
+    walk: _Walk, parameters: dict[str, float], inputs: Mapping[str, float], who: str, *, check: bool
+) -> RestPoint:
+    model, known = walk.model, walk.known
+    values = parameters | {name: float(known[name]) for name in model.device.references}
+    instance = Instance(model, values)
+    held: dict[str, float] = {}
+    for element in model.elements.values():
+        held |= element.start(dict(known), instance.on)
+    states = tuple(float(held[name]) for name in instance.state_names)
+    bad = [name for name, value in (held | known).items() if not math.isfinite(value)]
+    if bad:
+        raise DeviceError(f"{who}: {bad[0]} is {(held | known)[bad[0]]} at rest; a gain or limit of 0?")
+    margins = tuple(instance.margins(known))
+    if check:
+        for margin in margins:
+            followed = isinstance(model.elements[margin.signal], Plain)  # a clamp may rest at its limit
+            if not (followed and margin.low <= known[margin.signal] <= margin.high):
+                _check_margin(margin, model, who)
+        _check_still(walk, instance, states, inputs, who)
+    signals = {name: float(known[name]) for name in model.elements}
+    return RestPoint(instance, states, signals, margins, tuple(walk.steps))
+
+
+def _check_margin(margin: Margin, model: Model, who: str) -> None:
+    slack = 1e-9 * max(1.0, abs(margin.value))
+    for sign, limit, text, word in (
+        (1.0, margin.high, margin.high_text, "above"),
+        (-1.0, margin.low, margin.low_text, "below"),
+    ):
+        if text and not sign * (limit - margin.value) >= -slack:
+            name = f"{margin.signal} ({margin.text})" if margin.text else margin.signal
+            to = "at least" if sign > 0.0 else "at most"
+            known = {p.name for p in model.device.parameters}
+            what = f"{text} = {limit:.6g}" if not _is_number(text) else f"{limit:.6g}"
+            if text in known:
+                cure = f"set {text} to {to} {margin.value:.6g} or change the dispatch"
+            else:
+                cure = (
+                    "change the parameters in it or the dispatch"
+                    if not _is_number(text)
+                    else "change the dispatch"
+                )
+            raise DeviceError(f"{who}: {name} is {margin.value:.6g} at rest, {word} {what}; {cure}")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _check_still(
+    walk: _Walk, instance: Instance, states: tuple[float, ...], inputs: Mapping[str, float], who: str
+) -> None:
+    signals, rates = instance.run(states, inputs)
+    for name, element in walk.model.elements.items():
+        wanted, got = walk.known[name], float(signals[name])
+        if not abs(wanted - got) <= 1e-8 * max(1.0, abs(wanted)):
+            limits = str(element.u) if isinstance(element, Plain) else str(element.line.node)
+            word = "above" if wanted > got else "below"
+            raise DeviceError(
+                f"{who}: {name} is {wanted:.6g} at rest, {word} what {limits} = {got:.6g} leaves; change the "
+                "parameters in it or the dispatch"
+            )
+    for name, value, rate in zip(instance.state_names, states, rates, strict=True):
+        if not abs(rate) <= STILL * max(1.0, abs(value)) * _stiffness(instance, name):
+            raise DeviceError(
+                f"{who}: {name} does not stand still at rest: it is {value:.6g} and moves by "
+                f"{float(rate):.3g} a second"
+            )
+
+
+def _stiffness(instance: Instance, name: str) -> float:
+    """1/T of a state: its rate is the difference of two numbers over T."""
+    state = next(s for s in instance.states if s.name == name)
+    if state.time is None:
+        return 1.0
+    time = float(evaluate(state.time, instance.values))
+    return max(1.0, 1.0 / time) if time > 0.0 else 1.0

@@ -1,0 +1,73 @@
+"""A device's row in a case: its parameters by name, checked against the device file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..errors import nearest
+from .errors import DeviceError
+from .language.device import MBASE, NO_LIMIT, Device
+from .language.expression import evaluate, names_of
+
+Given = float | str | None  #: None: an absent limit; a word: computed at rest
+
+
+def row_of(device: Device, given: Mapping[str, Any]) -> dict[str, Given]:
+    """Return every parameter of `device` for what a row gives, in the order of the file.
+
+    Raises
+    ------
+    DeviceError : ".KEY = value, ..." for a key that does not exist, is missing, is no number, or is out of
+        range; a check between parameters that fails.
+    """
+    row: dict[str, Given] = {}
+    known = device.by_name
+    for key, value in given.items():
+        if key not in known:
+            raise DeviceError(f".{key} = {value!r}: no such key here; {nearest(key, known)}")
+    for p in device.parameters:
+        if p.name not in given:
+            if p.default is None:
+                raise DeviceError(f".{p.name} is missing: {p.text}")
+            row[p.name] = None if p.is_optional_limit else p.default
+            continue
+        value = given[p.name]
+        rule = device.computed.get(p.name)
+        if (value is None and p.is_optional_limit) or (rule is not None and value == rule.when):
+            row[p.name] = value
+            continue
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            more = f" or {rule.when!r}" if rule is not None and isinstance(rule.when, str) else ""
+            raise DeviceError(f".{p.name} = {value!r}, allowed: a number{more}")
+        if not (p.low <= value <= p.high) or (p.open and value == p.low):
+            raise DeviceError(f".{p.name} = {value!r}, allowed: {_range(p.low, p.high, open_=p.open)}")
+        row[p.name] = float(value)
+    _check(device, row)
+    return row
+
+
+def numbers_of(device: Device, row: Mapping[str, Given], mbase: float) -> dict[str, float | str]:
+    """Return a row as numbers: absent limits as +-1e30, words as they are, MBASE in MVA."""
+    values: dict[str, float | str] = {MBASE: mbase}
+    for p in device.parameters:
+        value = row[p.name]
+        values[p.name] = (p.default if p.default is not None else NO_LIMIT) if value is None else value
+    return values
+
+
+def _check(device: Device, row: Mapping[str, Given]) -> None:
+    values = numbers_of(device, row, 100.0)
+    for rule in device.checks:
+        names = [name for name in dict.fromkeys(names_of(rule.node)) if name != MBASE]
+        computed = (name in device.computed and values[name] == device.computed[name].when for name in names)
+        if any(computed) or evaluate(rule.node, values):
+            continue
+        parts = ", ".join(f"{name} = {row[name]:g}" if row[name] is not None else name for name in names)
+        raise DeviceError(f": {parts}{rule.says}")
+
+
+def _range(low: float, high: float, *, open_: bool) -> str:
+    least = "" if low <= -NO_LIMIT else f"above {low:g}" if open_ else f"at least {low:g}"
+    most = "" if high >= NO_LIMIT else f"at most {high:g}"
+    return " and ".join(part for part in (least, most) if part) or "a number"

@@ -1,0 +1,257 @@
+"""The package's devices: at rest, the same in C as in Python, out to a DYR record and back."""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plant_shim import compile_shared
+
+from interarea.models.devices.c_expression import given_rows
+from interarea.models.devices.dyr import device_for_dyr, dyr_fields, dyr_models
+from interarea.models.devices.errors import DeviceError
+from interarea.models.devices.header import header_of
+from interarea.models.devices.instance import Instance
+from interarea.models.devices.language.device import KINDS, MBASE
+from interarea.models.devices.library import library
+from interarea.models.devices.rest import rest_of
+
+PLANT = Path(__import__("interarea.models").models.__file__).parent / "c" / "plant"
+#: one operating point of a machine; the phasors fit vt, and pe = vd id + vq iq
+SEEN = {"vt": 1.0, "vd": 0.6, "vq": 0.8, "id": 0.7, "iq": 0.5, "pe": 0.82, "slip": 0.0, "ifd": 1.9}
+SEEN |= {"vc": 1.0, "vs": 0.0, "pm": 0.82}
+OUTPUT = {"exciter": 1.8, "governor": 0.82}
+
+#: fields of a typical record; public data and the examples of the standards
+RECORDS = {
+    "SEXS": "0.1 10 100 0.05 -5 5",
+    "SCRX": "0.1 10 100 0.05 -5 5 0 10",
+    "IEEET1": "0.02 40 0.05 5 -5 1 0.5 0.06 1 0 2.85 0.3 3.8 0.6",
+    "IEEEX1": "0.02 40 0.05 2 1 0 -5 0 0.5 0.06 1 0 2.85 0.3 3.8 0.6",
+    "ESDC1A": "0.02 40 0.05 0 0 5 -5 1 0.5 0.06 1 0 2.85 0.3 3.8 0.6",
+    "EXDC1": "0 40 0 2 1 5 -5 0 0.5 0.06 1 0 2.85 0.3 3.8 0.6",
+    "ESDC2A": "0.02 40 0.05 2 1 5 -5 1 0.5 0.06 1 0 2.85 0.3 3.8 0.6",
+    "EXDC2": "0.02 40 0.05 0 0 5 -5 1 0.5 0 1 0 2.85 0.3 3.8 0.6",
+    "IEEET2": "0.02 40 0.05 5 -5 1 0.5 0.06 1 0.5 2.85 0.3 3.8 0.6",
+    "EXAC1": "0.01 10 1 200 0.02 8 -8 0.8 0.03 1 0.2 0.38 1 3.14 0.03 4.18 0.1",
+    "ESAC1A": "0.01 0.2 0.1 200 0.02 10 -10 0.8 0.03 1 0.2 0.38 1 3.14 0.03 4.18 0.1 8 -8",
+    "EXAC2": "0.01 0 0 300 0.01 8 -8 25 100 -100 0.6 10 1 0.03 1 0.28 0.35 1 4.4 3.3 0.01 4.4 0.04",
+    "ESAC2A": "0.01 0 0 300 0.01 8 -8 25 100 -100 0.6 4.4 1 0.03 1 0.28 0.35 1 3.3 0.01 4.4 0.04",
+    "ESAC6A": "0.02 500 0.1 0.02 9 3 75 -75 44 -36 1 19 0.08 75 0.02 0.02 0.17 1.9 1.6 5.5 0.2 7.4 0.04",
+    "ESAC8B": "0.02 80 5 10 0.1 1 0 35 -35 1.2 1 6.5 0.3 9 3",
+    "AC8B": "0.02 80 5 10 0.1 35 -35 1 0.01 35 -35 0.55 1.1 1 1.2 8 0 6.5 0.3 9 3",
+    "DC4B": "0 0 0.02 20 20 20 0.01 2.7 -0.9 2 0.2 1 0.8 0.1 1 0 1.75 0.08 2.33 0.27",
+    "EXST1": "0.02 9 -9 1 10 200 0.02 6 -6 0.05 0.01 1",
+    "EXAC4": "0.02 9 -9 1 10 200 0.02 6 -6 0.05",
+    "ESST1A": "1 1 0.02 9 -9 1 10 0.1 0.2 200 0.02 8 -8 6 -6 0.05 0.01 1 4 4.4",
+    "ESST2A": "0.02 120 0.15 1 0 1 0.5 0.02 0.56 4.88 8 1.82 5",
+    "ESST3A": "0.02 0.2 -0.2 8 6 1 200 0.02 10 -10 1 4.4 4.83 8.6 1.1 0.09 5.8 20 0.4 1 0",
+    "ESST4B": "0.02 10 10 1 -0.87 0.02 1 0.2 1 -0.87 0.1 6.7 0.1 8.4 0.1 0.1 10",
+    "ST6B": "1 0.012 18 45 0.3 0.01 4.81 -3.85 1 1 1.1 17.3 4.16 4.81 -3.85 1 0.02",
+    "EXPIC1": "0.02 4 0.2 1 -0.9 0.1 0.2 0.05 1.2 -0.9 0.02 1 0.1 6.5 -6.5 1 0.3 0 0 0 0 5.5 1 0.08",
+    "TGOV1": "0.05 0.5 1.2 0 3 10 0.1",
+    "GAST": "0.05 0.4 0.1 3 1 2 1.1 -0.05 0.1",
+    "HYGOV": "0.05 0.4 6 0.05 0.5 0.2 1 0 1.3 1.2 0.5 0.08",
+    "IEEEG1": "0 0 20 0.2 0.1 0.1 0.3 -0.5 1 0 0.25 0.3 0 5 0.4 0 0.4 0.3 0 0.3 0 0",
+    "IEEEG2": "20 10 3 0.5 1 0 1.5",
+    "IEEEG3": "0.4 0.04 0.2 -0.2 1 0 0.05 0.4 5 1.5 0.5 1 1.5 1",
+    "IEESGO": "0.2 0.1 0.1 0.3 7 0.4 20 0.7 0.5 1.1 0",
+    "DEGOV": "0.01 0.02 0.2 10 0.25 0.01 0.04 0 1.1 0",
+    "DEGOV1": "1 0.01 0.02 0.2 10 0.25 0.01 0.04 0 1.1 0 0.05 0.1",
+    "IEEEST": "3 0 0.06 0.02 0.1 0.003 0.05 0.001 0.2 0.02 0.1 0.03 5 10 3 0.1 -0.1 1.2 0.8",
+    "STAB1": "2 5 3 0.05 2 0.04 0.1",
+    "PSS2A": "1 0 3 0 5 1 2 3 0.1 2 0 2 0.3 1 0.5 0.1 10 0.2 0.02 0.3 0.03 0.1 -0.1",
+    "PSS2B": "1 0 3 0 2 4 2 3 0.1 2 0 2 0.3 1 0.5 0.1 10 0.2 0.02 0.3 0.03 0.1 0.02 2 -2 2 -2 0.1 -0.1",
+    "ST2CUT": "1 0 3 0 1 0.1 0.01 0.02 3 3 0.2 0.02 0.3 0.03 0.1 0.02 0.1 -0.1 0 0",
+    "IEE2ST": "1 0 4 0 1 0.1 0 0 3 3 0.2 0.02 0 0 0 0 0.1 -0.1 1.2 0.8",
+    "IEEEVC": "0.01 0.05",
+}
+OWN = {
+    "static": {"KA": 200.0, "TA": 0.02, "TR": 0.01, "Efd_min": -4.0, "Efd_max": 4.0},
+    "static_tgr": {"KA": 200.0, "TA": 0.02, "TR": 0.01, "TC": 1.0, "TB": 10.0},
+    "st1a": {"KA": 200.0, "TA": 0.02, "TR": 0.01, "TC": 1.0, "TB": 10.0, "VRmin": -4, "VRmax": 4, "KC": 0.1},
+    "dc1": {"KA": 20.0, "TA": 0.05, "TR": 0.05, "TE": 0.36, "KF": 0.12, "TF": 1.8, "Aex": 0.005, "Bex": 1.0},
+    "speed": {"K": 20.0, "Tw": 10.0, "T1": 0.05, "T2": 0.02, "T3": 3, "T4": 5.4, "Vs_min": -1, "Vs_max": 1},
+    "steam": {"Rp": 0.05, "Tsr": 0.1, "Tsm": 0.2, "vg_min": -0.1, "vg_max": 0.1}
+    | {"T5": 0.3, "T4": 7.0, "F5": 0.3, "F4": 0.7},
+}  # fmt: skip
+
+
+class Record:
+    """A record as a DYR reader gives it."""
+
+    def __init__(self, model: str, text: str) -> None:
+        self.model, self.bus, self.where = model, 1, "test.dyr:1"
+        self.fields = text.split()
+
+
+def typical():
+    for model, text in RECORDS.items():
+        found = device_for_dyr(Record(model, text))
+        yield model, found.model, dict(found.parameters)
+    for key, given in OWN.items():
+        yield key, library()[key], given
+
+
+TYPICAL = {name: (model, given) for name, model, given in typical()}
+
+
+def complete(model, given):
+    return {p.name: given.get(p.name, p.default) for p in model.device.parameters} | {MBASE: 100.0}
+
+
+def at_rest(name):
+    model, given = TYPICAL[name]
+    kind = model.device.kind
+    inputs = {key: SEEN[key] for key in KINDS[kind].inputs}
+    output = OUTPUT.get(kind) if model.device.references else None
+    return rest_of(model, complete(model, given), inputs, output, name), inputs
+
+
+def test_every_device_has_a_typical_record():
+    assert {model.device.key for model, _ in TYPICAL.values()} == set(library())
+    assert set(RECORDS) == set(dyr_models())
+
+
+@pytest.mark.parametrize("name", TYPICAL)
+def test_rest_stands_still_and_gives_the_output(name):
+    point, inputs = at_rest(name)
+    values, rates = point.instance.run(point.states, inputs)
+    device = point.instance.model.device
+    assert np.abs(rates).max(initial=0.0) <= 1e-9
+    if device.references:
+        assert values[device.output] == pytest.approx(OUTPUT[device.kind], rel=1e-12)
+    assert values[device.output] == pytest.approx(point.output, rel=1e-12, abs=1e-15)
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_a_record_goes_in_and_out(name):
+    model, given = TYPICAL[name]
+    out, fields = dyr_fields(model, complete(model, given))
+    row = dyr_models()[name][1]
+    kept = [k for k, field in enumerate(row.fields) if field != "-"]
+    if out == name:
+        assert [fields[k] for k in kept] == [float(RECORDS[name].split()[k]) for k in kept]
+    again = device_for_dyr(Record(out, " ".join(map(repr, fields))))
+    assert complete(model, dict(again.parameters)) == complete(model, given)
+
+
+DRIVER = """
+#include "devices.h"
+void drive(size_t device, size_t n, uint64_t has, double *table, const double *machine,
+           const DeviceSignals *in, const double *x, double *dx);
+void drive(size_t device, size_t n, uint64_t has, double *table, const double *machine,
+           const DeviceSignals *in, const double *x, double *dx)
+{
+    const DeviceGroup group = { table, machine, n, has };
+    device_prepare(device, table, n);
+    device_run(device, &group, in, x, dx);
+}
+size_t rows_of(size_t device);
+size_t rows_of(size_t device) { return device_rows(device); }
+"""
+#: members of DeviceSignals, in the order of elements.h
+MEMBERS = ("vt", "vd", "vq", "id", "iq", "pe", "slip", "ifd", "pref_step", "vc", "vs", "pm", "efd")
+
+
+class Driver:
+    """Runs the generated C of some devices."""
+
+    def __init__(self, models, folder: Path) -> None:
+        self.models = list(models)
+        source = folder / "driver.c"
+        source.write_text(DRIVER)
+        header = header_of(self.models)
+        flags = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion")
+        path = compile_shared((source, header), (*flags, "-Werror", f"-I{PLANT}"))
+        self.c = ctypes.CDLL(str(path))
+        self.c.rows_of.restype = ctypes.c_size_t
+
+    def run(self, model, instances, xs, inputs):
+        """Rates and outputs of devices of one structure next to each other."""
+        device, n = self.models.index(model), len(instances)
+        table = np.zeros((self.c.rows_of(ctypes.c_size_t(device)), n))
+        for k, instance in enumerate(instances):
+            given = [instance.values[row] for row in given_rows(model)]
+            table[: len(given), k] = given
+        x = np.ascontiguousarray(np.array(xs).T)
+        dx = np.zeros_like(x)
+        signals = {key: np.array([seen.get(key, 0.0) for seen in inputs], dtype=float) for key in MEMBERS}
+        pointers = (ctypes.c_void_p * len(MEMBERS))(*(signals[key].ctypes.data for key in MEMBERS))
+        where = np.arange(n, dtype=float)
+        self.c.drive(
+            ctypes.c_size_t(device), ctypes.c_size_t(n), ctypes.c_uint64(instances[0].has),
+            table.ctypes.data_as(ctypes.c_void_p), where.ctypes.data_as(ctypes.c_void_p), pointers,
+            x.ctypes.data_as(ctypes.c_void_p), dx.ctypes.data_as(ctypes.c_void_p),
+        )  # fmt: skip
+        return dx.T, signals[model.device.output]
+
+
+@pytest.fixture(scope="module")
+def driver(tmp_path_factory):
+    return Driver(library().values(), tmp_path_factory.mktemp("driver"))
+
+
+@pytest.mark.parametrize("name", TYPICAL)
+def test_c_and_python_agree_far_from_rest(driver, name):
+    """Two writings of the same elements: limits, gates and cut-offs are met on the way."""
+    point, inputs = at_rest(name)
+    instance, rng = point.instance, np.random.default_rng(5)
+    spread = np.geomspace(1e-3, 3.0, 40)
+    xs = [np.array(point.states) + s * rng.standard_normal(len(point.states)) for s in spread]
+    seen = [{k: v + s * rng.standard_normal() * 0.3 for k, v in inputs.items()} for s in spread]
+    rates, outputs = driver.run(instance.model, [instance] * len(xs), xs, seen)
+    for k, (x, at) in enumerate(zip(xs, seen, strict=True)):
+        values, wanted = instance.run(x, at)
+        size = 1.0 + np.abs(np.array(wanted, dtype=float))
+        assert np.abs((rates[k] - wanted) / size).max(initial=0.0) < 1e-11
+        assert outputs[k] == pytest.approx(values[instance.model.device.output], rel=1e-11, abs=1e-13)
+
+
+@pytest.mark.parametrize("name", ["ESST1A", "EXAC1", "IEEEST", "PSS2B", "HYGOV"])
+def test_absent_parts_are_absent_in_c_too(driver, name):
+    """Every time that may be 0 set to 0 in turn: fewer states, and still the same in C and Python."""
+    model, given = TYPICAL[name]
+    for p in model.device.parameters:
+        if p.unit != "s" or p.low != 0.0 or p.open or not complete(model, given)[p.name]:
+            continue
+        values = point_values(name) | {p.name: 0.0}
+        try:
+            instance = Instance(model, values)
+        except DeviceError as error:
+            assert "form a loop without a state" in str(error) or "TF = 0 with KF" in str(error)
+            continue
+        x = 0.1 + 0.05 * np.arange(len(instance.states))
+        rates, outputs = driver.run(model, [instance], [x], [SEEN])
+        signals, wanted = instance.run(x, SEEN)
+        np.testing.assert_allclose(rates[0], wanted, rtol=1e-11, atol=1e-12)
+        assert outputs[0] == pytest.approx(signals[model.device.output], rel=1e-11)
+
+
+def point_values(name):
+    return at_rest(name)[0].instance.values
+
+
+@pytest.mark.parametrize("name", TYPICAL)
+def test_declared_dependencies_cover_the_derivatives(name):
+    """Complex steps at 10 points: no nonzero entry that is not declared."""
+    point, inputs = at_rest(name)
+    instance, rng = point.instance, np.random.default_rng(7)
+    rates, output = instance.depends_on()
+    names, n = instance.state_names, len(instance.states)
+    step = 1e-30
+    for _ in range(10):
+        x = [complex(v + 0.05 * rng.standard_normal()) for v in point.states]
+        seen = {k: complex(v + 0.05 * rng.standard_normal()) for k, v in inputs.items()}
+        for what in (*(f"x.{s}" for s in names), *seen):
+            z, at = list(x), dict(seen)
+            if what.startswith("x."):
+                z[names.index(what[2:])] += 1j * step
+            else:
+                at[what] += 1j * step
+            values, dz = instance.run(z, at)
+            for k in range(n):
+                assert complex(dz[k]).imag == 0.0 or what in rates[names[k]], (names[k], what)
+            assert complex(values[instance.model.device.output]).imag == 0.0 or what in output, what
