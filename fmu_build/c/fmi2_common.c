@@ -68,6 +68,42 @@ fmi2Status fmi2Reset(fmi2Component component)
     return fmi2OK;
 }
 
+static int null_given(const void *references, const void *values, size_t count)
+{
+    return count > 0 && (references == NULL || values == NULL);
+}
+
+/* Puts a direction of states and inputs into v, the states first. */
+static fmi2Status read_direction(Instance *c, const fmi2ValueReference knowns[], size_t n_knowns,
+                                 const fmi2Real dv_known[], double *v, const char *call)
+{
+    const size_t n_x = c->block.layout.n_x, n_u = c->block.layout.n_u;
+
+    memset(v, 0, (n_x + n_u) * sizeof(double));
+    for (size_t i = 0; i < n_knowns; ++i) {
+        const size_t r = knowns[i];
+        if (r < n_x) v[r] = dv_known[i];
+        else if (r >= 2 * n_x && r < 2 * n_x + n_u) v[r - n_x] = dv_known[i];
+        else return instance_report(c, fmi2Error, call, "%s is neither a continuous state nor a Real input",
+                                    instance_real_name(c, r));
+    }
+    return fmi2OK;
+}
+
+static fmi2Status check_unknowns(Instance *c, const fmi2ValueReference unknowns[], size_t n_unknowns,
+                                 const char *call)
+{
+    const size_t n_x = c->block.layout.n_x, first_y = 2 * n_x + c->block.layout.n_u;
+
+    for (size_t i = 0; i < n_unknowns; ++i) {
+        const size_t r = unknowns[i];
+        if (!((r >= n_x && r < 2 * n_x) || (r >= first_y && r < first_y + c->block.layout.n_y)))
+            return instance_report(c, fmi2Error, call, "%s is neither a derivative nor a Real output",
+                                   instance_real_name(c, r));
+    }
+    return fmi2OK;
+}
+
 /* dz/dv in the direction dv, for z among derivatives and outputs and v among
  * states and inputs; exact, one pass through the block's own derivative code. */
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component component,
@@ -80,35 +116,22 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component component,
     Block *b;
     BlockMessage message = {{0}};
     BlockStatus status;
-    size_t n_x, n_u, n_y;
+    size_t n_x, n_u;
     double *vx, *vu, *vdx, *vy;
 
     if (!instance_allowed(c, MODES_READ & ~MODE_ERROR, call)) return fmi2Error;
-    if ((n_unknowns > 0 && (unknowns == NULL || dv_unknown == NULL))
-        || (n_knowns > 0 && (knowns == NULL || dv_known == NULL)))
+    if (null_given(unknowns, dv_unknown, n_unknowns) || null_given(knowns, dv_known, n_knowns))
         return instance_report(c, fmi2Error, call, "a null pointer was given for an array that is not empty");
     b = &c->block;
     n_x = b->layout.n_x;
     n_u = b->layout.n_u;
-    n_y = b->layout.n_y;
     vx = c->work;
     vu = vx + n_x;
     vdx = vu + n_u;
     vy = vdx + n_x;
-    memset(vx, 0, (n_x + n_u) * sizeof(double));
-    for (size_t i = 0; i < n_knowns; ++i) {
-        const size_t r = knowns[i];
-        if (r < n_x) vx[r] = dv_known[i];
-        else if (r >= 2 * n_x && r < 2 * n_x + n_u) vu[r - 2 * n_x] = dv_known[i];
-        else return instance_report(c, fmi2Error, call, "%s is neither a continuous state nor a Real input",
-                                    instance_real_name(c, r));
-    }
-    for (size_t i = 0; i < n_unknowns; ++i) {
-        const size_t r = unknowns[i];
-        if (!((r >= n_x && r < 2 * n_x) || (r >= 2 * n_x + n_u && r < 2 * n_x + n_u + n_y)))
-            return instance_report(c, fmi2Error, call, "%s is neither a derivative nor a Real output",
-                                   instance_real_name(c, r));
-    }
+    if (read_direction(c, knowns, n_knowns, dv_known, vx, call) != fmi2OK
+        || check_unknowns(c, unknowns, n_unknowns, call) != fmi2OK)
+        return fmi2Error;
     if (c->run->mode == MODE_INITIALIZATION && !c->run->outputs_fresh
         && instance_initialise(c, call) != fmi2OK)
         return fmi2Error;

@@ -24,11 +24,17 @@ static int count_is(const void *array, size_t got, size_t wanted)
     return got == wanted && (array != NULL || wanted == 0);
 }
 
-/* Finds the arrays that every record carries and checks their sizes. */
-static int read_tables(Instance *c, char *why)
+static int unfit(char *why, const char *what)
+{
+    snprintf(why, WHY_SIZE, "resources/model.bin%s", what);
+    return 1;
+}
+
+/* The counts of the variables and the longest substep. */
+static int read_layout(Instance *c, char *why)
 {
     BlockLayout *n = &c->block.layout;
-    size_t k[12];
+    size_t k[3];
     const int32_t *layout = record_i32(&c->record, "layout", &k[0]);
     const int32_t *format = record_i32(&c->record, "format", &k[1]);
     const double *step = record_f64(&c->record, "internal_step", &k[2]);
@@ -38,10 +44,8 @@ static int read_tables(Instance *c, char *why)
                  format != NULL && k[1] == 1 ? (int)format[0] : -1, FORMAT);
         return 1;
     }
-    if (layout == NULL || k[0] != 9 || step == NULL || k[2] != 1 || !(step[0] > 0.0)) {
-        snprintf(why, WHY_SIZE, "resources/model.bin lacks `layout` or `internal_step`");
-        return 1;
-    }
+    if (layout == NULL || k[0] != 9 || step == NULL || k[2] != 1 || !(step[0] > 0.0))
+        return unfit(why, " lacks `layout` or `internal_step`");
     for (int i = 0; i < 9; ++i)
         if (layout[i] < 0 || (size_t)layout[i] > LARGEST_COUNT) {
             snprintf(why, WHY_SIZE, "resources/model.bin: impossible count %d in `layout`", (int)layout[i]);
@@ -53,45 +57,48 @@ static int read_tables(Instance *c, char *why)
     c->n_real = 2 * n->n_x + n->n_u + n->n_y + n->n_w + n->n_p;
     c->n_integer = n->n_iu + n->n_iy + n->n_iw + n->n_ip;
     c->internal_step = step;
-    c->start_real = record_f64(&c->record, "start.real", &k[3]);
-    c->min_real = record_f64(&c->record, "min.real", &k[4]);
-    c->max_real = record_f64(&c->record, "max.real", &k[5]);
-    c->flags_real = record_i32(&c->record, "flags.real", &k[6]);
-    c->start_integer = record_i32(&c->record, "start.integer", &k[7]);
-    c->min_integer = record_i32(&c->record, "min.integer", &k[8]);
-    c->max_integer = record_i32(&c->record, "max.integer", &k[9]);
-    c->flags_integer = record_i32(&c->record, "flags.integer", &k[10]);
-    c->type_integer = record_i32(&c->record, "type.integer", &k[11]);
-    for (int i = 3; i < 12; ++i) {
-        const void *const array[] = {c->start_real, c->min_real, c->max_real, c->flags_real, c->start_integer,
-                                     c->min_integer, c->max_integer, c->flags_integer, c->type_integer};
-        if (!count_is(array[i - 3], k[i], i < 7 ? c->n_real : c->n_integer)) {
-            snprintf(why, WHY_SIZE, "resources/model.bin: an array of variables does not fit `layout`");
-            return 1;
-        }
-    }
-    const int32_t *parameter = record_i32(&c->record, "internal_step.parameter", &k[0]);
-    c->step_parameter = k[0] == 1 && parameter[0] >= 0 ? (size_t)parameter[0] : c->n_real;
-    if (k[0] > 0 && !(c->step_parameter < c->n_real)) {
-        snprintf(why, WHY_SIZE, "resources/model.bin: `internal_step.parameter` is no variable");
-        return 1;
-    }
-    c->output_state = record_i32(&c->record, "output.state", &k[0]);
-    if (k[0] > 0 && k[0] != n->n_y) {
-        snprintf(why, WHY_SIZE, "resources/model.bin: `output.state` does not fit `layout`");
-        return 1;
-    }
-    for (size_t i = 0; i < k[0]; ++i)
-        if (c->output_state[i] >= 0 && (size_t)c->output_state[i] >= n->n_x) {
-            snprintf(why, WHY_SIZE, "resources/model.bin: `output.state` points outside the states");
-            return 1;
-        }
-    c->nominal_x = record_f64(&c->record, "nominal.x", &k[0]);
-    if (!count_is(c->nominal_x, k[0], n->n_x)) {
-        snprintf(why, WHY_SIZE, "resources/model.bin: `nominal.x` does not fit `layout`");
-        return 1;
-    }
     return 0;
+}
+
+/* Start values, limits and flags of all variables. */
+static int read_variables(Instance *c, char *why)
+{
+    size_t k[9];
+
+    c->start_real = record_f64(&c->record, "start.real", &k[0]);
+    c->min_real = record_f64(&c->record, "min.real", &k[1]);
+    c->max_real = record_f64(&c->record, "max.real", &k[2]);
+    c->flags_real = record_i32(&c->record, "flags.real", &k[3]);
+    c->start_integer = record_i32(&c->record, "start.integer", &k[4]);
+    c->min_integer = record_i32(&c->record, "min.integer", &k[5]);
+    c->max_integer = record_i32(&c->record, "max.integer", &k[6]);
+    c->flags_integer = record_i32(&c->record, "flags.integer", &k[7]);
+    c->type_integer = record_i32(&c->record, "type.integer", &k[8]);
+    const void *const array[] = {c->start_real, c->min_real, c->max_real, c->flags_real, c->start_integer,
+                                 c->min_integer, c->max_integer, c->flags_integer, c->type_integer};
+    for (int i = 0; i < 9; ++i)
+        if (!count_is(array[i], k[i], i < 4 ? c->n_real : c->n_integer))
+            return unfit(why, ": an array of variables does not fit `layout`");
+    return 0;
+}
+
+/* Finds the arrays that every record carries and checks their sizes. */
+static int read_tables(Instance *c, char *why)
+{
+    const BlockLayout *n = &c->block.layout;
+    size_t count;
+
+    if (read_layout(c, why) != 0 || read_variables(c, why) != 0) return 1;
+    const int32_t *parameter = record_i32(&c->record, "internal_step.parameter", &count);
+    c->step_parameter = count == 1 && parameter[0] >= 0 ? (size_t)parameter[0] : c->n_real;
+    if (count > 0 && !(c->step_parameter < c->n_real)) return unfit(why, ": `internal_step.parameter` is no variable");
+    c->output_state = record_i32(&c->record, "output.state", &count);
+    if (count > 0 && count != n->n_y) return unfit(why, ": `output.state` does not fit `layout`");
+    for (size_t i = 0; i < count; ++i)
+        if (c->output_state[i] >= 0 && (size_t)c->output_state[i] >= n->n_x)
+            return unfit(why, ": `output.state` points outside the states");
+    c->nominal_x = record_f64(&c->record, "nominal.x", &count);
+    return count_is(c->nominal_x, count, n->n_x) ? 0 : unfit(why, ": `nominal.x` does not fit `layout`");
 }
 
 /* One piece for everything that an FMU state carries, pointers into it. */
@@ -134,17 +141,12 @@ static int allocate(Instance *c, const BlockNeeds *needs)
     return 0;
 }
 
-static int prepare(Instance *c, fmi2String location, fmi2String guid, char *why)
+/* The record of the FMU that has this GUID. */
+static int read_record(Instance *c, fmi2String location, fmi2String guid, char *why)
 {
-    BlockMessage message = {{0}};
-    BlockNeeds needs = {0, 0};
     const char *reason, *own;
     size_t size, length;
 
-    if (block_is_sampled && c->type == fmi2ModelExchange) {
-        snprintf(why, WHY_SIZE, "this FMU offers co-simulation only");
-        return 1;
-    }
     c->record_bytes = resource_read(location, &c->callbacks, &size, why, WHY_SIZE);
     if (c->record_bytes == NULL) return 1;
     if (record_open(&c->record, c->record_bytes, size, &reason) != 0) {
@@ -152,17 +154,24 @@ static int prepare(Instance *c, fmi2String location, fmi2String guid, char *why)
         return 1;
     }
     own = record_text(&c->record, "guid", &length);
-    if (own == NULL || length == 0 || own[length - 1] != 0) {
-        snprintf(why, WHY_SIZE, "resources/model.bin has no GUID");
+    if (own == NULL || length == 0 || own[length - 1] != 0) return unfit(why, " has no GUID");
+    if (guid != NULL && strcmp(guid, own) == 0) return 0;
+    snprintf(why, WHY_SIZE, "the GUID %.64s asked for is not that of resources/model.bin, %.64s; "
+             "modelDescription.xml and resources come from different FMUs",
+             guid != NULL ? guid : "(null)", own);
+    return 1;
+}
+
+static int prepare(Instance *c, fmi2String location, fmi2String guid, char *why)
+{
+    BlockMessage message = {{0}};
+    BlockNeeds needs = {0, 0};
+
+    if (block_is_sampled && c->type == fmi2ModelExchange) {
+        snprintf(why, WHY_SIZE, "this FMU offers co-simulation only");
         return 1;
     }
-    if (guid == NULL || strcmp(guid, own) != 0) {
-        snprintf(why, WHY_SIZE, "the GUID %.64s asked for is not that of resources/model.bin, %.64s; "
-                 "modelDescription.xml and resources come from different FMUs",
-                 guid != NULL ? guid : "(null)", own);
-        return 1;
-    }
-    if (read_tables(c, why) != 0) return 1;
+    if (read_record(c, location, guid, why) != 0 || read_tables(c, why) != 0) return 1;
     if (block_needs(&c->record, &c->block.layout, &needs, &message) != BLOCK_OK) {
         snprintf(why, WHY_SIZE, "resources/model.bin: %s", message.text);
         return 1;

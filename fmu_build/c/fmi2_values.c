@@ -114,31 +114,35 @@ static void values_changed(Instance *c)
     c->run->derivatives_fresh = 0;
 }
 
+static fmi2Status check_real(Instance *c, fmi2ValueReference r, double value, const char *call)
+{
+    const size_t first_parameter = c->n_real - c->block.layout.n_p;
+
+    if (r >= c->n_real) return unknown(c, call, r, "Real");
+    if (!settable(c, c->flags_real[r]) || (r >= first_parameter && c->run->mode == MODE_CONTINUOUS))
+        return instance_report(c, fmi2Error, call, "%s cannot be set in this state", instance_real_name(c, r));
+    if (!isfinite(value))
+        return instance_report(c, fmi2Error, call, "%s was set to %g at time %.9g s; a finite value is needed",
+                               instance_real_name(c, r), value, c->run->time);
+    if (!(value >= c->min_real[r] && value <= c->max_real[r]))
+        return instance_report(c, fmi2Error, call, "%s was set to %.9g; allowed are %.9g to %.9g",
+                               instance_real_name(c, r), value, c->min_real[r], c->max_real[r]);
+    return fmi2OK;
+}
+
 fmi2Status fmi2SetReal(fmi2Component component, const fmi2ValueReference references[], size_t count,
                        const fmi2Real values[])
 {
     static const char call[] = "fmi2SetReal";
     Instance *c = component;
-    size_t n_x, n_u, first_parameter;
+    size_t n_x, n_u;
 
     if (!instance_allowed(c, MODE_INSTANTIATED | MODE_INITIALIZATION | MODES_RUNNING, call)) return fmi2Error;
     if (count > 0 && (references == NULL || values == NULL)) return null_array(c, call);
     n_x = c->block.layout.n_x;
     n_u = c->block.layout.n_u;
-    first_parameter = c->n_real - c->block.layout.n_p;
-    for (size_t i = 0; i < count; ++i) {
-        const fmi2ValueReference r = references[i];
-        if (r >= c->n_real) return unknown(c, call, r, "Real");
-        if (!settable(c, c->flags_real[r]) || (r >= first_parameter && c->run->mode == MODE_CONTINUOUS))
-            return instance_report(c, fmi2Error, call, "%s cannot be set in this state",
-                                   instance_real_name(c, r));
-        if (!isfinite(values[i]))
-            return instance_report(c, fmi2Error, call, "%s was set to %g at time %.9g s; a finite value is needed",
-                                   instance_real_name(c, r), values[i], c->run->time);
-        if (!(values[i] >= c->min_real[r] && values[i] <= c->max_real[r]))
-            return instance_report(c, fmi2Error, call, "%s was set to %.9g; allowed are %.9g to %.9g",
-                                   instance_real_name(c, r), values[i], c->min_real[r], c->max_real[r]);
-    }
+    for (size_t i = 0; i < count; ++i)
+        if (check_real(c, references[i], values[i], call) != fmi2OK) return fmi2Error;
     for (size_t i = 0; i < count; ++i) {
         const size_t r = references[i];
         c->real[r] = values[i];

@@ -30,6 +30,25 @@ static int starts_with_file_scheme(const char *s)
     return 1;
 }
 
+/* What follows "file:" and an authority; a server's name goes into `path`, where its length is `n`. */
+static const char *after_authority(const char *s, char *path, size_t *n)
+{
+    if (s[0] == '/' && s[1] == '/') {
+        s += 2;
+        if (strncmp(s, "localhost/", 10) == 0) s += 9;
+        else if (*s != '/' && *s != 0) { path[(*n)++] = '/'; path[(*n)++] = '/'; }
+    }
+    /* file:///C:/x names C:/x, not /C:/x */
+    return s[0] == '/' && s[1] != 0 && (s[2] == ':' || s[2] == '|') ? s + 1 : s;
+}
+
+/* The byte that %XX stands for; 0 when that is none. */
+static char escaped(const char *s)
+{
+    const int high = hex_digit(s[1]), low = high < 0 ? -1 : hex_digit(s[2]);
+    return low < 0 ? 0 : (char)(high * 16 + low);
+}
+
 /* Writes the folder's path (UTF-8) for file:/p, file:///p, file://localhost/p,
  * file://server/share, file:///C:/p, or a plain path. Returns 0, or 1 when the
  * location is malformed or too long. */
@@ -39,23 +58,11 @@ static int path_of(const char *location, char *path)
     const int is_uri = starts_with_file_scheme(s);
     size_t n = 0;
 
-    if (is_uri) {
-        s += 5;
-        if (s[0] == '/' && s[1] == '/') {
-            s += 2;
-            if (strncmp(s, "localhost/", 10) == 0) s += 9;
-            else if (*s != '/' && *s != 0) { path[n++] = '/'; path[n++] = '/'; }
-        }
-        /* file:///C:/x names C:/x, not /C:/x */
-        if (s[0] == '/' && s[1] != 0 && (s[2] == ':' || s[2] == '|')) ++s;
-    }
+    if (is_uri) s = after_authority(s + 5, path, &n);
     for (; *s != 0; ++s) {
         char c = *s;
         if (is_uri && c == '%') {
-            const int high = hex_digit(s[1]);
-            const int low = high < 0 ? -1 : hex_digit(s[2]);
-            if (low < 0) return 1;
-            c = (char)(high * 16 + low);
+            c = escaped(s);
             if (c == 0) return 1;
             s += 2;
         }

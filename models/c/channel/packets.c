@@ -11,26 +11,35 @@ enum { STREAM_JITTER = 1, STREAM_TABLE, STREAM_STATE, STREAM_LOSS };
 enum { DUE = 0, STAMP = 1, FATE = 2, PACKET_SIZE = 3 };
 enum { FATE_ARRIVES = 0, FATE_LOST = 1, FATE_TOO_LATE = 2 };
 
+/* Whether p[first .. last] lie in 0 to `most`. */
+static int within(const double *p, int first, int last, double most)
+{
+    for (int k = first; k <= last; ++k)
+        if (!(p[k] >= 0.0 && p[k] <= most)) return 0;
+    return 1;
+}
+
+/* Whether anything is asked for that only packets have. */
+static int wants_packets(const double *p)
+{
+    return p[P_JITTER] > 0.0 || p[P_PDC_WAIT] > 0.0 || p[P_LOSS_GOOD] > 0.0 || p[P_GOOD_TO_BAD] > 0.0
+           || p[P_QUANTILES + CHANNEL_QUANTILES - 1] > 0.0;
+}
+
 BlockStatus packets_check(const Block *b, BlockMessage *message)
 {
     const double *p = b->p, *q = p + P_QUANTILES;
     const char *bad = NULL;
-    int extras = p[P_JITTER] > 0.0 || p[P_PDC_WAIT] > 0.0 || p[P_LOSS_GOOD] > 0.0 || p[P_GOOD_TO_BAD] > 0.0;
 
-    for (int k = P_LOSS_GOOD; k <= P_BAD_TO_GOOD; ++k)
-        if (!(p[k] >= 0.0 && p[k] <= 1.0)) bad = "probabilities of loss and transition must lie in 0 to 1";
-    for (int k = P_REPORTING; k <= P_PDC_WAIT; ++k)
-        if (!(p[k] >= 0.0 && p[k] <= 1e6))
-            bad = "reporting_interval, jitter, quantum and pdc_wait must lie in 0 to 1e6";
+    if (!within(p, P_LOSS_GOOD, P_BAD_TO_GOOD, 1.0)) bad = "probabilities of loss and transition must lie in 0 to 1";
+    if (!within(p, P_REPORTING, P_PDC_WAIT, 1e6))
+        bad = "reporting_interval, jitter, quantum and pdc_wait must lie in 0 to 1e6";
     if (p[P_REPORTING] > 0.0 && !(p[P_REPORTING] >= 1e-4)) bad = "reporting_interval must be 0 or at least 1e-4 s";
     if (p[P_GOOD_TO_BAD] > 0.0 && !(p[P_BAD_TO_GOOD] > 0.0)) bad = "bad_to_good must be positive";
-    for (int k = 0; k < CHANNEL_QUANTILES; ++k) {
-        if (!(q[k] >= (k > 0 ? q[k - 1] : 0.0) && q[k] <= 1e6))
-            bad = "quantile[1], quantile[2], ... must not be negative nor descend";
-        else if (q[k] > 0.0)
-            extras = 1;
-    }
-    if (p[P_REPORTING] == 0.0 && extras)
+    int ascends = within(q, 0, CHANNEL_QUANTILES - 1, 1e6);
+    for (int k = 1; k < CHANNEL_QUANTILES; ++k) ascends = ascends && q[k] >= q[k - 1];
+    if (!ascends) bad = "quantile[1], quantile[2], ... must not be negative nor descend";
+    if (p[P_REPORTING] == 0.0 && wants_packets(p))
         bad = "jitter, quantile, loss and pdc_wait act on packets: set reporting_interval";
     if (bad == NULL) return BLOCK_OK;
     snprintf(message->text, sizeof message->text, "channel: %s", bad);

@@ -238,6 +238,64 @@ static BlockStatus events(ClosedLoop *l, double t, int *count, BlockMessage *mes
     return BLOCK_OK;
 }
 
+/* What a step that is done again must find as it was. */
+static void keep_members(ClosedLoop *l)
+{
+    memcpy(l->saved, l->members, l->n_members * sizeof(double));
+    memcpy(l->saved_state, l->state, l->n_x * sizeof(double));
+    memcpy(l->saved_iy, l->outer->iy, l->n_iy * sizeof(int));
+}
+
+static void put_members_back(ClosedLoop *l)
+{
+    memcpy(l->members, l->saved, l->n_members * sizeof(double));
+    memcpy(l->state, l->saved_state, l->n_x * sizeof(double));
+    memcpy(l->outer->iy, l->saved_iy, l->n_iy * sizeof(int));
+}
+
+/* Draws what the channels give over the step that they have done. */
+static void draw_channels(ClosedLoop *l, double h, int edge)
+{
+    for (size_t k = 0; k < l->count; ++k) {
+        if (l->kind[k] != KIND_CHANNEL) continue;
+        const int held = channel_member_packets(&l->block[k]);
+        for (size_t j = 0; j < l->block[k].layout.n_y; ++j) {
+            const size_t i = l->first_y[k] + j;
+            draw(l->poly + 4 * i, l->y0[i], held ? 0.0 : l->slope0[i], held ? l->y0[i] : l->outer->y[i],
+                 held ? 0.0 : l->slope[i], h, edge);
+        }
+    }
+}
+
+/* How far signals bend at the end of a step, for the next one's prediction. */
+static void keep_bends(ClosedLoop *l)
+{
+    for (size_t i = 0; i < l->n_y; ++i) {
+        l->bend[2 * i] = l->poly[4 * i + 2];
+        l->bend[2 * i + 1] = l->poly[4 * i + 3];
+    }
+}
+
+/* Handles events at t and, where there were any, settles anew; counts them. */
+static BlockStatus events_and_settle(ClosedLoop *l, double t, int *handled, BlockMessage *message)
+{
+    const BlockStatus status = events(l, t, handled, message);
+
+    return status == BLOCK_OK && *handled > 0 ? settle(l, t, message) : status;
+}
+
+/* Channels, then plant and controllers, over the step from t to `end`. */
+static BlockStatus sweep_once(ClosedLoop *l, double t, double end, int edge, BlockMessage *message)
+{
+    const double h = end - t;
+    BlockStatus status = step_channels(l, t, h, message);
+
+    if (status != BLOCK_OK) return status;
+    draw_channels(l, h, edge);
+    if ((status = integrate(l, t, h, message)) != BLOCK_OK) return status;
+    return settle(l, end, message);
+}
+
 /* One step between inner communication points. */
 static BlockStatus step_once(ClosedLoop *l, double t, double end, BlockMessage *message)
 {
@@ -249,30 +307,12 @@ static BlockStatus step_once(ClosedLoop *l, double t, double end, BlockMessage *
     int handled;
 
     /* what a tool changed between two steps */
-    if ((status = events(l, t, &handled, message)) != BLOCK_OK) return status;
-    if (handled > 0 && (status = settle(l, t, message)) != BLOCK_OK) return status;
+    if ((status = events_and_settle(l, t, &handled, message)) != BLOCK_OK) return status;
     predict(l, edge || handled > 0 ? 0.0 : *last);
-    if (again) {
-        memcpy(l->saved, l->members, l->n_members * sizeof(double));
-        memcpy(l->saved_state, l->state, l->n_x * sizeof(double));
-        memcpy(l->saved_iy, l->outer->iy, l->n_iy * sizeof(int));
-    }
+    if (again) keep_members(l);
     for (int sweep = 0;; ++sweep) {
-        if (sweep > 0) {
-            memcpy(l->members, l->saved, l->n_members * sizeof(double));
-            memcpy(l->state, l->saved_state, l->n_x * sizeof(double));
-            memcpy(l->outer->iy, l->saved_iy, l->n_iy * sizeof(int));
-        }
-        if ((status = step_channels(l, t, h, message)) != BLOCK_OK) return status;
-        for (size_t k = 0; k < l->count; ++k)
-            for (size_t j = 0; l->kind[k] == KIND_CHANNEL && j < l->block[k].layout.n_y; ++j) {
-                const size_t i = l->first_y[k] + j;
-                const int held = channel_member_packets(&l->block[k]);
-                draw(l->poly + 4 * i, l->y0[i], held ? 0.0 : l->slope0[i], held ? l->y0[i] : l->outer->y[i],
-                     held ? 0.0 : l->slope[i], h, edge);
-            }
-        if ((status = integrate(l, t, h, message)) != BLOCK_OK) return status;
-        if ((status = settle(l, end, message)) != BLOCK_OK) return status;
+        if (sweep > 0) put_members_back(l);
+        if ((status = sweep_once(l, t, end, edge, message)) != BLOCK_OK) return status;
         error = correct(l, h);
         if (!again || error <= TOLERANCE) break;
         if (sweep == LOOP_SWEEPS) {
@@ -281,13 +321,10 @@ static BlockStatus step_once(ClosedLoop *l, double t, double end, BlockMessage *
             return BLOCK_ERROR;
         }
     }
-    for (size_t i = 0; i < l->n_y; ++i) {
-        l->bend[2 * i] = l->poly[4 * i + 2];
-        l->bend[2 * i + 1] = l->poly[4 * i + 3];
-    }
-    if ((status = events(l, end, &handled, message)) != BLOCK_OK) return status;
+    keep_bends(l);
+    if ((status = events_and_settle(l, end, &handled, message)) != BLOCK_OK) return status;
     *last = edge || handled > 0 ? 0.0 : h;
-    return handled > 0 ? settle(l, end, message) : BLOCK_OK;
+    return BLOCK_OK;
 }
 
 /* The first inner communication point after `now`, ns. */

@@ -52,7 +52,36 @@ static int layout_of(const Record *record, BlockLayout *n)
     return 0;
 }
 
-/* Layouts and needs of the members; their sum must be the outer layout. */
+/* One member: its kind, its record, its layout and needs; its place after those before it. */
+static BlockStatus read_member(ClosedLoop *l, const Record *record, size_t k, int kind, int check, BlockNeeds *needs,
+                               BlockMessage *message)
+{
+    BlockLayout *n = &l->block[k].layout;
+    BlockStatus status;
+
+    if (kind < 0 || kind >= KIND_COUNT) return unfit(message, "`loop.kinds`");
+    l->kind[k] = kind;
+    l->member[k] = KINDS[kind];
+    if (open_inner(&l->record[k], record, k, check) != 0 || layout_of(&l->record[k], n) != 0)
+        return unfit(message, "a member");
+    if (kind == KIND_CHANNEL && (n->n_u != 1 || n->n_x != 0)) return unfit(message, "a channel");
+    if ((status = l->member[k]->needs(&l->record[k], n, needs, message)) != BLOCK_OK) return status;
+    if (needs->n_memory > 1u << 24 || needs->n_scratch > 1u << 24) return unfit(message, "a member");
+    l->first_x[k] = l->n_x;
+    l->first_u[k] = l->n_u;
+    l->first_y[k] = l->n_y;
+    l->first_iu[k] = l->n_iu;
+    return BLOCK_OK;
+}
+
+/* What the members have together must be the outer layout. */
+static int outer_fits(const ClosedLoop *l, const BlockLayout *outer, size_t n_p, size_t n_ip)
+{
+    return outer->n_x == 0 && outer->n_u == 0 && outer->n_y == l->n_y && outer->n_w == 0 && outer->n_p == n_p
+           && outer->n_iu == 0 && outer->n_iy == l->n_iy && outer->n_iw == 0 && outer->n_ip == n_ip;
+}
+
+/* Layouts and needs of the members. */
 static BlockStatus read_members(ClosedLoop *l, const Record *record, const BlockLayout *outer, int check,
                                 size_t *inner_scratch, size_t memory[], BlockMessage *message)
 {
@@ -63,22 +92,11 @@ static BlockStatus read_members(ClosedLoop *l, const Record *record, const Block
     l->count = count;
     l->n_x = l->n_u = l->n_y = l->n_iu = l->n_iy = l->n_members = *inner_scratch = 0;
     for (size_t k = 0; k < count; ++k) {
-        BlockLayout *n = &l->block[k].layout;
+        const BlockLayout *n = &l->block[k].layout;
         BlockNeeds needs;
-        BlockStatus status;
+        const BlockStatus status = read_member(l, record, k, kinds[k], check, &needs, message);
 
-        if (kinds[k] < 0 || kinds[k] >= KIND_COUNT) return unfit(message, "`loop.kinds`");
-        l->kind[k] = kinds[k];
-        l->member[k] = KINDS[kinds[k]];
-        if (open_inner(&l->record[k], record, k, check) != 0 || layout_of(&l->record[k], n) != 0)
-            return unfit(message, "a member");
-        if (kinds[k] == KIND_CHANNEL && (n->n_u != 1 || n->n_x != 0)) return unfit(message, "a channel");
-        if ((status = l->member[k]->needs(&l->record[k], n, &needs, message)) != BLOCK_OK) return status;
-        if (needs.n_memory > 1u << 24 || needs.n_scratch > 1u << 24) return unfit(message, "a member");
-        l->first_x[k] = l->n_x;
-        l->first_u[k] = l->n_u;
-        l->first_y[k] = l->n_y;
-        l->first_iu[k] = l->n_iu;
+        if (status != BLOCK_OK) return status;
         l->n_x += n->n_x;
         l->n_u += n->n_u;
         l->n_y += n->n_y;
@@ -90,10 +108,16 @@ static BlockStatus read_members(ClosedLoop *l, const Record *record, const Block
         l->n_members += n->n_u + n->n_iu + needs.n_memory;
         if (needs.n_scratch > *inner_scratch) *inner_scratch = needs.n_scratch;
     }
-    if (outer->n_x != 0 || outer->n_u != 0 || outer->n_y != l->n_y || outer->n_w != 0 || outer->n_p != n_p
-        || outer->n_iu != 0 || outer->n_iy != l->n_iy || outer->n_iw != 0 || outer->n_ip != n_ip)
-        return unfit(message, "`layout`");
-    return BLOCK_OK;
+    return outer_fits(l, outer, n_p, n_ip) ? BLOCK_OK : unfit(message, "`layout`");
+}
+
+/* Whether a list of `count` outputs is there, each one of `outputs` or -1 for none. */
+static int wires_fit(const int32_t *wire, size_t found, size_t count, size_t outputs)
+{
+    if (found != count || (wire == NULL && count > 0)) return 0;
+    for (size_t i = 0; i < count; ++i)
+        if (wire[i] < -1 || wire[i] >= (int32_t)outputs) return 0;
+    return 1;
 }
 
 static BlockStatus read_wiring(ClosedLoop *l, const Record *record, size_t n_p, BlockMessage *message)
@@ -110,12 +134,8 @@ static BlockStatus read_wiring(ClosedLoop *l, const Record *record, size_t n_p, 
     l->flag = record_i32(record, "loop.flag", &count[3]);
     if (step == NULL || count[0] != 1 || !(step[0] >= 1e-6 && step[0] <= 1e3)) return unfit(message, "`loop.step`");
     if (internal == NULL || count[1] != 1 || !(internal[0] >= 1e-7)) return unfit(message, "`loop.internal`");
-    if (l->wire == NULL || count[2] != l->n_u) return unfit(message, "`loop.wire`");
-    for (size_t i = 0; i < l->n_u; ++i)
-        if (l->wire[i] < -1 || l->wire[i] >= (int32_t)l->n_y) return unfit(message, "`loop.wire`");
-    if ((l->flag == NULL && l->n_iu > 0) || count[3] != l->n_iu) return unfit(message, "`loop.flag`");
-    for (size_t i = 0; i < l->n_iu; ++i)
-        if (l->flag[i] < -1 || l->flag[i] >= (int32_t)l->n_iy) return unfit(message, "`loop.flag`");
+    if (!wires_fit(l->wire, count[2], l->n_u, l->n_y)) return unfit(message, "`loop.wire`");
+    if (!wires_fit(l->flag, count[3], l->n_iu, l->n_iy)) return unfit(message, "`loop.flag`");
     l->step = (int64_t)floor(step[0] * 1e9 + 0.5);
     l->internal_step = internal[0];
     return BLOCK_OK;

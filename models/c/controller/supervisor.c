@@ -37,6 +37,20 @@ typedef struct {
     const double *A, *B, *C, *D;          /* one controller after the other, rows first */
 } Bank;
 
+/* Whether every entry lies in 0 to `most`. */
+static int within(const int32_t *entries, size_t count, size_t most)
+{
+    for (size_t k = 0; k < count; ++k)
+        if (entries[k] < 0 || (size_t)entries[k] > most) return 0;
+    return 1;
+}
+
+static int complete(const Bank *bank)
+{
+    return bank->orders != NULL && bank->choice != NULL && bank->A != NULL && bank->B != NULL && bank->C != NULL
+           && bank->D != NULL;
+}
+
 static int bank_of(const Record *record, const BlockLayout *layout, Bank *bank)
 {
     size_t n_orders, n_choice, n_A, n_B, n_C, n_D, squares = 0;
@@ -51,17 +65,14 @@ static int bank_of(const Record *record, const BlockLayout *layout, Bank *bank)
     bank->signals = layout->n_u;
     bank->actuators = layout->n_y;
     bank->states = 0;
-    if (bank->orders == NULL || bank->choice == NULL || bank->A == NULL || bank->B == NULL || bank->C == NULL
-        || bank->D == NULL || n_orders < 1 || n_orders > MAX_BANK || bank->signals < 1
+    if (!complete(bank) || n_orders < 1 || n_orders > MAX_BANK || bank->signals < 1
         || bank->signals > MAX_SIGNALS || n_choice != (size_t)1 << bank->signals)
         return 0;
+    if (!within(bank->orders, n_orders, 1000) || !within(bank->choice, n_choice, n_orders - 1)) return 0;
     for (size_t i = 0; i < n_orders; ++i) {
-        if (bank->orders[i] < 0 || bank->orders[i] > 1000) return 0;
         bank->states += (size_t)bank->orders[i];
         squares += (size_t)bank->orders[i] * (size_t)bank->orders[i];
     }
-    for (size_t k = 0; k < n_choice; ++k)
-        if (bank->choice[k] < 0 || (size_t)bank->choice[k] >= n_orders) return 0;
     return n_A == squares && n_B == bank->states * bank->signals && n_C == bank->actuators * bank->states
            && n_D == n_orders * bank->actuators * bank->signals;
 }

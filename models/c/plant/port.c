@@ -114,6 +114,66 @@ static int invert_here(const Problem *s, double *work)
     return port_inverse(s->memory, s->plan, s->at.v_re, s->at.v_im, s->sine, s->cosine, s->inverse, work);
 }
 
+static void copy_voltages(const Problem *s, double *to)
+{
+    const size_t n = s->plan->n_port;
+    memcpy(to, s->at.v_re, n * sizeof(double));
+    memcpy(to + n, s->at.v_im, n * sizeof(double));
+}
+
+/* The voltages a `share` of a Newton step away from `from`, with the residual r there. */
+static void take_step(const Problem *s, const double *from, const double *r, double share)
+{
+    const size_t n = s->plan->n_port;
+
+    for (size_t p = 0; p < n; ++p) {
+        const double *a = s->inverse + 4 * n * p, *b = a + 2 * n;
+        double re = 0.0, im = 0.0;
+        for (size_t q = 0; q < n; ++q) {
+            re += a[2 * q] * r[q] + a[2 * q + 1] * r[n + q];
+            im += b[2 * q] * r[q] + b[2 * q + 1] * r[n + q];
+        }
+        s->at.v_re[p] = from[p] - share * re;
+        s->at.v_im[p] = from[n + p] - share * im;
+    }
+}
+
+/* The longest of 12 halved steps that is good enough, or the first one with slopes that
+ * are not `fresh`. Returns the residual there, -1 where there is none. */
+static double search(const Problem *s, int free, int fresh, double size, double scale, const double *from,
+                     const double *r, double *r_next, double *share)
+{
+    double next = -1.0;
+
+    *share = 1.0;
+    for (int tries = 0; tries < 12; ++tries, *share *= 0.5) {
+        take_step(s, from, r, *share);
+        next = residual(s, r_next);
+        if (next >= 0.0 && (free || next < (1.0 - 0.1 * *share) * size)) break;
+        if (!fresh || size <= STALLED * scale) break;
+    }
+    return next;
+}
+
+/* The port whose residual is largest. */
+static size_t farthest(const double *r, size_t n)
+{
+    size_t worst = 0;
+
+    for (size_t p = 1; p < n; ++p)
+        if (!(fabs(r[p]) + fabs(r[n + p]) <= fabs(r[worst]) + fabs(r[n + worst]))) worst = p;
+    return worst;
+}
+
+/* What residuals are measured against. */
+static double scale_of(const Problem *s)
+{
+    double scale = 1.0;
+
+    for (size_t p = 0; p < 2 * s->plan->n_port; ++p) scale = larger(scale, fabs(s->linear[p]));
+    return scale;
+}
+
 /* Newton steps from the voltages in s->at: damped so that the residual falls, or
  * `free` to rise, which passes the kinks where a load becomes an impedance. Returns
  * n_port, or the port farthest from a solution. work: 8 n_port. */
@@ -121,43 +181,24 @@ static size_t newton(const Problem *s, int free, double *work)
 {
     const size_t n = s->plan->n_port;
     double *r = work, *r_next = work + 2 * n, *from = work + 4 * n, *order = work + 6 * n;
-    double scale = 1.0, size;
+    const double scale = scale_of(s);
+    double size;
     int fresh = 0, ready = 0;
 
-    for (size_t p = 0; p < 2 * n; ++p) scale = larger(scale, fabs(s->linear[p]));
     size = residual(s, r);
     for (size_t count = 0; count < MOST_STEPS && size >= 0.0; ++count) {
-        double share = 1.0, next = -1.0;
+        double share;
         if (size <= ACCURACY * scale) return n;
         if (!ready) {
             if (!invert_here(s, order)) break;
             ready = fresh = 1;
         }
-        for (size_t p = 0; p < n; ++p) {
-            from[p] = s->at.v_re[p];
-            from[n + p] = s->at.v_im[p];
-        }
-        for (int tries = 0; tries < 12; ++tries, share *= 0.5) {
-            for (size_t p = 0; p < n; ++p) {
-                const double *a = s->inverse + 4 * n * p, *b = a + 2 * n;
-                double re = 0.0, im = 0.0;
-                for (size_t q = 0; q < n; ++q) {
-                    re += a[2 * q] * r[q] + a[2 * q + 1] * r[n + q];
-                    im += b[2 * q] * r[q] + b[2 * q + 1] * r[n + q];
-                }
-                s->at.v_re[p] = from[p] - share * re;
-                s->at.v_im[p] = from[n + p] - share * im;
-            }
-            next = residual(s, r_next);
-            if (next >= 0.0 && (free || next < (1.0 - 0.1 * share) * size)) break;
-            if (!fresh || size <= STALLED * scale) break;
-        }
+        copy_voltages(s, from);
+        const double next = search(s, free, fresh, size, scale, from, r, r_next, &share);
         const int better = next >= 0.0 && (free || next < size);
         if (!better) {   /* back to the best voltages so far */
-            for (size_t p = 0; p < n; ++p) {
-                s->at.v_re[p] = from[p];
-                s->at.v_im[p] = from[n + p];
-            }
+            memcpy(s->at.v_re, from, n * sizeof(double));
+            memcpy(s->at.v_im, from + n, n * sizeof(double));
             (void)residual(s, r);
             if (size <= STALLED * scale) return n;
             if (fresh) break;
@@ -170,10 +211,7 @@ static size_t newton(const Problem *s, int free, double *work)
             size = next;
         }
     }
-    size_t worst = 0;   /* not solved: the port that is farthest off */
-    for (size_t p = 1; p < n; ++p)
-        if (!(fabs(r[p]) + fabs(r[n + p]) <= fabs(r[worst]) + fabs(r[n + worst]))) worst = p;
-    return worst;
+    return farthest(r, n);
 }
 
 /* One column of the folded network: the inverse times a column (g, b) of port_w, or
@@ -223,6 +261,29 @@ static int fold(const Problem *s, double *work)
     return 1;
 }
 
+/* From the last voltages, then from those of the linear network, then from low ones: near collapse
+ * the solution lies among the impedances of low voltage, of all loads or of one. Returns n_port, or
+ * the port farthest from a solution. */
+static size_t newton_from_many(const Problem *s, const double *last, double *work)
+{
+    const size_t n = s->plan->n_port;
+    size_t stuck = n;
+
+    for (size_t tries = 0; tries < 8 + n; ++tries) {
+        const double *start = tries % 4 == 0 && tries < 8 ? last : s->linear;
+        const double share = tries >= 8 || tries % 4 < 2 ? 1.0 : tries % 4 == 2 ? 0.6 : 0.2;
+        for (size_t p = 0; p < n; ++p) {
+            const double size = sqrt(start[p] * start[p] + start[n + p] * start[n + p]);
+            const double own = (tries == 8 + p ? 0.5 : share) * (size > MOST_FLUX ? MOST_FLUX / size : 1.0);
+            s->at.v_re[p] = own * start[p];
+            s->at.v_im[p] = own * start[n + p];
+        }
+        stuck = newton(s, tries >= 4, work);
+        if (stuck == n) break;
+    }
+    return stuck;
+}
+
 size_t port_solve(double *memory, const Plan *plan, const double *ed2, const double *sine,
                   const double *cosine, double *e_re, double *e_im, double *const w[4], double *work)
 {
@@ -230,7 +291,6 @@ size_t port_solve(double *memory, const Plan *plan, const double *ed2, const dou
     double *linear = work, *last = memory + plan->port_v;
     const PortWork at = { w[0], w[1], w[2], w[3] };
     const Problem problem = { memory, plan, ed2, sine, cosine, e_re, e_im, at, linear, work + PORT_NEWTON * n };
-    size_t stuck = n;
 
     if (!port_iterate(memory, plan, ed2, sine, cosine, e_re, e_im, at, work)) return n;
     for (size_t p = 0; p < n; ++p) {   /* with the slopes of the last solution */
@@ -241,21 +301,7 @@ size_t port_solve(double *memory, const Plan *plan, const double *ed2, const dou
 
     for (size_t p = 0; p < 2 * n; ++p) linear[p] = 0.0;
     port_voltages(memory, plan, 0, plan->n_machine, e_re, e_im, linear, linear + n);
-    /* From the last voltages, then from those of the linear network, then from low
-     * ones: near collapse the solution lies among the impedances of low voltage, of
-     * all loads or of one. */
-    for (size_t tries = 0; tries < 8 + n; ++tries) {
-        const double *start = tries % 4 == 0 && tries < 8 ? last : linear;
-        const double share = tries >= 8 || tries % 4 < 2 ? 1.0 : tries % 4 == 2 ? 0.6 : 0.2;
-        for (size_t p = 0; p < n; ++p) {
-            const double size = sqrt(start[p] * start[p] + start[n + p] * start[n + p]);
-            const double own = (tries == 8 + p ? 0.5 : share) * (size > MOST_FLUX ? MOST_FLUX / size : 1.0);
-            at.v_re[p] = own * start[p];
-            at.v_im[p] = own * start[n + p];
-        }
-        stuck = newton(&problem, tries >= 4, work + 2 * n);
-        if (stuck == n) break;
-    }
+    const size_t stuck = newton_from_many(&problem, last, work + 2 * n);
     memory[H_PORT_READY] = 0.0;
     if (stuck < n) return stuck;
     /* e and w are those of the solution: fold() and what follows only prepare the next call */
