@@ -85,6 +85,28 @@ class BlockLMI:
         return np.asarray((S + S.conj().T) / 2)
 
 
+def _check_constants(block: BlockLMI) -> None:
+    """Refuse a constant or a scalar's matrix that is not finite and Hermitian."""
+    n = block.size
+    for what, a in {"constant": block.constant, **block.scalars}.items():
+        if a.shape != (n, n) or not np.all(np.isfinite(a)):
+            raise ValueError(f"LMI {block.name!r}: {what} has shape {a.shape}, wanted finite ({n}, {n})")
+        if not np.allclose(a, a.conj().T, atol=1e-9 * (1.0 + float(np.abs(a).max(initial=0.0)))):
+            raise ValueError(f"LMI {block.name!r}: {what} is not Hermitian; write the symmetric form")
+
+
+def _check_term(block: BlockLMI, term: Term, v: MatrixVariable) -> None:
+    """Refuse a term whose factors do not fit its variable and block."""
+    n = block.size
+    if term.left.shape != (n, v.rows) or term.right.shape != (v.cols, n):
+        raise ValueError(
+            f"LMI {block.name!r}: term in {v.name!r} is {term.left.shape} V {term.right.shape}, "
+            f"wanted ({n}, {v.rows}) V ({v.cols}, {n})"
+        )
+    if not (np.all(np.isfinite(term.left)) and np.all(np.isfinite(term.right))):
+        raise ValueError(f"LMI {block.name!r}: term in {v.name!r} has numbers that are not finite")
+
+
 @dataclass(frozen=True)
 class Problem:
     """Minimise a linear objective under linear matrix inequalities; checked when made.
@@ -105,28 +127,11 @@ class Problem:
         if len(known) != len(self.variables) or len(set(names)) != len(names):
             raise ValueError(f"LMI problem: names of variables must be unique, got {names}")
         for block in self.blocks:
-            n = block.size
-            arrays = {"constant": block.constant, **block.scalars}
-            for what, a in arrays.items():
-                if a.shape != (n, n) or not np.all(np.isfinite(a)):
-                    raise ValueError(
-                        f"LMI {block.name!r}: {what} has shape {a.shape}, wanted finite ({n}, {n})"
-                    )
-                if not np.allclose(a, a.conj().T, atol=1e-9 * (1.0 + float(np.abs(a).max(initial=0.0)))):
-                    raise ValueError(f"LMI {block.name!r}: {what} is not Hermitian; write the symmetric form")
+            _check_constants(block)
             for term in block.terms:
                 if term.variable not in known:
                     raise ValueError(f"LMI {block.name!r}: unknown variable {term.variable!r}, known {names}")
-                v = known[term.variable]
-                if term.left.shape != (n, v.rows) or term.right.shape != (v.cols, n):
-                    raise ValueError(
-                        f"LMI {block.name!r}: term in {v.name!r} is {term.left.shape} V {term.right.shape}, "
-                        f"wanted ({n}, {v.rows}) V ({v.cols}, {n})"
-                    )
-                if not (np.all(np.isfinite(term.left)) and np.all(np.isfinite(term.right))):
-                    raise ValueError(
-                        f"LMI {block.name!r}: term in {v.name!r} has numbers that are not finite"
-                    )
+                _check_term(block, term, known[term.variable])
             unknown = set(block.scalars) - set(self.scalars)
             if unknown:
                 raise ValueError(

@@ -66,6 +66,8 @@ class Iteration:
             self.S.append(eta * np.eye(size, dtype=C.dtype))
             self.Ls.append(np.sqrt(eta) * np.eye(size, dtype=C.dtype))
         self.stopped, self.verdict, self.radius = False, "", 0.0
+        self.stale = 0  # iterations in which the bound has not risen
+        self.short = self.stuck = 0  # short steps in a row, short ones before y is feasible
         self.bound = -np.inf  # best lower bound of the objective by the multipliers so far
         self.exact = False  # S is C + F(y) to the last digit
         self.Fz = self._start_multipliers(norms)
@@ -81,9 +83,9 @@ class Iteration:
             lowest = min(float(w[0]) for w in spectra)
             largest = max(float(np.abs(w).max()) for w in spectra)
             xi = max(-5.0 * lowest, 0.01 * largest)
-            factors = [cholesky(M + xi * one) for M, one in zip(least, identities, strict=True)]
-            if xi > 0.0 and all(F is not None for F in factors):
-                return [F for F in factors if F is not None]
+            factors = _all_found([cholesky(M + xi * one) for M, one in zip(least, identities, strict=True)])
+            if xi > 0.0 and factors is not None:
+                return factors
         starts = []
         for one, column in zip(identities, norms, strict=True):
             ratio = (1.0 + np.abs(self.c)) / (1.0 + column)
@@ -101,7 +103,6 @@ class Iteration:
                 "failed", 0, "the objective is unbounded: it moves coordinates that no block contains"
             )
         start_residual = 1.0 + sum(float(np.linalg.norm(R)) for R in self._primal_residual())
-        short = stale = stuck = 0
         expected = self.c
         for iteration in range(1, self.max_iterations + 1):
             Z = [F @ F.conj().T for F in self.Fz]
@@ -118,16 +119,9 @@ class Iteration:
             if float(np.abs(rp - expected) @ np.abs(self.y)) > self.tolerance * scale and iteration > 1:
                 self.normal.careful = True
             if self.exact:
-                # <C, Z> < 0 here; the bound holds in as far as the optimal |y| is not beyond this one
-                bound = objective - (self.gap + self.doubt) * scale
-                stale = 0 if bound > self.bound + 0.1 * self.tolerance * scale else stale + 1
-                self.bound = bound if objective < self.bound else max(self.bound, bound)
-                if self.gap < self.tolerance and (
-                    self.doubt < 10.0 * self.tolerance
-                    or objective - self.bound < 11.0 * self.tolerance * scale
-                ):
+                if self._is_optimal(objective, scale):
                     return self._finish("optimal", iteration - 1, "", Z)
-                if self.gap < self.tolerance and stale >= 3:
+                if self.gap < self.tolerance and self.stale >= 3:
                     break
             scalings = [Scaling(Ls, Fz) for Ls, Fz in zip(self.Ls, self.Fz, strict=True)]
             if not self.normal.factor([s.Ri for s in scalings], [s.G for s in scalings]):
@@ -141,19 +135,38 @@ class Iteration:
             if step is None:
                 break
             expected = (1.0 - step[1]) * rp
-            short = short + 1 if max(step) < 1e-4 or min(step) < 1e-7 else 0
-            stuck = stuck + 1 if not self.exact and step[0] < 2e-3 else 0
-            if (short >= 3 and iteration >= 12) or stuck >= 8:
+            if self._stands_still(iteration, step) or self._is_stopped(
+                iteration, objective, start_residual, step
+            ):
                 break
-            if self.callback is not None:
-                residual = (
-                    0.0 if self.exact else sum(float(np.linalg.norm(R)) for R in self._primal_residual())
-                )
-                report = Progress(iteration, objective, self.gap, residual / start_residual, self.doubt, step)
-                if self.callback(report):
-                    self.stopped = True
-                    break
         return self._give_up(iteration)
+
+    def _is_optimal(self, objective: float, scale: float) -> bool:
+        """Raise the lower bound; return whether gap and multipliers are within the tolerance."""
+        # <C, Z> < 0 here; the bound holds in as far as the optimal |y| is not beyond this one
+        bound = objective - (self.gap + self.doubt) * scale
+        self.stale = 0 if bound > self.bound + 0.1 * self.tolerance * scale else self.stale + 1
+        self.bound = bound if objective < self.bound else max(self.bound, bound)
+        return self.gap < self.tolerance and (
+            self.doubt < 10.0 * self.tolerance or objective - self.bound < 11.0 * self.tolerance * scale
+        )
+
+    def _stands_still(self, iteration: int, step: tuple[float, float]) -> bool:
+        """Return whether steps have been too short for a while."""
+        self.short = self.short + 1 if max(step) < 1e-4 or min(step) < 1e-7 else 0
+        self.stuck = self.stuck + 1 if not self.exact and step[0] < 2e-3 else 0
+        return (self.short >= 3 and iteration >= 12) or self.stuck >= 8
+
+    def _is_stopped(
+        self, iteration: int, objective: float, start_residual: float, step: tuple[float, float]
+    ) -> bool:
+        """Tell the callback; return whether it wants no more."""
+        if self.callback is None:
+            return False
+        residual = 0.0 if self.exact else sum(float(np.linalg.norm(R)) for R in self._primal_residual())
+        report = Progress(iteration, objective, self.gap, residual / start_residual, self.doubt, step)
+        self.stopped = bool(self.callback(report))
+        return self.stopped
 
     def _primal_residual(self) -> list[Matrix]:
         """Return Rd = C + F(y) - S, zero once S is exact."""
@@ -231,10 +244,9 @@ class Iteration:
                 S = [C + F for C, F in zip(self.C, self.affine.apply(y), strict=True)]
             else:
                 S = [A + ap * B for A, B in zip(self.S, dS, strict=True)]
-            Ls = [cholesky(M) for M in S]
-            if all(L is not None for L in Ls):
-                self.y, self.S, self.exact = y, S, full
-                self.Ls = [L for L in Ls if L is not None]
+            Ls = _all_found([cholesky(M) for M in S])
+            if Ls is not None:
+                self.y, self.S, self.exact, self.Ls = y, S, full, Ls
                 break
             ap *= 0.8
         else:
@@ -242,9 +254,9 @@ class Iteration:
         if not self.exact:
             self._close_residual()
         for _ in range(8):
-            Fz = [s.updated_factor(ad, d) for s, d in zip(scalings, dz, strict=True)]
-            if all(F is not None for F in Fz):
-                self.Fz = [F for F in Fz if F is not None]
+            Fz = _all_found([s.updated_factor(ad, d) for s, d in zip(scalings, dz, strict=True)])
+            if Fz is not None:
+                self.Fz = Fz
                 break
             ad *= 0.8
         else:
@@ -262,10 +274,9 @@ class Iteration:
     def _use_exact(self) -> None:
         """Let S be C + F(y) from now on if that is positive definite."""
         S = [C + F for C, F in zip(self.C, self.affine.apply(self.y), strict=True)]
-        Ls = [cholesky(M) for M in S]
-        if all(L is not None for L in Ls):
-            self.S, self.exact = S, True
-            self.Ls = [L for L in Ls if L is not None]
+        Ls = _all_found([cholesky(M) for M in S])
+        if Ls is not None:
+            self.S, self.exact, self.Ls = S, True, Ls
 
     # -- ends ------------------------------------------------------------------------------------
 
@@ -357,3 +368,9 @@ class Iteration:
             multipliers=None if Z is None else tuple(Z),
             message=message,
         )
+
+
+def _all_found(factors: list[Matrix | None]) -> list[Matrix] | None:
+    """Return the factors where there is one for each matrix."""
+    found = [F for F in factors if F is not None]
+    return found if len(found) == len(factors) else None

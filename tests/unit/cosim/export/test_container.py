@@ -220,7 +220,7 @@ def test_archive_is_valid_and_its_sources_stand_alone(container: Path) -> None:
         document = etree.parse(io.BytesIO(archive.read("modelDescription.xml")))
         assert etree.XMLSchema(etree.parse(str(schema))).validate(document)
         sources = {n.removeprefix("sources/") for n in archive.namelist() if n.startswith("sources/")}
-        assert {"plant_c.h", "channel_c.h", "state_space_c.h", "loop.c"} <= sources
+        assert {"plant_c.h", "channel_c.h", "state_space_c.h", "container.c"} <= sources
         assert not {"plant.c", "channel.c", "state_space.c"} & sources
         assert [e for e in document.iter("{*}ScalarVariable") if e.get("causality") == "input"] == []
 
