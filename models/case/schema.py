@@ -159,7 +159,8 @@ class Machine(Row):
     """A synchronous machine, its dispatch and its controls; per unit on `base_mva` of its own.
 
     round_rotor: sixth order, needs Xd, Xq, Xl, Xd1, Xq1, Xd2, Xq2, Td01, Tq01, Td02, Tq02 with
-    Xd > Xd1 >= Xd2 > Xl >= 0 and Xq >= Xq1 >= Xq2 > Xl. classical: H and a constant EMF behind Ra + j Xd1.
+    Xd > Xd1 >= Xd2 >= Xl >= 0, Xq >= Xq1 >= Xq2 >= Xl, Xd1 > Xl and Xq1 > Xl.
+    classical: H and a constant EMF behind Ra + j Xd1.
     infinite_bus: that EMF turns at nominal frequency whatever happens (a classical machine of infinite H).
     power_flow: a dispatch without dynamic data, good for the power flow only.
     """
@@ -215,13 +216,17 @@ class Machine(Row):
             what = "stabilizer" if self.stabilizer else "compensator"
             raise ValueError(f"a {what} but constant excitation; give it an exciter")
         for chain in (
-            ("Xl", "<", "Xd2", "<=", "Xd1", "<", "Xd"),
-            ("Xl", "<", "Xq2", "<=", "Xq1", "<=", "Xq"),
+            ("Xl", "<=", "Xd2", "<=", "Xd1", "<", "Xd"),
+            ("Xl", "<=", "Xq2", "<=", "Xq1", "<=", "Xq"),
+            ("Xl", "<", "Xd1"),
+            ("Xl", "<", "Xq1"),
         ):
             for low, sign, high in zip(chain[0:-2:2], chain[1:-1:2], chain[2::2], strict=True):
                 a, b = getattr(self, low), getattr(self, high)
                 if not (a < b or (sign == "<=" and a == b)):
                     raise ValueError(f"{high} = {b:g} with {low} = {a:g}, allowed: {' '.join(chain)}")
+        if self.Xl in (self.Xd2, self.Xq2) and self.Xd2 != self.Xq2:
+            raise ValueError(f"Xl = {self.Xl:g} is Xd2 or Xq2, allowed: below both, or all three the same")
         return self
 
     @property

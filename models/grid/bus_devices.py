@@ -124,5 +124,5 @@ def _machine_row(m: Machine, k: int, gap: AirGap) -> list[float]:
     slope = 0.0 if s is None else s.Bsat * gap.factor * flux
     kind = 0 if s is None else _SATURATION[s.use]
     row = [MACHINE, k, 1.0, kind, Xd2 - Xl, Xq2 - Xl, 1.0 / (Xd - Xl), 1.0 / (Xq - Xl), *shape]
-    saliency = 1.0 / (Xd2 - Xl) - 1.0 / (Xq2 - Xl)
+    saliency = 0.0 if Xd2 == Xq2 else 1.0 / (Xd2 - Xl) - 1.0 / (Xq2 - Xl)
     return [*row, gap.psi_ad, gap.psi_aq, gap.isd, gap.isq, slope, saliency, 0.0]

@@ -24,6 +24,7 @@ CHANGES = {
     },
     "exponents": {"loads": {"L7": {"P_exponent": 1.3, "Q_exponent": 3.1}, "L9": {"P_exponent": 0.4}}},
     "saturation": {"machines": {"defaults": {"saturation": SATURATED}}},
+    "leakage": {"machines": {"G1": {"Xl": 0.25, "saturation": SATURATED}, "G3": {"saturation": SATURATED}}},
     "saliency": {"machines": {"G1": {"Xq2": 0.3}, "G3": {"Xd2": 0.22, "Xq2": 0.4, "saturation": SATURATED}}},
 }
 
