@@ -7,18 +7,18 @@ loads nothing until a name is used; what stands in `__all__` is public, all else
 
 from __future__ import annotations
 
+import os
 import sys
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.2.0"
 
 # In a checkout the floors lie beside this folder, in an installed wheel below it: without this line a
 # Python started in the checkout's root finds this folder and none of the floors.
-_ROOT = Path(__file__).resolve().parent.parent
-if (_ROOT / "pyproject.toml").is_file() and (_ROOT / "models" / "py.typed").is_file():
-    __path__.append(str(_ROOT))
+_ROOT = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))  # noqa: PTH120  pathlib takes 10 ms
+if all(os.path.isfile(os.path.join(_ROOT, *f)) for f in (("pyproject.toml",), ("models", "py.typed"))):  # noqa: PTH113, PTH118
+    __path__.append(_ROOT)
 
 if TYPE_CHECKING:  # what the table below says, for type checkers and editors
     from .cosim.errors import StepError as StepError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Annotated, Literal, Protocol, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Protocol, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
@@ -14,9 +14,11 @@ from interarea.models.blocks.packet_schedule import packets_of
 
 from ..clock import TICKS_PER_SECOND, Clock, on_tick, seconds, to_ticks
 from ..errors import ScenarioError
-from ..master.instances import Value
 from ..participant import Participant
 from .delays import Delays
+
+if TYPE_CHECKING:
+    from ..master.instances import Value
 
 Seconds = Annotated[float, Field(ge=0.0)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, Self, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -11,9 +11,11 @@ from pydantic import Field, field_validator, model_validator
 from interarea.models.blocks.concentrator import MOST_SIGNALS, FrameSets, frame_sets
 
 from ..clock import TICKS_PER_SECOND, Clock, on_tick, seconds
-from ..master.instances import Value
 from .channels import Probability, Seconds, Table
 from .delays import Delays
+
+if TYPE_CHECKING:
+    from ..master.instances import Value
 
 
 class SignalWay(Table):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from .controller import Controller, ControllerError
+if TYPE_CHECKING:
+    from .controller import Controller
 
 FOLDER = Path(__file__).resolve().parent
 
@@ -19,6 +21,8 @@ def shipped_controller(name: str) -> Controller:
 
     Raises ControllerError for a name that is not shipped.
     """
+    from .controller import Controller, ControllerError  # control takes a second: names alone need it not
+
     if name not in shipped_names():
         raise ControllerError(f"controller {name!r} is not shipped, allowed: {', '.join(shipped_names())}")
     return Controller.load(FOLDER / f"{name}.json")

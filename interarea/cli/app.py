@@ -1,57 +1,170 @@
-"""The command `interarea`: results on stdout, progress on stderr, a user's mistake in one line."""
+"""The command `interarea`: results on stdout, progress on stderr, a user's mistake in one line.
+
+A command's module is imported when the command is called: help and completion need the table below alone.
+"""
 
 from __future__ import annotations
 
-import json
+import os
 import sys
-from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from importlib import import_module
+from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
-from .cache import cache
-from .check import check
-from .design import certify, design
-from .explore import explore
-from .export import build, container, ssp
-from .grids import export, import_grid
-from .listing import list_bundled
-from .modes import modes
-from .run import run
-from .sweep import maps, sweep
-from .terminal import busy, complain, print_table, stage_progress, steady_streams
-
-if TYPE_CHECKING:
-    import control
-
-    from interarea.design.modes.modes import Modes
-    from interarea.models.case.case import Case
+from .. import __version__
+from .terminal import complain, set_level, steady_streams
 
 INTERRUPTED = 130  #: exit code after Ctrl-C, as shells have it
 
+#: command -> module:function, and the first line of its help (the function's docstring)
+COMMANDS = {
+    "list": (
+        "listing:list_bundled",
+        "List what is bundled: cases, scenarios, controllers, designs, studies, and what takes them.",
+    ),
+    "cases": (
+        "listing:cases",
+        "List the bundled cases.",
+    ),
+    "modes": (
+        "modes:modes",
+        "Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes.",
+    ),
+    "loops": (
+        "modes:loops",
+        "Rank actuators and signals for the inter-area mode of a case.",
+    ),
+    "run": (
+        "run:run",
+        "Co-simulate one scenario; writes trajectory, ledgers, metrics and a plot.",
+    ),
+    "sweep": (
+        "sweep:sweep",
+        "Run a scenario over many parameters; a sweep that was stopped goes on where it was.",
+    ),
+    "maps": (
+        "sweep:maps",
+        "Draw the maps of a sweep: stability, margins certified and simulated, worst runs; one page.",
+    ),
+    "explore": (
+        "explore:explore",
+        "Write one HTML file in which the loop runs: drag delay, loss, controller or fault, and see.",
+    ),
+    "design": (
+        "design:design",
+        "Design a fixed-order controller for a family; exit code 1 if it misses what was asked.",
+    ),
+    "certify": (
+        "design:certify",
+        "Recompute a controller's certificate on full plants with exact latency; exit code 1 if it fails.",
+    ),
+    "build": (
+        "export:build",
+        "Build the plant FMU of a case, complete: documentation, sources and cross-check files.",
+    ),
+    "ssp": (
+        "export:ssp",
+        "Write plant, channels and controller of a scenario, wired and parametrised, as one SSP 1.0 archive.",
+    ),
+    "container": (
+        "export:container",
+        "Write plant, channels and controller of a scenario as one FMU that simulates by itself.",
+    ),
+    "check": (
+        "check:check",
+        "Check an FMU or SSP; one line per finding with its rule and fix; exit code 1 if there are any.",
+    ),
+    "import": (
+        "grids:import_grid",
+        "Read a grid, solve its power flow, write it as a case file; say what was read, assumed and dropped.",
+    ),
+    "export": (
+        "grids:export",
+        "Write a case, or it at another operating point, as one file; what its format cannot hold is named.",
+    ),
+    "study": (
+        "study:study",
+        "Run a whole study: FMUs, designs, co-simulations, figures, report.html and study.json.",
+    ),
+}
+_SETTINGS: dict[str, Any] = {
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": None,
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
+
+
+class _QuickHelp:
+    """A `--help` that is False where it is not given: for the None that it has else typer loads pydantic."""
+
+    def get_help_option(self, ctx: Any) -> Any:
+        option = super().get_help_option(ctx)  # type: ignore[misc]
+        if option is not None:
+            option.default = False
+        return option
+
+
+class _Command(_QuickHelp, TyperCommand):
+    pass
+
+
+def load(name: str) -> Any:
+    """Import the module of a command and return the command, with the options that all have."""
+    module, _, function = COMMANDS[name][0].partition(":")
+    single = typer.Typer(add_completion=False, **_SETTINGS)
+    single.command(name, cls=_Command)(getattr(import_module(f"{__package__}.{module}"), function))
+    command, shared = typer.main.get_command(single), typer.Typer(add_completion=False, **_SETTINGS)
+    shared.command()(_shared_options)
+    command.params += [p for p in typer.main.get_command(shared).params if p.name in ("quiet", "verbose")]
+    return command
+
+
+def _shared_options(
+    quiet: Annotated[
+        bool,
+        typer.Option(
+            "--quiet", callback=set_level("quiet"), expose_value=False, help="results and errors only"
+        ),
+    ] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "--verbose", callback=set_level("verbose"), expose_value=False, help="each step, and tracebacks"
+        ),
+    ] = False,
+) -> None:
+    """Take part in no command: its options are added to each."""
+
+
+class _Commands(_QuickHelp, TyperGroup):
+    """The commands by their lines of help; the one that is called is imported."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        for name, (_, line) in COMMANDS.items():
+            self.add_command(TyperCommand(name=name, help=line, rich_markup_mode=None), name)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args and args[0] in COMMANDS:
+            self.add_command(load(args[0]), args[0])
+        return super().resolve_command(ctx, args)
+
+
+def _completion() -> bool:
+    """Whether this call may be about shell completion; its two options make typer load pydantic."""
+    return len(sys.argv) < 2 or sys.argv[1].startswith("-") or "_INTERAREA_COMPLETE" in os.environ
+
+
 app = typer.Typer(
-    name="interarea",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    name="interarea", cls=_Commands, no_args_is_help=True, add_completion=_completion(), **_SETTINGS
 )
 
-CaseName = Annotated[
-    str, typer.Argument(metavar="CASE", help="bundled case or TOML file", show_default=False)
-]
-OutFolder = Annotated[
-    Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
-]
-AsJson = Annotated[bool, typer.Option("--json", help="print JSON instead of a table")]
 
-
-def _version(wanted: bool) -> None:
-    if wanted:
-        from importlib.metadata import version
-
-        typer.echo(f"interarea {version('interarea')}")
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"interarea {__version__}")
         raise typer.Exit
 
 
@@ -64,112 +177,11 @@ def program(
     """Wide-area damping of inter-area oscillations: plant and controllers as FMUs, co-simulated."""
 
 
-app.command("list")(list_bundled)
-
-
-@app.command()
-def cases(json_: AsJson = False) -> None:
-    """List the bundled cases."""
-    from interarea.models.case.case import case_names, load_case
-
-    rows = {}
-    for name in case_names():
-        case = load_case(name)
-        rows[name] = {"title": case.title, "machines": len(case.machines), "buses": len(case.buses)}
-    if json_:
-        return _print_json(rows)
-    print_table(
-        "bundled cases",
-        ("case", "machines", "buses", "title"),
-        [(n, str(r["machines"]), str(r["buses"]), str(r["title"])) for n, r in rows.items()],
-    )
-    return None
-
-
-@app.command()
-def loops(case: CaseName, json_: AsJson = False) -> None:
-    """Rank actuators and signals for the inter-area mode of a case."""
-    from interarea.cosim.study.rows import loop_rows
-    from interarea.design.linear.linearise import remove_reference
-    from interarea.design.modes.loop_selection import rank_loops
-    from interarea.design.modes.modes import modes_of
-
-    loaded, system, _ = _modes(case)
-    relative = remove_reference(system)
-    mode = modes_of(relative, loaded.areas).inter_area
-    ranked = loop_rows(rank_loops(relative, mode, areas=loaded.areas))
-    if json_:
-        return _print_json({"case": loaded.name, **ranked})
-    print_table(
-        f"{loaded.name}: loops for the inter-area mode",
-        ("actuator", "signal", "index", "geometric"),
-        [
-            (r["actuator"], r["signal"], f"{r['index']:.4f}", f"{r['geometric']:.4f}")
-            for r in ranked["ranking"]
-        ],
-    )
-    for line in ranked["coordinates"].split("; "):  # what the two columns are
-        typer.echo(line)
-    return None
-
-
-@app.command()
-def study(
-    out: OutFolder,
-    name: Annotated[str, typer.Argument(metavar="NAME", help="bundled study or TOML file")] = "thesis",
-) -> None:
-    """Run a whole study: FMUs, designs, co-simulations, figures, report.html and study.json."""
-    from interarea.cosim.study.study import STAGES, run_study
-
-    from .destination import folder_for
-
-    folder_for(out)
-    with stage_progress(STAGES) as progress:
-        summary = run_study(name, out, progress)
-    typer.echo(out / "study.json")
-    typer.echo(out / "report.html")
-    verdicts = [row["verdict"] for row in summary.get("printed", {}).get("verdicts", [])]
-    counts = ", ".join(f"{verdicts.count(k)} {k}" for k in ("agrees", "partly", "differs"))
-    typer.echo(f"printed statements: {counts}", err=True)
-
-
-app.command()(modes)
-app.command("import")(import_grid)
-app.command()(export)
-app.command()(run)
-app.command()(design)
-app.command()(certify)
-app.command()(check)
-app.command()(build)
-app.command()(ssp)
-app.command()(container)
-app.command()(explore)
-app.command()(sweep)
-app.command()(maps)
-app.command()(cache)
-
-
-def _modes(name: str) -> tuple[Case, control.StateSpace, Modes]:
-    from interarea.cosim.run.artefacts import linear_plant
-    from interarea.design.modes.modes import modes_of
-    from interarea.fmu_build.write.cache import default_cache
-    from interarea.models.case.case import load_case
-
-    with busy(f"linearising the plant FMU of {name}"):
-        case = load_case(name)
-        system = linear_plant(case, default_cache())
-        return case, system, modes_of(system, case.areas)
-
-
-def _print_json(value: Mapping[str, Any]) -> None:
-    typer.echo(json.dumps(value, indent=2, allow_nan=False))
-
-
 def main() -> None:
     """Run the command line: exit code 0, 2 for a mistake of the user, 1 for a fault of ours."""
     steady_streams()
     try:
-        app()
+        app(prog_name="interarea")
     except KeyboardInterrupt:
         _stopped()
     except SystemExit as ended:

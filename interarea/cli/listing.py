@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Annotated
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
+import interarea.cosim
+import interarea.design
+import interarea.models
+
 from .terminal import print_table
 
-if TYPE_CHECKING:
-    from interarea.cosim.designs.design_file import DesignTable
+AsJson = Annotated[bool, typer.Option("--json", help="print JSON instead of a table")]
 
 
 def list_bundled(
@@ -45,33 +51,53 @@ COMMANDS = {
 
 
 def bundled() -> dict[str, dict[str, str]]:
-    """Return kind -> name -> title of all that is bundled."""
-    from interarea.cosim.designs.design_file import design_names, load_design
-    from interarea.cosim.scenario.scenario import load_scenario, scenario_names
-    from interarea.cosim.study.spec import load_study, study_names
-    from interarea.design.controllers.bundled import shipped_controller, shipped_names
-    from interarea.models.case.case import case_names, load_case
-
+    """Return kind -> name -> title of all that is bundled; of each file as little is read as that needs."""
+    rooms = Path(interarea.models.__file__).parent, Path(interarea.cosim.__file__).parent
+    cosim, controllers = rooms[1], Path(interarea.design.__file__).parent / "controllers"
+    designs = {p.stem.removeprefix("design_"): p for p in (cosim / "designs").glob("design_*.toml")}
+    studies = {p.stem.removeprefix("study_"): p for p in (cosim / "study").rglob("study_*.toml")}
     return {
-        "cases": {name: load_case(name).title for name in case_names()},
-        "scenarios": {name: load_scenario(name).title for name in scenario_names()},
+        "cases": {p.stem: _title(p) for p in sorted((rooms[0] / "cases").glob("*.toml"))},
+        "scenarios": {p.stem: _title(p) for p in sorted((cosim / "scenario" / "bundled").glob("*.toml"))},
         "controllers": {
             "wdc": "the study's wide-area damping controller, designed for the case when it is asked for",
             "cc": "the study's conventional controller, likewise",
             "ftc": "the study's fault-tolerant controller, likewise",
             "active": "a bank of controllers behind a supervisor that follows lost signals",
-            **{name: _order(shipped_controller(name).system.nstates) for name in shipped_names()},
+            **{
+                p.stem: f"shipped for two-area-thesis, order {len(json.loads(p.read_text('utf-8'))['A'])}"
+                for p in sorted(controllers.glob("*.json"))
+            },
         },
-        "designs": {
-            name: f"how {name} was designed: {_family(load_design(name))}" for name in design_names()
-        },
-        "studies": {name: str(load_study(name)["title"]) for name in study_names()},
+        "designs": {name: f"how {name} was designed: {_family(p)}" for name, p in sorted(designs.items())},
+        "studies": {name: _title(p) for name, p in sorted(studies.items())},
     }
 
 
-def _order(states: int) -> str:
-    return f"shipped for two-area-thesis, order {states}"
+def _title(file: Path) -> str:
+    """Return the title of a TOML file: it stands before the first table."""
+    head = re.split(r"^\[", file.read_text(encoding="utf-8"), maxsplit=1, flags=re.MULTILINE)[0]
+    return str(tomllib.loads(head).get("title", ""))
 
 
-def _family(table: DesignTable) -> str:
-    return f"{len(table.point)} operating points, {len(table.conditions)} conditions each"
+def _family(file: Path) -> str:
+    table = tomllib.loads(file.read_text(encoding="utf-8"))
+    return f"{len(table['point'])} operating points, {len(table['conditions'])} conditions each"
+
+
+def cases(json_: AsJson = False) -> None:
+    """List the bundled cases."""
+    from interarea.models.case.case import case_names, load_case
+
+    rows = {}
+    for name in case_names():
+        case = load_case(name)
+        rows[name] = {"title": case.title, "machines": len(case.machines), "buses": len(case.buses)}
+    if json_:
+        typer.echo(json.dumps(rows, indent=2))
+        return
+    print_table(
+        "bundled cases",
+        ("case", "machines", "buses", "title"),
+        [(n, str(r["machines"]), str(r["buses"]), str(r["title"])) for n, r in rows.items()],
+    )

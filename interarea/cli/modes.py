@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from cmath import phase
 from collections.abc import Mapping
+from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from .terminal import busy, print_table
@@ -100,8 +101,7 @@ def _as_dict(
     for name, mode in found.items():
         rows[name]["participation"] = main_states(mode, count)
         rows[name]["shape"] = {
-            machine: {"size": abs(z), "angle_deg": float(np.degrees(np.angle(z)))}
-            for machine, z in mode.shape.items()
+            machine: {"size": abs(z), "angle_deg": degrees(phase(z))} for machine, z in mode.shape.items()
         }
     values = [[float(z.real), float(z.imag)] for z in found.eigenvalues]
     return {
@@ -147,7 +147,7 @@ def _print_modes(title: str, found: Modes, count: int) -> None:
 
 
 def _size_and_angle(entry: complex) -> str:
-    return f"{abs(entry):.2f} {round(float(np.degrees(np.angle(entry)))):+d}°"
+    return f"{abs(entry):.2f} {round(degrees(phase(entry))):+d}°"
 
 
 def _print_shapes(found: Modes, case: Case) -> None:
@@ -190,3 +190,30 @@ def _plots(found: Modes, case: Case, folder: Path) -> list[Path]:
         figure = mode_shape_plot(mode.shape, case.areas, title)
         files.append(save_figure(figure, folder / f"{name.replace(' ', '-')}.svg"))
     return files
+
+
+def loops(
+    case: CaseName,
+    json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
+) -> None:
+    """Rank actuators and signals for the inter-area mode of a case."""
+    from interarea.cosim.study.rows import loop_rows
+    from interarea.grids import load_case
+    from interarea.grids import loops as ranked_loops
+
+    loaded = load_case(case)
+    with busy(f"linearising the plant FMU of {case}"):
+        ranked = loop_rows(ranked_loops(loaded))
+    if json_:
+        typer.echo(json.dumps({"case": loaded.name, **ranked}, indent=2, allow_nan=False))
+        return
+    print_table(
+        f"{loaded.name}: loops for the inter-area mode",
+        ("actuator", "signal", "index", "geometric"),
+        [
+            (r["actuator"], r["signal"], f"{r['index']:.4f}", f"{r['geometric']:.4f}")
+            for r in ranked["ranking"]
+        ],
+    )
+    for line in ranked["coordinates"].split("; "):  # what the two columns are
+        typer.echo(line)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal import busy
+from .terminal import busy, note
 
 if TYPE_CHECKING:
     from interarea.cosim.results.latency_test import SelfTest
@@ -36,11 +36,7 @@ def run(
 
     With --self-test and no --out only the self-test is done.
     """
-    from interarea.cosim.export.joint import run_joint
-    from interarea.cosim.results.run import Run
-    from interarea.cosim.run.run import run_system
     from interarea.cosim.scenario.scenario import load_scenario
-    from interarea.fmu_build.write.cache import default_cache
 
     from .destination import folder_for
 
@@ -49,6 +45,12 @@ def run(
     if out is not None:
         folder_for(out)
     loaded = load_scenario(scenario)
+    # a mistake in the file is told before what runs it is loaded
+    from interarea.cosim.export.joint import run_joint
+    from interarea.cosim.results.run import Run
+    from interarea.cosim.run.run import run_system
+    from interarea.fmu_build.write.cache import default_cache
+
     tested = None
     if self_test:
         with busy(f"measuring the connections of {scenario}"):
@@ -64,7 +66,7 @@ def run(
         for file in files:
             typer.echo(file)
         if isinstance(result, Run):
-            typer.echo(result.summary, err=True)
+            note(result.summary)
             if loaded.controller != "none":
                 typer.echo(
                     _survived(str(loaded.controller_path or loaded.controller), result.case.omega_b), err=True

@@ -5,15 +5,19 @@ from __future__ import annotations
 import codecs
 import io
 import os
+import shutil
 import sys
+import textwrap
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
-from rich.table import Table
+if TYPE_CHECKING:
+    from rich.progress import TaskID
+
+from interarea.models.errors import InterareaError
 
 DEBUG_VARIABLE = "INTERAREA_DEBUG"
 
@@ -26,6 +30,7 @@ def steady_streams() -> None:
     What the encoding of a terminal does not have is written in plain letters; a stream that is closed is
     replaced by one that swallows.
     """
+    _levels.clear()
     codecs.register_error("interarea", _in_plain_letters)
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -44,41 +49,68 @@ def _in_plain_letters(error: UnicodeError) -> tuple[str, int]:
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print rows of text under a title; numbers are expected to be formatted."""
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
-    for name in columns:
-        table.add_column(name, overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    console = Console(width=None if sys.stdout.isatty() else 160, highlight=False)
-    console.print(title, style="bold")
-    console.print(table)
+    bold, plain = ("\033[1m", "\033[0m") if sys.stdout.isatty() else ("", "")
+    widths = [max(map(len, column)) for column in zip(columns, *rows, strict=True)]
+    room = shutil.get_terminal_size().columns if sys.stdout.isatty() else 160
+    last = max(room - sum(width + 2 for width in widths[:-1]), 20)
+    print(f"{bold}{title}{plain}")
+    for k, row in enumerate((columns, *rows)):
+        head = "  ".join(text.ljust(width) for text, width in zip(row[:-1], widths[:-1], strict=True))
+        indent = "\n" + " " * (len(head) + 2)
+        tail = indent.join(textwrap.wrap(row[-1], last) or [""])
+        line = f"{head}  {tail}" if head else tail
+        print(f"{bold}{line}{plain}" if k == 0 else line.rstrip())
+
+
+_levels: set[str] = set()  # quiet, verbose: as this call of the command asks
+
+
+def set_level(name: str) -> Callable[[bool], None]:
+    """Return what the option `--quiet` or `--verbose` does when it is given."""
+
+    def given(value: bool) -> None:
+        if value:
+            _levels.add(name)
+
+    return given
+
+
+def note(text: object) -> None:
+    """Print a remark on stderr, unless `--quiet`."""
+    if "quiet" not in _levels:
+        print(text, file=sys.stderr)
 
 
 @contextmanager
 def busy(what: str) -> Iterator[None]:
-    """Show on stderr that something is under way (on a terminal only)."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
+    """Show on stderr that something is under way: on a terminal, else with `--verbose` a line."""
+    if "quiet" in _levels or not sys.stderr.isatty():
+        if "verbose" in _levels:
+            note(what)
         yield
         return
-    with console.status(what):
+    from rich.console import Console
+
+    with Console(stderr=True).status(what):
         yield
 
 
 @contextmanager
 def stage_progress(stages: Sequence[str]) -> Iterator[Callable[[str, float], None]]:
     """Show one progress bar per stage on stderr; without a terminal, one line per finished stage."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield _plain_progress(console)
+    if "quiet" in _levels or not sys.stderr.isatty():
+        yield _plain_progress()
         return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
     columns = (
         SpinnerColumn(finished_text="✓"),
         TextColumn("{task.description}"),
         BarColumn(),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=console) as progress:
+    with Progress(*columns, console=Console(stderr=True)) as progress:
         tasks: dict[str, TaskID] = {s: progress.add_task(s, total=1.0, start=False) for s in stages}
 
         def report(stage: str, done: float) -> None:
@@ -88,13 +120,13 @@ def stage_progress(stages: Sequence[str]) -> Iterator[Callable[[str, float], Non
         yield report
 
 
-def _plain_progress(console: Console) -> Callable[[str, float], None]:
+def _plain_progress() -> Callable[[str, float], None]:
     finished: set[str] = set()
 
     def report(stage: str, done: float) -> None:
         if done >= 1.0 and stage not in finished:
             finished.add(stage)
-            console.print(f"{stage}: done", highlight=False)
+            note(f"{stage}: done")
 
     return report
 
@@ -105,11 +137,10 @@ def complain(error: BaseException) -> int:
     A mistake is any error class of this package, or a file that cannot be read or written. With
     `INTERAREA_DEBUG` set the traceback is shown too.
     """
-    ours = type(error).__module__.split(".")[0] == "interarea"
-    if os.environ.get(DEBUG_VARIABLE):
+    if os.environ.get(DEBUG_VARIABLE) or "verbose" in _levels:
         traceback.print_exception(error)
     line = " ".join(str(error).split())
-    if ours:
+    if isinstance(error, InterareaError):
         print(f"interarea: {line}", file=sys.stderr)
         return 2
     if isinstance(error, OSError):

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.special import gammaincc, gammaincinv
 
 from .variables import Block, Enumeration, Variable, VariableTable
 
@@ -170,6 +169,8 @@ def gamma_quantiles(shape: float, scale_s: float) -> dict[str, float]:
     if not (shape > 0.0 and scale_s > 0.0):
         raise ValueError(f"gamma latency: shape {shape:g} and scale {scale_s:g} s, allowed: positive")
     at = np.linspace(0.0, 1.0, QUANTILES)[:-1]
+    from scipy.special import gammaincc, gammaincinv  # takes 0.1 s; most scenarios have no such latency
+
     inner = gammaincinv(shape, at) * scale_s
     tail_mean = shape * scale_s * gammaincc(shape + 1.0, inner[-1] / scale_s) * (QUANTILES - 1)
     return quantiles_of([*inner, 2.0 * tail_mean - inner[-1]])

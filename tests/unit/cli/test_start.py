@@ -1,0 +1,87 @@
+"""How the command line starts: nothing imported before it is needed, help, completion, stopping."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from interarea.cli.app import COMMANDS, load
+
+HEAVY = {"numpy", "scipy", "pandas", "control", "pydantic", "rich.console", "matplotlib", "cvxpy", "fmpy"}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_line_of_help_is_the_docstrings_first(name: str) -> None:
+    command = load(name)
+    assert command.name == name
+    assert command.help.splitlines()[0] == COMMANDS[name][1]
+    assert {"quiet", "verbose"} <= {p.name for p in command.params}
+
+
+@pytest.mark.parametrize("arguments", [("--version",), ("--help",), ("list",), ("modes", "--help")])
+def test_nothing_heavy_is_loaded_for(arguments: tuple[str, ...]) -> None:
+    code = (
+        "import sys, atexit\n"
+        "atexit.register(lambda: print(*sys.modules, file=sys.stderr))\n"
+        f"sys.argv = ['interarea', *{arguments!r}]\n"
+        "from interarea.__main__ import main\nmain()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout
+    assert not HEAVY & set(done.stderr.split())
+
+
+def _output(*arguments: str, **environment: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-m", "interarea", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, **environment},
+    )
+    return done.stdout
+
+
+def test_python_dash_m_is_the_command() -> None:
+    import interarea
+
+    assert _output("--version") == f"interarea {interarea.__version__}\n"
+    assert _output("--help").startswith("Usage: interarea [OPTIONS] COMMAND")
+
+
+def test_the_shell_completes_commands_and_options() -> None:
+    asked = {"_INTERAREA_COMPLETE": "complete_bash", "COMP_CWORD": "1"}
+    assert _output(COMP_WORDS="interarea con", **asked).split() == ["container"]
+    asked["COMP_CWORD"] = "2"
+    assert _output(COMP_WORDS="interarea modes --sha", **asked).split() == ["--shapes"]
+    assert "complete_bash" in _output("--show-completion", "bash")
+
+
+def test_quiet_leaves_results_and_verbose_tells_steps(interarea, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    assert interarea("modes", "two-area-thesis", "--quiet")[2] == ""
+    assert "linearising the plant FMU" in interarea("modes", "two-area-thesis", "--verbose")[2]
+    _, _, err = interarea("modes", "kundr", "--verbose")
+    assert "Traceback" in err and err.rstrip().splitlines()[-1].startswith("interarea: case 'kundr'")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGINT to a child on Windows")
+@pytest.mark.parametrize("after_s", [0.15, 0.4, 0.8])
+def test_a_stop_in_the_first_moments_gives_no_traceback(after_s: float) -> None:
+    code = (
+        "import interarea.__main__ as m, sys; print('on', flush=True); "
+        "sys.argv = ['interarea', 'modes', 'nets-nyps']; m.main()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None and process.stdout.readline() == "on\n"
+        time.sleep(after_s)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert "Traceback" not in err
+    assert process.returncode in (0, 130)  # 0: it was done before
