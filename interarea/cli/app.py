@@ -84,6 +84,10 @@ COMMANDS = {
         "grids:export",
         "Write a case, or it at another operating point, as one file; what its format cannot hold is named.",
     ),
+    "cache": (
+        "cache:cache",
+        "Show what the cache of FMUs and designs holds; check it, trim it.",
+    ),
     "study": (
         "study:study",
         "Run a whole study: FMUs, designs, co-simulations, figures, report.html and study.json.",
