@@ -59,7 +59,8 @@ def _undisturbed(subject: Subject, data: dict[str, Any]) -> dict[str, Any]:
     nothing = {"loss": 0.0, "burst": 1.0, "jitter": 0.0, "lost": data["stop"], "back": data["stop"]}
     channels = {f"{name}.{key}": value for name in subject.channels for key, value in nothing.items()}
     latency = _latency(subject, 0.0)
-    return event | {"cl": 0.0} | latency | channels
+    ceilings = {"cl": 0.0} if data["ceilings"] else {}
+    return event | ceilings | latency | channels
 
 
 def _latency(subject: Subject, ms: float) -> dict[str, float]:

@@ -35,6 +35,7 @@ from interarea.models.case.case import load_case
 from interarea.models.files import write_whole
 from interarea.models.grid.powerflow import solve_powerflow
 
+from ..explorer.page import write_linked_explorer
 from ..run.artefacts import (
     channel_fmu,
     controller_fmu,
@@ -66,6 +67,7 @@ STAGES = (
     "packets",
     "survival",
     "figures",
+    "explorer",
     "report",
 )
 
@@ -73,7 +75,7 @@ STAGES = (
 def run_study(name: str, out: Path, progress: StageProgress | None = None) -> dict[str, Any]:
     """Run study `name` (bundled, or a TOML file) into the folder `out`; return what study.json holds.
 
-    Writes fmus/*.fmu, figures/*.svg, results/*.parquet, report.html and study.json.
+    Writes fmus/*.fmu, figures/*.svg, results/*.parquet, report.html, explorer.html and study.json.
 
     Raises
     ------
@@ -188,6 +190,10 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
         drawn = save_figures(parts, cache / "figures" / _figure_key(parts), done)
         figures = {key: place(path, out / "figures" / path.name) for key, path in drawn.items()}
 
+    done = stage("explorer")
+    presets = write_linked_explorer(spec["case"], out / "explorer.html", cache=cache)
+    done(1.0)
+
     done = stage("report")
     fmus = {label: complete_fmu(path, cache) for label, path in fmus.items()}
     study = rows.study_rows(parts, loops, full.nstates)
@@ -195,6 +201,7 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
     study["survival"] = survival
     study["methods"] = methods
     study["pade"] = pade
+    study["explorer"] = presets
     study["figures"] = {key: path.relative_to(out).as_posix() for key, path in figures.items()}
     study["provenance"] = {
         "command": f"interarea study {name} --out DIR",

@@ -25,6 +25,9 @@ def run(
     explain: Annotated[
         bool, typer.Option("--explain", help="print step, stepping order, delay and packet ledgers")
     ] = False,
+    explore: Annotated[
+        bool, typer.Option("--explore", help="write explorer.html too: the run as a page to drag")
+    ] = False,
     self_test: Annotated[
         bool,
         typer.Option(
@@ -61,6 +64,11 @@ def run(
             run_it = run_joint if loaded.master.joint else run_system
             result = run_it(loaded, cache=default_cache())
             files = result.save(out)
+        if explore:
+            from interarea.cosim.explorer.page import write_explorer
+
+            with busy(f"writing {out / 'explorer.html'}"):
+                files.append(write_explorer(loaded, out / "explorer.html", cache=default_cache()))
         if explain:
             typer.echo(result.explain())
         for file in files:

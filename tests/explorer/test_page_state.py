@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from interarea.cli.app import main
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.explorer.layout import bus_positions
-from interarea.cosim.explorer.page import explorer_page, page_data
+from interarea.cosim.explorer.page import explorer_page, link_of, page_data
 from interarea.cosim.explorer.records import apply_delta, delta
 from interarea.cosim.explorer.subject import subject_of
 from interarea.cosim.scenario.channels import GilbertElliottLoss
@@ -54,6 +57,22 @@ def test_link_and_back(node: Any, data: dict[str, Any]) -> None:
     back = node([{"link": address}])[0]
     assert back == {"state": state, "why": ""}
     assert node([{"address": {}}, {"address": dict(data["start"])}]) == ["", ""]
+
+
+def test_links_of_a_report_open_the_presets(node: Any, data: dict[str, Any]) -> None:
+    for preset in data["presets"]:
+        opened = node([{"link": link_of(preset["state"])}])[0]
+        assert opened == {"state": preset["state"], "why": ""}
+
+
+@pytest.mark.slow
+def test_run_writes_the_page_of_its_scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = ["interarea", "run", "ring-down", "--out", str(tmp_path / "out"), "--explore"]
+    monkeypatch.setattr(sys, "argv", arguments)
+    with contextlib.suppress(SystemExit):
+        main()
+    text = (tmp_path / "out" / "explorer.html").read_text(encoding="utf-8")
+    assert "<title>Open loop: how the areas swing after a pulse" in text
 
 
 @pytest.mark.parametrize(

@@ -137,3 +137,12 @@ def test_claims_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
         with pytest.raises(ScenarioError, match=path.name):
             printed_rows(path, sample_study())
     assert printed_rows(CLAIMS, sample_study())["corrections"]
+
+
+def test_page_links_the_explorer_beside_it(figure: Path) -> None:
+    study = sample_study()
+    assert "explorer.html" not in render_report(study, {"5.10": figure})
+    study["explorer"] = [{"label": "A <late> signal", "href": "explorer.html#v=1&k=wdc"}]
+    text = render_report(study, {"5.10": figure})
+    assert '<a href="explorer.html">Explorer</a>' in text
+    assert '<a href="explorer.html#v=1&amp;k=wdc">a &lt;late&gt; signal</a>.' in text

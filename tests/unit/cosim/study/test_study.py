@@ -259,6 +259,8 @@ def test_the_whole_study(tmp_path: Path, cache: Path) -> None:
 
     for folder, suffix in (("fmus", ".fmu"), ("figures", ".svg"), ("results", ".parquet")):
         assert {p.suffix for p in (tmp_path / folder).iterdir()} == {suffix}
+    assert (tmp_path / "explorer.html").stat().st_size > 100_000
+    assert [p["href"].partition("#")[0] for p in study["explorer"]] == ["explorer.html"] * 6
     for path in study["figures"].values():
         assert (tmp_path / path).is_file()
     assert {f"5.{k}" for k in range(1, 27) if k != 18} <= set(study["figures"])
