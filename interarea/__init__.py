@@ -21,30 +21,30 @@ if all(os.path.isfile(os.path.join(_ROOT, *f)) for f in (("pyproject.toml",), ("
     __path__.append(_ROOT)
 
 if TYPE_CHECKING:  # what the table below says, for type checkers and editors
-    from .cosim.errors import StepError as StepError
-    from .cosim.run.system import System as System
-    from .design.controllers.controller import Controller as Controller
-    from .design.errors import InfeasibleDesign as InfeasibleDesign
-    from .design.errors import UncertifiedDesign as UncertifiedDesign
-    from .exchange import build_fmu as build_fmu
-    from .exchange import check as check
-    from .exchange import write_container as write_container
-    from .exchange import write_ssp as write_ssp
-    from .grids import import_case as import_case
-    from .grids import linearise as linearise
-    from .grids import load_case as load_case
-    from .grids import loops as loops
-    from .grids import modes as modes
-    from .grids import reduce as reduce
-    from .models.errors import InterareaError as InterareaError
-    from .models.errors import UserError as UserError
-    from .simulation import Channel as Channel
-    from .simulation import read_sweep as read_sweep
-    from .simulation import simulate as simulate
-    from .simulation import sweep as sweep
-    from .synthesis import certify as certify
-    from .synthesis import design_controller as design_controller
-    from .synthesis import load_controller as load_controller
+    from interarea.cosim.errors import StepError as StepError
+    from interarea.cosim.run.system import System as System
+    from interarea.design.controllers.controller import Controller as Controller
+    from interarea.design.errors import InfeasibleDesign as InfeasibleDesign
+    from interarea.design.errors import UncertifiedDesign as UncertifiedDesign
+    from interarea.exchange import build_fmu as build_fmu
+    from interarea.exchange import check as check
+    from interarea.exchange import write_container as write_container
+    from interarea.exchange import write_ssp as write_ssp
+    from interarea.grids import import_case as import_case
+    from interarea.grids import linearise as linearise
+    from interarea.grids import load_case as load_case
+    from interarea.grids import loops as loops
+    from interarea.grids import modes as modes
+    from interarea.grids import reduce as reduce
+    from interarea.models.errors import InterareaError as InterareaError
+    from interarea.models.errors import UserError as UserError
+    from interarea.simulation import Channel as Channel
+    from interarea.simulation import read_sweep as read_sweep
+    from interarea.simulation import simulate as simulate
+    from interarea.simulation import sweep as sweep
+    from interarea.synthesis import certify as certify
+    from interarea.synthesis import design_controller as design_controller
+    from interarea.synthesis import load_controller as load_controller
 
 #: module -> the public names it gives
 _PUBLIC = {
@@ -80,7 +80,7 @@ class _MovedModules:
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> None:
         if name.startswith(f"{__name__}."):
-            from .moved import explain
+            from interarea.moved import explain
 
             explain(name)
 

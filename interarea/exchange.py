@@ -15,11 +15,10 @@ from interarea.fmu_build.finding import Report
 from interarea.fmu_build.open.cross_check import complete_fmu
 from interarea.fmu_build.write.cache import default_cache, place
 from interarea.fmu_build.write.package import block_fmu
+from interarea.grids import case_like
 from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import Case
-
-from .grids import case_like
-from .synthesis import controller_like
+from interarea.synthesis import controller_like
 
 if TYPE_CHECKING:
     from interarea.models.blocks.variables import Block

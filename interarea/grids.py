@@ -21,8 +21,7 @@ from interarea.design.reduction.balanced import (
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case
 from interarea.models.case.case import load_case as load_case
-
-from .shown import RankedLoops, SwingModes
+from interarea.shown import RankedLoops, SwingModes
 
 _METHODS: Mapping[str, Callable[[control.StateSpace, int], Reduction]] = {
     "balanced": balanced_truncation,

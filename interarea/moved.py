@@ -21,10 +21,10 @@ fmu_build -> fmu_build.write: compile render:description_xml package documentati
     group:lane_library batch:lane_library
 fmu_build -> fmu_build.open: check_description:description check_ssp_units:units open:plant
     check_fmi2:fmi2 cross_check
-    check_archive:archive check_xml:xml
+    check_archive:archive check_xml:xml check_images:images
 fmu_build -> fmu_build: check_finding:finding
 fmu_build -> fmu_build.check: check check_binary:binary check_delegated:delegated
-    check_images:images check_load:load check_probe:probe
+    check_load:load check_probe:probe
     check_runs:runs check_semantics:semantics check_sensitivity:sensitivity
     check_ssp:ssp
 design -> design.linear: linearise norms

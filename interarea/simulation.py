@@ -15,9 +15,8 @@ from interarea.cosim.run.run import run_scenario, run_system
 from interarea.cosim.scenario.scenario import NAMED_CONTROLLERS, ChannelTable, load_scenario
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
-
-from .grids import case_like
-from .shown import SweepResults
+from interarea.grids import case_like
+from interarea.shown import SweepResults
 
 if TYPE_CHECKING:
     from interarea.cosim.sweep.front import Progress
@@ -90,7 +89,7 @@ def simulate(
 def _controller_of(
     controller: Controller | ControllerBank | control.StateSpace,
 ) -> Controller | ControllerBank:
-    from .synthesis import controller_like
+    from interarea.synthesis import controller_like
 
     if not isinstance(controller, Controller | ControllerBank | control.StateSpace):
         raise ScenarioError(

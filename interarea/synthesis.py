@@ -30,9 +30,8 @@ from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.fmu_build.write.cache import default_cache
-
-from .grids import case_like
-from .shown import Certificate
+from interarea.grids import case_like
+from interarea.shown import Certificate
 
 if TYPE_CHECKING:
     from interarea.models.case.case import Case

@@ -14,8 +14,8 @@ from interarea.models.files import temporary_folder
 from ..errors import BuildError
 from ..finding import Report
 from ..open.description import ModelDescription
+from ..open.images import FOLDERS
 from ..write.compile import PLATFORMS, host_platform
-from .binary import FOLDERS
 
 TIMEOUT_S = 120.0  #: for the topics of one process
 _TOPICS = (

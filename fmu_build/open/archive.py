@@ -54,6 +54,30 @@ def unpack_checked(
         return False
 
 
+def read_checked(path: Path, name: str, most: int, report: Report) -> tuple[list[str], bytes] | None:
+    """Return the names of an archive's entries and the content of entry `name`, which nothing unpacks.
+
+    None, with findings, if the archive must not be unpacked, has no such entry, or one above `most` bytes.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            entries = archive.infolist()
+            if not _begins_with_the_file(entries, path, report) or not _entries_are_harmless(entries, report):
+                return None
+            with archive.open(name) as entry:
+                content = entry.read(most + 1)
+    except KeyError:
+        report.add(_HOSTILE, name, "is not in the archive", "pack it at the root")
+        return None
+    except Exception as error:  # zlib.error, struct.error, ... of damaged data
+        report.add(_HOSTILE, path.name, f"not a readable zip archive: {error}", "make the archive again")
+        return None
+    if len(content) > most:
+        report.add(_HOSTILE, name, f"has more than {most} bytes", "write a smaller file")
+        return None
+    return [e.filename for e in entries], content
+
+
 def _begins_with_the_file(entries: list[zipfile.ZipInfo], path: Path, report: Report) -> bool:
     """Whether nothing stands before the first entry.
 

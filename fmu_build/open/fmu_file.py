@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import zipfile
-import zlib
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,11 +12,12 @@ from interarea.models.files import new_folder
 from ..errors import BuildError, FmuFileError
 from ..finding import Report
 from ..write.compile import PLATFORMS, host_platform
-from .archive import unpack_checked
+from .archive import read_checked, unpack_checked
 from .description import ModelDescription, ScalarVariable, read_description
+from .images import FOLDERS, ImageError, read_image
 from .ports import Description, Port, Type
 from .units import UnitOf
-from .xml import parse_xml
+from .xml import MOST_BYTES, parse_xml
 
 DESCRIPTION = "modelDescription.xml"
 _TYPE_OF: dict[str, Type] = {
@@ -27,6 +26,7 @@ _TYPE_OF: dict[str, Type] = {
     "Enumeration": "Integer",
     "Boolean": "Boolean",
 }
+_LONGEST_NAME = 200  #: of a library; file systems take 255 with the suffix
 _PARTS = {"CoSimulation": "co-simulation", "ModelExchange": "model-exchange"}
 
 
@@ -43,9 +43,7 @@ class FmuFile:
     def __init__(self, path: str | Path, interface: str = "CoSimulation") -> None:
         self.path = Path(path)
         self.interface = interface
-        self.model = describe(self.path, interface)
-        with zipfile.ZipFile(self.path) as archive:
-            names = archive.namelist()
+        self.model, names = _looked_at(self.path, interface)
         folders = {n.split("/")[1] for n in names if n.startswith("binaries/") and n.count("/") > 1}
         self._platform = next((f for f in host_folders() if f in folders), None)
         if self._platform is None:
@@ -55,6 +53,7 @@ class FmuFile:
                 "or run it on one of those"
             )
         self._folder: Path | None = None
+        self._known: set[Path] = set()
 
     @property
     def folder(self) -> Path:
@@ -75,12 +74,39 @@ class FmuFile:
             self._folder = folder
         return self._folder
 
+    @cached_property
+    def _library(self) -> str:
+        """Path of this platform's library in the FMU."""
+        name = self.model.interfaces[self.interface].get("modelIdentifier", "")
+        if not 0 < len(name) <= _LONGEST_NAME or "/" in name or "\\" in name:
+            raise FmuFileError(f"{self.path.name}: modelIdentifier {name[:60]!r} names no library")
+        return f"binaries/{self._platform}/{name}{PLATFORMS[host_platform()].suffix}"
+
     @property
     def binary(self) -> Path:
-        """The unpacked shared library of this platform."""
-        suffix = PLATFORMS[host_platform()].suffix
-        name = self.model.interfaces[self.interface].get("modelIdentifier", "")
-        return self.folder / "binaries" / str(self._platform) / f"{name}{suffix}"
+        """The unpacked shared library of this platform, looked at before anything loads it.
+
+        Raises
+        ------
+        FmuFileError : it is not there, no shared library, or that of another machine.
+        """
+        file = self.folder / self._library
+        if file not in self._known:
+            where = f"{self.path.name}: {self._library}"
+            if not file.is_file():
+                raise FmuFileError(f"{where} is not there; name the library as modelIdentifier says")
+            try:
+                image = read_image(file.read_bytes())
+            except ImageError as error:
+                raise FmuFileError(f"{where}: {error}; build the FMU again") from error
+            wanted = FOLDERS[host_folders()[0]]
+            if image.format != wanted[0] or wanted[1] not in image.machine.split("+"):
+                raise FmuFileError(
+                    f"{where} is {image.format} for {image.machine}, this machine loads {wanted[0]} for "
+                    f"{wanted[1]}; build the FMU for this platform"
+                )
+            self._known.add(file)
+        return file
 
     def start_of(self, name: str) -> float:
         """Return the start value that modelDescription.xml gives a variable, 0 where it gives none."""
@@ -145,16 +171,20 @@ def describe(path: Path, interface: str = "CoSimulation") -> ModelDescription:
     ------
     FmuFileError : no such file, not an FMU, of another version, against the standard, without `interface`.
     """
+    return _looked_at(path, interface)[0]
+
+
+def _looked_at(path: Path, interface: str) -> tuple[ModelDescription, list[str]]:
+    """Return the description and the names of the archive's entries."""
     if not path.is_file():
         raise FmuFileError(f"{path}: no such FMU file")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            report = Report(str(path))
-            root = parse_xml(archive.read(DESCRIPTION), DESCRIPTION, report)
-    except (zipfile.BadZipFile, zlib.error, KeyError, RuntimeError, EOFError) as error:
-        raise FmuFileError(f"{path.name}: not an FMU ({error})") from error
-    if root is None:
-        raise FmuFileError(f"{path.name}: not an FMU ({DESCRIPTION} {report.findings[0].message})")
+    report = Report(str(path))
+    content = read_checked(path, DESCRIPTION, MOST_BYTES, report)
+    root = None if content is None else parse_xml(content[1], DESCRIPTION, report)
+    if root is None or content is None:
+        found = report.findings[0]
+        where = "" if found.where == path.name else f"{found.where} "
+        raise FmuFileError(f"{path.name}: not an FMU ({where}{found.message})")
     version = root.get("fmiVersion")
     if version != "2.0":
         raise FmuFileError(f"{path.name}: is FMI {version}; the master steps FMI 2.0 FMUs")
@@ -164,7 +194,7 @@ def describe(path: Path, interface: str = "CoSimulation") -> ModelDescription:
     broken = next(_broken(model), None)
     if broken is not None:
         raise FmuFileError(f"{path.name}: its {DESCRIPTION} breaks the standard: {broken}")
-    return model
+    return model, content[0]
 
 
 def host_folders() -> tuple[str, ...]:

@@ -90,9 +90,9 @@ def test_what_a_binary_needs_and_shows(tmp_path: Path) -> None:
     import subprocess
 
     from interarea.fmu_build.check.binary import check_binaries
-    from interarea.fmu_build.check.images import read_image
     from interarea.fmu_build.finding import Report
     from interarea.fmu_build.open.description import read_description
+    from interarea.fmu_build.open.images import read_image
 
     if shutil.which("gcc") is None:
         pytest.skip("no gcc here to make such a library with")

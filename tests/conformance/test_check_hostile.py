@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 from interarea.cli.app import app
 from interarea.fmu_build.check.check import CheckError, check_file
-from interarea.fmu_build.check.images import ImageError, read_image
 from interarea.fmu_build.open import archive as check_archive
+from interarea.fmu_build.open.images import ImageError, read_image
 
 
 def archive_of(path: Path, name: str, content: bytes = b"x", mode: int = 0) -> Path:

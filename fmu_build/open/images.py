@@ -11,6 +11,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 _MOST_SYMBOLS = 1_000_000
+#: Folder of FMI 2.0 (and of FMI 3.0 style names) -> format, machine, suffix.
+FOLDERS = {
+    "linux32": ("ELF", "x86", ".so"),
+    "linux64": ("ELF", "x86_64", ".so"),
+    "win32": ("PE", "x86", ".dll"),
+    "win64": ("PE", "x86_64", ".dll"),
+    "darwin64": ("Mach-O", "x86_64", ".dylib"),
+    "aarch64-linux": ("ELF", "arm64", ".so"),
+    "aarch64-darwin": ("Mach-O", "arm64", ".dylib"),
+    "aarch64-windows": ("PE", "arm64", ".dll"),
+    "x86_64-linux": ("ELF", "x86_64", ".so"),
+    "x86_64-windows": ("PE", "x86_64", ".dll"),
+    "x86_64-darwin": ("Mach-O", "x86_64", ".dylib"),
+}
 
 
 class ImageError(ValueError):
