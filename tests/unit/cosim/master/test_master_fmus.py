@@ -39,7 +39,7 @@ def ring(lag: FmuFile, step_s: float, **options: object) -> Master:
 def test_a_loop_of_foreign_fmus_runs_without_what_they_lack(lag: FmuFile) -> None:
     with ring(lag, 0.05) as master:
         run = master.run()
-        text = explain(master)
+        text = explain(master, delay_ledger(master))
     assert "extrapolated: a, b cannot save its state" in text
     assert "not connected: fading.u keeps its start value" in text
     assert delay_ledger(master)["a.u"].note.startswith("no input derivatives")
