@@ -84,6 +84,7 @@ def export(
     from interarea.models.case.variants import operating_variant
     from interarea.models.case.write_toml import export_toml
     from interarea.models.errors import CaseError
+    from interarea.models.exporters.dyr import dyr_of
     from interarea.models.exporters.matpower import matpower_of
     from interarea.models.exporters.raw import raw_of
     from interarea.models.files import write_whole
@@ -104,8 +105,11 @@ def export(
         export_toml(loaded, out)
         typer.echo(out)
         return
-    written = raw_of(loaded, flow) if suffix == ".raw" else matpower_of(loaded, flow)
-    write_whole(out, written.text)
-    typer.echo(out)
-    for loss in written.losses:
-        typer.echo(f"not in the file: {loss}", err=True)
+    written = [(out, raw_of(loaded, flow) if suffix == ".raw" else matpower_of(loaded, flow))]
+    if suffix == ".raw" and any(m.model != "power_flow" for m in loaded.machines):
+        written.append((out.with_suffix(".dyr"), dyr_of(loaded)))
+    for path, content in written:
+        write_whole(path, content.text)
+        typer.echo(path)
+        for loss in content.losses:
+            typer.echo(f"not in {path.name}: {loss}", err=True)

@@ -30,6 +30,26 @@ CONVERTERS = frozenset(
     ["REGCA1", "REGCB1", "REGCC1", "GDFORM", "WT1G1", "WT2G1", "WT3G1", "WT3G2", "WT4G1", "WT4G2", "PVGU1"]
 )
 
+#: models that only trip or measure
+RELAYS = frozenset(
+    {
+        *("LDSHBL", "LVSHBL", "LDS3BL", "LVS3BL", "LDST", "UVLSBL", "VTGTPA", "VTGDCA", "FRQTPA", "FRQDCA"),
+        *(
+            "VTGTPAT",
+            "VTGDCAT",
+            "FRQTPAT",
+            "FRQDCAT",
+            "DISTR1",
+            "RXR1",
+            "CIROS1",
+            "SLNOS1",
+            "SLYPN1",
+            "SCGAP2",
+        ),
+        *("TIOCR1", "TIOCRS", "DPDTR1", "BUSFREQ"),
+    }
+)
+
 
 @dataclass(frozen=True)
 class Dynamics:
@@ -81,7 +101,12 @@ def machine_dynamics(
         if at in out:
             report.drop("DYR record of a unit out of service", record.where)
             continue
+        if model in RELAYS:
+            report.drop("relay or meter", record.where)
+            continue
         if at not in machine_of:
+            if model not in _MACHINES and model not in dyr_models():
+                raise CaseError(f"{record.where}: {_unknown(model, record.bus)}")
             report.assume("DYR record of a unit that the grid does not have left out", record.where)
             continue
         name = machine_of[at]

@@ -106,7 +106,7 @@ def test_the_command_writes_by_the_suffix_and_tells_what_is_lost(tmp_path, monke
         monkeypatch.setattr(sys, "argv", ["interarea", "export", "new-england", "--out", str(out)])
         with pytest.raises(SystemExit) as stopped:
             main()
-        assert not stopped.value.code and "not in the file: the tie" in capsys.readouterr().err
+        assert not stopped.value.code and f"not in grid{suffix}: the tie" in capsys.readouterr().err
         assert len(read(out).case.machines) == 10
     monkeypatch.setattr(sys, "argv", ["interarea", "export", "new-england", "--out", str(tmp_path / "a.epc")])
     with pytest.raises(SystemExit) as stopped:

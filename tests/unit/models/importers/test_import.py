@@ -61,6 +61,14 @@ def test_dyr_gives_the_same_machines_and_controls(write: Write) -> None:
     require_dynamics(copy)
 
 
+def test_relays_and_units_that_are_not_there_are_counted(write: Write) -> None:
+    case = load_case("kundur-pss")
+    text = dyr_text(case) + "1 'VTGTPA' 1 0 0 0 /\n9 'GENCLS' 1 4.0 0.0 /\n"
+    report = import_psse(write("grid.raw", raw_text(case)), write("grid.dyr", text)).report
+    assert report.dropped["relay or meter"] == 1
+    assert report.assumed["DYR record of a unit that the grid does not have left out"] == 1
+
+
 def test_another_reactance_in_the_raw_file_is_told(write: Write) -> None:
     case = load_case("kundur-pss")
     dyr = write("grid.dyr", dyr_text(case))
@@ -249,6 +257,7 @@ def test_a_raw_file_cut_short_is_named(write: Write) -> None:
 
 
 DYR_REFUSED = [
+    ("// made by a test", "7 'DERA1' 1 0.1 /", r"grid\.dyr:1: model 'DERA1' at bus 7 is not supported"),
     ("'EXST1'", "'AC4A'", r"grid\.dyr:4: model 'AC4A' at bus 1 is not supported; did you mean EXAC4"),
     (" 0.0 0.0 /", " 0.0 /", r"grid\.dyr:2: GENROU has 13 parameters, allowed: 14 \(cut off\?\)"),
     (" 0.0 0.0 /", " 0.0 0.0 7.0 /", r"grid\.dyr:2: GENROU has 15 parameters, allowed: 14 \(is the /"),

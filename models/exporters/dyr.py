@@ -1,0 +1,90 @@
+"""The dynamic data of a case as a PSS/E DYR file, to go with its RAW file."""
+
+from __future__ import annotations
+
+import math
+
+from ..case.case import Case
+from ..case.control_schema import control_model, control_numbers
+from ..case.schema import Machine
+from ..devices.dyr import dyr_fields
+from ..devices.errors import DeviceError
+from ..devices.language.device import NO_LIMIT
+from .raw import machine_identities
+from .written import Written, named
+
+_CONTROLS = ("exciter", "stabilizer", "compensator", "governor")
+_WIDE = 9999.0  #: an absent limit, as people write it
+
+
+def dyr_of(case: Case) -> Written:
+    """Return machines and controls of `case` as records; identifiers are those of `raw_of`.
+
+    A machine without dynamic data has no record. What no record can hold is left out and named.
+    """
+    identity = machine_identities(case)
+    lines = [f"// {case.name}"]
+    bare: list[str] = []
+    losses: list[str] = []
+    for m in case.machines:
+        if m.model == "power_flow":
+            bare.append(m.name)
+            continue
+        model, values, lost = _machine(m)
+        lines.append(_record(m.bus, model, identity[m.name], values))
+        losses += lost
+        for word in _CONTROLS:
+            control = getattr(m, word)
+            if control is None or control_model(word, control) is None:
+                continue
+            try:
+                name, fields = _control(m, word)
+            except DeviceError as error:
+                losses.append(f"{m.name}.{word}: {error}")
+                continue
+            lines.append(_record(m.bus, name, identity[m.name], fields))
+    if bare:
+        losses.append(f"machines without dynamic data have no record ({named(bare)})")
+    return Written("\n".join([*lines, ""]), tuple(losses))
+
+
+def _record(bus: int, model: str, identity: str, fields: tuple[float, ...]) -> str:
+    return f"{bus} '{model}' '{identity}' " + " ".join(f"{value!r}" for value in fields) + " /"
+
+
+def _machine(m: Machine) -> tuple[str, tuple[float, ...], list[str]]:
+    """Model, fields and losses of a machine."""
+    if m.model == "infinite_bus":
+        return "GENCLS", (0.0, 0.0), []
+    if m.model == "classical":
+        return "GENCLS", (m.number("H"), m.D), []
+    lost = []
+    if m.Xd2 != m.Xq2:
+        lost.append(f"{m.name}: X''q = {m.Xq2:g}, which becomes X''d")
+    if m.Xq1 == m.Xq and m.saturation is None:
+        keys = ("Td01", "Td02", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xd2", "Xl")
+        return "GENSAL", (*(m.number(key) for key in keys), 0.0, 0.0), lost
+    keys = ("Td01", "Td02", "Tq01", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xq1", "Xd2", "Xl")
+    curve = (0.0, 0.0)
+    if m.saturation is not None:
+        s = m.saturation
+        if s.use != "total":
+            lost.append(f"{m.name}: saturation is used as {s.use!r}")
+        at = [s.Asat * math.exp(s.Bsat * (flux - s.psiT1)) for flux in (1.0, 1.2)]
+        curve = (at[0], at[1] / 1.2)  # of the flux
+    return "GENROU", (*(m.number(key) for key in keys), *curve), lost
+
+
+def _control(m: Machine, word: str) -> tuple[str, tuple[float, ...]]:
+    control = getattr(m, word)
+    model = control_model(word, control)
+    assert model is not None
+    values: dict[str, float] = {}
+    for name, value in control_numbers(word, control, m.base_mva).items():
+        if isinstance(value, str):
+            raise DeviceError(f"{name} = {value!r} is computed at rest")
+        values[name] = math.copysign(_WIDE, value) if abs(value) >= NO_LIMIT else float(value)
+    try:
+        return dyr_fields(model, values)
+    except KeyError as error:
+        raise DeviceError(f"{model.device.name}: no record holds {error}") from None
