@@ -67,7 +67,8 @@ def toml_entries(kind: str, good: str, command: tuple[str, ...]) -> Iterator[Ent
     for name, content, says in BROKEN:
         yield Entry(f"{kind}: {name}", ".toml", raw(content), command, says)
     for share in (0.3, 0.6, 0.9):
-        cut = good[: int(share * len(good))].rsplit("=", 1)[0] + "="
+        said = re.sub(r"#.*", "", good)  # a cut inside a comment leaves whole TOML
+        cut = said[: int(share * len(said))].rsplit("=", 1)[0] + "="
         yield Entry(f"{kind}: cut at {share}", ".toml", text(cut), command, "TOML")
     yield Entry(f"{kind}: unknown key", ".toml", text("colour = 'blue'\n" + good), command, "colour")
     for name, key, changed in spoiled(good, "nan for number", NUMBER, "nan"):
