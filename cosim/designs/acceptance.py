@@ -31,7 +31,7 @@ Progress = Callable[[int, int], object]
 class FaultPlace(BaseModel):
     """A three-phase fault at a bus, cleared by itself or by the trip of a branch."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     bus: int
     trip: str | None = None
@@ -48,7 +48,7 @@ class AcceptanceTable(BaseModel):
     clear_cycles : of the fault, periods of the case's frequency.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     fault: tuple[FaultPlace, ...] = Field(min_length=1)
     ceilings: tuple[tuple[float, float], ...] = ()

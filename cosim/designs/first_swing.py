@@ -39,7 +39,7 @@ KEPT_BELOW, LOST_ABOVE = 0.05, 0.1
 class FaultTable(BaseModel):
     """The fault that a controller is tried with: a bus fault, then a branch trip, signals late and lost."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     bus: int
     branch: str
