@@ -30,7 +30,7 @@ from study_loop import SCENARIO
 
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.master.master import Master
-from interarea.cosim.run.run import assemble
+from interarea.cosim.run.run import system_of
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.open.fmu_file import FmuFile
 
@@ -140,7 +140,10 @@ def chain_times(n: int, rounds: int, peers: bool) -> dict[str, float | str]:
 def study_times(rounds: int) -> dict[str, float]:
     """Return milliseconds of a 20 s run on live instances: the loop and the plant alone."""
     alone = SCENARIO | {"controller": "none", "channels": {}}
-    with assemble(load_scenario(SCENARIO)) as loop, assemble(load_scenario(alone)) as plant:
+    with (
+        system_of(load_scenario(SCENARIO)).master() as loop,
+        system_of(load_scenario(alone)).master() as plant,
+    ):
         best: dict[str, float] = {}
 
         def clock(title: str, what: Callable[[], object]) -> None:
@@ -149,10 +152,10 @@ def study_times(rounds: int) -> dict[str, float]:
             spent = 1e3 * (time.process_time() - begin)
             best[title] = min(spent, best.get(title, float("inf")))
 
-        loop.master.run()
-        plant.master.run()
+        loop.run()
+        plant.run()
         for _ in range(rounds):
-            for title, master in (("closed loop", loop.master), ("plant alone", plant.master)):
+            for title, master in (("closed loop", loop), ("plant alone", plant)):
                 begin = time.process_time()
                 clock(f"{title}: reset and start", master.start)
                 clock(f"{title}: steps", master.run)

@@ -29,7 +29,7 @@ from sweep_cost import cost_of, memory_of
 
 from interarea.cosim.master.lockstep import advance_together
 from interarea.cosim.master.master import Master
-from interarea.cosim.run.run import assemble
+from interarea.cosim.run.run import system_of
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.sweep.plan import plan_sweep
 from interarea.cosim.sweep.runner import Runner
@@ -82,22 +82,22 @@ def per_run(rounds: int, scratch: Path) -> dict[str, float]:
 
     with (
         ExitStack() as stack,
-        assemble(alone) as plant,
-        assemble(load_scenario(SCENARIO)) as loop,
+        system_of(alone).master() as plant,
+        system_of(load_scenario(SCENARIO)).master() as loop,
         Runner(plan, default_cache(), scratch) as runner,
         Runner(bare, default_cache(), scratch) as simple,
     ):
-        for master in (plant.master, loop.master):
+        for master in (plant, loop):
             master.run()
-        plants = [stack.enter_context(assemble(alone)).master for _ in range(8)]
-        loops = [stack.enter_context(assemble(load_scenario(SCENARIO))).master for _ in range(8)]
+        plants = [stack.enter_context(system_of(alone).master()) for _ in range(8)]
+        loops = [stack.enter_context(system_of(load_scenario(SCENARIO)).master()) for _ in range(8)]
         for master in (*plants, *loops):
             master.participants["plant"].group = runner.library  # type: ignore[attr-defined]
         for each in (runner, simple):
             list(each.outcomes(range(8)))
         for _ in range(rounds):
-            clock("plant alone: reset and steps", lambda: rerun(plant.master))
-            clock("closed loop: reset and steps", lambda: rerun(loop.master))
+            clock("plant alone: reset and steps", lambda: rerun(plant))
+            clock("closed loop: reset and steps", lambda: rerun(loop))
             clock("one of eight plants side by side", lambda: rerun_together(plants), 8)
             clock("one of eight closed loops side by side", lambda: rerun_together(loops), 8)
             clock("a single run of a sweep", lambda: runner.outcome(1))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import errno
+import os
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
@@ -65,6 +67,31 @@ def _restored(kind: type[StepError], arguments: tuple[object, ...], fields: dict
     error = kind.__new__(kind, *arguments)
     error.__dict__.update(fields)
     return error
+
+
+#: errors of the machine, not of what it computes: no space, quota, file size, open files, I/O, memory
+MACHINE = frozenset(
+    getattr(errno, name)
+    for name in ("ENOSPC", "EDQUOT", "EFBIG", "EMFILE", "ENFILE", "EIO", "ENOMEM", "EROFS")
+    if hasattr(errno, name)
+)
+
+
+def machine_error(error: BaseException) -> OSError | None:
+    """Return the error of the machine among an error and its causes: with it, nothing is known of the run."""
+    seen: set[int] = set()
+    todo: list[BaseException | None] = [error]
+    while todo:
+        here = todo.pop()
+        if here is None or id(here) in seen:
+            continue
+        seen.add(id(here))
+        if isinstance(here, OSError) and here.errno in MACHINE:
+            return here
+        if isinstance(here, MemoryError):
+            return OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+        todo += [here.__cause__, here.__context__]
+    return None
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

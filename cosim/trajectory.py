@@ -4,78 +4,45 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from interarea.fmu_build.open.ports import Port
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 TIME = "time_s"
 
 
-class Curves(Protocol):
-    """What metrics need of results: one array for each column."""
+class Trajectory:
+    """Recorded outputs: column ``time_s``, then ``INSTANCE.VARIABLE``; `units` and `descriptions` by column.
 
-    @property
-    def data(self) -> Any: ...
-
-    @property
-    def time_s(self) -> npt.NDArray[np.float64]: ...
-
-    def __getitem__(self, column: str) -> npt.NDArray[np.float64]: ...
-
-    def reals_of(self, instance: str) -> list[str]: ...
-
-
-class Records:
-    """Results without a table: `data` maps columns to arrays (points,)."""
+    `data` is the same as a table, with `units` in ``data.attrs["units"]`` too; it is made when it is asked
+    for. `engine` says what stepped: kernel or python (`Master.ran`).
+    """
 
     def __init__(
         self,
-        times_s: npt.NDArray[np.float64],
-        values: npt.NDArray[np.float64],
-        columns: Sequence[str],
-        ports: Sequence[Port],
+        columns: Mapping[str, npt.NDArray[Any]],
+        units: Mapping[str, str],
+        descriptions: Mapping[str, str] | None = None,
+        engine: str = "",
     ) -> None:
-        self.data: dict[str, npt.NDArray[np.float64]] = {TIME: times_s}
-        self.data |= dict(zip(columns, values, strict=True))
-        self._reals = [c for c, p in zip(columns, ports, strict=True) if p.type == "Real"]
-
-    def reals_of(self, instance: str) -> list[str]:
-        """Return the columns of an instance's Real outputs."""
-        return [c for c in self._reals if c.startswith(f"{instance}.")]
-
-    @property
-    def time_s(self) -> npt.NDArray[np.float64]:
-        return self.data[TIME]
-
-    def __getitem__(self, column: str) -> npt.NDArray[np.float64]:
-        """Return one column."""
-        return self.data[column]
-
-
-@dataclass(frozen=True, repr=False)
-class Trajectory:
-    """`data`: column ``time_s``, then ``INSTANCE.VARIABLE``; `units` and `descriptions` by column.
-
-    `units` are also in ``data.attrs["units"]``; `engine` says what stepped: kernel or python (`Master.ran`).
-    """
-
-    data: pd.DataFrame
-    units: Mapping[str, str]
-    descriptions: Mapping[str, str] = field(default_factory=dict)
-    engine: str = ""
+        self._columns = dict(columns)
+        self.units, self.descriptions, self.engine = dict(units), dict(descriptions or {}), engine
 
     def __repr__(self) -> str:
         time = self.time_s
         span = f"{time[0]:g} to {time[-1]:g} s" if len(time) else "empty"
-        return f"Trajectory({span}, {len(time)} points, {len(self.data.columns) - 1} signals)"
+        return f"Trajectory({span}, {len(time)} points, {len(self._columns) - 1} signals)"
+
+    def __contains__(self, column: str) -> bool:
+        return column in self._columns
 
     @classmethod
     def of_records(
@@ -90,28 +57,34 @@ class Trajectory:
         """Return the trajectory of recorded outputs; integers and Booleans get their own types."""
         table = np.empty((1 + len(columns), len(times_s)))
         table[0], table[1:] = times_s, records.T
-        names = [TIME, *columns]
+        typed = (_typed(row, port) for row, port in zip(table[1:], ports, strict=True))
         units = {TIME: "s"}
         for name, port in zip(columns, ports, strict=True):
             units[name] = port.unit.name if port.unit is not None else "1"
-        if all(port.type == "Real" for port in ports):
-            data = pd.DataFrame(table.T, columns=names, copy=False)
-        else:
-            kept = [table[0], *(_typed(row, p) for row, p in zip(table[1:], ports, strict=True))]
-            data = pd.DataFrame(dict(zip(names, kept, strict=True)), copy=False)
-        data.attrs["units"] = dict(units)
-        return cls(data, units, {n: p.description for n, p in zip(columns, ports, strict=True)}, engine)
+        texts = {n: p.description for n, p in zip(columns, ports, strict=True)}
+        return cls({TIME: table[0], **dict(zip(columns, typed, strict=True))}, units, texts, engine)
+
+    @cached_property
+    def data(self) -> pd.DataFrame:
+        """A DataFrame with these columns."""
+        import pandas as pd
+
+        data = pd.DataFrame(self._columns, copy=False)
+        data.attrs["units"] = dict(self.units)
+        return data
 
     def __getitem__(self, column: str) -> npt.NDArray[np.float64]:
         """Return one column as an array; the error names the columns there are."""
-        if column not in self.data:
-            raise KeyError(f"no column {column!r}; there are {', '.join(self.data.columns)}")
-        return self.data[column].to_numpy()
+        if column not in self._columns:
+            raise KeyError(f"no column {column!r}; there are {', '.join(self._columns)}")
+        return self._columns[column]
 
     def reals_of(self, instance: str) -> list[str]:
         """Return the columns of an instance that hold Reals: of a controller, its control signals."""
         return [
-            str(c) for c in self.data if str(c).startswith(f"{instance}.") and self.data[c].dtype.kind == "f"
+            name
+            for name, values in self._columns.items()
+            if name.startswith(f"{instance}.") and values.dtype.kind == "f"
         ]
 
     @property
@@ -124,6 +97,10 @@ class Trajectory:
 
     def write_parquet(self, path: Path) -> None:
         """Write a Parquet file whose schema carries unit and description of each column."""
+        import pandas as pd
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
         table = pa.Table.from_pandas(pd.DataFrame(self.data), preserve_index=False)
         fields = []
         for f in table.schema:
@@ -135,13 +112,13 @@ class Trajectory:
     @classmethod
     def read_parquet(cls, path: Path) -> Trajectory:
         """Read what `write_parquet` wrote."""
+        import pyarrow.parquet as pq
+
         table = pq.read_table(path)
         metadata = {f.name: f.metadata or {} for f in table.schema}
         units = {n: m.get(b"unit", b"1").decode() for n, m in metadata.items()}
         texts = {n: m[b"description"].decode() for n, m in metadata.items() if b"description" in m}
-        data = table.to_pandas()
-        data.attrs["units"] = dict(units)
-        return cls(data, units, texts)
+        return cls({name: table[name].to_numpy() for name in table.column_names}, units, texts)
 
 
 def _typed(row: npt.NDArray[np.float64], port: Port) -> npt.NDArray[Any]:

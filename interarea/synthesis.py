@@ -19,13 +19,13 @@ from interarea.cosim.designs.design_file import (
 )
 from interarea.cosim.designs.design_file import certify as certify_family
 from interarea.cosim.run.artefacts import (
-    CONTROLLER_NAMES,
     active_bank,
     linear_plant,
 )
 from interarea.cosim.run.artefacts import (
     design_controller as designed_for,
 )
+from interarea.cosim.scenario.scenario import CONTROLLER_NAMES
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad

@@ -21,7 +21,7 @@ from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import Case
 from interarea.models.case.write_toml import export_toml
 
-from ..run.run import assemble
+from ..run.run import system_of
 from ..scenario.scenario import load_scenario
 from .first_swing import Positive, after_clearing
 
@@ -171,8 +171,8 @@ class Trial:
                 }
                 for signal in self.controller.inputs
             }
-        with assemble(load_scenario(document), cache=self.cache) as loop:
-            data = loop.master.run()
+        with system_of(load_scenario(document), cache=self.cache).master() as master:
+            data = master.run()
         angles = np.array([data[f"plant.{m.name}_delta"] for m in case.machines])
         return float(np.ptp(angles, axis=0).max())
 

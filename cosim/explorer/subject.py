@@ -21,9 +21,8 @@ from interarea.models.errors import CaseError
 from interarea.models.grid.equilibrium import operating_point
 
 from ..errors import ScenarioError
-from ..run.artefacts import CONTROLLER_NAMES, linear_plant
-from ..run.run import controller_of
-from ..scenario.scenario import Scenario, load_scenario, scenario_names
+from ..run.artefacts import controller_of, linear_plant
+from ..scenario.scenario import CONTROLLER_NAMES, Scenario, load_scenario, scenario_names
 
 if TYPE_CHECKING:
     AnyController = Controller | ControllerBank
@@ -61,7 +60,7 @@ class Subject:
             if name == "none" or (name != self.scenario.controller and not self._may_fit(name)):
                 continue
             try:
-                made = controller_of(self.with_controller(name), self.case, self.cache, None)
+                made = controller_of(name, self.case, self.cache, folder=self.scenario.folder)
             except _DESIGN_FAILS:
                 if name == self.scenario.controller:
                     raise

@@ -14,7 +14,7 @@ from interarea.models.blocks.container import LoopMember, loop_block
 from interarea.models.blocks.variables import Block
 
 from ..errors import ScenarioError
-from ..run.run import Controllers
+from ..run.artefacts import ControllerLike
 from ..scenario.scenario import Scenario
 from .instances import members_of
 
@@ -25,7 +25,7 @@ def write_container(
     *,
     cache: Path,
     platforms: Sequence[str] | None = None,
-    controllers: Controllers | None = None,
+    controller: ControllerLike | None = None,
 ) -> Path:
     """Write plant, channels and controller of `scenario` as one co-simulation FMU; return its path.
 
@@ -37,21 +37,21 @@ def write_container(
     ScenarioError, CaseError, BuildError
     """
     return build_fmu(
-        container_block(scenario, cache=cache, controllers=controllers),
+        container_block(scenario, cache=cache, controller=controller),
         path,
         platforms=platforms,
         cache=cache,
     )
 
 
-def container_block(scenario: Scenario, *, cache: Path, controllers: Controllers | None = None) -> Block:
+def container_block(scenario: Scenario, *, cache: Path, controller: ControllerLike | None = None) -> Block:
     """Return the block that `write_container` builds.
 
     Raises
     ------
     ScenarioError : a loop that one block cannot hold.
     """
-    loop = members_of(scenario, cache=cache, controllers=controllers)
+    loop = members_of(scenario, cache=cache, controller=controller)
     foreign = [m.name for m in loop.all if m.block is None]
     if foreign:
         raise ScenarioError(

@@ -8,16 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from interarea.fmu_build.open.fmu_file import FmuFile
-from interarea.fmu_build.write.package import block_fmu
-from interarea.models.blocks.channel import channel_block
-from interarea.models.blocks.concentrator import concentrator_block
-from interarea.models.blocks.plant import plant_block
 from interarea.models.blocks.variables import Block, VariableTable
 
 from ..master.instances import Value
 from ..master.step_choice import choose_step
-from ..run.run import EVENT_SLOTS, Controllers, controller_of, wire
-from ..run.system import pairs_of
+from ..run.artefacts import ControllerLike
+from ..run.run import system_of
 from ..scenario.scenario import Scenario
 
 
@@ -57,53 +53,21 @@ class Members:
     step_s: float
 
 
-def members_of(scenario: Scenario, *, cache: Path, controllers: Controllers | None = None) -> Members:
+def members_of(scenario: Scenario, *, cache: Path, controller: ControllerLike | None = None) -> Members:
     """Return the FMUs of a scenario's instances, what ours are made of, and how they are connected.
 
-    cache : folder of FMUs and designs. controllers : see `run_scenario`.
+    cache : folder of FMUs and designs. controller : see `run_scenario`.
 
     Raises
     ------
-    ScenarioError, CaseError, GraphError : as `assemble` and `system_of`.
+    ScenarioError, CaseError, GraphError : as `system_of`.
     """
-    blocks: dict[str, Block] = {"channel": channel_block()} if scenario.channels else {}
-    blocks |= {n: concentrator_block(len(c.signals)) for n, c in scenario.concentrators.items()}
-    foreign: dict[str, FmuFile] = {}
-    if scenario.case:
-        case = scenario.load_case()
-        blocks["plant"] = plant_block(case, event_slots=max(EVENT_SLOTS, len(scenario.event)))
-        path = scenario.controller_path
-        if path is not None and path.suffix == ".fmu":
-            foreign["controller"] = FmuFile(path)
-        else:
-            controller = controller_of(scenario, case, cache, controllers)
-            if controller is not None:
-                blocks["controller"] = controller.block(case.omega_b)
-    files = {kind: FmuFile(block_fmu(block, cache)) for kind, block in blocks.items()} | foreign
-    if scenario.case:
-        wiring = wire(
-            scenario,
-            case,
-            plant=files["plant"],
-            controller=files.get("controller"),
-            channel=files.get("channel"),
-            concentrators=files,
-        )
-        instances, connections = dict(wiring.instances), wiring.connections
-    else:
-        instances = {n: (FmuFile(scenario.folder / f.file), dict(f.start)) for n, f in scenario.fmus.items()}
-        where = f"{scenario.name}: channels"
-        instances |= {
-            n: (files["channel"], c.parameters(f"{where}.{n}")) for n, c in scenario.channels.items()
-        }
-        instances |= {n: (files[n], c.parameters(n)) for n, c in scenario.concentrators.items()}
-        pairs = [pair for path in scenario.connections for pair in pairs_of(path, scenario.channels)]
-        connections = tuple(dict.fromkeys(pairs))
-    of_file = {id(file): blocks.get(kind) for kind, file in files.items()}
+    system = system_of(scenario, cache=cache, controller=controller)
     members = tuple(
-        Member(name, file, of_file.get(id(file)), start) for name, (file, start) in instances.items()
+        Member(i.name, i.file, None if i.block is None else i.block(), i.start)
+        for i in system.instances.values()
     )
-    latencies = [c.least_latency_s for c in scenario.lines.values()]
+    latencies = [line.least_latency_s for line in system.channels.values()]
     instants = [scenario.stop_s, *scenario.marks_s]
     step_s = choose_step(latencies, instants) if scenario.step_s is None else scenario.step_s
-    return Members(scenario, members, connections, step_s)
+    return Members(scenario, members, tuple(system.connections), step_s)

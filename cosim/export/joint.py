@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,7 @@ from ..master.master import Master
 from ..results.delay_ledger import DelayLedger, LedgerRow, packet_ledger
 from ..results.ringdown import run_metrics
 from ..results.run import Run
-from ..run.artefacts import swing_of
-from ..run.run import Controllers
+from ..run.artefacts import ControllerLike, swing_of
 from ..scenario.delays import Delays
 from ..scenario.scenario import Scenario, load_scenario
 from ..trajectory import TIME, Trajectory
@@ -36,7 +34,7 @@ def run_joint(
     *,
     cache: Path | None = None,
     progress: Callable[[float, float], object] | None = None,
-    controllers: Controllers | None = None,
+    controller: ControllerLike | None = None,
 ) -> Run:
     """Run a scenario as its container FMU and return what `run_scenario` does, columns named alike.
 
@@ -52,8 +50,8 @@ def run_joint(
     if not loaded.case:
         raise ScenarioError(f"{loaded.name}: case is missing; FMUs of one's own are stepped by a master")
     folder = default_cache() if cache is None else cache
-    block = container_block(loaded, cache=folder, controllers=controllers)
-    members = members_of(loaded, cache=folder, controllers=controllers)
+    block = container_block(loaded, cache=folder, controller=controller)
+    members = members_of(loaded, cache=folder, controller=controller)
     participant = participant_of(_NAME, FmuFile(block_fmu(block, folder)), {})
     with Master([participant], (), stop_s=loaded.stop_s, step_s=members.step_s) as master:
         trajectory = _named(master.run(progress=progress), members)
@@ -86,11 +84,10 @@ def _named(trajectory: Trajectory, members: Members) -> Trajectory:
             if v.role == "output":
                 shown = shown_name(member.name, member.block.kind, v)
                 names[f"{_NAME}.{shown}"] = f"{member.name}.{v.name}"
-    data = trajectory.data.rename(columns=names)
+    columns = {names[k]: trajectory[k] for k in trajectory.units}
     units = {names[k]: unit for k, unit in trajectory.units.items()}
-    data.attrs["units"] = dict(units)
     descriptions = {names[k]: text for k, text in trajectory.descriptions.items()}
-    return replace(trajectory, data=data, units=units, descriptions=descriptions)
+    return Trajectory(columns, units, descriptions, trajectory.engine)
 
 
 def _ledger(scenario: Scenario, members: Members) -> DelayLedger:

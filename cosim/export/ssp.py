@@ -19,7 +19,7 @@ from interarea.fmu_build.write.description_xml import product_version
 from interarea.fmu_build.write.package import archive_bytes, build_fmu
 from interarea.models.files import temporary_folder, write_whole
 
-from ..run.run import Controllers
+from ..run.artefacts import ControllerLike
 from ..scenario.scenario import Scenario
 from .instances import Member, Members, members_of
 
@@ -35,7 +35,7 @@ def write_ssp(
     *,
     cache: Path,
     platforms: Sequence[str] | None = None,
-    controllers: Controllers | None = None,
+    controller: ControllerLike | None = None,
 ) -> Path:
     """Write plant, channels and controller of `scenario`, connected, as one ``.ssp``; return its path.
 
@@ -43,13 +43,13 @@ def write_ssp(
     ----------
     cache : folder of FMUs and designs.
     platforms : keys of `compile.PLATFORMS` for the FMUs inside; None = the one this Python runs on.
-    controllers : (name, case) -> Controller for wdc, cc and ftc; default designs them once into `cache`.
+    controller : in place of the one the scenario names (`controller_of`).
 
     Raises
     ------
     ScenarioError, CaseError, BuildError : as `members_of` and `build_fmu` say.
     """
-    members = members_of(scenario, cache=cache, controllers=controllers)
+    members = members_of(scenario, cache=cache, controller=controller)
     entries = {"SystemStructure.ssd": structure(members).encode("utf-8")}
     with temporary_folder() as folder:
         for member in members.all:

@@ -197,8 +197,9 @@ def _curves(plan: SweepPlan, rows: pd.DataFrame, runner: Runner, count: int) -> 
         if plan.sweep.searched is not None:
             break
         values = plan.sweep.values(run)
-        loop, curves = runner.simulate(values)
-        swing = loop.swing.of(curves)
+        kept, curves = runner.simulate(values)
+        assert kept.system.swing is not None
+        swing = kept.system.swing.of(curves)
         controls = {c.partition(".")[2]: curves[c] for c in curves.reals_of("controller")}
         row = rows[rows.run == run].iloc[0]
         verdict = "" if "stable" not in row else "stable" if row["stable"] else "not stable"

@@ -277,3 +277,27 @@ def _dimension(unit: UnitOf) -> str:
     names = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
     parts = [f"{n}^{e}" for n, e in zip(names, unit.exponents or (), strict=True) if e]
     return " ".join(parts) or "dimensionless"
+
+
+def pairs_of(path: Sequence[str], channels: Collection[str]) -> list[tuple[str, str]]:
+    """Return the connections along a path from a source through `channels` to a target.
+
+    >>> pairs_of(["a.y", "remote", "b.u"], ["remote"])
+    [('a.y', 'remote.u'), ('remote.y', 'b.u')]
+
+    Raises
+    ------
+    GraphError : fewer than two ends, or something on the way that is no channel.
+    """
+    if len(path) < 2:
+        raise GraphError(f"connection {list(path)}: a source and a target are needed")
+    first, *middle, last = path
+    for name in middle:
+        if name not in channels:
+            raise GraphError(
+                f"connection {list(path)}: {name!r} on the way is no channel; {nearest(name, channels)}"
+            )
+    ends = [f"{first}.y" if first in channels else first]
+    ends += [f"{name}.{port}" for name in middle for port in ("u", "y")]
+    ends.append(f"{last}.u" if last in channels else last)
+    return list(zip(ends[::2], ends[1::2], strict=True))

@@ -31,7 +31,7 @@ from ..clock import Step, seconds, to_ticks
 from ..early_return import EARLY, Early, rolled_back, too_short
 from ..errors import GraphError, ScenarioError, StepError
 from ..participant import Participant
-from ..trajectory import Records, Trajectory
+from ..trajectory import Trajectory
 from .algebraic_loop import iterate_loop
 from .graph import Graph, build_graph
 from .initial_values import initialise
@@ -314,12 +314,6 @@ class Master:
         """Results up to now: every output of every participant."""
         n, columns, ports = self._rows, self._columns, self._ports
         return Trajectory.of_records(self._times[:n], self._records[:n], columns, ports, engine=self.ran)
-
-    @property
-    def records(self) -> Records:
-        """Results up to now as plain arrays: what a sweep measures, without the cost of a table."""
-        n, columns, ports = self._rows, self._columns, self._ports
-        return Records(self._times[:n].copy(), self._records[:n].T.copy(), columns, ports)
 
     # -- saving ---------------------------------------------------------------------------
 

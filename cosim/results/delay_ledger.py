@@ -200,14 +200,14 @@ def packet_ledger(trajectory: Trajectory, channels: Iterable[str]) -> PacketLedg
     for name in channels:
         row: dict[str, float] = {}
         for count in PACKET_COUNTS:
-            if f"{name}.{count}" in trajectory.data:
+            if f"{name}.{count}" in trajectory:
                 row[count] = float(trajectory[f"{name}.{count}"][-1])
         if not row.get("sent"):
             row = {}  # continuous: nothing travels in packets
         else:
             arrived = row.get("delivered", 0.0) + row.get("dropped", 0.0) + row.get("late", 0.0)
             row["on their way"] = row["sent"] - arrived
-        if f"{name}.age" in trajectory.data:
+        if f"{name}.age" in trajectory:
             age = trajectory[f"{name}.age"]
             row |= {"age": float(age[-1]), "age mean": float(np.mean(age)), "age max": float(np.max(age))}
         if row:

@@ -17,6 +17,9 @@ import numpy.typing as npt
 from . import matrix_pencil as pencil
 
 Array = npt.NDArray[np.float64]
+METRICS = (
+    "stable", "damping", "frequency", "settling_time", "peak", "energy", "effort", "packets", "fit_error",
+)  # fmt: skip
 _SUSTAINED = 0.005  #: share by which a swing must shrink from one quarter to the next
 _SETTLED = 0.02  #: of the peak: what remains within is no swing any more
 _AT_LIMIT = 1e-3  #: how near to its limit a control counts as at it
@@ -57,17 +60,18 @@ class Metrics:
     settling_time_s : from the last event to where the signal stays within 2 % of its peak; None: it does not.
     signal : the speed difference that all of these are of (`ringdown.Swing`).
     peak_pu : largest |signal|. energy_pu2s : integral of its square. effort_pu2s : of the controls.
+    What was not asked for is None.
     """
 
     signal: str
-    stable: bool
+    stable: bool | None
     damping_ratio: Mapping[str, float]
     frequency_hz: Mapping[str, float]
     settling_time_s: float | None
-    peak_pu: float
-    energy_pu2s: float
-    effort_pu2s: float
-    fit_error: float
+    peak_pu: float | None
+    energy_pu2s: float | None
+    effort_pu2s: float | None
+    fit_error: float | None
     methods: Mapping[str, str] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, object]:

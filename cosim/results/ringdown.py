@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from interarea.models.case.tables import swing_name
 
+from ..master.instances import FmuParticipant
+from ..master.master import Master
 from ..scenario.scenario import Scenario
-from ..trajectory import Curves, Trajectory
+from ..trajectory import Trajectory
 from . import metrics as m
 
 if TYPE_CHECKING:
@@ -53,7 +55,7 @@ class Swing:
         less = f" less that of {self.behind}" if self.behind else ""
         return f"speed of {self.ahead}{less} ({self.source})"
 
-    def of(self, trajectory: Curves) -> Array:
+    def of(self, trajectory: Trajectory) -> Array:
         """Return the signal (points,), pu."""
         ahead = trajectory[f"plant.{self.ahead}_dw"]
         return ahead - trajectory[f"plant.{self.behind}_dw"] if self.behind else ahead
@@ -81,7 +83,7 @@ def fit_window(scenario: Scenario) -> tuple[float, float]:
 
 
 def ring_down_of(
-    trajectory: Curves, case: Case, window_s: tuple[float, float], step_s: float
+    trajectory: Trajectory, case: Case, window_s: tuple[float, float], step_s: float
 ) -> tuple[dict[str, m.RingDownMode], m.RingDown]:
     """Fit the machines' speeds (their common motion taken out) in a window; return named modes and the fit.
 
@@ -134,6 +136,14 @@ def _names(shapes: npt.NDArray[np.complex128], areas: Sequence[int]) -> list[tup
     return found
 
 
+def control_limit_pu(master: Master) -> float | None:
+    """Bound of the magnitude of the control signals; None where the controller tells none."""
+    controller = master.participants.get("controller")
+    if not isinstance(controller, FmuParticipant) or "limit" not in controller.file.variables:
+        return None
+    return controller.value_of("limit")
+
+
 def run_metrics(
     trajectory: Trajectory,
     case: Case,
@@ -141,30 +151,40 @@ def run_metrics(
     scenario: Scenario,
     step_s: float,
     limit_pu: float | None = None,
+    wanted: Collection[str] = m.METRICS,
 ) -> m.Metrics:
-    """Return the metrics of a run; `limit_pu`: of the control signals, None where they have none."""
+    """Return the metrics of a run.
+
+    limit_pu : of the control signals, None where they have none. wanted : names of `METRICS`; the others
+        stay None.
+    """
     time = trajectory.time_s
     name, signal = swing.name, swing.of(trajectory)
     end = disturbance_end_s(scenario)
-    window = fit_window(scenario)
-    window = (window[0], min(window[1], float(time[-1])))
-    named, fit = ring_down_of(trajectory, case, window, step_s) if window[1] > window[0] else ({}, None)
     controls = [trajectory[c] for c in trajectory.reals_of("controller")]
-    effort = float(sum(m.energy(time, u) for u in controls))
+    named: dict[str, m.RingDownMode] = {}
+    fit, window = None, fit_window(scenario)
+    window = (window[0], min(window[1], float(time[-1])))
+    if {"damping", "frequency", "fit_error"} & set(wanted) and window[1] > window[0]:
+        named, fit = ring_down_of(trajectory, case, window, step_s)
     error = 0.0 if fit is None else fit.error
+
+    def asked(metric: str, value: Callable[[], Any]) -> Any:
+        return value() if metric in wanted else None
+
     text = (
         f"matrix pencil on the speeds less their mean, {window[0]:g} to {window[1]:g} s, "
         f"largest misfit {error:.1e} of the largest signal"
     )
     return m.Metrics(
         signal=name,
-        stable=m.is_stable(time, signal, end, controls=controls, limit_pu=limit_pu),
+        stable=asked("stable", lambda: m.is_stable(time, signal, end, controls=controls, limit_pu=limit_pu)),
         damping_ratio={n: mode.damping_ratio for n, mode in named.items()},
         frequency_hz={n: mode.frequency_hz for n, mode in named.items()},
-        settling_time_s=m.settling_time_s(time, signal, end),
-        peak_pu=float(np.max(np.abs(signal))),
-        energy_pu2s=m.energy(time, signal),
-        effort_pu2s=effort,
+        settling_time_s=asked("settling_time", lambda: m.settling_time_s(time, signal, end)),
+        peak_pu=asked("peak", lambda: float(np.max(np.abs(signal)))),
+        energy_pu2s=asked("energy", lambda: m.energy(time, signal)),
+        effort_pu2s=asked("effort", lambda: float(sum(m.energy(time, u) for u in controls))),
         fit_error=error,
         methods={
             "signal": swing.text,

@@ -69,7 +69,7 @@ class Run(Result):
     @property
     def stable(self) -> bool:
         """Whether the swing signal decays, and is no oscillation that goes on (`is_stable`)."""
-        return self.metrics.stable
+        return bool(self.metrics.stable)
 
     def damping_ratio(
         self, mode: str = "inter-area", *, start_s: float | None = None, stop_s: float | None = None

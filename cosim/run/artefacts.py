@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 import control
 import numpy as np
 
 from interarea.design.certificates.closed_loop import certificate
+from interarea.design.controllers.bank import ControllerBank, load_controller
 from interarea.design.controllers.bundled import shipped_controller, shipped_names
+from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import linearise, remove_reference, speeds_in_rad
 from interarea.design.modes.modes import ModeError, modes_of
 from interarea.fmu_build.open.plant import open_plant
@@ -22,45 +25,64 @@ from interarea.fmu_build.write.cache import (
     content_hash,
     file_hash,
     numerics_versions,
+    source_hash,
 )
-from interarea.fmu_build.write.package import block_fmu
+from interarea.fmu_build.write.package import block_fmu, build_fmu
+from interarea.models.blocks.channel import channel_block
+from interarea.models.blocks.concentrator import concentrator_block
 from interarea.models.blocks.plant import plant_block
+from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case
 
 from ..errors import ScenarioError, nearest
 from ..results.ringdown import Swing
+from ..scenario.scenario import CONTROLLER_NAMES, NAMED_CONTROLLERS
 
-if TYPE_CHECKING:
-    from interarea.design.controllers.bank import ControllerBank
-    from interarea.design.controllers.controller import Controller
+EVENT_SLOTS = 8  #: of the plant FMU; a scenario with more events gets one of its own
 
-#: Controllers that `design_controller` knows, in the order in which the study tells them.
-CONTROLLER_NAMES = ("wdc", "cc", "ftc")
+#: What a controller can be given as: an object, a name, a file.
+ControllerLike: TypeAlias = "Controller | ControllerBank | control.StateSpace | str | Path"
 
 
-def plant_fmu(case: Case, cache: Path) -> Path:
-    """Return the plant FMU of a case, built when its data or its C sources are new."""
-    return block_fmu(plant_block(case), cache)
+def plant_fmu(case: Case, cache: Path, *, event_slots: int = EVENT_SLOTS) -> Path:
+    """Return the plant FMU of a case, built when its data or the sources that make it are new."""
+    return _kept_fmu(
+        cache,
+        "plant",
+        case.name,
+        [case.model_dump_json(), event_slots],
+        lambda: plant_block(case, event_slots=event_slots),
+    )
 
 
 def concentrator_fmu(signals: int, cache: Path) -> Path:
     """Return the FMU of a concentrator of so many signals."""
-    from interarea.models.blocks.concentrator import concentrator_block
-
-    return block_fmu(concentrator_block(signals), cache)
+    return _kept_fmu(
+        cache, "concentrator", f"concentrator{signals}", [signals], lambda: concentrator_block(signals)
+    )
 
 
 def channel_fmu(cache: Path) -> Path:
     """Return the FMU of one channel; latency, outages and the rule on loss are its parameters."""
-    from interarea.models.blocks.channel import channel_block
+    return _kept_fmu(cache, "channel", "channel", [], channel_block)
 
-    return block_fmu(channel_block(), cache)
+
+def _kept_fmu(cache: Path, kind: str, name: str, given: list[Any], block: Callable[[], Block]) -> Path:
+    """Return the FMU of a block, which is made from `given` only when no FMU made of the same is there."""
+    key = content_hash(
+        given,
+        source_hash("models"),
+        source_hash("models", "*.[ch]"),
+        source_hash("fmu_build/write"),
+        source_hash("fmu_build", "*.[ch]"),
+        numerics_versions(),
+        os.environ.get("CC", ""),
+    )
+    return artefact(cache, kind, f"{name}-{key}", ".fmu", lambda path: build_fmu(block(), path, cache=cache))
 
 
 def active_bank(case: Case, cache: Path) -> ControllerBank:
     """Return the bank of controllers with its switching certificate, designed when it is new."""
-    from interarea.design.controllers.bank import ControllerBank
-
     key = content_hash(
         file_hash(plant_fmu(case, cache)),
         code_hash("interarea.design.certificates.bank_design"),
@@ -153,6 +175,38 @@ def _extremes(case: Case, cache: Path) -> tuple[str, str, str]:
     return ahead, behind, f"extreme machines of mode {mode.name!r} at {mode.frequency_hz:.3f} Hz"
 
 
+def controller_of(
+    which: ControllerLike, case: Case, cache: Path, *, folder: Path = Path()
+) -> Controller | ControllerBank | None:
+    """Return the controller that is meant: the object itself, a named one designed or bundled, one of a file.
+
+    which : a `Controller`, a bank, a `control.StateSpace` (inputs named by signal, speeds in rad/s, outputs
+        by actuator), a name (`NAMED_CONTROLLERS`), or a controller file (beside `folder`). None for "none".
+
+    Raises
+    ------
+    ScenarioError : neither a name nor a file. ControllerError : a file or numbers that cannot be used.
+    """
+    if isinstance(which, control.StateSpace):
+        return Controller.of(which)
+    if not isinstance(which, str | Path):
+        return which
+    name = str(which)
+    if name == "none":
+        return None
+    if name == "active":
+        return active_bank(case, cache)
+    if name in NAMED_CONTROLLERS:
+        return design_controller(case, name, cache)
+    path = folder / name
+    if not path.is_file():
+        raise ScenarioError(
+            f"controller = {name!r} is neither a name nor a file; {nearest(name, NAMED_CONTROLLERS)} "
+            "(or the path of a controller file)"
+        )
+    return load_controller(path)
+
+
 def design_controller(case: Case, name: str, cache: Path, *, reduce: bool = True) -> Controller:
     """Return controller `name` (wdc | cc | ftc) of a case, designed and certified when it is new.
 
@@ -166,8 +220,7 @@ def design_controller(case: Case, name: str, cache: Path, *, reduce: bool = True
     if name in shipped_names():
         return shipped_controller(name)
     if name not in CONTROLLER_NAMES:
-        known = (*CONTROLLER_NAMES, *shipped_names())
-        raise ValueError(f"controller {name!r} is not known, allowed: {', '.join(known)}")
+        raise ValueError(f"controller {name!r} is not known; {nearest(name, NAMED_CONTROLLERS)}")
     key = content_hash(
         [name, reduce],
         file_hash(plant_fmu(case, cache)),
@@ -178,8 +231,6 @@ def design_controller(case: Case, name: str, cache: Path, *, reduce: bool = True
     path = artefact(
         cache, "controllers", f"{name}-{key}", ".json", lambda p: _design(case, name, cache, reduce).save(p)
     )
-    from interarea.design.controllers.controller import Controller
-
     return Controller.load(path)
 
 

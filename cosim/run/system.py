@@ -11,45 +11,50 @@
     result = grid.run()
     result.data  # a DataFrame; units in result.units
 
-Any FMI 2.0 co-simulation FMU takes part with `fmu`, anything that meets `Participant` with `add`.
+Any FMI 2.0 co-simulation FMU takes part with `fmu`, anything that meets `Participant` with `add`. A scenario
+becomes a system too (`run.system_of`): for a run, for the many of a sweep, for an archive.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, TypeVar
 
 from pydantic import ValidationError
 
-from interarea.fmu_build.open.fmu_file import FmuFile
+from interarea.fmu_build.write.cache import default_cache
+from interarea.models.blocks.channel import channel_block
+from interarea.models.blocks.concentrator import concentrator_block
 from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import event_of
 from interarea.models.errors import CaseError
 
 from ..clock import on_tick
 from ..errors import GraphError, ScenarioError, nearest, one_line
-from ..master.graph import end_of
+from ..master.graph import end_of, pairs_of
 from ..master.instances import FmuParticipant, Value
 from ..master.isolated import participant_of
 from ..master.master import Master
 from ..participant import Participant
 from ..results.delay_ledger import delay_ledger, explain, packet_ledger
 from ..results.latency_test import SelfTest, self_test
+from ..results.metrics import METRICS, Metrics
 from ..results.result import Result
+from ..results.ringdown import Swing, control_limit_pu, run_metrics
+from ..results.run import Run
 from ..scenario.channels import ChannelLine, hold_packets
 from ..scenario.concentrators import ConcentratorLine
-from ..scenario.scenario import event_on_ticks, roundings
+from ..scenario.scenario import Scenario, event_on_ticks, roundings
 from ..trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from control import StateSpace
-
-    from interarea.design.controllers.controller import Controller
+from .artefacts import EVENT_SLOTS, ControllerLike, controller_of
+from .instance import Fmus, Instance
 
 Line = ChannelLine | ConcentratorLine
-_SLOTS = 8  # of events that the plant FMU of a case has
+AnyLine = TypeVar("AnyLine", ChannelLine, ConcentratorLine)
+PLANT, CONTROLLER = "plant", "controller"
 
 
 class System:
@@ -75,22 +80,21 @@ class System:
         arrivals: Literal["exact", "grid"] = "exact",
         **options: Any,
     ) -> None:
-        from interarea.fmu_build.write.cache import default_cache
-
         self.stop_s, self.start_s = on_tick(stop_s, "stop_s"), on_tick(start_s, "start_s")
-        self.step_s = step_s
-        self.options, self.arrivals = options, arrivals
-        self.cache = default_cache() if cache is None else cache
+        self.step_s, self.options, self.arrivals = step_s, options, arrivals
+        self.fmus = Fmus(default_cache() if cache is None else cache)  #: opened files
+        self.scenario: Scenario | None = None  #: that this is the system of
+        self.swing: Swing | None = None  #: what runs of that scenario are judged by
         self.channels: dict[str, Line] = {}
         self.connections: list[tuple[str, str]] = []
         self.latency_s: dict[str, float] = {}
-        self._participants: dict[str, Participant] = {}
-        self._plants: dict[str, Case] = {}
-        self._events: dict[str, list[Any]] = {}
-        self._marks: list[float] = []
         self.rounded: list[str] = []  #: times that lay between two ticks of the clock, and what they became
-        self._files: dict[Path, FmuFile] = {}
-        self._at_rest = True  # until an instance comes in that may start anywhere
+        self.parts: dict[str, Instance] = {}
+        self._others: dict[str, Participant] = {}
+        self.plants: dict[str, Case] = {}
+        self.events: dict[str, list[Any]] = {}
+        self.marks: list[float] = []
+        self.at_rest = True  # until an instance comes in that may start anywhere
 
     # -- participants ---------------------------------------------------------------------
 
@@ -101,19 +105,12 @@ class System:
         ------
         CaseError, ScenarioError
         """
-        from .artefacts import plant_fmu
-
         loaded = case if isinstance(case, Case) else load_case(case)
-        self._put(FmuParticipant(name, self._file(plant_fmu(loaded, self.cache))))
-        self._plants[name] = loaded
-        return self
+        self.plants[name] = loaded
+        return self.put(Instance(name, self.fmus.plant(loaded, self._slots(name))))
 
-    def controller(
-        self, controller: str | Path | Controller | StateSpace, name: str = "controller"
-    ) -> System:
-        """Add a controller: a `Controller`, its file, any FMU (``.fmu``), or a name (wdc, cc, ftc, shipped).
-
-        A `control.StateSpace` is taken too: u = +K y, speeds in rad/s, outputs in pu.
+    def controller(self, controller: ControllerLike, name: str = CONTROLLER) -> System:
+        """Add a controller: an object, its file, any FMU (``.fmu``), or a name (see `controller_of`).
 
         A named controller is designed for the plant added before, once into the cache.
 
@@ -121,34 +118,16 @@ class System:
         ------
         ScenarioError : no such controller, or no plant to design it for.
         """
-        from control import StateSpace
-
-        from interarea.design.controllers.controller import Controller
-
-        from .artefacts import CONTROLLER_NAMES, controller_fmu, design_controller
-
         if isinstance(controller, str | Path) and Path(controller).suffix == ".fmu":
-            return self.fmu(name, controller)
-        if not self._plants:
+            return self.put(Instance(name, self.fmus.open(Path(controller))))
+        if not self.plants:
             raise ScenarioError(f"{name}: add the plant first; its case gives the controller its base speed")
-        case = next(reversed(self._plants.values()))
-        if isinstance(controller, str | Path):
-            from interarea.design.controllers.bundled import shipped_names
-
-            known = (*CONTROLLER_NAMES, *shipped_names())
-            if str(controller) in known:
-                controller = design_controller(case, str(controller), self.cache)
-            elif Path(controller).is_file():
-                controller = Controller.load(Path(controller))
-            else:
-                raise ScenarioError(
-                    f"{name} = {str(controller)!r} is neither a name nor a file; "
-                    f"{nearest(str(controller), known)}"
-                )
-        if isinstance(controller, StateSpace):
-            controller = Controller.of(controller)
-        fmu = controller_fmu(controller, case.omega_b, self.cache)
-        return self._put(FmuParticipant(name, self._file(fmu)))
+        case = next(reversed(self.plants.values()))
+        made = controller_of(controller, case, self.fmus.cache)
+        if made is None:
+            return self
+        file = self.fmus.controller(made, case.omega_b)
+        return self.put(Instance(name, file, block=lambda: made.block(case.omega_b)))
 
     def fmu(
         self,
@@ -170,21 +149,31 @@ class System:
         ------
         GraphError : see `FmuFile` and `FmuParticipant`. ScenarioError : a time limit without isolate.
         """
-        made = participant_of(name, self._file(Path(file)), start, isolate=isolate, time_limit_s=time_limit_s)
-        return self.add(made, latency_s=latency_s)
+        process: dict[str, Any] = {"isolate": isolate, "time_limit_s": time_limit_s}
+        made = Instance(name, self.fmus.open(Path(file)), start, process=process)
+        participant_of(name, made.file, start, **process).close()  # refuses wrong start values here
+        self.at_rest = False
+        if latency_s:
+            self.latency_s[name] = latency_s
+        return self.put(made)
 
     def add(self, participant: Participant, *, latency_s: float = 0.0) -> System:
         """Add a participant of any kind; `latency_s` as in `fmu`."""
-        self._at_rest = False
+        self.at_rest = False
+        self._free(participant.name)
         if latency_s:
             self.latency_s[participant.name] = latency_s
-        return self._put(participant)
-
-    def _put(self, participant: Participant) -> System:
-        if participant.name in self._participants:
-            raise ScenarioError(f"two instances are named {participant.name!r}; each needs a name of its own")
-        self._participants[participant.name] = participant
+        self._others[participant.name] = participant
         return self
+
+    def put(self, instance: Instance) -> System:
+        self._free(instance.name)
+        self.parts[instance.name] = instance
+        return self
+
+    def _free(self, name: str) -> None:
+        if name in self.parts or name in self._others:
+            raise ScenarioError(f"two instances are named {name!r}; each needs a name of its own")
 
     def channel(self, name: str, line: ChannelLine | None = None, **keys: Any) -> System:
         """Add a channel: input ``u``, outputs ``y``, ``valid``, ``age``; keys as in a scenario file.
@@ -193,21 +182,22 @@ class System:
         ------
         ScenarioError : a key or value that a channel does not take.
         """
-        from .artefacts import channel_fmu
-
-        where = f"channels.{name}"
         if line is None:
-            try:
-                line = ChannelLine.model_validate(keys)
-                self.rounded += roundings(keys, line, where)
-            except ValidationError as error:
-                text = one_line(error, lambda _: ChannelLine.model_fields)
-                raise ScenarioError(f"{where}.{text}") from None
-        instance = FmuParticipant(name, self._file(channel_fmu(self.cache)), line.parameters(where))
-        self._put(hold_packets(instance, line))
+            line = self._checked(ChannelLine, keys, f"channels.{name}")
+        return self.line(name, line, f"channels.{name}")
+
+    def line(self, name: str, line: Line, where: str) -> System:
+        """Add what delays signals."""
+        block: Callable[[], Block]
+        if isinstance(line, ChannelLine):
+            file, block = self.fmus.channel(), channel_block
+        else:
+            signals = len(line.signals)
+            file, block = self.fmus.concentrator(signals), lambda: concentrator_block(signals)
+        self.put(Instance(name, file, line.parameters(where), block))
         self.channels[name] = line
         self.latency_s[name] = line.least_latency_s
-        self._marks += line.marks_s
+        self.marks += line.marks_s
         return self
 
     def concentrator(
@@ -225,20 +215,18 @@ class System:
         ------
         ScenarioError : a key or value that it does not take.
         """
-        from .artefacts import concentrator_fmu
-
         if line is None:
-            try:
-                line = ConcentratorLine.model_validate({"signals": tuple(signals), **keys})
-                self.rounded += roundings(keys, line, f"concentrators.{name}")
-            except ValidationError as error:
-                text = one_line(error, ConcentratorLine.keys_at)
-                raise ScenarioError(f"concentrators.{name}.{text}") from None
-        file = self._file(concentrator_fmu(len(line.signals), self.cache))
-        self._put(hold_packets(FmuParticipant(name, file, line.parameters(name)), line))
-        self.channels[name] = line
-        self.latency_s[name] = line.least_latency_s
-        return self
+            table = {"signals": tuple(signals), **keys}
+            line = self._checked(ConcentratorLine, table, f"concentrators.{name}")
+        return self.line(name, line, f"concentrators.{name}")
+
+    def _checked(self, kind: type[AnyLine], keys: Mapping[str, Any], where: str) -> AnyLine:
+        try:
+            line = kind.model_validate(keys)
+        except ValidationError as error:
+            raise ScenarioError(f"{where}.{one_line(error, kind.keys_at)}") from None
+        self.rounded += roundings(keys, line, where)
+        return line
 
     # -- what connects and disturbs them --------------------------------------------------
 
@@ -257,29 +245,29 @@ class System:
         ------
         ScenarioError, CaseError : see `interarea.models.case.events`; an unknown target.
         """
-        if plant is None and len(self._plants) == 1:
-            plant = next(iter(self._plants))
-        if plant not in self._plants:
-            if not self._plants:
+        if plant is None and len(self.plants) == 1:
+            plant = next(iter(self.plants))
+        if plant not in self.plants:
+            if not self.plants:
                 raise ScenarioError("event: there is no plant yet for it to happen to; add the plant first")
-            raise ScenarioError(f"event: plant = {plant!r}; {nearest(str(plant), self._plants)}")
+            raise ScenarioError(f"event: plant = {plant!r}; {nearest(str(plant), self.plants)}")
         try:
             found = event_of({"kind": kind, **fields}, where="event") if isinstance(kind, str) else kind
         except CaseError as error:
             raise ScenarioError(str(error)) from None
-        number = 1 + sum(len(events) for events in self._events.values())
+        number = 1 + sum(len(events) for events in self.events.values())
         given, found = found, event_on_ticks(found, f"event {number}")
         self.rounded += roundings(given, found, f"event {number}")
-        events = [*self._events.get(plant, []), found]
-        event_parameters(self._plants[plant], events)  # refuses an unknown target here
-        self._events[plant] = events
+        events = [*self.events.get(plant, []), found]
+        event_parameters(self.plants[plant], events)  # refuses an unknown target here
+        self.events[plant] = events
         times = (found.start_s, getattr(found, "end_s", None))
-        self._marks += [t for t in times if t is not None]
+        self.marks += [t for t in times if t is not None]
         return self
 
     def mark(self, *times_s: float) -> System:
         """Make these instants communication points, beside which signals may jump."""
-        self._marks += times_s
+        self.marks += times_s
         return self
 
     # -- running --------------------------------------------------------------------------
@@ -287,37 +275,55 @@ class System:
     @property
     def case(self) -> Case:
         """The case of the only plant."""
-        (case,) = self._plants.values()
+        (case,) = self.plants.values()
         return case
+
+    @property
+    def instances(self) -> dict[str, Instance]:
+        """The FMUs of the system by name; a plant has its events among its start values."""
+        return {name: self._with_events(instance) for name, instance in self.parts.items()}
 
     def participant(self, name: str) -> Participant:
         """Return an instance by name; the error names those there are."""
-        if name not in self._participants:
-            raise GraphError(f"no instance {name!r}; {nearest(name, self._participants)}")
-        return self._participants[name]
+        if name in self._others:
+            return self._others[name]
+        if name not in self.parts:
+            raise GraphError(f"no instance {name!r}; {nearest(name, [*self.parts, *self._others])}")
+        made = self._with_events(self.parts[name])
+        return participant_of(name, made.file, made.start, **made.process)
 
     @property
     def marks_s(self) -> tuple[float, ...]:
         """Instants of events and outages inside the run, s."""
-        return tuple(sorted({t for t in self._marks if self.start_s < t < self.stop_s}))
+        return tuple(sorted({t for t in self.marks if self.start_s < t < self.stop_s}))
 
     @property
     def points(self) -> tuple[int, ...]:
         """Ticks at which packets come out, where these are communication points."""
         return points_of(self.channels.values(), self.arrivals, self.start_s, self.stop_s)
 
-    def master(self) -> Master:
+    def master(self, participants: Collection[FmuParticipant] | None = None) -> Master:
         """Return a master of the system, to be stepped: a context manager that ends the instances.
+
+        participants : of the `instances`, where they are there already.
 
         Raises
         ------
         GraphError, ScenarioError : see `Master`.
         """
+        parts: list[Participant] = list(self._others.values())
+        if participants is None:
+            parts += [participant_of(n, i.file, i.start, **i.process) for n, i in self.instances.items()]
+        else:
+            parts += participants
+        by_name = {p.name: p for p in parts}
+        for name, line in self.channels.items():
+            hold_packets(by_name[name], line)
         for source, target in self.connections:
-            end_of(source, self._participants)
-            end_of(target, self._participants)
+            end_of(source, by_name)
+            end_of(target, by_name)
         return Master(
-            [self._with_events(p) for p in self._participants.values()],
+            parts,
             self.connections,
             stop_s=self.stop_s,
             start_s=self.start_s,
@@ -325,7 +331,7 @@ class System:
             marks_s=self.marks_s,
             points=self.points,
             latency_s=self.latency_s,
-            at_rest=self._at_rest,
+            at_rest=self.at_rest,
             **self.options,
         )
 
@@ -336,75 +342,62 @@ class System:
 
         Raises
         ------
-        GraphError, ScenarioError; StepError : an FMU failed; the error has the results so far.
+        GraphError, ScenarioError; StepError : an FMU failed; it has the results so far.
         """
         with self.master() as master:
             return self.result(master, master.run(progress=progress))
 
     def result(self, master: Master, trajectory: Trajectory | None = None) -> Result:
-        """Return what a master of this system has done so far."""
+        """Return what a master of this system has done so far: a `Run` of a scenario with a case."""
         done = master.trajectory if trajectory is None else trajectory
         delays = {name: line.delays(master.clock) for name, line in self.channels.items()}
         ledger = delay_ledger(master, delays, self.rounded)
-        return Result(
-            trajectory=done,
-            ledger=ledger,
-            packets=packet_ledger(done, self.channels),
-            explanation=explain(master, ledger),
+        common: dict[str, Any] = {
+            "trajectory": done,
+            "ledger": ledger,
+            "packets": packet_ledger(done, self.channels),
+            "explanation": explain(master, ledger),
+        }
+        if self.scenario is None or self.swing is None:
+            return Result(**common)
+        metrics = self.metrics(master, done)
+        return Run(**common, scenario=self.scenario, case=self.case, swing=self.swing, metrics=metrics)
+
+    def metrics(self, master: Master, done: Trajectory, wanted: Collection[str] = METRICS) -> Metrics:
+        """Return the metrics of a run of the system of a scenario with a case (see `run_metrics`)."""
+        assert self.scenario is not None and self.swing is not None
+        return run_metrics(
+            done, self.case, self.swing, self.scenario, master.step_s, control_limit_pu(master), wanted
         )
 
     def self_test(self, master: Master | None = None) -> SelfTest:
-        """Measure the latency of every connection; compare with the ledger (module `self_test`)."""
-        parts = {n: p for n, p in self._participants.items() if n in self.channels}
-        files = {n: p.file for n, p in parts.items() if isinstance(p, FmuParticipant)}
-        return self_test_of(self.master() if master is None else master, self.channels, files, self.arrivals)
+        """Measure the latency of every connection; compare with the ledger (module `latency_test`)."""
+        lines = {name: line.steady for name, line in self.channels.items()}
 
-    # -- private --------------------------------------------------------------------------
+        def fresh(name: str) -> Participant:
+            file, line = self.parts[name].file, lines[name]
+            return hold_packets(FmuParticipant(name, file, line.parameters(name)), line)
 
-    def _file(self, path: Path) -> FmuFile:
-        if path not in self._files:
-            self._files[path] = FmuFile(path)
-        return self._files[path]
+        return self_test(
+            self.master() if master is None else master,
+            {name: fresh(name) for name in lines},
+            delays=lambda clock: {name: line.delays(clock) for name, line in lines.items()},
+            points=lambda stop_s: points_of(lines.values(), self.arrivals, 0.0, stop_s),
+            interval_s=max([line.reporting_interval_s for line in lines.values()], default=0.0),
+        )
 
-    def _with_events(self, participant: Participant) -> Participant:
-        """Return the plant with its events as start values; others as they are."""
-        case, events = self._plants.get(participant.name), self._events.get(participant.name, [])
-        if case is None or not events:
-            return participant
-        from interarea.fmu_build.write.package import block_fmu
+    def _slots(self, plant: str) -> int:
+        return max(EVENT_SLOTS, len(self.events.get(plant, ())))
 
-        from .artefacts import plant_fmu
-
-        start = event_parameters(case, events)
-        if len(events) <= _SLOTS:
-            file = self._file(plant_fmu(case, self.cache))
-        else:
-            file = self._file(block_fmu(plant_block(case, event_slots=len(events)), self.cache))
-        return FmuParticipant(participant.name, file, start)
-
-
-def pairs_of(path: Sequence[str], channels: Collection[str]) -> list[tuple[str, str]]:
-    """Return the connections along a path from a source through `channels` to a target.
-
-    >>> pairs_of(["a.y", "remote", "b.u"], ["remote"])
-    [('a.y', 'remote.u'), ('remote.y', 'b.u')]
-
-    Raises
-    ------
-    GraphError : fewer than two ends, or something on the way that is no channel.
-    """
-    if len(path) < 2:
-        raise GraphError(f"connection {list(path)}: a source and a target are needed")
-    first, *middle, last = path
-    for name in middle:
-        if name not in channels:
-            raise GraphError(
-                f"connection {list(path)}: {name!r} on the way is no channel; {nearest(name, channels)}"
-            )
-    ends = [f"{first}.y" if first in channels else first]
-    ends += [f"{name}.{port}" for name in middle for port in ("u", "y")]
-    ends.append(f"{last}.u" if last in channels else last)
-    return list(zip(ends[::2], ends[1::2], strict=True))
+    def _with_events(self, instance: Instance) -> Instance:
+        """Return a plant with its events as start values; others as they are."""
+        case = self.plants.get(instance.name)
+        if case is None:
+            return instance
+        slots = self._slots(instance.name)
+        start = {**instance.start, **event_parameters(case, self.events.get(instance.name, ()))}
+        file = instance.file if slots == EVENT_SLOTS else self.fmus.plant(case, slots)
+        return Instance(instance.name, file, start, lambda: plant_block(case, event_slots=slots))
 
 
 def points_of(channels: Iterable[Line], arrivals: str, start_s: float, stop_s: float) -> tuple[int, ...]:
@@ -412,21 +405,3 @@ def points_of(channels: Iterable[Line], arrivals: str, start_s: float, stop_s: f
     if arrivals == "grid":
         return ()
     return tuple(sorted({t for line in channels for t in line.arrivals(start_s, stop_s)}))
-
-
-def self_test_of(
-    master: Master, channels: Mapping[str, Line], files: Mapping[str, FmuFile], arrivals: str
-) -> SelfTest:
-    """Return the self-test of a master whose `channels` are instances of `files`."""
-    lines = {name: line.steady for name, line in channels.items()}
-
-    def fresh(name: str) -> Participant:
-        return hold_packets(FmuParticipant(name, files[name], lines[name].parameters(name)), lines[name])
-
-    return self_test(
-        master,
-        {name: fresh(name) for name in lines},
-        delays=lambda clock: {name: line.delays(clock) for name, line in lines.items()},
-        points=lambda stop_s: points_of(lines.values(), arrivals, 0.0, stop_s),
-        interval_s=max([line.reporting_interval_s for line in lines.values()], default=0.0),
-    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Literal, Protocol, Self
 
@@ -83,6 +84,11 @@ class ChannelLine(Table):
     pdc_wait_s: Seconds = 0.0
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     outages_s: tuple[tuple[Seconds, Seconds], ...] = ()
+
+    @classmethod
+    def keys_at(cls, location: Sequence[int | str]) -> list[str]:
+        """Return the keys allowed where `location` points into the table, for errors."""
+        return list(cls.model_fields)
 
     @field_validator("latency_s")
     @classmethod

@@ -87,7 +87,8 @@ from .channels import ChannelLine, Seconds, Table
 from .concentrators import ConcentratorLine, SignalWay
 
 BUNDLED = Path(__file__).parent / "bundled"
-NAMED_CONTROLLERS = ("none", "wdc", "cc", "ftc", "active", *shipped_names())
+CONTROLLER_NAMES = ("wdc", "cc", "ftc")  #: designed for a case, in the order in which the study tells them
+NAMED_CONTROLLERS = ("none", *CONTROLLER_NAMES, "active", *shipped_names())
 _RESERVED = ("plant", "controller")
 
 

@@ -20,9 +20,9 @@ from ..errors import ScenarioError
 from ..results.metrics import ring_down, uniform
 from ..results.ringdown import disturbance_end_s
 from ..results.run import Run
-from ..run.artefacts import CONTROLLER_NAMES, channel_fmu, controller_fmu, design_controller, plant_fmu
+from ..run.artefacts import channel_fmu, controller_fmu, design_controller, plant_fmu
 from ..run.run import run_scenario
-from ..scenario.scenario import load_scenario
+from ..scenario.scenario import CONTROLLER_NAMES, load_scenario
 from ..trajectory import Trajectory
 from .spec import latency_name
 

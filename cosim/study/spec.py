@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ScenarioError, nearest
-from ..run.artefacts import CONTROLLER_NAMES
+from ..scenario.scenario import CONTROLLER_NAMES
 from ..toml_file import read_toml
 
 SPECIFICATIONS = Path(__file__).resolve().parent / "thesis"  #: folder of the bundled studies

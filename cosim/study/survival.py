@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,7 +21,6 @@ from threadpoolctl import threadpool_limits
 from interarea.design.certificates.closed_loop import closed_loop_matrix
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
-from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, source_hash
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.variants import operating_variant
@@ -32,8 +30,9 @@ from ..master.instances import FmuParticipant
 from ..master.isolated import participant_of
 from ..master.lockstep import advance_together
 from ..master.master import Master
-from ..run.artefacts import channel_fmu, controller_fmu, linear_plant, plant_fmu
-from ..run.run import wire
+from ..run.artefacts import controller_fmu, linear_plant, plant_fmu, swing_of
+from ..run.instance import Fmus
+from ..run.run import system_of
 from ..scenario.scenario import load_scenario
 from ..sweep.lane_batches import lanes_here
 from .delay import least_swing
@@ -207,13 +206,10 @@ class Faults:
         self.clear_s = float(next(e["end_s"] for e in events if e["kind"] == "bus_fault"))
         self.start_s = float(next(e["start_s"] for e in events if e["kind"] == "bus_fault"))
         self.clearing_s = self.clear_s - self.start_s  #: of the fault as specified
-        self._files = ExitStack()
+        self.controllers = dict(controllers)
         self._library = lanes_here(cache).library
-        self._plant = self._open(plant_fmu(case, cache))
-        self._channel = self._open(channel_fmu(cache))
-        self._controllers = {
-            name: self._open(controller_fmu(made, case.omega_b, cache)) for name, made in controllers.items()
-        }
+        self._fmus = Fmus(cache)
+        self._swing = swing_of(case, cache)
         self._live: dict[Setting, dict[str, FmuParticipant]] = {}
 
     def __enter__(self) -> Faults:
@@ -223,12 +219,7 @@ class Faults:
         for participants in self._live.values():
             for p in participants.values():
                 p.close()
-        self._files.close()
-
-    def _open(self, path: Path) -> FmuFile:
-        file = FmuFile(path)
-        self._files.callback(file.close)
-        return file
+        self._fmus.close()
 
     def largest_angles(self, clearing_s: Mapping[Setting, float]) -> dict[Setting, float]:
         """Return the largest angle between two machines (rad) in the run of each setting; inf: it failed."""
@@ -240,7 +231,7 @@ class Faults:
         for setting, master, error in zip(clearing_s, masters, errors, strict=True):
             if error is not None and not isinstance(error, StepError):
                 raise error
-            curves = master.records
+            curves = master.trajectory
             angles = np.array([curves[f"plant.{m.name}_delta"] for m in self.case.machines])
             found[setting] = float("inf") if error else float(np.ptp(angles, axis=0).max())
         return found
@@ -269,18 +260,18 @@ class Faults:
 
     def _master(self, setting: Setting, clearing_s: float) -> Master:
         scenario = load_scenario(self.document(setting, clearing_s))
-        wiring = wire(
+        system = system_of(
             scenario,
-            self.case,
-            plant=self._plant,
-            controller=self._controllers.get(setting.controller),
-            channel=self._channel if setting.lost else None,
+            case=self.case,
+            controller=self.controllers.get(setting.controller, NONE),
+            swing=self._swing,
+            fmus=self._fmus,
         )
         live = self._live.setdefault(setting, {})
-        for name, (file, start) in wiring.instances.items():
+        for name, made in system.instances.items():
             if name in live:
-                live[name].set_start(start)
+                live[name].set_start(made.start)
             else:
-                live[name] = participant_of(name, file, start)
-                live[name].group = self._library if name == "plant" else None
-        return wiring.master(scenario, list(live.values()))
+                group = self._library if name == "plant" else None
+                live[name] = participant_of(name, made.file, made.start, group=group)
+        return system.master(live.values())

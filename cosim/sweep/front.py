@@ -12,12 +12,13 @@ from typing import Any
 
 from interarea.fmu_build.write.cache import default_cache
 
-from ..run.run import Controllers
+from ..errors import MACHINE
+from ..run.artefacts import ControllerLike
 from .plan import plan_sweep
 from .prepare import prepare
 from .rows import Outcome
 from .spec import Sweep, load_sweep
-from .store import FULL, SweepStore, explained
+from .store import SweepStore, explained
 from .workers.pool import local_outcomes
 
 _PART_ROWS, _PART_S = 500, 5.0
@@ -51,12 +52,13 @@ def run_sweep(
     cache: Path | None = None,
     large: bool = False,
     progress: Callable[[Progress], object] | None = None,
-    controllers: Controllers | None = None,
+    controllers: Mapping[str, ControllerLike] | None = None,
 ) -> dict[str, Any]:
     """Run what is missing of a sweep into `folder`; return the counts of its summary.
 
     workers : processes on this machine; default one for each core. scheduler : address of a dask scheduler
         whose workers compute instead. large : confirm more than `LARGEST` runs.
+    controllers : of one's own, by the name that the scenario or a parameter on `controller` has for them.
 
     Raises
     ------
@@ -129,7 +131,7 @@ def _collect(
                 rate = (done - ticks[0][1]) / span if span > 0.0 else 0.0
                 progress(Progress(done, len(store.done), failed, rate, forked))
     except OSError as error:
-        if error.errno in FULL:
+        if error.errno in MACHINE:
             raise explained(error, store.folder, store.count, len(store.done)) from error
         raise
     finally:

@@ -12,7 +12,7 @@ from pathlib import Path
 from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.write.lane_library import GroupLibrary, plant_group
 
-from ..run.run import EVENT_SLOTS
+from ..run.artefacts import EVENT_SLOTS
 from .live_instances import Kept
 from .point import CaseChange
 from .shared_start import Job

@@ -4,19 +4,32 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections import OrderedDict
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+from interarea.design.controllers.bank import ControllerBank
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.open.fmu_file import FmuFile
+from interarea.fmu_build.write.package import build_fmu
+from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import Case
 
 from ..errors import ScenarioError
 from ..master.instances import FmuParticipant
 from ..master.instances import Value as Start
-from ..run.run import Loop
-from .point import Point
+from ..master.master import Master
+from ..run.artefacts import EVENT_SLOTS, plant_fmu
+from ..run.instance import Fmus
+from ..run.system import System
+from .plan import SweepPlan, own_fmu
+from .point import CaseChange, Point
+from .rows import Row, measured, packet_counts
 from .shared_start import Beginning
+
+KEPT = 4  #: plants, and sets of instances, that stay alive
 
 
 class TimeUpError(RuntimeError):
@@ -48,22 +61,86 @@ class Plant:
             self.file.path.unlink(missing_ok=True)
 
 
+class LiveFmus(Fmus):
+    """The FMUs of a sweep: of changed cases made in `scratch`, few at a time, of controllers as planned.
+
+    on_drop : called with the change and the slots of a plant before it is closed.
+    """
+
+    def __init__(self, plan: SweepPlan, cache: Path, scratch: Path) -> None:
+        super().__init__(cache)
+        self.plan, self.scratch = plan, scratch
+        self.on_drop: Callable[[tuple[CaseChange, int]], None] = lambda _: None
+        self._plants: OrderedDict[tuple[CaseChange, int], Plant] = OrderedDict()
+        self._cases: dict[str, Case] = {}
+        self._planned: dict[tuple[str, str], Controller | ControllerBank | None] = {}
+
+    def case(self, change: CaseChange, slots: int) -> Case:
+        """Return a changed case whose plant is there until some others have been asked for."""
+        key = (change, slots)
+        found = self._plants.pop(key, None) or self._made(change, slots)
+        self._plants[key] = found
+        while len(self._plants) > KEPT:
+            old, plant = self._plants.popitem(last=False)
+            self.on_drop(old)
+            plant.close()
+        return found.case
+
+    def _made(self, change: CaseChange, slots: int) -> Plant:
+        base = self._cases.setdefault(change.case, self.plan.case(change.case))
+        case = change.apply(base)
+        if case is base and slots == EVENT_SLOTS:
+            return Plant(case, self.open(plant_fmu(case, self.cache)), own=False)
+        path = self.scratch / f"plant-{case.hash}-{slots}.fmu"
+        build_fmu(plant_block(case, event_slots=slots), path, cache=self.cache)
+        return Plant(case, FmuFile(path), own=True)
+
+    def plant(self, case: Case, event_slots: int) -> FmuFile:
+        """Return the plant of a `case` of this object."""
+        return next(plant.file for plant in self._plants.values() if plant.case is case)
+
+    def planned(self, case: str, name: str) -> Controller | ControllerBank | None:
+        """Return a controller of the plan, None for none."""
+        key = (case, name)
+        if key not in self._planned:
+            self._planned[key] = self.plan.controller(case, name)
+        return self._planned[key]
+
+    def own(self, name: str, path: Path) -> FmuFile:
+        """Return the user's FMU of an instance, as the plan has it."""
+        return self.open(own_fmu(self.cache, self.plan.fmus[name]))
+
+    def close(self) -> None:
+        """Close all files and remove those made here."""
+        for plant in self._plants.values():
+            plant.close()
+        self._plants.clear()
+        super().close()
+
+
 @dataclass
 class Kept:
-    """Live instances for one structure (case, controller, channels), and the loop made of them last.
+    """Live instances for one structure (case, controller, channels), and the system and master made last.
 
     beginnings : states that runs to come start from, earliest first.
     """
 
     participants: dict[str, FmuParticipant] = field(default_factory=dict)
     key: Any = None
-    loop: Loop = field(init=False)
+    system: System = field(init=False)
+    master: Master = field(init=False)
     beginnings: list[Beginning] = field(default_factory=list)
+
+    def measure(self, wanted: Collection[str], modes: Sequence[str]) -> Row:
+        """Return the metrics of the run that has come to its end, by column."""
+        metrics = self.system.metrics(self.master, self.master.trajectory, wanted)
+        packets = [packet_counts(self.master.participants[name]) for name in self.system.channels]
+        return measured(metrics, wanted, modes, packets)
 
     def release(self, after_s: float = -math.inf) -> None:
         """Free the beginnings that reach beyond `after_s`."""
         while self.beginnings and self.beginnings[-1].until_s > after_s:
-            self.loop.master.release(self.beginnings.pop().fork.saved)
+            self.master.release(self.beginnings.pop().fork.saved)
 
     def close(self) -> None:
         self.release()

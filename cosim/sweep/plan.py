@@ -31,9 +31,8 @@ from interarea.models.files import temporary_folder
 
 from ..errors import ScenarioError, SweepError
 from ..results.ringdown import Swing
-from ..run.artefacts import active_bank, design_controller, swing_of
-from ..run.run import Controllers
-from ..scenario.scenario import NAMED_CONTROLLERS, load_scenario
+from ..run.artefacts import ControllerLike, controller_of, swing_of
+from ..scenario.scenario import load_scenario
 from .point import check_paths, check_values
 from .spec import LARGEST, Sweep, sweep_of
 
@@ -102,11 +101,12 @@ class SweepPlan:
 
 
 def plan_sweep(
-    sweep: Sweep, cache: Path, *, large: bool = False, controllers: Controllers | None = None
+    sweep: Sweep, cache: Path, *, large: bool = False, controllers: Mapping[str, ControllerLike] | None = None
 ) -> SweepPlan:
     """Load the cases, design the controllers, try the values; nothing is written but into `cache`.
 
-    large : more than `LARGEST` runs are wanted.
+    large : more than `LARGEST` runs are wanted. controllers : of one's own, by the name that the scenario or
+        a parameter on `controller` has for them.
 
     Raises
     ------
@@ -126,16 +126,16 @@ def plan_sweep(
     paths = {n: load_scenario({"case": n, "stop_s": 1.0, "folder": folder}).case_path for n in names}
     cases = {n: load_case(path) for n, path in paths.items()}
     wanted = _listed(sweep, "controller") or [sweep.base.controller]
-    provide = controllers or (lambda name, case: design_controller(case, name, cache))
+    own = dict(controllers or {})
     made: dict[str, Controller | ControllerBank] = {}
     for name in wanted:
         for key, case in cases.items():
-            if name != "none":
-                made[f"{key}/{name}"] = (
-                    active_bank(case, cache)
-                    if name == "active"
-                    else _controller(name, case, folder, provide, sweep.name)
-                )
+            try:
+                found = controller_of(own.get(name, name), case, cache, folder=folder)
+            except ScenarioError as error:
+                raise ScenarioError(f"{sweep.name}: {error}") from None
+            if found is not None:
+                made[f"{key}/{name}"] = found
     parameters = set()
     for key, controller in made.items():
         table = controller.block(cases[key.partition("/")[0]].omega_b).table
@@ -207,19 +207,6 @@ def _listed(sweep: Sweep, root: str) -> list[str]:
                 )
             return [str(v) for v in values]
     return []
-
-
-def _controller(
-    name: str, case: Case, folder: Path, provide: Controllers, where: str
-) -> Controller | ControllerBank:
-    if name in NAMED_CONTROLLERS:
-        return provide(name, case)
-    path = load_scenario({"case": "x", "controller": name, "stop_s": 1.0, "folder": folder}).controller_path
-    if path is None or not path.is_file():
-        raise ScenarioError(
-            f"{where}: controller = {name!r} is neither a name ({', '.join(NAMED_CONTROLLERS)}) nor a file"
-        )
-    return load_controller(path)
 
 
 def _content(controller: Controller | ControllerBank) -> dict[str, Any]:

@@ -94,7 +94,9 @@ def point_of(
     ScenarioError, SweepError : values that make no scenario.
     """
     table = pickle.loads(packed(sweep) if base is None else base)  # a fresh copy, and the fastest
-    case, operating, entries = str(table["case"]), {}, {}
+    case, entries = str(table["case"]), {}
+    given = table.pop("operating_point", {})  # of which parameters change entries
+    operating: dict[str, Value] = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}
     gain, start = 1.0, {}
     for name, value in values.items():
         for words in sweep.paths(name):

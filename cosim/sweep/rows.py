@@ -6,16 +6,15 @@ A failed run is a row too: `status` = "failed", `failure` is the kind, `reason` 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import pyarrow as pa
 
-from ..results import metrics as m
-from ..results.ringdown import disturbance_end_s, fit_window, ring_down_of
-from ..run.run import Loop, packet_counts
-from ..trajectory import Curves, Trajectory
+from ..results.delay_ledger import PACKET_COUNTS
+from ..results.metrics import Metrics
+from ..trajectory import Trajectory
 from .plan import SweepPlan
 from .spec import Sweep
 from .values import Value
@@ -27,6 +26,14 @@ PACKETS = {
     "packets_delivered": "delivered",
     "packets_lost": "dropped",
     "packets_late": "late",
+}
+#: metric -> column, which is the field of `Metrics` too
+_COLUMNS = {
+    "settling_time": "settling_time_s",
+    "peak": "peak_pu",
+    "energy": "energy_pu2s",
+    "effort": "effort_pu2s",
+    "fit_error": "fit_error",
 }
 Row = dict[str, Any]
 
@@ -117,43 +124,29 @@ def failed_row(sweep: Sweep, run: int, failure: str, reason: str) -> Row:
     return row | {"status": "failed", "failure": failure, "reason": " ".join(reason.split())[:500]}
 
 
-def measure(loop: Loop, curves: Curves, wanted: Sequence[str], modes: Sequence[str]) -> Row:
-    """Return the metrics of a finished run, by column."""
-    scenario, case, time = loop.scenario, loop.case, curves.time_s
-    signal = loop.swing.of(curves)
-    end = disturbance_end_s(scenario)
+def measured(
+    metrics: Metrics, wanted: Collection[str], modes: Sequence[str], packets: Iterable[Mapping[str, float]]
+) -> Row:
+    """Return the columns of what was `wanted`; packets : what each channel counted (`packet_counts`)."""
     row: Row = {}
     if "stable" in wanted:
-        controls = [curves[c] for c in curves.reals_of("controller")]
-        row["stable"] = m.is_stable(time, signal, end, controls=controls, limit_pu=loop.control_limit_pu)
-    if {"damping", "frequency", "fit_error"} & set(wanted):
-        window = fit_window(scenario)
-        window = (window[0], min(window[1], float(time[-1])))
-        found = (
-            ring_down_of(curves, case, window, loop.master.step_s) if window[1] > window[0] else ({}, None)
-        )
-        for mode in modes:
-            fit = found[0].get(mode)
-            if "damping" in wanted:
-                row[column_of_mode("damping", mode)] = None if fit is None else fit.damping_ratio
-            if "frequency" in wanted:
-                row[column_of_mode("frequency", mode)] = None if fit is None else fit.frequency_hz
-        if "fit_error" in wanted:
-            row["fit_error"] = None if found[1] is None else found[1].error
-    if "settling_time" in wanted:
-        row["settling_time_s"] = m.settling_time_s(time, signal, end)
-    if "peak" in wanted:
-        row["peak_pu"] = float(abs(signal).max())
-    if "energy" in wanted:
-        row["energy_pu2s"] = m.energy(time, signal)
-    if "effort" in wanted:
-        controls = [curves[c] for c in curves.reals_of("controller")]
-        row["effort_pu2s"] = float(sum(m.energy(time, u) for u in controls))
+        row["stable"] = metrics.stable
+    for name, found in (("damping", metrics.damping_ratio), ("frequency", metrics.frequency_hz)):
+        if name in wanted:
+            row |= {column_of_mode(name, mode): found.get(mode) for mode in modes}
+    for name, column in _COLUMNS.items():
+        if name in wanted:
+            row[column] = getattr(metrics, column)
     if "packets" in wanted:
-        counts = [packet_counts(loop.master.participants[n]) for n in loop.channels]
-        for column, name in PACKETS.items():
-            row[column] = int(sum(c.get(name, 0.0) for c in counts))
+        counts = list(packets)
+        row |= {column: int(sum(c.get(name, 0.0) for c in counts)) for column, name in PACKETS.items()}
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
+
+
+def packet_counts(participant: Any) -> dict[str, float]:
+    """Return what a channel counted; empty for an instance that counts nothing."""
+    known = participant.file.variables
+    return {name: participant.value_of(name) for name in (*PACKET_COUNTS, "age") if name in known}
 
 
 def trajectory_table(sweep: Sweep, run: int, curves: Trajectory) -> pa.Table:

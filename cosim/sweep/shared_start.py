@@ -18,7 +18,7 @@ from ..master.instances import FmuParticipant
 from ..master.instances import Value as Start
 from ..master.master import Master
 from ..master.snapshot import Fork
-from ..run.run import Wiring
+from ..run.instance import Instance
 from ..scenario.scenario import Scenario
 from .point import Point
 from .spec import Sweep
@@ -28,6 +28,7 @@ _LEAST_STEPS = 20  # of communication that a fork must save: what saving and tak
 _NEW_CLOCK_STEPS = 300  # what a run costs more when its communication points are not those of the run before
 _TIMED = ("event[", "outage[")
 Act = tuple[float, str]
+Instances = Mapping[str, Instance]
 
 
 @dataclass(frozen=True)
@@ -153,24 +154,24 @@ def place_of(time_s: float, master: Master) -> int | None:
     return index if index >= master.index + _LEAST_STEPS else None
 
 
-def beginning_of(job: Job, master: Master, wiring: Wiring) -> Beginning:
+def beginning_of(job: Job, master: Master, instances: Instances) -> Beginning:
     """Return what a master has done so far, for later jobs; a tick on either side of an event is its own."""
-    return Beginning(job, seconds(master.ends[master.index - 1] + 2), master.fork(), timed_of(wiring))
+    return Beginning(job, seconds(master.ends[master.index - 1] + 2), master.fork(), timed_of(instances))
 
 
-def timed_of(wiring: Wiring) -> dict[str, dict[str, Start]]:
+def timed_of(instances: Instances) -> dict[str, dict[str, Start]]:
     """Return, for each instance, its start values that act from an instant on."""
     return {
-        name: {key: value for key, value in start.items() if key.startswith(_TIMED)}
-        for name, (_, start) in wiring.instances.items()
+        name: {key: value for key, value in instance.start.items() if key.startswith(_TIMED)}
+        for name, instance in instances.items()
     }
 
 
-def taken_over(beginning: Beginning, job: Job, master: Master, wiring: Wiring) -> bool:
+def taken_over(beginning: Beginning, job: Job, master: Master, instances: Instances) -> bool:
     """Put a master where `beginning` is, with the parameters of `job`; False: it cannot start there."""
     if not alike_until_s(beginning.job, job) >= beginning.until_s or not master.take_over(beginning.fork):
         return False
-    now = timed_of(wiring)
+    now = timed_of(instances)
     for name, participant in master.participants.items():
         assert isinstance(participant, FmuParticipant)
         old, new = beginning.timed[name], now[name]

@@ -31,25 +31,14 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationError, model_validator
 
 from ..errors import ScenarioError, SweepError, nearest, one_line
+from ..results.metrics import METRICS
 from ..scenario.scenario import Scenario, load_scenario
 from ..toml_file import read_toml
 from .values import Interval, Parameter, Range, Search, Table, Value
 
-METRICS = (
-    "stable", "damping", "frequency", "settling_time", "peak", "energy", "effort", "packets", "fit_error",
-)  # fmt: skip
-METRIC_COLUMNS = ("peak_pu", "energy_pu2s", "effort_pu2s", "fit_error")
 COLUMNS_TAKEN = (
-    "run",
-    "status",
-    "failure",
-    "reason",
-    "stable",
-    "peak_pu",
-    "energy_pu2s",
-    "effort_pu2s",
-    "fit_error",
-)
+    "run", "status", "failure", "reason", "stable", "peak_pu", "energy_pu2s", "effort_pu2s", "fit_error",
+)  # fmt: skip
 LARGEST = 100_000  #: runs that need no confirmation
 Path_ = tuple[str, ...]
 

@@ -90,7 +90,8 @@ def _certificate_of(made: Controller) -> FamilyCertificate:
 def _named(name: str, case: Case) -> Controller:
     """Return a controller: shipped, from a JSON file or an FMU, or the study's of that name for `case`."""
     from interarea.cosim.designs.controller_file import any_controller
-    from interarea.cosim.run.artefacts import CONTROLLER_NAMES, design_controller
+    from interarea.cosim.run.artefacts import design_controller
+    from interarea.cosim.scenario.scenario import CONTROLLER_NAMES
     from interarea.fmu_build.write.cache import default_cache
 
     if name in CONTROLLER_NAMES:

@@ -39,8 +39,7 @@ def build(
     platforms: Platforms = None,
 ) -> None:
     """Build the plant FMU of a case, complete: documentation, sources and cross-check files."""
-    from interarea.cosim.run.run import controller_of
-    from interarea.cosim.scenario.scenario import load_scenario
+    from interarea.cosim.run.artefacts import controller_of
     from interarea.fmu_build.open.cross_check import complete_fmu
     from interarea.fmu_build.write.cache import default_cache, place
     from interarea.fmu_build.write.package import block_fmu
@@ -55,8 +54,7 @@ def build(
     folder_for(out)
     blocks = {loaded.name: plant_block(loaded)}
     if controller is not None:
-        named = load_scenario({"case": case, "controller": controller, "stop_s": 1.0})
-        made = controller_of(named, loaded, cache, None)
+        made = controller_of(controller, loaded, cache)
         if made is not None:
             blocks |= {"channel": channel_block(), made.name: made.block(loaded.omega_b)}
     with busy("building FMUs"):

@@ -84,12 +84,9 @@ def run(
 
 
 def _tested(scenario: Scenario) -> SelfTest:
-    from interarea.cosim.run.run import assemble, system_of
+    from interarea.cosim.run.run import system_of
 
-    if not scenario.case:
-        return system_of(scenario).self_test()
-    with assemble(scenario) as loop:
-        return loop.self_test()
+    return system_of(scenario).self_test()
 
 
 def _survived(controller: str, omega_b: float) -> str:

@@ -10,8 +10,8 @@ import pytest
 from fmu_mutation import Entries, mutated
 
 from interarea.cosim.export.ssp import write_ssp
-from interarea.cosim.run.run import Controllers
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.check.check import check_file
 
 STRUCTURE = "SystemStructure.ssd"
@@ -19,10 +19,10 @@ Edit = Callable[[Entries], None]
 
 
 @pytest.fixture(scope="module")
-def loop(by_hand: Controllers, cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def loop(by_hand: Controller, cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the bundled ring-down as an SSP, with the controller written by hand."""
     out = tmp_path_factory.mktemp("ssp") / "loop.ssp"
-    return write_ssp(load_scenario("wide-area-damping"), out, cache=cache, controllers=by_hand)
+    return write_ssp(load_scenario("wide-area-damping"), out, cache=cache, controller=by_hand)
 
 
 def _sub(pattern: str, new: str, file: str = STRUCTURE) -> Edit:

@@ -20,8 +20,8 @@ from interarea.cosim.run.artefacts import (
     design_controller,
     plant_fmu,
 )
-from interarea.cosim.run.run import Controllers
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.check.check import check_file
 from interarea.fmu_build.write.package import block_fmu
 from interarea.models.case.case import Case, load_case
@@ -57,14 +57,14 @@ def test_fmus(name: str, two_area: Case, cache: Path) -> None:
     check_nothing_is_found(FMUS[name](two_area, cache))
 
 
-def test_container(by_hand: Controllers, cache: Path, tmp_path: Path) -> None:
+def test_container(by_hand: Controller, cache: Path, tmp_path: Path) -> None:
     loop = load_scenario("wide-area-damping")
-    check_nothing_is_found(write_container(loop, tmp_path / "loop.fmu", cache=cache, controllers=by_hand))
+    check_nothing_is_found(write_container(loop, tmp_path / "loop.fmu", cache=cache, controller=by_hand))
 
 
 @pytest.mark.parametrize("scenario", ["wide-area-damping", "lost-signal"])
-def test_ssps(scenario: str, by_hand: Controllers, cache: Path, tmp_path: Path) -> None:
-    loop = write_ssp(load_scenario(scenario), tmp_path / "loop.ssp", cache=cache, controllers=by_hand)
+def test_ssps(scenario: str, by_hand: Controller, cache: Path, tmp_path: Path) -> None:
+    loop = write_ssp(load_scenario(scenario), tmp_path / "loop.ssp", cache=cache, controller=by_hand)
     report = check_file(loop)
     assert [f.line() for f in report.findings] == []
     assert len(report.facts["fmus"]) == report.facts["components"]

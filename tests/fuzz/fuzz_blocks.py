@@ -23,4 +23,4 @@ def fuzz_block(kind: str, cache: Path | None = None) -> Block:
     names = {"inputs": ["G2_dw", "G4_dw"], "outputs": ["G4_vs"]}
     lags = Controller("by_hand", control.ss(A, B, np.array([[0.0, 0.05]]), np.zeros((1, 2)), **names))
     loop = load_scenario("wide-area-damping")
-    return container_block(loop, cache=cache or default_cache(), controllers=lambda name, case: lags)
+    return container_block(loop, cache=cache or default_cache(), controller=lags)

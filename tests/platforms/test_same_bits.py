@@ -22,8 +22,8 @@ import pytest
 
 from interarea.cosim.export.container import container_block
 from interarea.cosim.export.instances import members_of
-from interarea.cosim.run.run import Controllers
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.compile import PLATFORMS, fmi_headers
 from interarea.fmu_build.write.package import build_fmu
 
@@ -98,11 +98,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def fmus(cache: Path, by_hand: Controllers, folder: Path) -> dict[str, Path]:
+def fmus(cache: Path, by_hand: Controller, folder: Path) -> dict[str, Path]:
     """Return the unpacked FMUs, each with the binaries of all platforms compared here."""
     scenario = load_scenario(SCENARIO)
-    blocks = {m.name: m.baked() for m in members_of(scenario, cache=cache, controllers=by_hand).all}
-    blocks["loop"] = container_block(scenario, cache=cache, controllers=by_hand)
+    blocks = {m.name: m.baked() for m in members_of(scenario, cache=cache, controller=by_hand).all}
+    blocks["loop"] = container_block(scenario, cache=cache, controller=by_hand)
     for name, block in blocks.items():
         file = build_fmu(block, folder / f"{name}.fmu", platforms=("linux64", *EMULATED), cache=cache)
         fmpy.extract(str(file), str(folder / name))

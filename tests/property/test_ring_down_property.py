@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from interarea.cosim.results import metrics as m
 from interarea.cosim.results.ringdown import fit_window, ring_down_of
 from interarea.cosim.scenario.scenario import load_scenario
-from interarea.cosim.trajectory import Records
+from interarea.cosim.trajectory import Trajectory
 from interarea.fmu_build.open.ports import Port
 from interarea.models.case.case import Case
 
@@ -48,9 +48,9 @@ def speeds(swing: dict[str, tuple[float, float, float, float]]) -> np.ndarray:
     return np.asarray(sum(parts))
 
 
-def records(values: np.ndarray) -> Records:
+def records(values: np.ndarray) -> Trajectory:
     columns = [f"plant.G{k}_dw" for k in range(1, 5)]
-    return Records(T, values.T, columns, [Port(c) for c in columns])
+    return Trajectory.of_records(T, values, columns, [Port(c) for c in columns])
 
 
 @settings(max_examples=25)

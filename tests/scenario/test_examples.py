@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from interarea.cosim.run.run import Controllers, run_scenario
+from interarea.cosim.run.run import run_scenario
 from interarea.design.controllers.controller import Controller
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -48,7 +48,7 @@ def test_the_pytest_file() -> None:
 
 
 def test_by_hand_and_by_master_agree_but_for_the_delay_of_held_inputs(
-    hand_controller: Controller, by_hand: Controllers, tmp_path: Path
+    hand_controller: Controller, by_hand: Controller, tmp_path: Path
 ) -> None:
     path = hand_controller.save(tmp_path / "k.json")
     spec = importlib.util.spec_from_file_location("plain_fmpy", EXAMPLES / "plain_fmpy.py")
@@ -59,7 +59,7 @@ def test_by_hand_and_by_master_agree_but_for_the_delay_of_held_inputs(
     late = {"remote": {"signal": "G2_dw", "latency_s": 0.1}, "local": {"signal": "G4_dw", "latency_s": 0.1}}
     pulse = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.0, "end_s": 1.2}
     document = {"case": "two-area-thesis", "controller": "wdc", "stop_s": 5.0, "step_s": 0.01}
-    run = run_scenario(document | {"channels": late, "event": [pulse]}, controllers=by_hand)
+    run = run_scenario(document | {"channels": late, "event": [pulse]}, controller=by_hand)
     at = np.searchsorted(run.trajectory.time_s, rows[:, 0] - 1e-9)
     dw24 = (run.trajectory["plant.G2_dw"] - run.trajectory["plant.G4_dw"])[at]
     # one or two steps of delay in a loop of 0.6 Hz: a few per cent

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from scenario_loop import Loop
 
-from interarea.cosim.run.run import assemble
 from interarea.cosim.scenario.scenario import load_scenario, scenario_names
 
 DESIGNED = ("wdc", "cc", "ftc", "active")
@@ -36,7 +36,7 @@ def test_the_outcome_is_the_stated_one(name: str, scenario: Any) -> None:
 
 @pytest.mark.parametrize("name", [_case(n) for n in scenario_names()])
 def test_every_connection_has_the_latency_that_the_ledger_states(name: str) -> None:
-    with assemble(load_scenario(name)) as loop:
+    with Loop(load_scenario(name)) as loop:
         measured = loop.self_test()
     assert measured.passed and measured.worst_s <= 1e-6, str(measured)
 

@@ -14,7 +14,7 @@ import pytest
 from tools.conftest import RunTool, require
 
 from interarea.cosim.export.instances import Member, members_of
-from interarea.cosim.run.run import Controllers, run_scenario
+from interarea.cosim.run.run import run_scenario
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.open.fmu_file import FmuFile
@@ -139,11 +139,11 @@ def test_fmpy_model_exchange_with_cvode(
 @pytest.mark.slow
 @pytest.mark.parametrize("sequential", [False, True])
 def test_fmucontainer_gives_the_trajectory_of_held_inputs(
-    sequential: bool, cache: Path, by_hand: Controllers, tmp_path: Path
+    sequential: bool, cache: Path, by_hand: Controller, tmp_path: Path
 ) -> None:
     """Parallel order is our "hold-jacobi"; sequential hands new values on within a step."""
     require("fmu_manipulation_toolbox")
-    loop = members_of(load_scenario(SCENARIO), cache=cache, controllers=by_hand)
+    loop = members_of(load_scenario(SCENARIO), cache=cache, controller=by_hand)
     for member in loop.all:
         build_fmu(member.baked(), tmp_path / f"{member.name}.fmu", cache=cache)
 
@@ -171,9 +171,9 @@ def test_fmucontainer_gives_the_trajectory_of_held_inputs(
         str(tmp_path / "loop.fmu"), stop_time=STOP, step_size=STEP, output_interval=STEP
     )
     held = run_scenario(
-        {**SCENARIO, "master": {"inputs": "hold-jacobi"}}, cache=cache, controllers=by_hand
+        {**SCENARIO, "master": {"inputs": "hold-jacobi"}}, cache=cache, controller=by_hand
     ).trajectory
-    exact = run_scenario(SCENARIO, cache=cache, controllers=by_hand).trajectory
+    exact = run_scenario(SCENARIO, cache=cache, controller=by_hand).trajectory
     for name, column in (("G2_dw", "plant.G2_dw"), ("G4_vs", "controller.G4_vs")):
         peak = np.max(np.abs(exact[column]))
         if not sequential:

@@ -17,8 +17,8 @@ from fmu_runner import Runner
 from tools.conftest import require
 
 from interarea.cosim.export.container import container_block
-from interarea.cosim.run.run import Controllers
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.variables import Block
 
@@ -66,11 +66,11 @@ def bits(fmu: Path, start: dict[str, float]) -> npt.NDArray[np.float64]:
 
 @pytest.mark.parametrize("kind", ["controller", "channel", "plant", "loop"])
 def test_sources_rebuild_to_the_same_bits(
-    kind: str, cache: Path, by_hand: Controllers, tmp_path: Path
+    kind: str, cache: Path, by_hand: Controller, tmp_path: Path
 ) -> None:
     block: Block
     if kind == "loop":
-        block = container_block(load_scenario(SCENARIO), cache=cache, controllers=by_hand)
+        block = container_block(load_scenario(SCENARIO), cache=cache, controller=by_hand)
     else:
         block = blocks()[kind]
     fmu = build_fmu(block, tmp_path, cache=cache)

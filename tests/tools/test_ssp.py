@@ -18,8 +18,9 @@ from interarea.cli.app import main
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.export.container import container_block
 from interarea.cosim.export.ssp import write_ssp
-from interarea.cosim.run.run import Controllers, run_scenario
+from interarea.cosim.run.run import run_scenario
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.compile import host_platform
 from interarea.fmu_build.write.package import build_fmu
 
@@ -44,10 +45,10 @@ NS = {
 
 
 @pytest.fixture(scope="module")
-def archive(cache: Path, by_hand: Controllers, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def archive(cache: Path, by_hand: Controller, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the SSP of `SCENARIO`."""
     file = tmp_path_factory.mktemp("ssp") / "remote.ssp"
-    return write_ssp(load_scenario(SCENARIO), file, cache=cache, controllers=by_hand)
+    return write_ssp(load_scenario(SCENARIO), file, cache=cache, controller=by_hand)
 
 
 def test_structure_and_parameters_obey_the_schemas(archive: Path) -> None:
@@ -96,10 +97,10 @@ def test_every_reference_resolves(archive: Path) -> None:
 
 
 def test_same_scenario_gives_same_bytes(
-    archive: Path, cache: Path, by_hand: Controllers, tmp_path: Path
+    archive: Path, cache: Path, by_hand: Controller, tmp_path: Path
 ) -> None:
     again = write_ssp(
-        load_scenario(SCENARIO), tmp_path / "sub" / "other.ssp", cache=cache, controllers=by_hand
+        load_scenario(SCENARIO), tmp_path / "sub" / "other.ssp", cache=cache, controller=by_hand
     )
     assert again.read_bytes() == archive.read_bytes()
     assert [f.name for f in again.parent.iterdir()] == ["other.ssp"]
@@ -108,7 +109,7 @@ def test_same_scenario_gives_same_bytes(
 @pytest.mark.tools
 @pytest.mark.parametrize("driver", ["fmpy_ssp", "libcosim_ssp", "ecos_ssp"])
 def test_tools_give_the_trajectory_of_held_inputs(
-    driver: str, archive: Path, run_tool: RunTool, cache: Path, by_hand: Controllers
+    driver: str, archive: Path, run_tool: RunTool, cache: Path, by_hand: Controller
 ) -> None:
     """All three hold an input over the step, which our master repeats as "hold-jacobi": equal to rounding.
 
@@ -116,7 +117,7 @@ def test_tools_give_the_trajectory_of_held_inputs(
     """
     found = run_tool(driver, archive, STEP, STOP, COLUMNS)
     held, exact = (
-        run_scenario({**SCENARIO, "master": {"inputs": mode}}, cache=cache, controllers=by_hand).trajectory
+        run_scenario({**SCENARIO, "master": {"inputs": mode}}, cache=cache, controller=by_hand).trajectory
         for mode in ("hold-jacobi", "hermite")
     )
     assert np.allclose(found["time"], held.time_s[1:], rtol=0.0, atol=1e-9)

@@ -7,6 +7,7 @@ ends.
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
 import signal
@@ -81,6 +82,8 @@ def work(
                 pipe.send(("done",))
         except EOFError:
             return
+        except MemoryError:
+            pipe.send(("error", errno.ENOMEM, f"{scratch}: {os.strerror(errno.ENOMEM)}"))
         except OSError as error:
             pipe.send(("error", error.errno, f"{error.filename or scratch}: {error.strerror or error}"))
 

@@ -26,7 +26,7 @@ from interarea.cosim.errors import ScenarioError
 from interarea.cosim.export.container import container_block, write_container
 from interarea.cosim.export.instances import members_of
 from interarea.cosim.export.joint import run_joint
-from interarea.cosim.run.run import Controllers, run_scenario
+from interarea.cosim.run.run import run_scenario
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
@@ -83,17 +83,17 @@ def simulate(file: Path, step_s: float, stop_s: float, names: list[str]) -> dict
 
 
 @pytest.fixture(scope="module")
-def container(cache: Path, by_hand: Controllers, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def container(cache: Path, by_hand: Controller, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the container of the first scenario."""
     file = tmp_path_factory.mktemp("container") / "loop.fmu"
     loaded = load_scenario(SCENARIOS["latency over many steps"])
-    return write_container(loaded, file, cache=cache, controllers=by_hand)
+    return write_container(loaded, file, cache=cache, controller=by_hand)
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_container_follows_the_master(name: str, cache: Path, by_hand: Controllers, tmp_path: Path) -> None:
+def test_container_follows_the_master(name: str, cache: Path, by_hand: Controller, tmp_path: Path) -> None:
     table = SCENARIOS[name]
-    file = write_container(load_scenario(table), tmp_path / "loop.fmu", cache=cache, controllers=by_hand)
+    file = write_container(load_scenario(table), tmp_path / "loop.fmu", cache=cache, controller=by_hand)
     names = {
         "G2_dw": "plant.G2_dw",
         "G1_pe": "plant.G1_pe",
@@ -101,7 +101,7 @@ def test_container_follows_the_master(name: str, cache: Path, by_hand: Controlle
         "G4_vs": "controller.G4_vs",
     }
     found = simulate(file, 0.01, 3.0, [*names, "remote_valid", "remote_delivered", "remote_dropped"])
-    master = run_scenario(table, cache=cache, controllers=by_hand).trajectory
+    master = run_scenario(table, cache=cache, controller=by_hand).trajectory
     rows = np.isin(np.round(master.time_s * 1e9), np.arange(0, 3_000_000_001, 10_000_000))
     for ours, column in names.items():
         wanted = np.asarray(master[column])[rows]
@@ -121,12 +121,10 @@ def test_supervisor_inside_sees_the_flags_when_they_change(
         "bank", (hand_controller, Controller("local", local)), fade_s=0.05, loss_s=0.013, return_s=0.2
     )
     table = scenario(latency_s=0.05, outages_s=[[1.5, 2.0333]])
-    file = write_container(
-        load_scenario(table), tmp_path / "loop.fmu", cache=cache, controllers=lambda _name, _case: bank
-    )
+    file = write_container(load_scenario(table), tmp_path / "loop.fmu", cache=cache, controller=bank)
     names = ["G2_dw", "G4_vs", "controller_active", "controller_switches"]
     found = simulate(file, 0.01, 3.0, names)
-    master = run_scenario(table, cache=cache, controllers=lambda _name, _case: bank).trajectory
+    master = run_scenario(table, cache=cache, controller=bank).trajectory
     rows = np.isin(np.round(master.time_s * 1e9), np.arange(0, 3_000_000_001, 10_000_000))
     assert set(found["controller_active"]) == {1.0, 2.0}
     for ours, column in (("G2_dw", "plant.G2_dw"), ("G4_vs", "controller.G4_vs")):
@@ -225,8 +223,8 @@ def test_archive_is_valid_and_its_sources_stand_alone(container: Path) -> None:
         assert [e for e in document.iter("{*}ScalarVariable") if e.get("causality") == "input"] == []
 
 
-def test_loops_that_one_block_cannot_hold(cache: Path, by_hand: Controllers) -> None:
-    loop = members_of(load_scenario(scenario(latency_s=0.1)), cache=cache, controllers=by_hand)
+def test_loops_that_one_block_cannot_hold(cache: Path, by_hand: Controller) -> None:
+    loop = members_of(load_scenario(scenario(latency_s=0.1)), cache=cache, controller=by_hand)
     members = [LoopMember(m.name, b, pack_record(record_entries(b))) for m in loop.all if (b := m.block)]
     settings = {"step_s": 0.01, "stop_s": 1.0}
     with pytest.raises(ValueError, match=r"remote.y -> plant.G1_vs \(channel -> plant\) is not possible"):
@@ -239,7 +237,7 @@ def test_loops_that_one_block_cannot_hold(cache: Path, by_hand: Controllers) -> 
         container_block(
             load_scenario(scenario(latency_s=0.1) | {"channels": {"a": {"signal": "G9_dw"}}}),
             cache=cache,
-            controllers=by_hand,
+            controller=by_hand,
         )
 
 
@@ -263,8 +261,8 @@ def test_joint_run_has_the_masters_columns_and_the_containers_bits(
     cache: Path, hand_controller: Controller
 ) -> None:
     table = scenario(latency_s=0.0537, reporting_interval_s=0.02, loss={"kind": "bernoulli", "rate": 0.2})
-    joint = run_joint(table, cache=cache, controllers=lambda *_: hand_controller)
-    apart = run_scenario(table, cache=cache, controllers=lambda *_: hand_controller)
+    joint = run_joint(table, cache=cache, controller=hand_controller)
+    apart = run_scenario(table, cache=cache, controller=hand_controller)
     assert set(joint.data) == set(apart.data)
     assert joint.units == apart.units
     speed = "plant.G2_dw"
@@ -279,6 +277,6 @@ def test_joint_run_has_the_masters_columns_and_the_containers_bits(
 
 def test_joint_scenario_is_not_run_by_a_master(hand_controller: Controller) -> None:
     with pytest.raises(ScenarioError, match="joint = true asks for one block"):
-        run_scenario({**scenario(), "master": {"joint": True}}, controllers=lambda *_: hand_controller)
+        run_scenario({**scenario(), "master": {"joint": True}}, controller=hand_controller)
     with pytest.raises(ScenarioError, match="case is missing"):
         run_joint({"stop_s": 1.0, "fmus": {"a": {"file": "a.fmu"}}})

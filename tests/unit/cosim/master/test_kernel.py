@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 from fmu_runner import decay_block
 from participants import Linear
+from scenario_loop import Loop
 
 from interarea.cosim.errors import GraphError, StepError
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.master.kernel import build as kernel_build
 from interarea.cosim.master.master import Master
-from interarea.cosim.run.run import Controllers, Loop, assemble
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.package import block_fmu
@@ -67,13 +68,13 @@ def document(**changes: Any) -> dict[str, Any]:
     return {"case": "two-area-thesis", **fields} | changes
 
 
-def assembled(cache: Path, by_hand: Controllers, **changes: Any) -> Loop:
-    return assemble(load_scenario(document(**changes)), cache=cache, controllers=by_hand)
+def assembled(cache: Path, by_hand: Controller, **changes: Any) -> Loop:
+    return Loop(load_scenario(document(**changes)), cache=cache, controller=by_hand)
 
 
 @pytest.mark.parametrize("changes", SCENARIOS.values(), ids=SCENARIOS.keys())
 def test_the_kernel_gives_the_bits_of_the_reference(
-    changes: dict[str, Any], cache: Path, by_hand: Controllers
+    changes: dict[str, Any], cache: Path, by_hand: Controller
 ) -> None:
     with assembled(cache, by_hand, **changes) as loop:
         master = loop.master
@@ -89,7 +90,7 @@ def test_the_kernel_gives_the_bits_of_the_reference(
         assert loop.result(slow).packets.rows == counted
 
 
-def test_the_engine_that_ran_is_in_the_result(cache: Path, by_hand: Controllers) -> None:
+def test_the_engine_that_ran_is_in_the_result(cache: Path, by_hand: Controller) -> None:
     with assembled(cache, by_hand) as loop:
         loop.master.advance(until_s=0.2)
         assert loop.master.trajectory.engine == "kernel"
@@ -100,14 +101,14 @@ def test_the_engine_that_ran_is_in_the_result(cache: Path, by_hand: Controllers)
         assert loop.master.trajectory.time_s[-1] == 0.3
 
 
-def test_a_loop_without_a_channel_is_iterated_by_the_kernel(cache: Path, by_hand: Controllers) -> None:
+def test_a_loop_without_a_channel_is_iterated_by_the_kernel(cache: Path, by_hand: Controller) -> None:
     with assembled(cache, by_hand, channels={"remote": REMOTE}) as loop:
         run = loop.master.run()
         assert run.engine == "kernel"
         assert loop.master.repeated > 0
 
 
-def test_any_order_of_declaration_gives_the_same_bits(cache: Path, by_hand: Controllers) -> None:
+def test_any_order_of_declaration_gives_the_same_bits(cache: Path, by_hand: Controller) -> None:
     with assembled(cache, by_hand) as loop:
         master = loop.master
         first = master.run().data
@@ -125,7 +126,7 @@ def test_any_order_of_declaration_gives_the_same_bits(cache: Path, by_hand: Cont
             assert again.run().data.equals(first)
 
 
-def test_kernel_and_python_take_over_from_each_other_at_any_point(cache: Path, by_hand: Controllers) -> None:
+def test_kernel_and_python_take_over_from_each_other_at_any_point(cache: Path, by_hand: Controller) -> None:
     with assembled(cache, by_hand, channels={"remote": REMOTE}) as loop:
         master = loop.master
         whole = master.run().data
@@ -138,7 +139,7 @@ def test_kernel_and_python_take_over_from_each_other_at_any_point(cache: Path, b
         assert master.trajectory.data.equals(whole)
 
 
-def test_saving_restoring_and_forking_are_not_stopping(cache: Path, by_hand: Controllers) -> None:
+def test_saving_restoring_and_forking_are_not_stopping(cache: Path, by_hand: Controller) -> None:
     with assembled(cache, by_hand, channels={"remote": REMOTE}) as loop:
         master = loop.master
         whole = master.run().data
@@ -243,7 +244,7 @@ def test_a_failing_fmu_is_named_with_call_time_and_its_last_log_line(cache: Path
 
 
 @pytest.fixture
-def long_run(cache: Path, by_hand: Controllers) -> Iterator[Master]:
+def long_run(cache: Path, by_hand: Controller) -> Iterator[Master]:
     with assembled(cache, by_hand, stop_s=1000.0) as loop:
         loop.master.start()
         loop.master.run(until_s=0.1)

@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scenario_loop import Loop
 
 from interarea.cosim.errors import StepError
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.master.lockstep import advance_together
 from interarea.cosim.master.master import Master
-from interarea.cosim.run.run import Controllers, Loop, assemble
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.lane_library import GroupLibrary, plant_group
 from interarea.models.blocks.plant import plant_block
@@ -68,7 +69,7 @@ RUNS: tuple[dict[str, Any], ...] = (
 )
 
 
-def loop_of(changes: dict[str, Any], cache: Path, by_hand: Controllers) -> Loop:
+def loop_of(changes: dict[str, Any], cache: Path, by_hand: Controller) -> Loop:
     fields: dict[str, Any] = {
         "case": "two-area-thesis",
         "controller": "wdc",
@@ -76,7 +77,7 @@ def loop_of(changes: dict[str, Any], cache: Path, by_hand: Controllers) -> Loop:
         "channels": CHANNELS,
     } | changes
     start = fields.pop("start", {})
-    loop = assemble(load_scenario(fields), cache=cache, controllers=by_hand)
+    loop = Loop(load_scenario(fields), cache=cache, controller=by_hand)
     plant: Any = loop.master.participants["plant"]
     plant.set_start({name: value for name, (_, value) in plant._start.items()} | start)
     return loop
@@ -84,7 +85,7 @@ def loop_of(changes: dict[str, Any], cache: Path, by_hand: Controllers) -> Loop:
 
 @contextmanager
 def side_by_side(
-    described: Iterable[dict[str, Any]], cache: Path, by_hand: Controllers, library: GroupLibrary
+    described: Iterable[dict[str, Any]], cache: Path, by_hand: Controller, library: GroupLibrary
 ) -> Iterator[list[Master]]:
     """Masters that have not begun, their plants to be stepped by `library`."""
     with ExitStack() as stack:
@@ -97,8 +98,8 @@ def side_by_side(
 def bits(master: Master) -> tuple[str, int]:
     """Every recorded number of a run, as one hash; how often loops were iterated."""
     found = hashlib.sha256()
-    for column, values in master.records.data.items():
-        found.update(column.encode() + values.tobytes())
+    for column, values in master.trajectory.data.items():
+        found.update(column.encode() + values.to_numpy().tobytes())
     return found.hexdigest(), master.repeated
 
 
@@ -108,7 +109,7 @@ def library(cache: Path) -> GroupLibrary:
 
 
 @pytest.fixture(scope="module")
-def alone(cache: Path, by_hand: Controllers) -> list[tuple[str, int]]:
+def alone(cache: Path, by_hand: Controller) -> list[tuple[str, int]]:
     """Each of RUNS by itself, with the FMU's own binary."""
     found = []
     for changes in RUNS:
@@ -119,7 +120,7 @@ def alone(cache: Path, by_hand: Controllers) -> list[tuple[str, int]]:
 
 
 @pytest.fixture
-def masters(cache: Path, by_hand: Controllers, library: GroupLibrary) -> Iterator[list[Master]]:
+def masters(cache: Path, by_hand: Controller, library: GroupLibrary) -> Iterator[list[Master]]:
     with side_by_side(RUNS, cache, by_hand, library) as made:
         yield made
 
@@ -128,7 +129,7 @@ def masters(cache: Path, by_hand: Controllers, library: GroupLibrary) -> Iterato
     "lanes", [pytest.param(2, marks=pytest.mark.slow), 4, pytest.param(8, marks=pytest.mark.slow)]
 )
 def test_runs_side_by_side_have_the_bits_of_each_alone(
-    lanes: int, cache: Path, by_hand: Controllers, library: GroupLibrary, alone: list[Any]
+    lanes: int, cache: Path, by_hand: Controller, library: GroupLibrary, alone: list[Any]
 ) -> None:
     if lanes > library.lanes:
         pytest.skip(f"this processor has {library.lanes} lanes")
@@ -142,7 +143,7 @@ def test_runs_side_by_side_have_the_bits_of_each_alone(
 
 @pytest.mark.parametrize("chosen", [[0], [6, 3, 0], [9, 8, 7, 2, 5], [1, 1, 1, 2, 0, 5, 10]])
 def test_any_company_gives_the_same_bits(
-    chosen: list[int], cache: Path, by_hand: Controllers, library: GroupLibrary, alone: list[Any]
+    chosen: list[int], cache: Path, by_hand: Controller, library: GroupLibrary, alone: list[Any]
 ) -> None:
     with side_by_side((RUNS[k] for k in chosen), cache, by_hand, library) as found:
         for _ in range(2):  # the second time on instances that were reset
@@ -191,7 +192,7 @@ def test_a_run_that_fails_leaves_with_its_own_reason(
     changes: dict[str, Any],
     place: int,
     cache: Path,
-    by_hand: Controllers,
+    by_hand: Controller,
     library: GroupLibrary,
     alone: list[Any],
 ) -> None:
@@ -271,7 +272,7 @@ def test_plants_whose_network_iterates_go_one_by_one(cache: Path, library: Group
 
 
 def test_locals_read_after_a_group_step_are_those_of_the_step(
-    cache: Path, by_hand: Controllers, library: GroupLibrary
+    cache: Path, by_hand: Controller, library: GroupLibrary
 ) -> None:
     """The group leaves bus voltages out; they are computed when they are asked for."""
     names = [v.name for v in plant_block(load_case("two-area-thesis")).table.of_role("local")]

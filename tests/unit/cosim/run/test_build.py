@@ -43,7 +43,7 @@ def test_a_system_in_python_is_the_scenario_to_the_bit(hand_controller: Controll
         "channels": {"remote": {"signal": "G2_dw", "latency_s": 0.1, "outages_s": [[1.0, 1.2]]}},
         "event": [PULSE | {"kind": "vref_pulse"}],
     }
-    run = run_scenario(scenario, controllers=lambda name, case: hand_controller)
+    run = run_scenario(scenario, controller=hand_controller)
     assert result.data.equals(run.data)
     assert result.units["plant.G2_dw"] == "pu" and result.data.attrs["units"]["time_s"] == "s"
     assert result.ledger["remote.u"].total_s == 0.1

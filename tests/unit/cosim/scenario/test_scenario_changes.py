@@ -8,10 +8,11 @@ from typing import Any
 import control
 import numpy as np
 import pytest
+from scenario_loop import Loop
 
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.export.container import container_block
-from interarea.cosim.run.run import assemble, run_scenario
+from interarea.cosim.run.run import run_scenario
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
@@ -38,35 +39,36 @@ def test_gain_is_the_controller_with_its_output_multiplied(hand_controller: Cont
     by_hand = Controller(
         "by_hand", control.ss(K.A, K.B, 2.5 * K.C, 2.5 * K.D, inputs=K.input_labels, outputs=K.output_labels)
     )
-    changed = run_scenario(scenario(controller_gain=2.5), controllers=lambda *_: hand_controller)
-    wanted = run_scenario(scenario(), controllers=lambda *_: by_hand)
+    changed = run_scenario(scenario(controller_gain=2.5), controller=hand_controller)
+    wanted = run_scenario(scenario(), controller=by_hand)
     assert np.array_equal(changed["controller.G4_vs"], wanted["controller.G4_vs"])
     assert np.max(np.abs(wanted["controller.G4_vs"])) > 1e-4
 
 
 def test_limit_bounds_the_control_signal(hand_controller: Controller) -> None:
-    run = run_scenario(
-        scenario(controller_limit_pu=1e-4, controller_gain=2.0), controllers=lambda *_: hand_controller
-    )
+    run = run_scenario(scenario(controller_limit_pu=1e-4, controller_gain=2.0), controller=hand_controller)
     assert np.max(np.abs(run["controller.G4_vs"])) == 1e-4
 
 
-def test_operating_point_moves_the_loads_and_no_design(hand_controller: Controller, two_area: Case) -> None:
+def test_operating_point_moves_the_loads_and_no_design(
+    hand_controller: Controller, two_area: Case, monkeypatch: pytest.MonkeyPatch
+) -> None:
     designed_for = []
 
-    def controllers(name: str, case: Case) -> Controller:
+    def design(case: Case, name: str, cache: Path) -> Controller:
         designed_for.append(case.hash)
         return hand_controller
 
+    monkeypatch.setattr("interarea.cosim.run.artefacts.design_controller", design)
     table = scenario(operating_point={"tie_flow_mw": 100.0, "load_scale": 0.95})
-    with assemble(load_scenario(table), controllers=controllers) as loop:
-        assert loop.case.hash == operating_variant(two_area, tie_flow_mw=100.0, load_scale=0.95).hash
+    with Loop(load_scenario(table)) as loop:
+        assert loop.system.case.hash == operating_variant(two_area, tie_flow_mw=100.0, load_scale=0.95).hash
     assert designed_for == [two_area.hash]
 
 
 def test_plant_gives_start_values_of_the_plants_parameters(hand_controller: Controller, cache: Path) -> None:
     table = scenario(plant={"G1.exciter.Efd_max": 5.0, "G1.exciter.Efd_min": -4.5})
-    block = container_block(load_scenario(table), cache=cache, controllers=lambda *_: hand_controller)
+    block = container_block(load_scenario(table), cache=cache, controller=hand_controller)
     assert block.table["plant.G1.exciter.Efd_max"].start == 5.0
     assert block.table["plant.G1.exciter.Efd_min"].start == -4.5
     assert block.table["plant.G2.exciter.Efd_max"].start == 1e30
@@ -88,14 +90,14 @@ def test_plant_gives_start_values_of_the_plants_parameters(hand_controller: Cont
 )
 def test_mistakes_are_named(changes: dict[str, Any], said: str, hand_controller: Controller) -> None:
     with pytest.raises(ValueError, match=said) as caught:
-        run_scenario(scenario(**changes), controllers=lambda *_: hand_controller)
+        run_scenario(scenario(**changes), controller=hand_controller)
     assert isinstance(caught.value, ScenarioError) or "branch" in str(caught.value)
 
 
 def test_a_bank_has_no_one_gain(hand_controller: Controller) -> None:
     bank = ControllerBank("bank", (hand_controller,))
     with pytest.raises(ScenarioError, match="is a bank"):
-        run_scenario(scenario(controller_gain=2.0), controllers=lambda *_: bank)  # type: ignore[arg-type, return-value]
+        run_scenario(scenario(controller_gain=2.0), controller=bank)  # type: ignore[arg-type, return-value]
 
 
 def test_changes_without_a_case_are_refused() -> None:

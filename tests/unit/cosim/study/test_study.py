@@ -16,7 +16,7 @@ from scipy.linalg import expm
 from interarea.cosim.designs.design_file import family_plants, load_design
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.run.artefacts import design_controller, linear_plant
-from interarea.cosim.run.run import Controllers, run_scenario
+from interarea.cosim.run.run import run_scenario
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.study.delay import least_damping
 from interarea.cosim.study.packet_loss import monte_carlo_documents
@@ -161,7 +161,7 @@ def test_least_damping_without_latency_is_that_of_the_eigenvalues(
 
 
 def test_a_small_pulse_through_the_nonlinear_loop_is_the_linear_response(
-    plant: control.StateSpace, hand_controller: Controller, by_hand: Controllers, two_area: Case, cache: Path
+    plant: control.StateSpace, hand_controller: Controller, by_hand: Controller, two_area: Case, cache: Path
 ) -> None:
     """Linear side: zero-order hold of the closed loop by the matrix exponential; 1 % of the peak."""
     size, step, stop = 0.002, 0.01, 8.0
@@ -173,7 +173,7 @@ def test_a_small_pulse_through_the_nonlinear_loop_is_the_linear_response(
         "step_s": step,
         "event": [event],
     }
-    run = run_scenario(scenario, cache=cache, controllers=by_hand)
+    run = run_scenario(scenario, cache=cache, controller=by_hand)
     time, nonlinear = run.trajectory.time_s, run.swing.of(run.trajectory)
 
     K = hand_controller.system

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from interarea.cosim.run.run import Controllers, run_scenario
+from interarea.cosim.run.run import run_scenario
 from interarea.cosim.study.spec import load_study
 from interarea.cosim.study.survival import NONE, Faults, Setting, case_at, longest_kept
 from interarea.design.controllers.controller import Controller
@@ -47,7 +47,7 @@ def test_points_and_ceilings_are_cases_of_their_own(two_area: Case) -> None:
 
 
 def test_side_by_side_every_fault_is_the_run_made_alone(
-    two_area: Case, hand_controller: Controller, by_hand: Controllers, cache: Path
+    two_area: Case, hand_controller: Controller, by_hand: Controller, cache: Path
 ) -> None:
     """The angles of lanes that are reset and run again are those of `run_scenario`, to the bit."""
     spec = dict(load_study("thesis"))
@@ -60,7 +60,8 @@ def test_side_by_side_every_fault_is_the_run_made_alone(
         assert faults.clearing_s == pytest.approx(8.0 / 60.0, abs=1e-6)
         documents = {s: faults.document(s, at) for s, at in clearing.items()}
     for setting, document in documents.items():
-        data = run_scenario(document, cache=cache, controllers=by_hand).trajectory.data
+        own = None if setting.controller == NONE else by_hand
+        data = run_scenario(document, cache=cache, controller=own).trajectory.data
         angles = np.array([data[f"plant.{m.name}_delta"] for m in two_area.machines])
         assert found[setting] == float(np.ptp(angles, axis=0).max()) < first[setting]
     assert [e["kind"] for e in documents[settings[0]]["event"]] == ["bus_fault", "branch_trip"]

@@ -8,10 +8,11 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
+from scenario_loop import Loop
 
 from interarea.cosim.run.artefacts import linear_plant
-from interarea.cosim.run.run import Controllers, assemble
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.design.controllers.controller import Controller
 from interarea.design.delay.packet_loss import LossyChannel, PacketLoop, critical_loss
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.models.case.case import load_case
@@ -121,7 +122,7 @@ def test_bad_numbers_are_named() -> None:
         PacketLoop(*two_by_two(), 0.0, {})
 
 
-def test_cosimulation_packet_by_packet(cache: Path, by_hand: Controllers) -> None:
+def test_cosimulation_packet_by_packet(cache: Path, by_hand: Controller) -> None:
     """The FMUs and A_S agree along one sequence of lost packets: same seed, small pulse, linear range."""
     interval, latency = 0.02, 0.05
     channel = {"latency_s": latency, "reporting_interval_s": interval, "on_loss": "hold"}
@@ -139,7 +140,7 @@ def test_cosimulation_packet_by_packet(cache: Path, by_hand: Controllers) -> Non
             "event": [{"kind": "vref_pulse", "machine": "G1", "size_pu": 1e-4, "start_s": 0.5, "end_s": 0.6}],
         }
     )
-    with assemble(scenario, cache=cache, controllers=by_hand) as loop:
+    with Loop(scenario, cache=cache, controller=by_hand) as loop:
         run = loop.result(loop.master.run()).trajectory
     case = load_case("two-area-thesis")
     plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)

@@ -14,9 +14,9 @@ from fmu_runner import decay_block
 from lxml import etree
 
 from interarea.cosim.export.container import container_block
-from interarea.cosim.run.run import Controllers
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.bundled import shipped_controller
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.compile import host_platform
 from interarea.fmu_build.write.documentation import equations_of, references_in
 from interarea.fmu_build.write.package import build_fmu
@@ -94,11 +94,11 @@ def test_equations_are_those_of_the_block_not_of_the_fmi_layer() -> None:
 
 
 def test_container_documents_its_members_and_connections(
-    cache: Path, by_hand: Controllers, tmp_path: Path, two_area: Case
+    cache: Path, by_hand: Controller, tmp_path: Path, two_area: Case
 ) -> None:
     table = {"case": "two-area-thesis", "controller": "ftc", "stop_s": 1.0}
     table |= {"channels": {"remote": {"signal": "G2_dw", "latency_s": 0.1}}}
-    block = container_block(load_scenario(table), cache=cache, controllers=by_hand)
+    block = container_block(load_scenario(table), cache=cache, controller=by_hand)
     page = html.unescape(page_of(build_fmu(block, tmp_path, cache=cache)))
     assert "<td>plant.G2_dw</td><td>remote.u</td>" in page
     assert "<td>controller.G4_vs</td><td>plant.G4_vs</td>" in page

@@ -1,0 +1,84 @@
+"""The FMUs of a system: which file each instance is of, opened once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from interarea.design.controllers.bank import ControllerBank
+from interarea.design.controllers.controller import Controller
+from interarea.fmu_build.open.fmu_file import FmuFile
+from interarea.models.blocks.variables import Block
+from interarea.models.case.case import Case
+
+from ..master.instances import Value
+from .artefacts import channel_fmu, concentrator_fmu, controller_fmu, plant_fmu
+
+
+@dataclass(frozen=True)
+class Instance:
+    """An FMU in a system: its file, the start values it gets, where it runs (as `participant_of` takes it).
+
+    block : makes what the FMU is made of; None for FMUs of others.
+    """
+
+    name: str
+    file: FmuFile
+    start: Mapping[str, Value] = field(default_factory=dict)
+    block: Callable[[], Block] | None = None
+    process: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Fmus:
+    """Opened FMUs for the instances of systems, each file once."""
+
+    def __init__(self, cache: Path) -> None:
+        self.cache = cache
+        self._files: dict[Path, FmuFile] = {}
+        self._controllers: dict[int, tuple[Controller | ControllerBank, FmuFile]] = {}
+        self._scaled: dict[tuple[int, float, float | None], tuple[Controller, Controller]] = {}
+
+    def plant(self, case: Case, event_slots: int) -> FmuFile:
+        """Return the plant of a case."""
+        return self.open(plant_fmu(case, self.cache, event_slots=event_slots))
+
+    def channel(self) -> FmuFile:
+        """Return the channel."""
+        return self.open(channel_fmu(self.cache))
+
+    def concentrator(self, signals: int) -> FmuFile:
+        """Return the concentrator of so many signals."""
+        return self.open(concentrator_fmu(signals, self.cache))
+
+    def controller(self, controller: Controller | ControllerBank, omega_b: float) -> FmuFile:
+        """Return the FMU of a controller; `omega_b` in rad/s."""
+        if id(controller) not in self._controllers:
+            file = self.open(controller_fmu(controller, omega_b, self.cache))
+            self._controllers[id(controller)] = (controller, file)
+        return self._controllers[id(controller)][1]
+
+    def scaled(self, controller: Controller, gain: float, limit_pu: float | None) -> Controller:
+        """Return a controller with another gain and limit, the same object for the same."""
+        key = (id(controller), gain, limit_pu)
+        if key not in self._scaled:
+            self._scaled[key] = (controller, controller.scaled(gain, limit_pu))
+        return self._scaled[key][1]
+
+    def own(self, name: str, path: Path) -> FmuFile:
+        """Return an FMU of the user's, instance `name`."""
+        return self.open(path)
+
+    def open(self, path: Path) -> FmuFile:
+        """Open a file, once."""
+        if path not in self._files:
+            self._files[path] = FmuFile(path)
+        return self._files[path]
+
+    def close(self) -> None:
+        """Close all files."""
+        for file in self._files.values():
+            file.close()
+        self._files.clear()
+        self._controllers.clear()

@@ -1,0 +1,58 @@
+"""An error of the machine ends a sweep, wherever in the chain of causes it stands, and is never a row."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+import pytest
+
+from interarea.cosim.errors import StepError, machine_error
+from interarea.cosim.sweep.plan import plan_sweep
+from interarea.cosim.sweep.runner import Runner
+from interarea.cosim.sweep.spec import load_sweep
+
+SWEEP = {
+    "scenario": {"case": "two-area-thesis", "stop_s": 0.5},
+    "parameters": {"load": {"path": "case.load_scale", "values": [1.0, 1.01]}},
+}
+
+
+def wrapped(error: BaseException) -> StepError:
+    """Return a step's error that was caused by another, two links down the chain."""
+    try:
+        try:
+            try:
+                raise error
+            except BaseException as first:
+                raise RuntimeError("cannot be opened") from first
+        except RuntimeError as second:
+            raise StepError("no instance", instance="plant", call="fmi2Instantiate", time_s=None) from second
+    except StepError as found:
+        return found
+
+
+@pytest.mark.parametrize("name", ["ENOSPC", "EDQUOT", "EFBIG", "EMFILE", "EIO", "ENOMEM"])
+def test_it_is_found_among_the_causes(name: str) -> None:
+    number = getattr(errno, name)
+    found = machine_error(wrapped(OSError(number, "said the system")))
+    assert found is not None and found.errno == number
+    assert machine_error(wrapped(OSError(errno.ENOENT, "no such file"))) is None
+    assert machine_error(ValueError("no such case")) is None
+
+
+def test_memory_that_runs_out_is_one_too() -> None:
+    found = machine_error(wrapped(MemoryError()))
+    assert found is not None and found.errno == errno.ENOMEM
+
+
+def test_a_sweep_ends_with_it(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise wrapped(OSError(errno.EFBIG, "File too large"))
+
+    monkeypatch.setattr("interarea.cosim.sweep.runner.system_of", full)
+    with (
+        Runner(plan_sweep(load_sweep(SWEEP), cache), cache, tmp_path) as runner,
+        pytest.raises(OSError, match="File too large"),
+    ):
+        list(runner.outcomes([0, 1]))
