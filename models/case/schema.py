@@ -7,10 +7,12 @@ default; any other unit ends the name (`P_mw`, `angle_deg`). Time constants are 
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from ..devices.language.expression import scaled_quadratic
 from .control_schema import (
     Compensator,
     Control,
@@ -146,6 +148,40 @@ class Saturation(Row):
     use: Literal["none", "total", "incremental"] = "total"
 
 
+class FluxSaturation(Row):
+    """Saturation of PSS/E's machines: a factor S of a flux that is a state, S10 at 1.0 and S12 at 1.2 pu.
+
+    quadratic: ``E S(E) = B (E - A)^2`` above A (GENROU, GENSAL); exponential: ``S = S10 E^x`` (the others).
+    It acts on the d axis, with `axes` = both also on the q axis in the ratio (Xq - Xl)/(Xd - Xl).
+    """
+
+    S10: Positive
+    S12: Positive
+    shape: Literal["quadratic", "exponential"] = "quadratic"
+    of: Literal["subtransient_flux", "transient_emf"] = "subtransient_flux"
+    axes: Literal["both", "d"] = "both"
+
+    @model_validator(mode="after")
+    def _rising(self) -> Self:
+        if not self.S12 > self.S10:
+            raise ValueError(f"S12 = {self.S12:g} with S10 = {self.S10:g}, allowed: S12 > S10")
+        return self
+
+    @property
+    def coefficients(self) -> tuple[float, float]:
+        """A, B of the quadratic; exponent and factor of the exponential shape."""
+        if self.shape == "exponential":
+            return math.log(self.S12 / self.S10) / math.log(1.2), self.S10
+        return scaled_quadratic(1.0, self.S10, 1.2, self.S12)
+
+    def factor(self, flux: float) -> float:
+        """Return S at `flux`."""
+        A, B = self.coefficients
+        if self.shape == "exponential":
+            return float(B * flux**A)
+        return B * max(flux - A, 0.0) ** 2 / flux
+
+
 #: what each machine model must be given
 NEEDED: dict[str, tuple[str, ...]] = {
     "round_rotor": ("H", "Xd1", "Xd", "Xq", "Xl", "Xq1", "Xd2", "Xq2", "Td01", "Tq01", "Td02", "Tq02"),
@@ -185,6 +221,8 @@ class Machine(Row):
     Td02: Positive | None = None
     Tq02: Positive | None = None
     saturation: Saturation | None = None
+    flux_saturation: FluxSaturation | None = None
+    torque_by_speed: Switch = False  #: 2H d slip/dt = (Pm - D slip)/(1 + slip) - Te, as PSS/E; else over 1
     P_mw: Number  #: dispatch; the slack machine's is a start value only
     Q_mvar: Number | None = None  #: its part of the Q at its bus; what is left is shared by rating
     V_pu: Positive
@@ -212,6 +250,8 @@ class Machine(Row):
             ):
                 raise ValueError("an infinite bus has neither inertia nor a governor, allowed: Ra and Xd1")
             return self
+        if self.saturation is not None and self.flux_saturation is not None:
+            raise ValueError("saturation and flux_saturation are both given, allowed: one of them")
         if self.exciter.kind == "constant" and (self.stabilizer or self.compensator):
             what = "stabilizer" if self.stabilizer else "compensator"
             raise ValueError(f"a {what} but constant excitation; give it an exciter")

@@ -117,6 +117,11 @@ def rotor_angle(m: Machine, voltage: complex, current: complex) -> float:
     if saturation_of(m) is not None:
         factor = saturation_factor(m, abs(voltage + complex(m.Ra, Xl) * current))
         Xq = Xl + (Xq - Xl) / (1.0 + factor)
+    if m.flux_saturation is not None and m.flux_saturation.axes == "both":
+        Xl, Xq2 = m.number("Xl"), m.number("Xq2")
+        behind = voltage + complex(m.Ra, Xq2) * current
+        share = m.flux_saturation.factor(abs(behind)) * (Xq - Xl) / (m.number("Xd") - Xl)
+        return float(np.angle((1.0 + share) * behind + 1j * (Xq - Xq2) * current))
     return float(np.angle(voltage + complex(m.Ra, Xq) * current))
 
 
@@ -187,7 +192,7 @@ def _machine_point(
         ed1=ed2_rotor - (Xq1 - Xq2) * (iq + isq),
         eq2=eq2_rotor,
         ed2=ed2_rotor,
-        efd=eq1 + (Xd - Xd1) * (id_ + isd),
+        efd=eq1 + (Xd - Xd1) * (id_ + isd) + _field_saturation(m, eq1, eq2_rotor, ed2_rotor),
         pm=ed2 * id_ + eq2 * iq + (Xq2 - Xd2) * id_ * iq,
         vt=float(np.hypot(vd, vq)),
         vd=float(vd),
@@ -195,6 +200,14 @@ def _machine_point(
         id=float(id_),
         iq=float(iq),
     )
+
+
+def _field_saturation(m: Machine, eq1: float, eq2: float, ed2: float) -> float:
+    """What explicit saturation adds to the field current."""
+    s = m.flux_saturation
+    if s is None:
+        return 0.0
+    return s.factor(eq1) * eq1 if s.of == "transient_emf" else s.factor(float(np.hypot(eq2, ed2))) * eq2
 
 
 def _assemble(
@@ -237,7 +250,7 @@ def _machine_states(
             own = frozenset({f"{m.name}.{key}"})
             depends = {
                 "delta": frozenset({f"{m.name}.slip"}),
-                "slip": network | power[k] | (own if m.D > 0.0 else frozenset()),
+                "slip": network | power[k] | (own if m.D > 0.0 or m.torque_by_speed else frozenset()),
                 "eq1": network | own | field_voltage[k],
                 "ed1": network | own,
                 "eq2": network | {f"{m.name}.eq1"} | field_voltage[k],

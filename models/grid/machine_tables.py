@@ -59,10 +59,32 @@ MACHINE_KEYS = ("Ra", "Xl", "Xd", "Xd1", "Xd2", "Xq", "Xq1", "Xq2", "Td01", "Td0
 def machine_table(case: Case, points: Sequence[MachinePoint]) -> npt.NDArray[np.float64]:
     """Return the machine table of the C plant, (rows, machines)."""
     columns = [
-        [m.base_mva / case.base_mva, *(_number(m, key) for key in MACHINE_KEYS), p.efd, p.pm, p.vt]
+        [
+            m.base_mva / case.base_mva,
+            *(_number(m, key) for key in MACHINE_KEYS),
+            *_saturation(m),
+            p.efd,
+            p.pm,
+            p.vt,
+        ]
         for m, p in zip(case.machines, points, strict=True)
     ]
     return np.array(columns).T
+
+
+def _numbers(m: Machine) -> list[float]:
+    return [_number(m, key) for key in MACHINE_KEYS]
+
+
+def _saturation(m: Machine) -> list[float]:
+    """Rows M_BY_SPEED .. M_SAT_Q of plant/plan.h."""
+    s = m.flux_saturation
+    by_speed = float(m.torque_by_speed)
+    if s is None:
+        return [by_speed, *[0.0] * 5]
+    A, B = s.coefficients
+    q = (m.number("Xq") - m.number("Xl")) / (m.number("Xd") - m.number("Xl")) if s.axes == "both" else 0.0
+    return [by_speed, 1.0 if s.shape == "quadratic" else 2.0, A, B, float(s.of == "transient_emf"), q]
 
 
 def _number(m: Machine, key: str) -> float:

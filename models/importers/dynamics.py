@@ -2,17 +2,15 @@
 
 How the models map (parameters in the order of the PSS/E model library):
 
-GENROU, GENROE  -> round_rotor; X''q = X''d, Ra from the RAW file; S(1.0), S(1.2) of the open-circuit curve
-                   become the exponential through both points.
-GENSAL          -> round_rotor with Xq1 = Xq: then ed1 stays 0 and the one q damper is the outer one.
-                   Its saturation, on the d axis only, has no counterpart: S(1.0), S(1.2) must be 0.
+GENROU, GENROE  -> round_rotor; X''q = X''d, Ra from the RAW file; saturation of the subtransient flux.
+GENSAL, GENSAE  -> round_rotor with Xq1 = Xq: then ed1 stays 0 and the one q damper is the outer one;
+                   saturation on the d axis, of E'q or of the subtransient flux.
 GENCLS          -> classical behind ZR + jZX of the RAW file; with H = 0 an infinite bus there.
 controls        -> devices of the package, by their `[dyr]` tables (models/devices).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -151,7 +149,8 @@ def _row(record: DyrRecord) -> tuple[str, dict[str, Any]]:
         )
     position = {str(k + 1): k for k in range(count)}
     fields = Record(record.model, record.fields, record.where, position)
-    return MACHINE, convert(record.where, *(fields.number(str(k + 1)) for k in range(count)))
+    row = convert(record.where, *(fields.number(str(k + 1)) for k in range(count)))
+    return MACHINE, row | {"torque_by_speed": True} if row["model"] == "round_rotor" else row
 
 
 def _unknown(model: str, bus: int) -> str:
@@ -160,34 +159,41 @@ def _unknown(model: str, bus: int) -> str:
     return f"model {model!r} at bus {bus} is not supported; {near}{advice}"
 
 
-def _through(e1: float, s1: float, e2: float, s2: float, where: str) -> tuple[float, float]:
-    """Return A, B of S = A exp(B E) through two points."""
-    if s1 == 0.0 and s2 == 0.0:
-        return 0.0, 0.0
-    if not (0.0 < s1 < s2 and 0.0 < e1 < e2):
+def _saturation(where: str, S10: float, S12: float, **kind: str) -> dict[str, Any]:
+    """The saturation of a record; S(1.0) = 0 means none."""
+    if S10 == 0.0:
+        return {}
+    if not 0.0 < S10 < S12:
         raise CaseError(
-            f"{where}: saturation S({e1:g}) = {s1:g}, S({e2:g}) = {s2:g}, allowed: both rising, or both 0"
+            f"{where}: saturation S(1.0) = {S10:g}, S(1.2) = {S12:g}, allowed: both rising, or S(1.0) = 0"
         )
-    slope = math.log(s2 / s1) / (e2 - e1)
-    return s1 * math.exp(-slope * e1), slope
+    return {"flux_saturation": {"S10": S10, "S12": S12} | kind}
 
 
 def _genrou(where: str, *p: float) -> dict[str, Any]:
+    return _round_rotor(p) | _saturation(where, *p[12:])
+
+
+def _genroe(where: str, *p: float) -> dict[str, Any]:
+    return _round_rotor(p) | _saturation(where, *p[12:], shape="exponential")
+
+
+def _round_rotor(p: tuple[float, ...]) -> dict[str, Any]:
     keys = ("Td01", "Td02", "Tq01", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xq1", "Xd2", "Xl")
-    row: dict[str, Any] = dict(zip(keys, p[:12], strict=True)) | {"Xq2": p[10], "model": "round_rotor"}
-    factor, slope = _through(1.0, p[12], 1.2, 1.2 * p[13], where)  # S relative to the flux
-    if factor:
-        row["saturation"] = {"Asat": factor * math.exp(0.8 * slope), "Bsat": slope, "psiT1": 0.8}
-    return row
+    return dict(zip(keys, p[:12], strict=True)) | {"Xq2": p[10], "model": "round_rotor"}
 
 
 def _gensal(where: str, *p: float) -> dict[str, Any]:
+    return _salient(p) | _saturation(where, *p[10:], of="transient_emf", axes="d")
+
+
+def _gensae(where: str, *p: float) -> dict[str, Any]:
+    return _salient(p) | _saturation(where, *p[10:], shape="exponential", axes="d")
+
+
+def _salient(p: tuple[float, ...]) -> dict[str, Any]:
     keys = ("Td01", "Td02", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xd2", "Xl")
     row: dict[str, Any] = dict(zip(keys, p[:10], strict=True))
-    if p[10] or p[11]:
-        raise CaseError(
-            f"{where}: GENSAL S(1.0) = {p[10]:g}, S(1.2) = {p[11]:g}: d-axis saturation, allowed: 0"
-        )
     # with Xq1 = Xq nothing drives ed1, so its time constant plays no part
     return row | {"model": "round_rotor", "Xq1": row["Xq"], "Xq2": row["Xd2"], "Tq01": 1.0}
 
@@ -202,7 +208,8 @@ def _gencls(where: str, H: float, D: float) -> dict[str, Any]:
 
 _MACHINES: dict[str, tuple[int, Callable[..., dict[str, Any]]]] = {
     "GENROU": (14, _genrou),
-    "GENROE": (14, _genrou),
+    "GENROE": (14, _genroe),
     "GENSAL": (12, _gensal),
+    "GENSAE": (12, _gensae),
     "GENCLS": (2, _gencls),
 }

@@ -7,7 +7,7 @@
  * positive; stator transients and the speed terms in the stator and torque
  * equations are neglected.             [Kundur1994, ch. 3-5; GENROU of PSS/E]
  *
- * Sixth order (field, one d damper, two q dampers, leakage Xl, no saturation).
+ * Sixth order (field, one d damper, two q dampers, leakage Xl; saturation: below).
  * With a = (Xd2 - Xl)/(Xd1 - Xl) and b = (Xq2 - Xl)/(Xq1 - Xl):
  *
  *        d delta/dt = omega_b slip
@@ -101,6 +101,42 @@ static inline void machine_terminal(const real *table, size_t n, size_t sixth, M
     }
 }
 
+/* Explicit saturation, of a flux that is a state: S of the subtransient flux linkage on
+ * both axes (GENROU, GENROE), or on the d axis alone (GENSAE), or of eq1 (GENSAL).
+ *
+ *     E S(E) = B (E - A)^2 above A (kind 1),  or  B E^(1 + A) (kind 2)
+ *
+ * S eq2 (or S eq1) adds to the field current, S ed2 (Xq - Xl)/(Xd - Xl) to what drives ed1. */
+enum { SATURATES_QUADRATIC = 1, SATURATES_EXPONENTIAL };
+
+static inline void machine_saturation_of(const real *table, size_t n, size_t k, MachineStates x, num *d, num *q)
+{
+    const real A = table[M_SAT_A * n + k], B = table[M_SAT_B * n + k];
+    const int of_emf = index_at(table, M_SAT_EMF * n + k) != 0;
+    const num flux = of_emf ? x.eq1[k] : num_sqrt(x.eq2[k] * x.eq2[k] + x.ed2[k] * x.ed2[k]);
+    const num bounded = num_pick(num_above(flux, NUM(1e-3)), flux, NUM(1e-3));
+    const num excess = num_pick(num_above(flux, NUM(A)), flux - A, NUM(0.0));
+    const num s = index_at(table, M_SATURATES * n + k) == SATURATES_QUADRATIC
+        ? num_ratio(B * excess * excess, bounded) : B * num_exp(A * num_log(bounded));
+    *d = s * (of_emf ? x.eq1[k] : x.eq2[k]);
+    *q = s * x.ed2[k] * table[M_SAT_Q * n + k];
+}
+
+static inline void machine_saturation(const real *table, size_t n, size_t sixth, MachineStates x, MachineRates dx)
+{
+    for (size_t k = 0; k < sixth; ++k) {
+        num d, q;
+        if (index_at(table, M_SATURATES * n + k) == 0) continue;
+        machine_saturation_of(table, n, k, x, &d, &q);
+        d = d * table[M_PER_TD01 * n + k];
+        q = q * table[M_PER_TQ01 * n + k];
+        dx.eq1[k] -= d;
+        dx.eq2[k] -= table[M_A * n + k] * d;
+        dx.ed1[k] -= q;
+        dx.ed2[k] -= table[M_B * n + k] * q;
+    }
+}
+
 /* Field currents in per unit of the field voltage that holds them, Xad ifd. */
 static inline void machine_field_currents(const real *table, size_t n, size_t sixth, MachineStates x,
                                           const num *id, num *ifd)
@@ -110,6 +146,12 @@ static inline void machine_field_currents(const real *table, size_t n, size_t si
 
     for (size_t k = 0; k < sixth; ++k)
         ifd[k] = x.eq1[k] + (Xd[k] - Xd1[k]) * (A[k] * id[k] + (x.eq1[k] - x.eq2[k]) * leak_d[k]);
+    for (size_t k = 0; k < sixth; ++k) {
+        num d, q;
+        if (index_at(table, M_SATURATES * n + k) == 0) continue;
+        machine_saturation_of(table, n, k, x, &d, &q);
+        ifd[k] += d;
+    }
     for (size_t k = sixth; k < n; ++k) ifd[k] = NUM(table[M_EFD0 * n + k]);
 }
 
@@ -143,6 +185,12 @@ static inline void machine_derivatives(const real *table, size_t n, size_t sixth
         dx.ed1[k] = ed1;
         dx.eq2[k] = A[k] * eq1 + (deq - (Xd1[k] - Xd2[k]) * id[k]) * per_Td02[k];
         dx.ed2[k] = B[k] * ed1 + (ded + (Xq1[k] - Xq2[k]) * iq[k]) * per_Tq02[k];
+    }
+    machine_saturation(table, n, sixth, x, dx);
+    for (size_t k = 0; k < n; ++k) {   /* torque is power over speed, for those that take it so */
+        if (index_at(table, M_BY_SPEED * n + k) == 0) continue;
+        const num share = num_ratio(x.slip[k], 1.0 + x.slip[k]);
+        dx.slip[k] -= (pm[k] - D[k] * x.slip[k]) * share * per_2H[k];
     }
 }
 #endif

@@ -15,6 +15,8 @@ enum {  /* machine, per unit on the machine base */
     M_TD01, M_TD02, M_TQ01, M_TQ02,  /* s                               */
     M_H,                /* s                                            */
     M_D,                /* pu torque / pu speed                         */
+    M_BY_SPEED,         /* 1: Tm = (Pm - D slip)/(1 + slip), as PSS/E   */
+    M_SATURATES, M_SAT_A, M_SAT_B, M_SAT_EMF, M_SAT_Q,  /* explicit saturation (machine_saturation) */
     M_EFD0, M_PM0, M_VT0,  /* at the operating point; classical: M_EFD0 is the EMF */
     M_GIVEN,            /* what follows from these (machine_prepare)    */
     M_A = M_GIVEN, M_B, /* (Xd2 - Xl)/(Xd1 - Xl), (Xq2 - Xl)/(Xq1 - Xl) */

@@ -82,9 +82,14 @@ def test_another_reactance_in_the_raw_file_is_told(write: Write) -> None:
 def test_saturation_goes_through_both_points(write: Write) -> None:
     case = load_case("kundur-pss")
     text = dyr_text(case).replace(" 0.0 0.0 /", " 0.04 0.3 /")
-    s = import_psse(write("grid.raw", raw_text(case)), write("grid.dyr", text)).case.machines[0].saturation
-    assert s.Asat * np.exp(s.Bsat * (1.0 - s.psiT1)) == pytest.approx(0.04, rel=1e-12)
-    assert s.Asat * np.exp(s.Bsat * (1.2 - s.psiT1)) == pytest.approx(1.2 * 0.3, rel=1e-12)
+    s = (
+        import_psse(write("grid.raw", raw_text(case)), write("grid.dyr", text))
+        .case.machines[0]
+        .flux_saturation
+    )
+    assert (s.shape, s.axes, s.of) == ("quadratic", "both", "subtransient_flux")
+    assert s.factor(1.0) == pytest.approx(0.04, rel=1e-12)
+    assert s.factor(1.2) == pytest.approx(0.3, rel=1e-12)
 
 
 MAPPED = [
@@ -181,6 +186,7 @@ def test_an_imported_grid_has_the_linear_plant_of_the_case_it_was_written_from(
         "Vmax": 1.2,
     }
     row = {"exciter": CONTROLS[model], "stabilizer": stabilizer, "governor": governor}
+    row["torque_by_speed"] = True  # as every machine of a DYR file
     case = load_case("kundur-thyristor-z").with_changes({"machines": {"defaults": row}})
     copy = import_psse(write("grid.raw", raw_text(case)), write("grid.dyr", full_dyr(case))).case
     export_toml(copy, tmp_path / "grid.toml")
@@ -208,8 +214,8 @@ def test_a_salient_pole_machine_is_the_round_rotor_one_without_transient_in_q(wr
     slow = BlockShim(plant_block(copy.with_changes({"machines": {"defaults": {"Tq01": 7.0}}})))
     rest = [k for k, s in enumerate(plant.state_names) if not s.endswith(".ed1")]
     np.testing.assert_array_equal(slow.jacobians()[0][np.ix_(rest, rest)], A[np.ix_(rest, rest)])
-    with pytest.raises(CaseError, match=r"GENSAL S\(1\.0\) = 0\.1"):
-        text = "\n".join(line.replace(" 0 0 /", " 0.1 0.3 /") for line in lines)
+    with pytest.raises(CaseError, match=r"saturation S\(1\.0\) = 0\.3, S\(1\.2\) = 0\.1"):
+        text = "\n".join(line.replace(" 0 0 /", " 0.3 0.1 /") for line in lines)
         import_psse(write("grid.raw", raw_text(case)), write("bad.dyr", text + "\n"))
 
 
