@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import tomllib
+from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from importlib.util import resolve_name
 from pathlib import Path
@@ -44,6 +45,16 @@ C_ORDER = [
 ]
 C_FILES = {p for p in SOURCES if p.suffix in {".c", ".h"}}
 LONGEST_FILE = 450  # lines: what a person reads in one sitting
+MOST_WAYS = 15  # through a function: what a person can test
+#: Rooms with functions that have more, and the most of them: a number here only ever falls.
+MORE_WAYS = {
+    **{"cosim/designs": 18, "cosim/export": 18, "cosim/maps": 23, "cosim/run": 27, "cosim/scenario": 20},
+    **{"cosim/study": 19, "cosim/sweep": 27, "design/controllers": 27, "design/lmi": 24},
+    **{"design/lmi/interior_point": 23, "design/modes": 22, "design/robust": 20, "fmu_build/check": 32},
+    **{"fmu_build/open": 19, "fmu_build/write": 17, "interarea/cli": 21, "models/blocks": 35},
+    **{"models/case": 25, "models/devices": 22, "models/devices/language": 23, "models/exporters": 23},
+    **{"models/importers": 33, "models/importers/raw": 25},
+}
 MOST_MODULES = 16  # in a folder: what a person takes in at a glance
 
 
@@ -155,6 +166,20 @@ def test_c_includes_go_one_way() -> None:
     assert not circle, " -> ".join(circle)
 
 
+@pytest.mark.parametrize("path", sorted(p for p in C_FILES if p.suffix == ".h"), ids=_name)
+def test_a_header_declares_what_its_own_file_defines(path: Path) -> None:
+    """A header that declares for many files is a hub: whoever needs one of them depends on all."""
+    own = path.with_suffix(".c")
+    if own not in C_FILES:
+        return  # types, inline functions, or an interface that many kinds define
+    text = re.sub(r"/\*.*?\*/", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for name in re.findall(r"^(?!static|typedef)[A-Za-z_][\w *]*?\b(\w+)\([^;{]*\);", text, re.MULTILINE):
+        defined = re.search(
+            rf"^[\w *]*\b{name}\([^;]*?\)\s*\{{", own.read_text(encoding="utf-8"), re.MULTILINE
+        )
+        assert defined, f"{_name(path)} declares {name}, which {own.name} does not define"
+
+
 @pytest.mark.parametrize("floor", FLOORS)
 def test_a_folder_is_taken_in_at_a_glance(floor: str) -> None:
     for folder in {p.parent for p in (ROOT / floor).rglob("*.py")}:
@@ -187,6 +212,52 @@ def test_nothing_is_left_for_later(path: Path) -> None:
         assert not re.search(r"\b(TODO|FIXME|XXX|NotImplementedError)\b", line), (
             f"{_name(path)}:{number}: {line}"
         )
+
+
+class _Ways(ast.NodeVisitor):
+    """Cyclomatic numbers of the functions of a file [McCabe]: one, and one for each place that branches."""
+
+    def __init__(self) -> None:
+        self.found: dict[str, int] = {}
+        self._inside: list[str] = []
+
+    def visit_ClassDef(self, node: ast.ClassDef) -> None:
+        self._inside.append(node.name)
+        self.generic_visit(node)
+        self._inside.pop()
+
+    def visit_FunctionDef(self, node: ast.FunctionDef | ast.AsyncFunctionDef) -> None:
+        self._inside.append(node.name)
+        self.found[".".join(self._inside)] = 1 + sum(map(self._branches, self._body(node)))
+        self.generic_visit(node)
+        self._inside.pop()
+
+    visit_AsyncFunctionDef = visit_FunctionDef
+
+    def _body(self, function: ast.AST) -> Iterator[ast.AST]:
+        """Walk a function without those inside it, which count by themselves."""
+        for node in ast.iter_child_nodes(function):
+            if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+                yield node
+                yield from self._body(node)
+
+    @staticmethod
+    def _branches(node: ast.AST) -> int:
+        if isinstance(node, ast.BoolOp):
+            return len(node.values) - 1
+        if isinstance(node, ast.comprehension):
+            return 1 + len(node.ifs)
+        simple = (ast.If, ast.IfExp, ast.For, ast.AsyncFor, ast.While, ast.ExceptHandler, ast.match_case)
+        return int(isinstance(node, simple))
+
+
+@pytest.mark.parametrize("path", PYTHON, ids=_name)
+def test_functions_are_simple(path: Path) -> None:
+    ways = _Ways()
+    ways.visit(ast.parse(path.read_text(encoding="utf-8")))
+    most = MORE_WAYS.get(_name(path.parent), MOST_WAYS)
+    above = {name: number for name, number in ways.found.items() if number > most}
+    assert not above, f"{_name(path)}: {above}, allowed are {most} ways through a function; divide it"
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "tests").rglob("test_*.py")), ids=_name)

@@ -43,14 +43,7 @@ def iterate_loop(
                     s.know(step.start, step.end, step.edge, supposed[2 * k], supposed[2 * k + 1] / h)
             for name in group.members:
                 nodes[name].advance(step)
-            residual = []
-            error = 0.0
-            for k, s in enumerate(signals):
-                value = s.v1 - supposed[2 * k]
-                slope = h * s.s1 - supposed[2 * k + 1] if s.kind == "hermite" and not step.edge else 0.0
-                residual += [value, slope]
-                scale = max(s.peak, abs(s.v1), _LEAST_SCALE * s.nominal)
-                error = max(error, abs(value) / scale, abs(slope) / scale / 8.0)
+            residual, error = _residual(signals, supposed, h, step.edge)
             if error <= tolerance:
                 return sweep
             supposed = solver.correct(supposed, residual)
@@ -58,6 +51,21 @@ def iterate_loop(
         for p, state in zip(members, states, strict=True):
             p.release(state)
     raise not_settled(group, error, tolerance, step)
+
+
+def _residual(
+    signals: list[Signal], supposed: list[float], h: float, edge: bool
+) -> tuple[list[float], float]:
+    """Return what came out less what was supposed, values and slopes in turn, and the relative change."""
+    residual: list[float] = []
+    error = 0.0
+    for k, s in enumerate(signals):
+        value = s.v1 - supposed[2 * k]
+        slope = h * s.s1 - supposed[2 * k + 1] if s.kind == "hermite" and not edge else 0.0
+        residual += [value, slope]
+        scale = max(s.peak, abs(s.v1), _LEAST_SCALE * s.nominal)
+        error = max(error, abs(value) / scale, abs(slope) / scale / 8.0)
+    return residual, error
 
 
 def not_settled(group: Group, error: float, tolerance: float, step: Step) -> StepError:

@@ -33,13 +33,15 @@ from ..errors import GraphError, ScenarioError, StepError
 from ..participant import Participant
 from ..trajectory import Trajectory
 from .algebraic_loop import iterate_loop
-from .graph import Graph, build_graph
+from .graph import Graph, Group, build_graph
 from .initial_values import initialise
 from .instances import FmuParticipant
 from .kernel.build import kernel_or_reason
 from .kernel.kernel import Kernel, run_kernels, why_not
+from .node import Node
+from .signals import Signal
 from .snapshot import Fork, Saved
-from .step_choice import clock_of, step_and_reason
+from .step_choice import clock_of, latency_ticks, step_and_reason
 from .stepping import LOOPS, Loops, Stepping
 from .wiring import INPUTS, Inputs, make_nodes, make_signals
 
@@ -94,20 +96,19 @@ class Master:
         early: Early = "go on",
         at_rest: bool = False,
     ) -> None:
-        _one_of("inputs", inputs, INPUTS)
-        _one_of("loops", loops, LOOPS)
-        _one_of("engine", engine, ENGINES)
-        _one_of("early", early, EARLY)
+        for key, value, allowed in (
+            *(("inputs", inputs, INPUTS), ("loops", loops, LOOPS)),
+            *(("engine", engine, ENGINES), ("early", early, EARLY)),
+        ):
+            if value not in allowed:
+                raise GraphError(f"{key} = {value!r}: allowed are {', '.join(allowed)}")
         if early == "roll back" and engine == "kernel":
             raise GraphError('engine = "kernel" cannot roll back early returns; use engine = "auto"')
         self.participants = {p.name: p for p in sorted(participants, key=lambda p: p.name)}
         descriptions = {n: p.description for n, p in self.participants.items()}
         pairs = sorted(connections)
         self.latency_s = dict(latency_s or {})
-        for name in self.latency_s:
-            if name not in descriptions:
-                raise GraphError(f"latency_s names {name!r}, which is no instance")
-        ticks = {n: to_ticks(v, f"latency of {n}") for n, v in self.latency_s.items()}
+        ticks = latency_ticks(self.latency_s, descriptions)
         marks = tuple(marks_s)
         self.step_s, self.step_reason = (
             (step_s, "given")
@@ -136,24 +137,9 @@ class Master:
         self.residual = 0.0  #: of the initial values, relative
         self.repeated = 0  #: loop steps done again since the start
         self.stepping = Stepping(descriptions, self.graph, self.signals, inputs, loops, tolerance)
-        #: per group: its nodes, and when it is iterated its torn signals
-        self._plan = [
-            (
-                g,
-                [self.nodes[n] for n in g.members],
-                self.stepping.torn_signals(g) if g.members in self.stepping.iterated else None,
-            )
-            for g in self.stepping.groups
-        ]
+        self._plan = [self._planned(group) for group in self.stepping.groups]
         self._index = -1
-        outputs = [(n, p) for n, d in descriptions.items() for p in d.outputs]
-        self._columns = [f"{n}.{p.name}" for n, p in outputs]
-        self._ports = [p for _, p in outputs]
-        rows = 1 + int(np.count_nonzero(self.clock.steps.recorded))
-        self._recorded = [(p, len(p.description.outputs)) for p in self.participants.values()]
-        self._times = np.full(rows, np.nan)
-        self._records = np.full((rows, len(outputs)), np.nan)
-        self._rows = 0
+        self._make_records()
         self.engine = engine
         self.ran = ""  #: who did the steps since the start: kernel | python | python (why not the kernel)
         self.early = early
@@ -362,6 +348,24 @@ class Master:
 
     # -- private --------------------------------------------------------------------------
 
+    def _planned(self, group: Group) -> tuple[Group, list[Node], list[Signal] | None]:
+        """Return a group, its nodes, and when it is iterated its torn signals."""
+        iterated = group.members in self.stepping.iterated
+        torn = self.stepping.torn_signals(group) if iterated else None
+        return group, [self.nodes[n] for n in group.members], torn
+
+    def _make_records(self) -> None:
+        """Make room for every output at every recorded point."""
+        parts = self.participants.values()
+        outputs = [(p.name, port) for p in parts for port in p.description.outputs]
+        self._columns = [f"{name}.{port.name}" for name, port in outputs]
+        self._ports = [port for _, port in outputs]
+        self._recorded = [(p, len(p.description.outputs)) for p in parts]
+        rows = 1 + int(np.count_nonzero(self.clock.steps.recorded))
+        self._times = np.full(rows, np.nan)
+        self._records = np.full((rows, len(outputs)), np.nan)
+        self._rows = 0
+
     def _once(self, step: Step) -> None:
         """Do one step, and no more."""
         if self.early == "roll back":
@@ -436,8 +440,3 @@ class Master:
         self._records[self._rows] = row
         self._times[self._rows] = seconds(tick)
         self._rows += 1
-
-
-def _one_of(key: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise GraphError(f"{key} = {value!r}: allowed are {', '.join(allowed)}")

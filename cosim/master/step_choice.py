@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 from interarea.fmu_build.open.ports import Description
 
@@ -48,6 +48,14 @@ def choose_step(latencies_s: Iterable[float], instants_s: Iterable[float] = ()) 
     return step_and_reason(latencies_s, instants_s)[0]
 
 
+def latency_ticks(latency_s: Mapping[str, float], known: Collection[str]) -> dict[str, int]:
+    """Return latencies of instances in ticks. Raises GraphError for one that is not `known`."""
+    for name in latency_s:
+        if name not in known:
+            raise GraphError(f"latency_s names {name!r}, which is no instance")
+    return {n: to_ticks(v, f"latency of {n}") for n, v in latency_s.items()}
+
+
 def clock_of(
     descriptions: Mapping[str, Description],
     *,
@@ -74,21 +82,31 @@ def clock_of(
     plain = Clock.of_seconds(stop_s, step_s, start_s=start_s, marks_s=marks_s)
     rigid = sorted(n for n, d in descriptions.items() if not d.variable_step)
     if rigid:
-        for mark in (*plain.marks, plain.stop):
-            off = (mark - plain.start) % plain.step
-            if off:
-                raise GraphError(
-                    f"{rigid[0]} takes steps of one length only (canHandleVariableCommunicationStepSize "
-                    f"= false), but t = {seconds(mark)} s is no multiple of step_s = {step_s:g}; "
-                    f"use {seconds(mark - off)} or {seconds(mark - off + plain.step)}"
-                )
+        _refuse_off_grid(plain, rigid[0], step_s)
         return Clock(plain.start, plain.stop, plain.step, plain.marks, edges=False)
-    late = {m + d for m in plain.marks for d in latency_ticks.values()}
-    marks = tuple(sorted({*plain.marks, *(m for m in late if m < plain.stop)}))
+    marks = _with_echoes(plain, latency_ticks.values())
     inside = tuple(sorted({p for p in points if plain.start < p < plain.stop}))
     first = {plain.start + d for n, d in latency_ticks.items() if d and not _steps_only(descriptions[n])}
     kinks = () if at_rest else tuple(sorted(t for t in first.difference(marks) if t < plain.stop))
     return Clock(plain.start, plain.stop, plain.step, marks, edges=edges, points=inside, kinks=kinks)
+
+
+def _with_echoes(clock: Clock, latencies: Collection[int]) -> tuple[int, ...]:
+    """Return the marks, and each again a latency later while the run lasts."""
+    late = {mark + d for mark in clock.marks for d in latencies}
+    return tuple(sorted({*clock.marks, *(m for m in late if m < clock.stop)}))
+
+
+def _refuse_off_grid(clock: Clock, rigid: str, step_s: float) -> None:
+    """Raise GraphError where a mark or the end is no multiple of the step."""
+    for mark in (*clock.marks, clock.stop):
+        off = (mark - clock.start) % clock.step
+        if off:
+            raise GraphError(
+                f"{rigid} takes steps of one length only (canHandleVariableCommunicationStepSize "
+                f"= false), but t = {seconds(mark)} s is no multiple of step_s = {step_s:g}; "
+                f"use {seconds(mark - off)} or {seconds(mark - off + clock.step)}"
+            )
 
 
 def _steps_only(description: Description) -> bool:

@@ -34,7 +34,8 @@ SOURCES = tuple(
         "plant/flow.c",
         "plant/tangent.c",
         "plant/event.c",
-        "plant/stage.c",
+        "plant/topology.c",
+        "plant/failure.c",
         "plant/port.c",
         "plant/rest.c",
         "block/record.c",
@@ -50,7 +51,7 @@ def plant_sources() -> tuple[Path, ...]:
 #: what FMUs stepped side by side need besides (block/block_group.h)
 GROUP_SOURCES = tuple(_HERE / f"plant/{name}.c" for name in ("lanes_2", "lanes_4", "lanes_8", "plant_group"))
 
-#: Value of each kind in the FMI enumeration; plant/plant.h counts alike.
+#: Value of each kind in the FMI enumeration; plant/event.h counts alike.
 EVENT_CODES = {
     "none": 0,
     "bus_fault": 1,

@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "instance.h"
+#include "resource.h"
 
 #define EXPORT(name) __attribute__((export_name(#name)))
 

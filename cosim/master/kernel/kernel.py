@@ -168,11 +168,22 @@ class Kernel:
 
     def _fill_node(self, mirror: built.KernelNode, node: Node, number: Mapping[str, int]) -> None:
         p: FmuParticipant = node.participant  # type: ignore[assignment]
-        known, d = p.file.variables, p.description
         mirror.component = p.component
         for field, name in built.FUNCTIONS.items():
             setattr(mirror, field, p.address(name))
-        names = p.bound_inputs
+        mirror.order, mirror.substeps = node.order, node.substeps
+        self._fill_inputs(mirror, node, p, number)
+        self._fill_outputs(mirror, node, p)
+        own = [number[s.name] for s in node.signals]
+        mirror.n_signals, mirror.first_signal = len(own), min(own, default=0)
+        if own != list(range(mirror.first_signal, mirror.first_signal + len(own))):
+            raise AssertionError(f"signals of {p.name} do not lie side by side: {own}")
+
+    def _fill_inputs(
+        self, mirror: built.KernelNode, node: Node, p: FmuParticipant, number: Mapping[str, int]
+    ) -> None:
+        """Feeds and buffers of the inputs, the Real ones first."""
+        known, names = p.file.variables, p.bound_inputs
         feeds = sorted(node.feeds, key=lambda f: (known[names[f.place]].type != "Real", f.place))
         bound = [known[names[f.place]] for f in feeds]
         k_feeds = (built.KernelFeed * max(1, len(feeds)))()
@@ -181,14 +192,17 @@ class Kernel:
             k_feed.signal, k_feed.type = number[feed.signal.name], built.TYPE_OF[variable.type]
         reals = [v.reference for v in bound if v.type == "Real"]
         mirror.n_u, mirror.n_u_real = len(feeds), len(reals)
-        mirror.order, mirror.substeps = node.order, node.substeps
         mirror.feeds = self._at(k_feeds)
         mirror.u_reference = self._at(_array(c_uint, [v.reference for v in bound]))
         mirror.u = self._at(_array(c_double, [0.0] * len(reals)))
         orders = range(1, node.order + 1)
         mirror.du_reference = self._at(_array(c_uint, [r for r in reals for _ in orders]))
         mirror.du_order = self._at(_array(c_int, [k for _ in reals for k in orders]))
-        mirror.du = self._at(_array(c_double, [0.0 for _ in reals for _ in orders]))
+        mirror.du = self._at(_array(c_double, [0.0] * (len(reals) * node.order)))
+
+    def _fill_outputs(self, mirror: built.KernelNode, node: Node, p: FmuParticipant) -> None:
+        """Places and buffers of the outputs by type, and of the slopes."""
+        known, d = p.file.variables, p.description
         kinds = [known[port.name].type for port in d.outputs]
         by_type = [
             [j for j, kind in enumerate(kinds) if built.TYPE_OF[kind] == number_of] for number_of in range(3)
@@ -205,10 +219,6 @@ class Kernel:
         mirror.n_dy = len(p.bound_slopes) if node.has_slopes else 0
         mirror.dy_reference = self._at(_array(c_uint, [known[n].reference for n in p.bound_slopes]))
         mirror.dy_order = self._at(_array(c_int, [1] * len(p.bound_slopes)))
-        mine = [number[s.name] for s in node.signals]
-        mirror.n_signals, mirror.first_signal = len(mine), min(mine, default=0)
-        if mine != list(range(mirror.first_signal, mirror.first_signal + len(mine))):
-            raise AssertionError(f"signals of {p.name} do not lie side by side: {mine}")
 
     def _load(self) -> None:
         for mirror, s in zip(self._k_signals, self._signals, strict=False):

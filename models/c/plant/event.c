@@ -1,7 +1,12 @@
 /* Events: what the slots ask for at a time, put into memory. A slot is active
  * from its start (included) to its end (excluded); the state after an event
  * follows from the time alone, so nothing has to be remembered. */
-#include "plant.h"
+#include "event.h"
+
+#include <math.h>
+
+#include "failure.h"
+#include "topology.h"
 
 static const double *slot_reals(const Block *b, const Plan *plan, size_t k)
 {
@@ -151,11 +156,46 @@ static void step_load_port(double *memory, const Plan *plan, size_t load, double
     }
 }
 
+/* Adds what an active slot asks for: switches and steps to memory, admittances to `extra`. */
+static void apply_slot(const Plan *plan, const Network *net, const double *p, const int *i, double *memory,
+                       double *extra)
+{
+    const size_t n_bus = plan->n_bus, target = (size_t)i[SLOT_TARGET] - 1;
+
+    switch (i[SLOT_KIND]) {
+    case EVENT_BUS_FAULT: {
+        const double z2 = p[SLOT_R] * p[SLOT_R] + p[SLOT_X] * p[SLOT_X];
+        extra[target] += p[SLOT_R] / z2;
+        extra[n_bus + target] -= p[SLOT_X] / z2;
+        break;
+    }
+    case EVENT_LOAD_STEP: {   /* size + j size_q at the load's operating voltage, of its characteristic */
+        const size_t bus = (size_t)net->load_bus[target];
+        const double v = net->load[L_V0 * plan->n_load + target];
+        extra[bus] += p[SLOT_SIZE] / (v * v);
+        extra[n_bus + bus] -= p[SLOT_SIZE_Q] / (v * v);
+        step_load_port(memory, plan, target, p[SLOT_SIZE], p[SLOT_SIZE_Q]);
+        break;
+    }
+    case EVENT_SHUNT_SWITCH: { /* size 1: in, 0: out */
+        const size_t bus = (size_t)net->item_bus[target];
+        const double sign = (p[SLOT_SIZE] > 0.5 ? 1.0 : 0.0) - (net->item_status[target] != 0 ? 1.0 : 0.0);
+        extra[bus] += sign * net->item[target];
+        extra[n_bus + bus] += sign * net->item[net->n_item + target];
+        break;
+    }
+    case EVENT_VREF_PULSE: memory[plan->vref_step + target] += p[SLOT_SIZE]; break;
+    case EVENT_PM_PULSE: memory[plan->pm_step + target] += p[SLOT_SIZE]; break;
+    case EVENT_MACHINE_TRIP: memory[plan->running + target] = 0.0; break;
+    default: break;
+    }
+}
+
 BlockStatus event_apply(Block *b, const Plan *plan, const Network *net, double t, BlockMessage *message)
 {
     double *memory = b->memory, *extra = b->scratch, *work = extra + 2 * plan->n_bus;
     const size_t n_bus = plan->n_bus;
-    size_t running = plan->n_machine;
+    size_t running = 0;
 
     for (size_t k = 0; k < 2 * n_bus; ++k) extra[k] = 0.0;
     for (size_t k = 0; k < plan->n_machine; ++k) {
@@ -170,39 +210,10 @@ BlockStatus event_apply(Block *b, const Plan *plan, const Network *net, double t
         const double *p = slot_reals(b, plan, k);
         const int *i = slot_integers(b, plan, k);
         if (i[SLOT_KIND] == EVENT_NONE || !(p[SLOT_START] <= t) || !(t < p[SLOT_END])) continue;
-        const size_t target = (size_t)i[SLOT_TARGET] - 1;
-
-        switch (i[SLOT_KIND]) {
-        case EVENT_BUS_FAULT: {
-            const double z2 = p[SLOT_R] * p[SLOT_R] + p[SLOT_X] * p[SLOT_X];
-            extra[target] += p[SLOT_R] / z2;
-            extra[n_bus + target] -= p[SLOT_X] / z2;
-            break;
-        }
-        case EVENT_LOAD_STEP: {   /* size + j size_q at the load's operating voltage, of its characteristic */
-            const size_t bus = (size_t)net->load_bus[target];
-            const double v = net->load[L_V0 * plan->n_load + target];
-            extra[bus] += p[SLOT_SIZE] / (v * v);
-            extra[n_bus + bus] -= p[SLOT_SIZE_Q] / (v * v);
-            step_load_port(memory, plan, target, p[SLOT_SIZE], p[SLOT_SIZE_Q]);
-            break;
-        }
-        case EVENT_SHUNT_SWITCH: { /* size 1: in, 0: out */
-            const size_t bus = (size_t)net->item_bus[target];
-            const double sign = (p[SLOT_SIZE] > 0.5 ? 1.0 : 0.0) - (net->item_status[target] != 0 ? 1.0 : 0.0);
-            extra[bus] += sign * net->item[target];
-            extra[n_bus + bus] += sign * net->item[net->n_item + target];
-            break;
-        }
-        case EVENT_VREF_PULSE: memory[plan->vref_step + target] += p[SLOT_SIZE]; break;
-        case EVENT_PM_PULSE: memory[plan->pm_step + target] += p[SLOT_SIZE]; break;
-        case EVENT_MACHINE_TRIP:
-            if (memory[plan->running + target] > 0.5) --running;
-            memory[plan->running + target] = 0.0;
-            break;
-        default: break;
-        }
+        apply_slot(plan, net, p, i, memory, extra);
     }
+    for (size_t k = 0; k < plan->n_machine; ++k)
+        if (memory[plan->running + k] > 0.5) ++running;
     memory[H_TRIPPED] = (double)(plan->n_machine - running);
     if (running == 0)
         return plant_fail(message, BLOCK_ERROR, "t = %.9g s: the last machine was tripped", t);
@@ -211,5 +222,5 @@ BlockStatus event_apply(Block *b, const Plan *plan, const Network *net, double t
         if (!port_is_load(row)) row[P_ON] = memory[plan->running + index_at(row, P_DEVICE)];
     }
     centre_of_inertia(memory, plan);
-    return stage_build(memory, plan, net, extra, work, message);
+    return topology_build(memory, plan, net, extra, work, message);
 }

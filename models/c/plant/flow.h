@@ -7,7 +7,7 @@
 #include "devices.h"
 #include "machine.h"
 #include "network.h"
-#include "plant.h"
+#include "physics.h"
 #include "port.h"
 
 /* Work arrays, one entry per machine; e also one per port. id_rotor is what the

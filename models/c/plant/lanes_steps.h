@@ -3,7 +3,7 @@
 /* Plants of one grid side by side, a vector of 2, 4 (AVX2) or 8 (AVX-512) of them per arithmetic
  * operation: a Runge-Kutta step, the outputs, the rates. A plant's numbers are the same to the bit
  * whatever the number of lanes. */
-#include "plant.h"
+#include "layout.h"
 #include "../block/block_group.h"
 
 typedef void LanesStep(const BlockGroup *group);

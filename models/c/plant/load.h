@@ -1,6 +1,6 @@
 #ifndef INTERAREA_LOAD_H
 #define INTERAREA_LOAD_H
-#include "plan.h"
+#include "layout.h"
 #include "scalar.h"
 /* Voltage characteristic of a load, for P and Q each.       [Kundur1994, sec. 7.1]
  *

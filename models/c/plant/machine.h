@@ -1,6 +1,6 @@
 #ifndef INTERAREA_MACHINE_H
 #define INTERAREA_MACHINE_H
-#include "plan.h"
+#include "layout.h"
 #include "scalar.h"
 /* Synchronous machines. Per unit on the machine base; q leads d by 90 degrees,
  * delta is the angle of the q axis to the synchronous frame; current out is

@@ -1,13 +1,13 @@
 #ifndef INTERAREA_NETWORK_H
 #define INTERAREA_NETWORK_H
-#include "plan.h"
+#include "layout.h"
 #include "scalar.h"
 /* The algebraic network between the machines.         [Kundur1994, sec. 13.3]
  *
  * Machine k is the Norton source E_k y_k behind y_k = 1/(Ra + j X''); with all
  * loads as admittances, V = Z (y E) and the machine currents are
  *     I_j = y_j (E_j - V_j) = sum_k Y_jk E_k,   Y_jk = y_j (d_jk - Z_jk y_k).
- * Y (machines) and V/E (every bus) come from stage.c, once per network stage. */
+ * Y (machines) and V/E (every bus) come from topology.c, once per network stage. */
 
 /* I = Y E, one dense complex product. Sources beyond the machines' EMFs are what
  * the ports inject (port.h); without ports there are none. */

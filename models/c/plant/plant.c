@@ -1,35 +1,17 @@
 /* The plant as a block (block.h): keeps the prepared numbers in memory and hands the
- * work to tables.c, flow.c, tangent.c, event.c and stage.c. */
-#include "plant.h"
+ * work to tables.c, flow.c, tangent.c, event.c and topology.c. */
+#include <math.h>
 
-#include <stdarg.h>
-#include <stdio.h>
+#include "event.h"
+#include "failure.h"
+#include "physics.h"
+#include "rest.h"
+#include "tables.h"
+#include "topology.h"
 
 const int block_is_sampled = 0;
 
 static const double READY = 20250101.0;
-
-BlockStatus plant_fail(BlockMessage *message, BlockStatus status, const char *format, ...)
-{
-    va_list args;
-    va_start(args, format);
-    (void)vsnprintf(message->text, sizeof message->text, format, args);
-    va_end(args);
-    return status;
-}
-
-const char *plant_name(const char *names, size_t k, char text[64])
-{
-    size_t length = 0;
-    while (k > 0 && *names != '\0')
-        if (*names++ == '\n') --k;
-    while (length < 63 && names[length] != '\0' && names[length] != '\n') {
-        text[length] = names[length];
-        ++length;
-    }
-    text[length] = '\0';
-    return text;
-}
 
 /* The prepared plan and network of a started block. */
 static int prepared(const Block *b, Plan *plan, Network *net)
@@ -42,7 +24,7 @@ static int prepared(const Block *b, Plan *plan, Network *net)
 static size_t scratch_of(const Plan *plan, const BlockLayout *l)
 {
     const size_t tangent = 2 * (2 * l->n_x + l->n_u + l->n_y + flow_work(plan)) + 2 * plan->n_machine;
-    const size_t stage = 2 * plan->n_bus + stage_work(plan->n_bus);
+    const size_t stage = 2 * plan->n_bus + topology_work(plan->n_bus);
     return tangent > stage ? tangent : stage;
 }
 
@@ -86,6 +68,7 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     memory[H_N_PORT] = (double)plan.n_port;
     memory[H_N_STATE] = (double)plan.n_state;
     status = plant_tables(b, &plan, &net, message);
+    if (status == BLOCK_OK) rest_prepare(memory, &plan);
     if (status == BLOCK_OK) status = rest_settle(b, &plan, &net, message);
     if (status == BLOCK_OK) status = event_check(b, &plan, &net, message);
     if (status == BLOCK_OK) status = event_apply(b, &plan, &net, t, message);

@@ -8,7 +8,7 @@
  *     V_p = sum_k W_pk E_k + sum_q Z_pq J_q,   (W, Z) = port_w, by columns, per stage.
  *
  * A load's port is its bus. A machine's port is the air-gap node, and its current
- * acts like the EMF j (Xd2 - Xl) J added to its own: stage.c folds that into the
+ * acts like the EMF j (Xd2 - Xl) J added to its own: topology.c folds that into the
  * columns, so that everything behind the ports sees n_source = n_machine + n_port
  * sources.
  *

@@ -1,9 +1,10 @@
 /* Devices at the operating point. The record holds their set-points and states at rest
  * for its own parameters; where a parameter of the FMU is another, Newton's method finds
  * those for which the device stands still with what it sees and gives there. */
-#include "plant.h"
+#include "rest.h"
 
 #include "devices.h"
+#include "failure.h"
 
 enum { MOST_ROWS = 128, MOST_STATES = 48, MOST_UNKNOWNS = MOST_STATES + 1, MOST_STEPS = 40 };
 

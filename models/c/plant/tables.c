@@ -1,8 +1,9 @@
 /* The arrays of the record: their lengths and references checked once, their numbers
  * copied into memory, the FMI parameters over them. */
-#include "plant.h"
+#include "tables.h"
 
 #include "devices.h"
+#include "failure.h"
 #include "machine.h"
 
 enum {
@@ -287,7 +288,5 @@ BlockStatus plant_tables(Block *b, const Plan *plan, const Network *net, BlockMe
 {
     read_tables(b->record, plan, net, b->memory);
     read_tie(b->record, plan, net, b->memory);
-    const BlockStatus status = read_parameters(b, plan, b->memory, message);
-    if (status == BLOCK_OK) rest_prepare(b->memory, plan);
-    return status;
+    return read_parameters(b, plan, b->memory, message);
 }

@@ -1,8 +1,10 @@
 /* One network stage: the admittance matrix of the buses with what is switched
  * now, reduced to the machines. Done at the start and at events only. */
-#include "plant.h"
+#include "topology.h"
 
-size_t stage_work(size_t n_bus) { return 2 * n_bus * n_bus + 3 * n_bus; }
+#include "failure.h"
+
+size_t topology_work(size_t n_bus) { return 2 * n_bus * n_bus + 3 * n_bus; }
 
 static void add(double *a, size_t n, size_t row, size_t col, double re, double im)
 {
@@ -209,7 +211,7 @@ static size_t unreached_bus(const double *memory, const Plan *plan, const Networ
     return plan->n_bus;
 }
 
-BlockStatus stage_build(double *memory, const Plan *plan, const Network *net,
+BlockStatus topology_build(double *memory, const Plan *plan, const Network *net,
                         const double *extra, double *work, BlockMessage *message)
 {
     const size_t n = plan->n_bus, m = plan->n_machine;

@@ -1,5 +1,5 @@
-#ifndef INTERAREA_PLAN_H
-#define INTERAREA_PLAN_H
+#ifndef INTERAREA_LAYOUT_H
+#define INTERAREA_LAYOUT_H
 /* Where everything lies in `memory`. The record is read once, in block_start:
  * its numbers (and the FMI parameters over them) are copied here, so that the
  * right-hand side touches only memory, states and inputs. Tables are stored
@@ -81,6 +81,10 @@ enum {
     H_IDLE,             /* 1: a lane of a batch that has nothing to do  */
     H_SIZE = 24
 };
+
+/* FMI parameters of a slot: Reals start, end, size, size_q, r, x; integers kind, target. */
+enum { SLOT_START, SLOT_END, SLOT_SIZE, SLOT_SIZE_Q, SLOT_R, SLOT_X, SLOT_REALS };
+enum { SLOT_KIND, SLOT_TARGET, SLOT_INTEGERS };
 
 typedef struct {
     size_t n_machine, n_sixth, n_bus, n_branch, n_load;
