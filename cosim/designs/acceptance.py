@@ -8,7 +8,7 @@ control; and for each point, ceiling and fault the clearing time that is just su
 
 from __future__ import annotations
 
-import tempfile
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import Case
 from interarea.models.case.write_toml import export_toml
+from interarea.models.files import new_folder
 
 from ..run.run import system_of
 from ..scenario.scenario import load_scenario
@@ -146,12 +147,12 @@ class Trial:
         self._files: dict[tuple[str, tuple[float, float] | None], Path] = {}
 
     def __enter__(self) -> Trial:
-        self._folder = tempfile.TemporaryDirectory()
-        self._controller = self.controller.save(Path(self._folder.name) / "controller.json")
+        self._folder = new_folder()
+        self._controller = self.controller.save(self._folder / "controller.json")
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._folder.cleanup()
+        shutil.rmtree(self._folder, ignore_errors=True)
 
     def angle(self, setting: Setting, *, control: bool, cycles: float | None = None) -> float:
         """Return the largest angle between two machines after the fault, rad."""
@@ -201,7 +202,7 @@ class Trial:
             case = self.cases[setting.point]
             if setting.ceiling is not None:
                 case = with_ceilings(case, *setting.ceiling)
-            self._files[key] = Path(self._folder.name) / f"case-{len(self._files)}.toml"
+            self._files[key] = self._folder / f"case-{len(self._files)}.toml"
             export_toml(case, self._files[key])
         return self._files[key]
 

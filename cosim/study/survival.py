@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, source_hash
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.variants import operating_variant
+from interarea.models.files import temporary_folder
 
 from ..errors import StepError
 from ..master.instances import FmuParticipant
@@ -89,7 +89,7 @@ def survival_rows(
     table = spec["survival"]
     tried = [(point, ceiling) for ceiling in table["ceiling"] for point in table["point"]]
     rows: list[dict[str, Any]] = []
-    with TemporaryDirectory() as folder, ProcessPoolExecutor(processes) as pool:
+    with temporary_folder() as folder, ProcessPoolExecutor(processes) as pool:
         # a state-space model of python-control cannot be pickled
         files = {name: controllers[name].save(Path(folder) / f"{name}.json") for name in controllers}
         waiting = [pool.submit(_rows_of_case, spec, files, point, ceiling, cache) for point, ceiling in tried]

@@ -89,15 +89,28 @@ class Drive:
         rows = []
         begin = start_time(self.d)
         for k in range(first, last):
-            for i, v in enumerate(self.inputs):
-                size = 0.01 * abs(v.number("nominal") or 1.0)
-                wave = 1.0 if self.constant else math.sin(1.3 * k + i)
-                if self.excited:
-                    instance.set(v, (v.number("start") or 0.0) + size * wave)
+            if self.excited:
+                self._excite(instance, k)
             for part in range(parts):
                 self._advance(instance, begin + self.h * (k + part / parts), self.h / parts)
             rows.append(instance.get(self.variables))
         return np.array(rows)
+
+    def _excite(self, instance: Instance, k: int) -> None:
+        """Move every Real input; in model exchange discrete ones only in event mode (FMI2, 3.2.3)."""
+        held, moving = [], []
+        for i, v in enumerate(self.inputs):
+            size = 0.01 * abs(v.number("nominal") or 1.0)
+            wave = 1.0 if self.constant else math.sin(1.3 * k + i)
+            in_events = instance.library.interface == "ModelExchange" and v.variability == "discrete"
+            (held if in_events else moving).append((v, (v.number("start") or 0.0) + size * wave))
+        if held:
+            instance.do("EnterEventMode")
+            for v, value in held:
+                instance.set(v, value)
+            instance.to_continuous()
+        for v, value in moving:
+            instance.set(v, value)
 
     def _advance(self, instance: Instance, t: float, h: float) -> None:
         if instance.library.interface == "CoSimulation":

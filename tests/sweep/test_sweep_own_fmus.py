@@ -13,11 +13,12 @@ from whims import whims_fmu
 from interarea.cosim.errors import SweepError
 from interarea.cosim.master.isolated import WorkerParticipant
 from interarea.cosim.sweep.front import run_sweep
-from interarea.cosim.sweep.plan import plan_of_document, plan_sweep
+from interarea.cosim.sweep.plan import own_fmu, plan_of_document, plan_sweep
 from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.spec import load_sweep
 from interarea.cosim.sweep.store import read_rows
 from interarea.fmu_build.errors import FmuFileError
+from interarea.fmu_build.write.cache import keep
 
 STOPS = {"stop": {"path": "stop_s", "values": [0.4, 0.8, 0.42]}}
 
@@ -74,3 +75,11 @@ def test_worker_processes_give_the_same_rows_whether_isolated_or_not(
     assert rows[0].equals(rows[1])
     with pytest.raises(SweepError, match="another specification"):
         run_sweep(own(isolate=False), tmp_path / "True", workers=2, cache=cache)
+
+
+def test_a_damaged_copy_of_an_own_fmu_is_refused_by_name(tmp_path: Path) -> None:
+    path = keep(tmp_path / "own" / "0123.fmu", b"archive")
+    assert own_fmu(tmp_path, "0123") == path
+    path.write_bytes(b"archivf")
+    with pytest.raises(SweepError, match=r"0123\.fmu: the copy of an FMU is not what was written"):
+        own_fmu(tmp_path, "0123")
