@@ -5,7 +5,7 @@ Run `make study`, then `python docs/ring_down.py`; it reads out/thesis/results a
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 
 import pandas as pd
@@ -34,4 +34,8 @@ def main(results: Path, target: Path) -> None:
 
 if __name__ == "__main__":
     here = Path(__file__).resolve().parent
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path("out/thesis/results"), here / "ring-down.svg")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("results", nargs="?", type=Path, default=Path("out/thesis/results"))
+    main(parser.parse_args().results, here / "ring-down.svg")

@@ -167,6 +167,23 @@ def sample_study() -> dict[str, Any]:
             "synchronous": {"margin_s": 0.44, "margin_exact_s": 0.43, "largest_error": 0.014},
             "non_synchronous": {"margin_s": None, "margin_exact_s": None, "largest_error": 0.004},
         },
+        "second_solver": {
+            "tolerance": 1e-3,
+            "time_limit_s": 120.0,
+            "rows": [
+                {
+                    "controller": "wdc",
+                    "problem": 1,
+                    "unknowns": 145,
+                    "objective": [1.0562, value],
+                    "difference": difference,
+                    "violation": [-1e-9, difference],
+                    "seconds": [0.3, 4.0],
+                    "status": status,
+                }
+                for value, difference, status in ((1.0563, 5e-5, "optimal"), (None, None, "no answer: limit"))
+            ],
+        },
         "methods": {
             "orders": {
                 "wdc": [

@@ -234,6 +234,11 @@ def design_controller(case: Case, name: str, cache: Path, *, reduce: bool = True
     return Controller.load(path)
 
 
+def designed_anew(case: Case, name: str, cache: Path) -> Controller:
+    """Design controller `name` (wdc | cc | ftc) of a case again, whatever the cache holds of it."""
+    return _design(case, name, cache, True)
+
+
 def _design(case: Case, name: str, cache: Path, reduce: bool) -> Controller:
     from interarea.design.synthesis import study_designs as designs
 

@@ -51,6 +51,7 @@ from .packet_loss import mean_latency_s, mean_square_rows, monte_carlo_rows
 from .printed import printed_rows
 from .report import write_report
 from .runs import run_all, scenario_documents
+from .second_solver import second_solver_record
 from .spec import load_study
 from .survival import survival_record
 
@@ -67,13 +68,18 @@ STAGES = (
     "packets",
     "survival",
     "figures",
+    "second solver",
     "explorer",
     "report",
 )
 
 
-def run_study(name: str, out: Path, progress: StageProgress | None = None) -> dict[str, Any]:
+def run_study(
+    name: str, out: Path, progress: StageProgress | None = None, *, second_solver: bool = True
+) -> dict[str, Any]:
     """Run study `name` (bundled, or a TOML file) into the folder `out`; return what study.json holds.
+
+    second_solver : whether every LMI is solved by Clarabel too, in a process beside.
 
     Writes fmus/*.fmu, figures/*.svg, results/*.parquet, report.html, explorer.html and study.json.
 
@@ -129,6 +135,11 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
         # in a process beside: it needs nothing but what the cache holds by now
         beside = ending.enter_context(ProcessPoolExecutor(1))
         waiting = beside.submit(method_record, spec["case"], list(controllers), spec["remote"], cache)
+        opinion = (
+            beside.submit(second_solver_record, spec["case"], list(controllers), cache)
+            if second_solver
+            else None
+        )
 
         done = stage("latency")
         delayed = spec["latency"]["controller"]
@@ -190,6 +201,10 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
         drawn = save_figures(parts, cache / "figures" / _figure_key(parts), done)
         figures = {key: place(path, out / "figures" / path.name) for key, path in drawn.items()}
 
+        done = stage("second solver")
+        second = None if opinion is None else opinion.result()
+        done(1.0)
+
     done = stage("explorer")
     presets = write_linked_explorer(spec["case"], out / "explorer.html", cache=cache)
     done(1.0)
@@ -202,6 +217,7 @@ def run_study(name: str, out: Path, progress: StageProgress | None = None) -> di
     study["methods"] = methods
     study["pade"] = pade
     study["explorer"] = presets
+    study["second_solver"] = second
     study["figures"] = {key: path.relative_to(out).as_posix() for key, path in figures.items()}
     study["provenance"] = {
         "command": f"interarea study {name} --out DIR",

@@ -26,7 +26,12 @@ _STATUS = {
 
 
 def solve_clarabel(
-    problem: Problem, *, tolerance: float = 1e-8, method: str = "auto", iterations: int = 200
+    problem: Problem,
+    *,
+    tolerance: float = 1e-8,
+    method: str = "auto",
+    iterations: int = 200,
+    time_limit_s: float | None = None,
 ) -> Solution:
     """Solve `problem` with Clarabel through cvxpy.
 
@@ -35,7 +40,7 @@ def solve_clarabel(
     problem : what to solve.
     tolerance : relative and absolute gap and feasibility asked of Clarabel.
     method : Clarabel's `direct_solve_method`, e.g. "auto", "qdldl", "faer".
-    iterations : most iterations.
+    iterations : most iterations. time_limit_s : of Clarabel, s; the solution it has then is none.
 
     Returns
     -------
@@ -61,6 +66,8 @@ def solve_clarabel(
         "tol_gap_rel": tolerance,
         "tol_feas": tolerance,
     }
+    if time_limit_s is not None:
+        options["time_limit"] = time_limit_s
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

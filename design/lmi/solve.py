@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import replace
 from functools import lru_cache
 
@@ -39,6 +40,20 @@ def one_blas_thread() -> Iterator[None]:
     """Run a block of small-matrix code with every BLAS on one thread."""
     with _controller().limit(limits=1, user_api="blas"):
         yield
+
+
+_RECORD: ContextVar[list[tuple[Problem, Solution]] | None] = ContextVar("record", default=None)
+
+
+@contextmanager
+def recorded() -> Iterator[list[tuple[Problem, Solution]]]:
+    """Collect every problem that `solve` is given inside the block, with its solution, in order."""
+    record: list[tuple[Problem, Solution]] = []
+    token = _RECORD.set(record)
+    try:
+        yield record
+    finally:
+        _RECORD.reset(token)
 
 
 def solve(problem: Problem, engine: str = "structured", *, tolerance: float = 1e-7) -> Solution:
@@ -77,6 +92,9 @@ def solve(problem: Problem, engine: str = "structured", *, tolerance: float = 1e
             if not worst <= 1e-5:
                 text = f"{solution.message}; a block is violated by {worst:.2g} of its size"
                 solution = replace(solution, status="failed", message=text)
+    record = _RECORD.get()
+    if record is not None:
+        record.append((problem, solution))
     return solution
 
 

@@ -17,6 +17,9 @@ OutFolder = Annotated[
 def study(
     out: OutFolder,
     name: Annotated[str, typer.Argument(metavar="NAME", help="bundled study or TOML file")] = "thesis",
+    second_solver: Annotated[
+        bool, typer.Option(help="solve every LMI by cvxpy with Clarabel too, in a process beside")
+    ] = True,
 ) -> None:
     """Run a whole study: FMUs, designs, co-simulations, figures, report.html and study.json."""
     from interarea.cosim.study.study import STAGES, run_study
@@ -25,7 +28,7 @@ def study(
 
     folder_for(out)
     with stage_progress(STAGES) as progress:
-        summary = run_study(name, out, progress)
+        summary = run_study(name, out, progress, second_solver=second_solver)
     typer.echo(out / "study.json")
     typer.echo(out / "report.html")
     verdicts = [row["verdict"] for row in summary.get("printed", {}).get("verdicts", [])]
