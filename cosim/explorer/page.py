@@ -67,9 +67,9 @@ def explorer_page(
     if data is None or parts is None:
         data, parts = page_data(subject)
     worker = "\n".join(_compact(_read(name)) for name in _WORKER)
-    blob = base64.b64encode(packed(data, [worker.encode(), container_wasm(subject.cache), *parts])).decode(
-        "ascii"
-    )
+    blob = base64.b64encode(
+        packed(data, [worker.encode(), container_wasm(subject.cache, case=subject.case), *parts])
+    ).decode("ascii")
     name = subject.scenario.title or subject.case.title or subject.case.name
     text = _read("page.html")
     fields = {

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Collection
 from pathlib import Path
 
 from interarea.fmu_build.write.compile import compile_web_page, fmi_sources, gather_sources, record_source
 from interarea.models.blocks.container import container_sources
+from interarea.models.case.case import Case
+from interarea.models.grid.equilibrium import operating_point
 
 #: The page's own calls; they take the place of the FMI layer's reading of a file.
 PAGE_SOURCE = Path(__file__).resolve().parent / "web" / "page.c"
 _READS_FILES = "resource.c"
+_DEVICES = "devices.h"
 
 
-def container_wasm(cache: Path | None = None) -> bytes:
-    """Return the WebAssembly module of a closed loop: the sources of its FMU, unchanged, and `PAGE_SOURCE`.
+def container_wasm(cache: Path | None = None, *, case: Case | None = None) -> bytes:
+    """Return the WebAssembly module of a closed loop: the sources of its FMU, and `PAGE_SOURCE`.
 
-    One module serves every case and scenario; what it simulates is a record (`models`). It imports
-    nothing. cache : folder of compiled binaries; default `fmu_build.write.cache.default_cache()`.
+    What it simulates is a record (`models`). With the controls of the whole library it serves every grid;
+    with those of `case` alone, two thirds less, every grid with these. It imports nothing.
+    cache : folder of compiled binaries; default `fmu_build.write.cache.default_cache()`.
 
     Raises
     ------
@@ -24,4 +30,21 @@ def container_wasm(cache: Path | None = None) -> bytes:
     """
     layer = tuple(path for path in fmi_sources() if path.name != _READS_FILES)
     sources = gather_sources((PAGE_SOURCE, *layer, *container_sources(), record_source()))
+    if case is not None:
+        keys = {device.key for device in operating_point(case).controls.devices}
+        sources[_DEVICES] = with_devices(sources[_DEVICES], keys)
     return compile_web_page("container", sources, cache=cache).read_bytes()
+
+
+def with_devices(header: bytes, keys: Collection[str]) -> bytes:
+    """Return the generated header `devices.h` with the ways to devices other than `keys` taken out.
+
+    Numbers and signature stay, so the same records fit; the functions that nobody calls any more are not
+    compiled. A record that asks for another device is refused by its layout.
+    """
+    ways = re.compile(rb"^ *case DEVICE__(\w+): [^\n]*;\n", re.MULTILINE)
+    kept = {key.upper().encode("ascii") for key in keys}
+    missing = kept - set(ways.findall(header))
+    if missing:
+        raise ValueError(f"devices {sorted(missing)} are not in the generated header")
+    return ways.sub(lambda way: way.group() if way.group(1) in kept else b"", header)

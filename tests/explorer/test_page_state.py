@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import sys
 import tomllib
 from pathlib import Path
@@ -16,9 +17,11 @@ from interarea.cosim.explorer.layout import bus_positions
 from interarea.cosim.explorer.page import explorer_page, link_of, page_data
 from interarea.cosim.explorer.records import apply_delta, delta
 from interarea.cosim.explorer.subject import subject_of
+from interarea.cosim.explorer.wasm import with_devices
 from interarea.cosim.scenario.channels import GilbertElliottLoss
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.models.case.case import load_case
+from interarea.models.devices.header import library_header
 
 
 def test_saved_scenario_says_everything_the_page_sets(node: Any) -> None:
@@ -128,6 +131,19 @@ def test_page_needs_nothing_from_anywhere(page: Path) -> None:
     assert len(text.encode()) <= 250_000
     for word in ("http://", "https://", "@import", 'src="', "url("):
         assert word not in text.replace("http://www.w3.org/2000/svg", ""), word
+
+
+def test_only_the_devices_of_the_grid_are_kept() -> None:
+    header = library_header().read_bytes()
+    ways = re.findall(rb"case DEVICE__(\w+):", header)
+    assert len(set(ways)) > 10
+    kept = re.findall(rb"case DEVICE__(\w+):", with_devices(header, {"static", "steam"}))
+    assert set(kept) == {b"STATIC", b"STEAM"}
+    assert len(kept) == ways.count(b"STATIC") + ways.count(b"STEAM")
+    lines = header.count(b"\n") - (len(ways) - len(kept))
+    assert with_devices(header, {"static", "steam"}).count(b"\n") == lines
+    with pytest.raises(ValueError, match="NOSUCH"):
+        with_devices(header, {"nosuch"})
 
 
 def test_buses_of_a_case_have_places_apart() -> None:
