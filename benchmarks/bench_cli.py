@@ -56,7 +56,7 @@ def main() -> int:
         commands |= {ours: [PYTHON, "-m", *ours.split()] for ours in OURS}
         for module, command in PEERS.items():
             if importlib.util.find_spec(module):
-                beside = Path(PYTHON).with_name(command[0])
+                beside = Path(PYTHON).with_name(Path(command[0]).name)
                 full = [str(beside) if beside.exists() else command[0], *command[1:]]
                 commands[" ".join(command).replace(f"{PYTHON} -m ", "")] = full
         for command in commands.values():  # byte code, cache, page cache

@@ -28,6 +28,14 @@ COMMANDS = {
         "listing:cases",
         "List the bundled cases.",
     ),
+    "show": (
+        "new:show",
+        "Print a bundled case, scenario, controller, design or study as its file has it, with its source.",
+    ),
+    "new": (
+        "new:new",
+        "Write a commented file that runs: scenario, case, controller, design, sweep or test.",
+    ),
     "modes": (
         "modes:modes",
         "Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes.",

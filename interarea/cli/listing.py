@@ -50,28 +50,47 @@ COMMANDS = {
 }
 
 
+#: controllers that are designed for a case when they are asked for
+DESIGNED = {
+    "wdc": "the study's wide-area damping controller, designed for the case when it is asked for",
+    "cc": "the study's conventional controller, likewise",
+    "ftc": "the study's fault-tolerant controller, likewise",
+    "active": "a bank of controllers behind a supervisor that follows lost signals",
+}
+
+
+def bundled_files() -> dict[str, dict[str, Path]]:
+    """Return kind -> name -> file of all that is bundled; what is `DESIGNED` has none."""
+    models, design, cosim = (
+        Path(str(room.__file__)).parent for room in (interarea.models, interarea.design, interarea.cosim)
+    )
+    files = {
+        "cases": (models / "cases").glob("*.toml"),
+        "scenarios": (cosim / "scenario" / "bundled").glob("*.toml"),
+        "controllers": (design / "controllers").glob("*.json"),
+        "designs": (cosim / "designs").glob("design_*.toml"),
+        "studies": (cosim / "study").rglob("study_*.toml"),
+    }
+    return {
+        kind: {p.stem.removeprefix("design_").removeprefix("study_"): p for p in sorted(paths)}
+        for kind, paths in files.items()
+    }
+
+
 def bundled() -> dict[str, dict[str, str]]:
     """Return kind -> name -> title of all that is bundled; of each file as little is read as that needs."""
-    rooms = Path(interarea.models.__file__).parent, Path(interarea.cosim.__file__).parent
-    cosim, controllers = rooms[1], Path(interarea.design.__file__).parent / "controllers"
-    designs = {p.stem.removeprefix("design_"): p for p in (cosim / "designs").glob("design_*.toml")}
-    studies = {p.stem.removeprefix("study_"): p for p in (cosim / "study").rglob("study_*.toml")}
+    files = bundled_files()
     return {
-        "cases": {p.stem: _title(p) for p in sorted((rooms[0] / "cases").glob("*.toml"))},
-        "scenarios": {p.stem: _title(p) for p in sorted((cosim / "scenario" / "bundled").glob("*.toml"))},
-        "controllers": {
-            "wdc": "the study's wide-area damping controller, designed for the case when it is asked for",
-            "cc": "the study's conventional controller, likewise",
-            "ftc": "the study's fault-tolerant controller, likewise",
-            "active": "a bank of controllers behind a supervisor that follows lost signals",
-            **{
-                p.stem: f"shipped for two-area-thesis, order {len(json.loads(p.read_text('utf-8'))['A'])}"
-                for p in sorted(controllers.glob("*.json"))
-            },
-        },
-        "designs": {name: f"how {name} was designed: {_family(p)}" for name, p in sorted(designs.items())},
-        "studies": {name: _title(p) for name, p in sorted(studies.items())},
+        "cases": {name: _title(p) for name, p in files["cases"].items()},
+        "scenarios": {name: _title(p) for name, p in files["scenarios"].items()},
+        "controllers": DESIGNED | {name: _order(p) for name, p in files["controllers"].items()},
+        "designs": {name: f"how {name} was designed: {_family(p)}" for name, p in files["designs"].items()},
+        "studies": {name: _title(p) for name, p in files["studies"].items()},
     }
+
+
+def _order(file: Path) -> str:
+    return f"shipped for two-area-thesis, order {len(json.loads(file.read_text(encoding='utf-8'))['A'])}"
 
 
 def _title(file: Path) -> str:

@@ -1,0 +1,263 @@
+"""What the files hold: JSON Schemas and reference pages, generated from the models that check the files."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, TypeAdapter
+
+SCHEMAS = Path(__file__).parent / "schemas"
+TEMPLATES = Path(__file__).parent / "templates"
+#: unit of a key by its end
+UNITS = {
+    "_s": "s",
+    "_hz": "Hz",
+    "_pu": "pu",
+    "_mw": "MW",
+    "_mva": "MVA",
+    "_mvar": "Mvar",
+    "_deg": "deg",
+    "_rad_s": "rad/s",
+    "_kv": "kV",
+}
+_TABLES_OF_ROWS = ("buses", "branches", "shunts", "loads", "machines")
+#: fields that are no keys of the file
+_INNER = {"scenario": ("folder", "rounded"), "sweep": (), "design": (), "case": ("sources",)}
+
+
+def kinds() -> dict[str, str]:
+    """Return the kinds of files with what each is."""
+    return {
+        "scenario": "what is run, through which channels, and what happens when (TOML)",
+        "case": "a grid with its machines, controls and loads (TOML); tables of rows are keyed by id",
+        "events": "the `[[event]]` tables of a scenario or case",
+        "design": "a controller to be designed: operating points, losses, latencies, what is asked (TOML)",
+        "controller": "a controller as it is stored, u = +K y (JSON)",
+        "sweep": "one scenario, many values (TOML)",
+    }
+
+
+def schema(kind: str) -> dict[str, Any]:
+    """Return the JSON Schema of a kind of file, in the form that the file has."""
+    made = _raw(kind)
+    properties = made.get("properties", {})
+    for key in _INNER.get(kind, ()):
+        properties.pop(key, None)
+    if kind == "case":
+        for table in _TABLES_OF_ROWS:
+            row = properties[table].get("items", {})
+            words = {"source": {"type": "string"}, "defaults": {"type": "object"}}
+            properties[table] = {"type": "object", "properties": words, "additionalProperties": _loose(row)}
+        properties["change"] = {"type": "object", "description": "a variant: what differs from `base`"}
+        properties["base"] = {"type": "string", "description": "a variant: the case that it changes"}
+        made["required"] = ["name"]
+    if kind in ("scenario", "case"):
+        events = _raw("events")
+        made.setdefault("$defs", {}).update(events.pop("$defs", {}))
+        properties["event"] = {"type": "array", "items": events}
+    if kind == "sweep":
+        properties["scenario"] = {"anyOf": [{"type": "string"}, {"type": "object"}]}
+        del properties["base"]
+        made["required"] = ["scenario"]
+        for name in [n for n in made.get("$defs", {}) if n not in _used(made)]:
+            del made["$defs"][name]
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **made, "title": f"interarea {kind}"}
+
+
+def _loose(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the schema of a row: its whole form, "none", or a part that `defaults` complete."""
+    return {"anyOf": [dict(row), {"const": "none"}, {"type": "object"}]}
+
+
+def _used(made: Mapping[str, Any]) -> set[str]:
+    text = json.dumps(made["properties"])
+    found: set[str] = set()
+    while more := set(re.findall(r'"#/\$defs/(\w+)"', text)) - found:
+        found |= more
+        text = json.dumps([made["$defs"][name] for name in more])
+    return found
+
+
+def _raw(kind: str) -> dict[str, Any]:
+    if kind == "events":
+        from interarea.models.case.events import Event
+
+        return TypeAdapter(Event).json_schema()
+    if kind == "controller":
+        return _controller_schema()
+    return _model(kind).model_json_schema(by_alias=True)
+
+
+def _model(kind: str) -> type[BaseModel]:
+    if kind == "scenario":
+        from interarea.cosim.scenario.scenario import Scenario
+
+        return Scenario
+    if kind == "case":
+        from interarea.models.case.tables import CaseTables
+
+        return CaseTables
+    if kind == "design":
+        from interarea.cosim.designs.design_file import DesignTable
+
+        return DesignTable
+    from interarea.cosim.sweep.spec import Sweep
+
+    return Sweep
+
+
+def _controller_schema() -> dict[str, Any]:
+    matrix = {"type": "array", "items": {"type": "array", "items": {"type": "number"}}}
+    names = {"type": "array", "items": {"type": "string"}, "minItems": 1}
+    text = {
+        "schema": ({"const": 1}, "version of the form"),
+        "name": ({"type": "string", "pattern": r"^[A-Za-z_]\w*$"}, "a C identifier"),
+        "convention": ({"type": "string"}, "for the reader: u = +K y, speeds in rad/s, actuators in pu"),
+        "inputs": (names, "signals; *_dw in rad/s"),
+        "outputs": (names, "actuators, pu"),
+        "limit_pu": ({"type": "number", "exclusiveMinimum": 0, "default": 0.15}, "bound of every output"),
+        **dict.fromkeys("ABCD", (matrix, "matrix of dx/dt = A x + B y, u = C x + D y; rows")),
+        "design": ({"type": "object"}, "how it was made"),
+        "certificate": ({"type": ["object", "null"]}, "what was checked on the full plant"),
+        "guard": ({"type": ["object", "null"]}, "limits of the output during a first swing"),
+    }
+    return {
+        "type": "object",
+        "properties": {key: {**rule, "description": words} for key, (rule, words) in text.items()},
+        "required": ["name", "inputs", "outputs", "A", "B", "C", "D"],
+    }
+
+
+def page(kind: str) -> str:
+    """Return the reference page of a kind of file: a table of keys for each of its tables."""
+    made = schema(kind)
+    comments = _comments(kind)
+    lines = [
+        f"# {kind}",
+        "",
+        f"A file of kind `{kind}`: {kinds()[kind]}. Made by `docs/formats/make.py`.",
+        "",
+    ]
+    if "properties" in made:
+        lines += _table("top level", made, comments)
+    for name, part in sorted(made.get("$defs", {}).items()):
+        if "properties" in part:
+            lines += _table(name, part, comments)
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _table(name: str, part: Mapping[str, Any], comments: Mapping[str, str]) -> Iterator[str]:
+    yield f"## {name}"
+    yield ""
+    about = " ".join(str(part.get("description", "")).split("\n\n")[0].split())
+    if about and name != "top level":
+        yield from (about, "")
+    yield "| key | holds | unit | default | what it is |"
+    yield "|---|---|---|---|---|"
+    required = part.get("required", ())
+    for key, rule in part["properties"].items():
+        unit = next(
+            (u for end, u in sorted(UNITS.items(), key=lambda p: -len(p[0])) if key.endswith(end)), ""
+        )
+        default = "needed" if key in required else _value(rule.get("default"))
+        words = rule.get("description") or comments.get(f"{name}.{key}", "")
+        cells = (f"`{key}`", _holds(rule), unit, default, " ".join(str(words).split()))
+        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+    yield ""
+
+
+def _value(value: Any) -> str:
+    if value in (None, "", (), [], {}):
+        return ""
+    text = json.dumps(value)
+    return f"`{text}`" if len(text) < 50 else "see there"
+
+
+def _holds(rule: Mapping[str, Any]) -> str:
+    if "$ref" in rule:
+        return f"table {rule['$ref'].rpartition('/')[2]}"
+    for form in ("anyOf", "oneOf"):
+        if form in rule:
+            parts = [_holds(r) for r in rule[form] if r.get("type") != "null"]
+            return " or ".join(dict.fromkeys(parts))
+    if "const" in rule:
+        return f"`{json.dumps(rule['const'])}`"
+    if "enum" in rule:
+        return " or ".join(f"`{json.dumps(v)}`" for v in rule["enum"])
+    kind = rule.get("type", "any")
+    if kind == "array":
+        if "prefixItems" in rule:
+            return f"[{', '.join(_holds(r) for r in rule['prefixItems'])}]"
+        return f"list of {_holds(rule.get('items', {}))}"
+    if kind == "object" and isinstance(rule.get("additionalProperties"), dict):
+        return f"table of {_holds(rule['additionalProperties'])}"
+    low, high = (
+        rule.get("minimum", rule.get("exclusiveMinimum")),
+        rule.get("maximum", rule.get("exclusiveMaximum")),
+    )
+    span = ""
+    if low is not None:
+        span += f" {'above' if 'exclusiveMinimum' in rule else 'from'} {low:g}"
+    if high is not None:
+        span += f" {'below' if 'exclusiveMaximum' in rule else 'to'} {high:g}"
+    return f"{kind}{span}" if isinstance(kind, str) else " or ".join(kind)
+
+
+def _comments(kind: str) -> dict[str, str]:
+    """Return what the `#:` comments beside the fields say, by model.field."""
+    if kind == "controller":
+        return {}
+    found: dict[str, str] = {}
+    for model in _models(kind):
+        inherited = [c for c in model.__mro__ if issubclass(c, BaseModel) and c is not BaseModel]
+        for owner in reversed(inherited):
+            before = ""
+            for line in inspect.getsource(owner).splitlines():
+                field = re.match(r"    (\w+): .*?(?:#: (.*))?$", line)
+                comment = re.match(r"    #: (.*)$", line)
+                if comment:
+                    before = f"{before} {comment[1]}".strip()
+                elif field:
+                    words = field[2] or before
+                    if words:
+                        found[f"{model.__name__}.{field[1]}"] = words
+                        if kind != "events" and model is _model(kind):
+                            found[f"top level.{field[1]}"] = words
+                    before = ""
+    return found
+
+
+def _models(kind: str) -> list[type[BaseModel]]:
+    """Return the models that a kind of file is checked by, the whole first."""
+    from interarea.models.case.events import Event
+
+    todo: list[Any] = list(get_args(Event)) if kind == "events" else [_model(kind)]
+    found: list[type[BaseModel]] = []
+    while todo:
+        one = todo.pop(0)
+        if isinstance(one, type) and issubclass(one, BaseModel):
+            if one not in found:
+                found.append(one)
+                todo += [f.annotation for f in one.model_fields.values()]
+        else:
+            todo += [a for a in get_args(one) if not isinstance(a, str)]
+    return found
+
+
+def write(pages: Path) -> list[Path]:
+    """Write the reference pages into a folder and the schemas beside this module; return the files."""
+    files = []
+    for kind in kinds():
+        for file, text in (
+            (pages / f"{kind}.md", page(kind)),
+            (SCHEMAS / f"{kind}.json", json.dumps(schema(kind), indent=1) + "\n"),
+        ):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text, encoding="utf-8")
+            files.append(file)
+    return files

@@ -1,0 +1,74 @@
+"""The formats: pages and schemas are those of the models, every bundled file and template fits them."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import interarea as ia
+from interarea import formats
+from interarea.cli.listing import bundled_files
+from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.sweep.spec import load_sweep
+
+PAGES = Path(__file__).resolve().parents[3] / "docs" / "formats"
+
+
+@pytest.mark.parametrize("kind", formats.kinds())
+def test_page_and_schema_are_those_of_the_models(kind: str) -> None:
+    again = "run: python docs/formats/make.py"
+    assert (PAGES / f"{kind}.md").read_text(encoding="utf-8") == formats.page(kind), again
+    shipped = json.loads((formats.SCHEMAS / f"{kind}.json").read_text(encoding="utf-8"))
+    assert shipped == json.loads(json.dumps(formats.schema(kind))), again
+
+
+@pytest.mark.parametrize("kind", ["scenario", "case", "design", "sweep"])
+def test_every_key_of_a_bundled_file_is_in_the_schema(kind: str) -> None:
+    known = set(formats.schema(kind)["properties"])
+    for file in bundled_files().get(f"{kind}s", {}).values():
+        assert set(tomllib.loads(file.read_text(encoding="utf-8"))) <= known, file
+
+
+@pytest.mark.parametrize("kind", ["scenario", "case", "controller", "design", "sweep", "test"])
+def test_what_new_writes_runs(kind: str, interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    file = tmp_path / f"mine.{ {'controller': 'json', 'test': 'py'}.get(kind, 'toml') }"
+    code, out, _ = interarea("new", kind, "--out", file)
+    assert code == 0 and out.strip() == str(file)
+    first = file.read_text(encoding="utf-8").splitlines()[0]
+    if file.suffix == ".toml":
+        assert first.startswith("#:schema file://") and first.endswith(f"/schemas/{kind}.json")
+    if kind == "scenario":
+        assert ia.simulate(file).stable  # type: ignore[attr-defined]
+    elif kind == "case":
+        assert not ia.load_case(file).branch("8-9 a").in_service
+    elif kind == "controller":
+        assert ia.load_controller(file).order == 2
+    elif kind == "design":
+        assert load_design(file).actuators == ("G4_vs",)
+    elif kind == "sweep":
+        assert load_sweep(file).size == 6
+    else:
+        compile(file.read_text(encoding="utf-8"), str(file), "exec")
+    assert interarea("new", kind, "--out", file)[0] == 2  # it is there already
+
+
+def test_new_names_the_kinds_and_the_suffix(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    assert "did you mean" in interarea("new", "scenari", "--out", tmp_path / "a.toml")[2]
+    assert "a controller is a .json file" in interarea("new", "controller", "--out", tmp_path / "a.toml")[2]
+
+
+def test_show_prints_the_file_and_names_it(interarea) -> None:  # type: ignore[no-untyped-def]
+    code, out, err = interarea("show", "lost-signal")
+    file = bundled_files()["scenarios"]["lost-signal"]
+    assert code == 0 and out.rstrip() == file.read_text(encoding="utf-8").rstrip()
+    assert err.strip() == f"scenarios: {file}"
+    both = json.loads(interarea("show", "robust", "--json")[1])
+    assert {row["kind"] for row in both} == {"controllers", "designs"}
+    assert [r["kind"] for r in json.loads(interarea("show", "designs/robust", "--json")[1])] == ["designs"]
+    assert "fault-tolerant" in interarea("show", "ftc")[1]
+    assert interarea("show", "lost-signl") == (
+        2, "", "interarea: show lost-signl: nothing bundled has this name; did you mean lost-signal?\n"
+    )  # fmt: skip
