@@ -114,7 +114,7 @@ def _model(kind: str) -> type[BaseModel]:
 def _controller_schema() -> dict[str, Any]:
     matrix = {"type": "array", "items": {"type": "array", "items": {"type": "number"}}}
     names = {"type": "array", "items": {"type": "string"}, "minItems": 1}
-    text = {
+    text: dict[str, tuple[dict[str, Any], str]] = {
         "schema": ({"const": 1}, "version of the form"),
         "name": ({"type": "string", "pattern": r"^[A-Za-z_]\w*$"}, "a C identifier"),
         "convention": ({"type": "string"}, "for the reader: u = +K y, speeds in rad/s, actuators in pu"),

@@ -6,9 +6,10 @@ from typing import NoReturn
 
 #: "old folder -> new folder: module ..."; a module with another name stands as old:new.
 _TABLE = """
-models -> models.case: case case_errors:errors case_schema:schema case_schema_controls:control_schema
+models -> models.case: case case_schema:schema case_schema_controls:control_schema
     case_checks:checks case_parameter:parameter_path case_variants:variants events export_toml:write_toml
     toml_kind:file_kind
+models -> models: case_errors:errors
 models -> models.grid: network powerflow equilibrium plant_ports:bus_devices plant_tables:machine_tables
     plant_controls:control_tables
 models -> models.blocks: variables record:binary_table plant_block:plant plant_protocol:linear_plant

@@ -25,16 +25,17 @@ def new(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="file to write", show_default=False)],
 ) -> None:
     """Write a commented file that runs: scenario, case, controller, design, sweep or test."""
-    there = {file.stem: file for file in TEMPLATES.iterdir() if file.suffix in (".toml", ".json", ".py")}
+    there = {file.name.partition(".")[0]: file for file in TEMPLATES.iterdir()}
     if kind not in there:
         raise UserError(f"new {kind}: no such kind of file; {nearest(kind, sorted(there))}")
     source = there[kind]
-    if out.suffix != source.suffix:
-        raise UserError(f"--out {out}: a {kind} is a {source.suffix} file, allowed: a name that ends so")
+    suffix = f".{source.name.split('.')[1]}"  # test.py.txt: no module of the package
+    if out.suffix != suffix:
+        raise UserError(f"--out {out}: a {kind} is a {suffix} file, allowed: a name that ends so")
     if file_for(out).exists():
         raise UserError(f"--out {out}: is there already, allowed: a new file")
     text = source.read_text(encoding="utf-8")
-    if source.suffix == ".toml":  # the line by which editors complete and check
+    if suffix == ".toml":  # the line by which editors complete and check
         text = f"#:schema {(SCHEMAS / f'{kind}.json').as_uri()}\n{text}"
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(text, encoding="utf-8")
