@@ -14,6 +14,8 @@ from .raw import machine_identities
 from .written import Written, named
 
 _CONTROLS = ("exciter", "stabilizer", "compensator", "governor")
+_ROUND = ("Td01", "Td02", "Tq01", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xq1", "Xd2", "Xl")
+_SALIENT = ("Td01", "Td02", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xd2", "Xl")
 _WIDE = 9999.0  #: an absent limit, as people write it
 
 
@@ -62,9 +64,7 @@ def _machine(m: Machine) -> tuple[str, tuple[float, ...], list[str]]:
     if m.Xd2 != m.Xq2:
         lost.append(f"{m.name}: X''q = {m.Xq2:g}, which becomes X''d")
     if m.Xq1 == m.Xq and m.saturation is None:
-        keys = ("Td01", "Td02", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xd2", "Xl")
-        return "GENSAL", (*(m.number(key) for key in keys), 0.0, 0.0), lost
-    keys = ("Td01", "Td02", "Tq01", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xq1", "Xd2", "Xl")
+        return "GENSAL", (*(m.number(key) for key in _SALIENT), 0.0, 0.0), lost
     curve = (0.0, 0.0)
     if m.saturation is not None:
         s = m.saturation
@@ -72,7 +72,7 @@ def _machine(m: Machine) -> tuple[str, tuple[float, ...], list[str]]:
             lost.append(f"{m.name}: saturation is used as {s.use!r}")
         at = [s.Asat * math.exp(s.Bsat * (flux - s.psiT1)) for flux in (1.0, 1.2)]
         curve = (at[0], at[1] / 1.2)  # of the flux
-    return "GENROU", (*(m.number(key) for key in keys), *curve), lost
+    return "GENROU", (*(m.number(key) for key in _ROUND), *curve), lost
 
 
 def _control(m: Machine, word: str) -> tuple[str, tuple[float, ...]]:
