@@ -20,7 +20,9 @@ RECORDS = {k: v for k, v in tomllib.loads((HERE / "records.toml").read_text()).i
 QUICK = ("GENROU", "GENSAL", "ESAC1A", "PSS2B")
 
 
-@pytest.mark.parametrize("name", RECORDS)
+@pytest.mark.parametrize(
+    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in RECORDS]
+)
 def test_the_plant_follows_psse(name):
     """Within 2e-3 of the record's range: what PSS/E's own step of 5 ms leaves."""
     record = RECORDS[name]
