@@ -98,7 +98,8 @@ class Drive:
 
     def _excite(self, instance: Instance, k: int) -> None:
         """Move every Real input; in model exchange discrete ones only in event mode (FMI2, 3.2.3)."""
-        held, moving = [], []
+        held: list[tuple[ScalarVariable, float]] = []
+        moving: list[tuple[ScalarVariable, float]] = []
         for i, v in enumerate(self.inputs):
             size = 0.01 * abs(v.number("nominal") or 1.0)
             wave = 1.0 if self.constant else math.sin(1.3 * k + i)

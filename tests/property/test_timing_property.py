@@ -185,5 +185,5 @@ def test_the_ledger_of_a_channel_is_the_mean_age_of_what_is_held(
             area += (s.end - s.start) * (0.5 * (s.start + s.end) - held)
     mean_s = area / (1_000_000 * pattern) / TICKS_PER_SECOND
     assert total == pytest.approx(mean_s, abs=1e-8)
-    assert delays.requested_s == delays.network_s == 1e-3 * way_ms
+    assert delays.requested_s == delays.network_s == pytest.approx(1e-3 * way_ms, abs=0.5e-9)
     assert np.isfinite(total) and (not exact or delays.waiting_s < 1e-9)
