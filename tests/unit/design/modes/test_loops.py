@@ -78,6 +78,8 @@ def test_a_mode_that_nothing_reaches_is_an_error(system: control.StateSpace) -> 
     )
     with pytest.raises(ModeError, match="reached by"):
         rank_loops(blind, modes_of(blind, AREAS)["inter-area"], areas=AREAS)
+    with pytest.raises(ModeError, match="no machine has an exciter"):
+        rank_loops(system, modes_of(system, AREAS)["inter-area"], areas=AREAS, actuators=[])
     with pytest.raises(ModeError, match="not a mode of this system"):
         rank_loops(speeds_in_rad(linear_plant("two-area-thesis"), OMEGA_B), mode, areas=AREAS)
     with pytest.raises(ValueError, match="areas"):
