@@ -43,7 +43,7 @@ def device_html(device: Device) -> str:
         for p in device.parameters
     )
     checked = (
-        f"Checked against: {device.oracle}." if device.oracle else "Not checked against a record of another program."
+        f"Checked against: {device.oracle}." if device.oracle else "Not checked against another program."
     )
     notes = f" {device.notes}." if device.notes else ""
     return (
