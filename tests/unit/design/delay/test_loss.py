@@ -144,7 +144,7 @@ def test_cosimulation_packet_by_packet(cache: Path, by_hand: Controller) -> None
         run = loop.result(loop.master.run()).trajectory
     case = load_case("two-area-thesis")
     plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
-    K = by_hand("ftc", case).system
+    K = by_hand.system
     fields = {"latency_s": latency, "on_loss": "hold", "loss_good": 0.3}
     model = PacketLoop(plant, K, interval, {s: LossyChannel(**fields) for s in K.input_labels})  # type: ignore[arg-type]
     time = run.time_s
