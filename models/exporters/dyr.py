@@ -63,16 +63,20 @@ def _machine(m: Machine) -> tuple[str, tuple[float, ...], list[str]]:
     lost = []
     if m.Xd2 != m.Xq2:
         lost.append(f"{m.name}: X''q = {m.Xq2:g}, which becomes X''d")
-    if m.Xq1 == m.Xq and m.saturation is None:
-        return "GENSAL", (*(m.number(key) for key in _SALIENT), 0.0, 0.0), lost
-    curve = (0.0, 0.0)
-    if m.saturation is not None:
+    if not m.torque_by_speed:
+        lost.append(f"{m.name}: its torque is not power over speed, which PSS/E's is")
+    curve, kind = (0.0, 0.0), m.flux_saturation
+    if kind is not None:
+        curve = (kind.S10, kind.S12)
+    elif m.saturation is not None:
         s = m.saturation
-        if s.use != "total":
-            lost.append(f"{m.name}: saturation is used as {s.use!r}")
+        lost.append(f"{m.name}: saturation of the form Asat exp(Bsat (flux - psiT1)), used as {s.use!r}")
         at = [s.Asat * math.exp(s.Bsat * (flux - s.psiT1)) for flux in (1.0, 1.2)]
         curve = (at[0], at[1] / 1.2)  # of the flux
-    return "GENROU", (*(m.number(key) for key in _ROUND), *curve), lost
+    salient = m.Xq1 == m.Xq and (m.saturation is None or kind is not None)
+    letter = "E" if kind is not None and kind.shape == "exponential" else "L" if salient else "U"
+    fields = (*(m.number(key) for key in (_SALIENT if salient else _ROUND)), *curve)
+    return ("GENSA" if salient else "GENRO") + letter, fields, lost
 
 
 def _control(m: Machine, word: str) -> tuple[str, tuple[float, ...]]:

@@ -76,7 +76,11 @@ def test_load_mix_is_that_of_all_loads():
     ("name", "change", "says"),
     [
         ("kundur-manual", {}, "no saturation is GENROU"),
-        ("kundur-thyristor-z", {}, "limits with TR > 0"),
+        (
+            "kundur-thyristor-z",
+            {"machines": {"G1": {"exciter": {"Efd_min": -5.0, "Efd_max": 5.0}}}},
+            "limits with TR > 0",
+        ),
         (
             "two-area-thesis",
             {"machines": {"G1": {"stabilizer": {"T5": 0.1, "T6": 0.2}}}},

@@ -52,7 +52,15 @@ def test_a_transformer_with_ratios_at_both_sides_is_one_with_its_ratio_at_the_fi
     [
         ({"G1": {"Ra": 0.01}}, "Ra"),
         ({"G1": {"exciter": {"kind": "static", "KA": 200.0, "TA": 0.02, "TR": 0.01}}}, "TR"),
-        ({"G1": {"stabilizer": {"K": 1.0, "Tw": 1.0, "TR": 0.01}}}, "transducer"),
+        (
+            {
+                "G1": {
+                    "exciter": {"kind": "static", "KA": 200.0, "TA": 0.02},
+                    "stabilizer": {"K": 1.0, "Tw": 1.0, "TR": 0.01},
+                }
+            },
+            "transducer",
+        ),
     ],
 )
 def test_what_tops_does_not_represent_is_named(change, word):

@@ -65,9 +65,13 @@ def test_machines_of_every_model_come_back(tmp_path: Path) -> None:
             "machines": {
                 "defaults": {"exciter": {"kind": "constant"}, "governor": {"kind": "none"}},
                 "G1": {"model": "classical", "saturation": "none"},
-                "G2": {"Xq1": 1.7, "Tq01": 1.0, "saturation": "none"},
+                "G2": {"Xq1": 1.7, "Tq01": 1.0, "saturation": "none", "torque_by_speed": True},
                 "G3": {"model": "infinite_bus", "saturation": "none", "H": "none"},
-                "G4": {"saturation": {"Asat": 0.02, "Bsat": 7.0, "psiT1": 0.85, "use": "total"}},
+                "G4": {
+                    "saturation": "none",
+                    "flux_saturation": {"S10": 0.1, "S12": 0.4},
+                    "torque_by_speed": True,
+                },
             }
         }
     )
@@ -88,3 +92,9 @@ def test_what_no_record_holds_is_named() -> None:
     assert any("exciter: " in line for line in losses)
     bare = load_case("kundur-manual").with_changes({"machines": {"G1": {"Xq2": 0.3}}})
     assert "G1: X''q = 0.3, which becomes X''d" in dyr_of(bare).losses
+
+
+def test_what_a_record_cannot_hold_of_a_machine_is_named(tmp_path: Path) -> None:
+    losses = dyr_of(load_case("kundur-manual")).losses
+    assert any("torque is not power over speed" in line for line in losses)
+    assert any("Asat exp" in line for line in losses)
