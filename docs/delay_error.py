@@ -131,18 +131,20 @@ def run_fmus(controller: Controller, synchronous: bool, inputs: str, step_s: flo
         system.fmu(name, file)
     # a channel that always sends PULSE and is out of service but for the pulse
     system.channel("pulse", outages_s=[(0.0, PULSE_S[0]), (PULSE_S[1], 2.0 * STOP_S)])
-    source = system.participant("pulse")
-    assert isinstance(source, FmuParticipant)
-    source.set_start({**system.channels["pulse"].parameters("pulse"), "u": PULSE})
-    steps = tuple(replace(p, discrete=True) for p in source.description.outputs)
-    source.description = replace(source.description, outputs=steps)  # held between its jumps by every master
     system.connect("pulse", "plant.G1_vs").connect("controller.G4_vs", "plant.G4_vs")
     system.channel("remote", latency_s=LATENCY_S).connect("plant.G2_dw", "remote", "controller.G2_dw")
     if synchronous:
         system.channel("local", latency_s=LATENCY_S).connect("plant.G4_dw", "local", "controller.G4_dw")
     else:
         system.connect("plant.G4_dw", "controller.G4_dw")
-    run = system.run()
+    parts = {name: system.participant(name) for name in system.instances}
+    source = parts["pulse"]
+    assert isinstance(source, FmuParticipant)
+    source.set_start({**system.channels["pulse"].parameters("pulse"), "u": PULSE})
+    steps = tuple(replace(p, discrete=True) for p in source.description.outputs)
+    source.description = replace(source.description, outputs=steps)  # held between its jumps by every master
+    with system.master(parts.values()) as master:
+        run = master.run()
     return run["time_s"], run["plant.G2_dw"] - run["plant.G4_dw"]
 
 

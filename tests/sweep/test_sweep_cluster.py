@@ -192,11 +192,12 @@ def test_a_worker_of_another_version_is_refused(
     document: Any, cache: Path, cluster: Cluster, tmp_path: Path
 ) -> None:
     other = tmp_path / "other"
-    other.mkdir()
+    front = Path(sys.modules["interarea"].__file__ or "").parent
+    shutil.copytree(front, other / "interarea", ignore=shutil.ignore_patterns("__pycache__"))
     for room in ("models", "fmu_build", "design", "cosim"):
         source = Path(sys.modules[f"interarea.{room}"].__path__[0])
         shutil.copytree(source, other / "interarea" / room, ignore=shutil.ignore_patterns("__pycache__"))
-    changed = other / "interarea" / "cosim" / "metrics.py"
+    changed = other / "interarea" / "cosim" / "results" / "metrics.py"
     changed.write_text(changed.read_text() + "\n# another version\n")
     cluster.start_scheduler()
     cluster.start_worker(PYTHONPATH=str(other))
