@@ -82,7 +82,10 @@ class Cluster:
 
     def _start(self, command: list[str], **environment: str) -> subprocess.Popen[bytes]:
         log = (self.folder / "cluster.log").open("ab")
-        started = subprocess.Popen(command, stdout=log, stderr=log, env={**os.environ, **environment})
+        # elsewhere than in a checkout, which would come before PYTHONPATH and what is installed
+        started = subprocess.Popen(
+            command, stdout=log, stderr=log, env={**os.environ, **environment}, cwd=self.folder
+        )
         log.close()
         self.processes.append(started)
         return started
