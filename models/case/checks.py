@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from ..errors import CaseError, nearest
 from .tables import CaseTables
@@ -72,15 +72,19 @@ def islands_of(case: CaseTables, closed: Mapping[str, bool] | None = None) -> li
     """Return the connected sets of buses, the slack's first, under the branches in service or in `closed`."""
     if closed is None:
         closed = {branch.name: branch.in_service for branch in case.branches}
-    neighbours: dict[int, list[int]] = {bus.number: [] for bus in case.buses}
-    for branch in case.branches:
-        if closed[branch.name]:
-            neighbours[branch.from_bus].append(branch.to_bus)
-            neighbours[branch.to_bus].append(branch.from_bus)
+    links = [(b.from_bus, b.to_bus) for b in case.branches if closed[b.name]]
+    return connected_parts([case.slack.bus, *(bus.number for bus in case.buses)], links)
+
+
+def connected_parts(buses: Iterable[int], links: Iterable[tuple[int, int]]) -> list[set[int]]:
+    """Return the sets of buses that links connect, each where its first bus stands in `buses`."""
+    neighbours: dict[int, list[int]] = {bus: [] for bus in buses}
+    for one, other in links:
+        neighbours[one].append(other)
+        neighbours[other].append(one)
     found: list[set[int]] = []
-    start = [case.slack.bus, *neighbours]
     seen: set[int] = set()
-    for bus in start:
+    for bus in neighbours:
         if bus in seen:
             continue
         island, todo = {bus}, [bus]

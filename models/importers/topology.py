@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TypeVar
 
+from ..case.checks import connected_parts
 from ..errors import CaseError
 from .report import Report
 from .static import ISOLATED, SLACK, StaticBus, StaticGrid, StaticLoad, StaticShunt, StaticUnit
@@ -134,25 +135,7 @@ def _keep_island(grid: StaticGrid, report: Report, island: int | None) -> None:
 
 
 def _islands(grid: StaticGrid) -> list[set[int]]:
-    neighbours: dict[int, list[int]] = {number: [] for number in grid.buses}
-    for branch in grid.branches:
-        if branch.on:
-            neighbours[branch.first].append(branch.second)
-            neighbours[branch.second].append(branch.first)
-    parts: list[set[int]] = []
-    seen: set[int] = set()
-    for number in grid.buses:
-        if number in seen:
-            continue
-        part, todo = {number}, [number]
-        while todo:
-            for other in neighbours[todo.pop()]:
-                if other not in part:
-                    part.add(other)
-                    todo.append(other)
-        seen |= part
-        parts.append(part)
-    return parts
+    return connected_parts(grid.buses, [(b.first, b.second) for b in grid.branches if b.on])
 
 
 def slack_of(grid: StaticGrid, report: Report) -> StaticBus:
