@@ -6,7 +6,7 @@
 #include <time.h>
 
 #include "block.h"
-#include "plant.h"
+#include "physics.h"
 
 typedef struct {
     Record record;

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-import interarea.models.blocks.binary_table
+from interarea.fmu_build.write.compile import gather_sources
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.plant import plant_block
 from interarea.models.blocks.variables import Block
@@ -26,11 +26,11 @@ def compiled(block: Block, folder: Path) -> ctypes.CDLL:
     import os
 
     compiler = shlex.split(os.environ.get("CC", "")) or [sys.executable, "-m", "ziglang", "cc"]
-    models = Path(interarea.models.blocks.binary_table.__file__).parent
-    includes = [f"-I{models / name}" for name in ("plant", "block")]
     library = folder / "plain_loop.so"
-    sources = [str(Path(__file__).with_name("plain_loop.c")), *map(str, block.sources)]
-    command = [*compiler, *FLAGS, *includes, "-shared", "-fPIC", "-o", str(library), *sources, "-lm"]
+    for name, text in gather_sources((Path(__file__).with_name("plain_loop.c"), *block.sources)).items():
+        (folder / name).write_bytes(text)
+    sources = [str(path) for path in sorted(folder.glob("*.c"))]
+    command = [*compiler, *FLAGS, "-shared", "-fPIC", "-o", str(library), *sources, "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command)}\n{done.stderr}")
