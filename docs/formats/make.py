@@ -3,9 +3,12 @@
 python docs/formats/make.py
 """
 
+import argparse
 from pathlib import Path
 
 from interarea.formats import write
 
-for file in write(Path(__file__).resolve().parent):
-    print(file)
+if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
+    for file in write(Path(__file__).resolve().parent):
+        print(file)

@@ -15,6 +15,17 @@ ROWS = [
     if line.startswith("| ") and not line.startswith("| item")
 ]
 THESIS = ROOT / "cosim" / "study" / "thesis"
+#: how many parts each chapter or section has: the thesis's table of contents
+CONTENTS = {
+    **{"1": 4, "2": 5, "2.1": 3, "3": 5, "4": 5, "4.2": 1, "4.3": 1, "5": 2, "5.1": 6, "5.2": 3, "6": 2},
+    **{"5.2.2": 2, "5.2.3": 1},
+}
+SECTIONS = {*"123456", *(f"{above}.{k}" for above, n in CONTENTS.items() for k in range(1, n + 1))}
+CITED = re.compile(
+    r"Sundaria2016\]?,\s+(?P<kind>sections?|chapters?|tables?|figs?\.|fig\.|eqs?\.|)\s*"
+    r"(?P<numbers>\d[\d.]*(?:(?:-|, | and )\d[\d.]*)*)",
+    re.IGNORECASE,
+)
 
 
 def items(kind: str) -> list[str]:
@@ -66,3 +77,34 @@ def test_every_row_leads_to_a_file_that_is_there() -> None:
     for row in ROWS:
         (path,) = re.findall(r"`([^`]+)`", row[2])
         assert (ROOT / path).exists(), row
+
+
+def there(kind: str, number: str) -> bool:
+    """Say whether the thesis has a section, chapter, table, figure or equation of that number."""
+    of = {"t": "Table", "f": "Fig.", "e": "Eq."}.get(kind[:1].lower())
+    return number in (SECTIONS if of is None else items(of))
+
+
+def test_what_is_cited_of_the_thesis_is_in_it() -> None:
+    """Sources of scenarios, cases, devices and code: no section 5.4, for one."""
+    cited = []
+    for folder in ("cosim", "design", "models", "fmu_build", "interarea", "docs", "examples", "benchmarks"):
+        for path in (ROOT / folder).rglob("*"):
+            if path.suffix in (".py", ".toml", ".md", ".c", ".h"):
+                for found in CITED.finditer(path.read_text(encoding="utf-8")):
+                    for number in re.split(r"-|, | and ", found["numbers"].rstrip(".")):
+                        cited.append((path.name, found["kind"], number))
+    assert len(cited) > 20 and {name for name, *_ in cited} >= {"lost-signal.toml", "two-area-thesis.toml"}
+    assert [row for row in cited if not there(row[1], row[2])] == []
+
+
+def test_where_a_statement_or_correction_stands_is_in_the_thesis() -> None:
+    claims = tomllib.loads((THESIS / "published.toml").read_text(encoding="utf-8"))
+    for row in claims["statement"]:
+        sections, _, figures = row["where"].partition(", fig. ")
+        assert set(sections.split(" and ")) <= SECTIONS, row["where"]
+        assert not figures or all(there("fig.", k) for k in figures.split(" and ")), row["where"]
+    for row in claims["correction"]:
+        kind, _, numbers = row["where"].rpartition("table ")
+        for number in numbers.split(", "):
+            assert there("table" if kind or "table" in row["where"] else "eq.", number) or number in SECTIONS

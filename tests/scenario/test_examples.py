@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from interarea.cosim.run.artefacts import channel_fmu, controller_fmu, plant_fmu
 from interarea.cosim.run.run import run_scenario
 from interarea.design.controllers.controller import Controller
+from interarea.models.case.case import Case
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -47,15 +49,28 @@ def test_the_pytest_file() -> None:
     )
 
 
+def test_plain_fmpy_imports_fmpy_and_numpy_only_and_names_what_is_missing(tmp_path: Path) -> None:
+    names = set(re.findall(r"^(?:from|import) (\w+)", (EXAMPLES / "plain_fmpy.py").read_text(), re.MULTILINE))
+    assert names - set(sys.stdlib_module_names) == {"fmpy", "numpy"}
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLES / "plain_fmpy.py")], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert "fmus/robust.fmu not there; first run: interarea build two-area-thesis" in done.stderr
+
+
 def test_by_hand_and_by_master_agree_but_for_the_delay_of_held_inputs(
-    hand_controller: Controller, by_hand: Controller, tmp_path: Path
+    hand_controller: Controller, by_hand: Controller, two_area: Case, cache: Path
 ) -> None:
-    path = hand_controller.save(tmp_path / "k.json")
     spec = importlib.util.spec_from_file_location("plain_fmpy", EXAMPLES / "plain_fmpy.py")
     assert spec is not None and spec.loader is not None
     example = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(example)
-    rows = example.run(Controller.load(path))
+    rows = example.run(
+        plant_fmu(two_area, cache),
+        channel_fmu(cache),
+        controller_fmu(hand_controller, two_area.omega_b, cache),
+    )
     late = {"remote": {"signal": "G2_dw", "latency_s": 0.1}, "local": {"signal": "G4_dw", "latency_s": 0.1}}
     pulse = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.0, "end_s": 1.2}
     document = {"case": "two-area-thesis", "controller": "wdc", "stop_s": 5.0, "step_s": 0.01}
