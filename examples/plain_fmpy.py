@@ -1,9 +1,10 @@
 """A closed loop by hand: plant, channels and controller stepped in plain fmpy, nothing of interarea imported.
 
-The FMUs are those that `interarea build two-area-thesis --controller robust --out fmus` writes; the folder may
-be named as the argument. The channels are 100 ms late and the step is 10 ms, so at each step they go first: what
-comes out of them depends on the past only. Then the controller, then the plant. Inputs are simply held here, which
-adds half a step of delay at each of the two inputs; the master of interarea hands over cubics instead.
+The FMUs are those that `interarea build two-area-thesis --controller robust --out fmus` writes; another
+folder may be named as the argument. The channels are 100 ms late and the step is 10 ms, so at each step they
+go first: what comes out of them depends on the past only. Then the controller, then the plant. Inputs are
+simply held here, which adds half a step of delay at each of the two inputs; the master of interarea hands
+over cubics instead.
 """
 
 from __future__ import annotations

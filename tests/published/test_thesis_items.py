@@ -16,9 +16,20 @@ ROWS = [
 ]
 THESIS = ROOT / "cosim" / "study" / "thesis"
 #: how many parts each chapter or section has: the thesis's table of contents
-CONTENTS = {
-    **{"1": 4, "2": 5, "2.1": 3, "3": 5, "4": 5, "4.2": 1, "4.3": 1, "5": 2, "5.1": 6, "5.2": 3, "6": 2},
-    **{"5.2.2": 2, "5.2.3": 1},
+CONTENTS: dict[str, int] = {
+    "1": 4,
+    "2": 5,
+    "2.1": 3,
+    "3": 5,
+    "4": 5,
+    "4.2": 1,
+    "4.3": 1,
+    "5": 2,
+    "5.1": 6,
+    "5.2": 3,
+    "5.2.2": 2,
+    "5.2.3": 1,
+    "6": 2,
 }
 SECTIONS = {*"123456", *(f"{above}.{k}" for above, n in CONTENTS.items() for k in range(1, n + 1))}
 CITED = re.compile(

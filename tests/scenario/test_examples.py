@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from interarea.cosim.run.artefacts import channel_fmu, controller_fmu, plant_fmu
 from interarea.cosim.run.run import run_scenario
@@ -24,6 +26,18 @@ def _output(*command: str) -> str:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
+
+
+@pytest.mark.parametrize("path", sorted((EXAMPLES.parent / "docs").rglob("*.py")), ids=lambda p: p.name)
+def test_help_of_what_draws_the_docs_starts_nothing(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {p: p.stat().st_mtime_ns for p in path.parent.rglob("*") if p.is_file()}
+    monkeypatch.setattr(sys, "argv", [str(path), "--help"])
+    with pytest.raises(SystemExit) as stopped:
+        runpy.run_path(str(path), run_name="__main__")
+    assert stopped.value.code == 0 and capsys.readouterr().out.startswith("usage")
+    assert before == {p: p.stat().st_mtime_ns for p in before}
 
 
 def test_ten_lines() -> None:
