@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import re
+import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, get_args
@@ -26,6 +27,8 @@ UNITS = {
     "_kv": "kV",
 }
 _TABLES_OF_ROWS = ("buses", "branches", "shunts", "loads", "machines")
+#: row of a table -> the field that the key of the row gives
+_ROW_IDS = {"Bus": "number", "Branch": "name", "Shunt": "name", "Load": "name", "Machine": "name"}
 #: fields that are no keys of the file
 _INNER = {"scenario": ("folder", "rounded"), "sweep": (), "design": (), "case": ("sources",)}
 
@@ -49,6 +52,9 @@ def schema(kind: str) -> dict[str, Any]:
     for key in _INNER.get(kind, ()):
         properties.pop(key, None)
     if kind == "case":
+        for row, own in _ROW_IDS.items():  # the key of the row is its id
+            del made["$defs"][row]["properties"][own]
+            made["$defs"][row]["required"].remove(own)
         for table in _TABLES_OF_ROWS:
             row = properties[table].get("items", {})
             words = {"source": {"type": "string"}, "defaults": {"type": "object"}}
@@ -59,9 +65,11 @@ def schema(kind: str) -> dict[str, Any]:
     if kind in ("scenario", "case"):
         events = _raw("events")
         made.setdefault("$defs", {}).update(events.pop("$defs", {}))
-        properties["event"] = {"type": "array", "items": events}
+        words = "faults, trips, pulses and steps, a table each; all are in docs/formats/events.md"
+        properties["event"] = {"type": "array", "items": events, "description": words}
     if kind == "sweep":
-        properties["scenario"] = {"anyOf": [{"type": "string"}, {"type": "object"}]}
+        words = "the scenario that is varied: bundled name, a file beside this one, or its keys"
+        properties["scenario"] = {"anyOf": [{"type": "string"}, {"type": "object"}], "description": words}
         del properties["base"]
         made["required"] = ["scenario"]
         for name in [n for n in made.get("$defs", {}) if n not in _used(made)]:
@@ -122,9 +130,9 @@ def _controller_schema() -> dict[str, Any]:
         "outputs": (names, "actuators, pu"),
         "limit_pu": ({"type": "number", "exclusiveMinimum": 0, "default": 0.15}, "bound of every output"),
         **dict.fromkeys("ABCD", (matrix, "matrix of dx/dt = A x + B y, u = C x + D y; rows")),
-        "design": ({"type": "object"}, "how it was made"),
+        "design": ({"type": "object"}, "how it was made; {} when that is not known"),
         "certificate": ({"type": ["object", "null"]}, "what was checked on the full plant"),
-        "guard": ({"type": ["object", "null"]}, "limits of the output during a first swing"),
+        "guard": ({"type": ["object", "null"], "default": None}, "limits of the output during a first swing"),
     }
     return {
         "type": "object",
@@ -136,7 +144,7 @@ def _controller_schema() -> dict[str, Any]:
 def page(kind: str) -> str:
     """Return the reference page of a kind of file: a table of keys for each of its tables."""
     made = schema(kind)
-    comments = _comments(kind)
+    comments, examples = _comments(kind), _examples(kind, made)
     lines = [
         f"# {kind}",
         "",
@@ -144,21 +152,27 @@ def page(kind: str) -> str:
         "",
     ]
     if "properties" in made:
-        lines += _table("top level", made, comments)
+        lines += _table("top level", made, comments, examples)
+    elsewhere = _raw("events")["$defs"] if kind in ("scenario", "case") else {}
     for name, part in sorted(made.get("$defs", {}).items()):
-        if "properties" in part:
-            lines += _table(name, part, comments)
+        if "properties" in part and name not in elsewhere:
+            lines += _table(name, part, comments, examples)
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _table(name: str, part: Mapping[str, Any], comments: Mapping[str, str]) -> Iterator[str]:
+def _table(
+    name: str,
+    part: Mapping[str, Any],
+    comments: Mapping[str, str],
+    examples: Mapping[str, Mapping[str, str]],
+) -> Iterator[str]:
     yield f"## {name}"
     yield ""
     about = " ".join(str(part.get("description", "")).split("\n\n")[0].split())
     if about and name != "top level":
         yield from (about, "")
-    yield "| key | holds | unit | default | what it is |"
-    yield "|---|---|---|---|---|"
+    yield "| key | holds | unit | default | example | what it is |"
+    yield "|---|---|---|---|---|---|"
     required = part.get("required", ())
     for key, rule in part["properties"].items():
         unit = next(
@@ -166,7 +180,10 @@ def _table(name: str, part: Mapping[str, Any], comments: Mapping[str, str]) -> I
         )
         default = "needed" if key in required else _value(rule.get("default"))
         words = rule.get("description") or comments.get(f"{name}.{key}", "")
-        cells = (f"`{key}`", _holds(rule), unit, default, " ".join(str(words).split()))
+        if not words and "const" in rule:
+            words = "says which of them it is"
+        example = examples.get(name, {}).get(key, "")
+        cells = (f"`{key}`", _holds(rule), unit, default, example, " ".join(str(words).split()))
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
     yield ""
 
@@ -208,6 +225,60 @@ def _holds(rule: Mapping[str, Any]) -> str:
     return f"{kind}{span}" if isinstance(kind, str) else " or ".join(kind)
 
 
+def _example_files(kind: str) -> list[Mapping[str, Any]]:
+    """Return the contents of the files of a kind that come along, the template first."""
+    from interarea.cosim.designs import design_file
+    from interarea.cosim.scenario.scenario import BUNDLED as scenarios
+    from interarea.models.case.case import BUNDLED as cases
+
+    designs = Path(design_file.__file__).parent
+    if kind == "controller":
+        return [json.loads((TEMPLATES / "controller.json").read_text(encoding="utf-8"))]
+    folders = {"scenario": scenarios, "events": scenarios, "case": cases, "design": designs}
+    name = "scenario" if kind == "events" else kind
+    found = [TEMPLATES / f"{name}.toml", *(sorted(folders[kind].glob("*.toml")) if kind in folders else ())]
+    found.append(TEMPLATES / f"all_{name}.toml")
+    return [tomllib.loads(file.read_text(encoding="utf-8")) for file in found]
+
+
+def _examples(kind: str, made: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+    """Return table -> key -> the first short value that a file which comes along gives it."""
+    found: dict[str, dict[str, str]] = {}
+    defs = made.get("$defs", {})
+
+    def visit(name: str, rule: Mapping[str, Any], data: Any) -> None:
+        if "$ref" in rule:
+            name = rule["$ref"].rpartition("/")[2]
+            rule = defs[name]
+        for form in ("anyOf", "oneOf"):
+            for one in rule.get(form, ()):
+                visit(name, one, data)
+        if isinstance(data, list):
+            for item in data:
+                visit(name, rule.get("items", {}), item)
+        if not isinstance(data, Mapping):
+            return
+        known = rule.get("properties", {})
+        kinds = known.get("kind", {})
+        if "const" in kinds and data.get("kind") != kinds["const"]:
+            return
+        for key, value in data.items():
+            if key in known:
+                text = json.dumps(value, ensure_ascii=False)
+                if len(text) <= 60 and value not in ({}, [], ""):
+                    found.setdefault(name, {}).setdefault(key, f"`{text}`")
+                visit(f"{name}.{key}", known[key], value)
+            elif isinstance(rule.get("additionalProperties"), Mapping):
+                visit(name, rule["additionalProperties"], value)
+
+    for data in _example_files(kind):
+        visit("top level", {"$ref": f"#/$defs/{kind}"} if kind in defs else made, data)
+        if kind == "events":
+            for event in data.get("event", ()):
+                visit("", made, event)
+    return found
+
+
 def _comments(kind: str) -> dict[str, str]:
     """Return what the `#:` comments beside the fields say, by model.field."""
     if kind == "controller":
@@ -224,8 +295,9 @@ def _comments(kind: str) -> dict[str, str]:
                     before = f"{before} {comment[1]}".strip()
                 elif field:
                     words = field[2] or before
+                    alias = model.model_fields[field[1]].alias if field[1] in model.model_fields else None
                     if words:
-                        found[f"{model.__name__}.{field[1]}"] = words
+                        found[f"{model.__name__}.{alias or field[1]}"] = words
                         if kind != "events" and model is _model(kind):
                             found[f"top level.{field[1]}"] = words
                     before = ""
@@ -236,7 +308,7 @@ def _models(kind: str) -> list[type[BaseModel]]:
     """Return the models that a kind of file is checked by, the whole first."""
     from interarea.models.case.events import Event
 
-    todo: list[Any] = list(get_args(Event)) if kind == "events" else [_model(kind)]
+    todo: list[Any] = [*([] if kind == "events" else [_model(kind)]), *get_args(Event)]
     found: list[type[BaseModel]] = []
     while todo:
         one = todo.pop(0)

@@ -34,8 +34,8 @@ class FaultPlace(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    bus: int
-    trip: str | None = None
+    bus: int  #: number of the faulted bus
+    trip: str | None = None  #: branch whose trip clears the fault; without it the fault clears itself
 
     def __str__(self) -> str:
         return f"bus {self.bus}" + ("" if self.trip is None else f", {self.trip} tripped")
@@ -51,16 +51,18 @@ class AcceptanceTable(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    fault: tuple[FaultPlace, ...] = Field(min_length=1)
+    fault: tuple[FaultPlace, ...] = Field(min_length=1)  #: the faults, each tried at every operating point
+    #: (least, most) field voltage of every exciter that has limits, pu; as the case has them too
     ceilings: tuple[tuple[float, float], ...] = ()
+    #: of every signal, one run for each value
     latency_s: tuple[Annotated[float, Field(ge=0.0)], ...] = Field((0.1,), min_length=1)
-    clear_cycles: Positive = 8.0
-    start_s: Positive = 1.0
-    lost_s: Positive = 1.5
-    stop_s: Positive = 10.0
-    x_pu: Positive = 1e-4
+    clear_cycles: Positive = 8.0  #: how long the fault lasts, periods of the case's frequency
+    start_s: Positive = 1.0  #: when the fault begins
+    lost_s: Positive = 1.5  #: from when on the lost signal is lost
+    stop_s: Positive = 10.0  #: end of each run
+    x_pu: Positive = 1e-4  #: reactance of the fault to earth
     longest_cycles: Positive = 30.0  #: clearing times are searched from 1 cycle to this
-    resolution_cycles: Positive = 0.15
+    resolution_cycles: Positive = 0.15  #: how finely a clearing time is searched
 
 
 @dataclass(frozen=True)

@@ -39,10 +39,10 @@ class _Table(BaseModel):
 class PointTable(_Table):
     """One operating point, as a change to the case (`models.case_variants`)."""
 
-    name: str
-    tie_flow_mw: float = 0.0
-    out: tuple[str, ...] = ()
-    load_scale: Positive = 1.0
+    name: str  #: of the operating point
+    tie_flow_mw: float = 0.0  #: load moved across the tie, so that its flow grows by this
+    out: tuple[str, ...] = ()  #: branches out of service
+    load_scale: Positive = 1.0  #: factor on every load
 
 
 Ratio = Annotated[float, Field(ge=-1.0, lt=1.0)]
@@ -51,19 +51,20 @@ Ratio = Annotated[float, Field(ge=-1.0, lt=1.0)]
 class AskTable(_Table):
     """What the certificate asks of every operating point under every condition."""
 
-    worst_swing: Ratio = 0.0
-    inter_area: Ratio = 0.0
+    worst_swing: Ratio = 0.0  #: least damping ratio of any swing mode
+    inter_area: Ratio = 0.0  #: least damping ratio of the inter-area mode
+    #: largest H-infinity norm of K (I - G K)^-1 at any operating point, pu per rad/s
     effort: Positive = float("inf")
-    fastest_pole: Positive = float("inf")
+    fastest_pole: Positive = float("inf")  #: largest magnitude of the controller's poles, rad/s
     synchronism: bool = False  #: after the fault of `fault`, at every operating point
 
 
 class PartTable(_Table):
     """One actuator of a decentralised controller: what it sees, and its order, a washout counted."""
 
-    actuator: str
-    signals: tuple[str, ...] = Field(min_length=1)
-    order: Annotated[int, Field(ge=1, le=20)] = 4
+    actuator: str  #: input of the plant that this part drives
+    signals: tuple[str, ...] = Field(min_length=1)  #: what this part sees
+    order: Annotated[int, Field(ge=1, le=20)] = 4  #: states of this part, that of its washout counted
 
 
 class GuardTable(_Table):
@@ -72,8 +73,9 @@ class GuardTable(_Table):
     watched: dict[str, str] = Field(min_length=1)  #: output -> signal, a speed, that tells of the swing
     sides: dict[str, Annotated[float, Field(ge=-1.0, le=1.0)]]  #: above 0 the upper limit falls
     threshold: Positive  #: rad/s
+    #: time constant of the washout before it, so that a lasting deviation does not hold the limit shut
     washout_s: Positive = 10.0
-    lowpass_s: Positive = 1.0
+    lowpass_s: Positive = 1.0  #: time constant of the low pass on the watched signal
 
     def guard(self) -> Guard:
         """Return it as a controller has it."""
@@ -86,33 +88,39 @@ class DesignTable(_Table):
     Either one loop (`remote`, `local`, `actuator`, `order`), or one `part` for each actuator.
     """
 
-    name: str
-    case: str
-    remote: str | None = None
-    local: str | None = None
+    name: str  #: of the controller: letters, digits and _
+    case: str  #: bundled name, or a case file beside this one
+    remote: str | None = None  #: the signal that comes from afar, such as `G2_dw`
+    local: str | None = None  #: the signal measured at the actuator, such as `G4_dw`
+    #: input of the plant that is driven, such as `G4_vs`; with `part`: named there
     actuator: str | None = None
-    order: Annotated[int, Field(ge=1, le=20)] = 6
+    order: Annotated[int, Field(ge=1, le=20)] = 6  #: states of the controller, those of its washouts counted
+    #: decentralised: one table for each actuator, instead of `actuator`, `remote` and `local`
     part: tuple[PartTable, ...] = ()
+    #: N: all signals at once; L: the remote one lost; s100: all 100 ms late; ns150: the remote one 150 ms
+    #: late; L:G2_dw: that signal lost; joined by +
     conditions: tuple[str, ...] = Field(min_length=1)
-    point: tuple[PointTable, ...] = Field(min_length=1)
-    washout_s: Annotated[float, Field(ge=0.0)] = 0.0
-    dc_block: bool = True
-    feedthrough: bool = False
-    slowest_pole: Positive = 0.3
-    fastest_pole: Positive = 280.0
+    point: tuple[PointTable, ...] = Field(min_length=1)  #: the operating points, each a change to the case
+    washout_s: Annotated[float, Field(ge=0.0)] = 0.0  #: time constant of a washout at each output; 0: none
+    dc_block: bool = True  #: the controller does not answer a constant speed deviation
+    feedthrough: bool = False  #: whether the controller may answer a signal at once
+    slowest_pole: Positive = 0.3  #: bound from below of the magnitude of the controller's poles, rad/s
+    fastest_pole: Positive = 280.0  #: bound of the magnitude of the controller's poles, rad/s
+    #: (rad/s, pu per rad/s): cap of the effort over frequency, straight between the points in log scales
     effort_cap: tuple[tuple[Positive, Positive], ...] = ((0.05, 0.155), (300.0, 0.155))
     #: (rad/s, damping): how much more than elsewhere the optimisation wants there, piecewise linear
     offset: tuple[tuple[float, float], ...] = Field(tuple(zip(*_OFFSETS, strict=True)), min_length=2)
-    limit_pu: Positive = 0.15
-    guard: GuardTable | None = None
-    starts: Annotated[int, Field(ge=1)] = 3
-    evaluations: Annotated[int, Field(ge=1)] = 1800
-    polishes: Annotated[int, Field(ge=0)] = 20
-    seed: int = 1
-    ask: AskTable = AskTable()
-    fault: FaultTable | None = None
+    limit_pu: Positive = 0.15  #: bound of the magnitude of every output
+    guard: GuardTable | None = None  #: limits of the output that fall during a first swing
+    starts: Annotated[int, Field(ge=1)] = 3  #: random starts of the search
+    evaluations: Annotated[int, Field(ge=1)] = 1800  #: of the objective, from each start
+    polishes: Annotated[int, Field(ge=0)] = 20  #: rounds of descent from the best start
+    seed: int = 1  #: of the random starts
+    ask: AskTable = AskTable()  #: what the certificate asks for
+    fault: FaultTable | None = None  #: the fault that the certificate runs at every operating point
+    #: non-linear faults that `interarea certify NAME --acceptance` runs
     acceptance: AcceptanceTable | None = None
-    source: str = ""
+    source: str = ""  #: where the design comes from
     _grid: Case | None = PrivateAttr(None)  # of `on`
 
     @property

@@ -41,14 +41,14 @@ class FaultTable(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    bus: int
-    branch: str
-    start_s: Positive = 1.0
-    clear_s: Positive = 1.1333333
-    lost_s: Positive = 1.5
-    latency_s: Annotated[float, Field(ge=0.0)] = 0.1
-    stop_s: Positive = 13.0
-    settle_s: Positive = 10.0
+    bus: int  #: number of the faulted bus
+    branch: str  #: tripped when the fault is cleared
+    start_s: Positive = 1.0  #: when the fault begins
+    clear_s: Positive = 1.1333333  #: when the fault is cleared
+    lost_s: Positive = 1.5  #: from when on the lost signals are lost
+    latency_s: Annotated[float, Field(ge=0.0)] = 0.1  #: of every signal
+    stop_s: Positive = 13.0  #: end of the run
+    settle_s: Positive = 10.0  #: settling must be done so long after the fault's start
 
 
 @dataclass(frozen=True)

@@ -34,15 +34,16 @@ class Table(BaseModel):
 class GammaLatency(Table):
     """A random latency on top of `latency_s`, gamma distributed with mean shape * scale_s."""
 
-    kind: Literal["gamma"]
-    shape: Annotated[float, Field(gt=0.0)]
-    scale_s: Annotated[float, Field(gt=0.0)]
+    kind: Literal["gamma"]  #: a gamma distribution
+    shape: Annotated[float, Field(gt=0.0)]  #: its shape
+    scale_s: Annotated[float, Field(gt=0.0)]  #: its scale; the mean is shape times scale
 
 
 class EmpiricalLatency(Table):
     """A random latency on top of `latency_s`: quantiles at equally spaced probabilities 0 to 1."""
 
-    kind: Literal["empirical"]
+    kind: Literal["empirical"]  #: a measured distribution
+    #: evenly spaced quantiles from the least to the largest, straight between them
     quantiles_s: Annotated[tuple[Seconds, ...], Field(min_length=2)]
 
     @field_validator("quantiles_s")
@@ -56,34 +57,37 @@ class EmpiricalLatency(Table):
 class BernoulliLoss(Table):
     """Each packet is lost with probability `rate`."""
 
-    kind: Literal["bernoulli"]
-    rate: Probability
+    kind: Literal["bernoulli"]  #: each packet is lost by itself
+    rate: Probability  #: share of lost packets
 
 
 class GilbertElliottLoss(Table):
     """Loss in a good and a bad state; moves between them once per packet."""
 
-    kind: Literal["gilbert_elliott"]
-    good_to_bad: Probability
-    bad_to_good: Annotated[float, Field(gt=0.0, le=1.0)]
-    loss_good: Probability = 0.0
-    loss_bad: Probability = 1.0
+    kind: Literal["gilbert_elliott"]  #: losses in bursts: a good and a bad state
+    good_to_bad: Probability  #: probability a packet
+    bad_to_good: Annotated[float, Field(gt=0.0, le=1.0)]  #: probability a packet
+    loss_good: Probability = 0.0  #: share lost in the good state
+    loss_bad: Probability = 1.0  #: share lost in the bad state
 
 
 class ChannelLine(Table):
     """How a channel delays and loses what is sent (semantics: models/c/channel/channel_variables.h)."""
 
-    latency_s: Seconds = 0.0
+    latency_s: Seconds = 0.0  #: how late the signal is; exact to the tick of a nanosecond
+    #: what the receiver gets while the signal is lost: zero, the last value, or that for `hold_s`
     on_loss: Literal["zero", "hold", "hold_then_zero"] = "zero"
-    hold_s: Seconds = 1.0
-    reporting_interval_s: Seconds = 0.0
-    jitter_s: Seconds = 0.0
+    hold_s: Seconds = 1.0  #: how long `hold_then_zero` holds
+    reporting_interval_s: Seconds = 0.0  #: time between packets; 0: a continuous signal without packets
+    jitter_s: Seconds = 0.0  #: each packet is late by 0 to this much more, evenly spread
+    #: random latency of each packet on top of `latency_s`
     latency: Annotated[GammaLatency | EmpiricalLatency, Field(discriminator="kind")] | None = None
+    #: random loss of packets
     loss: Annotated[BernoulliLoss | GilbertElliottLoss, Field(discriminator="kind")] | None = None
-    quantum: Seconds = 0.0
-    pdc_wait_s: Seconds = 0.0
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
-    outages_s: tuple[tuple[Seconds, Seconds], ...] = ()
+    quantum: Seconds = 0.0  #: values are rounded to multiples of this; 0: not rounded
+    pdc_wait_s: Seconds = 0.0  #: a packet is handed on so long after its time stamp, or not at all
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0  #: of the packets' random numbers
+    outages_s: tuple[tuple[Seconds, Seconds], ...] = ()  #: [from, to] times in which the signal is lost
 
     @classmethod
     def keys_at(cls, location: Sequence[int | str]) -> list[str]:

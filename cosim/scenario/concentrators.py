@@ -21,22 +21,24 @@ if TYPE_CHECKING:
 class SignalWay(Table):
     """How one signal gets to the concentrator; `lost_s`: stamps in [start, end) never do."""
 
-    latency_s: Seconds = 0.0
-    jitter_s: Seconds = 0.0
-    loss: Probability = 0.0
-    lost_s: tuple[Seconds, Seconds] | None = None
+    latency_s: Seconds = 0.0  #: from the source to the concentrator
+    jitter_s: Seconds = 0.0  #: each packet is late by 0 to this much more, evenly spread
+    loss: Probability = 0.0  #: share of lost packets
+    lost_s: tuple[Seconds, Seconds] | None = None  #: [from, to]: lost altogether in between
 
 
 class ConcentratorLine(Table):
     """Several signals aligned by time stamp (semantics: models/c/concentrator/concentrator.h)."""
 
+    #: what is aligned, a table each
     signals: Annotated[tuple[SignalWay, ...], Field(min_length=1, max_length=MOST_SIGNALS)]
-    reporting_interval_s: Annotated[float, Field(ge=1e-4)] = 0.02
-    wait_s: Seconds = 0.1
-    relative: bool = False
-    latency_s: Seconds = 0.0
+    reporting_interval_s: Annotated[float, Field(ge=1e-4)] = 0.02  #: time between the sets
+    wait_s: Seconds = 0.1  #: longest wait for a set
+    relative: bool = False  #: wait from the first arrival of a set on, not from its time stamp
+    latency_s: Seconds = 0.0  #: from the concentrator to the controller
+    #: what stands for a signal that is missing: zero or its last value
     on_loss: Literal["zero", "hold"] = "zero"
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0  #: of the random numbers
 
     @classmethod
     def keys_at(cls, location: Sequence[int | str]) -> list[str]:

@@ -95,9 +95,9 @@ _RESERVED = ("plant", "controller")
 class FmuTable(Table):
     """Any FMI 2.0 co-simulation FMU: file, start values, the least latency it promises."""
 
-    file: Annotated[str, Field(min_length=1)]
-    start: Mapping[str, float | int | bool | str] = {}
-    latency_s: Seconds = 0.0
+    file: Annotated[str, Field(min_length=1)]  #: the FMU, beside this file
+    start: Mapping[str, float | int | bool | str] = {}  #: variable -> start value
+    latency_s: Seconds = 0.0  #: at least so long from any input to any output
     isolate: bool = False  #: in a process of its own, which it may crash
     time_limit_s: Annotated[float, Field(gt=0.0)] | None = None  #: of one call there
 
@@ -117,13 +117,13 @@ class ChannelTable(ChannelLine):
     """A channel: `signal` travels from the plant to the controller's input of that name; without it the
     channel is connected by `connections`."""
 
-    signal: str = ""
+    signal: str = ""  #: output of the plant that travels to the controller's input of that name
 
 
 class SignalTable(SignalWay):
     """The way of one signal to a concentrator; `signal` travels from the plant to the controller on it."""
 
-    signal: str = ""
+    signal: str = ""  #: output of the plant that travels to the controller's input of that name
 
 
 class ConcentratorTable(ConcentratorLine):
@@ -135,9 +135,12 @@ class ConcentratorTable(ConcentratorLine):
 class MasterTable(Table):
     """How the master hands inputs over and what it does with loops (see `Master`)."""
 
+    #: how inputs move between communication points: cubics, straight lines, or held
     inputs: Inputs = "hermite"
+    #: loops without a channel: iterate with saved states, extrapolate, or whichever is possible
     loops: Loops = "auto"
-    tolerance: Annotated[float, Field(gt=0.0, lt=1.0)] = 1e-7
+    tolerance: Annotated[float, Field(gt=0.0, lt=1.0)] = 1e-7  #: of the iteration, relative
+    #: when an FMU ends a step early: continue from there with it, or set all back to the last point
     early: Early = "go on"
     arrivals: Literal["exact", "grid"] = "exact"  #: packets come out at their instant, or on the grid
     joint: bool = False  #: no master: plant, controller and channels in one block (`run_joint`)
@@ -151,17 +154,18 @@ class MasterTable(Table):
 class OperatingPointTable(Table):
     """Another operating point of the case: see `operating_variant`."""
 
-    tie_flow_mw: float = 0.0
-    load_scale: Annotated[float, Field(gt=0.0)] = 1.0
+    tie_flow_mw: float = 0.0  #: load moved across the tie, so that its flow grows by this
+    load_scale: Annotated[float, Field(gt=0.0)] = 1.0  #: factor on every load
     out: tuple[str, ...] = ()  #: names of branches
 
 
 class Expectation(Table):
     """The stated outcome: `damping_ratio` and `settling_time_s` as [least, most]."""
 
-    stable: bool | None = None
-    damping_ratio: Mapping[str, tuple[float, float]] = {}
-    settling_time_s: tuple[float, float] | None = None
+    stable: bool | None = None  #: whether the run ends stable
+    damping_ratio: Mapping[str, tuple[float, float]] = {}  #: mode -> [least, most]
+    settling_time_s: tuple[float, float] | None = None  #: [least, most]
+    #: [least, most] of the swing signal
     peak_pu: Annotated[
         tuple[float, float] | None, Field(validation_alias=AliasChoices("peak_pu", "peak_dw24"))
     ] = None
@@ -170,25 +174,33 @@ class Expectation(Table):
 class Scenario(Table):
     """A checked scenario; `folder` is where relative file names start."""
 
-    case: str = ""
+    case: str = ""  #: the grid: bundled name (`interarea list`), or a case file beside this one
+    #: none, a bundled name, a controller file or any FMU
     controller: Annotated[str, Field(min_length=1)] = "none"
-    controller_gain: float = 1.0
+    controller_gain: float = 1.0  #: factor on the controller's output, before its limit
+    #: instead of the controller's own output limit
     controller_limit_pu: Annotated[float, Field(gt=0.0)] | None = None
+    #: a change to the case, no copy of which is needed
     operating_point: OperatingPointTable = OperatingPointTable()
-    plant: Mapping[str, float] = {}
-    stop_s: Annotated[float, Field(gt=0.0)]
+    plant: Mapping[str, float] = {}  #: start value of parameters of the plant's FMU by name
+    stop_s: Annotated[float, Field(gt=0.0)]  #: end of the run
+    #: communication step; default: chosen from latencies and events
     step_s: Annotated[float, Field(gt=0.0)] | None = None
+    #: name -> the way of one signal; a signal without one arrives undelayed
     channels: Mapping[str, ChannelTable] = {}
+    #: name -> several signals aligned by time stamp (IEEE C37.247)
     concentrators: Mapping[str, ConcentratorTable] = {}
-    fmus: Mapping[str, FmuTable] = {}
-    connections: tuple[tuple[str, ...], ...] = ()
-    event: tuple[Any, ...] = ()
+    fmus: Mapping[str, FmuTable] = {}  #: name -> an FMU of one's own
+    connections: tuple[tuple[str, ...], ...] = ()  #: [from, channels on the way, to] for FMUs of one's own
+    event: tuple[Any, ...] = ()  #: faults, trips, pulses and steps, a table each
+    #: [machine, machine]: the difference of speeds that the run is judged by; default: the case's, else the
+    #: extreme machines of the inter-area mode
     swing: Annotated[tuple[str, ...], Field(min_length=2, max_length=2)] | None = None
-    title: str = ""
-    source: str = ""
-    master: MasterTable = MasterTable()
-    expect: Expectation = Expectation()
-    name: str = "scenario"
+    title: str = ""  #: in a line what is shown
+    source: str = ""  #: where the scenario comes from
+    master: MasterTable = MasterTable()  #: how the FMUs are stepped
+    expect: Expectation = Expectation()  #: the outcome that the tests assert
+    name: str = "scenario"  #: short, for files and messages; default: the file's name
     folder: Path = Path()
     rounded: tuple[str, ...] = ()  #: times that lay between two ticks, and what they were taken as
 

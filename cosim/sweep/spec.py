@@ -46,23 +46,24 @@ Path_ = tuple[str, ...]
 class Trajectories(Table):
     """Which trajectories are stored, of which columns (default: all), every how many points."""
 
-    keep: Literal["none", "all", "unstable"] = "none"
-    columns: tuple[str, ...] = ()
-    every: Annotated[int, Field(ge=1)] = 1
+    keep: Literal["none", "all", "unstable"] = "none"  #: of no run, of all, or of unstable ones
+    columns: tuple[str, ...] = ()  #: names that are kept; default: all
+    every: Annotated[int, Field(ge=1)] = 1  #: each so manieth point is kept
 
 
 class Sweep(Table):
     """A checked sweep; `base` is the scenario that is varied."""
 
-    name: str = "sweep"
-    title: str = ""
+    name: str = "sweep"  #: of the sweep
+    title: str = ""  #: in a line what is shown
     base: Scenario
-    parameters: Mapping[str, Parameter] = {}
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    parameters: Mapping[str, Parameter] = {}  #: name -> what is varied
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  #: of the random parameters
+    #: number of runs of random and latin-hypercube parameters
     samples: Annotated[int, Field(ge=1)] | None = None
-    metrics: tuple[str, ...] = METRICS
-    time_limit_s: Annotated[float, Field(gt=0.0)] = 60.0
-    trajectories: Trajectories = Trajectories()
+    metrics: tuple[str, ...] = METRICS  #: what a row holds
+    time_limit_s: Annotated[float, Field(gt=0.0)] = 60.0  #: of one run; longer ones are failed rows
+    trajectories: Trajectories = Trajectories()  #: which trajectories are kept
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

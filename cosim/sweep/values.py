@@ -31,11 +31,11 @@ class Table(BaseModel):
 class Range(Table):
     """From `start` to `stop`: by `step`, or `count` values evenly spaced on a linear or logarithmic scale."""
 
-    start: float
-    stop: float
-    step: float | None = None
-    count: Annotated[int, Field(ge=1)] | None = None
-    scale: Literal["linear", "log"] = "linear"
+    start: float  #: first value
+    stop: float  #: last value
+    step: float | None = None  #: distance of two values; or `count`
+    count: Annotated[int, Field(ge=1)] | None = None  #: number of values, both ends counted; or `step`
+    scale: Literal["linear", "log"] = "linear"  #: even in the value or in its logarithm
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -75,10 +75,10 @@ class Range(Table):
 class Interval(Table):
     """Between `low` and `high`, uniform on a linear or log scale; rounded to `digits` decimal places."""
 
-    low: float
-    high: float
-    scale: Literal["linear", "log"] = "linear"
-    digits: Annotated[int, Field(ge=0, le=15)] | None = None
+    low: float  #: lower end
+    high: float  #: upper end
+    scale: Literal["linear", "log"] = "linear"  #: even in the value or in its logarithm
+    digits: Annotated[int, Field(ge=0, le=15)] | None = None  #: round to so many digits
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -91,13 +91,14 @@ class Interval(Table):
 class Draw(Table):
     """A random draw: uniform (`low`, `high`), normal (`mean`, `deviation`, cut to these), or `choose`."""
 
-    low: float | None = None
-    high: float | None = None
-    scale: Literal["linear", "log"] = "linear"
-    mean: float | None = None
+    low: float | None = None  #: lower end
+    high: float | None = None  #: upper end of an even distribution
+    scale: Literal["linear", "log"] = "linear"  #: even in the value or in its logarithm
+    mean: float | None = None  #: of a normal distribution
+    #: standard deviation of a normal distribution about `mean`
     deviation: Annotated[float, Field(gt=0.0)] | None = None
-    choose: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None
-    digits: Annotated[int, Field(ge=0, le=15)] | None = None
+    choose: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None  #: draw from this list
+    digits: Annotated[int, Field(ge=0, le=15)] | None = None  #: round to so many digits
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
@@ -137,11 +138,12 @@ class Search(Table):
     when the runs with all of these seeds are.
     """
 
-    low: float
-    high: float
-    tolerance: Annotated[float, Field(gt=0.0)]
+    low: float  #: lower end
+    high: float  #: upper end of the search
+    tolerance: Annotated[float, Field(gt=0.0)]  #: width at which the search ends
+    #: values looked at before the bisection, so that islands are seen
     scan: Annotated[int, Field(ge=2, le=1000)] = 9
-    seeds: Annotated[int, Field(ge=1, le=1000)] = 1
+    seeds: Annotated[int, Field(ge=1, le=1000)] = 1  #: runs at each value; stable where all are
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -156,14 +158,15 @@ _FORMS = ("values", "range", "latin_hypercube", "random", "bisect")
 class Parameter(Table):
     """One `[parameters.NAME]` table: where the value goes (`path`, default: the name) and which values."""
 
+    #: the key of the scenario, or several that move together; default: the parameter's name
     path: str | Annotated[tuple[str, ...], Field(min_length=1)] | None = None
-    values: tuple[Any, ...] | None = None
-    range: Range | None = None
-    latin_hypercube: Interval | None = None
-    random: Draw | None = None
-    bisect: Search | None = None
-    unit: str = ""
-    label: str = ""
+    values: tuple[Any, ...] | None = None  #: the values themselves
+    range: Range | None = None  #: evenly spaced values
+    latin_hypercube: Interval | None = None  #: drawn so that each parameter alone is spread evenly
+    random: Draw | None = None  #: drawn at random
+    bisect: Search | None = None  #: search the value at which the loop turns unstable
+    unit: str = ""  #: for maps and tables
+    label: str = ""  #: for maps and tables; default: the parameter's name
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:

@@ -30,7 +30,7 @@ class Control(Row):
 
     model_config = ConfigDict(extra="allow")
 
-    kind: str
+    kind: str  #: which device: a file of `models/devices`
 
     @property
     def parameters(self) -> dict[str, Any]:

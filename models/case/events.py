@@ -30,13 +30,13 @@ class _Event(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    start_s: Time
+    start_s: Time  #: when it begins
 
 
 class _Lasting(_Event):
     """An event that may end; without `end_s` it lasts to the end of the run."""
 
-    end_s: Time | None = None
+    end_s: Time | None = None  #: when it ends; without it: it lasts
 
     @model_validator(mode="after")
     def _ends_later(self) -> Self:
@@ -51,10 +51,10 @@ class BusFault(_Lasting):
     """Three-phase fault at `bus` through r + jx to ground, pu on the base of the case, cleared at `end_s`."""
 
     kind: Literal["bus_fault"] = "bus_fault"
-    bus: BusNumber
+    bus: BusNumber  #: number of the faulted bus
     end_s: Time
-    r_pu: Annotated[float, Field(strict=True, ge=0.0)] = 0.0
-    x_pu: Annotated[float, Field(strict=True, ge=0.0)] = 1e-4
+    r_pu: Annotated[float, Field(strict=True, ge=0.0)] = 0.0  #: resistance of the fault to earth
+    x_pu: Annotated[float, Field(strict=True, ge=0.0)] = 1e-4  #: reactance of the fault to earth
 
     @model_validator(mode="after")
     def _impedance(self) -> Self:
@@ -67,22 +67,22 @@ class BranchTrip(_Lasting):
     """Both ends of `branch` open at `start_s`; with `end_s` they close again then."""
 
     kind: Literal["branch_trip"] = "branch_trip"
-    branch: Target
+    branch: Target  #: its name, such as `7-8 a`
 
 
 class BranchReclose(_Event):
     """Both ends of `branch` close at `start_s`."""
 
     kind: Literal["branch_reclose"] = "branch_reclose"
-    branch: Target
+    branch: Target  #: its name, such as `7-8 a`
 
 
 class VrefPulse(_Lasting):
     """The voltage set-point of `machine` is raised by `size_pu` from `start_s` to `end_s`."""
 
     kind: Literal["vref_pulse"] = "vref_pulse"
-    machine: Target
-    size_pu: Number
+    machine: Target  #: name of the machine
+    size_pu: Number  #: change of its voltage reference
     end_s: Time
 
 
@@ -90,16 +90,16 @@ class VrefStep(_Event):
     """The voltage set-point of `machine` is raised by `size_pu` for good."""
 
     kind: Literal["vref_step"] = "vref_step"
-    machine: Target
-    size_pu: Number
+    machine: Target  #: name of the machine
+    size_pu: Number  #: change of its voltage reference
 
 
 class PmPulse(_Lasting):
     """The mechanical power of `machine` is raised by `size_pu` (machine base) from `start_s` to `end_s`."""
 
     kind: Literal["pm_pulse"] = "pm_pulse"
-    machine: Target
-    size_pu: Number
+    machine: Target  #: name of the machine
+    size_pu: Number  #: change of its mechanical power, of the machine's base
     end_s: Time
 
 
@@ -107,8 +107,8 @@ class PmStep(_Event):
     """The mechanical power of `machine` is raised by `size_pu` (machine base) for good."""
 
     kind: Literal["pm_step"] = "pm_step"
-    machine: Target
-    size_pu: Number
+    machine: Target  #: name of the machine
+    size_pu: Number  #: change of its mechanical power, of the machine's base
 
 
 class LoadStep(_Lasting):
@@ -119,11 +119,11 @@ class LoadStep(_Lasting):
     """
 
     kind: Literal["load_step"] = "load_step"
-    load: Target | None = None
-    bus: BusNumber | None = None
-    size_pu: Number | None = None
-    p_pu: Number | None = None
-    q_pu: Number | None = None
+    load: Target | None = None  #: name of the load; or `bus`
+    bus: BusNumber | None = None  #: where the load is; or `load`
+    size_pu: Number | None = None  #: share of the load that is added, both powers; or `p_pu`, `q_pu`
+    p_pu: Number | None = None  #: change of active power, of the system base
+    q_pu: Number | None = None  #: change of reactive power, of the system base
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
@@ -138,15 +138,15 @@ class MachineTrip(_Event):
     """`machine` is disconnected from its bus at `start_s`."""
 
     kind: Literal["machine_trip"] = "machine_trip"
-    machine: Target
+    machine: Target  #: name of the machine
 
 
 class ShuntSwitch(_Lasting):
     """`shunt` is switched out (`to = "out"`) or in at `start_s`, and back at `end_s` when that is given."""
 
     kind: Literal["shunt_switch"] = "shunt_switch"
-    shunt: Target
-    to: Literal["in", "out"] = "out"
+    shunt: Target  #: name of the shunt
+    to: Literal["in", "out"] = "out"  #: switched in or out
 
 
 Event = Annotated[

@@ -36,14 +36,14 @@ LEAST_IMPEDANCE_PU = 1e-9  #: of a branch; a smaller one drowns all others in ro
 class Bus(Row):
     """A bus; `number` is its id in the file."""
 
-    number: BusNumber
-    name: str = ""
-    area: Annotated[int, Field(strict=True, ge=1)] = 1
+    number: BusNumber  #: its id
+    name: str = ""  #: free text
+    area: Annotated[int, Field(strict=True, ge=1)] = 1  #: for names of modes and for ties
     kv: Positive | None = None  #: nominal voltage, kV (information only: everything is per unit)
     V_pu: Positive | None = None  #: where the power flow starts; None: flat
     angle_deg: Number | None = None  #: likewise
-    latitude_deg: Annotated[float, Field(ge=-90.0, le=90.0)] | None = None
-    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)] | None = None
+    latitude_deg: Annotated[float, Field(ge=-90.0, le=90.0)] | None = None  #: place on a map
+    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)] | None = None  #: place on a map
 
 
 class Branch(Row):
@@ -53,16 +53,16 @@ class Branch(Row):
     In a file a row may carry `base_mva`; r, x, b are then converted to the base of the case on loading.
     """
 
-    name: Name
-    kind: Literal["line", "transformer"] = "line"
-    from_bus: BusNumber = Field(alias="from")
-    to_bus: BusNumber = Field(alias="to")
-    r: Number = 0.0
+    name: Name  #: its id
+    kind: Literal["line", "transformer"] = "line"  #: transformers have tap and shift at the `from` side
+    from_bus: BusNumber = Field(alias="from")  #: number of the bus at one end
+    to_bus: BusNumber = Field(alias="to")  #: number of the bus at the other end
+    r: Number = 0.0  #: series resistance, pu of the system base
     x: Number  #: below 0 for a series capacitor or a winding of a star; r + jx is not 0
     b: Number = 0.0  #: total charging
-    tap: Positive = 1.0
-    shift_deg: Number = 0.0
-    in_service: Switch = True
+    tap: Positive = 1.0  #: off-nominal turns ratio at the `from` side
+    shift_deg: Number = 0.0  #: phase shift of a transformer
+    in_service: Switch = True  #: false: out at the start; can be reclosed
 
     @model_validator(mode="after")
     def _impedance(self) -> Self:
@@ -77,11 +77,11 @@ class Branch(Row):
 class Shunt(Row):
     """A constant admittance to ground, given by what it takes and gives at 1 pu voltage."""
 
-    name: Name
-    bus: BusNumber
+    name: Name  #: its id
+    bus: BusNumber  #: number of its bus
     P_mw: Number = 0.0  #: consumed at 1 pu
     Q_mvar: Number = 0.0  #: generated at 1 pu (capacitor positive)
-    in_service: Switch = True
+    in_service: Switch = True  #: false: out at the start; can be switched in
 
 
 class Load(Row):
@@ -92,15 +92,17 @@ class Load(Row):
     Exponents 2, 1, 0 are constant impedance, current, power. Default: constant impedance.
     """
 
-    name: Name
-    bus: BusNumber
-    P_mw: Number
-    Q_mvar: Number
-    P_exponent: NonNegative = 2.0
-    Q_exponent: NonNegative = 2.0
+    name: Name  #: its id
+    bus: BusNumber  #: number of its bus
+    P_mw: Number  #: at the power flow's voltage
+    Q_mvar: Number  #: at the power flow's voltage
+    P_exponent: NonNegative = 2.0  #: P follows V to this power; 2: constant impedance, 0: constant power
+    Q_exponent: NonNegative = 2.0  #: Q follows V to this power
+    #: shares of constant impedance, current and power instead of the exponent
     P_zip: tuple[Number, Number, Number] | None = None
+    #: shares of constant impedance, current and power instead of the exponent
     Q_zip: tuple[Number, Number, Number] | None = None
-    in_service: Switch = True
+    in_service: Switch = True  #: false: not there
 
     @model_validator(mode="after")
     def _one_characteristic(self) -> Self:
@@ -142,9 +144,10 @@ class Saturation(Row):
     psi_I = 0 below psiT1 is left out: there psi_I is small and goes on falling.
     """
 
-    Asat: Positive
-    Bsat: Positive
-    psiT1: NonNegative
+    Asat: Positive  #: factor A of A exp(B (flux - psiT1))
+    Bsat: Positive  #: exponent B
+    psiT1: NonNegative  #: flux, pu, below which nothing saturates
+    #: total, or the book's linearisation for small swings
     use: Literal["none", "total", "incremental"] = "total"
 
 
@@ -155,11 +158,13 @@ class FluxSaturation(Row):
     It acts on the d axis, with `axes` = both also on the q axis in the ratio (Xq - Xl)/(Xd - Xl).
     """
 
-    S10: Positive
-    S12: Positive
+    S10: Positive  #: saturation at 1.0 pu
+    S12: Positive  #: saturation at 1.2 pu
+    #: the curve through both points: GENROU is quadratic, GENROE exponential
     shape: Literal["quadratic", "exponential"] = "quadratic"
+    #: which flux saturates: GENROU and GENSAL differ
     of: Literal["subtransient_flux", "transient_emf"] = "subtransient_flux"
-    axes: Literal["both", "d"] = "both"
+    axes: Literal["both", "d"] = "both"  #: both axes, or d alone
 
     @model_validator(mode="after")
     def _rising(self) -> Self:
@@ -201,37 +206,38 @@ class Machine(Row):
     power_flow: a dispatch without dynamic data, good for the power flow only.
     """
 
-    name: Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
-    bus: BusNumber
-    area: Annotated[int, Field(strict=True, ge=1)] = 1
-    base_mva: Positive
+    name: Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  #: its id
+    bus: BusNumber  #: number of its bus
+    area: Annotated[int, Field(strict=True, ge=1)] = 1  #: for names of modes
+    base_mva: Positive  #: base of its per-unit values
+    #: how many windings it has; infinite_bus: constant voltage and frequency
     model: Literal["round_rotor", "classical", "infinite_bus", "power_flow"] = "round_rotor"
     H: Positive | None = None  #: s
     D: NonNegative = 0.0  #: pu torque per pu speed
-    Ra: NonNegative = 0.0
-    Xd1: Positive | None = None
-    Xd: Positive | None = None
-    Xq: Positive | None = None
-    Xl: NonNegative | None = None
-    Xq1: Positive | None = None
-    Xd2: Positive | None = None
-    Xq2: Positive | None = None
-    Td01: Positive | None = None
-    Tq01: Positive | None = None
-    Td02: Positive | None = None
-    Tq02: Positive | None = None
-    saturation: Saturation | None = None
-    flux_saturation: FluxSaturation | None = None
+    Ra: NonNegative = 0.0  #: armature resistance, pu of the machine's base
+    Xd1: Positive | None = None  #: X'd, pu
+    Xd: Positive | None = None  #: synchronous reactance, d axis, pu of the machine's base
+    Xq: Positive | None = None  #: synchronous reactance, q axis, pu
+    Xl: NonNegative | None = None  #: leakage reactance, pu
+    Xq1: Positive | None = None  #: X'q, pu
+    Xd2: Positive | None = None  #: X''d, pu
+    Xq2: Positive | None = None  #: X''q, pu
+    Td01: Positive | None = None  #: T'd0, s
+    Tq01: Positive | None = None  #: T'q0, s; none: no transient winding on q
+    Td02: Positive | None = None  #: T''d0, s
+    Tq02: Positive | None = None  #: T''q0, s
+    saturation: Saturation | None = None  #: as in Kundur's book, exponential in the air-gap flux
+    flux_saturation: FluxSaturation | None = None  #: as PSS/E has it (GENROU, GENSAL, ...)
     torque_by_speed: Switch = False  #: 2H d slip/dt = (Pm - D slip)/(1 + slip) - Te, as PSS/E; else over 1
     P_mw: Number  #: dispatch; the slack machine's is a start value only
     Q_mvar: Number | None = None  #: its part of the Q at its bus; what is left is shared by rating
-    V_pu: Positive
-    slack: Switch = False
+    V_pu: Positive  #: voltage that the power flow holds at its bus
+    slack: Switch = False  #: takes what the power flow needs
     angle_deg: Number = 0.0  #: bus angle, slack only
-    exciter: Exciter = Control(kind="constant")
-    stabilizer: Stabilizer | None = None
-    compensator: Compensator | None = None
-    governor: Governor = Control(kind="none")
+    exciter: Exciter = Control(kind="constant")  #: device and its values; default: constant field voltage
+    stabilizer: Stabilizer | None = None  #: device and its values; default: none
+    compensator: Compensator | None = None  #: what the exciter regulates instead of the terminal voltage
+    governor: Governor = Control(kind="none")  #: device and its values; default: constant mechanical power
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -285,5 +291,5 @@ class Machine(Row):
 class Tie(Row):
     """The interface whose active power is the output `tie_p`: flow from bus `from` into `branches`."""
 
-    branches: Annotated[tuple[Name, ...], Field(min_length=1)]
-    from_bus: BusNumber = Field(alias="from")
+    branches: Annotated[tuple[Name, ...], Field(min_length=1)]  #: names of the branches that make the tie
+    from_bus: BusNumber = Field(alias="from")  #: number of the bus that exports

@@ -31,21 +31,22 @@ class CaseTables(BaseModel):
         ignored_types=(cached_property,),
     )
 
+    #: short, for files and messages
     name: Annotated[str, Field(strict=True, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
-    title: str = ""
-    source: str
-    frequency_hz: Positive
-    base_mva: Positive
+    title: str = ""  #: in a line what it is
+    source: str  #: where the data come from; a table of rows can have its own
+    frequency_hz: Positive  #: rated frequency
+    base_mva: Positive  #: system base of per-unit values
     solver_step_s: SolverStep | None = None  #: of the plant FMU; None: its default
     #: machines whose difference of speeds a run is judged by; None: taken from the inter-area mode's shape
     swing: Annotated[tuple[str, ...], Field(min_length=2, max_length=2)] | None = None
     sources: dict[str, str] = {}  #: table -> "KEY, where"
-    buses: Annotated[tuple[Bus, ...], Field(min_length=1)]
-    branches: tuple[Branch, ...] = ()
-    shunts: tuple[Shunt, ...] = ()
-    loads: tuple[Load, ...] = ()
-    machines: Annotated[tuple[Machine, ...], Field(min_length=1)]
-    tie: Tie | None = None
+    buses: Annotated[tuple[Bus, ...], Field(min_length=1)]  #: by number
+    branches: tuple[Branch, ...] = ()  #: lines and transformers by name
+    shunts: tuple[Shunt, ...] = ()  #: by name
+    loads: tuple[Load, ...] = ()  #: by name
+    machines: Annotated[tuple[Machine, ...], Field(min_length=1)]  #: by name
+    tie: Tie | None = None  #: the cut whose flow operating points move
     events: tuple[Event, ...] = Field(
         default=(), alias="event"
     )  #: what happens unless a scenario says otherwise

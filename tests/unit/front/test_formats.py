@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import interarea as ia
 from interarea import formats
 from interarea.cli.listing import bundled_files
 from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.sweep.spec import load_sweep
 
 PAGES = Path(__file__).resolve().parents[3] / "docs" / "formats"
@@ -30,6 +32,24 @@ def test_every_key_of_a_bundled_file_is_in_the_schema(kind: str) -> None:
     known = set(formats.schema(kind)["properties"])
     for file in bundled_files().get(f"{kind}s", {}).values():
         assert set(tomllib.loads(file.read_text(encoding="utf-8"))) <= known, file
+
+
+@pytest.mark.parametrize("kind", formats.kinds())
+def test_every_key_says_what_it_is_with_an_example_or_a_default(kind: str) -> None:
+    rows = [
+        re.split(r"(?<!\\)\|", line)[1:-1] for line in formats.page(kind).splitlines() if line[:3] == "| `"
+    ]
+    assert len(rows) >= 10
+    for key, holds, _, default, example, words in ([cell.strip() for cell in row] for row in rows):
+        assert words, key
+        assert example or default not in ("", "needed") or "table" in holds or "object" in holds, key
+
+
+def test_the_files_that_show_every_key_are_valid() -> None:
+    load_scenario(formats.TEMPLATES / "all_scenario.toml")
+    assert ia.load_case(formats.TEMPLATES / "all_case.toml").machine("south").slack
+    assert load_design(formats.TEMPLATES / "all_design.toml").washout_s == 5.0
+    assert load_sweep(formats.TEMPLATES / "all_sweep.toml").samples == 20
 
 
 @pytest.mark.parametrize("kind", ["scenario", "case", "controller", "design", "sweep", "test"])
