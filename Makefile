@@ -28,7 +28,7 @@ lint: $(VENV)/installed-test
 # mypy does not see through an editable install, so it checks a wheel's content.
 types: $(VENV)/installed-test
 	rm -rf build/typecheck && mkdir -p build/typecheck
-	$(BIN)/pip install --quiet --no-deps --target build/typecheck .
+	$(BIN)/pip install --quiet --no-deps --target build/typecheck -C platforms=none .
 	cd build/typecheck && ../../$(BIN)/python -m mypy --config-file ../../pyproject.toml \
 	    -p interarea
 
@@ -52,7 +52,7 @@ $(VENV)/bin/python:
 	$(BIN)/pip install --quiet --upgrade pip
 
 $(VENV)/installed: $(VENV)/bin/python pyproject.toml
-	$(BIN)/pip install --quiet -e .
+	$(BIN)/pip install --quiet -e ".[build]"
 	touch $@
 
 $(VENV)/installed-test: $(VENV)/bin/python pyproject.toml

@@ -13,6 +13,10 @@ class BuildError(InterareaError, RuntimeError):
     """An FMU could not be built: no compiler, a compiler error, or a block whose parts do not fit."""
 
 
+class NoCompilerError(BuildError):
+    """A binary that did not come with the package, and no compiler to make it."""
+
+
 class FmuError(InterareaError, RuntimeError):
     """A call into an FMU failed.
 

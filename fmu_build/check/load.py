@@ -11,11 +11,11 @@ from pathlib import Path
 
 from interarea.models.files import temporary_folder
 
-from ..errors import BuildError
+from ..errors import FmuFileError
 from ..finding import Report
 from ..open.description import ModelDescription
+from ..open.fmu_file import host_folders
 from ..open.images import FOLDERS
-from ..write.compile import PLATFORMS, host_platform
 
 TIMEOUT_S = 120.0  #: for the topics of one process
 _TOPICS = (
@@ -54,15 +54,11 @@ def check_running(d: ModelDescription, folder: Path, report: Report, *, timeout_
 
 def _binary(folder: Path, identifier: str) -> Path | None:
     try:
-        host = PLATFORMS[host_platform()]
-    except BuildError:
+        names = host_folders()
+    except FmuFileError:
         return None
-    format_, machine, suffix = FOLDERS[host.folder]
-    for name, (f, m, _) in FOLDERS.items():
-        file = folder / "binaries" / name / (identifier + suffix)
-        if (f, m) == (format_, machine) and file.is_file():
-            return file
-    return None
+    files = (folder / "binaries" / name / (identifier + FOLDERS[name][2]) for name in names)
+    return next((file for file in files if file.is_file()), None)
 
 
 def _hopeless(report: Report, interface: str) -> bool:

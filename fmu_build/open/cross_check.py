@@ -19,11 +19,10 @@ from interarea.models.files import write_whole
 
 from ..errors import BuildError
 from ..write.cache import artefact, code_hash, content_hash, file_hash
-from ..write.compile import PLATFORMS, host_platform
 from ..write.package import archive_bytes
 from .description import ScalarVariable
 from .fmi2 import CallFailed, Library, references
-from .fmu_file import FmuFile
+from .fmu_file import FmuFile, host_folders
 
 Array = npt.NDArray[np.float64]
 _MOST_STEPS = 2000
@@ -71,7 +70,7 @@ def add_cross_check(fmu: Path, path: Path) -> Path:
 def complete_fmu(fmu: Path, cache: Path) -> Path:
     """Return a copy of one of our FMUs with cross-check files, or the FMU itself if it cannot run here."""
     with zipfile.ZipFile(fmu) as archive:
-        here = f"binaries/{PLATFORMS[host_platform()].folder}/"
+        here = tuple(f"binaries/{folder}/" for folder in host_folders())
         if not any(name.startswith(here) for name in archive.namelist()):
             return fmu
     key = content_hash(file_hash(fmu), code_hash(add_cross_check.__module__))

@@ -11,6 +11,7 @@ from interarea.models.files import new_folder
 
 from ..errors import BuildError, FmuFileError
 from ..finding import Report
+from ..write.cache import host_machine
 from ..write.compile import PLATFORMS, host_platform
 from .archive import read_checked, unpack_checked
 from .description import ModelDescription, ScalarVariable, read_description
@@ -198,20 +199,20 @@ def _looked_at(path: Path, interface: str) -> tuple[ModelDescription, list[str]]
 
 
 def host_folders() -> tuple[str, ...]:
-    """Return the folders below ``binaries/`` whose libraries this machine can load, FMI 2.0's name first.
+    """Return the folders below ``binaries/`` whose libraries this machine can load, the best first.
 
     Raises
     ------
     FmuFileError : a platform that no binary is made for.
     """
     try:
-        name = host_platform()
+        own = PLATFORMS[host_platform()].folder
     except BuildError as error:
         raise FmuFileError(str(error)) from error
-    machine, system, *_ = PLATFORMS[name].target.split("-")
-    return tuple(
-        dict.fromkeys((PLATFORMS[name].folder, f"{machine}-{system.replace('macos.11.0', 'darwin')}"))
-    )
+    system, _, processor = host_machine().partition("-")
+    named = f"{processor}-{'windows' if system == 'win32' else system}"  # as in FMI 3.0
+    # a Mac's own folder before the universal library, which holds both processors'
+    return tuple(dict.fromkeys((named, own) if named == "aarch64-darwin" else (own, named)))
 
 
 _CAUSALITY = {"parameter", "calculatedParameter", "input", "output", "local", "independent"}

@@ -15,7 +15,9 @@ import hashlib
 import json
 import logging
 import os
+import platform
 import shutil
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache as forever
@@ -110,9 +112,19 @@ def _imports(package: str, source: bytes) -> list[str]:
     return found
 
 
-@forever
+def host_machine() -> str:
+    """Return system and processor of this machine, as "linux-x86_64": binaries and rounding follow them."""
+    processor = {"AMD64": "x86_64", "arm64": "aarch64", "ARM64": "aarch64"}
+    return f"{sys.platform}-{processor.get(platform.machine(), platform.machine())}"
+
+
 def numerics_versions() -> dict[str, str]:
-    """Return the versions of the libraries whose rounding can reach a result."""
+    """Return the machine and the versions of the libraries whose rounding can reach a result."""
+    return {"machine": host_machine(), **_library_versions()}
+
+
+@forever
+def _library_versions() -> dict[str, str]:
     return {name: _version(name) for name in ("numpy", "scipy", "control", "cvxpy", "clarabel", "fmpy")}
 
 

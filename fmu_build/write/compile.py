@@ -3,7 +3,8 @@
 The compiler is ``$CC`` if that is set, else zig from the ``ziglang`` wheel, which
 also compiles for the platforms it does not run on. A binary is named in the
 cache by a hash of everything that decides its bytes: sources, headers, flags,
-target and compiler version.
+targets and compiler version. What was compiled of the same when the package's
+wheel was built travels in it (`SHIPPED`) and needs no compiler.
 """
 
 from __future__ import annotations
@@ -19,21 +20,23 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import BuildError
-from .cache import COMPILERS_OWN, artefact, default_cache
+from ..errors import BuildError, NoCompilerError
+from .cache import COMPILERS_OWN, artefact, default_cache, host_machine
+from .universal import universal
 
 _C = Path(__file__).resolve().parents[1] / "c"
 _CODE = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-fno-ident", "-g0")
+_GET_ZIG = "pip install 'interarea[build]'"
 _STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 
 
 @dataclass(frozen=True)
 class Platform:
-    """Where a binary runs: its folder under ``binaries/``, zig's target, its suffix."""
+    """Where a binary runs: its folder under ``binaries/``, zig's targets, its suffix."""
 
     name: str
     folder: str
-    target: str
+    targets: tuple[str, ...]  #: more than one: a universal library
     suffix: str
     compile_flags: tuple[str, ...] = ()
     link_flags: tuple[str, ...] = ()
@@ -44,43 +47,51 @@ class Platform:
 PLATFORMS: dict[str, Platform] = {
     p.name: p
     for p in (
-        Platform("linux64", "linux64", "x86_64-linux-gnu.2.17", ".so", ("-fPIC",), ("-lm", "-Wl,-s")),
-        Platform("win64", "win64", "x86_64-windows-gnu", ".dll", (), ("-Wl,-s",)),
-        Platform("darwin64", "darwin64", "x86_64-macos.11.0", ".dylib", ("-fPIC",)),
-        Platform("darwin-arm64", "aarch64-darwin", "aarch64-macos.11.0", ".dylib", ("-fPIC",)),
+        Platform("linux64", "linux64", ("x86_64-linux-gnu.2.17",), ".so", ("-fPIC",), ("-lm", "-Wl,-s")),
+        Platform("win64", "win64", ("x86_64-windows-gnu",), ".dll", (), ("-Wl,-s",)),
+        # most tools on a Mac look into darwin64 only, whatever its processor
+        Platform("darwin64", "darwin64", ("x86_64-macos.11.0", "aarch64-macos.11.0"), ".dylib", ("-fPIC",)),
+        Platform("darwin-arm64", "aarch64-darwin", ("aarch64-macos.11.0",), ".dylib", ("-fPIC",)),
         Platform(
-            "linux-arm64", "aarch64-linux", "aarch64-linux-gnu.2.17", ".so", ("-fPIC",), ("-lm", "-Wl,-s")
+            "linux-arm64", "aarch64-linux", ("aarch64-linux-gnu.2.17",), ".so", ("-fPIC",), ("-lm", "-Wl,-s")
         ),
     )
 }
 
 #: What a web page runs; no FMU holds it. 256 KiB of stack: zig's own 16 MiB would be memory of every page.
 WEB_PAGE = Platform(
-    "wasm32", "", "wasm32-wasi", ".wasm", ("-Oz",), ("-s", "-Wl,-z,stack-size=262144"), "-mexec-model=reactor"
+    "wasm32",
+    "",
+    ("wasm32-wasi",),
+    ".wasm",
+    ("-Oz",),
+    ("-s", "-Wl,-z,stack-size=262144"),
+    "-mexec-model=reactor",
 )
+
+#: Folder of the binaries that travel in the wheel, named by `shipped_name`; a checkout has none.
+SHIPPED = Path(__file__).resolve().parents[1] / "binaries"
 
 
 def host_platform() -> str:
-    """Return the name of the platform this Python runs on.
+    """Return the name of the platform this Python runs on; a Mac's is "darwin64", whatever its processor.
 
     Raises
     ------
     BuildError : a platform that no binary is made for.
     """
-    import platform
-
-    machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
     names = {
-        ("linux", "x86_64"): "linux64",
-        ("linux", "aarch64"): "linux-arm64",
-        ("win32", "x86_64"): "win64",
-        ("darwin", "x86_64"): "darwin64",
-        ("darwin", "aarch64"): "darwin-arm64",
+        "linux-x86_64": "linux64",
+        "linux-aarch64": "linux-arm64",
+        "win32-x86_64": "win64",
+        "darwin-x86_64": "darwin64",
+        "darwin-aarch64": "darwin64",
     }
-    name = names.get((sys.platform, machine))
+    name = names.get(host_machine())
     if name is None:
         raise BuildError(
-            f"no FMU binary is made for {sys.platform} on {machine}; allowed: {', '.join(PLATFORMS)}"
+            f"no FMU binary is made for {host_machine()}; allowed: {', '.join(PLATFORMS)}; "
+            "set CC to a compiler of this machine and build from the FMU's sources/"
         )
     return name
 
@@ -230,42 +241,65 @@ def compile_library(
     """
     if platform not in PLATFORMS:
         raise BuildError(f"unknown platform {platform!r}; allowed: {', '.join(PLATFORMS)}")
-    return _compiled(kind, tuple(sources.items()), PLATFORMS[platform], cache or default_cache())
+    return compile_for(kind, sources, PLATFORMS[platform], cache=cache)
 
 
-def compile_web_page(kind: str, sources: dict[str, bytes], *, cache: Path | None = None) -> Path:
-    """Return the cached WebAssembly module of `sources` (`gather_sources`), compiled with an FMU's flags.
+def compile_for(kind: str, sources: dict[str, bytes], to: Platform, *, cache: Path | None = None) -> Path:
+    """Return the shipped or cached binary of `sources` for a platform or `WEB_PAGE`; see `compile_library`.
 
     Raises
     ------
-    BuildError : no compiler that can make WebAssembly, or the compiler's own message.
+    BuildError : as `compile_library`, or a compiler that cannot make WebAssembly.
     """
-    return _compiled(kind, tuple(sources.items()), WEB_PAGE, cache or default_cache())
+    chosen = os.environ.get("CC", "").strip()
+    if not chosen and SHIPPED.is_dir():
+        travelled = SHIPPED / shipped_name(kind, sources, to)
+        if travelled.is_file():
+            return travelled
+    return _compiled(kind, sources, to, cache or default_cache(), chosen)
 
 
-def _compiled(kind: str, sources: tuple[tuple[str, bytes], ...], to: Platform, cache: Path) -> Path:
-    command, version = _compiler()
-    flags = [*_CODE, *_STRICT, *to.compile_flags, to.library, *to.link_flags]
-    if "ziglang" in command:
-        flags += ["-target", to.target]
-        if to.name.startswith("darwin"):
-            flags.append(f"-Wl,-install_name,@rpath/{kind}.dylib")
-    elif to.name != host_platform():
+def shipped_name(kind: str, sources: dict[str, bytes], to: Platform) -> str:
+    """Return the name under which the binary of `sources`, compiled by zig, travels in the wheel."""
+    return f"{kind}-{to.name}-{_digest(kind, sources, _flags(kind, to, zig=True), to, '')}{to.suffix}"
+
+
+def _compiled(kind: str, sources: dict[str, bytes], to: Platform, cache: Path, chosen: str) -> Path:
+    command, version = _compiler_of(chosen)
+    zig = "ziglang" in command
+    if not zig and to.name != host_platform():
         raise BuildError(
             f"$CC ({shlex.join(command)}) compiles for {host_platform()}, not for {to.name}; "
-            "unset CC and `pip install ziglang` to build for other platforms"
+            f"unset CC and `{_GET_ZIG}` to build for other platforms"
         )
-    digest = hashlib.sha256(repr((kind, sources, flags, to.name, version)).encode()).hexdigest()
+    flags = _flags(kind, to, zig=zig)
 
     def make(result: Path) -> None:
-        for name, content in sources:
+        for name, content in sources.items():
             (result.parent / name).write_bytes(content)
-        c_files = [name for name, _ in sources if name.endswith(".c")]
-        output = f"{kind}{to.suffix}"
-        _run_compiler([*command, *flags, *c_files, "-I.", "-o", output], result.parent, cache, kind, to.name)
-        (result.parent / output).replace(result)
+        c_files = [name for name in sources if name.endswith(".c")]
+        slices = []
+        for target in to.targets if zig else ("",):
+            aimed = ["-target", target] if target else []
+            output = result.parent / f"{kind}{to.suffix}"
+            words = [*command, *flags, *aimed, *c_files, "-I.", "-o", output.name]
+            _run_compiler(words, result.parent, cache, kind, to.name)
+            slices.append(output.read_bytes())
+        result.write_bytes(slices[0] if len(slices) == 1 else universal(slices))
 
-    return artefact(cache, "binaries", f"{kind}-{to.name}-{digest[:24]}", to.suffix, make)
+    name = f"{kind}-{to.name}-{_digest(kind, sources, flags, to, version)}"
+    return artefact(cache, "binaries", name, to.suffix, make)
+
+
+def _flags(kind: str, to: Platform, *, zig: bool) -> list[str]:
+    named = [f"-Wl,-install_name,@rpath/{kind}.dylib"] if zig and to.name.startswith("darwin") else []
+    return [*_CODE, *_STRICT, *to.compile_flags, to.library, *to.link_flags, *named]
+
+
+def _digest(kind: str, sources: dict[str, bytes], flags: list[str], to: Platform, version: str) -> str:
+    """Hash of what decides the bytes of a binary."""
+    made_of = (kind, tuple(sources.items()), flags, to.targets, to.name, version)
+    return hashlib.sha256(repr(made_of).encode()).hexdigest()[:24]
 
 
 def _run_compiler(command: list[str], folder: Path, cache: Path, kind: str, platform: str) -> None:
@@ -304,13 +338,9 @@ def _compile(command: list[str], folder: Path, zig_cache: Path, kind: str, platf
         raise BuildError(f"compiling {kind} for {platform} failed with code {done.returncode}:\n{said}")
 
 
-def _compiler() -> tuple[list[str], str]:
-    """Command of the C compiler and its version."""
-    return _compiler_of(os.environ.get("CC", "").strip())
-
-
 @functools.lru_cache(maxsize=8)
 def _compiler_of(chosen: str) -> tuple[list[str], str]:
+    """Command of the C compiler, $CC's or zig's, and its version."""
     if chosen:
         command = shlex.split(chosen)
         if shutil.which(command[0]) is None:
@@ -320,9 +350,9 @@ def _compiler_of(chosen: str) -> tuple[list[str], str]:
         done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False)
         return command, f"{chosen}\n{done.stdout}"
     if importlib.util.find_spec("ziglang") is None:
-        raise BuildError(
-            "no C compiler: the ziglang package is not installed and $CC is not set; "
-            "run `pip install ziglang` or set CC, e.g. CC=gcc"
+        raise NoCompilerError(
+            "no binary of this came with the package, and there is no C compiler to make one; "
+            f"run `{_GET_ZIG}` or set CC, e.g. CC=gcc"
         )
     from importlib.metadata import version
 

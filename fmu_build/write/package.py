@@ -19,7 +19,7 @@ from interarea.models.blocks.variables import Block
 from interarea.models.files import write_whole
 
 from ..errors import BuildError
-from .cache import artefact, content_hash, source_hash
+from .cache import artefact, content_hash, host_machine, source_hash
 from .compile import PLATFORMS, compile_library, host_platform, record_source, source_files
 from .description_xml import render
 from .documentation import documentation
@@ -80,6 +80,7 @@ def block_fmu(block: Block, cache: Path, *, platforms: Sequence[str] | None = No
         source_hash("fmu_build/write"),
         source_hash("fmu_build", "*.[ch]"),
         os.environ.get("CC", ""),
+        host_machine(),  # binaries where no platform is named, and the rounding of the record
         *([] if platforms is None else [list(platforms)]),
     )
 

@@ -47,7 +47,7 @@ class Guard:
             raise ValueError(f"controller {name}: guard sides are {dict(self.sides)}, allowed: -1 to 1")
 
 
-_SOURCE = Path(__file__).resolve().parents[1] / "c" / "controller" / "state_space.c"
+SOURCE = Path(__file__).resolve().parents[1] / "c" / "controller" / "state_space.c"
 
 
 def controller_block(
@@ -147,7 +147,7 @@ def controller_block(
         description=f"Linear controller of order {n} with outputs limited to +-{limit:g} pu",
         table=VariableTable(variables),
         data={} if guard is None else {"guard": np.array(watched, dtype=np.int32)},
-        sources=(_SOURCE,),
+        sources=(SOURCE,),
         internal_step_s=_internal_step_s(matrices["A"]),
         documentation={
             "Equations": _EQUATIONS if guard is None else _EQUATIONS + _GUARD_EQUATIONS,

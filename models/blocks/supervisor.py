@@ -11,7 +11,7 @@ import numpy.typing as npt
 from .controller import _internal_step_s
 from .variables import Block, Variable, VariableTable
 
-_SOURCE = Path(__file__).resolve().parents[1] / "c" / "controller" / "supervisor.c"
+SOURCE = Path(__file__).resolve().parents[1] / "c" / "controller" / "supervisor.c"
 MAX_SIGNALS = 6  #: as in supervisor.c
 MAX_BANK = 16  #: as in supervisor.c
 
@@ -137,7 +137,7 @@ def supervisor_block(
         description=f"Bank of {len(bank)} controllers in hot standby, chosen by the validity of the signals",
         table=VariableTable(variables),
         data=data,
-        sources=(_SOURCE,),
+        sources=(SOURCE,),
         internal_step_s=min([*fastest, 0.1 * fade_s] if fade_s > 0.0 else fastest),
         model_exchange=False,  # flags are looked at where steps begin; model exchange has no steps
         documentation={"Equations": _EQUATIONS, **(documentation or {})},

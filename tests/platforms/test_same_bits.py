@@ -117,7 +117,7 @@ def drivers(cache: Path, folder: Path) -> dict[str, Path]:
     for name in ("linux64", *EMULATED):
         made[name] = folder / f"driver-{name}.exe"
         command = [sys.executable, "-m", "ziglang", "cc", "-std=c99", "-O1"]
-        command += ["-target", PLATFORMS[name].target]
+        command += ["-target", PLATFORMS[name].targets[0]]
         command += [f"-I{fmi_headers()}", str(Path(__file__).with_name("driver.c")), "-o", str(made[name])]
         environment = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": zig, "ZIG_LOCAL_CACHE_DIR": zig}
         subprocess.run(command, check=True, env=environment, capture_output=True)

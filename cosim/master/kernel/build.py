@@ -134,6 +134,11 @@ def _library(path: Path) -> ctypes.CDLL:
     return library
 
 
+def kernel_sources() -> dict[str, bytes]:
+    """Return the C files and headers of the kernel by flat name."""
+    return gather_sources((_SOURCE,))
+
+
 def load_kernel(folder: Path | None = None) -> ctypes.CDLL:
     """Return the kernel, compiled when the cache does not hold it.
 
@@ -143,7 +148,7 @@ def load_kernel(folder: Path | None = None) -> ctypes.CDLL:
     ------
     BuildError : no compiler, a platform without one, or a library that cannot be loaded.
     """
-    path = compile_library("kernel", gather_sources((_SOURCE,)), host_platform(), cache=folder)
+    path = compile_library("kernel", kernel_sources(), host_platform(), cache=folder)
     try:
         return _library(path)
     except OSError as error:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import importlib.util
 import re
 import struct
+import sys
 from pathlib import Path
 
 import pytest
 from fmu_runner import DECAY_C
 
-from interarea.fmu_build.errors import BuildError
+from interarea.fmu_build.errors import BuildError, NoCompilerError
 from interarea.fmu_build.write import compile as compiling
 from interarea.fmu_build.write.compile import compile_binary, source_files
 
@@ -66,6 +67,22 @@ def test_second_time_needs_no_compiler(binaries: Path, monkeypatch: pytest.Monke
     assert compile_binary("decay", (DECAY_C,), "linux64", cache=binaries) == first
 
 
+def test_a_binary_that_came_with_the_package_needs_no_compiler(
+    binaries: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is found by what it was compiled from: another source, or a compiler of one's own, is compiled."""
+    sources = source_files((DECAY_C, compiling.record_source()))
+    to = compiling.PLATFORMS["linux64"]
+    travels = tmp_path / compiling.shipped_name("decay", sources, to)
+    travels.write_bytes(b"of the wheel")
+    monkeypatch.setattr(compiling, "SHIPPED", tmp_path)
+    assert compile_binary("decay", (DECAY_C,), "linux64", cache=binaries) == travels
+    changed = {**sources, "decay.c": sources["decay.c"] + b"/* changed */\n"}
+    assert compiling.compile_library("decay", changed, "linux64", cache=binaries).is_relative_to(binaries)
+    monkeypatch.setenv("CC", f"{sys.executable} -m ziglang cc")
+    assert compile_binary("decay", (DECAY_C,), "linux64", cache=binaries).is_relative_to(binaries)
+
+
 def test_a_changed_source_is_another_binary(binaries: Path, tmp_path: Path) -> None:
     changed = tmp_path / "decay.c"
     text = DECAY_C.read_text().replace("../../../models/c/block/block.h", "block.h")
@@ -75,12 +92,14 @@ def test_a_changed_source_is_another_binary(binaries: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("platform", ["linux64", "win64", "darwin64", "linux-arm64"])
+@pytest.mark.parametrize(
+    "platform", ["linux64", "win64", "darwin64", "darwin-arm64", "linux-arm64", "wasm32"]
+)
 def test_two_machines_make_the_same_bytes(platform: str, tmp_path: Path) -> None:
     """Two empty caches in two folders stand for two machines."""
-    made = [
-        compile_binary("decay", (DECAY_C,), platform, cache=tmp_path / name) for name in ("one", "another")
-    ]
+    to = compiling.PLATFORMS.get(platform, compiling.WEB_PAGE)
+    sources = source_files((DECAY_C, compiling.record_source()))
+    made = [compiling.compile_for("decay", sources, to, cache=tmp_path / name) for name in ("one", "another")]
     assert made[0].read_bytes() == made[1].read_bytes()
 
 
@@ -102,7 +121,7 @@ def test_missing_compilers(binaries: Path, monkeypatch: pytest.MonkeyPatch) -> N
         importlib.util, "find_spec", lambda name, *a: None if name == "ziglang" else real(name, *a)
     )
     compiling._compiler_of.cache_clear()
-    with pytest.raises(BuildError, match="pip install ziglang"):
+    with pytest.raises(NoCompilerError, match=r"pip install 'interarea\[build\]'"):
         compile_binary("decay", (DECAY_C,), "linux64", cache=binaries)
     monkeypatch.undo()
     compiling._compiler_of.cache_clear()
