@@ -8,7 +8,8 @@ import numpy as np
 
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import LinearisationError
-from interarea.models.blocks.plant import EVENT_CODES, event_parameters, shortest_time_s
+from interarea.models.blocks.plant import event_parameters, shortest_time_s
+from interarea.models.blocks.plant_variables import EVENT_CODES
 from interarea.models.case.case import Case
 from interarea.models.case.events import event_of
 from interarea.models.errors import CaseError

@@ -21,9 +21,19 @@ from ..devices.library import library
 from ..grid.bus_devices import port_table
 from ..grid.control_tables import Group, Parameter
 from ..grid.equilibrium import OperatingPoint, operating_point
-from ..grid.machine_tables import in_plant_order, machine_table, network_states
-from ..grid.network import branch_stamp, bus_index, load_power, machine_bus_index, shunt_admittance
-from .variables import STEP_PARAMETER, Block, Enumeration, Variable, VariableTable
+from ..grid.machine_tables import in_plant_order, machine_table
+from ..grid.network import load_power
+from ..grid.network_tables import Form, network_pattern, network_tables
+from .plant_variables import (
+    EVENT_CODES,
+    event_variables,
+    input_variables,
+    local_variables,
+    output_variables,
+    parameter_variable,
+    state_variables,
+)
+from .variables import STEP_PARAMETER, Block, VariableTable
 
 _HERE = Path(__file__).resolve().parents[1] / "c"
 SOURCES = tuple(
@@ -35,6 +45,7 @@ SOURCES = tuple(
         "plant/tangent.c",
         "plant/event.c",
         "plant/topology.c",
+        "plant/sparse_stage.c",
         "plant/failure.c",
         "plant/port.c",
         "plant/rest.c",
@@ -51,33 +62,8 @@ def plant_sources() -> tuple[Path, ...]:
 #: what FMUs stepped side by side need besides (block/block_group.h)
 GROUP_SOURCES = tuple(_HERE / f"plant/{name}.c" for name in ("lanes_2", "lanes_4", "lanes_8", "plant_group"))
 
-#: Value of each kind in the FMI enumeration; plant/event.h counts alike.
-EVENT_CODES = {
-    "none": 0,
-    "bus_fault": 1,
-    "branch_trip": 2,
-    "branch_reclose": 3,
-    "vref_pulse": 4,
-    "load_step": 5,
-    "pm_pulse": 6,
-    "machine_trip": 7,
-    "shunt_switch": 8,
-}
-_EVENT_WORDS = {
-    "none": "slot not in use",
-    "bus_fault": "three-phase fault at a bus through r + jx",
-    "branch_trip": "branch opens at start, closes at end",
-    "branch_reclose": "branch closes at start",
-    "vref_pulse": "voltage set-point of a machine raised by size",
-    "load_step": "size + j size_q added to a load at its operating voltage, of its characteristic",
-    "pm_pulse": "mechanical power of a machine raised by size (machine base)",
-    "machine_trip": "machine disconnected at start",
-    "shunt_switch": "shunt switched in (size = 1) or out (size = 0), back at end",
-}
 #: kinds of a scenario that are another one without an end
 _SAME_AS = {"vref_step": "vref_pulse", "pm_step": "pm_pulse"}
-EVENT_REALS = ("start", "end", "size", "size_q", "r", "x")
-
 
 _STEP_TEXT = (
     "longest Runge-Kutta step inside a communication step (co-simulation; in model exchange the importer "
@@ -121,7 +107,7 @@ def _controls(point: OperatingPoint) -> dict[str, str]:
     return {"Controls": devices_html(library()[key].device for key in keys)} if keys else {}
 
 
-def plant_block(case: Case, *, event_slots: int = 8) -> Block:
+def plant_block(case: Case, *, event_slots: int = 8, network: Form | None = None) -> Block:
     """Return the plant of `case` as a block with `event_slots` slots for events.
 
     Inputs `G1_vs` .. (pu, at the exciter's summing point); outputs per machine `G1_dw` (pu speed deviation),
@@ -129,7 +115,7 @@ def plant_block(case: Case, *, event_slots: int = 8) -> Block:
     `tie_p`; locals: bus voltages, field voltages, mechanical powers; parameters: gains, times and limits
     of the controls, which keep the equilibrium, `solver.step` (start: the case's `solver_step_s`, else
     `default_step_s`) and the event slots. A slot that is set anew while the plant runs counts from the next
-    event on.
+    event on. `network`: solve it so whatever that costs; else the cheaper form is taken.
 
     Raises
     ------
@@ -147,15 +133,17 @@ def plant_block(case: Case, *, event_slots: int = 8) -> Block:
     parameters = [(*place[id(d)], parameter) for d in point.controls.devices for parameter in d.parameters()]
     # of no group: the FMI layer reads it, the plant does not
     parameters.append((0, 0, Parameter(STEP_PARAMETER, 0, "s", _STEP_TEXT, *SOLVER_STEP_S, value=step_s)))
-    variables = _states(point) + _inputs(point) + _outputs(case) + _locals(case)
-    variables += [_parameter_variable(parameter) for *_, parameter in parameters]
-    variables += _event_variables(event_slots)
+    variables = (
+        state_variables(point) + input_variables(point) + output_variables(case) + local_variables(case)
+    )
+    variables += [parameter_variable(parameter) for *_, parameter in parameters]
+    variables += event_variables(event_slots)
     return Block(
         kind="plant",
         name=_identifier(case.name),
         description=case.title or case.name,
         table=VariableTable(variables),
-        data=_data(case, point, parameters, event_slots),
+        data=_data(case, point, parameters, event_slots, network),
         sources=plant_sources(),
         documentation={"Integration": _integration(point, step_s)} | _controls(point),
         provenance={"case": case.name, "case hash": original.hash, "source": case.source},
@@ -205,123 +193,13 @@ def _identifier(name: str) -> str:
     return text if text[:1].isalpha() else f"case_{text}"
 
 
-def _states(point: OperatingPoint) -> list[Variable]:
-    states = [
-        Variable(s.name, "state", s.description, unit=s.unit, start=s.start, nominal=1.0)
-        for s in point.states
-    ]
-    order = {name: k for k, name in enumerate((*point.state_names, *point.input_names))}
-    rate = {"rad": "rad/s", "pu": "pu/s"}
-    derivatives = [
-        Variable(
-            f"der({s.name})",
-            "derivative",
-            f"rate of {s.name}",
-            unit=rate[s.unit],
-            derivative_of=s.name,
-            depends_on=tuple(sorted(s.depends_on, key=order.__getitem__)),
-        )
-        for s in point.states
-    ]
-    return states + derivatives
-
-
-def _inputs(point: OperatingPoint) -> list[Variable]:
-    return [
-        Variable(name, "input", "added at the exciter's summing point", unit="pu", start=0.0)
-        for name in point.input_names
-    ]
-
-
-def _outputs(case: Case) -> list[Variable]:
-    network = tuple(sorted(network_states(case)))
-    angles = tuple(f"{m.name}.delta" for m in case.machines)
-    outputs = []
-    for m in case.machines:
-        outputs += [
-            _output(f"{m.name}_dw", "pu", "speed deviation", (f"{m.name}.slip",)),
-            _output(f"{m.name}_delta", "rad", "rotor angle to the centre of inertia", angles),
-            _output(f"{m.name}_pe", "pu", "active power at the terminals, base of the case", network),
-            _output(f"{m.name}_vt", "pu", "terminal voltage", network),
-        ]
-    if case.tie is not None:
-        text = (
-            f"active power from bus {case.tie.from_bus} over {', '.join(case.tie.branches)}, base of the case"
-        )
-        outputs.append(_output("tie_p", "pu", text, network))
-    return outputs
-
-
-def _output(name: str, unit: str, description: str, depends_on: tuple[str, ...]) -> Variable:
-    return Variable(name, "output", description, unit=unit, depends_on=depends_on)
-
-
-def _locals(case: Case) -> list[Variable]:
-    values = [
-        Variable(f"bus{bus.number}.v", "local", f"voltage magnitude of bus {bus.number}", unit="pu")
-        for bus in case.buses
-    ]
-    for m in case.machines:
-        values.append(Variable(f"{m.name}.Efd", "local", "field voltage", unit="pu"))
-        values.append(Variable(f"{m.name}.Pm", "local", "mechanical power, machine base", unit="pu"))
-    return values
-
-
-def _parameter_variable(parameter: Parameter) -> Variable:
-    return Variable(
-        parameter.name,
-        "parameter",
-        parameter.description,
-        unit=parameter.unit,
-        start=parameter.value,
-        min=parameter.low,
-        max=parameter.high,
-    )
-
-
-def _event_variables(slots: int) -> list[Variable]:
-    items = tuple((name, code, _EVENT_WORDS[name]) for name, code in EVENT_CODES.items())
-    kind = Enumeration("EventKind", items)
-    texts = {
-        "start": ("s", "start time", 0.0),
-        "end": ("s", "end time; 1e30: no end", NO_LIMIT),
-        "size": ("pu", "size of the step", 0.0),
-        "size_q": ("pu", "reactive part of a load step", 0.0),
-        "r": ("pu", "fault resistance", 0.0),
-        "x": ("pu", "fault reactance", 1e-4),
-    }
-    variables = []
-    for k in range(1, slots + 1):
-        for key, (unit, text, start) in texts.items():
-            name = f"event[{k}].{key}"
-            variables.append(Variable(name, "parameter", text, unit=unit, start=start, tunable=True))
-        name = f"event[{k}].kind"
-        variables.append(
-            Variable(
-                name,
-                "parameter",
-                "what happens",
-                type="Enumeration",
-                start=0,
-                enumeration=kind,
-                tunable=True,
-            )
-        )
-        text = (
-            "number of the bus, branch, machine, load or shunt in the case, from 1; classical machines last"
-        )
-        name = f"event[{k}].target"
-        variables.append(Variable(name, "parameter", text, type="Integer", start=1, tunable=True))
-    return variables
-
-
 def _data(
     case: Case,
     point: OperatingPoint,
     parameters: list[tuple[int, int, Parameter]],
     slots: int,
+    network: Form | None,
 ) -> dict[str, Any]:
-    index = bus_index(case)
     branches = case.tie.branches if case.tie else ()
     tie = [next(k for k, b in enumerate(case.branches) if b.name == name) for name in branches]
     ends = [int(case.branches[k].from_bus != case.tie.from_bus) for k in tie] if case.tie else []
@@ -332,28 +210,12 @@ def _data(
     counts += [len(groups), before, len(tie), slots]
     ports = port_table(case, point.load_volts, list(range(len(case.machines))), list(point.gaps))
     counts += [len(case.shunts), len(parameters), len(ports)]
-    shunts = np.array([shunt_admittance(case, s) for s in case.shunts], dtype=complex)
-    at_bus = np.zeros(len(case.buses), dtype=complex)
-    for shunt, value in zip(case.shunts, shunts, strict=True):
-        if shunt.in_service:
-            at_bus[index[shunt.bus]] += value
-    stamps = np.array([branch_stamp(b).ravel() for b in case.branches], dtype=complex).reshape(-1, 4)
-    loads = [load_power(case, row) * row.in_service for row in case.loads]
+    pattern = network_pattern(case, len(ports), network)
+    counts += [0, 0, 0] if pattern is None else [len(pattern.row), pattern.fill, pattern.first]
     arrays: dict[str, Any] = {
         "plant.counts": _int(counts),
         "plant.base": np.array([case.omega_b, case.base_mva]),
         "machine.table": machine_table(case, point.machines),
-        "machine.bus": machine_bus_index(case),
-        "branch.from": _int(index[b.from_bus] for b in case.branches),
-        "branch.to": _int(index[b.to_bus] for b in case.branches),
-        "branch.status": _int(b.in_service for b in case.branches),
-        "branch.table": np.stack([stamps.real, stamps.imag], axis=2).reshape(len(stamps), 8).T,
-        "bus.shunt": np.array([at_bus.real, at_bus.imag]),
-        "shunt.bus": _int(index[s.bus] for s in case.shunts),
-        "shunt.status": _int(s.in_service for s in case.shunts),
-        "shunt.table": np.array([shunts.real, shunts.imag]),
-        "load.bus": _int(index[row.bus] for row in case.loads),
-        "load.table": np.array([np.real(loads), np.imag(loads), point.load_volts], dtype=float),
         "bus.names": _lines(str(b.number) for b in case.buses),
         "branch.names": _lines(b.name for b in case.branches),
         "machine.names": _lines(m.name for m in case.machines),
@@ -371,13 +233,14 @@ def _data(
         "parameter.names": _lines(p.name for *_, p in parameters),
     }
     first = len(point.states) - len(point.controls.states())
+    arrays |= network_tables(case, point.load_volts, pattern)
     return arrays | _group_arrays(point, groups, first)
 
 
 def _states_of_outputs(case: Case, point: OperatingPoint) -> list[int]:
     """Of each output the state that it is, -1 where it is none; read by the FMI layer."""
     state_of = {f"{m.name}_dw": point.state_names.index(f"{m.name}.slip") for m in case.machines}
-    return [state_of.get(variable.name, -1) for variable in _outputs(case)]
+    return [state_of.get(variable.name, -1) for variable in output_variables(case)]
 
 
 def _machine_of_states(case: Case, point: OperatingPoint) -> list[int]:

@@ -15,7 +15,7 @@ from ..devices.errors import DeviceError
 from ..devices.language.device import KINDS
 from ..devices.language.expression import Node, names_of
 from ..devices.rest import RestPoint, rest_of
-from .machine_tables import MachinePoint, State, network_states
+from .machine_tables import NETWORK, MachinePoint, State
 
 SHORTEST_S = 1e-6  #: least value a time constant may be set to
 NUMBERED = ("exciter", "stabilizer", "compensator", "governor")  #: order of states, inputs and parameters
@@ -166,7 +166,7 @@ def controls_at_rest(case: Case, points: tuple[MachinePoint, ...]) -> Controls:
 def _reach(case: Case, k: int) -> dict[str, frozenset[str]]:
     """Which states and inputs each signal of machine `k` depends on."""
     m = case.machines[k]
-    network = network_states(case)
+    network = frozenset({NETWORK})
     rotor = frozenset({f"{m.name}.eq1", f"{m.name}.eq2", f"{m.name}.ed2"})
     return {
         "slip": frozenset({f"{m.name}.slip"}),

@@ -6,14 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from ..case.case import Case, CaseError
 from ..case.checks import require_dynamics
 from ..case.schema import Machine
 from .bus_devices import AirGap, air_gap, has_port, port_loads, saturation_factor, saturation_of
 from .control_tables import Controls, controls_at_rest
-from .machine_tables import MachinePoint, State, network_states
-from .network import admittance_matrix, bus_index, load_power, machine_bus_index, machine_norton_admittance
+from .machine_tables import NETWORK, MachinePoint, State
+from .network import bus_index, load_power, machine_bus_index, machine_norton_admittance, sparse_admittance
 from .powerflow import PowerFlow, solve_powerflow
 
 VOLTAGE_TOLERANCE_PU = 1e-8  #: most by which the dynamic network may differ from the power flow
@@ -149,18 +151,18 @@ def _network(
 def _linear_network(
     case: Case, volts: npt.NDArray[np.float64], emf: npt.NDArray[np.complex128]
 ) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128]]:
-    Y = admittance_matrix(case)
     index = bus_index(case)
+    bus, norton = machine_bus_index(case), machine_norton_admittance(case)
+    injected, diagonal = np.zeros(len(index), dtype=complex), np.zeros(len(index), dtype=complex)
     for load, volt in zip(case.loads, volts, strict=True):
         if load.in_service:
-            k = index[load.bus]
-            Y[k, k] += np.conj(load_power(case, load)) / volt**2
-    bus, norton = machine_bus_index(case), machine_norton_admittance(case)
-    np.add.at(Y, (bus, bus), norton)
-    injected = np.zeros(len(Y), dtype=complex)
+            diagonal[index[load.bus]] += np.conj(load_power(case, load)) / volt**2
+    np.add.at(diagonal, bus, norton)
     np.add.at(injected, bus, norton * emf)
-    voltages = np.linalg.solve(Y, injected)
-    voltages = voltages + np.linalg.solve(Y, injected - Y @ voltages)  # once refined
+    Y = (sparse_admittance(case) + sparse.diags(diagonal)).tocsc()
+    factors = splu(Y)
+    voltages = factors.solve(injected)
+    voltages = voltages + factors.solve(injected - Y @ voltages)  # once refined
     return np.asarray(voltages, dtype=complex), np.asarray(norton * (emf - voltages[bus]), dtype=complex)
 
 
@@ -233,7 +235,7 @@ def _machine_states(
     field_voltage: tuple[frozenset[str], ...],
     power: tuple[frozenset[str], ...],
 ) -> list[State]:
-    network = network_states(case)
+    network = frozenset({NETWORK})
     words = {
         "delta": ("rad", "rotor angle to the synchronous frame"),
         "slip": ("pu", "speed deviation"),

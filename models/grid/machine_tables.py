@@ -18,7 +18,10 @@ from ..case.schema import Machine
 
 @dataclass(frozen=True)
 class State:
-    """One continuous state: value at the operating point, what its derivative depends on, time constant."""
+    """One continuous state: value at the operating point, what its derivative depends on, time constant.
+
+    Among `depends_on`, `NETWORK` stands for all `network_states`.
+    """
 
     name: str
     start: float
@@ -51,6 +54,7 @@ class MachinePoint:
         return self.vd * self.id + self.vq * self.iq
 
 
+NETWORK = "*"  #: in place of the names of `network_states`, which on a large grid are thousands
 #: states through which a machine acts on the network
 NETWORK_KEYS = {"round_rotor": ("delta", "eq2", "ed2"), "classical": ("delta",), "infinite_bus": ("delta",)}
 MACHINE_KEYS = ("Ra", "Xl", "Xd", "Xd1", "Xd2", "Xq", "Xq1", "Xq2", "Td01", "Td02", "Tq01", "Tq02", "H", "D")

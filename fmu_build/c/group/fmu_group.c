@@ -297,6 +297,7 @@ void interarea_group_step(void *work, size_t n, const fmi2Component c[], const f
             begin_lane(g, lane, taken++);
         }
         if (taken == 0) continue;
+        g->group.record = &g->lane[0].c->record;
         for (size_t k = taken; k < g->lanes; ++k) g->group.h[k] = 0.0;
         advance(g, taken);
         finish(g, taken, rates, status);

@@ -11,6 +11,7 @@
 
 typedef struct {
     const BlockLayout *layout;
+    const Record *record;   /* that of every block                                */
     double *memory;         /* n_memory of each lane                              */
     double *x, *u, *y;
     double *k;              /* 5 x n_x: stages of a step; its first n_x are dx/dt  */

@@ -10,12 +10,12 @@
 #include "physics.h"
 #include "port.h"
 
-/* Work arrays, one entry per machine; e also one per port. id_rotor is what the
+/* Work arrays, one entry per machine; e also one per port; v: two per row of a sparse network. id_rotor is what the
  * rotor circuits see: id, or id + isd. */
 typedef struct {
     num *sine, *cosine, *i_re, *i_im, *id, *iq, *vd, *vq, *vt, *vs, *efd, *pm, *id_rotor;
     num *vc, *pe, *ifd;
-    num *e_re, *e_im;
+    num *e_re, *e_im, *v;
     PortWork port;
     num *newton;
 } Work;
@@ -23,13 +23,13 @@ typedef struct {
 static Work work_arrays(num *scratch, const Plan *plan)
 {
     const size_t n = plan->n_machine;
-    num *e = scratch + 16 * n;
+    num *e = scratch + 16 * n, *v = e + 2 * plan->n_source, *port = v + 2 * plan->n_node;
     Work w = { scratch, scratch + n, scratch + 2 * n, scratch + 3 * n, scratch + 4 * n,
                scratch + 5 * n, scratch + 6 * n, scratch + 7 * n, scratch + 8 * n,
                scratch + 9 * n, scratch + 10 * n, scratch + 11 * n, scratch + 12 * n,
-               scratch + 13 * n, scratch + 14 * n, scratch + 15 * n, .e_re = e, .e_im = e + plan->n_source };
-    w.port = port_arrays(e + 2 * plan->n_source, plan->n_port);
-    w.newton = e + 2 * plan->n_source + PORT_ARRAYS * plan->n_port;
+               scratch + 13 * n, scratch + 14 * n, scratch + 15 * n, .e_re = e, .e_im = e + plan->n_source, .v = v };
+    w.port = port_arrays(port, plan->n_port);
+    w.newton = port + PORT_ARRAYS * plan->n_port;
     return w;
 }
 
@@ -88,7 +88,7 @@ static void saturate_rates(const real *memory, const Plan *plan, const Work *w, 
     }
 }
 /* Returns 0, or 1 + the port where Newton's method fails. */
-static size_t solve_network(real *memory, const Plan *plan, const num *x, Work *w)
+static size_t solve_network(real *memory, const Plan *plan, const Pattern *pattern, const num *x, Work *w)
 {
     const size_t n = plan->n_machine;
     const real *table = memory + plan->machine;
@@ -99,7 +99,8 @@ static size_t solve_network(real *memory, const Plan *plan, const num *x, Work *
         const size_t stuck = solve_ports(memory, plan, x, w);
         if (stuck > 0) return stuck;
     }
-    network_currents(memory, plan, w->e_re, w->e_im, w->i_re, w->i_im);
+    if (plan->n_node > 0) network_solve(memory, plan, pattern, w->e_re, w->e_im, w->v, w->i_re, w->i_im);
+    else network_currents(memory, plan, w->e_re, w->e_im, w->i_re, w->i_im);
     machine_terminal(table, n, plan->n_sixth, states, w->sine, w->cosine, w->i_re, w->i_im,
                      w->id, w->iq, w->vd, w->vq, w->vt);
     if (plan->n_port > 0) saturate_terminals(memory, plan, w);
@@ -154,14 +155,15 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
     run_groups(memory, plan, plan->exciters, plan->n_group, &signals, x, dx);
 }
 
-size_t NAME(plant_flow)(real *memory, const num *x, const num *u, num *dx, num *scratch)
+size_t NAME(plant_flow)(real *memory, const int32_t *places, const num *x, const num *u, num *dx, num *scratch)
 {
     Plan plan;
     plan_of(memory, &plan);
+    const Pattern pattern = pattern_of(places, &plan);
     const size_t n = plan.n_machine;
     Work w = work_arrays(scratch, &plan);
 
-    const size_t stuck = solve_network(memory, &plan, x, &w);
+    const size_t stuck = solve_network(memory, &plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
     solve_devices(memory, &plan, x, u, dx, &w);
     machine_derivatives(memory + plan.machine, n, plan.n_sixth, memory[H_OMEGA_B],
@@ -173,16 +175,17 @@ size_t NAME(plant_flow)(real *memory, const num *x, const num *u, num *dx, num *
 
 /* y: dw, delta to the centre of inertia, pe, vt of each machine; then the tie's
  * power if the case has one. */
-size_t NAME(plant_outputs)(real *memory, const num *x, num *y, num *scratch)
+size_t NAME(plant_outputs)(real *memory, const int32_t *places, const num *x, num *y, num *scratch)
 {
     Plan plan;
     plan_of(memory, &plan);
+    const Pattern pattern = pattern_of(places, &plan);
     const size_t n = plan.n_machine;
     const MachineStates states = machine_states(x, n, plan.n_sixth);
     Work w = work_arrays(scratch, &plan);
     num centre = NUM(0.0);
 
-    const size_t stuck = solve_network(memory, &plan, x, &w);
+    const size_t stuck = solve_network(memory, &plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
     for (size_t k = 0; k < n; ++k) centre += memory[plan.coi + k] * states.delta[k];
     for (size_t k = 0; k < n; ++k) {
@@ -191,26 +194,31 @@ size_t NAME(plant_outputs)(real *memory, const num *x, num *y, num *scratch)
         y[4 * k + 2] = (w.vd[k] * w.id[k] + w.vq[k] * w.iq[k]) * memory[plan.machine + M_RATIO * n + k];
         y[4 * k + 3] = w.vt[k];
     }
-    if (plan.n_tie > 0) y[4 * n] = network_tie_power(memory, &plan, w.e_re, w.e_im);
+    if (plan.n_tie > 0) {
+        sparse_backward(memory, &plan, &pattern, 0, plan.first, w.v);
+        y[4 * n] = network_tie_power(memory, &plan, &pattern, w.e_re, w.e_im, w.v);
+    }
     return 0;
 }
 
 #if !defined PLANT_TANGENT && !defined PLANT_LANES
 /* Locals: every bus voltage, then Efd and Pm of each machine. */
-size_t plant_locals(double *memory, const double *x, const double *u, double *locals,
+size_t plant_locals(double *memory, const int32_t *places, const double *x, const double *u, double *locals,
                     double *scratch, double *dx)
 {
     Plan plan;
     plan_of(memory, &plan);
+    const Pattern pattern = pattern_of(places, &plan);
     const size_t n = plan.n_machine;
     Work w = work_arrays(scratch, &plan);
 
-    const size_t stuck = solve_network(memory, &plan, x, &w);
+    const size_t stuck = solve_network(memory, &plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
     solve_devices(memory, &plan, x, u, dx, &w);
+    sparse_backward(memory, &plan, &pattern, 0, plan.first, w.v);
     for (size_t k = 0; k < plan.n_bus; ++k) {
         double re, im;
-        network_voltage(memory, &plan, k, w.e_re, w.e_im, &re, &im);
+        network_voltage(memory, &plan, &pattern, k, w.e_re, w.e_im, w.v, &re, &im);
         locals[k] = sqrt(re * re + im * im);
     }
     for (size_t k = 0; k < n; ++k) {
@@ -221,12 +229,13 @@ size_t plant_locals(double *memory, const double *x, const double *u, double *lo
 }
 
 /* Solves the ports at x, so that memory holds their voltages there. */
-size_t plant_settle(double *memory, const double *x, double *scratch)
+size_t plant_settle(double *memory, const int32_t *places, const double *x, double *scratch)
 {
     Plan plan;
     plan_of(memory, &plan);
+    const Pattern pattern = pattern_of(places, &plan);
     Work w = work_arrays(scratch, &plan);
-    return plan.n_port > 0 ? solve_network(memory, &plan, x, &w) : 0;
+    return plan.n_port > 0 ? solve_network(memory, &plan, &pattern, x, &w) : 0;
 }
 #endif
 #endif

@@ -79,6 +79,7 @@ enum {
     H_TRIPPED,          /* machines that are tripped                    */
     H_PORT_READY,       /* 1: port_b and port_z are good for this stage */
     H_IDLE,             /* 1: a lane of a batch that has nothing to do  */
+    H_N_NODE, H_N_FILL, H_FIRST, H_PATTERN,  /* sparse network: sizes, where its pattern begins in the record */
     H_SIZE = 24
 };
 
@@ -89,6 +90,8 @@ enum { SLOT_KIND, SLOT_TARGET, SLOT_INTEGERS };
 typedef struct {
     size_t n_machine, n_sixth, n_bus, n_branch, n_load;
     size_t n_group, n_device, n_table, n_input, n_tie, n_slot, n_port, n_state;
+    size_t n_node, n_fill, first;  /* sparse network: rows, entries of L and of U, first row a current enters;
+                                      n_node is 0 where the network is dense */
     size_t exciters;      /* groups before this one run before the inputs are added */
     size_t n_source;      /* n_machine + n_port: EMFs, then what the ports inject  */
     /* offsets into memory, in doubles */
@@ -106,8 +109,11 @@ typedef struct {
     size_t tie;           /* T_ROWS x n_tie: branches whose power is the output tie_p */
     size_t in_service;    /* n_branch: 1 or 0                                      */
     size_t state_machine; /* n_state: the machine a state belongs to               */
-    size_t y_re, y_im;    /* n_source x n_machine: machine currents from sources   */
-    size_t v_re, v_im;    /* n_bus x n_source: bus voltages from sources           */
+    size_t norton;        /* sparse: 2 x n_machine, admittance of each machine     */
+    size_t lower, upper;  /* sparse: 2 n_fill each, the factors (sparse.h)         */
+    size_t pivot;         /* sparse: 2 n_node, 1 over the diagonal of L            */
+    size_t y_re, y_im;    /* dense, n_source x n_machine: machine currents from sources */
+    size_t v_re, v_im;    /* dense, n_bus x n_source: bus voltages from sources    */
     size_t port;          /* P_ROWS for each port                                  */
     size_t port_w_re, port_w_im; /* n_source x n_port: port voltages from sources  */
     size_t port_v;        /* 2 x 2 n_port: port voltages and `b` as last solved    */
@@ -122,6 +128,7 @@ static inline void plan_offsets(Plan *p)
 {
     size_t at = H_SIZE;
     const size_t n = p->n_machine, ports = p->n_port, sources = n + ports;
+    const size_t sparse = p->n_node > 0 ? 1 : 0, dense = 1 - sparse;
     p->n_source = sources;
     p->machine = at;       at += (size_t)M_ROWS * n;
     p->machine_bus = at;   at += n;
@@ -137,10 +144,14 @@ static inline void plan_offsets(Plan *p)
     p->tie = at;           at += (size_t)T_ROWS * p->n_tie;
     p->in_service = at;    at += p->n_branch;
     p->state_machine = at; at += p->n_state;
-    p->y_re = at;          at += n * sources;
-    p->y_im = at;          at += n * sources;
-    p->v_re = at;          at += p->n_bus * sources;
-    p->v_im = at;          at += p->n_bus * sources;
+    p->norton = at;        at += 2u * n * sparse;
+    p->lower = at;         at += 2u * p->n_fill;
+    p->upper = at;         at += 2u * p->n_fill;
+    p->pivot = at;         at += 2u * p->n_node;
+    p->y_re = at;          at += n * sources * dense;
+    p->y_im = at;          at += n * sources * dense;
+    p->v_re = at;          at += p->n_bus * sources * dense;
+    p->v_im = at;          at += p->n_bus * sources * dense;
     p->port = at;          at += (size_t)P_ROWS * ports;
     p->port_w_re = at;     at += ports * sources;
     p->port_w_im = at;     at += ports * sources;
@@ -169,6 +180,9 @@ static inline void plan_of(const real *memory, Plan *p)
     p->n_slot = index_at(memory, H_N_SLOT);
     p->n_port = index_at(memory, H_N_PORT);
     p->n_state = index_at(memory, H_N_STATE);
+    p->n_node = index_at(memory, H_N_NODE);
+    p->n_fill = index_at(memory, H_N_FILL);
+    p->first = index_at(memory, H_FIRST);
     plan_offsets(p);
 }
 #endif

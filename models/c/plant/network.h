@@ -2,12 +2,37 @@
 #define INTERAREA_NETWORK_H
 #include "layout.h"
 #include "scalar.h"
+#include "sparse.h"
 /* The algebraic network between the machines.         [Kundur1994, sec. 13.3]
  *
  * Machine k is the Norton source E_k y_k behind y_k = 1/(Ra + j X''); with all
  * loads as admittances, V = Z (y E) and the machine currents are
  *     I_j = y_j (E_j - V_j) = sum_k Y_jk E_k,   Y_jk = y_j (d_jk - Z_jk y_k).
- * Y (machines) and V/E (every bus) come from topology.c, once per network stage. */
+ * A small network is dense: Y (machines) and V/E (every bus) come from topology.c, once
+ * per network stage. A large one is solved for V with the factors of sparse.h each time. */
+
+/* Voltages from row `first` on into v, then the machine currents. */
+static inline void network_solve(const real *memory, const Plan *plan, const Pattern *pattern,
+                                 const num *e_re, const num *e_im, num *v, num *i_re, num *i_im)
+{
+    const size_t n = plan->n_machine;
+    const real *g = memory + plan->norton, *b = g + n;
+
+    for (size_t k = 0; k < 2 * plan->n_node; ++k) v[k] = NUM(0.0);
+    for (size_t k = 0; k < n; ++k) {
+        num *at = v + 2 * pattern->machine[k];
+        at[0] += g[k] * e_re[k] - b[k] * e_im[k];
+        at[1] += g[k] * e_im[k] + b[k] * e_re[k];
+    }
+    sparse_forward(memory, plan, pattern, plan->first, v);
+    sparse_backward(memory, plan, pattern, plan->first, plan->n_node, v);
+    for (size_t k = 0; k < n; ++k) {
+        const num *at = v + 2 * pattern->machine[k];
+        const num dr = e_re[k] - at[0], di = e_im[k] - at[1];
+        i_re[k] = g[k] * dr - b[k] * di;
+        i_im[k] = g[k] * di + b[k] * dr;
+    }
+}
 
 /* I = Y E, one dense complex product. Sources beyond the machines' EMFs are what
  * the ports inject (port.h); without ports there are none. */
@@ -31,10 +56,15 @@ static inline void network_currents(const real *memory, const Plan *plan,
     }
 }
 
-/* Voltage of one bus from the EMFs. */
-static inline void network_voltage(const real *memory, const Plan *plan, size_t bus,
-                                   const num *e_re, const num *e_im, num *v_re, num *v_im)
+/* Voltage of one bus from the EMFs, or where the network is sparse from its solution v. */
+static inline void network_voltage(const real *memory, const Plan *plan, const Pattern *pattern, size_t bus,
+                                   const num *e_re, const num *e_im, const num *v, num *v_re, num *v_im)
 {
+    if (plan->n_node > 0) {
+        *v_re = v[2 * pattern->row[bus]];
+        *v_im = v[2 * pattern->row[bus] + 1];
+        return;
+    }
     const size_t n = plan->n_source;
     const real *g = memory + plan->v_re + bus * n, *b = memory + plan->v_im + bus * n;
 
@@ -48,8 +78,8 @@ static inline void network_voltage(const real *memory, const Plan *plan, size_t 
 
 /* Active power into the tie branches at their measured ends, in service only:
  * P = Re V_a conj(Y_aa V_a + Y_ab V_b). */
-static inline num network_tie_power(const real *memory, const Plan *plan,
-                                    const num *e_re, const num *e_im)
+static inline num network_tie_power(const real *memory, const Plan *plan, const Pattern *pattern,
+                                    const num *e_re, const num *e_im, const num *v)
 {
     const size_t n = plan->n_tie;
     const real *tie = memory + plan->tie;
@@ -60,8 +90,8 @@ static inline num network_tie_power(const real *memory, const Plan *plan,
         const real g_own = row[T_OWN_RE * n], b_own = row[T_OWN_IM * n];
         const real g_mutual = row[T_MUTUAL_RE * n], b_mutual = row[T_MUTUAL_IM * n];
         num ar, ai, br, bi;
-        network_voltage(memory, plan, index_at(tie, T_OWN * n + k), e_re, e_im, &ar, &ai);
-        network_voltage(memory, plan, index_at(tie, T_OTHER * n + k), e_re, e_im, &br, &bi);
+        network_voltage(memory, plan, pattern, index_at(tie, T_OWN * n + k), e_re, e_im, v, &ar, &ai);
+        network_voltage(memory, plan, pattern, index_at(tie, T_OTHER * n + k), e_re, e_im, v, &br, &bi);
         const num re = g_own * ar - b_own * ai + g_mutual * br - b_mutual * bi;
         const num im = g_own * ai + b_own * ar + g_mutual * bi + b_mutual * br;
         total += memory[plan->in_service + index_at(tie, T_BRANCH * n + k)] * (ar * re + ai * im);

@@ -2,24 +2,25 @@
 #define INTERAREA_PHYSICS_H
 #include "layout.h"
 
-/* The right-hand side and the outputs (flow.h), by flow.c and tangent.c. Each returns 0, or 1 + the port where Newton's method fails. Of memory
- * they change only the ports' warm start. scratch: flow_work(plan) numbers. */
-size_t plant_flow(double *memory, const double *x, const double *u, double *dx, double *scratch);
-size_t plant_outputs(double *memory, const double *x, double *y, double *scratch);
-size_t plant_locals(double *memory, const double *x, const double *u, double *locals,
+/* The right-hand side and the outputs (flow.h), by flow.c and tangent.c. Each returns 0, or 1 + the port
+ * where Newton's method fails. Of memory they change only the ports' warm start. places: the pattern of a
+ * sparse network (sparse.h). scratch: flow_work(plan) numbers. */
+size_t plant_flow(double *memory, const int32_t *places, const double *x, const double *u, double *dx, double *scratch);
+size_t plant_outputs(double *memory, const int32_t *places, const double *x, double *y, double *scratch);
+size_t plant_locals(double *memory, const int32_t *places, const double *x, const double *u, double *locals,
                     double *scratch, double *dx);
-size_t plant_settle(double *memory, const double *x, double *scratch);
+size_t plant_settle(double *memory, const int32_t *places, const double *x, double *scratch);
 
 #ifdef PLANT_TANGENT
-size_t plant_flow_tangent(double *memory, const num *x, const num *u, num *dx, num *scratch);
-size_t plant_outputs_tangent(double *memory, const num *x, num *y, num *scratch);
+size_t plant_flow_tangent(double *memory, const int32_t *places, const num *x, const num *u, num *dx, num *scratch);
+size_t plant_outputs_tangent(double *memory, const int32_t *places, const num *x, num *y, num *scratch);
 #endif
 /* The complex step itself; scratch as for the functions above, complex. */
-size_t plant_directional(double *memory, const BlockLayout *layout, const double *x, const double *u,
+size_t plant_directional(double *memory, const int32_t *places, const BlockLayout *layout, const double *x, const double *u,
                          const double *vx, const double *vu, double *vdx, double *vy, double *scratch);
 
 static inline size_t flow_work(const Plan *plan)
 {
-    return 18 * plan->n_machine + (16 + 4 * plan->n_port) * plan->n_port;
+    return 18 * plan->n_machine + 2 * plan->n_node + (16 + 4 * plan->n_port) * plan->n_port;
 }
 #endif

@@ -6,6 +6,7 @@
 #include "failure.h"
 #include "physics.h"
 #include "rest.h"
+#include "sparse.h"
 #include "tables.h"
 #include "topology.h"
 
@@ -24,7 +25,7 @@ static int prepared(const Block *b, Plan *plan, Network *net)
 static size_t scratch_of(const Plan *plan, const BlockLayout *l)
 {
     const size_t tangent = 2 * (2 * l->n_x + l->n_u + l->n_y + flow_work(plan)) + 2 * plan->n_machine;
-    const size_t stage = 2 * plan->n_bus + topology_work(plan->n_bus);
+    const size_t stage = 2 * plan->n_bus + topology_work(plan);
     return tangent > stage ? tangent : stage;
 }
 
@@ -35,7 +36,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
     Network net;
     BlockStatus status = plant_read(record, layout, &plan, &net, message);
 
-    if (status == BLOCK_OK) status = plant_check(record, layout, &plan, message);
+    if (status == BLOCK_OK) status = plant_check(record, layout, &plan, &net, message);
     if (status != BLOCK_OK) return status;
     needs->n_memory = plan.total;
     needs->n_scratch = scratch_of(&plan, layout);
@@ -67,6 +68,10 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     memory[H_N_SLOT] = (double)plan.n_slot;
     memory[H_N_PORT] = (double)plan.n_port;
     memory[H_N_STATE] = (double)plan.n_state;
+    memory[H_N_NODE] = (double)plan.n_node;
+    memory[H_N_FILL] = (double)plan.n_fill;
+    memory[H_FIRST] = (double)plan.first;
+    memory[H_PATTERN] = plan.n_node > 0 ? (double)((const unsigned char *)net.places - b->record->bytes) : 0.0;
     status = plant_tables(b, &plan, &net, message);
     if (status == BLOCK_OK) rest_prepare(memory, &plan);
     if (status == BLOCK_OK) status = rest_settle(b, &plan, &net, message);
@@ -75,6 +80,8 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     if (status == BLOCK_OK) memory[H_READY] = READY;
     return status;
 }
+
+static const int32_t *places_of(const Block *b) { return plant_places(b->record, b->memory[H_PATTERN]); }
 
 /* Newton's method failed at port `stuck` - 1. */
 static BlockStatus unsolved(const Block *b, size_t stuck, double t, BlockMessage *message)
@@ -104,7 +111,7 @@ BlockStatus block_derivatives(Block *b, double t, const double *x, const double 
                               BlockMessage *message)
 {
     if (!(b->memory[H_READY] == READY)) return not_started(message);
-    const size_t stuck = plant_flow(b->memory, x, u, dx, b->scratch);
+    const size_t stuck = plant_flow(b->memory, places_of(b), x, u, dx, b->scratch);
     return stuck == 0 ? BLOCK_OK : unsolved(b, stuck, t, message);
 }
 
@@ -115,9 +122,9 @@ BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, 
 
     if (!(b->memory[H_READY] == READY)) return not_started(message);
     plan_of(b->memory, &plan);
-    size_t stuck = plant_outputs(b->memory, x, y, b->scratch);
+    size_t stuck = plant_outputs(b->memory, places_of(b), x, y, b->scratch);
     if (b->w != NULL && stuck == 0)
-        stuck = plant_locals(b->memory, x, u, b->w, b->scratch, b->scratch + flow_work(&plan));
+        stuck = plant_locals(b->memory, places_of(b), x, u, b->w, b->scratch, b->scratch + flow_work(&plan));
     return stuck == 0 ? BLOCK_OK : unsolved(b, stuck, t, message);
 }
 
@@ -125,7 +132,7 @@ BlockStatus block_directional(Block *b, double t, const double *x, const double 
                               const double *vu, double *vdx, double *vy, BlockMessage *message)
 {
     if (!(b->memory[H_READY] == READY)) return not_started(message);
-    const size_t stuck = plant_directional(b->memory, &b->layout, x, u, vx, vu, vdx, vy, b->scratch);
+    const size_t stuck = plant_directional(b->memory, places_of(b), &b->layout, x, u, vx, vu, vdx, vy, b->scratch);
     return stuck == 0 ? BLOCK_OK : unsolved(b, stuck, t, message);
 }
 

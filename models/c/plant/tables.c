@@ -5,10 +5,11 @@
 #include "devices.h"
 #include "failure.h"
 #include "machine.h"
+#include "sparse.h"
 
 enum {
     C_MACHINE, C_SIXTH, C_BUS, C_BRANCH, C_LOAD, C_GROUP, C_EXCITERS,
-    C_TIE, C_SLOT, C_ITEM, C_PARAMETER, C_PORT, C_COUNTS
+    C_TIE, C_SLOT, C_ITEM, C_PARAMETER, C_PORT, C_NODE, C_FILL, C_FIRST, C_COUNTS
 };
 
 /* Everything the record must hold; `bad` keeps the first array that does not fit. */
@@ -67,7 +68,7 @@ static const int32_t *read_plan(const Record *record, const BlockLayout *layout,
     const int32_t *c = record_i32(record, "plant.counts", &count);
     if (count != C_COUNTS) return NULL;
     for (size_t k = 0; k < C_COUNTS; ++k)
-        if (c[k] < 0 || c[k] > 100000) return NULL;
+        if (c[k] < 0 || c[k] > 100000000) return NULL;
     if (c[C_MACHINE] < 1 || c[C_SIXTH] > c[C_MACHINE] || c[C_BUS] < 1) return NULL;
     plan->n_machine = (size_t)c[C_MACHINE];
     plan->n_sixth = (size_t)c[C_SIXTH];
@@ -81,6 +82,9 @@ static const int32_t *read_plan(const Record *record, const BlockLayout *layout,
     plan->n_slot = (size_t)c[C_SLOT];
     plan->n_port = (size_t)c[C_PORT];
     plan->n_state = layout->n_x;
+    plan->n_node = (size_t)c[C_NODE];
+    plan->n_fill = (size_t)c[C_FILL];
+    plan->first = (size_t)c[C_FIRST];
     if (plan->exciters > plan->n_group || !count_devices(record, plan)) return NULL;
     plan_offsets(plan);
     return c;
@@ -100,6 +104,7 @@ static void read_network(Reader *r, const Plan *plan, const int32_t *counts, Net
     net->item_bus = integers(r, "shunt.bus", net->n_item, n_bus);
     net->item_status = integers(r, "shunt.status", net->n_item, 2);
     net->item = reals(r, "shunt.table", 2 * net->n_item);
+    net->places = integers(r, "network.pattern", plan->n_node > 0 ? pattern_size(plan) : 0, SIZE_MAX);
     net->load_bus = integers(r, "load.bus", n_load, n_bus);
     net->load = reals(r, "load.table", L_ROWS * n_load);
     net->bus_names = text_of(r, "bus.names");
@@ -117,6 +122,41 @@ BlockStatus plant_read(const Record *record, const BlockLayout *layout, Plan *pl
         return plant_fail(message, BLOCK_ERROR, "record: plant.counts is missing or of another format");
     read_network(&r, plan, counts, net);
     return r.bad == NULL ? BLOCK_OK : unfit(&r, message);
+}
+
+/* Starts of rows: from 0, never falling, to `fill`. */
+static int rising(const int32_t *start, size_t n, size_t fill)
+{
+    int fits = start[0] == 0 && (size_t)start[n] == fill;
+    for (size_t k = 0; fits && k < n; ++k) fits = start[k] <= start[k + 1];
+    return fits;
+}
+
+/* Every place lies in its array: L strictly below the diagonal, U strictly above. */
+static int pattern_fits(const Pattern *s, const Plan *plan)
+{
+    const size_t n = plan->n_node, fill = plan->n_fill;
+    int fits = rising(s->lower, n, fill) && rising(s->upper, n, fill);
+
+    for (size_t k = 0; k < plan->n_bus; ++k) fits = fits && (size_t)s->row[k] < n;
+    for (size_t k = 0; k < plan->n_machine; ++k)
+        fits = fits && (size_t)s->machine[k] < n && (size_t)s->machine[k] >= plan->first;
+    for (size_t k = 0; k < 2 * plan->n_branch; ++k) fits = fits && (size_t)s->branch[k] < 2 * fill;
+    for (size_t k = 0; fits && k < n; ++k) {
+        fits = s->needed[k] >= s->lower[k] && s->needed[k] <= s->lower[k + 1];
+        for (int32_t j = s->lower[k]; fits && j < s->lower[k + 1]; ++j) fits = (size_t)s->lower_column[j] < k;
+        for (int32_t j = s->upper[k]; fits && j < s->upper[k + 1]; ++j)
+            fits = (size_t)s->upper_column[j] > k && (size_t)s->upper_column[j] < n;
+    }
+    return fits;
+}
+
+static void check_pattern(Reader *r, const Plan *plan, const int32_t *places)
+{
+    if (r->bad != NULL || plan->n_node == 0) return;
+    const Pattern s = pattern_of(places, plan);
+    if (plan->n_node != plan->n_bus || plan->first >= plan->n_node || plan->n_port > 0 || !pattern_fits(&s, plan))
+        r->bad = "network.pattern";
 }
 
 /* The ports' table, its references checked. */
@@ -154,7 +194,7 @@ static void check_groups(Reader *r, const BlockLayout *layout, const Plan *plan)
     if (r->bad == NULL) (void)reals(r, "device.table", given);
 }
 
-BlockStatus plant_check(const Record *record, const BlockLayout *layout, const Plan *plan,
+BlockStatus plant_check(const Record *record, const BlockLayout *layout, const Plan *plan, const Network *net,
                         BlockMessage *message)
 {
     Reader r = { record, NULL };
@@ -173,6 +213,7 @@ BlockStatus plant_check(const Record *record, const BlockLayout *layout, const P
     check_groups(&r, layout, plan);
     (void)integers(&r, "input.machine", plan->n_input, n);
     (void)read_ports(&r, plan);
+    check_pattern(&r, plan, net->places);
     (void)integers(&r, "state.machine", layout->n_x, n);
     (void)integers(&r, "tie.branch", plan->n_tie, plan->n_branch);
     (void)integers(&r, "tie.end", plan->n_tie, 2);

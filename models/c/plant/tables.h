@@ -9,6 +9,7 @@ typedef struct {
     const int32_t *item_bus, *item_status; /* switchable shunts */
     const double *item;                    /* 2 x n_item: conductance, susceptance */
     size_t n_item;
+    const int32_t *places;                 /* pattern of a sparse network (sparse.h) */
     const char *bus_names, *branch_names, *machine_names;  /* one a line */
 } Network;
 
@@ -16,7 +17,7 @@ typedef struct {
  * its length and what it refers to; plant_tables: numbers and parameters into memory. */
 BlockStatus plant_read(const Record *record, const BlockLayout *layout, Plan *plan, Network *network,
                        BlockMessage *message);
-BlockStatus plant_check(const Record *record, const BlockLayout *layout, const Plan *plan,
+BlockStatus plant_check(const Record *record, const BlockLayout *layout, const Plan *plan, const Network *network,
                         BlockMessage *message);
 BlockStatus plant_tables(Block *b, const Plan *plan, const Network *network, BlockMessage *message);
 #endif

@@ -45,23 +45,23 @@ static size_t port_solve_tangent(const double *memory, const Plan *plan, const n
     return n;
 }
 
-size_t plant_directional(double *memory, const BlockLayout *layout, const double *x, const double *u,
+size_t plant_directional(double *memory, const int32_t *places, const BlockLayout *layout, const double *x, const double *u,
                          const double *vx, const double *vu, double *vdx, double *vy, double *scratch)
 {
     num *z = (num *)(void *)scratch;
     num *input = z + layout->n_x, *rates = input + layout->n_u, *outputs = rates + layout->n_x;
     num *work = outputs + layout->n_y;
-    size_t stuck = plant_settle(memory, x, scratch);
+    size_t stuck = plant_settle(memory, places, x, scratch);
 
     if (stuck > 0) return stuck;
     for (size_t k = 0; k < layout->n_x; ++k) z[k] = with_slope(x[k], H * vx[k]);
     for (size_t k = 0; k < layout->n_u; ++k) input[k] = with_slope(u[k], H * vu[k]);
     if (vdx != NULL) {
-        stuck = plant_flow_tangent(memory, z, input, rates, work);
+        stuck = plant_flow_tangent(memory, places, z, input, rates, work);
         for (size_t k = 0; k < layout->n_x; ++k) vdx[k] = cimag(rates[k]) / H;
     }
     if (vy != NULL && stuck == 0) {
-        stuck = plant_outputs_tangent(memory, z, outputs, work);
+        stuck = plant_outputs_tangent(memory, places, z, outputs, work);
         for (size_t k = 0; k < layout->n_y; ++k) vy[k] = cimag(outputs[k]) / H;
     }
     return stuck;

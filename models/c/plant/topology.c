@@ -3,8 +3,13 @@
 #include "topology.h"
 
 #include "failure.h"
+#include "sparse_stage.h"
 
-size_t topology_work(size_t n_bus) { return 2 * n_bus * n_bus + 3 * n_bus; }
+size_t topology_work(const Plan *plan)
+{
+    const size_t n = plan->n_bus;
+    return plan->n_node > 0 ? n + sparse_stage_work(plan) : 2 * n * n + 4 * n;
+}
 
 static void add(double *a, size_t n, size_t row, size_t col, double re, double im)
 {
@@ -12,8 +17,7 @@ static void add(double *a, size_t n, size_t row, size_t col, double re, double i
     a[2 * (row * n + col) + 1] += im;
 }
 
-/* Norton admittance of machine k on the system base. Below equal X''d, X''q. */
-static void source_admittance(const double *memory, const Plan *plan, size_t k, double *g, double *b)
+void topology_source(const double *memory, const Plan *plan, size_t k, double *g, double *b)
 {
     const size_t n = plan->n_machine;
     const double *table = memory + plan->machine;
@@ -38,7 +42,7 @@ static size_t source_at(const double *memory, const Plan *plan, const Network *n
         return (size_t)net->load_bus[index_at(row, P_DEVICE)];
     }
     if (source >= plan->n_machine) *machine = index_at(row, P_DEVICE);
-    source_admittance(memory, plan, *machine, &g, &b);
+    topology_source(memory, plan, *machine, &g, &b);
     *re = source < plan->n_machine ? g : -b * row[P_X2];
     *im = source < plan->n_machine ? b : g * row[P_X2];
     return index_at(memory + plan->machine_bus, *machine);
@@ -108,7 +112,7 @@ static void assemble(const double *memory, const Plan *plan, const Network *net,
     for (size_t k = 0; k < plan->n_machine; ++k) {
         const size_t bus = index_at(memory + plan->machine_bus, k);
         double g, b;
-        source_admittance(memory, plan, k, &g, &b);
+        topology_source(memory, plan, k, &g, &b);
         add(a, n, bus, bus, g, b);
     }
 }
@@ -190,24 +194,29 @@ static void solve(const double *a, size_t n, const double *order, size_t source,
     }
 }
 
+/* First bus of the part of the network that bus k belongs to, paths halved on the way. */
+static size_t part_of(double *part, size_t k)
+{
+    while (index_at(part, k) != k) {
+        part[k] = part[index_at(part, k)];
+        k = index_at(part, k);
+    }
+    return k;
+}
+
 /* Every bus must hang together with the first machine's: the model has one
  * frequency reference and no isolated parts. Returns n, or a bus left alone. */
-static size_t unreached_bus(const double *memory, const Plan *plan, const Network *net, double *reached)
+static size_t unreached_bus(const double *memory, const Plan *plan, const Network *net, double *part)
 {
-    for (size_t k = 0; k < plan->n_bus; ++k) reached[k] = 0.0;
-    reached[index_at(memory + plan->machine_bus, 0)] = 1.0;
-    for (size_t pass = 0; pass < plan->n_bus; ++pass) {
-        int grown = 0;
-        for (size_t k = 0; k < plan->n_branch; ++k) {
-            const size_t f = (size_t)net->branch_from[k], t = (size_t)net->branch_to[k];
-            if (!(memory[plan->in_service + k] > 0.5) || reached[f] == reached[t]) continue;
-            reached[f] = reached[t] = 1.0;
-            grown = 1;
-        }
-        if (!grown) break;
+    for (size_t k = 0; k < plan->n_bus; ++k) part[k] = (double)k;
+    for (size_t k = 0; k < plan->n_branch; ++k) {
+        if (!(memory[plan->in_service + k] > 0.5)) continue;
+        const size_t f = part_of(part, (size_t)net->branch_from[k]), t = part_of(part, (size_t)net->branch_to[k]);
+        part[f > t ? f : t] = (double)(f > t ? t : f);
     }
+    const size_t first = part_of(part, index_at(memory + plan->machine_bus, 0));
     for (size_t k = 0; k < plan->n_bus; ++k)
-        if (!(reached[k] > 0.5)) return k;
+        if (part_of(part, k) != first) return k;
     return plan->n_bus;
 }
 
@@ -215,15 +224,16 @@ BlockStatus topology_build(double *memory, const Plan *plan, const Network *net,
                         const double *extra, double *work, BlockMessage *message)
 {
     const size_t n = plan->n_bus, m = plan->n_machine;
-    double *a = work, *order = a + 2 * n * n, *v = order + n;
+    double *a = work + n, *order = a + 2 * n * n, *v = order + n;
     char name[64];
 
-    const size_t alone = unreached_bus(memory, plan, net, order);
+    const size_t alone = unreached_bus(memory, plan, net, work);
     if (alone < n)
         return plant_fail(message, BLOCK_ERROR,
                           "network: bus %s is cut off from the rest by the branches out of service; "
                           "keep every bus connected",
                           plant_name(net->bus_names, alone, name));
+    if (plan->n_node > 0) return sparse_stage(memory, plan, net, extra, work + n, message);
     assemble(memory, plan, net, extra, a);
     const size_t stuck = factor(a, n, order);
     if (stuck < n)
@@ -245,7 +255,7 @@ BlockStatus topology_build(double *memory, const Plan *plan, const Network *net,
         for (size_t j = 0; j < m; ++j) {
             const size_t bus = index_at(memory + plan->machine_bus, j);
             double gj, bj, er, ei;
-            source_admittance(memory, plan, j, &gj, &bj);
+            topology_source(memory, plan, j, &gj, &bj);
             own_emf(memory, plan, k, machine, j, &er, &ei);
             const double dr = er - v[2 * bus], di = ei - v[2 * bus + 1];
             memory[plan->y_re + k * m + j] = gj * dr - bj * di;

@@ -4,7 +4,9 @@
 
 /* The reduced network for the switches in memory and `extra` (2 x n_bus:
  * conductance and susceptance added by events). work: topology_work(...) doubles. */
-size_t topology_work(size_t n_bus);
+size_t topology_work(const Plan *plan);
 BlockStatus topology_build(double *memory, const Plan *plan, const Network *network,
                         const double *extra, double *work, BlockMessage *message);
+/* Norton admittance of machine k on the system base, 0 after a trip. Below equal X''d, X''q. */
+void topology_source(const double *memory, const Plan *plan, size_t k, double *g, double *b);
 #endif

@@ -11,7 +11,8 @@ from interarea.cosim.errors import StepError
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.run.artefacts import plant_fmu
 from interarea.fmu_build.open.fmu_file import FmuFile
-from interarea.models.blocks.plant import EVENT_CODES, event_parameters
+from interarea.models.blocks.plant import event_parameters
+from interarea.models.blocks.plant_variables import EVENT_CODES
 from interarea.models.case.case import load_case
 from interarea.models.case.events import VrefPulse
 

@@ -1,0 +1,164 @@
+"""Variables of the plant: states, inputs, what it shows, parameters and event slots."""
+
+from __future__ import annotations
+
+from ..case.case import Case
+from ..devices.language.device import NO_LIMIT
+from ..grid.control_tables import Parameter
+from ..grid.equilibrium import OperatingPoint
+from ..grid.machine_tables import NETWORK, network_states
+from .variables import Enumeration, Variable
+
+#: Value of each kind in the FMI enumeration; plant/event.h counts alike.
+EVENT_CODES = {
+    "none": 0,
+    "bus_fault": 1,
+    "branch_trip": 2,
+    "branch_reclose": 3,
+    "vref_pulse": 4,
+    "load_step": 5,
+    "pm_pulse": 6,
+    "machine_trip": 7,
+    "shunt_switch": 8,
+}
+_EVENT_WORDS = {
+    "none": "slot not in use",
+    "bus_fault": "three-phase fault at a bus through r + jx",
+    "branch_trip": "branch opens at start, closes at end",
+    "branch_reclose": "branch closes at start",
+    "vref_pulse": "voltage set-point of a machine raised by size",
+    "load_step": "size + j size_q added to a load at its operating voltage, of its characteristic",
+    "pm_pulse": "mechanical power of a machine raised by size (machine base)",
+    "machine_trip": "machine disconnected at start",
+    "shunt_switch": "shunt switched in (size = 1) or out (size = 0), back at end",
+}
+EVENT_REALS = ("start", "end", "size", "size_q", "r", "x")
+#: names of states that derivatives list altogether; beyond, those that see the network list nothing, which in
+#: FMI says that they may depend on everything
+MOST_DEPENDENCIES = 400_000
+
+
+def state_variables(point: OperatingPoint) -> list[Variable]:
+    """Return the states and then their derivatives."""
+    network = network_states(point.case)
+    listed = len(network) * sum(NETWORK in s.depends_on for s in point.states)
+
+    def reached(names: frozenset[str]) -> tuple[str, ...] | None:
+        if NETWORK in names:
+            if listed > MOST_DEPENDENCIES:
+                return None
+            names = names - {NETWORK} | network
+        return tuple(sorted(names, key=order.__getitem__))
+
+    states = [
+        Variable(s.name, "state", s.description, unit=s.unit, start=s.start, nominal=1.0)
+        for s in point.states
+    ]
+    order = {name: k for k, name in enumerate((*point.state_names, *point.input_names))}
+    rate = {"rad": "rad/s", "pu": "pu/s"}
+    derivatives = [
+        Variable(
+            f"der({s.name})",
+            "derivative",
+            f"rate of {s.name}",
+            unit=rate[s.unit],
+            derivative_of=s.name,
+            depends_on=reached(s.depends_on),
+        )
+        for s in point.states
+    ]
+    return states + derivatives
+
+
+def input_variables(point: OperatingPoint) -> list[Variable]:
+    """Return the inputs, one for each exciter."""
+    return [
+        Variable(name, "input", "added at the exciter's summing point", unit="pu", start=0.0)
+        for name in point.input_names
+    ]
+
+
+def output_variables(case: Case) -> list[Variable]:
+    """Return the outputs of the machines, then the power of the tie."""
+    network = tuple(sorted(network_states(case)))
+    angles = tuple(f"{m.name}.delta" for m in case.machines)
+    outputs = []
+    for m in case.machines:
+        outputs += [
+            _output(f"{m.name}_dw", "pu", "speed deviation", (f"{m.name}.slip",)),
+            _output(f"{m.name}_delta", "rad", "rotor angle to the centre of inertia", angles),
+            _output(f"{m.name}_pe", "pu", "active power at the terminals, base of the case", network),
+            _output(f"{m.name}_vt", "pu", "terminal voltage", network),
+        ]
+    if case.tie is not None:
+        text = (
+            f"active power from bus {case.tie.from_bus} over {', '.join(case.tie.branches)}, base of the case"
+        )
+        outputs.append(_output("tie_p", "pu", text, network))
+    return outputs
+
+
+def _output(name: str, unit: str, description: str, depends_on: tuple[str, ...]) -> Variable:
+    return Variable(name, "output", description, unit=unit, depends_on=depends_on)
+
+
+def local_variables(case: Case) -> list[Variable]:
+    """Return the bus voltages, then field voltage and power of each machine."""
+    values = [
+        Variable(f"bus{bus.number}.v", "local", f"voltage magnitude of bus {bus.number}", unit="pu")
+        for bus in case.buses
+    ]
+    for m in case.machines:
+        values.append(Variable(f"{m.name}.Efd", "local", "field voltage", unit="pu"))
+        values.append(Variable(f"{m.name}.Pm", "local", "mechanical power, machine base", unit="pu"))
+    return values
+
+
+def parameter_variable(parameter: Parameter) -> Variable:
+    """Return the FMI parameter of one number of a device."""
+    return Variable(
+        parameter.name,
+        "parameter",
+        parameter.description,
+        unit=parameter.unit,
+        start=parameter.value,
+        min=parameter.low,
+        max=parameter.high,
+    )
+
+
+def event_variables(slots: int) -> list[Variable]:
+    """Return the parameters of the event slots."""
+    items = tuple((name, code, _EVENT_WORDS[name]) for name, code in EVENT_CODES.items())
+    kind = Enumeration("EventKind", items)
+    texts = {
+        "start": ("s", "start time", 0.0),
+        "end": ("s", "end time; 1e30: no end", NO_LIMIT),
+        "size": ("pu", "size of the step", 0.0),
+        "size_q": ("pu", "reactive part of a load step", 0.0),
+        "r": ("pu", "fault resistance", 0.0),
+        "x": ("pu", "fault reactance", 1e-4),
+    }
+    variables = []
+    for k in range(1, slots + 1):
+        for key, (unit, text, start) in texts.items():
+            name = f"event[{k}].{key}"
+            variables.append(Variable(name, "parameter", text, unit=unit, start=start, tunable=True))
+        name = f"event[{k}].kind"
+        variables.append(
+            Variable(
+                name,
+                "parameter",
+                "what happens",
+                type="Enumeration",
+                start=0,
+                enumeration=kind,
+                tunable=True,
+            )
+        )
+        text = (
+            "number of the bus, branch, machine, load or shunt in the case, from 1; classical machines last"
+        )
+        name = f"event[{k}].target"
+        variables.append(Variable(name, "parameter", text, type="Integer", start=1, tunable=True))
+    return variables

@@ -1,0 +1,111 @@
+#ifndef INTERAREA_SPARSE_H
+#define INTERAREA_SPARSE_H
+#include "layout.h"
+#include "scalar.h"
+/* The network of a large grid: A = Y with the machines' and loads' admittances, factored as L U with U of
+ * unit diagonal. Order and places of all entries are made once, in models/grid/sparse_pattern.py, and stay
+ * the same for every switching state; rows are numbered so that those no current enters come first.
+ *
+ * The pattern is one array of the record, the parts one after the other:
+ *
+ *   row            row of each bus                              n_bus
+ *   machine        row of each machine's bus                    n_machine
+ *   lower          first entry of each row of L                 n_node + 1
+ *   needed         first entry that a solution needs            n_node
+ *   upper          first entry of each row of U                 n_node + 1
+ *   lower_column, upper_column                                  n_fill each
+ *   branch         places of (from, to) and (to, from) in the factors: entry of L, or n_fill + entry of U
+ *
+ * Structure is symmetric, values are not (phase shifters). Nobody pivots: the diagonal carries the loads
+ * and machines; topology.c checks a residual after each factorisation. */
+typedef struct {
+    const int32_t *row, *machine, *lower, *needed, *upper, *lower_column, *upper_column, *branch;
+} Pattern;
+
+static inline size_t pattern_size(const Plan *p)
+{
+    return p->n_bus + p->n_machine + 3 * p->n_node + 2 + 2 * p->n_fill + 2 * p->n_branch;
+}
+
+/* Where the pattern lies: `at` bytes into the record, memory[H_PATTERN]; null for a dense network. */
+static inline const int32_t *plant_places(const Record *record, double at)
+{
+    return at > 0.0 ? (const int32_t *)(const void *)(record->bytes + (size_t)at) : NULL;
+}
+
+static inline Pattern pattern_of(const int32_t *at, const Plan *p)
+{
+    Pattern s = { NULL, NULL, NULL, NULL, NULL, NULL, NULL, NULL };
+    if (at == NULL) return s;
+    s.row = at;
+    s.machine = s.row + p->n_bus;
+    s.lower = s.machine + p->n_machine;
+    s.needed = s.lower + p->n_node + 1;
+    s.upper = s.needed + p->n_node;
+    s.lower_column = s.upper + p->n_node + 1;
+    s.upper_column = s.lower_column + p->n_fill;
+    s.branch = s.upper_column + p->n_fill;
+    return s;
+}
+
+/* sum a_k v[column_k]: four running sums, so that an addition need not wait for the one before. */
+static inline void sparse_row(const real *a, const int32_t *column, size_t count, const num *v,
+                              num *re, num *im)
+{
+    num r0 = NUM(0.0), i0 = NUM(0.0), r1 = NUM(0.0), i1 = NUM(0.0);
+    num r2 = NUM(0.0), i2 = NUM(0.0), r3 = NUM(0.0), i3 = NUM(0.0);
+    size_t k = 0;
+
+    for (; k + 4 <= count; k += 4, a += 8) {
+        const num *v0 = v + 2 * column[k], *v1 = v + 2 * column[k + 1];
+        const num *v2 = v + 2 * column[k + 2], *v3 = v + 2 * column[k + 3];
+        r0 += a[0] * v0[0] - a[1] * v0[1];
+        i0 += a[0] * v0[1] + a[1] * v0[0];
+        r1 += a[2] * v1[0] - a[3] * v1[1];
+        i1 += a[2] * v1[1] + a[3] * v1[0];
+        r2 += a[4] * v2[0] - a[5] * v2[1];
+        i2 += a[4] * v2[1] + a[5] * v2[0];
+        r3 += a[6] * v3[0] - a[7] * v3[1];
+        i3 += a[6] * v3[1] + a[7] * v3[0];
+    }
+    for (; k < count; ++k, a += 2) {
+        const num *v0 = v + 2 * column[k];
+        r0 += a[0] * v0[0] - a[1] * v0[1];
+        i0 += a[0] * v0[1] + a[1] * v0[0];
+    }
+    *re = (r0 + r1) + (r2 + r3);
+    *im = (i0 + i1) + (i2 + i3);
+}
+
+/* v = L^-1 v from row `first` on; nothing enters the rows before. */
+static inline void sparse_forward(const real *memory, const Plan *plan, const Pattern *s, size_t first, num *v)
+{
+    const real *lower = memory + plan->lower, *pivot = memory + plan->pivot;
+
+    for (size_t k = first; k < plan->n_node; ++k) {
+        const size_t from = (size_t)(first > 0 ? s->needed[k] : s->lower[k]), to = (size_t)s->lower[k + 1];
+        const real g = pivot[2 * k], b = pivot[2 * k + 1];
+        num re, im;
+        sparse_row(lower + 2 * from, s->lower_column + from, to - from, v, &re, &im);
+        re = v[2 * k] - re;
+        im = v[2 * k + 1] - im;
+        v[2 * k] = g * re - b * im;
+        v[2 * k + 1] = g * im + b * re;
+    }
+}
+
+/* v = U^-1 v for the rows last - 1 down to first; those from `last` on are done. */
+static inline void sparse_backward(const real *memory, const Plan *plan, const Pattern *s, size_t first,
+                                   size_t last, num *v)
+{
+    const real *upper = memory + plan->upper;
+
+    for (size_t k = last; k-- > first;) {
+        const size_t from = (size_t)s->upper[k], to = (size_t)s->upper[k + 1];
+        num re, im;
+        sparse_row(upper + 2 * from, s->upper_column + from, to - from, v, &re, &im);
+        v[2 * k] -= re;
+        v[2 * k + 1] -= im;
+    }
+}
+#endif

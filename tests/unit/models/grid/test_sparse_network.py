@@ -1,0 +1,174 @@
+"""The sparse network: its order and places against plain elimination, its solution against the dense one."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from plant_shim import BlockFailure, BlockShim
+
+from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.case.case import Case, case_of, load_case
+from interarea.models.case.events import events_of
+from interarea.models.grid.network_tables import network_pattern
+from interarea.models.grid.sparse_pattern import SPARSE_PRICE, sparse_pattern
+
+
+def mesh(columns: int, rows: int, every: int = 1) -> Case:
+    """A grid of streets with a classical machine at each `every`-th crossing and two phase shifters."""
+    number = {(i, j): 1 + i * rows + j for i in range(columns) for j in range(rows)}
+    lines = [((i, j), (i + 1, j)) for i, j in number if i + 1 < columns]
+    lines += [((i, j), (i, j + 1)) for i, j in number if j + 1 < rows]
+    branches = {
+        f"{number[a]}-{number[b]}": {
+            "from": number[a],
+            "to": number[b],
+            "r": 0.004,
+            "x": 0.04 + 0.003 * k % 7,
+        }
+        for k, (a, b) in enumerate(lines)
+    }
+    for k, name in enumerate(list(branches)[1:8:5]):
+        branches[name] |= {"tap": 0.97 + 0.05 * k, "shift_deg": 6.0}
+    at = [n for n in number.values() if n % every == 1 % every]
+    machines = {
+        f"G{n}": {
+            "bus": n,
+            "base_mva": 100.0,
+            "model": "classical",
+            "H": 3.0 + n % 3,
+            "D": 1.0,
+            "Xd1": 0.25,
+            "Ra": 0.003,
+            "P_mw": 0.0 if k == 0 else 10.0 + n % 4,
+            "V_pu": 1.0,
+            "slack": k == 0,
+        }
+        for k, n in enumerate(at)
+    }
+    return case_of(
+        {
+            "name": f"mesh-{columns}-{rows}",
+            "source": "made up",
+            "frequency_hz": 60.0,
+            "base_mva": 100.0,
+            "buses": {str(n): {} for n in number.values()},
+            "branches": branches,
+            "loads": {f"L{n}": {"bus": n, "P_mw": 9.0, "Q_mvar": 2.0} for n in number.values() if n % 2},
+            "machines": machines,
+            "tie": {"branches": [next(iter(branches))], "from": 1},
+        },
+        where="test",
+    )
+
+
+def shims(case: Case, *events: dict) -> list[BlockShim]:
+    """The plant with the dense and with the sparse network."""
+    slots = event_parameters(case, events_of(list(events), where="test"))
+    return [BlockShim(plant_block(case, network=form), slots) for form in ("dense", "sparse")]
+
+
+def agree(case: Case, *events: dict) -> None:
+    dense, sparse = shims(case, *events)
+    x = dense.x + 0.02 * np.random.default_rng(3).standard_normal(len(dense.x))
+    for one, other in zip(dense.derivatives(x), sparse.derivatives(x), strict=True):
+        np.testing.assert_allclose(other, one, rtol=0, atol=1e-12 * (1.0 + np.abs(one).max()))
+    np.testing.assert_allclose(sparse.w, dense.w, rtol=0, atol=1e-12 * dense.w.max())
+    v = np.random.default_rng(4).standard_normal(len(dense.x) + len(dense.u))
+    one, other = (p.directional(v[: len(x)], v[len(x) :], x) for p in (dense, sparse))
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(b, a, rtol=0, atol=1e-12 * (1.0 + np.abs(a).max()))
+
+
+@pytest.mark.parametrize("name", ["two-area-thesis", "kundur-thyristor-z", "new-england"])
+def test_both_forms_agree(name: str) -> None:
+    agree(load_case(name))
+
+
+def test_both_forms_agree_in_every_switching_state() -> None:
+    case = load_case("new-england")
+    agree(
+        case,
+        {"kind": "bus_fault", "bus": 16, "start_s": 0.0, "end_s": 1.0, "x_pu": 0.001},
+        {"kind": "branch_trip", "branch": case.branches[3].name, "start_s": 0.0},
+        {"kind": "machine_trip", "machine": case.machines[2].name, "start_s": 0.0},
+        {"kind": "load_step", "load": case.loads[4].name, "start_s": 0.0, "size_pu": 0.3},
+    )
+
+
+def test_both_forms_agree_beside_phase_shifters_and_buses_without_machine() -> None:
+    agree(mesh(6, 5, every=4))
+
+
+def test_an_event_is_felt_when_it_comes() -> None:
+    """The factors are renewed: during a fault the voltage there is low, afterwards it is back."""
+    fault = {"kind": "bus_fault", "bus": 16, "start_s": 0.02, "end_s": 0.04, "x_pu": 0.001}
+    dense, sparse = (p.run(0.06, 0.01) for p in shims(load_case("new-england"), fault))
+    np.testing.assert_allclose(sparse[1], dense[1], rtol=0, atol=1e-11)
+    assert np.abs(sparse[2][:, 3::4] - sparse[2][0, 3::4])[2:4].max() > 0.05
+
+
+def test_pattern_holds_all_that_elimination_fills() -> None:
+    """Against elimination of a full matrix in that order, and the promises on which the C relies."""
+    random = np.random.default_rng(5)
+    n = 40
+    ends = np.array(
+        [(k, random.integers(k)) for k in range(1, n)]
+        + [tuple(random.choice(n, 2, False)) for _ in range(25)]
+    )
+    active = [3, 11, 30]
+    pattern = sparse_pattern(n, ends, active)
+    filled = np.eye(n, dtype=bool)
+    at = pattern.row[ends]
+    filled[at[:, 0], at[:, 1]] = filled[at[:, 1], at[:, 0]] = True
+    original = filled.copy()
+    for k in range(n):
+        below = np.flatnonzero(filled[:, k] & (np.arange(n) > k))
+        filled[np.ix_(below, below)] = True
+    for start, column, want in (
+        (pattern.lower, pattern.lower_column, np.tril(filled, -1)),
+        (pattern.upper, pattern.upper_column, np.triu(filled, 1)),
+    ):
+        rows = np.repeat(np.arange(n), np.diff(start))
+        assert sorted(zip(rows, column, strict=True)) == list(zip(*np.nonzero(want), strict=True))
+    assert pattern.row[active].min() >= pattern.first > 0
+    places = pattern.places(ends)
+    rows = np.repeat(np.arange(n), np.diff(pattern.lower)), np.repeat(np.arange(n), np.diff(pattern.upper))
+    for (a, b), (one, other) in zip(at, places, strict=True):
+        for i, j, place in ((a, b, one), (b, a, other)):
+            part, k = divmod(int(place), pattern.fill)
+            column = (pattern.lower_column, pattern.upper_column)[part][k]
+            assert (rows[part][k], column) == (i, j) and original[i, j]
+
+
+def test_the_cheaper_form_is_taken() -> None:
+    """Few machines: dense; many on a wide grid: sparse; and what is counted is what is done."""
+    assert network_pattern(load_case("nets-nyps"), 0) is None
+    wide = mesh(20, 6)
+    pattern = network_pattern(wide, 0)
+    assert pattern is not None and len(wide.machines) ** 2 > SPARSE_PRICE * pattern.multiplications
+    assert pattern.multiplications == 2 * pattern.fill + 120  # a machine at every bus: no row is left out
+    assert plant_block(wide).data["plant.counts"][-3] == 120
+    assert network_pattern(wide, 0, "dense") is None
+
+
+@pytest.mark.parametrize("k", [0, 45, -1])
+def test_a_damaged_pattern_is_refused(k: int) -> None:
+    block = plant_block(load_case("new-england"), network="sparse")
+    pattern = np.array(block.data["network.pattern"])
+    pattern[k] = 10_000
+    with pytest.raises(BlockFailure, match=r"network\.pattern"):
+        BlockShim(dataclasses.replace(block, data={**block.data, "network.pattern": pattern}))
+
+
+def test_a_pivot_that_vanishes_names_the_bus() -> None:
+    """A shunt that cancels the admittance of a bus on a spur: the sparse form does not pivot and says so."""
+    case = mesh(4, 3, every=12)
+    line = {"from": 12, "to": 13, "x": 0.1}
+    shunt = {"bus": 13, "Q_mvar": 1000.0, "in_service": False}
+    case = case.with_changes({"buses": {"13": {}}, "branches": {"12-13": line}, "shunts": {"S": shunt}})
+    switch = {"kind": "shunt_switch", "shunt": "S", "to": "in", "start_s": 0.0}
+    slots = event_parameters(case, events_of([switch], where="test"))
+    with pytest.raises(BlockFailure, match="singular at bus 13"):
+        BlockShim(plant_block(case, network="sparse"), slots)
