@@ -11,6 +11,17 @@
  * A small network is dense: Y (machines) and V/E (every bus) come from topology.c, once
  * per network stage. A large one is solved for V with the factors of sparse.h each time. */
 
+/* Norton admittance of machine k on the system base, 0 after a trip. Below equal X''d, X''q. */
+static inline void network_norton(const real *memory, const Plan *plan, size_t k, real *g, real *b)
+{
+    const size_t n = plan->n_machine;
+    const real *table = memory + plan->machine;
+    const real ratio = table[M_RATIO * n + k] * memory[plan->running + k];
+    const real r = table[M_RA * n + k], x = table[M_XD2 * n + k];
+    *g = ratio * r / (r * r + x * x);
+    *b = -ratio * x / (r * r + x * x);
+}
+
 /* Voltages from row `first` on into v, then the machine currents. */
 static inline void network_solve(const real *memory, const Plan *plan, const Pattern *pattern,
                                  const num *e_re, const num *e_im, num *v, num *i_re, num *i_im)

@@ -3,8 +3,7 @@
 #include "sparse_stage.h"
 
 #include "failure.h"
-#include "sparse.h"
-#include "topology.h"
+#include "network.h"
 
 static const double SINGULAR = 1e-24;  /* squared pivot against the squared largest entry of its row */
 static const double RESIDUAL = 1e-6;   /* most by which a solution may miss */
@@ -41,7 +40,7 @@ static void diagonal(double *memory, const Plan *plan, const Network *net, const
         at[1] -= net->load[L_Q * n_load + k] / (v * v);
     }
     for (size_t k = 0; k < m; ++k) {
-        topology_source(memory, plan, k, &g[k], &g[m + k]);
+        network_norton(memory, plan, k, &g[k], &g[m + k]);
         d[2 * s->machine[k]] += g[k];
         d[2 * s->machine[k] + 1] += g[m + k];
     }

@@ -3,6 +3,7 @@
 #include "topology.h"
 
 #include "failure.h"
+#include "network.h"
 #include "sparse_stage.h"
 
 size_t topology_work(const Plan *plan)
@@ -15,16 +16,6 @@ static void add(double *a, size_t n, size_t row, size_t col, double re, double i
 {
     a[2 * (row * n + col)] += re;
     a[2 * (row * n + col) + 1] += im;
-}
-
-void topology_source(const double *memory, const Plan *plan, size_t k, double *g, double *b)
-{
-    const size_t n = plan->n_machine;
-    const double *table = memory + plan->machine;
-    const double ratio = table[M_RATIO * n + k] * memory[plan->running + k];
-    const double r = table[M_RA * n + k], x = table[M_XD2 * n + k];
-    *g = ratio * r / (r * r + x * x);
-    *b = -ratio * x / (r * r + x * x);
 }
 
 /* Voltages of all buses for each source, by column of `v`: an EMF of 1, a current
@@ -42,7 +33,7 @@ static size_t source_at(const double *memory, const Plan *plan, const Network *n
         return (size_t)net->load_bus[index_at(row, P_DEVICE)];
     }
     if (source >= plan->n_machine) *machine = index_at(row, P_DEVICE);
-    topology_source(memory, plan, *machine, &g, &b);
+    network_norton(memory, plan, *machine, &g, &b);
     *re = source < plan->n_machine ? g : -b * row[P_X2];
     *im = source < plan->n_machine ? b : g * row[P_X2];
     return index_at(memory + plan->machine_bus, *machine);
@@ -112,7 +103,7 @@ static void assemble(const double *memory, const Plan *plan, const Network *net,
     for (size_t k = 0; k < plan->n_machine; ++k) {
         const size_t bus = index_at(memory + plan->machine_bus, k);
         double g, b;
-        topology_source(memory, plan, k, &g, &b);
+        network_norton(memory, plan, k, &g, &b);
         add(a, n, bus, bus, g, b);
     }
 }
@@ -255,7 +246,7 @@ BlockStatus topology_build(double *memory, const Plan *plan, const Network *net,
         for (size_t j = 0; j < m; ++j) {
             const size_t bus = index_at(memory + plan->machine_bus, j);
             double gj, bj, er, ei;
-            topology_source(memory, plan, j, &gj, &bj);
+            network_norton(memory, plan, j, &gj, &bj);
             own_emf(memory, plan, k, machine, j, &er, &ei);
             const double dr = er - v[2 * bus], di = ei - v[2 * bus + 1];
             memory[plan->y_re + k * m + j] = gj * dr - bj * di;

@@ -7,6 +7,4 @@
 size_t topology_work(const Plan *plan);
 BlockStatus topology_build(double *memory, const Plan *plan, const Network *network,
                         const double *extra, double *work, BlockMessage *message);
-/* Norton admittance of machine k on the system base, 0 after a trip. Below equal X''d, X''q. */
-void topology_source(const double *memory, const Plan *plan, size_t k, double *g, double *b);
 #endif

@@ -69,7 +69,7 @@ def shims(case: Case, *events: dict) -> list[BlockShim]:
     return [BlockShim(plant_block(case, network=form), slots) for form in ("dense", "sparse")]
 
 
-def agree(case: Case, *events: dict) -> None:
+def check_agreement(case: Case, *events: dict) -> None:
     dense, sparse = shims(case, *events)
     x = dense.x + 0.02 * np.random.default_rng(3).standard_normal(len(dense.x))
     for one, other in zip(dense.derivatives(x), sparse.derivatives(x), strict=True):
@@ -83,12 +83,12 @@ def agree(case: Case, *events: dict) -> None:
 
 @pytest.mark.parametrize("name", ["two-area-thesis", "kundur-thyristor-z", "new-england"])
 def test_both_forms_agree(name: str) -> None:
-    agree(load_case(name))
+    check_agreement(load_case(name))
 
 
 def test_both_forms_agree_in_every_switching_state() -> None:
     case = load_case("new-england")
-    agree(
+    check_agreement(
         case,
         {"kind": "bus_fault", "bus": 16, "start_s": 0.0, "end_s": 1.0, "x_pu": 0.001},
         {"kind": "branch_trip", "branch": case.branches[3].name, "start_s": 0.0},
@@ -98,7 +98,7 @@ def test_both_forms_agree_in_every_switching_state() -> None:
 
 
 def test_both_forms_agree_beside_phase_shifters_and_buses_without_machine() -> None:
-    agree(mesh(6, 5, every=4))
+    check_agreement(mesh(6, 5, every=4))
 
 
 def test_an_event_is_felt_when_it_comes() -> None:
