@@ -9,15 +9,17 @@ the decimal time, so 3 steps of 10 ms are 0.03 to the bit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, overload
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING, NamedTuple, overload
 
 from .errors import ScenarioError
+
+if TYPE_CHECKING:  # a scenario is checked without numpy: it takes as long as all else together
+    import numpy as np
+    import numpy.typing as npt
 
 TICKS_PER_SECOND = 1_000_000_000
 _MAX_SECONDS = 9.0e6  # 9e15 ticks: whole ticks are still exact as doubles
@@ -66,7 +68,7 @@ def on_tick(value_s: float, what: str) -> float:
 
 def moved(given_s: float, used_s: float) -> bool:
     """Whether a time and what it was taken as differ by more than the rounding of a sum of doubles."""
-    return abs(given_s - used_s) > 4.0 * float(np.spacing(abs(used_s)))
+    return abs(given_s - used_s) > 4.0 * math.ulp(used_s)
 
 
 class Step(NamedTuple):
@@ -142,6 +144,8 @@ class Clock:
     @cached_property
     def steps(self) -> Steps:
         """All steps of the run in order."""
+        import numpy as np
+
         grid = np.arange(self.start + self.step, self.stop, self.step, dtype=np.int64)
         marks = np.array(self.marks, dtype=np.int64)
         points = np.array(self.points, dtype=np.int64)

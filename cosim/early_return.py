@@ -3,7 +3,7 @@
 The FMU tells how far it came (fmi2LastSuccessfulTime), and whether it wants the simulation to end
 (fmi2Terminated). Then either
 
-* *go on* (default): it alone does the rest of the step from there, its inputs continued along the
+* *continue* (default): it alone does the rest of the step from there, its inputs continued along the
   polynomials it was given. Needs nothing of the other FMUs, which see what happened at the step's end;
 * *roll back*: every FMU is put back to the start of the step (all must save their state), the instant gets
   a communication point a tick before and after it, as a known event has, and the step is done in three.
@@ -15,14 +15,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 from . import polynomials as ip
 from .clock import TICKS_PER_SECOND, Step
 from .errors import StepError
 
-Early = Literal["go on", "roll back"]
-EARLY: tuple[Early, ...] = ("go on", "roll back")
 _LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3
 _MOST_RETURNS, _SHORTEST = 10_000, 2.0**-20
 

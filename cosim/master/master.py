@@ -28,9 +28,10 @@ from typing import Literal
 import numpy as np
 
 from ..clock import Step, seconds, to_ticks
-from ..early_return import EARLY, Early, rolled_back, too_short
+from ..early_return import rolled_back, too_short
 from ..errors import GraphError, ScenarioError, StepError
 from ..participant import Participant
+from ..stepping_words import EARLY, INPUTS, LOOPS, Early, Inputs, Loops, early_word
 from ..trajectory import Trajectory
 from .algebraic_loop import iterate_loop
 from .graph import Graph, Group, build_graph
@@ -42,8 +43,8 @@ from .node import Node
 from .signals import Signal
 from .snapshot import Fork, Saved
 from .step_choice import clock_of, latency_ticks, step_and_reason
-from .stepping import LOOPS, Loops, Stepping
-from .wiring import INPUTS, Inputs, make_nodes, make_signals
+from .stepping import Stepping
+from .wiring import make_nodes, make_signals
 
 Progress = Callable[[float, float], object]
 Engine = Literal["auto", "kernel", "python"]
@@ -93,9 +94,10 @@ class Master:
         tolerance: float = 1e-7,
         substeps: int = 4,
         engine: Engine = "auto",
-        early: Early = "go on",
+        early: Early = "continue",
         at_rest: bool = False,
     ) -> None:
+        early = early_word(early)
         for key, value, allowed in (
             *(("inputs", inputs, INPUTS), ("loops", loops, LOOPS)),
             *(("engine", engine, ENGINES), ("early", early, EARLY)),

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 from interarea.fmu_build.open.ports import Description
 
 from ..errors import GraphError
+from ..stepping_words import Inputs, Loops
 from .graph import Graph, Group
 from .signals import Signal
-from .wiring import Inputs
-
-Loops = Literal["auto", "iterate", "extrapolate"]
-LOOPS: tuple[Loops, ...] = ("auto", "iterate", "extrapolate")
 
 
 class Stepping:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, get_args
 
 from ..participant import Participant
+from ..stepping_words import Inputs
 from .graph import Graph
 from .node import Feed, Node
 from .signals import Kind, Signal
-
-Inputs = Literal["hermite", "linear", "hold-jacobi", "hold-gauss-seidel"]
-INPUTS: tuple[Inputs, ...] = get_args(Inputs)
 
 
 def make_signals(participants: Mapping[str, Participant], graph: Graph, inputs: Inputs) -> list[Signal]:

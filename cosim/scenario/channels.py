@@ -7,19 +7,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Literal, Protocol, Self
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from interarea.models.blocks.channel import OUTAGES, gamma_quantiles, quantiles_of
-from interarea.models.blocks.packet_schedule import packets_of
+from interarea.models.blocks.sizes import OUTAGES
 
 from ..clock import TICKS_PER_SECOND, Clock, on_tick, seconds, to_ticks
 from ..errors import ScenarioError
-from ..participant import Participant
 from .delays import Delays
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
     from ..master.instances import Value
+    from ..participant import Participant
 
 Seconds = Annotated[float, Field(ge=0.0)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -28,7 +26,7 @@ Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 class Table(BaseModel):
     """A table of a scenario file: unknown keys and numbers that are not finite are refused."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class GammaLatency(Table):
@@ -164,6 +162,8 @@ class ChannelLine(Table):
         return start
 
     def _quantiles(self) -> dict[str, float]:
+        from interarea.models.blocks.channel import gamma_quantiles, quantiles_of
+
         if isinstance(self.latency, GammaLatency):
             return gamma_quantiles(self.latency.shape, self.latency.scale_s)
         return {} if self.latency is None else quantiles_of(self.latency.quantiles_s)
@@ -185,6 +185,10 @@ class ChannelLine(Table):
         """Return the ticks at which a packet comes out or is missed, or what is held for it ends."""
         if not self.reporting_interval_s:
             return []
+        import numpy as np
+
+        from interarea.models.blocks.packet_schedule import packets_of
+
         numbers = {k: float(v) for k, v in self.parameters("channel").items() if not isinstance(v, str)}
         packets = packets_of(numbers, start_s, stop_s)
         due = packets.due_s
@@ -213,7 +217,11 @@ class ChannelLine(Table):
         the mean of the random latency; a concentrator that waits takes that mean into its wait.
         """
         table = list(self._quantiles().values())
-        mean = float(np.trapezoid(table, dx=1.0 / (len(table) - 1))) if table else 0.0
+        mean = 0.0
+        if table:
+            import numpy as np
+
+            mean = float(np.trapezoid(table, dx=1.0 / (len(table) - 1)))
         return Delays(
             requested_s=self.least_latency_s,
             network_s=self.least_latency_s,
@@ -223,6 +231,8 @@ class ChannelLine(Table):
         )
 
     def _waiting_s(self, clock: Clock) -> float:
+        import numpy as np
+
         due = np.array(self.arrivals(seconds(clock.start), seconds(clock.stop)))
         ends = np.array(clock.steps.ends)
         if not due.size:

@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal, Self, get_args
 
-import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from interarea.models.blocks.concentrator import MOST_SIGNALS, FrameSets, frame_sets
+from interarea.models.blocks.sizes import MOST_SIGNALS
 
 from ..clock import TICKS_PER_SECOND, Clock, on_tick, seconds
 from .channels import Probability, Seconds, Table
 from .delays import Delays
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
+    from interarea.models.blocks.concentrator import FrameSets
+
     from ..master.instances import Value
 
 
@@ -102,6 +103,8 @@ class ConcentratorLine(Table):
 
     def arrivals(self, start_s: float, stop_s: float) -> list[int]:
         """Return the ticks at which a set comes out."""
+        import numpy as np
+
         due = self._sets(start_s, stop_s).due_s
         scaled = due[(due > start_s) & (due < stop_s)] * TICKS_PER_SECOND
         near = np.round(scaled)
@@ -109,6 +112,8 @@ class ConcentratorLine(Table):
 
     def delays(self, clock: Clock | None = None) -> Delays:
         """Return what the ledger states; with the `clock` of a run the mean over its sets too."""
+        import numpy as np
+
         least = self.least_latency_s
         mean = wait = 0.0
         if clock is not None:
@@ -125,5 +130,7 @@ class ConcentratorLine(Table):
         return Delays(least, least, 0.5 * self.reporting_interval_s, jitter, wait)
 
     def _sets(self, start_s: float, stop_s: float) -> FrameSets:
+        from interarea.models.blocks.concentrator import frame_sets
+
         numbers = {k: float(v) for k, v in self.parameters("").items() if not isinstance(v, str)}
         return frame_sets(numbers, len(self.signals), start_s, stop_s)

@@ -66,25 +66,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import AliasChoices, BaseModel, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    BeforeValidator,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from interarea.design.controllers.bundled import shipped_names
-from interarea.models.blocks.concentrator import MOST_SIGNALS
-from interarea.models.case.case import Case, load_case
-from interarea.models.case.events import events_of
-from interarea.models.case.variants import operating_variant
+from interarea.models.blocks.sizes import MOST_SIGNALS
 from interarea.models.errors import CaseError
 
 from ..clock import moved, on_tick
-from ..early_return import Early
 from ..errors import ScenarioError, nearest, one_line
-from ..master.stepping import Loops
-from ..master.wiring import Inputs
+from ..stepping_words import Early, Inputs, Loops, early_word
 from ..toml_file import read_toml
 from .channels import ChannelLine, Seconds, Table
 from .concentrators import ConcentratorLine, SignalWay
+
+if TYPE_CHECKING:  # the file is checked before what a case takes is loaded
+    from interarea.models.case.case import Case
 
 BUNDLED = Path(__file__).parent / "bundled"
 CONTROLLER_NAMES = ("wdc", "cc", "ftc")  #: designed for a case, in the order in which the study tells them
@@ -141,7 +147,7 @@ class MasterTable(Table):
     loops: Loops = "auto"
     tolerance: Annotated[float, Field(gt=0.0, lt=1.0)] = 1e-7  #: of the iteration, relative
     #: when an FMU ends a step early: continue from there with it, or set all back to the last point
-    early: Early = "go on"
+    early: Annotated[Early, BeforeValidator(early_word)] = "continue"
     arrivals: Literal["exact", "grid"] = "exact"  #: packets come out at their instant, or on the grid
     joint: bool = False  #: no master: plant, controller and channels in one block (`run_joint`)
 
@@ -181,7 +187,7 @@ class Scenario(Table):
     #: instead of the controller's own output limit
     controller_limit_pu: Annotated[float, Field(gt=0.0)] | None = None
     #: a change to the case, no copy of which is needed
-    operating_point: OperatingPointTable = OperatingPointTable()
+    operating_point: OperatingPointTable = OperatingPointTable.model_construct()
     plant: Mapping[str, float] = {}  #: start value of parameters of the plant's FMU by name
     stop_s: Annotated[float, Field(gt=0.0)]  #: end of the run
     #: communication step; default: chosen from latencies and events
@@ -198,8 +204,8 @@ class Scenario(Table):
     swing: Annotated[tuple[str, ...], Field(min_length=2, max_length=2)] | None = None
     title: str = ""  #: in a line what is shown
     source: str = ""  #: where the scenario comes from
-    master: MasterTable = MasterTable()  #: how the FMUs are stepped
-    expect: Expectation = Expectation()  #: the outcome that the tests assert
+    master: MasterTable = MasterTable.model_construct()  #: how the FMUs are stepped
+    expect: Expectation = Expectation.model_construct()  #: the outcome that the tests assert
     name: str = "scenario"  #: short, for files and messages; default: the file's name
     folder: Path = Path()
     rounded: tuple[str, ...] = ()  #: times that lay between two ticks, and what they were taken as
@@ -312,6 +318,9 @@ class Scenario(Table):
 
     def load_case(self) -> Case:
         """Return the case at its operating point here; CaseError as `load_case` and `operating_variant`."""
+        from interarea.models.case.case import load_case
+        from interarea.models.case.variants import operating_variant
+
         case = load_case(self.case_path)
         if self.operating_point == OperatingPointTable():
             return case
@@ -319,6 +328,8 @@ class Scenario(Table):
 
     def as_given(self, case: Case) -> Case:
         """Return `case`, which `load_case` gave, without the change of `operating_point`."""
+        from interarea.models.case.case import load_case
+
         return case if self.operating_point == OperatingPointTable() else load_case(self.case_path)
 
     @property
@@ -374,7 +385,11 @@ def _checked(table: dict[str, Any], where: str, folder: Path) -> Scenario:
         for k, e in enumerate(tables, start=1):
             if not isinstance(e, Mapping | BaseModel):
                 raise ScenarioError(f"{where}: event {k} = {e!r}, allowed: a table")
-        events = events_of(plain, where=where) if len(plain) == len(tables) else tuple(tables)
+        events = tuple(tables)
+        if plain and len(plain) == len(tables):
+            from interarea.models.case.events import events_of
+
+            events = events_of(plain, where=where)
         scenario = Scenario.model_validate({"folder": folder, **table, "event": events})
         rounded = (*scenario.rounded, *roundings(table, scenario))
         return scenario.model_copy(update={"rounded": rounded}) if rounded else scenario

@@ -7,13 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from .sizes import OUTAGES, QUANTILES
 from .variables import Block, Enumeration, Variable, VariableTable
 
 _FOLDER = Path(__file__).resolve().parents[1] / "c" / "channel"
 _PARTS = ("channel", "history", "outage", "packets", "random")
-
-OUTAGES = 8  #: outage windows of a channel; as in channel.h
-QUANTILES = 33  #: points of a latency distribution, at probabilities 0, 1/32, ..., 1; as in channel.h
 
 ON_LOSS = Enumeration(
     "OnLoss",

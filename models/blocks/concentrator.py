@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from .packet_schedule import packet_random
+from .sizes import MOST_SIGNALS
 from .variables import Block, Enumeration, Variable, VariableTable
 
 _FOLDER = Path(__file__).resolve().parents[1] / "c"
 _SLACK_S = 1e-10
 _FIRST_STREAM = 16  # of the random numbers, as in concentrator.c
-MOST_SIGNALS = 32
 COUNTS = ("sent", "delivered", "dropped", "late")
 
 ON_MISSING = Enumeration(

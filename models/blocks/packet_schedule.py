@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .channel import QUANTILES
+from .sizes import QUANTILES
 
 JITTER, TABLE, STATE, LOSS = 1, 2, 3, 4  #: purposes of a random number, as in packets.c
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)

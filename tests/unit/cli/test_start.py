@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -23,17 +24,42 @@ def test_the_line_of_help_is_the_docstrings_first(name: str) -> None:
     assert {"quiet", "verbose"} <= {p.name for p in command.params}
 
 
-@pytest.mark.parametrize("arguments", [("--version",), ("--help",), ("list",), ("modes", "--help")])
-def test_nothing_heavy_is_loaded_for(arguments: tuple[str, ...]) -> None:
+def _loaded(*arguments: str) -> tuple[subprocess.CompletedProcess[str], set[str]]:
+    """Run a command; return how it ended and the modules that it loaded."""
     code = (
         "import sys, atexit\n"
         "atexit.register(lambda: print(*sys.modules, file=sys.stderr))\n"
         f"sys.argv = ['interarea', *{arguments!r}]\n"
         "from interarea.__main__ import main\nmain()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout
-    assert not HEAVY & set(done.stderr.split())
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    return done, set(done.stderr.split())
+
+
+@pytest.mark.parametrize("arguments", [("--version",), ("--help",), ("list",), ("modes", "--help")])
+def test_nothing_heavy_is_loaded_for(arguments: tuple[str, ...]) -> None:
+    done, modules = _loaded(*arguments)
+    assert done.stdout and done.returncode == 0
+    assert not HEAVY & modules
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        "stp_s = 0.01",
+        "stop_s = -1.0",
+        '[[event]]\nkind = "vref_pulze"',
+        '[channels.remote]\nsignal = "G2_dw"\nlatency_s = "long"',
+        "[concentrators.pdc]\nsignals = []",
+    ],
+)
+def test_a_mistake_in_a_scenario_is_told_before_numbers_are_loaded(tmp_path: Path, lines: str) -> None:
+    stop = "" if "stop_s" in lines else "stop_s = 2.0\n"
+    file = tmp_path / "wrong.toml"
+    file.write_text(f'case = "two-area-thesis"\n{stop}{lines}\n', encoding="utf-8")
+    done, modules = _loaded("run", str(file), "--out", str(tmp_path / "out"))
+    assert done.returncode == 2 and "wrong.toml" in done.stderr
+    assert not (HEAVY - {"pydantic"}) & modules
 
 
 def _output(*arguments: str, **environment: str) -> str:

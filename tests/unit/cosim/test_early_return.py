@@ -11,6 +11,7 @@ from whims import whims_fmu
 
 from interarea.cosim.errors import GraphError, StepError
 from interarea.cosim.run.system import System
+from interarea.cosim.scenario.scenario import load_scenario
 
 ENGINES = ("kernel", "python")
 
@@ -26,6 +27,13 @@ def chain(whims: Path, early_at: float, **options: Any) -> System:
     system.fmu("ramp", whims, x0=2.0, u=-1.0)
     system.fmu("y", whims, early_at=early_at, kick=0.5).fmu("z", whims)
     return system.connect("ramp.y", "y.u").connect("y.y", "z.u")
+
+
+def test_the_word_of_0_1_for_continue_is_still_read(whims: Path) -> None:
+    same = {"case": "two-area-thesis", "stop_s": 1.0, "master": {"early": "go on"}}
+    assert load_scenario(same).master.early == "continue"
+    with chain(whims, 0.4321, early="go on").master() as master:
+        assert master.early == "continue"
 
 
 def exact(t: np.ndarray, at: float) -> tuple[np.ndarray, np.ndarray]:
@@ -60,7 +68,7 @@ def test_rolled_back_the_others_see_it_at_its_instant(whims: Path) -> None:
     assert rolled.data.equals(chain(whims, 0.4321, early="roll back").run().data)
 
 
-@pytest.mark.parametrize("early", ["go on", "roll back"])
+@pytest.mark.parametrize("early", ["continue", "roll back"])
 def test_an_fmu_that_takes_short_steps_only_gets_them(whims: Path, early: str) -> None:
     """Steps of 30 ms at most where 100 are asked: halved until it takes them."""
     system = System(stop_s=1.0, step_s=0.1, early=early)
@@ -69,7 +77,7 @@ def test_an_fmu_that_takes_short_steps_only_gets_them(whims: Path, early: str) -
     np.testing.assert_allclose(result["a.y"], result["time_s"], rtol=1e-12)
 
 
-@pytest.mark.parametrize("early", ["go on", "roll back"])
+@pytest.mark.parametrize("early", ["continue", "roll back"])
 @pytest.mark.parametrize(
     ("start", "says", "time_s"),
     [
@@ -98,5 +106,5 @@ def test_rolling_back_asks_for_saved_states_and_python(tmp_path: Path, whims: Pa
         System(stop_s=1.0, early="roll back").fmu("a", lame).run()
     with pytest.raises(GraphError, match="cannot roll back"):
         System(stop_s=1.0, early="roll back", engine="kernel").fmu("a", whims).master()
-    with pytest.raises(GraphError, match="early = 'never': allowed are go on, roll back"):
+    with pytest.raises(GraphError, match="early = 'never': allowed are continue, roll back"):
         System(stop_s=1.0, early="never").fmu("a", whims).master()

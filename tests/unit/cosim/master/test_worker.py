@@ -74,7 +74,7 @@ def test_errors_of_the_fmu_travel_with_all_they_say(whims: Path) -> None:
     assert caught.value.trajectory is not None and caught.value.trajectory.time_s[-1] == 0.5
 
 
-@pytest.mark.parametrize("early", ["go on", "roll back"])
+@pytest.mark.parametrize("early", ["continue", "roll back"])
 def test_early_returns_of_an_isolated_fmu(whims: Path, early: str) -> None:
     runs = []
     for isolate in (False, True):

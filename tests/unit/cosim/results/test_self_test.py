@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from participants import Delay, Linear
 
-from interarea.cosim.master.master import INPUTS, Master
+from interarea.cosim.master.master import Master
 from interarea.cosim.results.delay_ledger import Delays
 from interarea.cosim.results.latency_test import self_test
 from interarea.cosim.run.system import System
+from interarea.cosim.stepping_words import INPUTS
 from interarea.fmu_build.open.units import UnitOf
 
 RAD = UnitOf("rad", (0, 0, 0, 0, 0, 0, 0, 1))

@@ -12,11 +12,11 @@ import pytest
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.export.container import write_container
 from interarea.cosim.export.ssp import write_ssp
-from interarea.cosim.master.wiring import INPUTS
 from interarea.cosim.run.artefacts import channel_fmu
 from interarea.cosim.run.run import run_scenario, run_system
 from interarea.cosim.run.system import System
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.cosim.stepping_words import INPUTS
 from interarea.cosim.sweep.front import run_sweep
 from interarea.cosim.sweep.store import read_rows
 from interarea.design.controllers.controller import Controller

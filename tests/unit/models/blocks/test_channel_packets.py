@@ -12,8 +12,9 @@ from fmu_runner import Runner
 from scipy.stats import binom
 
 from interarea.fmu_build.write.package import build_fmu
-from interarea.models.blocks.channel import QUANTILES, channel_block, gamma_quantiles, quantiles_of
+from interarea.models.blocks.channel import channel_block, gamma_quantiles, quantiles_of
 from interarea.models.blocks.packet_schedule import packets_of
+from interarea.models.blocks.sizes import QUANTILES
 
 COUNTS = ("sent", "delivered", "dropped", "late")
 ROUGH = {

@@ -1,0 +1,5 @@
+"""How many of something a block has room for, as the headers in models/c have it."""
+
+OUTAGES = 8  #: outage windows of a channel (channel.h)
+QUANTILES = 33  #: points of a latency distribution, at probabilities 0, 1/32, ..., 1 (channel.h)
+MOST_SIGNALS = 32  #: of one concentrator
