@@ -47,7 +47,8 @@ from ..results.ringdown import Swing, control_limit_pu, run_metrics
 from ..results.run import Run
 from ..scenario.channels import ChannelLine, hold_packets
 from ..scenario.concentrators import ConcentratorLine
-from ..scenario.scenario import Scenario, event_on_ticks, roundings
+from ..scenario.rounding import event_on_ticks, roundings
+from ..scenario.scenario import Scenario
 from ..trajectory import Trajectory
 from .artefacts import EVENT_SLOTS, ControllerLike, controller_of
 from .instance import Fmus, Instance
