@@ -1,11 +1,13 @@
 """Every published grid of a folder: which RAW files are read, which RAW + DYR pairs import and stand still.
 
-    python benchmarks/read_grids.py FOLDER [--still] [--stop 20] [--converters current] [--json FILE]
+    python benchmarks/read_grids.py FOLDER [--still] [--stop 20] [--converters current] [--release-limits]
+        [--json FILE]
 
 FOLDER is searched for .raw and .m files, plain or packed. Each RAW is read, its stored voltages compared with
 the network (largest mismatch) and polished by Newton's method; the power flow of the case must then find the
 same voltages. In each folder the first RAW goes with the first DYR; with --still the plant FMU of that pair
-runs without any event and the largest |dw| is shown (expected: below 1e-6 pu). Time and memory are of this
+runs without any event and the largest |dw| is shown (expected: below 1e-6 pu). With --release-limits limits
+beyond which controls would start are widened, and counted. Time and memory are of this
 process; a fresh one for each file would not change the times. Exit code 1 when a RAW is not read, or a pair
 that imports does not stand still.
 """
@@ -18,6 +20,7 @@ import json
 import resource
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +29,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 from interarea.models.errors import CaseError
 from interarea.models.grid.powerflow import solve_powerflow
+from interarea.models.grid.start import release_limits
 from interarea.models.importers.imported import Imported
 from interarea.models.importers.matpower import import_matpower
 from interarea.models.importers.psse import import_psse
@@ -63,13 +67,18 @@ def difference(imported: Imported) -> float:
     return float(max(abs(v - known[bus.number]) for bus, v in ours if bus.number in known))
 
 
-def pair(raw: Path, dyr: Path, stop_s: float | None, *, currents: bool) -> dict[str, Any]:
+def pair(
+    raw: Path, dyr: Path, stop_s: float | None, *, currents: bool, release: bool = False
+) -> dict[str, Any]:
     """Return what importing a pair gives; with `stop_s` its plant runs that long without an event."""
     start = time.perf_counter()
     row: dict[str, Any] = {"folder": raw.parent.name, "raw": str(raw), "dyr": str(dyr)}
     try:
         imported = import_psse(raw, dyr, converters_as_current=currents)
         row |= {"s": time.perf_counter() - start, "machines": len(imported.case.machines)}
+        if release:
+            case, changed = release_limits(imported.case)
+            imported, row["released"] = replace(imported, case=case), len(changed)
         if stop_s is not None:
             row["dw"] = largest_slip(imported, stop_s)
     except (CaseError, RuntimeError) as error:
@@ -97,6 +106,7 @@ def main() -> int:
     parser.add_argument("--still", action="store_true", help="run the plant of each pair")
     parser.add_argument("--stop", type=float, default=20.0, metavar="S")
     parser.add_argument("--converters", choices=("refuse", "current"), default="refuse")
+    parser.add_argument("--release-limits", action="store_true")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     raws = grids(options.folder, ".raw")
@@ -119,15 +129,17 @@ def main() -> int:
     print(f"MATPOWER files read: {len(good) - count} of {len(files)}")
     first = {p.parent: p for p in reversed(raws)}
     with_dyr = {folder: p for folder in first for p in reversed(grids(folder, ".dyr")) if p.parent == folder}
-    pairs = []
+    pairs, currents = [], options.converters == "current"
     for folder, dyr in sorted(with_dyr.items()):
         stop = options.stop if options.still else None
-        row = pair(first[folder], dyr, stop, currents=options.converters == "current")
+        row = pair(first[folder], dyr, stop, currents=currents, release=options.release_limits)
         what = (
             f"refused: {row['refused']}"
             if "refused" in row
             else f"{row['machines']} machines, {row['s']:.2f} s"
         )
+        if row.get("released"):
+            what += f", {row['released']} limits widened"
         still = f", |dw| <= {row['dw']:.1e}" if "dw" in row else ""
         print(f"pair {folder.relative_to(options.folder)}: {what}{still}", flush=True)
         pairs.append(row)

@@ -46,6 +46,7 @@ def import_case(
     island: int | None = None,
     converters: str = "refuse",
     coordinates: str | Path | None = None,
+    release_limits: bool = False,
     report: Callable[[str], object] | None = None,
 ) -> Case:
     """Read a grid of PSS/E (RAW, with dynamic data in a DYR file) or MATPOWER; plain, .gz or .xz.
@@ -58,7 +59,8 @@ def import_case(
     island : a bus of the island to keep; the largest with a slack bus when not given.
     converters : "refuse", or "current" for inverters as constant currents.
     coordinates : CSV with the columns bus, latitude, longitude.
-    report : called with what was read, assumed and dropped, as text.
+    release_limits : widen the limits beyond which controls would start; what was changed is in the report.
+    report : called with what was read, assumed and dropped, and how the controls start, as text.
 
     Raises
     ------
@@ -76,6 +78,7 @@ def import_case(
         island=island,
         converters=converters,
         coordinates=coordinates,
+        release_limits=release_limits,
     )
     if report is not None:
         report(found.report.text())

@@ -38,6 +38,9 @@ def import_grid(
     coordinates: Annotated[
         Path | None, typer.Option("--coordinates", metavar="CSV", help="bus, latitude, longitude")
     ] = None,
+    release_limits: Annotated[
+        bool, typer.Option("--release-limits", help="widen limits beyond which controls would start")
+    ] = False,
 ) -> None:
     """Read a grid, solve its power flow, write it as a case file; say what was read, assumed and dropped."""
     from interarea.models.case.write_toml import export_toml
@@ -56,6 +59,7 @@ def import_grid(
         island=island,
         converters=converters,
         coordinates=coordinates,
+        release_limits=release_limits,
     )
     out.parent.mkdir(parents=True, exist_ok=True)
     export_toml(imported.case, out)

@@ -22,6 +22,8 @@ CaseName = Annotated[
     str, typer.Argument(metavar="CASE", help="bundled case or TOML file", show_default=False)
 ]
 
+_NONE = 1e29  #: limits beyond are none
+
 
 def modes(
     case: CaseName,
@@ -41,6 +43,9 @@ def modes(
         list[str] | None, typer.Option("--circuit-out", metavar="BRANCH", help="branch out of service")
     ] = None,
     load_scale: Annotated[float, typer.Option("--load-scale", metavar="FACTOR", help="on every load")] = 1.0,
+    margins: Annotated[
+        bool, typer.Option("--margins", help="how far the controls start from their limits")
+    ] = False,
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="DIR", help="draw compass plots into it")
     ] = None,
@@ -64,20 +69,24 @@ def modes(
             loaded = operating_variant(
                 loaded, tie_flow_mw=tie_flow, out=circuit_out or (), load_scale=load_scale
             )
+        limits = _start_rows(loaded) if margins else []
         system = linear_plant(loaded, cache)
         found = modes_of(system, loaded.areas)
         moved = parameter_sensitivities(loaded, sensitivity or (), cache)
     files = _plots(found, loaded, plot) if plot is not None else []
     if json_:
-        typer.echo(
-            json.dumps(_as_dict(loaded, found, participation, moved, files), indent=2, allow_nan=False)
-        )
+        document = _as_dict(loaded, found, participation, moved, files)
+        if margins:
+            document["margins"] = limits
+        typer.echo(json.dumps(document, indent=2, allow_nan=False))
         return
     _print_modes(f"{loaded.name}: {system.nstates} states, swing modes", found, participation)
     if shapes:
         _print_shapes(found, loaded)
     for path, by_mode in moved.items():
         _print_sensitivity(path, by_mode)
+    if margins:
+        _print_margins(limits)
     for file in files:
         typer.echo(file)
 
@@ -175,6 +184,58 @@ def _print_sensitivity(path: str, by_mode: Mapping[str, Sensitivity]) -> None:
                 f"{s.damping_slope * value / 100.0:+.2e}",
             )
             for name, s in by_mode.items()
+        ],
+    )
+
+
+def _start_rows(case: Case) -> list[dict[str, Any]]:
+    """Return each limited signal of the controls at rest, the nearest to a limit first.
+
+    Raises
+    ------
+    StartError : a control cannot rest; all of them are listed on stderr first.
+    """
+    from interarea.models.grid.control_tables import StartError
+    from interarea.models.grid.start import start_of
+
+    start = start_of(case)
+    if start.unrest:
+        typer.echo(start.text(), err=True)
+        raise StartError(list(start.unrest))
+    return [
+        {
+            "control": m.control,
+            "kind": m.kind,
+            "signal": m.margin.signal,
+            "value": m.margin.value,
+            "low": m.margin.low if m.margin.low > -_NONE else None,
+            "high": m.margin.high if m.margin.high < _NONE else None,
+            "nearest": m.limit,
+            "margin": m.margin.least,
+        }
+        for m in start.margins
+    ]
+
+
+def _print_margins(rows: list[dict[str, Any]]) -> None:
+    """Print `rows` as a table."""
+
+    def shown(value: float | None) -> str:
+        return "-" if value is None else f"{value:.4g}"
+
+    print_table(
+        "limits of the controls at rest, nearest first",
+        ("control", "kind", "signal", "at rest", "least", "largest", "nearest", "margin"),
+        [
+            (
+                row["control"],
+                row["kind"],
+                row["signal"],
+                *(shown(row[key]) for key in ("value", "low", "high")),
+                row["nearest"],
+                shown(row["margin"]),
+            )
+            for row in rows
         ],
     )
 

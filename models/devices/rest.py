@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import scipy.optimize
 
-from .errors import DeviceError
+from .errors import BeyondLimit, DeviceError
 from .instance import Instance, Margin
 from .language.device import MBASE
 from .language.element import Equation
@@ -55,7 +55,8 @@ def rest_of(
 
     Raises
     ------
-    DeviceError : a check between parameters fails, no rest is found, or it lies beyond a limit.
+    DeviceError : a check between parameters fails, no rest is found, or it lies beyond a limit (`BeyondLimit`
+        where one limit is to blame).
     """
     device = model.device
     known = {name: value for name, value in values.items() if not isinstance(value, str)} | dict(inputs)
@@ -88,6 +89,7 @@ class _Walk:
         self.known: dict[str, float] = dict(known)
         self.steps = steps
         self.equations: list[Equation] = []
+        self.named: dict[int, list[str]] = {}  #: id of an equation -> its names
         for name, element in model.elements.items():
             start = element.line.option("rest")
             if start is not None:
@@ -136,7 +138,10 @@ class _Walk:
 
     def names(self, k: int) -> list[str]:
         """Names in equation `k`, as often as they stand there."""
-        return [*names_of(self.equations[k].left), *names_of(self.equations[k].right)]
+        e = self.equations[k]
+        if id(e) not in self.named:
+            self.named[id(e)] = [*names_of(e.left), *names_of(e.right)]
+        return self.named[id(e)]
 
     def story(self, k: int, name: str) -> str:
         """How equation `k` gave `name`."""
@@ -281,9 +286,11 @@ def _checked(
     margins = tuple(instance.margins(known))
     if check:
         for margin in margins:
-            followed = isinstance(model.elements[margin.signal], Plain)  # a clamp may rest at its limit
-            if not (followed and margin.low <= known[margin.signal] <= margin.high):
-                _check_margin(margin, model, who)
+            if isinstance(model.elements[margin.signal], Plain):  # a clamp may rest at its limit
+                if margin.low <= known[margin.signal] <= margin.high:
+                    continue
+                margin = replace(margin, value=known[margin.signal])
+            _check_margin(margin, model, who)
         _check_still(walk, instance, states, inputs, who)
     signals = {name: float(known[name]) for name in model.elements}
     return RestPoint(instance, states, signals, margins, tuple(walk.steps))
@@ -308,7 +315,10 @@ def _check_margin(margin: Margin, model: Model, who: str) -> None:
                     if not _is_number(text)
                     else "change the dispatch"
                 )
-            raise DeviceError(f"{who}: {name} is {margin.value:.6g} at rest, {word} {what}; {cure}")
+            raise BeyondLimit(
+                f"{who}: {name} is {margin.value:.6g} at rest, {word} {what}; {cure}",
+                signal=margin.signal, value=margin.value, limit=text, above=sign > 0.0,
+            )  # fmt: skip
 
 
 def _is_number(text: str) -> bool:

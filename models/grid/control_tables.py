@@ -14,6 +14,7 @@ from ..devices.c_expression import given_rows
 from ..devices.errors import DeviceError
 from ..devices.language.device import KINDS
 from ..devices.language.expression import Node, names_of
+from ..devices.language.structure import Model
 from ..devices.rest import RestPoint, rest_of
 from .machine_tables import NETWORK, MachinePoint, State
 
@@ -83,6 +84,29 @@ def _unit(unit: str) -> str:
 
 
 @dataclass(frozen=True)
+class Unrest:
+    """A control that cannot rest, with what its device was asked for: a device, its numbers, what it sees."""
+
+    machine: str
+    word: str
+    model: Model
+    numbers: dict[str, float | str]
+    seen: dict[str, float]
+    output: float | None
+    who: str
+    error: DeviceError
+
+
+class StartError(CaseError):
+    """Controls that cannot rest at the operating point."""
+
+    def __init__(self, found: list[Unrest]) -> None:
+        more = f" (and {len(found) - 1} more: interarea modes CASE --margins)" if len(found) > 1 else ""
+        super().__init__(f"{found[0].error}{more}")
+        self.found = tuple(found)
+
+
+@dataclass(frozen=True)
 class Group:
     """Devices of one kind and structure, next to each other in the plant's tables and states."""
 
@@ -134,26 +158,21 @@ def controls_at_rest(case: Case, points: tuple[MachinePoint, ...]) -> Controls:
 
     Raises
     ------
-    CaseError : a device that cannot rest there: which limit excludes it, by how much, what cures it.
+    StartError : devices that cannot rest there: which limit excludes each, by how much, what cures it.
     """
-    seen = np.zeros((len(SEEN), len(points)))
+    seen, found = rests_of(case, points)
+    unrest = [rest for _, _, rest in found if isinstance(rest, Unrest)]
+    if unrest:
+        raise StartError(unrest)
     devices: list[Device] = []
-    for k, point in enumerate(points):
-        row = {key: float(getattr(point, key)) for key in ("vt", "vd", "vq", "id", "iq", "pe", "pm", "efd")}
-        row |= {"ifd": row["efd"], "vc": row["vt"], "vs": 0.0}
-        seen[:, k] = [row[key] for key in SEEN]
-        inputs = _reach(case, k)
-        for word in KINDS:
-            control: Control | None = getattr(case.machines[k], word)
-            if control is None or control_model(word, control) is None:
-                continue
-            device = _device(case, k, word, control, row, inputs)
-            devices.append(device)
-            output = KINDS[word].output
-            seen[SEEN.index(output), k] = row[output] = device.rest.output
-            inputs[output] = device.output
-            if word == "stabilizer":
-                inputs["vs"] |= {f"{case.machines[k].name}_vs"}
+    inputs = [_reach(case, k) for k in range(len(points))]
+    for k, word, rest in found:
+        assert isinstance(rest, RestPoint)
+        device = _device(case.machines[k].name, k, word, rest, inputs[k])
+        devices.append(device)
+        inputs[k][KINDS[word].output] = device.output
+        if word == "stabilizer":
+            inputs[k]["vs"] |= {f"{case.machines[k].name}_vs"}
     devices.sort(key=lambda d: (NUMBERED.index(d.word), d.machine))
     keys = list(dict.fromkeys((d.word, d.key, d.has) for d in devices))
     groups = tuple(
@@ -161,6 +180,40 @@ def controls_at_rest(case: Case, points: tuple[MachinePoint, ...]) -> Controls:
         for word, key, has in keys
     )
     return Controls(tuple(devices), groups, seen)
+
+
+def rests_of(
+    case: Case, points: tuple[MachinePoint, ...]
+) -> tuple[npt.NDArray[np.float64], list[tuple[int, str, RestPoint | Unrest]]]:
+    """Return what every machine's devices see, and each device (machine, kind) at rest or why it is not."""
+    seen = np.zeros((len(SEEN), len(points)))
+    found: list[tuple[int, str, RestPoint | Unrest]] = []
+    for k, point in enumerate(points):
+        row = {key: float(getattr(point, key)) for key in ("vt", "vd", "vq", "id", "iq", "pe", "pm", "efd")}
+        row |= {"ifd": row["efd"], "vc": row["vt"], "vs": 0.0}
+        seen[:, k] = [row[key] for key in SEEN]
+        for word in KINDS:
+            control: Control | None = getattr(case.machines[k], word)
+            if control is None or control_model(word, control) is None:
+                continue
+            rest = _rest(case, k, word, control, row)
+            found.append((k, word, rest))
+            if isinstance(rest, RestPoint):
+                seen[SEEN.index(KINDS[word].output), k] = row[KINDS[word].output] = rest.output
+    return seen, found
+
+
+def _rest(case: Case, k: int, word: str, control: Control, row: dict[str, float]) -> RestPoint | Unrest:
+    m, model = case.machines[k], control_model(word, control)
+    assert model is not None
+    seen = {name: row.get(name, 0.0) for name in KINDS[word].inputs}
+    who = f"{case.name}: machines.{m.name}.{word}"
+    output = row[KINDS[word].output] if model.device.references else None
+    numbers = control_numbers(word, control, m.base_mva)
+    try:
+        return rest_of(model, numbers, seen, output, who)
+    except DeviceError as error:
+        return Unrest(m.name, word, model, numbers, seen, output, who, error)
 
 
 def _reach(case: Case, k: int) -> dict[str, frozenset[str]]:
@@ -177,20 +230,8 @@ def _reach(case: Case, k: int) -> dict[str, frozenset[str]]:
     }
 
 
-def _device(
-    case: Case, k: int, word: str, control: Control, row: dict[str, float], inputs: dict[str, frozenset[str]]
-) -> Device:
-    m = case.machines[k]
-    model = control_model(word, control)
-    assert model is not None
-    seen = {name: row.get(name, 0.0) for name in KINDS[word].inputs}
-    who = f"{case.name}: machines.{m.name}.{word}"
-    output = row[KINDS[word].output] if model.device.references else None
-    try:
-        rest = rest_of(model, control_numbers(word, control, m.base_mva), seen, output, who)
-    except DeviceError as error:
-        raise CaseError(str(error)) from None
-    prefix = f"{m.name}.{word}"
+def _device(machine: str, k: int, word: str, rest: RestPoint, inputs: dict[str, frozenset[str]]) -> Device:
+    prefix = f"{machine}.{word}"
     rates, reached = rest.instance.depends_on()
 
     def place(names: frozenset[str]) -> frozenset[str]:

@@ -78,9 +78,20 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
     >>> len(point.x0), point.input_names[0]
     (32, 'G1_vs')
     """
+    power_flow = solve_powerflow(case) if power_flow is None else power_flow
+    return _assemble(case, power_flow, *machine_points(case, power_flow))
+
+
+def machine_points(
+    case: Case, power_flow: PowerFlow
+) -> tuple[tuple[MachinePoint, ...], npt.NDArray[np.float64], tuple[AirGap | None, ...]]:
+    """Return the machines at rest, the loads' volts and the machines' air gaps, without any control.
+
+    Raises
+    ------
+    CaseError : a machine without dynamic data, a power flow that is not one of this case.
+    """
     require_dynamics(case)
-    if power_flow is None:
-        power_flow = solve_powerflow(case)
     bus = machine_bus_index(case)
     base = np.array([m.base_mva / case.base_mva for m in case.machines])
     voltage = power_flow.voltages[bus]
@@ -108,7 +119,7 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
             gap = air_gap(m, terminal, i, float(delta[k]))
         points.append(_machine_point(m, float(delta[k]), complex(emf[k]), i, gap))
         gaps.append(gap)
-    return _assemble(case, power_flow, tuple(points), load_volts, tuple(gaps))
+    return tuple(points), load_volts, tuple(gaps)
 
 
 def rotor_angle(m: Machine, voltage: complex, current: complex) -> float:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from ..errors import CaseError
+from ..grid.powerflow import solve_powerflow
+from ..grid.start import release_limits as release_limits_of
+from ..grid.start import start_of
 from .imported import Imported
 from .matpower import import_matpower
 from .psse import import_psse
@@ -24,10 +28,12 @@ def import_grid(
     island: int | None = None,
     converters: str = "refuse",
     coordinates: str | Path | None = None,
+    release_limits: bool = False,
 ) -> Imported:
     """Return the grid of a file of PSS/E or MATPOWER; the options are those of `import_psse`.
 
-    converters : "refuse", or "current" for constant currents.
+    converters : "refuse", or "current" for constant currents. release_limits : widen the limits that keep
+    controls from resting where their machines start.
 
     Raises
     ------
@@ -59,7 +65,7 @@ def import_grid(
             coordinates=coordinates,
         )
     if suffix == ".raw":
-        return import_psse(
+        imported = import_psse(
             file,
             dyr,
             P_exponent=P_exponent,
@@ -70,4 +76,16 @@ def import_grid(
             coordinates=coordinates,
             frequency_hz=frequency_hz,
         )
+        return imported if dyr is None else _started(imported, release=release_limits)
     raise CaseError(f"{file}: suffix {suffix!r}, allowed: {FORMATS}")
+
+
+def _started(imported: Imported, *, release: bool) -> Imported:
+    """Look at how the controls start, widen limits where that is asked for, and say so."""
+    case, lines = imported.case, imported.report.lines
+    flow = solve_powerflow(case)
+    if release:
+        case, changed = release_limits_of(case, flow)
+        lines += [f"released: {change}" for change in changed]
+    lines.append(start_of(case, flow).text())
+    return replace(imported, case=case)

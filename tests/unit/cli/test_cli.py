@@ -46,6 +46,21 @@ def test_modes_prints_what_an_independent_code_has(interarea) -> None:  # type: 
         ]
 
 
+def test_margins_say_how_far_controls_start_from_limits(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    rows = json.loads(interarea("modes", "nets-nyps", "--margins", "--json")[1])["margins"]
+    assert [row["margin"] for row in rows] == sorted(row["margin"] for row in rows)
+    near = next(row for row in rows if row["control"] == "G3.exciter")
+    assert near["nearest"] == "Efd_max" and near["margin"] == pytest.approx(5.0 - near["value"])
+    tight = tmp_path / "tight.toml"
+    tight.write_text(
+        'base = "nets-nyps"\n[change.machines]\nG3 = { exciter = { Efd_max = 1.5 } }\n'
+        "G6 = { exciter = { Efd_max = 1.5 } }\n"
+    )
+    code, out, err = interarea("modes", tight, "--margins")
+    assert code == 2 and not out
+    assert err.count("set Efd_max to at least") == 3  # both in the list, the first in the error
+
+
 def test_loops_puts_g4_with_dw24_first(interarea) -> None:  # type: ignore[no-untyped-def]
     found = json.loads(interarea("loops", "two-area-thesis", "--json")[1])
     assert found["selected"] == {"actuator": "G4", "signal": "dw24"}

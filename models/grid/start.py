@@ -1,0 +1,82 @@
+"""How a case starts: which controls cannot rest, how far the others are from their limits, limits widened."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..case.case import Case
+from ..devices.instance import Margin
+from ..devices.language.device import NO_LIMIT
+from ..devices.release import released
+from .control_tables import Unrest, rests_of
+from .equilibrium import machine_points
+from .powerflow import PowerFlow, solve_powerflow
+
+
+@dataclass(frozen=True)
+class ControlMargin:
+    """A limited signal of a control at rest."""
+
+    control: str  #: as G1.exciter
+    kind: str
+    margin: Margin
+
+    @property
+    def limit(self) -> str:
+        """Name of the nearer limit."""
+        m = self.margin
+        upper = m.high - m.value <= m.value - m.low
+        return (m.high_text if upper else m.low_text) or f"{m.high if upper else m.low:g}"
+
+
+@dataclass(frozen=True)
+class Start:
+    """What keeps a case from starting, or, with nothing in `unrest`, how far it is from limits."""
+
+    unrest: tuple[Unrest, ...]
+    margins: tuple[ControlMargin, ...]  #: nearest first
+
+    def text(self) -> str:
+        """Return one line, and one for each control that cannot rest."""
+        if not self.unrest:
+            return "start: every control rests within its limits"
+        head = f"start: {len(self.unrest)} controls cannot rest (--release-limits widens limits)"
+        return "\n".join([head, *(f"  {found.error}" for found in self.unrest)])
+
+
+def start_of(case: Case, power_flow: PowerFlow | None = None) -> Start:
+    """Return how `case` starts at its power flow.
+
+    Raises
+    ------
+    CaseError : no operating point for another reason than a control.
+    """
+    power_flow = solve_powerflow(case) if power_flow is None else power_flow
+    unrest: list[Unrest] = []
+    margins: list[ControlMargin] = []
+    for k, word, rest in rests_of(case, machine_points(case, power_flow)[0])[1]:
+        if isinstance(rest, Unrest):
+            unrest.append(rest)
+            continue
+        control, kind = f"{case.machines[k].name}.{word}", rest.instance.model.device.key
+        margins += [ControlMargin(control, kind, m) for m in rest.margins if m.least < NO_LIMIT / 2]
+    return Start(tuple(unrest), tuple(sorted(margins, key=lambda m: m.margin.least)))
+
+
+def release_limits(case: Case, power_flow: PowerFlow | None = None) -> tuple[Case, tuple[str, ...]]:
+    """Return `case` with the limits widened that keep controls from resting, and what was changed.
+
+    Raises
+    ------
+    CaseError : a control that cannot rest for another reason than a limit.
+    """
+    change: dict[str, dict[str, dict[str, float]]] = {}
+    said: list[str] = []
+    for found in start_of(case, power_flow).unrest:
+        new = released(found.model, found.numbers, found.seen, found.output, found.who)
+        change.setdefault(found.machine, {})[found.word] = new
+        for name, value in new.items():
+            said.append(f"{found.machine}.{found.word}.{name}: {found.numbers[name]:g} -> {value:.6g}")
+    if not change:
+        return case, ()
+    return case.with_changes({"machines": change}), tuple(said)

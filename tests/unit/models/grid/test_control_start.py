@@ -1,0 +1,87 @@
+"""How cases start: margins of the controls, all that cannot rest at once, limits widened on request."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from interarea.models.case.case import load_case
+from interarea.models.devices.errors import DeviceError
+from interarea.models.devices.library import library
+from interarea.models.devices.release import released
+from interarea.models.grid.control_tables import StartError
+from interarea.models.grid.equilibrium import operating_point
+from interarea.models.grid.start import release_limits, start_of
+from interarea.models.importers.file import import_grid
+
+GRID = load_case("nets-nyps")
+FIELD = {d.machine: d.rest.output for d in operating_point(GRID).controls.of("exciter")}
+#: two machines whose field voltage at rest lies above the limit
+TIGHT = GRID.with_changes(
+    {"machines": {name: {"exciter": {"Efd_max": 1.5}} for name in ("G3", "G6")}}, name="tight"
+)
+
+
+def test_margins_are_distances_to_the_limits():
+    start = start_of(GRID)
+    least = [m.margin.least for m in start.margins]
+    assert least == sorted(least) and start.text() == "start: every control rests within its limits"
+    efd = {m.control: m.margin.least for m in start.margins if m.margin.signal == "efd"}
+    for k, machine in enumerate(GRID.machines):
+        assert efd[f"{machine.name}.exciter"] == pytest.approx(5.0 - FIELD[k], rel=1e-12)
+
+
+def test_every_control_that_cannot_rest_is_named_with_its_cure():
+    with pytest.raises(StartError, match=r"G3\.exciter: efd .* above Efd_max = 1\.5;.*and 1 more") as caught:
+        operating_point(TIGHT)
+    assert [u.machine for u in caught.value.found] == ["G3", "G6"]
+    third = next(k for k, m in enumerate(GRID.machines) if m.name == "G3")
+    assert f"set Efd_max to at least {FIELD[third]:.6g}" in start_of(TIGHT).text()
+
+
+def test_released_limits_lie_a_tenth_beyond_and_only_where_needed():
+    case, changed = release_limits(TIGHT)
+    limits = {m.name: m.exciter.parameters["Efd_max"] for m in case.machines}
+    for k, machine in enumerate(GRID.machines):
+        wanted = 1.1 * FIELD[k] if machine.name in ("G3", "G6") else 5.0
+        assert limits[machine.name] == pytest.approx(wanted, rel=1e-9)
+    assert [line.split(":")[0] for line in changed] == ["G3.exciter.Efd_max", "G6.exciter.Efd_max"]
+    assert not start_of(case).unrest
+    assert release_limits(GRID) == (GRID, ())
+
+
+def test_a_limit_that_moves_is_widened_by_the_parameter_in_it():
+    """ESST1A: Efd <= vt VRMAX - KC ifd, so VRMAX = (1.1 Efd + KC ifd)/vt."""
+    model = library()["esst1a"]
+    given = {"VOS": 1.0, "VIMIN": -9.0, "VIMAX": 9.0, "KA": 200.0, "VAMIN": -8.0, "VAMAX": 8.0}
+    given |= {"VRMIN": -6.0, "VRMAX": 1.5, "KC": 0.1, "MBASE": 100.0}
+    values = {p.name: given.get(p.name, p.default) for p in model.device.parameters} | {"MBASE": 100.0}
+    seen = dict.fromkeys(model.device.inputs, 0.0) | {"vt": 0.95, "vc": 0.95, "ifd": 1.9}
+    changed = released(model, values, seen, 1.8, "G1.exciter")
+    assert changed == {"VRMAX": pytest.approx((1.1 * 1.8 + 0.1 * 1.9) / 0.95, rel=1e-9)}
+
+
+def test_what_is_no_limit_is_not_released():
+    """GAST above its temperature limit: no clamp is in the way but the gate before it."""
+    model = library()["gast"]
+    values = {"R": 0.05, "T1": 0.4, "T2": 0.1, "T3": 3.0, "AT": 0.5, "KT": 2.0, "VMIN": 0.0, "VMAX": 1.1}
+    values |= {"Dturb": 0.0, "MBASE": 100.0}
+    with pytest.raises(DeviceError, match="x1 does not stand still at rest"):
+        released(model, values, {"slip": 0.0, "pe": 0.8}, 0.8, "G1.governor")
+
+
+def test_an_import_says_how_its_controls_start(tmp_path):
+    """SEXS rests at its field voltage: with EMAX below it the import says so, and widens it on request."""
+    records = Path(__file__).parents[1] / "devices" / "psse_records"
+    text = (records / "ThreeBus_SEXS.dyr").read_text()
+    dyr = tmp_path / "grid.dyr"
+    dyr.write_text(re.sub(r"(SEXS.*\s)\S+(\s*/)", r"\g<1>1.2\g<2>", text))
+    raw = records / "ThreeBusMulti.raw"
+    said = import_grid(raw, dyr=dyr).report.text()
+    assert "start: 1 controls cannot rest" in said and "above EMAX = 1.2" in said
+    found = import_grid(raw, dyr=dyr, release_limits=True)
+    assert "exciter.EMAX: 1.2 -> " in found.report.text()
+    rest = operating_point(found.case).controls.of("exciter")[0].rest
+    assert rest.instance.values["EMAX"] == pytest.approx(1.1 * rest.output, rel=1e-9)
