@@ -46,6 +46,8 @@ SOURCES = tuple(
         "plant/event.c",
         "plant/topology.c",
         "plant/sparse_stage.c",
+        "plant/sparse_factor.c",
+        "plant/sparse_port.c",
         "plant/failure.c",
         "plant/port.c",
         "plant/rest.c",
@@ -210,7 +212,7 @@ def _data(
     counts += [len(groups), before, len(tie), slots]
     ports = port_table(case, point.load_volts, list(range(len(case.machines))), list(point.gaps))
     counts += [len(case.shunts), len(parameters), len(ports)]
-    pattern = network_pattern(case, len(ports), network)
+    pattern = network_pattern(case, ports, network)
     counts += [0, 0, 0] if pattern is None else [len(pattern.row), pattern.fill, pattern.first]
     arrays: dict[str, Any] = {
         "plant.counts": _int(counts),
@@ -233,7 +235,7 @@ def _data(
         "parameter.names": _lines(p.name for *_, p in parameters),
     }
     first = len(point.states) - len(point.controls.states())
-    arrays |= network_tables(case, point.load_volts, pattern)
+    arrays |= network_tables(case, point.load_volts, ports, pattern)
     return arrays | _group_arrays(point, groups, first)
 
 

@@ -2,35 +2,72 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from ..case.case import Case
+from ..case.schema import Machine
+from .bus_devices import LOAD
 from .network import branch_stamps, bus_index, load_power, machine_bus_index, shunt_admittance
-from .sparse_pattern import SPARSE_PRICE, SparsePattern, sparse_pattern
+from .sparse_pattern import SPARSE_PRICE, IntArray, SparsePattern, sparse_pattern
 
 Form = Literal["dense", "sparse"]
+SMALLEST_PU = 1e-4  #: least reactance beside an air gap that is a node of its own
 
 
-def network_pattern(case: Case, ports: int, form: Form | None = None) -> SparsePattern | None:
+@dataclass(frozen=True)
+class NetworkNodes:
+    """Nodes of the sparse network: the buses, then the air gap of each machine with a port."""
+
+    count: int
+    ends: IntArray  #: (branches, 2) of branches, then from air gap to bus
+    machine: IntArray  #: (machines,) node where the EMF acts
+    port: IntArray  #: (ports,)
+
+
+def network_nodes(case: Case, ports: npt.NDArray[np.float64]) -> NetworkNodes:
+    """Return the nodes of `case` with the ports of its table, (ports, rows)."""
+    buses, machine = len(case.buses), np.array(machine_bus_index(case), dtype=np.int64)
+    load = np.array([bus_index(case)[row.bus] for row in case.loads], dtype=np.int64)
+    gaps, port = [], []
+    for kind, device in ports[:, :2].astype(int):
+        port.append(int(load[device]) if kind == LOAD else buses + len(gaps))
+        if kind != LOAD:
+            gaps.append((buses + len(gaps), int(machine[device])))
+            machine[device] = gaps[-1][0]
+    ends = np.concatenate([branch_ends(case), np.array(gaps, dtype=np.int64).reshape(-1, 2)])
+    return NetworkNodes(buses + len(gaps), ends, machine, np.array(port, dtype=np.int64))
+
+
+def network_pattern(
+    case: Case, ports: npt.NDArray[np.float64], form: Form | None = None
+) -> SparsePattern | None:
     """Return the pattern of the sparse network of `case`; None where the dense one is cheaper.
 
-    ports : elements that are not linear; form : the one to take whatever the cost.
+    ports : table of the ports; form : the one to take whatever the cost.
     """
-    if form == "dense" or (form is None and ports):
+    m, n = len(case.machines), len(ports)
+    nodes = network_nodes(case, ports)
+    # multiplications of a right-hand side: the product, and where something iterates some three rounds
+    dense, rounds = m * (m + n) + n * (m + 3 * n), 3 if n else 1
+    active = np.unique(np.concatenate([nodes.machine, nodes.port]))
+    if form == "dense" or (form is None and dense <= SPARSE_PRICE * rounds * len(active)):
+        return None  # a solution takes at least one multiplication at each active node
+    if any(_has_no_gap(case.machines[int(k)]) for kind, k in ports[:, :2] if kind != LOAD):
         return None
-    machines = machine_bus_index(case)
-    active = np.unique(machines)
-    if form is None and len(machines) * (len(machines) + ports) <= SPARSE_PRICE * len(active):
-        return None  # a solution takes at least one multiplication at each active bus
-    pattern = sparse_pattern(len(case.buses), branch_ends(case), active)
-    dense = len(machines) * (len(machines) + ports)
-    return pattern if form or dense > SPARSE_PRICE * pattern.multiplications else None
+    pattern = sparse_pattern(nodes.count, nodes.ends, active)
+    return pattern if form or dense > SPARSE_PRICE * rounds * pattern.multiplications else None
 
 
-def branch_ends(case: Case) -> npt.NDArray[np.int64]:
+def _has_no_gap(machine: Machine) -> bool:
+    """Whether no reactance separates the air gap from the EMF or from the terminals."""
+    return machine.number("Xd2") - machine.number("Xl") < SMALLEST_PU or machine.number("Xl") < SMALLEST_PU
+
+
+def branch_ends(case: Case) -> IntArray:
     """Return the bus positions of each branch, in service or not, (branches, 2)."""
     index = bus_index(case)
     return np.array([(index[b.from_bus], index[b.to_bus]) for b in case.branches], dtype=np.int64).reshape(
@@ -39,7 +76,10 @@ def branch_ends(case: Case) -> npt.NDArray[np.int64]:
 
 
 def network_tables(
-    case: Case, load_volts: npt.NDArray[np.float64], pattern: SparsePattern | None
+    case: Case,
+    load_volts: npt.NDArray[np.float64],
+    ports: npt.NDArray[np.float64],
+    pattern: SparsePattern | None,
 ) -> dict[str, Any]:
     """Return the arrays of the record that say what the network is made of; load_volts: (loads,)."""
     index = bus_index(case)
@@ -63,24 +103,26 @@ def network_tables(
         "shunt.table": np.array([shunts.real, shunts.imag]),
         "load.bus": np.array([index[row.bus] for row in case.loads], dtype=np.int32),
         "load.table": np.array([loads.real, loads.imag, load_volts], dtype=float),
-        "network.pattern": _pattern_array(case, pattern, ends),
+        "network.pattern": _pattern_array(case, ports, pattern),
     }
 
 
-def _pattern_array(
-    case: Case, pattern: SparsePattern | None, ends: npt.NDArray[np.int64]
-) -> npt.NDArray[np.int64]:
+def _pattern_array(case: Case, ports: npt.NDArray[np.float64], pattern: SparsePattern | None) -> IntArray:
     """The parts that plant/sparse.h names, in its order."""
     if pattern is None:
         return np.zeros(0, dtype=np.int64)
+    nodes, branches = network_nodes(case, ports), len(case.branches)
+    places = pattern.places(nodes.ends)
     parts = (
-        pattern.row,
-        pattern.row[machine_bus_index(case)],
+        pattern.row[: len(case.buses)],
+        pattern.row[nodes.machine],
         pattern.lower,
         pattern.needed,
         pattern.upper,
         pattern.lower_column,
         pattern.upper_column,
-        pattern.places(ends).ravel(),
+        places[:branches].ravel(),
+        pattern.row[nodes.port],
+        places[branches:].ravel(),
     )
     return np.concatenate(parts)

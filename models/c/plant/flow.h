@@ -9,6 +9,7 @@
 #include "network.h"
 #include "physics.h"
 #include "port.h"
+#include "sparse_port.h"
 
 /* Work arrays, one entry per machine; e also one per port; v: two per row of a sparse network. id_rotor is what the
  * rotor circuits see: id, or id + isd. */
@@ -18,6 +19,7 @@ typedef struct {
     num *e_re, *e_im, *v;
     PortWork port;
     num *newton;
+    int exact;   /* the ports' slopes are wanted at the solution */
 } Work;
 
 static Work work_arrays(num *scratch, const Plan *plan)
@@ -35,6 +37,8 @@ static Work work_arrays(num *scratch, const Plan *plan)
 
 #ifdef PLANT_TANGENT   /* tangent.c: one exact Newton step */
 static size_t port_solve_tangent(const double *memory, const Plan *plan, const num *x, Work *w);
+static void solve_sparse_tangent(const double *memory, const Plan *plan, const Pattern *pattern, const num *ed2,
+                                 const num *base, Work *w);
 #endif
 
 /* What the ports inject, into the sources; 0, or 1 + the port where Newton's method
@@ -87,20 +91,47 @@ static void saturate_rates(const real *memory, const Plan *plan, const Work *w, 
                          machine_rates(dx, n, plan->n_sixth));
     }
 }
+
+/* The network of a large grid: node voltages into w->v, machine currents. As solve_ports. */
+static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *pattern, const num *x, Work *w)
+{
+    network_inject(memory, plan, pattern, w->e_re, w->e_im, w->v);
+    if (plan->n_port == 0) {
+        network_solve(memory, plan, pattern, w->v);
+        network_machines(memory, plan, pattern, w->e_re, w->e_im, w->v, w->i_re, w->i_im);
+        return 0;
+    }
+#ifdef PLANT_LANES
+    (void)x;   /* never: block_group_fits */
+#else
+    const num *ed2 = machine_states(x, plan->n_machine, plan->n_sixth).ed2;
+    num *base = w->newton;
+    memcpy(base, w->v, 2 * plan->n_node * sizeof(num));
+#ifdef PLANT_TANGENT
+    solve_sparse_tangent(memory, plan, pattern, ed2, base, w);
+#else
+    const size_t stuck = sparse_port_solve(memory, plan, pattern, w->exact, ed2, w->sine, w->cosine, base, w->e_re,
+                                           w->e_im, w->port, w->v, base + 2 * plan->n_node);
+    if (stuck < plan->n_port) return stuck + 1;
+#endif
+    sparse_port_machines(memory, plan, pattern, w->e_re, w->e_im, w->v, w->i_re, w->i_im);
+#endif
+    return 0;
+}
+
 /* Returns 0, or 1 + the port where Newton's method fails. */
 static size_t solve_network(real *memory, const Plan *plan, const Pattern *pattern, const num *x, Work *w)
 {
     const size_t n = plan->n_machine;
     const real *table = memory + plan->machine;
     const MachineStates states = machine_states(x, n, plan->n_sixth);
+    size_t stuck = 0;
 
     machine_emf(table, n, plan->n_sixth, states, w->sine, w->cosine, w->e_re, w->e_im);
-    if (plan->n_port > 0) {
-        const size_t stuck = solve_ports(memory, plan, x, w);
-        if (stuck > 0) return stuck;
-    }
-    if (plan->n_node > 0) network_solve(memory, plan, pattern, w->e_re, w->e_im, w->v, w->i_re, w->i_im);
-    else network_currents(memory, plan, w->e_re, w->e_im, w->i_re, w->i_im);
+    if (plan->n_node > 0) stuck = solve_sparse(memory, plan, pattern, x, w);
+    else if (plan->n_port > 0) stuck = solve_ports(memory, plan, x, w);
+    if (stuck > 0) return stuck;
+    if (plan->n_node == 0) network_currents(memory, plan, w->e_re, w->e_im, w->i_re, w->i_im);
     machine_terminal(table, n, plan->n_sixth, states, w->sine, w->cosine, w->i_re, w->i_im,
                      w->id, w->iq, w->vd, w->vq, w->vt);
     if (plan->n_port > 0) saturate_terminals(memory, plan, w);
@@ -228,13 +259,14 @@ size_t plant_locals(double *memory, const int32_t *places, const double *x, cons
     return 0;
 }
 
-/* Solves the ports at x, so that memory holds their voltages there. */
+/* Solves the ports at x, so that memory holds their voltages there, and their slopes if the network is sparse. */
 size_t plant_settle(double *memory, const int32_t *places, const double *x, double *scratch)
 {
     Plan plan;
     plan_of(memory, &plan);
     const Pattern pattern = pattern_of(places, &plan);
     Work w = work_arrays(scratch, &plan);
+    w.exact = 1;
     return plan.n_port > 0 ? solve_network(memory, &plan, &pattern, x, &w) : 0;
 }
 #endif

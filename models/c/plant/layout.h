@@ -110,14 +110,17 @@ typedef struct {
     size_t in_service;    /* n_branch: 1 or 0                                      */
     size_t state_machine; /* n_state: the machine a state belongs to               */
     size_t norton;        /* sparse: 2 x n_machine, admittance of each machine     */
-    size_t lower, upper;  /* sparse: 2 n_fill each, the factors (sparse.h)         */
-    size_t pivot;         /* sparse: 2 n_node, 1 over the diagonal of L            */
+    size_t width;         /* sparse: numbers of an entry, 2 (complex) or, with ports, 4 (2 x 2 real) */
+    size_t lower, upper;  /* sparse: width n_fill each, the factors (sparse.h)     */
+    size_t pivot;         /* sparse: width n_node, 1 over the diagonal of L        */
+    size_t linear;        /* sparse, with ports: the matrix without them, complex: lower, upper, diagonal */
     size_t y_re, y_im;    /* dense, n_source x n_machine: machine currents from sources */
     size_t v_re, v_im;    /* dense, n_bus x n_source: bus voltages from sources    */
     size_t port;          /* P_ROWS for each port                                  */
     size_t port_w_re, port_w_im; /* n_source x n_port: port voltages from sources  */
     size_t port_v;        /* 2 x 2 n_port: port voltages and `b` as last solved    */
     size_t port_slope;    /* 4 n_port: dJ/dV of the folded network                 */
+    size_t port_fold;     /* sparse: 2 n_port, voltages of those slopes            */
     size_t port_b;        /* 2 n_machine columns of 2 n_port: from EMFs            */
     size_t port_z;        /* 2 n_port columns of 2 n_port: from what slopes leave  */
     size_t total;
@@ -145,20 +148,24 @@ static inline void plan_offsets(Plan *p)
     p->in_service = at;    at += p->n_branch;
     p->state_machine = at; at += p->n_state;
     p->norton = at;        at += 2u * n * sparse;
-    p->lower = at;         at += 2u * p->n_fill;
-    p->upper = at;         at += 2u * p->n_fill;
-    p->pivot = at;         at += 2u * p->n_node;
+    p->width = ports > 0 ? 4 : 2;
+    p->lower = at;         at += p->width * p->n_fill;
+    p->upper = at;         at += p->width * p->n_fill;
+    p->pivot = at;         at += p->width * p->n_node;
+    p->linear = ports > 0 ? at : p->lower;
+    at += ports > 0 ? 2u * (2u * p->n_fill + p->n_node) : 0u;
     p->y_re = at;          at += n * sources * dense;
     p->y_im = at;          at += n * sources * dense;
     p->v_re = at;          at += p->n_bus * sources * dense;
     p->v_im = at;          at += p->n_bus * sources * dense;
     p->port = at;          at += (size_t)P_ROWS * ports;
-    p->port_w_re = at;     at += ports * sources;
-    p->port_w_im = at;     at += ports * sources;
+    p->port_w_re = at;     at += ports * sources * dense;
+    p->port_w_im = at;     at += ports * sources * dense;
     p->port_v = at;        at += 4u * ports;
     p->port_slope = at;    at += 4u * ports;
-    p->port_b = at;        at += 4u * ports * n;
-    p->port_z = at;        at += 4u * ports * ports;
+    p->port_fold = at;     at += 2u * ports * sparse;
+    p->port_b = at;        at += 4u * ports * n * dense;
+    p->port_z = at;        at += 4u * ports * ports * dense;
     p->total = at;
 }
 

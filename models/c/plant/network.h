@@ -22,9 +22,9 @@ static inline void network_norton(const real *memory, const Plan *plan, size_t k
     *b = -ratio * x / (r * r + x * x);
 }
 
-/* Voltages from row `first` on into v, then the machine currents. */
-static inline void network_solve(const real *memory, const Plan *plan, const Pattern *pattern,
-                                 const num *e_re, const num *e_im, num *v, num *i_re, num *i_im)
+/* What the machines' EMFs send into a sparse network, into the rows of v; zero elsewhere. */
+static inline void network_inject(const real *memory, const Plan *plan, const Pattern *pattern,
+                                  const num *e_re, const num *e_im, num *v)
 {
     const size_t n = plan->n_machine;
     const real *g = memory + plan->norton, *b = g + n;
@@ -35,8 +35,22 @@ static inline void network_solve(const real *memory, const Plan *plan, const Pat
         at[0] += g[k] * e_re[k] - b[k] * e_im[k];
         at[1] += g[k] * e_im[k] + b[k] * e_re[k];
     }
+}
+
+/* Node voltages in place of node currents, from row `first` on. */
+static inline void network_solve(const real *memory, const Plan *plan, const Pattern *pattern, num *v)
+{
     sparse_forward(memory, plan, pattern, plan->first, v);
     sparse_backward(memory, plan, pattern, plan->first, plan->n_node, v);
+}
+
+/* Machine currents from the node voltages v. */
+static inline void network_machines(const real *memory, const Plan *plan, const Pattern *pattern, const num *e_re,
+                                    const num *e_im, const num *v, num *i_re, num *i_im)
+{
+    const size_t n = plan->n_machine;
+    const real *g = memory + plan->norton, *b = g + n;
+
     for (size_t k = 0; k < n; ++k) {
         const num *at = v + 2 * pattern->machine[k];
         const num dr = e_re[k] - at[0], di = e_im[k] - at[1];

@@ -21,6 +21,8 @@ size_t plant_directional(double *memory, const int32_t *places, const BlockLayou
 
 static inline size_t flow_work(const Plan *plan)
 {
-    return 18 * plan->n_machine + 2 * plan->n_node + (16 + 4 * plan->n_port) * plan->n_port;
+    const size_t ports = plan->n_node > 0 ? 10 : 16 + 4 * plan->n_port;
+    const size_t nodes = plan->n_node > 0 && plan->n_port > 0 ? 8 : 2;
+    return 18 * plan->n_machine + nodes * plan->n_node + ports * plan->n_port;
 }
 #endif

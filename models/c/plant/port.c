@@ -46,9 +46,8 @@ static int invert(double *a, size_t n, double *order)
     return 1;
 }
 
-/* dJ/dV of port p, row by row. */
-static void port_slope(const double *memory, const Plan *plan, size_t p, double v_re, double v_im,
-                       const double *sine, const double *cosine, double d[4])
+void port_slope_at(const double *memory, const Plan *plan, size_t p, double v_re, double v_im,
+                   const double *sine, const double *cosine, double d[4])
 {
     const double *row = memory + plan->port + P_ROWS * p;
     const size_t k = index_at(row, P_DEVICE);
@@ -68,7 +67,7 @@ int port_inverse(const double *memory, const Plan *plan, const double *v_re, con
         const double *g = memory + plan->port_w_re + (plan->n_machine + q) * n;
         const double *b = memory + plan->port_w_im + (plan->n_machine + q) * n;
         double d[4];
-        port_slope(memory, plan, q, v_re[q], v_im[q], sine, cosine, d);
+        port_slope_at(memory, plan, q, v_re[q], v_im[q], sine, cosine, d);
         for (size_t p = 0; p < n; ++p) {
             double *real = inverse + 4 * n * p + 2 * q, *imaginary = real + 2 * n;
             real[0] = -(g[p] * d[0] - b[p] * d[2]);
@@ -238,7 +237,7 @@ static int fold(const Problem *s, double *work)
 
     if (!invert_here(s, work)) return 0;
     for (size_t p = 0; p < n; ++p) {
-        port_slope(memory, plan, p, s->at.v_re[p], s->at.v_im[p], s->sine, s->cosine,
+        port_slope_at(memory, plan, p, s->at.v_re[p], s->at.v_im[p], s->sine, s->cosine,
                    memory + plan->port_slope + 4 * p);
         last[p] = s->at.v_re[p];
         last[n + p] = s->at.v_im[p];

@@ -146,6 +146,9 @@ static inline void port_voltages(const double *memory, const Plan *plan, size_t 
  * or the port farthest from a solution. w: arrays of PortWork. */
 size_t port_solve(double *memory, const Plan *plan, const double *ed2, const double *sine,
                   const double *cosine, double *e_re, double *e_im, double *const w[4], double *work);
+/* dJ/dV of port p, row by row, a machine's on its base. */
+void port_slope_at(const double *memory, const Plan *plan, size_t p, double v_re, double v_im, const double *sine,
+                   const double *cosine, double d[4]);
 /* Inverse of 1 - Z dJ/dV at the voltages v (row-major, real and imaginary part of
  * each port in turn). 0: singular. work: 2 n_port doubles. */
 int port_inverse(const double *memory, const Plan *plan, const double *v_re, const double *v_im,

@@ -9,22 +9,29 @@
  * The pattern is one array of the record, the parts one after the other:
  *
  *   row            row of each bus                              n_bus
- *   machine        row of each machine's bus                    n_machine
+ *   machine        row of each machine                          n_machine
  *   lower          first entry of each row of L                 n_node + 1
  *   needed         first entry that a solution needs            n_node
  *   upper          first entry of each row of U                 n_node + 1
  *   lower_column, upper_column                                  n_fill each
  *   branch         places of (from, to) and (to, from) in the factors: entry of L, or n_fill + entry of U
+ *   port           row of each port                             n_port
+ *   gap            places of (air gap, bus) and (bus, air gap) of each machine with a port
  *
+ * Nodes are the buses and, of each machine with a port (port.h), its air gap: there its EMF acts behind
+ * j (Xd2 - Xl), and Ra + j Xl lead to its bus. `machine` is the row where the EMF acts.
+ *
+ * With ports A is Y less the slopes of what they inject, in real and imaginary parts: entries are 2 x 2.
  * Structure is symmetric, values are not (phase shifters). Nobody pivots: the diagonal carries the loads
  * and machines; topology.c checks a residual after each factorisation. */
 typedef struct {
-    const int32_t *row, *machine, *lower, *needed, *upper, *lower_column, *upper_column, *branch;
+    const int32_t *row, *machine, *lower, *needed, *upper, *lower_column, *upper_column, *branch, *port, *gap;
 } Pattern;
 
 static inline size_t pattern_size(const Plan *p)
 {
-    return p->n_bus + p->n_machine + 3 * p->n_node + 2 + 2 * p->n_fill + 2 * p->n_branch;
+    return p->n_bus + p->n_machine + 3 * p->n_node + 2 + 2 * p->n_fill + 2 * p->n_branch + p->n_port
+           + 2 * (p->n_node - p->n_bus);
 }
 
 /* Where the pattern lies: `at` bytes into the record, memory[H_PATTERN]; null for a dense network. */
@@ -35,7 +42,7 @@ static inline const int32_t *plant_places(const Record *record, double at)
 
 static inline Pattern pattern_of(const int32_t *at, const Plan *p)
 {
-    Pattern s = { NULL, NULL, NULL, NULL, NULL, NULL, NULL, NULL };
+    Pattern s = { NULL, NULL, NULL, NULL, NULL, NULL, NULL, NULL, NULL, NULL };
     if (at == NULL) return s;
     s.row = at;
     s.machine = s.row + p->n_bus;
@@ -45,6 +52,8 @@ static inline Pattern pattern_of(const int32_t *at, const Plan *p)
     s.lower_column = s.upper + p->n_node + 1;
     s.upper_column = s.lower_column + p->n_fill;
     s.branch = s.upper_column + p->n_fill;
+    s.port = s.branch + 2 * p->n_branch;
+    s.gap = s.port + p->n_port;
     return s;
 }
 
@@ -77,20 +86,45 @@ static inline void sparse_row(const real *a, const int32_t *column, size_t count
     *im = (i0 + i1) + (i2 + i3);
 }
 
+/* The same with entries of 2 x 2 real numbers. */
+static inline void sparse_row_4(const real *a, const int32_t *column, size_t count, const num *v,
+                                num *re, num *im)
+{
+    num r0 = NUM(0.0), i0 = NUM(0.0), r1 = NUM(0.0), i1 = NUM(0.0);
+    size_t k = 0;
+
+    for (; k + 2 <= count; k += 2, a += 8) {
+        const num *v0 = v + 2 * column[k], *v1 = v + 2 * column[k + 1];
+        r0 += a[0] * v0[0] + a[1] * v0[1];
+        i0 += a[2] * v0[0] + a[3] * v0[1];
+        r1 += a[4] * v1[0] + a[5] * v1[1];
+        i1 += a[6] * v1[0] + a[7] * v1[1];
+    }
+    for (; k < count; ++k, a += 4) {
+        const num *v0 = v + 2 * column[k];
+        r0 += a[0] * v0[0] + a[1] * v0[1];
+        i0 += a[2] * v0[0] + a[3] * v0[1];
+    }
+    *re = r0 + r1;
+    *im = i0 + i1;
+}
+
 /* v = L^-1 v from row `first` on; nothing enters the rows before. */
 static inline void sparse_forward(const real *memory, const Plan *plan, const Pattern *s, size_t first, num *v)
 {
+    const size_t width = plan->width;
     const real *lower = memory + plan->lower, *pivot = memory + plan->pivot;
 
     for (size_t k = first; k < plan->n_node; ++k) {
         const size_t from = (size_t)(first > 0 ? s->needed[k] : s->lower[k]), to = (size_t)s->lower[k + 1];
-        const real g = pivot[2 * k], b = pivot[2 * k + 1];
+        const real *d = pivot + width * k;
         num re, im;
-        sparse_row(lower + 2 * from, s->lower_column + from, to - from, v, &re, &im);
+        if (width == 2) sparse_row(lower + 2 * from, s->lower_column + from, to - from, v, &re, &im);
+        else sparse_row_4(lower + 4 * from, s->lower_column + from, to - from, v, &re, &im);
         re = v[2 * k] - re;
         im = v[2 * k + 1] - im;
-        v[2 * k] = g * re - b * im;
-        v[2 * k + 1] = g * im + b * re;
+        v[2 * k] = width == 2 ? d[0] * re - d[1] * im : d[0] * re + d[1] * im;
+        v[2 * k + 1] = width == 2 ? d[0] * im + d[1] * re : d[2] * re + d[3] * im;
     }
 }
 
@@ -103,7 +137,8 @@ static inline void sparse_backward(const real *memory, const Plan *plan, const P
     for (size_t k = last; k-- > first;) {
         const size_t from = (size_t)s->upper[k], to = (size_t)s->upper[k + 1];
         num re, im;
-        sparse_row(upper + 2 * from, s->upper_column + from, to - from, v, &re, &im);
+        if (plan->width == 2) sparse_row(upper + 2 * from, s->upper_column + from, to - from, v, &re, &im);
+        else sparse_row_4(upper + 4 * from, s->upper_column + from, to - from, v, &re, &im);
         v[2 * k] -= re;
         v[2 * k + 1] -= im;
     }

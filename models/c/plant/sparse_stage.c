@@ -4,123 +4,106 @@
 
 #include "failure.h"
 #include "network.h"
+#include "sparse_factor.h"
 
-static const double SINGULAR = 1e-24;  /* squared pivot against the squared largest entry of its row */
 static const double RESIDUAL = 1e-6;   /* most by which a solution may miss */
 
-size_t sparse_stage_work(const Plan *plan) { return 4 * plan->n_node; }
+size_t sparse_stage_work(const Plan *plan) { return 6 * plan->n_node; }
 
-static void add(double *at, const double *table, size_t row, size_t count, size_t k)
+/* The linear matrix: its entries below and above the diagonal, and the diagonal. */
+typedef struct { double *entry, *diagonal; } Matrix;
+
+static Matrix matrix_of(double *memory, const Plan *plan)
 {
-    at[0] += table[row * count + k];
-    at[1] += table[(row + 1) * count + k];
+    return (Matrix){ memory + plan->linear, memory + plan->linear + 4 * plan->n_fill };
 }
 
-/* Where entry `place` of the factors is. */
-static double *entry(double *memory, const Plan *plan, int32_t place)
+static void add(double *at, double re, double im)
 {
-    const size_t k = (size_t)place;
-    return k < plan->n_fill ? memory + plan->lower + 2 * k : memory + plan->upper + 2 * (k - plan->n_fill);
+    at[0] += re;
+    at[1] += im;
 }
 
-/* What hangs on the diagonal besides branches, by bus. */
-static void diagonal(double *memory, const Plan *plan, const Network *net, const Pattern *s, const double *extra)
+static void add_row(double *at, const double *table, size_t row, size_t count, size_t k)
 {
-    const size_t n = plan->n_bus, m = plan->n_machine, n_load = plan->n_load;
-    double *d = memory + plan->pivot, *g = memory + plan->norton;
+    add(at, table[row * count + k], table[(row + 1) * count + k]);
+}
 
-    for (size_t k = 0; k < n; ++k) {
-        d[2 * s->row[k]] = net->shunt[k] + extra[k];
-        d[2 * s->row[k] + 1] = net->shunt[n + k] + extra[n + k];
+/* A machine with a port: its EMF acts at the air gap, Ra + j Xl lead to the bus. Tripped, the gap is left
+ * to itself at zero volts. */
+static void add_gap(double *memory, const Plan *plan, const Pattern *s, Matrix a, size_t port, size_t gap)
+{
+    const size_t n = plan->n_machine, k = index_at(memory + plan->port + P_ROWS * port, P_DEVICE);
+    const double *table = memory + plan->machine;
+    const double ratio = table[M_RATIO * n + k] * memory[plan->running + k];
+    const double r = table[M_RA * n + k], x = table[M_XL * n + k], size = r * r + x * x;
+    const double g = size > 0.0 ? ratio * r / size : 0.0, b = size > 0.0 ? -ratio * x / size : 0.0;
+    double *at = a.diagonal + 2 * s->machine[k];
+
+    memory[plan->norton + k] = 0.0;
+    memory[plan->norton + n + k] = -ratio / memory[plan->port + P_ROWS * port + P_X2];
+    add(at, g, b + memory[plan->norton + n + k]);
+    if (!(ratio > 0.0)) at[0] = 1.0;
+    add(a.diagonal + 2 * s->row[index_at(memory + plan->machine_bus, k)], g, b);
+    add(a.entry + 2 * s->gap[2 * gap], -g, -b);
+    add(a.entry + 2 * s->gap[2 * gap + 1], -g, -b);
+}
+
+/* Machines with and without a port. */
+static void add_machines(double *memory, const Plan *plan, const Pattern *s, Matrix a)
+{
+    const size_t m = plan->n_machine;
+    double *g = memory + plan->norton, *b = g + m;
+    size_t gap = 0;
+
+    for (size_t k = 0; k < m; ++k) {
+        network_norton(memory, plan, k, &g[k], &b[k]);
+        if (s->machine[k] == s->row[index_at(memory + plan->machine_bus, k)])
+            add(a.diagonal + 2 * s->machine[k], g[k], b[k]);
     }
+    for (size_t p = 0; p < plan->n_port; ++p)
+        if (!port_is_load(memory + plan->port + P_ROWS * p)) add_gap(memory, plan, s, a, p, gap++);
+}
+
+/* What hangs on the diagonal besides branches. */
+static void add_diagonal(double *memory, const Plan *plan, const Network *net, const Pattern *s, const double *extra,
+                         Matrix a)
+{
+    const size_t n = plan->n_bus, n_load = plan->n_load;
+
+    for (size_t k = 0; k < n; ++k)
+        add(a.diagonal + 2 * s->row[k], net->shunt[k] + extra[k], net->shunt[n + k] + extra[n + k]);
     for (size_t k = 0; k < n_load; ++k) {
         const double v = net->load[L_V0 * n_load + k];
-        double *at = d + 2 * s->row[net->load_bus[k]];
-        at[0] += net->load[L_P * n_load + k] / (v * v);
-        at[1] -= net->load[L_Q * n_load + k] / (v * v);
+        add(a.diagonal + 2 * s->row[net->load_bus[k]], net->load[L_P * n_load + k] / (v * v),
+            -net->load[L_Q * n_load + k] / (v * v));
     }
-    for (size_t k = 0; k < m; ++k) {
-        network_norton(memory, plan, k, &g[k], &g[m + k]);
-        d[2 * s->machine[k]] += g[k];
-        d[2 * s->machine[k] + 1] += g[m + k];
-    }
+    add_machines(memory, plan, s, a);
 }
 
-/* The matrix in the places of the factors, and its row sums: what it gives for 1 at every bus. */
+/* The matrix in the places of the factors, and its row sums: what it gives for 1 at every node. */
 static void assemble(double *memory, const Plan *plan, const Network *net, const Pattern *s,
                      const double *extra, double *sum)
 {
-    const size_t m = plan->n_branch;
-    double *d = memory + plan->pivot;
+    const size_t m = plan->n_branch, fill = plan->n_fill;
+    const Matrix a = matrix_of(memory, plan);
 
-    for (size_t k = 0; k < 2 * plan->n_fill; ++k) memory[plan->lower + k] = memory[plan->upper + k] = 0.0;
-    diagonal(memory, plan, net, s, extra);
+    for (size_t k = 0; k < 2 * (2 * fill + plan->n_node); ++k) a.entry[k] = 0.0;
+    add_diagonal(memory, plan, net, s, extra, a);
     for (size_t k = 0; k < m; ++k) {
         if (!(memory[plan->in_service + k] > 0.5)) continue;
-        add(d + 2 * s->row[net->branch_from[k]], net->branch, B_FF_RE, m, k);
-        add(d + 2 * s->row[net->branch_to[k]], net->branch, B_TT_RE, m, k);
-        add(entry(memory, plan, s->branch[2 * k]), net->branch, B_FT_RE, m, k);
-        add(entry(memory, plan, s->branch[2 * k + 1]), net->branch, B_TF_RE, m, k);
+        add_row(a.diagonal + 2 * s->row[net->branch_from[k]], net->branch, B_FF_RE, m, k);
+        add_row(a.diagonal + 2 * s->row[net->branch_to[k]], net->branch, B_TT_RE, m, k);
+        add_row(a.entry + 2 * s->branch[2 * k], net->branch, B_FT_RE, m, k);
+        add_row(a.entry + 2 * s->branch[2 * k + 1], net->branch, B_TF_RE, m, k);
     }
-    for (size_t k = 0; k < 2 * plan->n_node; ++k) sum[k] = d[k];
+    for (size_t k = 0; k < 2 * plan->n_node; ++k) sum[k] = a.diagonal[k];
     for (size_t k = 0; k < plan->n_node; ++k) {
-        for (int32_t j = s->lower[k]; j < s->lower[k + 1]; ++j) {
-            sum[2 * k] += memory[plan->lower + 2 * (size_t)j];
-            sum[2 * k + 1] += memory[plan->lower + 2 * (size_t)j + 1];
-        }
-        for (int32_t j = s->upper[k]; j < s->upper[k + 1]; ++j) {
-            sum[2 * k] += memory[plan->upper + 2 * (size_t)j];
-            sum[2 * k + 1] += memory[plan->upper + 2 * (size_t)j + 1];
-        }
+        for (int32_t j = s->lower[k]; j < s->lower[k + 1]; ++j)
+            add(sum + 2 * k, a.entry[2 * (size_t)j], a.entry[2 * (size_t)j + 1]);
+        for (size_t j = fill + (size_t)s->upper[k]; j < fill + (size_t)s->upper[k + 1]; ++j)
+            add(sum + 2 * k, a.entry[2 * j], a.entry[2 * j + 1]);
     }
-}
-
-static double size_of(const double *a) { return a[0] * a[0] + a[1] * a[1]; }
-
-static void copy(double *to, const double *from) { to[0] = from[0]; to[1] = from[1]; }
-
-/* Row by row: row k less its multiples of the rows above. Returns n_node, or the row whose pivot
- * vanishes. w: 2 n_node. */
-static size_t factor(double *memory, const Plan *plan, const Pattern *s, double *w)
-{
-    double *lower = memory + plan->lower, *upper = memory + plan->upper, *pivot = memory + plan->pivot;
-
-    for (size_t k = 0; k < plan->n_node; ++k) {
-        double scale = size_of(pivot + 2 * k);
-        copy(w + 2 * k, pivot + 2 * k);
-        for (int32_t e = s->lower[k]; e < s->lower[k + 1]; ++e) {
-            const double *from = lower + 2 * (size_t)e;
-            if (size_of(from) > scale) scale = size_of(from);
-            copy(w + 2 * s->lower_column[e], from);
-        }
-        for (int32_t e = s->upper[k]; e < s->upper[k + 1]; ++e) {
-            const double *from = upper + 2 * (size_t)e;
-            if (size_of(from) > scale) scale = size_of(from);
-            copy(w + 2 * s->upper_column[e], from);
-        }
-        for (int32_t e = s->lower[k]; e < s->lower[k + 1]; ++e) {
-            const size_t j = (size_t)s->lower_column[e];
-            const double re = w[2 * j], im = w[2 * j + 1];
-            copy(lower + 2 * (size_t)e, w + 2 * j);
-            for (int32_t c = s->upper[j]; c < s->upper[j + 1]; ++c) {
-                const double ur = upper[2 * (size_t)c], ui = upper[2 * (size_t)c + 1];
-                double *at = w + 2 * s->upper_column[c];
-                at[0] -= re * ur - im * ui;
-                at[1] -= re * ui + im * ur;
-            }
-        }
-        const double size = size_of(w + 2 * k);
-        if (!(size > SINGULAR * scale)) return k;
-        const double pr = w[2 * k] / size, pi = -w[2 * k + 1] / size;
-        pivot[2 * k] = pr;
-        pivot[2 * k + 1] = pi;
-        for (int32_t e = s->upper[k]; e < s->upper[k + 1]; ++e) {
-            const double *at = w + 2 * s->upper_column[e];
-            upper[2 * (size_t)e] = at[0] * pr - at[1] * pi;
-            upper[2 * (size_t)e + 1] = at[0] * pi + at[1] * pr;
-        }
-    }
-    return plan->n_node;
 }
 
 /* Row where the solution for the row sums is farthest from 1; how far into `worst`. */
@@ -141,11 +124,12 @@ static size_t farthest(const double *memory, const Plan *plan, const Pattern *s,
     return row;
 }
 
+/* n_bus: an air gap, whose pivot cannot vanish. */
 static size_t bus_at(const Plan *plan, const Pattern *s, size_t row)
 {
-    size_t bus = 0;
-    while (bus + 1 < plan->n_bus && (size_t)s->row[bus] != row) ++bus;
-    return bus;
+    for (size_t k = 0; k < plan->n_bus; ++k)
+        if ((size_t)s->row[k] == row) return k;
+    return plan->n_bus;
 }
 
 BlockStatus sparse_stage(double *memory, const Plan *plan, const Network *net, const double *extra,
@@ -155,8 +139,10 @@ BlockStatus sparse_stage(double *memory, const Plan *plan, const Network *net, c
     double *sum = work, *w = sum + 2 * plan->n_node, worst = 0.0;
     char name[64];
 
+    memory[H_PORT_READY] = 0.0;   /* the slopes are those of another stage */
+    for (size_t k = 0; k < 4 * plan->n_port; ++k) memory[plan->port_slope + k] = 0.0;
     assemble(memory, plan, net, &s, extra, sum);
-    size_t row = factor(memory, plan, &s, w);
+    size_t row = sparse_factor(memory, plan, &s, w);
     if (row == plan->n_node) {
         row = farthest(memory, plan, &s, sum, &worst);
         if (worst <= RESIDUAL) return BLOCK_OK;

@@ -69,6 +69,7 @@ static const int32_t *read_plan(const Record *record, const BlockLayout *layout,
     if (count != C_COUNTS) return NULL;
     for (size_t k = 0; k < C_COUNTS; ++k)
         if (c[k] < 0 || c[k] > 100000000) return NULL;
+    if (c[C_NODE] > 0 && c[C_NODE] < c[C_BUS]) return NULL;
     if (c[C_MACHINE] < 1 || c[C_SIXTH] > c[C_MACHINE] || c[C_BUS] < 1) return NULL;
     plan->n_machine = (size_t)c[C_MACHINE];
     plan->n_sixth = (size_t)c[C_SIXTH];
@@ -141,6 +142,9 @@ static int pattern_fits(const Pattern *s, const Plan *plan)
     for (size_t k = 0; k < plan->n_bus; ++k) fits = fits && (size_t)s->row[k] < n;
     for (size_t k = 0; k < plan->n_machine; ++k)
         fits = fits && (size_t)s->machine[k] < n && (size_t)s->machine[k] >= plan->first;
+    for (size_t k = 0; k < plan->n_port; ++k)
+        fits = fits && (size_t)s->port[k] < n && (size_t)s->port[k] >= plan->first;
+    for (size_t k = 0; k < 2 * (n - plan->n_bus); ++k) fits = fits && (size_t)s->gap[k] < 2 * fill;
     for (size_t k = 0; k < 2 * plan->n_branch; ++k) fits = fits && (size_t)s->branch[k] < 2 * fill;
     for (size_t k = 0; fits && k < n; ++k) {
         fits = s->needed[k] >= s->lower[k] && s->needed[k] <= s->lower[k + 1];
@@ -149,14 +153,6 @@ static int pattern_fits(const Pattern *s, const Plan *plan)
             fits = (size_t)s->upper_column[j] > k && (size_t)s->upper_column[j] < n;
     }
     return fits;
-}
-
-static void check_pattern(Reader *r, const Plan *plan, const int32_t *places)
-{
-    if (r->bad != NULL || plan->n_node == 0) return;
-    const Pattern s = pattern_of(places, plan);
-    if (plan->n_node != plan->n_bus || plan->first >= plan->n_node || plan->n_port > 0 || !pattern_fits(&s, plan))
-        r->bad = "network.pattern";
 }
 
 /* The ports' table, its references checked. */
@@ -171,6 +167,18 @@ static const double *read_ports(Reader *r, const Plan *plan)
             r->bad = "port.table";
     }
     return table;
+}
+
+static void check_pattern(Reader *r, const Plan *plan, const int32_t *places)
+{
+    const double *table = read_ports(r, plan);
+    size_t gaps = 0;
+
+    if (r->bad != NULL || plan->n_node == 0) return;
+    const Pattern s = pattern_of(places, plan);
+    for (size_t p = 0; p < plan->n_port; ++p) gaps += port_is_load(table + P_ROWS * p) ? 0 : 1;
+    if (plan->n_node != plan->n_bus + gaps || plan->first >= plan->n_node || !pattern_fits(&s, plan))
+        r->bad = "network.pattern";
 }
 
 /* Every group: its device is one of this binary, its states and tables lie inside. */
@@ -212,7 +220,6 @@ BlockStatus plant_check(const Record *record, const BlockLayout *layout, const P
     (void)reals(&r, "state.rest", layout->n_x);
     check_groups(&r, layout, plan);
     (void)integers(&r, "input.machine", plan->n_input, n);
-    (void)read_ports(&r, plan);
     check_pattern(&r, plan, net->places);
     (void)integers(&r, "state.machine", layout->n_x, n);
     (void)integers(&r, "tie.branch", plan->n_tie, plan->n_branch);

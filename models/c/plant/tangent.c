@@ -45,6 +45,25 @@ static size_t port_solve_tangent(const double *memory, const Plan *plan, const n
     return n;
 }
 
+/* The same on a sparse network, in whose factors the slopes are those at V: one step is exact. */
+static void solve_sparse_tangent(const double *memory, const Plan *plan, const Pattern *pattern, const num *ed2,
+                                 const num *base, Work *w)
+{
+    const size_t n = plan->n_port;
+    const double *v = memory + plan->port_v;
+
+    for (size_t p = 0; p < n; ++p) {
+        w->port.v_re[p] = v[p];
+        w->port.v_im[p] = v[n + p];
+    }
+    sparse_port_step(memory, plan, pattern, ed2, w->sine, w->cosine, base, w->e_re, w->e_im, w->port, w->v);
+    for (size_t p = 0; p < n; ++p) {
+        w->port.v_re[p] = w->v[2 * pattern->port[p]];
+        w->port.v_im[p] = w->v[2 * pattern->port[p] + 1];
+    }
+    sparse_port_inject(memory, plan, ed2, w->sine, w->cosine, w->port, w->e_re, w->e_im);
+}
+
 size_t plant_directional(double *memory, const int32_t *places, const BlockLayout *layout, const double *x, const double *u,
                          const double *vx, const double *vu, double *vdx, double *vy, double *scratch)
 {

@@ -1,0 +1,192 @@
+/* Newton's method at the ports of a sparse network (sparse_port.h). */
+#include "sparse_port.h"
+
+#include "sparse_factor.h"
+
+enum { MOST = 12, ENOUGH = 5, MOST_STEPS = 40 };
+static const double ACCURACY = 1e-10;   /* of the voltages, estimated error relative to the largest */
+static const double ROUNDING = 1e-13;   /* what a further step moves when all is said */
+static const double POOR = 0.3;         /* contraction above which other slopes are wanted */
+static const double MOST_FLUX = 1.2;    /* where an iteration may start: psi_I grows exponentially */
+
+/* One problem: everything that stays the same while it is solved. */
+typedef struct {
+    double *memory;
+    const Plan *plan;
+    const Pattern *pattern;
+    const double *ed2, *sine, *cosine, *base;
+    double *e_re, *e_im;
+    PortWork at;
+    double *v, *work;
+} Problem;
+
+static double larger(double a, double b) { return a > b ? a : b; }
+
+/* One step with the slopes in the factors; returns the largest move, and leaves the new voltages in s->v. */
+static double step(const Problem *s, size_t *port)
+{
+    double moved = 0.0;
+
+    sparse_port_step(s->memory, s->plan, s->pattern, s->ed2, s->sine, s->cosine, s->base, s->e_re, s->e_im, s->at,
+                     s->v);
+    for (size_t p = 0; p < s->plan->n_port; ++p) {
+        const double *v = s->v + 2 * s->pattern->port[p];
+        const double off = fabs(v[0] - s->at.v_re[p]) + fabs(v[1] - s->at.v_im[p]);
+        if (!(off <= moved)) {
+            moved = off;
+            *port = p;
+        }
+    }
+    return moved;
+}
+
+static void take(const Problem *s, double share)
+{
+    for (size_t p = 0; p < s->plan->n_port; ++p) {
+        const double *v = s->v + 2 * s->pattern->port[p];
+        s->at.v_re[p] += share * (v[0] - s->at.v_re[p]);
+        s->at.v_im[p] += share * (v[1] - s->at.v_im[p]);
+    }
+}
+
+static void start_from_last(const Problem *s)
+{
+    const double *last = s->memory + s->plan->port_v;
+    for (size_t p = 0; p < s->plan->n_port; ++p) {
+        s->at.v_re[p] = last[p];
+        s->at.v_im[p] = last[s->plan->n_port + p];
+    }
+}
+
+/* Slopes at the port voltages in s->at into the factors. 0: singular. */
+static int fold(const Problem *s)
+{
+    double *memory = s->memory, *at = memory + s->plan->port_fold;
+    const double *ratio = memory + s->plan->machine + M_RATIO * s->plan->n_machine;
+
+    for (size_t p = 0; p < s->plan->n_port; ++p) {
+        const double *row = memory + s->plan->port + P_ROWS * p;
+        const double of = port_is_load(row) ? 1.0 : ratio[index_at(row, P_DEVICE)];
+        double *d = memory + s->plan->port_slope + 4 * p;
+        port_slope_at(memory, s->plan, p, s->at.v_re[p], s->at.v_im[p], s->sine, s->cosine, d);
+        for (size_t i = 0; i < 4; ++i) d[i] *= of;
+        at[2 * p] = s->at.v_re[p];
+        at[2 * p + 1] = s->at.v_im[p];
+    }
+    memory[H_PORT_READY] = sparse_factor(memory, s->plan, s->pattern, s->work) == s->plan->n_node ? 1.0 : 0.0;
+    return memory[H_PORT_READY] > 0.5;
+}
+
+/* Steps with the same slopes until the next would move nothing worth it; 0: they do not contract. */
+static int iterate(const Problem *s, double accuracy, size_t *port)
+{
+    double before = INFINITY;
+
+    for (int count = 1; count <= MOST; ++count) {
+        const double moved = step(s, port), ratio = moved / before;
+        if (!(moved < 1e6) || (moved > ROUNDING && !(ratio < POOR) && count > 1)) return 0;
+        take(s, 1.0);
+        if (count == ENOUGH) s->memory[H_PORT_READY] = 0.0;   /* slow: other slopes the next time */
+        if (moved <= ROUNDING || (count > 1 && moved * ratio <= accuracy)) return 1;
+        before = moved;
+    }
+    return 0;
+}
+
+/* Newton steps with slopes of their own from s->at, halved until the next step would be shorter, or `free`
+ * to grow, which passes the kinks where a load becomes an impedance. */
+static int newton(const Problem *s, int free, size_t *port)
+{
+    double *from = s->work + 4 * s->plan->n_node, *to = from + 2 * s->plan->n_port;
+
+    for (int count = 0; count < MOST_STEPS; ++count) {
+        double moved, share = 1.0, next = INFINITY;
+        if (!fold(s)) return 0;
+        moved = step(s, port);
+        if (!(moved < 1e6)) return 0;
+        for (size_t p = 0; p < s->plan->n_port; ++p) {
+            from[2 * p] = s->at.v_re[p];
+            from[2 * p + 1] = s->at.v_im[p];
+            to[2 * p] = s->v[2 * s->pattern->port[p]];
+            to[2 * p + 1] = s->v[2 * s->pattern->port[p] + 1];
+        }
+        for (int tries = 0; tries < 10; ++tries, share *= 0.5) {
+            for (size_t p = 0; p < s->plan->n_port; ++p) {
+                s->at.v_re[p] = from[2 * p] + share * (to[2 * p] - from[2 * p]);
+                s->at.v_im[p] = from[2 * p + 1] + share * (to[2 * p + 1] - from[2 * p + 1]);
+            }
+            if (moved <= ROUNDING) return 1;
+            next = step(s, port);
+            if (free || next <= larger((1.0 - 0.25 * share) * moved, ROUNDING)) break;
+        }
+        if (!(next < 1e6)) return 0;
+        if (next < 1e-6) return fold(s) && iterate(s, ACCURACY, port);
+    }
+    return 0;
+}
+
+/* As port.c: from the last voltages, those of the linear network, then low ones. */
+static int newton_from_many(const Problem *s, size_t *port)
+{
+    const size_t n = s->plan->n_port;
+
+    for (size_t tries = 0; tries < 8; ++tries) {
+        const double share = tries % 4 < 2 ? 1.0 : tries % 4 == 2 ? 0.6 : 0.2;
+        start_from_last(s);
+        if (tries % 4 > 0) {   /* without what the ports inject */
+            for (size_t k = 0; k < 4 * n; ++k) s->memory[s->plan->port_slope + k] = 0.0;
+            if (sparse_factor(s->memory, s->plan, s->pattern, s->work) < s->plan->n_node) return 0;
+            memcpy(s->v, s->base, 2 * s->plan->n_node * sizeof(double));
+            network_solve(s->memory, s->plan, s->pattern, s->v);
+            take(s, 1.0);
+        }
+        for (size_t p = 0; p < n; ++p) {
+            const double size = sqrt(s->at.v_re[p] * s->at.v_re[p] + s->at.v_im[p] * s->at.v_im[p]);
+            const double own = share * (size > MOST_FLUX ? MOST_FLUX / size : 1.0);
+            s->at.v_re[p] *= own;
+            s->at.v_im[p] *= own;
+        }
+        if (newton(s, tries >= 4, port)) return 1;
+    }
+    return 0;
+}
+
+/* Whether the slopes in the factors are those at the solution. */
+static int folded_here(const Problem *s)
+{
+    const double *at = s->memory + s->plan->port_fold;
+    double off = s->memory[H_PORT_READY] > 0.5 ? 0.0 : 1.0;
+    for (size_t p = 0; p < s->plan->n_port; ++p)
+        off = larger(off, fabs(s->at.v_re[p] - at[2 * p]) + fabs(s->at.v_im[p] - at[2 * p + 1]));
+    return off <= 1e-12;
+}
+
+size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *pattern, int exact, const double *ed2,
+                         const double *sine, const double *cosine, const double *base, double *e_re, double *e_im,
+                         PortWork w, double *v, double *work)
+{
+    const Problem problem = { memory, plan, pattern, ed2, sine, cosine, base, e_re, e_im, w, v, work };
+    const Problem *s = &problem;
+    const double accuracy = exact ? 0.0 : ACCURACY;
+    double *last = memory + plan->port_v;
+    size_t port = 0;
+
+    start_from_last(s);
+    int solved = memory[H_PORT_READY] > 0.5 && iterate(s, accuracy, &port);
+    if (!solved) {
+        start_from_last(s);
+        solved = fold(s) && iterate(s, accuracy, &port);
+    }
+    if (!solved) solved = newton_from_many(s, &port);
+    if (!solved) {
+        memory[H_PORT_READY] = 0.0;
+        return port;
+    }
+    if (exact && !folded_here(s) && !fold(s)) return port;
+    sparse_port_inject(memory, plan, ed2, sine, cosine, w, e_re, e_im);
+    for (size_t p = 0; p < plan->n_port; ++p) {
+        last[p] = w.v_re[p];
+        last[plan->n_port + p] = w.v_im[p];
+    }
+    return plan->n_port;
+}

@@ -1,0 +1,71 @@
+#ifndef INTERAREA_SPARSE_PORT_H
+#define INTERAREA_SPARSE_PORT_H
+#include "network.h"
+#include "port.h"
+/* Ports (port.h) on a sparse network. With the slopes D = dJ/dV of some earlier point in the factors
+ * of Y - D the node voltages obey
+ *
+ *     V = (Y - D)^-1 [y E + J(V, x) - D V],
+ *
+ * a Newton step with those slopes for each evaluation of the right side: one solution. It is repeated
+ * from the ports' voltages found last; where it does not contract, sparse_port.c renews the slopes, then
+ * takes damped Newton steps. Of one step at voltages that solve the equations, with the slopes there, the
+ * tangent is exact. */
+
+/* What every port injects at its node, into e. */
+static inline void sparse_port_inject(const real *memory, const Plan *plan, const num *ed2, const num *sine,
+                                      const num *cosine, PortWork w, num *e_re, num *e_im)
+{
+    const real *ratio = memory + plan->machine + M_RATIO * plan->n_machine;
+
+    port_inject(memory, plan, ed2, sine, cosine, w, e_re, e_im);
+    for (size_t p = 0; p < plan->n_port; ++p) {   /* a machine's is on its base */
+        const real *row = memory + plan->port + P_ROWS * p;
+        if (port_is_load(row)) continue;
+        e_re[plan->n_machine + p] *= ratio[index_at(row, P_DEVICE)];
+        e_im[plan->n_machine + p] *= ratio[index_at(row, P_DEVICE)];
+    }
+}
+
+/* One step from the port voltages in w: node voltages into v. base: what the EMFs inject. */
+static inline void sparse_port_step(const real *memory, const Plan *plan, const Pattern *s, const num *ed2,
+                                    const num *sine, const num *cosine, const num *base, num *e_re, num *e_im,
+                                    PortWork w, num *v)
+{
+    const real *slope = memory + plan->port_slope;
+    const num *re = e_re + plan->n_machine, *im = e_im + plan->n_machine;
+
+    sparse_port_inject(memory, plan, ed2, sine, cosine, w, e_re, e_im);
+    for (size_t k = 2 * plan->first; k < 2 * plan->n_node; ++k) v[k] = base[k];
+    for (size_t p = 0; p < plan->n_port; ++p) {
+        const real *d = slope + 4 * p;
+        num *at = v + 2 * s->port[p];
+        at[0] += re[p] - (d[0] * w.v_re[p] + d[1] * w.v_im[p]);
+        at[1] += im[p] - (d[2] * w.v_re[p] + d[3] * w.v_im[p]);
+    }
+    network_solve(memory, plan, s, v);
+}
+
+/* The machines' currents and what the ports inject there. */
+static inline void sparse_port_machines(const real *memory, const Plan *plan, const Pattern *s, const num *e_re,
+                                        const num *e_im, const num *v, num *i_re, num *i_im)
+{
+    network_machines(memory, plan, s, e_re, e_im, v, i_re, i_im);
+    for (size_t p = 0; p < plan->n_port; ++p) {
+        const real *row = memory + plan->port + P_ROWS * p;
+        const size_t k = index_at(row, P_DEVICE);
+        if (port_is_load(row)) continue;
+        i_re[k] += e_re[plan->n_machine + p];
+        i_im[k] += e_im[plan->n_machine + p];
+    }
+}
+
+/* Doubles of work for sparse_port_solve. */
+static inline size_t sparse_port_work(const Plan *plan) { return 4 * plan->n_node + 4 * plan->n_port; }
+
+/* Node voltages v, port voltages and what goes with them into w, injections into e. `exact`: the slopes in
+ * the factors become those at the solution. Returns n_port, or the port farthest from a solution. */
+size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *pattern, int exact, const double *ed2,
+                         const double *sine, const double *cosine, const double *base, double *e_re, double *e_im,
+                         PortWork w, double *v, double *work);
+#endif
