@@ -26,7 +26,8 @@ from scipy.linalg import lu_factor, lu_solve
 
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.plots.curves import DASHES, SERIES, new_figure, save_figure
-from interarea.cosim.run.artefacts import design_controller, linear_plant
+from interarea.cosim.run.artefacts import linear_plant
+from interarea.cosim.run.controllers import design_controller
 from interarea.cosim.run.system import System
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.cache import default_cache

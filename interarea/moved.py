@@ -54,10 +54,10 @@ cosim -> cosim.scenario: scenario channels concentrators
 cosim -> cosim.results: result ledger:delay_ledger self_test:latency_test metrics pencil:matrix_pencil
     ringdown
 cosim -> cosim.results: run_files:run_figure
-cosim -> cosim.run: build:system run artefacts
+cosim -> cosim.run: build:system run artefacts controller_file:controller_fmu
 cosim -> cosim.export: members:instances ssp container
 cosim -> cosim.designs: robust_design:design_file design_comparison:comparison bank_certificate
-    controller_file sensitivities synchronism:first_swing
+    sensitivities synchronism:first_swing
 cosim -> cosim.sweep: sweep_spec:spec sweep_values:values sweep_point:point sweep_plan:plan
     sweep_prepare:prepare sweep_run:runner sweep_forks:shared_start sweep_group:lane_batches
     sweep_live:live_instances sweep_rows:rows sweep_store:store sweep_search:bisection sweep_engine:front

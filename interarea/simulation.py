@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import control
 from pydantic import ValidationError
 
-from interarea.cosim.errors import ScenarioError, SweepError, nearest, one_line
+from interarea.cosim.errors import ScenarioError, SweepError, one_line
 from interarea.cosim.results.result import Result
 from interarea.cosim.run.run import run_scenario, run_system
-from interarea.cosim.scenario.scenario import NAMED_CONTROLLERS, ChannelTable, load_scenario
+from interarea.cosim.scenario.scenario import ChannelTable, load_scenario
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.grids import case_like
@@ -67,46 +67,24 @@ def simulate(
     if case is not None and isinstance(scenario, Mapping):
         scenario = {**scenario, "case": case_like(case).name}
     loaded = load_scenario(scenario)
-    own: Controller | ControllerBank | None = None
-    changes: dict[str, Any] = {}
-    if case is not None:
-        changes["case"] = case_like(case).name
-    if isinstance(controller, str | Path):
-        named = str(controller) in NAMED_CONTROLLERS
-        changes["controller"] = str(controller) if named else str(_file(controller))
-    elif controller is not None:
-        own = _controller_of(controller)
-        changes["controller"] = own.name
-    loaded = loaded.model_copy(update=changes)
-    if not loaded.case:
-        if own is not None:
-            raise ScenarioError(f"{loaded.name}: a controller needs a case; name one (case = ...)")
-        return run_system(loaded, progress=progress)
     grid = None if case is None else case_like(case)
-    return run_scenario(loaded, case=grid, controller=own, progress=progress)
+    if grid is not None:
+        loaded = loaded.model_copy(update={"case": grid.name})
+    if controller is not None:
+        _refuse_other_things(controller)
+        if not loaded.case:
+            raise ScenarioError(f"{loaded.name}: a controller needs a case; name one (case = ...)")
+    if not loaded.case:
+        return run_system(loaded, progress=progress)
+    return run_scenario(loaded, case=grid, controller=controller, progress=progress)
 
 
-def _controller_of(
-    controller: Controller | ControllerBank | control.StateSpace,
-) -> Controller | ControllerBank:
-    from interarea.synthesis import controller_like
-
-    if not isinstance(controller, Controller | ControllerBank | control.StateSpace):
+def _refuse_other_things(controller: object) -> None:
+    if not isinstance(controller, Controller | ControllerBank | control.StateSpace | str | Path):
         raise ScenarioError(
             f"controller = {controller!r}, allowed: a Controller, a control.StateSpace, a name, a JSON file "
             "or an FMU"
         )
-    return controller_like(controller)
-
-
-def _file(controller: str | Path) -> Path:
-    path = Path(controller).absolute()
-    if not path.is_file():
-        raise ScenarioError(
-            f"controller = {str(controller)!r} is neither a name nor a file; "
-            f"{nearest(str(controller), NAMED_CONTROLLERS)}"
-        )
-    return path
 
 
 def sweep(

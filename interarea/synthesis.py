@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import control
 
-from interarea.cosim.designs.bank_certificate import any_bank, certify_bank
-from interarea.cosim.designs.controller_file import any_controller
+from interarea.cosim.designs.bank_certificate import certify_bank
 from interarea.cosim.designs.design_file import (
     DesignTable,
     design_of,
@@ -18,14 +17,9 @@ from interarea.cosim.designs.design_file import (
     specification_of,
 )
 from interarea.cosim.designs.design_file import certify as certify_family
-from interarea.cosim.run.artefacts import (
-    active_bank,
-    linear_plant,
-)
-from interarea.cosim.run.artefacts import (
-    design_controller as designed_for,
-)
-from interarea.cosim.scenario.scenario import CONTROLLER_NAMES
+from interarea.cosim.errors import ScenarioError
+from interarea.cosim.run.artefacts import linear_plant
+from interarea.cosim.run.controllers import controller_of
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
@@ -72,13 +66,12 @@ def load_controller(
     ------
     UserError : no such controller, or a file of something else.
     """
-    text = str(name)
-    if text == "active":
-        return active_bank(case_like(case), default_cache())
-    if text in CONTROLLER_NAMES:
-        return designed_for(case_like(case), text, default_cache())
-    omega_b = case_like(case).omega_b
-    return any_bank(text, omega_b) or any_controller(text, omega_b)
+    made = controller_of(name, case_like(case), default_cache())
+    if made is None:
+        raise ScenarioError(
+            "controller 'none' is no controller, allowed: what `interarea list` names, or a file"
+        )
+    return made
 
 
 def controller_like(
@@ -86,11 +79,9 @@ def controller_like(
     case: Case | str | Path = "two-area-thesis",
 ) -> Controller | ControllerBank:
     """Return a controller as it is, of a `StateSpace` (u = +K y, speeds in rad/s), or by name or file."""
-    if isinstance(controller, Controller | ControllerBank):
-        return controller
-    if isinstance(controller, control.StateSpace):
-        return Controller.of(controller)
-    return load_controller(controller, case=case)
+    if isinstance(controller, str | Path):
+        return load_controller(controller, case=case)
+    return Controller.of(controller) if isinstance(controller, control.StateSpace) else controller
 
 
 def certify(

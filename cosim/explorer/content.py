@@ -16,7 +16,7 @@ from interarea.models.errors import CaseError
 from interarea.models.grid.equilibrium import operating_point
 from interarea.models.grid.network import load_power
 
-from ..run.artefacts import swing_of
+from ..run.swing_signal import swing_of
 from ..scenario.channels import BernoulliLoss, GilbertElliottLoss
 from ..scenario.scenario import Scenario
 from .layout import bus_positions

@@ -21,7 +21,8 @@ from interarea.models.errors import CaseError
 from interarea.models.grid.equilibrium import operating_point
 
 from ..errors import ScenarioError
-from ..run.artefacts import controller_of, linear_plant
+from ..run.artefacts import linear_plant
+from ..run.controllers import controller_of
 from ..scenario.scenario import CONTROLLER_NAMES, Scenario, load_scenario, scenario_names
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from interarea.models.blocks.container import LoopMember, loop_block
 from interarea.models.blocks.variables import Block
 
 from ..errors import ScenarioError
-from ..run.artefacts import ControllerLike
+from ..run.controllers import ControllerLike
 from ..scenario.scenario import Scenario
 from .instances import members_of
 

@@ -12,7 +12,7 @@ from interarea.models.blocks.variables import Block, VariableTable
 
 from ..master.instances import Value
 from ..master.step_choice import choose_step
-from ..run.artefacts import ControllerLike
+from ..run.controllers import ControllerLike
 from ..run.run import system_of
 from ..scenario.scenario import Scenario
 

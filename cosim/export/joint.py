@@ -18,7 +18,8 @@ from ..master.master import Master
 from ..results.delay_ledger import DelayLedger, LedgerRow, packet_ledger
 from ..results.ringdown import run_metrics
 from ..results.run import Run
-from ..run.artefacts import ControllerLike, swing_of
+from ..run.controllers import ControllerLike
+from ..run.swing_signal import swing_of
 from ..scenario.delays import Delays
 from ..scenario.scenario import Scenario, load_scenario
 from ..trajectory import TIME, Trajectory

@@ -19,7 +19,7 @@ from interarea.fmu_build.write.description_xml import product_version
 from interarea.fmu_build.write.package import archive_bytes, build_fmu
 from interarea.models.files import temporary_folder, write_whole
 
-from ..run.artefacts import ControllerLike
+from ..run.controllers import ControllerLike
 from ..scenario.scenario import Scenario
 from .instances import Member, Members, members_of
 

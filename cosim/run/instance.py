@@ -14,7 +14,8 @@ from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case
 
 from ..master.instances import Value
-from .artefacts import channel_fmu, concentrator_fmu, controller_fmu, plant_fmu
+from .artefacts import channel_fmu, concentrator_fmu, plant_fmu
+from .controllers import controller_fmu
 
 
 @dataclass(frozen=True)

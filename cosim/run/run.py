@@ -16,8 +16,9 @@ from ..results.result import Result
 from ..results.ringdown import Swing
 from ..results.run import Run
 from ..scenario.scenario import Scenario, load_scenario
-from .artefacts import ControllerLike, controller_of, swing_of
+from .controllers import ControllerLike, controller_of
 from .instance import Fmus, Instance
+from .swing_signal import swing_of
 from .system import CONTROLLER, PLANT, System
 
 

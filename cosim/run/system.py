@@ -50,7 +50,8 @@ from ..scenario.concentrators import ConcentratorLine
 from ..scenario.rounding import event_on_ticks, roundings
 from ..scenario.scenario import Scenario
 from ..trajectory import Trajectory
-from .artefacts import EVENT_SLOTS, ControllerLike, controller_of
+from .artefacts import EVENT_SLOTS
+from .controllers import ControllerLike, controller_of
 from .instance import Fmus, Instance
 
 Line = ChannelLine | ConcentratorLine

@@ -24,7 +24,8 @@ from interarea.design.synthesis.study_designs import FtcSpec, WdcSpec
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, numerics_versions
 from interarea.models.case.case import load_case
 
-from ..run.artefacts import controller_fmu, design_controller, linear_plant, plant_fmu
+from ..run.artefacts import linear_plant, plant_fmu
+from ..run.controllers import controller_fmu, design_controller
 from .delay import least_swing
 
 #: of the inter-area mode, where two roots may share it, Hz; better damped roots are filters

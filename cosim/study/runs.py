@@ -20,7 +20,8 @@ from ..errors import ScenarioError
 from ..results.metrics import ring_down, uniform
 from ..results.ringdown import disturbance_end_s
 from ..results.run import Run
-from ..run.artefacts import channel_fmu, controller_fmu, design_controller, plant_fmu
+from ..run.artefacts import channel_fmu, plant_fmu
+from ..run.controllers import controller_fmu, design_controller
 from ..run.run import run_scenario
 from ..scenario.scenario import CONTROLLER_NAMES, load_scenario
 from ..trajectory import Trajectory

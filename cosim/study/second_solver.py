@@ -19,7 +19,8 @@ from interarea.design.lmi.solve import recorded, violation
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, numerics_versions
 from interarea.models.case.case import load_case
 
-from ..run.artefacts import designed_anew, plant_fmu
+from ..run.artefacts import plant_fmu
+from ..run.controllers import designed_anew
 
 #: most by which the objectives may differ, relative to 1 + |objective|; Clarabel ends 1e-5 to 2e-4 above
 TOLERANCE = 1e-3

@@ -36,13 +36,8 @@ from interarea.models.files import write_whole
 from interarea.models.grid.powerflow import solve_powerflow
 
 from ..explorer.page import write_linked_explorer
-from ..run.artefacts import (
-    channel_fmu,
-    controller_fmu,
-    design_controller,
-    linear_plant,
-    plant_fmu,
-)
+from ..run.artefacts import channel_fmu, linear_plant, plant_fmu
+from ..run.controllers import controller_fmu, design_controller
 from . import rows
 from .delay import latency_analysis, pade_record, redesigned
 from .figures import StudyParts, difference_of, save_figures

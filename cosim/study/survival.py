@@ -30,9 +30,11 @@ from ..master.instances import FmuParticipant
 from ..master.isolated import participant_of
 from ..master.lockstep import advance_together
 from ..master.master import Master
-from ..run.artefacts import controller_fmu, linear_plant, plant_fmu, swing_of
+from ..run.artefacts import linear_plant, plant_fmu
+from ..run.controllers import controller_fmu
 from ..run.instance import Fmus
 from ..run.run import system_of
+from ..run.swing_signal import swing_of
 from ..scenario.scenario import load_scenario
 from ..sweep.lane_batches import lanes_here
 from .delay import least_swing

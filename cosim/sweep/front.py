@@ -13,7 +13,7 @@ from typing import Any
 from interarea.fmu_build.write.cache import default_cache
 
 from ..errors import MACHINE
-from ..run.artefacts import ControllerLike
+from ..run.controllers import ControllerLike
 from .plan import plan_sweep
 from .prepare import prepare
 from .rows import Outcome

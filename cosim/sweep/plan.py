@@ -31,7 +31,8 @@ from interarea.models.files import temporary_folder
 
 from ..errors import ScenarioError, SweepError
 from ..results.ringdown import Swing
-from ..run.artefacts import ControllerLike, controller_of, swing_of
+from ..run.controllers import ControllerLike, controller_of
+from ..run.swing_signal import swing_of
 from ..scenario.scenario import load_scenario
 from .point import check_paths, check_values
 from .spec import LARGEST, Sweep, sweep_of

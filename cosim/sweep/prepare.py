@@ -11,7 +11,8 @@ from interarea.fmu_build.write.lane_library import plant_group
 from interarea.models.blocks.plant import plant_block
 
 from ..master.kernel.build import load_kernel
-from ..run.artefacts import channel_fmu, concentrator_fmu, controller_fmu, plant_fmu
+from ..run.artefacts import channel_fmu, concentrator_fmu, plant_fmu
+from ..run.controllers import controller_fmu
 from .plan import SweepPlan, own_fmu
 
 

@@ -9,14 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import control
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eig
 from scipy.optimize import linear_sum_assignment
 
 from interarea.models.errors import UserError
+
+if TYPE_CHECKING:
+    import control
+
+    from ..linear.matrices import LinearMatrices
+
+    Linear = control.StateSpace | LinearMatrices
 
 Matrix = NDArray[np.float64]
 ComplexMatrix = NDArray[np.complex128]
@@ -112,7 +119,7 @@ def damping_ratio(eigenvalue: complex) -> float:
 
 
 def modes_of(
-    system: control.StateSpace,
+    system: Linear,
     areas: Mapping[str, int],
     *,
     band_hz: tuple[float, float] = (0.05, 4.0),
@@ -211,7 +218,7 @@ def modes_of(
     return Modes({name: found_modes[name] for name in order}, np.asarray(values, dtype=complex))
 
 
-def _speed_rows(system: control.StateSpace, machines: list[str]) -> Matrix:
+def _speed_rows(system: Linear, machines: list[str]) -> Matrix:
     """Rows of C (machines, n) that read the speeds."""
     outputs = list(system.output_labels)
     missing = [m for m in machines if f"{m}_dw" not in outputs]
@@ -224,7 +231,11 @@ def _speed_rows(system: control.StateSpace, machines: list[str]) -> Matrix:
 
 
 def _mechanical_share(
-    system: control.StateSpace, C: Matrix, participation: Matrix, values: ComplexMatrix, right: ComplexMatrix
+    system: Linear,
+    C: Matrix,
+    participation: Matrix,
+    values: ComplexMatrix,
+    right: ComplexMatrix,
 ) -> Matrix:
     """Share (n,) of angles and speeds in each mode; of a reduced model, how well the speeds ring in it."""
     labels = list(system.state_labels)
@@ -252,7 +263,7 @@ def pattern_energies(shape: ComplexMatrix, area_of: list[int]) -> dict[str, floa
     return {name: float(e / total) if total > 0.0 else 0.0 for name, e in energies.items()}
 
 
-def _speed_states(system: control.StateSpace, C: Matrix) -> list[int] | None:
+def _speed_states(system: Linear, C: Matrix) -> list[int] | None:
     """The state that is each machine's speed; None for a reduced model, where no state is."""
     if not any(".delta" in name for name in system.state_labels):
         return None

@@ -11,6 +11,8 @@ import typer
 from .terminal import busy, print_table
 
 if TYPE_CHECKING:
+    import control
+
     from interarea.cosim.designs.design_file import DesignTable
     from interarea.design.controllers.bank import ControllerBank
     from interarea.design.controllers.controller import Controller
@@ -60,7 +62,7 @@ def design(
     file_for(out)
     if plots is not None:
         folder_for(plots, "--plots")
-    others = {name: _named(name, case).system for name in against or ()}
+    others = {name: _system(name, case) for name in against or ()}
     done = run_design(table, cache, progress=lambda what, value: typer.echo(f"{what}: {value:.4f}", err=True))
     made = done.controller
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -87,17 +89,22 @@ def _certificate_of(made: Controller) -> FamilyCertificate:
     return FamilyCertificate(rows=rows, **record)
 
 
-def _named(name: str, case: Case) -> Controller:
-    """Return a controller: shipped, from a JSON file or an FMU, or the study's of that name for `case`."""
-    from interarea.cosim.designs.controller_file import any_controller
-    from interarea.cosim.run.artefacts import design_controller
-    from interarea.cosim.scenario.scenario import CONTROLLER_NAMES
-    from interarea.fmu_build.write.cache import default_cache
+def _named(name: str, case: Case) -> Controller | ControllerBank:
+    """Return the controller that a word of the command line means; those of the study are made for `case`."""
+    from interarea.synthesis import load_controller
 
-    if name in CONTROLLER_NAMES:
-        with busy(f"designing {name} for {case.name}"):
-            return design_controller(case, name, default_cache())
-    return any_controller(name, case.omega_b)
+    with busy(f"reading {name}, designed for {case.name} where it is new"):
+        return load_controller(name, case=case)
+
+
+def _system(name: str, case: Case) -> control.StateSpace:
+    from interarea.design.controllers.bank import ControllerBank
+    from interarea.models.errors import UserError
+
+    made = _named(name, case)
+    if isinstance(made, ControllerBank):
+        raise UserError(f"--against {name}: is a bank, allowed: one controller")
+    return made.system
 
 
 def certify(
@@ -126,26 +133,19 @@ def certify(
     What is judged (operating points, losses, latencies, the fault, what is asked) is in the controller's own
     record: the FMU alone is enough.
     """
-    from interarea.cosim.designs.bank_certificate import any_bank
     from interarea.cosim.designs.design_file import certify as recompute
     from interarea.cosim.designs.design_file import load_design, specification_of
-    from interarea.cosim.run.artefacts import active_bank
+    from interarea.design.controllers.bank import ControllerBank
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.case import load_case
 
     table = load_design(spec or "robust")
     if case is not None:
         table = table.model_copy(update={"case": case})
-    omega_b = load_case(table.case).omega_b
-    bank = (
-        active_bank(load_case(table.case), default_cache())
-        if controller == "active"
-        else any_bank(controller, omega_b)
-    )
-    if bank is not None:
-        _certify_bank(bank, load_case(table.case), json_)
-        return
     made = _named(controller, load_case(table.case))
+    if isinstance(made, ControllerBank):
+        _certify_bank(made, load_case(table.case), json_)
+        return
     own = specification_of(made) if spec is None else None
     if own is None and spec is None:
         typer.echo(f"{controller} names no family of its own: judged by that of `robust`", err=True)

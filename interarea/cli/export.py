@@ -39,7 +39,7 @@ def build(
     platforms: Platforms = None,
 ) -> None:
     """Build the plant FMU of a case, complete: documentation, sources and cross-check files."""
-    from interarea.cosim.run.artefacts import controller_of
+    from interarea.cosim.run.controllers import controller_of
     from interarea.fmu_build.open.cross_check import complete_fmu
     from interarea.fmu_build.write.cache import default_cache, place
     from interarea.fmu_build.write.package import block_fmu

@@ -51,8 +51,7 @@ def modes(
     ] = None,
 ) -> None:
     """Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes."""
-    from interarea.cosim.designs.sensitivities import parameter_sensitivities
-    from interarea.cosim.run.artefacts import linear_plant
+    from interarea.cosim.run.artefacts import linear_matrices
     from interarea.design.modes.modes import modes_of
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.case import load_case
@@ -70,9 +69,13 @@ def modes(
                 loaded, tie_flow_mw=tie_flow, out=circuit_out or (), load_scale=load_scale
             )
         limits = _start_rows(loaded) if margins else []
-        system = linear_plant(loaded, cache)
+        system = linear_matrices(loaded, cache)
         found = modes_of(system, loaded.areas)
-        moved = parameter_sensitivities(loaded, sensitivity or (), cache)
+        moved: dict[str, Mapping[str, Sensitivity]] = {}
+        if sensitivity:
+            from interarea.cosim.designs.sensitivities import parameter_sensitivities
+
+            moved = parameter_sensitivities(loaded, sensitivity, cache)
     files = _plots(found, loaded, plot) if plot is not None else []
     if json_:
         document = _as_dict(loaded, found, participation, moved, files)

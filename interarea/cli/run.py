@@ -12,6 +12,7 @@ from .terminal import busy, note
 if TYPE_CHECKING:
     from interarea.cosim.results.latency_test import SelfTest
     from interarea.cosim.scenario.scenario import Scenario
+    from interarea.models.case.case import Case
 
 
 def run(
@@ -76,9 +77,7 @@ def run(
         if isinstance(result, Run):
             note(result.summary)
             if loaded.controller != "none":
-                typer.echo(
-                    _survived(str(loaded.controller_path or loaded.controller), result.case.omega_b), err=True
-                )
+                typer.echo(_survived(loaded, loaded.as_given(result.case)), err=True)
     if tested is not None and not tested.passed:
         raise typer.Exit(1)
 
@@ -89,14 +88,15 @@ def _tested(scenario: Scenario) -> SelfTest:
     return system_of(scenario).self_test()
 
 
-def _survived(controller: str, omega_b: float) -> str:
+def _survived(scenario: Scenario, case: Case) -> str:
     """What the controller's own record says of faults: a run shows one of them at most."""
     from interarea.cosim.designs.acceptance import in_words
-    from interarea.cosim.designs.controller_file import any_controller
+    from interarea.cosim.run.controllers import controller_of
     from interarea.design.controllers.controller import ControllerError
+    from interarea.fmu_build.write.cache import default_cache
 
     try:
-        certificate = any_controller(controller, omega_b).certificate
-    except ControllerError:  # designed for the case, a bank, an FMU that is no linear controller: no record
-        certificate = None
-    return in_words((certificate or {}).get("acceptance"))
+        made = controller_of(scenario.controller_path or scenario.controller, case, default_cache())
+    except ControllerError:  # an FMU that is no linear controller: no record
+        made = None
+    return in_words(((made and made.certificate) or {}).get("acceptance"))

@@ -13,13 +13,8 @@ from fmu_blocks import blocks
 
 from interarea.cosim.export.container import write_container
 from interarea.cosim.export.ssp import write_ssp
-from interarea.cosim.run.artefacts import (
-    active_bank,
-    channel_fmu,
-    controller_fmu,
-    design_controller,
-    plant_fmu,
-)
+from interarea.cosim.run.artefacts import channel_fmu, plant_fmu
+from interarea.cosim.run.controllers import active_bank, controller_fmu, design_controller
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.check.check import check_file

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from interarea.cosim.run.artefacts import channel_fmu, controller_fmu, plant_fmu
+from interarea.cosim.run.artefacts import channel_fmu, plant_fmu
+from interarea.cosim.run.controllers import controller_fmu
 from interarea.cosim.run.run import run_scenario
 from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import Case

@@ -10,8 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.run.artefacts import linear_plant, swing_of
+from interarea.cosim.run.artefacts import linear_plant
 from interarea.cosim.run.run import run_scenario
+from interarea.cosim.run.swing_signal import swing_of
 from interarea.cosim.sweep.front import run_sweep
 from interarea.cosim.sweep.store import read_rows
 from interarea.design.linear.linearise import remove_reference

@@ -122,7 +122,7 @@ def test_a_case_command_names_what_it_was_given(interarea, kinds) -> None:  # ty
 )
 def test_a_folder_that_cannot_be_is_refused_before_any_work(interarea, kinds, monkeypatch, arguments) -> None:  # type: ignore[no-untyped-def]
     forbidden = pytest.fail
-    monkeypatch.setattr("interarea.cosim.run.artefacts.linear_plant", forbidden)
+    monkeypatch.setattr("interarea.cosim.run.artefacts.linear_matrices", forbidden)
     monkeypatch.setattr("interarea.fmu_build.write.package.block_fmu", forbidden)
     before = sorted(Path().rglob("*"))
     for place in ("empty.toml", "empty.toml/below"):

@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 from interarea.cli.app import COMMANDS, load
+from interarea.cosim.run.artefacts import linear_matrices
+from interarea.models.case.case import load_case
 
 HEAVY = {"numpy", "scipy", "pandas", "control", "pydantic", "rich.console", "matplotlib", "cvxpy", "fmpy"}
 
@@ -60,6 +62,13 @@ def test_a_mistake_in_a_scenario_is_told_before_numbers_are_loaded(tmp_path: Pat
     done, modules = _loaded("run", str(file), "--out", str(tmp_path / "out"))
     assert done.returncode == 2 and "wrong.toml" in done.stderr
     assert not (HEAVY - {"pydantic"}) & modules
+
+
+def test_modes_of_a_case_known_already_take_no_library_of_systems_and_no_plots(cache: Path) -> None:
+    linear_matrices(load_case("two-area-thesis"), cache)
+    done, modules = _loaded("modes", "two-area-thesis")
+    assert "inter-area" in done.stdout
+    assert not {"control", "matplotlib", "pandas", "cvxpy", "fmpy"} & modules
 
 
 def _output(*arguments: str, **environment: str) -> str:

@@ -59,7 +59,7 @@ def test_operating_point_moves_the_loads_and_no_design(
         designed_for.append(case.hash)
         return hand_controller
 
-    monkeypatch.setattr("interarea.cosim.run.artefacts.design_controller", design)
+    monkeypatch.setattr("interarea.cosim.run.controllers.design_controller", design)
     table = scenario(operating_point={"tie_flow_mw": 100.0, "load_scale": 0.95})
     with Loop(load_scenario(table)) as loop:
         assert loop.system.case.hash == operating_variant(two_area, tie_flow_mw=100.0, load_scale=0.95).hash

@@ -9,7 +9,8 @@ import control
 import numpy as np
 import pytest
 
-from interarea.cosim.run.artefacts import design_controller, linear_plant
+from interarea.cosim.run.artefacts import linear_plant
+from interarea.cosim.run.controllers import design_controller
 from interarea.cosim.study.delay import least_damping, least_swing, pade_poles
 from interarea.cosim.study.methods import hankel_row, inter_area_roots, order_rows
 from interarea.design.controllers.controller import Controller

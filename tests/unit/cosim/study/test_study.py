@@ -15,7 +15,8 @@ from scipy.linalg import expm
 
 from interarea.cosim.designs.design_file import family_plants, load_design
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.run.artefacts import design_controller, linear_plant
+from interarea.cosim.run.artefacts import linear_plant
+from interarea.cosim.run.controllers import design_controller
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.study.delay import least_damping

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from interarea.cosim.run.artefacts import active_bank, linear_plant
+from interarea.cosim.run.artefacts import linear_plant
+from interarea.cosim.run.controllers import active_bank
 from interarea.design.certificates.switching import (
     BankLoop,
     common_lyapunov,

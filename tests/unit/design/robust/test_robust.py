@@ -13,10 +13,10 @@ from independent.two_area import LOADS, OMEGA_B, VARIANTS, TwoArea
 from typer.testing import CliRunner
 
 from interarea.cli.app import app
-from interarea.cosim.designs.controller_file import any_controller
 from interarea.cosim.designs.design_file import load_design, specification_of
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.run.artefacts import controller_fmu
+from interarea.cosim.run.controller_fmu import controller_from_fmu
+from interarea.cosim.run.controllers import controller_fmu
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.delay.signal_conditions import condition_of, condition_of_many
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
@@ -188,7 +188,7 @@ def test_a_decentralised_design_keeps_its_parts_apart() -> None:
 
 def test_certificate_from_the_fmu_alone(cache: Path) -> None:
     shipped = shipped_controller("robust_linear")
-    again = any_controller(str(controller_fmu(shipped, OMEGA_B, cache)), OMEGA_B)
+    again = controller_from_fmu(controller_fmu(shipped, OMEGA_B, cache), OMEGA_B)
     for letter in "ABCD":
         assert getattr(again.system, letter) == pytest.approx(getattr(shipped.system, letter), rel=1e-12)
     assert again.inputs == shipped.inputs

@@ -10,12 +10,13 @@ import pytest
 from fmu_runner import Runner
 from scipy.integrate import solve_ivp
 
-from interarea.cosim.designs.bank_certificate import bank_from_fmu
+from interarea.cosim.run.controller_fmu import controller_from_fmu
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.bank import OFF, ControllerBank, load_controller
 from interarea.design.controllers.controller import Controller, ControllerError
 from interarea.fmu_build.write.package import build_fmu
+from interarea.models.blocks.channel import channel_block
 
 OMEGA_B = 2.0 * np.pi * 60.0
 SIGNALS = ("G2_dw", "G4_dw")
@@ -140,7 +141,7 @@ def test_limit_and_refusals(fmu: Path) -> None:
 
 def test_file_and_fmu_hold_the_same_bank(fmu: Path, tmp_path: Path) -> None:
     wanted = bank(return_s=0.3)
-    for found in (load_controller(wanted.save(tmp_path / "bank.json")), bank_from_fmu(fmu, OMEGA_B)):
+    for found in (load_controller(wanted.save(tmp_path / "bank.json")), controller_from_fmu(fmu, OMEGA_B)):
         assert isinstance(found, ControllerBank)
         assert found.return_s == 0.3 and [m.name for m in found.members] == ["both", "local"]
         for mine, theirs in zip(wanted.matrices().values(), found.matrices().values(), strict=True):
@@ -169,10 +170,12 @@ def test_bad_bank(change: dict[str, object], message: str) -> None:
         ControllerBank(**fields)  # type: ignore[arg-type]
 
 
-def test_fmu_without_a_bank(tmp_path: Path) -> None:
-    path = build_fmu(member("one", SIGNALS, 1).block(OMEGA_B), tmp_path / "one.fmu")
-    with pytest.raises(ControllerError, match="holds no bank"):
-        bank_from_fmu(path, OMEGA_B)
+def test_an_fmu_without_a_bank_is_one_controller_or_none(tmp_path: Path) -> None:
+    one = build_fmu(member("one", SIGNALS, 1).block(OMEGA_B), tmp_path / "one.fmu")
+    assert isinstance(controller_from_fmu(one, OMEGA_B), Controller)
+    other = build_fmu(channel_block(), tmp_path / "channel.fmu")
+    with pytest.raises(ControllerError, match=r"channel.fmu: has no parameter A\[1,1\]: no lin"):
+        controller_from_fmu(other, OMEGA_B)
 
 
 def test_scenario_with_a_bank(tmp_path: Path, cache: Path) -> None:

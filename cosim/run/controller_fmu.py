@@ -1,4 +1,4 @@
-"""A controller by its name: shipped, from a JSON file, or read back from its FMU alone."""
+"""A controller or a bank of them read back from its FMU alone."""
 
 from __future__ import annotations
 
@@ -12,36 +12,48 @@ from typing import Any
 import control
 import numpy as np
 
-from interarea.design.controllers.bundled import shipped_controller, shipped_names
+from interarea.design.controllers.bank import ControllerBank, bank_of_record
 from interarea.design.controllers.controller import RECORD, Controller, ControllerError, guard_of
+from interarea.fmu_build.open.description import ModelDescription
 from interarea.fmu_build.open.fmu_file import describe
+from interarea.models.blocks.binary_table import unpack_record
 
-from ..errors import nearest
+_ARRAYS = "resources/model.bin"  #: of a supervisor: the matrices of its members
 
 
-def any_controller(name: str, omega_b: float) -> Controller:
-    """Return a shipped controller, one from a JSON file, or one read from its FMU alone.
+def controller_from_fmu(path: Path, omega_b: float) -> Controller | ControllerBank:
+    """Return the linear controller, or the bank behind a supervisor, that an FMU is; speeds become rad/s.
 
-    Of an FMU the numbers are its parameters, design and certificate the record in its documentation.
+    The numbers are its parameters or its resources, design and certificate the record in its documentation.
+
+    Raises
+    ------
+    ControllerError : no such file, or the FMU of something else.
     """
-    if name in shipped_names():
-        return shipped_controller(name)
-    path = Path(name)
-    if path.is_dir():
-        raise ControllerError(f"controller {name}: is a folder, wanted: a JSON file or an FMU")
-    if path.suffix == ".fmu":
-        return _from_fmu(path, omega_b)
-    if not path.exists() and not path.suffix:
-        known = nearest(name, (*shipped_names(), "active", "wdc", "cc", "ftc"))
-        raise ControllerError(f"controller {name!r} is neither shipped nor a file; {known}")
-    return Controller.load(path)
-
-
-def _from_fmu(path: Path, omega_b: float) -> Controller:
-    """Read A, B, C, D (pu) and the limit from an FMU's parameters; speeds become rad/s."""
     if not path.is_file():
         raise ControllerError(f"controller FMU {path}: not found")
     description = describe(path)
+    weights = any(v.name.endswith(".weight") for v in description.variables)
+    return (_bank if weights else _linear)(path, description, omega_b)
+
+
+def _bank(path: Path, description: ModelDescription, omega_b: float) -> ControllerBank:
+    """Read a bank from the supervisor FMU that `ControllerBank.block` made."""
+    variables = {v.name: v for v in description.variables}
+    inputs = [n for n, v in variables.items() if v.causality == "input" and f"{n}_valid" in variables]
+    outputs = [n for n, v in variables.items() if v.causality == "output" and v.type == "Real"]
+    members = [n.removesuffix(".weight") for n in variables if n.endswith(".weight") and "der(" not in n]
+    with zipfile.ZipFile(path) as archive:
+        try:
+            arrays = unpack_record(archive.read(_ARRAYS))
+        except (KeyError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+            raise ControllerError(f"controller FMU {path}: {_ARRAYS}: {error}") from error
+    numbers = {n: v.number("start") or 0.0 for n, v in variables.items() if v.causality == "parameter"}
+    return bank_of_record(description.name, members, inputs, outputs, arrays, numbers, omega_b)
+
+
+def _linear(path: Path, description: ModelDescription, omega_b: float) -> Controller:
+    """Read A, B, C, D (pu) and the limit from an FMU's parameters."""
     variables = description.variables
     starts = {v.name: v.number("start") or 0.0 for v in variables if v.causality == "parameter"}
     inputs = [v.name for v in variables if v.causality == "input"]

@@ -1,0 +1,136 @@
+"""Which controller is meant by an object, a name or a file, and those that are designed for a case."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeAlias
+
+import control
+
+from interarea.design.certificates.closed_loop import certificate
+from interarea.design.controllers.bank import ControllerBank, load_controller
+from interarea.design.controllers.bundled import shipped_controller, shipped_names
+from interarea.design.controllers.controller import Controller, ControllerError
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.design.modes.modes import modes_of
+from interarea.fmu_build.write.cache import artefact, code_hash, content_hash, file_hash, numerics_versions
+from interarea.fmu_build.write.package import block_fmu
+from interarea.models.case.case import Case
+
+from ..errors import ScenarioError, nearest
+from ..scenario.scenario import CONTROLLER_NAMES, NAMED_CONTROLLERS
+from .artefacts import linear_plant, plant_fmu
+from .controller_fmu import controller_from_fmu
+
+#: What a controller can be given as: an object, a name, a file.
+ControllerLike: TypeAlias = "Controller | ControllerBank | control.StateSpace | str | Path"
+
+
+def controller_of(
+    which: ControllerLike, case: Case, cache: Path, *, folder: Path = Path()
+) -> Controller | ControllerBank | None:
+    """Return the controller that is meant: the object itself, a named one designed or bundled, one of a file.
+
+    which : a `Controller`, a bank, a `control.StateSpace` (inputs named by signal, speeds in rad/s, outputs
+        by actuator), a name (`NAMED_CONTROLLERS`), or its JSON file or FMU (from `folder`). None for "none".
+
+    Raises
+    ------
+    ScenarioError : neither a name nor a file. ControllerError : a file or numbers that cannot be used.
+    """
+    if isinstance(which, control.StateSpace):
+        return Controller.of(which)
+    if not isinstance(which, str | Path):
+        return which
+    name = str(which)
+    if name == "none":
+        return None
+    if name == "active":
+        return active_bank(case, cache)
+    if name in NAMED_CONTROLLERS:
+        return design_controller(case, name, cache)
+    path = folder / name
+    if path.is_dir():
+        raise ControllerError(f"controller {path}: is a folder, wanted: a JSON file or an FMU")
+    if path.suffix == ".fmu":
+        return controller_from_fmu(path, case.omega_b)
+    if not path.is_file():
+        raise ScenarioError(
+            f"controller = {name!r} is neither a name nor a file; {nearest(name, NAMED_CONTROLLERS)} "
+            "(or the path of a controller file)"
+        )
+    return load_controller(path)
+
+
+def design_controller(case: Case, name: str, cache: Path, *, reduce: bool = True) -> Controller:
+    """Return controller `name` (wdc | cc | ftc) of a case, designed and certified when it is new.
+
+    The conventional controller (cc) is the one with the normal damping of the fault-tolerant one (ftc), so
+    that the two compare. reduce : False keeps the order that synthesis gave.
+
+    Raises
+    ------
+    ValueError : an unknown name. InfeasibleDesign, UncertifiedDesign : as the design says.
+    """
+    if name in shipped_names():
+        return shipped_controller(name)
+    if name not in CONTROLLER_NAMES:
+        raise ValueError(f"controller {name!r} is not known; {nearest(name, NAMED_CONTROLLERS)}")
+    key = content_hash(
+        [name, reduce],
+        file_hash(plant_fmu(case, cache)),
+        code_hash("interarea.design.synthesis.study_designs"),
+        code_hash(certificate.__module__),
+        numerics_versions(),
+    )
+    path = artefact(
+        cache, "controllers", f"{name}-{key}", ".json", lambda p: _design(case, name, cache, reduce).save(p)
+    )
+    return Controller.load(path)
+
+
+def designed_anew(case: Case, name: str, cache: Path) -> Controller:
+    """Design controller `name` (wdc | cc | ftc) of a case again, whatever the cache holds of it."""
+    return _design(case, name, cache, True)
+
+
+def _design(case: Case, name: str, cache: Path, reduce: bool) -> Controller:
+    from interarea.design.synthesis import study_designs as designs
+
+    relative = remove_reference(linear_plant(case, cache))
+    order = {} if reduce else {"order": relative.nstates}
+    if name == "wdc":
+        made = designs.design_wdc(relative, replace(designs.WdcSpec(), **order), omega_b=case.omega_b)
+    elif name == "ftc":
+        made = designs.design_ftc(relative, replace(designs.FtcSpec(), **order), omega_b=case.omega_b)
+    else:
+        spec = replace(designs.CcSpec(), **order)
+        reference = design_controller(case, "ftc", cache)
+        made = designs.design_cc_like(reference, relative, spec, omega_b=case.omega_b)
+    if not reduce:
+        return made
+    plant = speeds_in_rad(relative, case.omega_b)
+    return replace(made, certificate=certificate(plant, made, modes_of(relative, case.areas)))
+
+
+def active_bank(case: Case, cache: Path) -> ControllerBank:
+    """Return the bank of controllers with its switching certificate, designed when it is new."""
+    key = content_hash(
+        file_hash(plant_fmu(case, cache)),
+        code_hash("interarea.design.certificates.bank_design"),
+        numerics_versions(),
+    )
+
+    def make(path: Path) -> Path:
+        from interarea.design.certificates.bank_design import design_active
+
+        relative = remove_reference(linear_plant(case, cache))
+        return design_active(relative, omega_b=case.omega_b).save(path)
+
+    return ControllerBank.load(artefact(cache, "controllers", f"active-{key}", ".json", make))
+
+
+def controller_fmu(controller: Controller | ControllerBank, omega_b: float, cache: Path) -> Path:
+    """Return the FMU of a controller: pu in, pu out; `omega_b` in rad/s."""
+    return block_fmu(controller.block(omega_b), cache)

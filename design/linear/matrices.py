@@ -1,0 +1,32 @@
+"""A linear system as plain matrices with names: what modes are read from, without python-control."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Matrix = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LinearMatrices:
+    """dx/dt = A x + B u, y = C x + D u with the names that a `control.StateSpace` would have.
+
+    A (n, n), B (n, m), C (p, n), D (p, m).
+    """
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    state_labels: Sequence[str]
+    input_labels: Sequence[str]
+    output_labels: Sequence[str]
+
+    @property
+    def nstates(self) -> int:
+        """The number n of states."""
+        return len(self.state_labels)
