@@ -10,6 +10,8 @@ Paths (the first word says where):
     controller.gain                 factor on what the controller puts out (before its limit)
     controller.PARAMETER            any parameter of its FMU, such as limit or "A[1,1]"
     channels.NAME.KEY               any entry of a channel; NAME may be *
+    concentrators.NAME.KEY          any entry of a concentrator, NAME may be *; signals.K.KEY: of its signal K
+    fmus.NAME.start.VARIABLE        start value of an FMU of one's own
     event.K.KEY                     entry of event K, counted from 1
     stop_s, step_s, master.KEY      the run itself
 """
@@ -22,17 +24,28 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from interarea.fmu_build.open.fmu_file import describe
 from interarea.models.case.case import Case
 from interarea.models.case.variants import operating_variant
 
 from ..errors import SweepError, nearest
-from ..scenario.scenario import ChannelTable, MasterTable, Scenario, load_scenario
+from ..scenario.scenario import (
+    ChannelTable,
+    ConcentratorTable,
+    MasterTable,
+    Scenario,
+    SignalTable,
+    load_scenario,
+)
 from .spec import Path_, Sweep, scenario_document
 from .values import Value, derived_seed
 
 OPERATING = ("tie_flow_mw", "load_scale", "out")
 CASE_TABLES = ("buses", "branches", "shunts", "loads", "machines")
-_ROOTS = ("seed", "case", "controller", "channels", "event", "stop_s", "step_s", "master")
+_ROOTS = (
+    *("seed", "case", "controller", "channels", "concentrators", "event", "fmus"),
+    *("stop_s", "step_s", "master"),
+)
 
 
 @dataclass(frozen=True)
@@ -143,10 +156,8 @@ def check_paths(sweep: Sweep, case: Case, controller_parameters: set[str]) -> No
                     raise SweepError(
                         f"{where} and parameters.{owner} ({'.'.join(other)!r}) overwrite each other"
                     )
-                if {words[0], other[0]} == {"seed", "channels"} and "seed" in (words[-1], other[-1]):
-                    seeds = words if words[0] == "channels" else other
-                    if seeds[-1] == "seed":
-                        raise SweepError(f"{where} and parameters.{owner} both set the seed of a channel")
+                if ("seed",) in (words, other) and words[-1] == other[-1] == "seed":
+                    raise SweepError(f"{where} and parameters.{owner} both set the seed of a channel")
             taken[words] = name
     search = sweep.searched
     if search is not None and search[1].seeds > 1 and any(w[0] == "seed" for w in taken):
@@ -160,37 +171,87 @@ def _check_path(sweep: Sweep, case: Case, parameters: set[str], words: Path_, wh
     root, rest = words[0], words[1:]
     if root not in _ROOTS:
         raise SweepError(f"{where}: {root!r} is nothing that can be varied; {nearest(root, _ROOTS)}")
-    if root in ("seed", "stop_s", "step_s"):
-        _no_more(where, root, rest)
-    elif root == "channels":
-        if len(rest) < 2:
-            raise SweepError(f"{where}: allowed: channels.NAME.KEY")
-        _among(where, rest[0], list(sweep.base.channels), "channel")
-        _among(where, rest[1], list(ChannelTable.model_fields), "key of a channel")
-        if len(rest) > 2 and rest[1] not in ("loss", "latency"):
-            raise SweepError(f"{where}: {rest[1]} has no entries of its own")
-    elif root == "event":
-        count = len(sweep.base.event)
-        if len(rest) != 2 or not rest[0].isdecimal() or not 1 <= int(rest[0]) <= count:
-            raise SweepError(f"{where}: allowed: event.K.KEY with K from 1 to {count}")
-        _among(
-            where, rest[1], list(type(sweep.base.event[int(rest[0]) - 1]).model_fields), "key of this event"
-        )
-    elif root == "master":
-        if len(rest) != 1:
-            raise SweepError(f"{where}: allowed: master.KEY")
-        _among(where, rest[0], list(MasterTable.model_fields), "key of the master")
-    elif root == "controller" and rest:
-        if len(rest) > 1:
-            raise SweepError(f"{where}: allowed: controller, controller.gain, controller.PARAMETER")
-        if not parameters:
-            raise SweepError(f"{where}: the scenario has no controller")
-        _among(where, rest[0], ["gain", *sorted(parameters)], "parameter of the controller")
-    elif root == "case" and len(rest) == 1:
+    if root == "controller":
+        _check_controller(parameters, rest, where)
+    elif root == "case":
+        _check_case(case, rest, where)
+    elif root in ("seed", "stop_s", "step_s"):
+        if rest:
+            raise SweepError(f"{where}: {root} has no entries of its own")
+    else:
+        checks = {
+            "channels": _check_channel,
+            "concentrators": _check_concentrator,
+            "event": _check_event,
+            "fmus": _check_fmu,
+            "master": _check_master,
+        }
+        checks[root](sweep.base, rest, where)
+
+
+def _check_channel(base: Scenario, rest: Path_, where: str) -> None:
+    if len(rest) < 2:
+        raise SweepError(f"{where}: allowed: channels.NAME.KEY")
+    _among(where, rest[0], list(base.channels), "channel")
+    _among(where, rest[1], list(ChannelTable.model_fields), "key of a channel")
+    if len(rest) > 2 and rest[1] not in ("loss", "latency"):
+        raise SweepError(f"{where}: {rest[1]} has no entries of its own")
+
+
+def _check_concentrator(base: Scenario, rest: Path_, where: str) -> None:
+    if len(rest) < 2:
+        raise SweepError(f"{where}: allowed: concentrators.NAME.KEY")
+    _among(where, rest[0], list(base.concentrators), "concentrator")
+    _among(where, rest[1], list(ConcentratorTable.model_fields), "key of a concentrator")
+    if rest[1] == "signals":
+        count = len(base.concentrators[rest[0]].signals)
+        if len(rest) != 4 or not rest[2].isdecimal() or not 1 <= int(rest[2]) <= count:
+            raise SweepError(
+                f"{where}: allowed: concentrators.{rest[0]}.signals.K.KEY with K from 1 to {count}"
+            )
+        _among(where, rest[3], list(SignalTable.model_fields), "key of a concentrator's signal")
+    elif len(rest) > 2:
+        raise SweepError(f"{where}: {rest[1]} has no entries of its own")
+
+
+def _check_event(base: Scenario, rest: Path_, where: str) -> None:
+    count = len(base.event)
+    if len(rest) != 2 or not rest[0].isdecimal() or not 1 <= int(rest[0]) <= count:
+        raise SweepError(f"{where}: allowed: event.K.KEY with K from 1 to {count}")
+    _among(where, rest[1], list(type(base.event[int(rest[0]) - 1]).model_fields), "key of this event")
+
+
+def _check_fmu(base: Scenario, rest: Path_, where: str) -> None:
+    if rest:
+        _among(where, rest[0], list(base.fmus), "FMU of the scenario")
+    if len(rest) != 3 or rest[1] != "start":
+        raise SweepError(f"{where}: allowed: fmus.NAME.start.VARIABLE")
+    variables = describe(base.folder / base.fmus[rest[0]].file).variables
+    _among(where, rest[2], [v.name for v in variables], f"variable of {base.fmus[rest[0]].file}")
+
+
+def _check_master(_: Scenario, rest: Path_, where: str) -> None:
+    if len(rest) != 1:
+        raise SweepError(f"{where}: allowed: master.KEY")
+    _among(where, rest[0], list(MasterTable.model_fields), "key of the master")
+
+
+def _check_controller(parameters: set[str], rest: Path_, where: str) -> None:
+    if not rest:
+        return
+    if len(rest) > 1:
+        raise SweepError(f"{where}: allowed: controller, controller.gain, controller.PARAMETER")
+    if not parameters:
+        raise SweepError(f"{where}: the scenario has no controller")
+    _among(where, rest[0], ["gain", *sorted(parameters)], "parameter of the controller")
+
+
+def _check_case(case: Case, rest: Path_, where: str) -> None:
+    if len(rest) == 1:
         _among(where, rest[0], [*OPERATING, *CASE_TABLES], "part of a case")
         if rest[0] in CASE_TABLES:
             raise SweepError(f"{where}: allowed: case.{rest[0]}.ROW.KEY")
-    elif root == "case" and rest:
+    elif rest:
         _check_case_path(case, rest, where)
 
 
@@ -209,11 +270,6 @@ def _check_case_path(case: Case, rest: Path_, where: str) -> None:
 def _among(where: str, word: str, known: Any, what: str) -> None:
     if word not in known:
         raise SweepError(f"{where}: {word!r} is no {what}; {nearest(word, known)}")
-
-
-def _no_more(where: str, root: str, rest: Path_) -> None:
-    if rest:
-        raise SweepError(f"{where}: {root} has no entries of its own")
 
 
 def check_values(sweep: Sweep, case: Case) -> None:
@@ -243,7 +299,7 @@ def check_values(sweep: Sweep, case: Case) -> None:
 
 
 def _put(table: dict[str, Any], words: Path_, value: Value) -> None:
-    """Set an entry of a scenario's table; events are counted from 1."""
+    """Set an entry of a scenario's table; events and signals are counted from 1."""
     plain: Any = list(value) if isinstance(value, tuple) else value
     place: Any = table
     for word in words[:-1]:

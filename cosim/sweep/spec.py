@@ -100,10 +100,13 @@ class Sweep(Table):
         found: list[Path_] = []
         for text in (name,) if given is None else (given,) if isinstance(given, str) else given:
             words = split_path(text, f"parameters.{name}")
-            if words[0] == "channels" and len(words) > 1 and words[1] == "*":
-                if not self.base.channels:
-                    raise SweepError(f"parameters.{name}: path = {text!r}, but the scenario has no channels")
-                found += [("channels", c, *words[2:]) for c in self.base.channels]
+            if words[0] in ("channels", "concentrators") and words[1:2] == ("*",):
+                lines = getattr(self.base, words[0])
+                if not lines:
+                    raise SweepError(
+                        f"parameters.{name}: path = {text!r}, but the scenario has no {words[0]}"
+                    )
+                found += [(words[0], line, *words[2:]) for line in lines]
             else:
                 found.append(words)
         return tuple(found)
@@ -161,6 +164,7 @@ class Sweep(Table):
             elif words[-1] in (
                 "latency_s",
                 "pdc_wait_s",
+                "wait_s",
                 "start_s",
                 "end_s",
                 "stop_s",

@@ -1,0 +1,82 @@
+"""Keys of concentrators and start values of own FMUs as parameters of a sweep."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import pytest
+from whims import whims_fmu
+
+from interarea.cosim.errors import SweepError
+from interarea.cosim.run.run import run_scenario
+from interarea.cosim.sweep.plan import plan_sweep
+from interarea.cosim.sweep.runner import Runner
+from interarea.cosim.sweep.spec import load_sweep
+
+WAYS = [{"signal": "G2_dw", "latency_s": 0.04}, {"signal": "G4_dw", "latency_s": 0.09, "loss": 0.2}]
+PDC = {"pdc": {"wait_s": 0.1, "seed": 5, "signals": WAYS}}
+ALIGNED = {"channels": {}, "concentrators": PDC, "stop_s": 2.0}
+
+
+def rows_of(table: dict[str, Any], cache: Path, scratch: Path) -> list[dict[str, Any]]:
+    plan = plan_sweep(load_sweep(table), cache)
+    with Runner(plan, cache, scratch) as runner:
+        return [outcome.row for outcome in runner.outcomes(range(plan.sweep.size))]
+
+
+def test_keys_of_a_concentrator_do_what_the_same_keys_of_a_scenario_do(
+    document: Any, cache: Path, tmp_path: Path
+) -> None:
+    """Each run of the sweep is, to the bit, the scenario with these values written into it."""
+    wait = {"path": "concentrators.*.wait_s", "values": [0.03, 0.12]}
+    late = {"path": "concentrators.pdc.signals.2.latency_s", "values": [0.02, 0.09]}
+    table = document(ALIGNED, parameters={"wait": wait, "late": late})
+    rows = rows_of(table, cache, tmp_path)
+    assert len(rows) == 4 and len({row["energy_pu2s"] for row in rows}) == 4
+    for row in rows[1:3]:
+        scenario = copy.deepcopy(table["scenario"])
+        scenario["concentrators"]["pdc"]["wait_s"] = row["wait"]
+        scenario["concentrators"]["pdc"]["signals"][1]["latency_s"] = row["late"]
+        assert row["energy_pu2s"] == run_scenario(scenario, cache=cache).metrics.energy_pu2s
+
+
+def test_start_values_of_an_own_fmu_reach_it(document: Any, cache: Path, tmp_path: Path) -> None:
+    """An FMU that ends its process at 0.3 s is told so by the sweep: only the run that asks for it fails."""
+    mine = {"file": str(whims_fmu(tmp_path)), "isolate": True}
+    scenario = {
+        "fmus": {"mine": mine},
+        "connections": [["plant.G1_dw", "mine.u"]],
+        "event": [],
+        "stop_s": 0.6,
+    }
+    ends = {"path": "fmus.mine.start.abort_at", "values": [0.3, 9.0]}
+    rows = rows_of(document(scenario, parameters={"ends": ends}), cache, tmp_path)
+    assert [row["status"] for row in rows] == ["failed", "ok"]
+
+
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [
+        ("concentrators.pdk.wait_s", "'pdk' is no concentrator; did you mean 'pdc'"),
+        ("concentrators.pdc.wait", "'wait' is no key of a concentrator; did you mean 'wait_s'"),
+        ("concentrators.pdc.signals.3.loss", r"concentrators\.pdc\.signals\.K\.KEY with K from 1 to 2"),
+        ("concentrators.pdc.signals.1.lost", "'lost' is no key of a concentrator's signal"),
+        ("concentrators.pdc.wait_s.more", "wait_s has no entries of its own"),
+        ("fmus.mine.abort_at", r"allowed: fmus\.NAME\.start\.VARIABLE"),
+        ("fmus.mine.start.abort", "'abort' is no variable of .*fmu; did you mean 'abort_at'"),
+        ("fmus.yours.start.x0", "'yours' is no FMU of the scenario"),
+    ],
+)
+def test_paths_that_lead_nowhere(document: Any, cache: Path, tmp_path: Path, path: str, said: str) -> None:
+    fmus = {"mine": {"file": str(whims_fmu(tmp_path))}}
+    scenario = ALIGNED | {"fmus": fmus, "connections": [["plant.G1_dw", "mine.u"]]}
+    with pytest.raises(SweepError, match=said):
+        plan_sweep(load_sweep(document(scenario, parameters={"p": {"path": path, "values": [1.0]}})), cache)
+
+
+def test_one_seed_for_all_and_a_seed_of_a_concentrator_contradict(document: Any, cache: Path) -> None:
+    both = {"a": {"path": "seed", "values": [1]}, "b": {"path": "concentrators.pdc.seed", "values": [1]}}
+    with pytest.raises(SweepError, match="both set the seed"):
+        plan_sweep(load_sweep(document(ALIGNED, parameters=both)), cache)
