@@ -1,0 +1,131 @@
+"""Pages that follow from what the package holds: public names, devices, variables of FMUs, the explorer.
+
+A Sphinx extension: everything is written before the sources are read, into docs/generated (not kept by git)
+and docs/site/static.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import typer
+
+import interarea as ia
+from interarea.cli.app import COMMANDS, load
+from interarea.cosim.explorer.page import write_explorer
+from interarea.fmu_build.write.cache import default_cache
+from interarea.models.blocks.channel import channel_block
+from interarea.models.blocks.plant import plant_block
+from interarea.models.blocks.variables import Block
+from interarea.models.devices.document import diagram_text, range_text
+from interarea.models.devices.library import library
+
+HERE = Path(__file__).resolve().parent
+GENERATED = HERE.parent / "generated"
+_KINDS = {
+    "grids": "Grids",
+    "synthesis": "Controllers",
+    "simulation": "Simulation",
+    "exchange": "FMUs and SSPs",
+}
+
+
+def python_page() -> Iterator[str]:
+    """Every public name, in the order of the front door, from its docstring."""
+    yield "# Python"
+    yield ""
+    yield "For those who write scripts: every public name of `import interarea as ia`, with shapes, units, errors and an"
+    yield "example. What is not here may change without notice."
+    places = ia._PLACE  # module of each public name
+    for module, title in (*_KINDS.items(), ("", "Objects and errors")):
+        yield from ("", f"## {title}", "")
+        for name, place in places.items():
+            if (place == module) if module else (place not in _KINDS):
+                kind = "autoclass" if isinstance(getattr(ia, name), type) else "autofunction"
+                options = "   :members:\n   :no-index-entry:\n" if kind == "autoclass" else ""
+                yield f"```{{eval-rst}}\n.. {kind}:: interarea.{name}\n{options}```\n"
+
+
+def commands_page() -> Iterator[str]:
+    """Every command with its arguments and options, from the command line itself."""
+    yield "# Commands"
+    yield ""
+    yield "For those who type: every command of `interarea` with its options. Exit code 0: done; 1: what was asked is not"
+    yield "reached (a certificate, a check, not a single good run of a sweep); 2: a mistake, told in one line."
+    for name, (_, line) in COMMANDS.items():
+        command = load(name)
+        context = typer.Context(command, info_name=name)
+        usage = " ".join(command.collect_usage_pieces(context))
+        yield from ("", f"## {name}", "", line, "")
+        yield from ("```", f"interarea {name} {usage}", "```", "", "| | what it is |", "|---|---|")
+        for p in command.params:
+            if not getattr(p, "hidden", False):
+                shown = ", ".join(p.opts) if p.opts[0].startswith("-") else p.metavar or p.name.upper()
+                words = getattr(p, "help", "") or ""
+                default = "" if p.default in (None, "", False, ()) or callable(p.default) else f" (default: {p.default})"
+                yield f"| `{shown}` | {words}{default} |".replace("\n", " ")
+
+
+def devices_page() -> Iterator[str]:
+    """Every device: diagram, parameters, records, what it was held against."""
+    yield "# Devices"
+    yield ""
+    yield "For those who import or write a case: the exciters, governors, stabilizers and compensators that a machine can"
+    yield "have. After this page you know the key of each, its parameters and its signal flow. Each is one TOML file in"
+    yield "`models/devices`; the C, the import of PSS/E records and this page are made from it."
+    for key, model in library().items():
+        device = model.device
+        yield from ("", f"## {device.name}", "", f"{device.title}: `kind = \"{key}\"` of a machine's {device.kind}.", "")
+        yield from ("```", diagram_text(device).strip("\n"), "```", "")
+        yield from ("| parameter | unit | allowed | what it is |", "|---|---|---|---|")
+        for p in device.parameters:
+            cells = (f"`{p.name}`", p.unit, range_text(p), p.text)
+            yield "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
+        yield from ("", f"Source: {'; '.join(device.sources)}. Held against: {device.oracle or 'nothing'}.")
+
+
+def variables_page() -> Iterator[str]:
+    """The variables of the FMUs that the package builds, of one grid and of a channel."""
+    yield "# Variables of the FMUs"
+    yield ""
+    yield "For those who load an FMU in another tool: the name, role and unit of every variable. The plant's names carry"
+    yield "the ids of the case; here those of `two-area-thesis`, where `G1` stands for any machine. A controller's FMU has"
+    yield "its signals as inputs and its actuators as outputs."
+    case = ia.load_case("two-area-thesis")
+    for title, block in (("Plant", plant_block(case)), ("Channel", channel_block())):
+        yield from ("", f"## {title}", "", "| variable | role | unit | what it is |", "|---|---|---|---|")
+        yield from _rows(block)
+
+
+def _rows(block: Block) -> Iterator[str]:
+    first: set[str] = set()
+    for v in block.table:
+        kind = "".join("#" if c.isdigit() else c for c in v.name)  # one row for G1, G2, ...
+        if kind in first:
+            continue
+        first.add(kind)
+        cells = (f"`{v.name}`", v.role, v.unit, v.description)
+        yield "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
+
+
+def write_pages(pages: dict[str, Iterable[str]]) -> None:
+    """Write what has changed, so that an unchanged page is not read again."""
+    GENERATED.mkdir(exist_ok=True)
+    for name, lines in pages.items():
+        text = "\n".join(lines) + "\n"
+        file = GENERATED / f"{name}.md"
+        if not file.is_file() or file.read_text(encoding="utf-8") != text:
+            file.write_text(text, encoding="utf-8")
+
+
+def _write_all(*_: object) -> None:
+    write_pages({"python": python_page(), "commands": commands_page(), "devices": devices_page(), "variables": variables_page()})
+    (HERE / "static").mkdir(exist_ok=True)
+    write_explorer("wide-area-damping", HERE / "static" / "explorer.html", cache=default_cache())
+
+
+def setup(app: object) -> dict[str, bool]:
+    """Sphinx calls this."""
+    app.connect("config-inited", _write_all)  # type: ignore[attr-defined]
+    return {"parallel_read_safe": True}
