@@ -7,7 +7,7 @@ OUT    ?= out/thesis
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: study test test-fast test-slow lint types bench clean
+.PHONY: study test test-fast test-slow lint types docs bench clean
 
 study: $(VENV)/installed
 	$(BIN)/interarea study thesis --out $(OUT)
@@ -31,6 +31,10 @@ types: $(VENV)/installed-test
 	$(BIN)/pip install --quiet --no-deps --target build/typecheck -C platforms=none .
 	cd build/typecheck && ../../$(BIN)/python -m mypy --config-file ../../pyproject.toml \
 	    -p interarea
+
+# The site, from disk: build/docs/index.html. A warning is an error.
+docs: $(VENV)/installed-docs
+	$(BIN)/python -m sphinx -b html -W --keep-going -q docs build/docs
 
 # A benchmark that misses what it wants says so with exit code 1; the others still run.
 bench: $(VENV)/installed-bench
@@ -56,7 +60,11 @@ $(VENV)/installed: $(VENV)/bin/python pyproject.toml
 	touch $@
 
 $(VENV)/installed-test: $(VENV)/bin/python pyproject.toml
-	$(BIN)/pip install --quiet -e ".[test,cluster]"
+	$(BIN)/pip install --quiet -e ".[test,cluster,docs]"
+	touch $@ $(VENV)/installed
+
+$(VENV)/installed-docs: $(VENV)/bin/python pyproject.toml
+	$(BIN)/pip install --quiet -e ".[build,docs]"
 	touch $@ $(VENV)/installed
 
 $(VENV)/installed-bench: $(VENV)/installed-test

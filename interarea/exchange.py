@@ -43,6 +43,11 @@ def build_fmu(
     Raises
     ------
     UserError : a thing that is no model. InterareaError : no compiler for a platform.
+
+    Examples
+    --------
+    >>> build_fmu("channel", "channel.fmu").name
+    'channel.fmu'
     """
     cache = default_cache()
     fmu = block_fmu(_block(thing, case), cache, platforms=platforms)
@@ -79,6 +84,11 @@ def write_ssp(
     Raises
     ------
     UserError : a mistake in the scenario.
+
+    Examples
+    --------
+    >>> write_ssp("lost-signal", "loop.ssp").name
+    'loop.ssp'
     """
     from interarea.cosim.export.ssp import write_ssp as write
     from interarea.cosim.scenario.scenario import load_scenario
@@ -92,6 +102,11 @@ def write_container(
     """Write plant, channels and controller of a scenario as one FMU that simulates by itself.
 
     Parameters and errors as `write_ssp`.
+
+    Examples
+    --------
+    >>> write_container("lost-signal", "loop.fmu").name
+    'loop.fmu'
     """
     from interarea.cosim.export.container import write_container as write
     from interarea.cosim.scenario.scenario import load_scenario
@@ -109,5 +124,10 @@ def check(path: str | Path, *, run: bool = True) -> Report:
     Raises
     ------
     UserError : no such file, or neither an FMU nor an SSP.
+
+    Examples
+    --------
+    >>> check("channel.fmu", run=False).clean  # the one made by `build_fmu`
+    True
     """
     return check_file(Path(path), run=run)

@@ -148,7 +148,8 @@ def page(kind: str) -> str:
     lines = [
         f"# {kind}",
         "",
-        f"A file of kind `{kind}`: {kinds()[kind]}. Made by `docs/formats/make.py`.",
+        f"For those who write a file of kind `{kind}`: {kinds()[kind]}. Every key with its unit, range, default "
+        "and an example; made by `docs/formats/make.py` from the models that check the files.",
         "",
     ]
     if "properties" in made:
@@ -157,6 +158,8 @@ def page(kind: str) -> str:
     for name, part in sorted(made.get("$defs", {}).items()):
         if "properties" in part and name not in elsewhere:
             lines += _table(name, part, comments, examples)
+    start = "" if kind == "events" else f" `interarea new {kind}` writes one to start from."
+    lines += [f"Next: [the commands that take it](../generated/commands.md).{start}"]
     return "\n".join(lines).rstrip() + "\n"
 
 

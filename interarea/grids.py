@@ -65,6 +65,12 @@ def import_case(
     Raises
     ------
     UserError : no such file, another format, or what has no counterpart, by name.
+
+    Examples
+    --------
+    >>> grid = import_case("grid.raw", dyr="grid.dyr")
+    >>> [machine.name for machine in grid.machines]
+    ['G1', 'G2', 'G3', 'G4']
     """
     from interarea.models.importers.file import import_grid
 
@@ -98,6 +104,11 @@ def linearise(case: Case | str | Path, *, reference: bool = False) -> control.St
     Raises
     ------
     UserError : no such case, or no operating point.
+
+    Examples
+    --------
+    >>> linearise("two-area-thesis").nstates
+    55
     """
     system = linear_plant(case_like(case), default_cache())
     return system if reference else remove_reference(system)
@@ -109,6 +120,12 @@ def modes(case: Case | str | Path) -> SwingModes:
     Raises
     ------
     UserError : no such case, or swing modes that cannot be told apart.
+
+    Examples
+    --------
+    >>> found = modes("two-area-thesis")
+    >>> f"{found.inter_area.frequency_hz:.3f} Hz, {found.inter_area.damping_ratio:.3f}"
+    '0.623 Hz, 0.081'
     """
     loaded = case_like(case)
     return SwingModes.of(modes_of(linear_plant(loaded, default_cache()), loaded.areas), loaded)
@@ -120,6 +137,11 @@ def loops(case: Case | str | Path) -> RankedLoops:
     Raises
     ------
     UserError : no such case, or no inter-area mode.
+
+    Examples
+    --------
+    >>> loops("two-area-thesis").selected.actuator
+    'G4_vs'
     """
     loaded = case_like(case)
     system = remove_reference(linear_plant(loaded, default_cache()))
@@ -139,6 +161,12 @@ def reduce(system: control.StateSpace, order: int, *, method: str = "balanced") 
     Raises
     ------
     UserError : an order out of range, or an unknown method.
+
+    Examples
+    --------
+    >>> plant = linearise("two-area-thesis")
+    >>> reduce(plant[["G4_dw"], ["G4_vs"]], 8).system.nstates
+    8
     """
     if method not in _METHODS:
         raise ReductionError(f"method = {method!r}, allowed: {', '.join(_METHODS)}")

@@ -31,6 +31,11 @@ class Channel(ChannelTable):
     Raises
     ------
     UserError : a key or value that a channel does not take.
+
+    Examples
+    --------
+    >>> Channel(signal="G2_dw", latency_s=0.1).latency_s
+    0.1
     """
 
     def __init__(self, **keys: Any) -> None:
@@ -63,6 +68,12 @@ def simulate(
     Raises
     ------
     UserError : a mistake in the scenario. StepError : an FMU failed; has the trajectory so far.
+
+    Examples
+    --------
+    >>> run = simulate("lost-signal")
+    >>> run.stable
+    True
     """
     if case is not None and isinstance(scenario, Mapping):
         scenario = {**scenario, "case": case_like(case).name}
@@ -109,6 +120,19 @@ def sweep(
     Raises
     ------
     UserError : a mistake in the sweep, or `out` holds another one.
+
+    Examples
+    --------
+    >>> found = sweep(
+    ...     {
+    ...         "scenario": "ring-down",
+    ...         "parameters": {"size": {"path": "event.1.size_pu", "values": [0.02, 0.04]}},
+    ...     },
+    ...     out="sweep",
+    ...     workers=1,
+    ... )
+    >>> list(found.to_frame()["stable"])
+    [True, True]
     """
     from interarea.cosim.sweep.front import run_sweep
 
@@ -122,6 +146,11 @@ def read_sweep(folder: str | Path) -> SweepResults:
     Raises
     ------
     UserError : no results there.
+
+    Examples
+    --------
+    >>> len(read_sweep("sweep").to_frame())  # the one made by `sweep`
+    2
     """
     from interarea.cosim.sweep.store import read_plan
 

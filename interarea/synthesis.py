@@ -50,6 +50,26 @@ def design_controller(
     Raises
     ------
     UserError : a mistake in the design. InfeasibleDesign : a mode out of reach, or no stable start.
+
+    Examples
+    --------
+    >>> made = design_controller(
+    ...     {
+    ...         "name": "quick",
+    ...         "case": "two-area-thesis",
+    ...         "remote": "G2_dw",
+    ...         "local": "G4_dw",
+    ...         "actuator": "G4_vs",
+    ...         "order": 2,
+    ...         "conditions": ["N", "L"],
+    ...         "point": [{"name": "base"}],
+    ...         "starts": 1,
+    ...         "evaluations": 100,
+    ...         "polishes": 0,
+    ...     }
+    ... )
+    >>> made.order, made.certificate["rows"][0]["stable"]
+    (2, True)
     """
     table = _table(spec, case)
     return run_design(table, default_cache(), progress=progress).controller
@@ -65,6 +85,11 @@ def load_controller(
     Raises
     ------
     UserError : no such controller, or a file of something else.
+
+    Examples
+    --------
+    >>> load_controller("robust").inputs
+    ('G2_dw', 'G4_dw')
     """
     made = controller_of(name, case_like(case), default_cache())
     if made is None:
@@ -104,6 +129,11 @@ def certify(
     Raises
     ------
     UserError : no such controller, case or design.
+
+    Examples
+    --------
+    >>> bool(certify("robust_linear").to_frame()["worst_swing"].min() > 0.24)
+    True
     """
     table = _table(spec or "robust", case)
     loaded = table.grid

@@ -31,12 +31,37 @@ _KINDS = {
 }
 
 
+#: an example of each command
+EXAMPLES = {
+    "list": "interarea list --json",
+    "cases": "interarea cases",
+    "show": "interarea show lost-signal",
+    "new": "interarea new scenario --out mine.toml",
+    "modes": "interarea modes kundur-pss --shapes --tie-flow 100",
+    "loops": "interarea loops two-area-thesis",
+    "run": "interarea run lost-signal --out out/run --explain",
+    "sweep": "interarea sweep examples/latency_loss.toml --out out/sweep",
+    "maps": "interarea maps out/sweep",
+    "explore": "interarea explore two-area-thesis --out page.html",
+    "design": "interarea design robust --out robust.json",
+    "certify": "interarea certify robust --acceptance",
+    "build": "interarea build two-area-thesis --controller robust --platforms linux64,win64 --out fmus",
+    "ssp": "interarea ssp lost-signal --out loop.ssp",
+    "container": "interarea container lost-signal --out loop.fmu",
+    "check": "interarea check loop.ssp",
+    "import": "interarea import docs/tutorial/grid.raw --dyr docs/tutorial/grid.dyr --out grid.toml",
+    "export": "interarea export new-england --out grid.raw",
+    "cache": "interarea cache --check",
+    "study": "interarea study thesis --out out/thesis --no-second-solver",
+}
+
+
 def python_page() -> Iterator[str]:
     """Every public name, in the order of the front door, from its docstring."""
     yield "# Python"
     yield ""
-    yield "For those who write scripts: every public name of `import interarea as ia`, with shapes, units, errors and an"
-    yield "example. What is not here may change without notice."
+    yield "For those who write scripts: every public name of `import interarea as ia`, with shapes, units,"
+    yield "errors and an example. What is not here may change without notice."
     places = ia._PLACE  # module of each public name
     for module, title in (*_KINDS.items(), ("", "Objects and errors")):
         yield from ("", f"## {title}", "")
@@ -51,19 +76,33 @@ def commands_page() -> Iterator[str]:
     """Every command with its arguments and options, from the command line itself."""
     yield "# Commands"
     yield ""
-    yield "For those who type: every command of `interarea` with its options. Exit code 0: done; 1: what was asked is not"
-    yield "reached (a certificate, a check, not a single good run of a sweep); 2: a mistake, told in one line."
+    yield "For those who type: every command of `interarea` with its options. Exit code 0: done; 1: what was"
+    yield "asked is not reached (a certificate, a check, not a single good run of a sweep); 2: a mistake, told"
+    yield "in one line."
     for name, (_, line) in COMMANDS.items():
         command = load(name)
         context = typer.Context(command, info_name=name)
         usage = " ".join(command.collect_usage_pieces(context))
         yield from ("", f"## {name}", "", line, "")
-        yield from ("```", f"interarea {name} {usage}", "```", "", "| | what it is |", "|---|---|")
+        yield from (
+            "```",
+            f"interarea {name} {usage}",
+            f"# {EXAMPLES[name]}",
+            "```",
+            "",
+            "| | what it is |",
+            "|---|---|",
+        )
         for p in command.params:
             if not getattr(p, "hidden", False):
-                shown = ", ".join(p.opts) if p.opts[0].startswith("-") else p.metavar or p.name.upper()
+                long = ", ".join(p.opts) + (f" {p.metavar}" if p.metavar else "")
+                shown = long if p.opts[0].startswith("-") else p.metavar or p.name.upper()
                 words = getattr(p, "help", "") or ""
-                default = "" if p.default in (None, "", False, ()) or callable(p.default) else f" (default: {p.default})"
+                default = (
+                    ""
+                    if p.default in (None, "", False, ()) or callable(p.default)
+                    else f" (default: {p.default})"
+                )
                 yield f"| `{shown}` | {words}{default} |".replace("\n", " ")
 
 
@@ -71,12 +110,18 @@ def devices_page() -> Iterator[str]:
     """Every device: diagram, parameters, records, what it was held against."""
     yield "# Devices"
     yield ""
-    yield "For those who import or write a case: the exciters, governors, stabilizers and compensators that a machine can"
-    yield "have. After this page you know the key of each, its parameters and its signal flow. Each is one TOML file in"
-    yield "`models/devices`; the C, the import of PSS/E records and this page are made from it."
+    yield "For those who import or write a case: the exciters, governors, stabilizers and compensators that a"
+    yield "machine can have. After this page you know the key of each, its parameters and its signal flow. Each"
+    yield "is one TOML file in `models/devices`; the C, the import of PSS/E records and this page are made from it."
     for key, model in library().items():
         device = model.device
-        yield from ("", f"## {device.name}", "", f"{device.title}: `kind = \"{key}\"` of a machine's {device.kind}.", "")
+        yield from (
+            "",
+            f"## {device.name}",
+            "",
+            f'{device.title}: `kind = "{key}"` of a machine\'s {device.kind}.',
+            "",
+        )
         yield from ("```", diagram_text(device).strip("\n"), "```", "")
         yield from ("| parameter | unit | allowed | what it is |", "|---|---|---|---|")
         for p in device.parameters:
@@ -89,9 +134,9 @@ def variables_page() -> Iterator[str]:
     """The variables of the FMUs that the package builds, of one grid and of a channel."""
     yield "# Variables of the FMUs"
     yield ""
-    yield "For those who load an FMU in another tool: the name, role and unit of every variable. The plant's names carry"
-    yield "the ids of the case; here those of `two-area-thesis`, where `G1` stands for any machine. A controller's FMU has"
-    yield "its signals as inputs and its actuators as outputs."
+    yield "For those who load an FMU in another tool: the name, role and unit of every variable. The plant's"
+    yield "names carry the ids of the case; here those of `two-area-thesis`, where `G1` stands for any machine. A"
+    yield "controller's FMU has its signals as inputs and its actuators as outputs."
     case = ia.load_case("two-area-thesis")
     for title, block in (("Plant", plant_block(case)), ("Channel", channel_block())):
         yield from ("", f"## {title}", "", "| variable | role | unit | what it is |", "|---|---|---|---|")
@@ -120,7 +165,14 @@ def write_pages(pages: dict[str, Iterable[str]]) -> None:
 
 
 def _write_all(*_: object) -> None:
-    write_pages({"python": python_page(), "commands": commands_page(), "devices": devices_page(), "variables": variables_page()})
+    write_pages(
+        {
+            "python": python_page(),
+            "commands": commands_page(),
+            "devices": devices_page(),
+            "variables": variables_page(),
+        }
+    )
     (HERE / "static").mkdir(exist_ok=True)
     write_explorer("wide-area-damping", HERE / "static" / "explorer.html", cache=default_cache())
 

@@ -7,10 +7,12 @@ import importlib
 import pkgutil
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 import pytest
 
+import interarea as ia
 from interarea.cli.app import COMMANDS, load
 
 ROOMS = ("models", "design", "fmu_build", "cosim")
@@ -27,6 +29,23 @@ def test_examples_in_docstrings_print_what_they_say(room: str) -> None:
         tried += found.attempted
         assert found.failed == 0, module.name
     assert tried > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("module", ["grids", "synthesis", "simulation", "exchange"])
+def test_examples_of_public_functions(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each has one, and they run in the order in which they stand, in the folder of the tutorial's grid."""
+    for file in (ROOT / "docs" / "tutorial").glob("grid.*"):
+        shutil.copy(file, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    loaded = importlib.import_module(f"interarea.{module}")
+    found = [t for t in doctest.DocTestFinder().find(loaded) if t.examples]
+    public = {n for n, place in ia._PLACE.items() if place == module} - {
+        "load_case"
+    }  # shown where it is defined
+    assert public <= {t.name.rpartition(".")[2] for t in found}
+    for example in sorted(found, key=lambda t: t.lineno or 0):
+        assert doctest.DocTestRunner().run(example).failed == 0, example.name
 
 
 def commands(page: str) -> list[list[str]]:

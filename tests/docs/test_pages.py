@@ -1,0 +1,85 @@
+"""The pages of the docs: for whom, what next, no dead link; nothing public is without a place."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import interarea as ia
+from interarea import formats
+from interarea.cli.app import COMMANDS
+from interarea.models.devices.library import library
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+PAGES = sorted(p for p in DOCS.rglob("*.md") if "generated" not in p.parts and p.name != "index.md")
+GENERATED = ("python", "commands", "devices", "variables")
+
+
+@pytest.fixture(scope="module")
+def made() -> dict[str, str]:
+    """Return the generated pages by name."""
+    sys.path.insert(0, str(DOCS / "site"))
+    try:
+        import catalogue
+    finally:
+        sys.path.remove(str(DOCS / "site"))
+    return {name: "\n".join(getattr(catalogue, f"{name}_page")()) for name in GENERATED}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
+def test_first_line_says_for_whom_and_the_last_what_is_next(page: Path) -> None:
+    text = re.sub(r"\A---\n.*?\n---\n+", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    title, first = [part for part in text.split("\n\n") if part.strip()][:2]
+    assert title.startswith("# ")
+    assert first.startswith("For those who")
+    assert text.rstrip().split("\n\n")[-1].startswith("Next: ["), "the next step stands at the end"
+
+
+def test_every_page_can_be_reached_from_the_first() -> None:
+    index = (DOCS / "index.md").read_text(encoding="utf-8")
+    listed = {
+        line.strip()
+        for block in re.findall(r"```\{toctree\}(.*?)```", index, re.DOTALL)
+        for line in block.splitlines()
+    }
+    wanted = {str(p.relative_to(DOCS).with_suffix("")) for p in PAGES} | {
+        f"generated/{name}" for name in GENERATED
+    }
+    assert wanted <= listed
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"], ids=lambda p: p.stem)
+def test_no_link_within_the_repository_is_dead(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
+        if not target.startswith(("http:", "https:")):
+            made = target.removeprefix("../").startswith("generated/")
+            name = Path(target).stem
+            assert (made and name in GENERATED) or (page.parent / target).exists(), target
+
+
+def test_every_public_name_command_and_device_has_its_place(made: dict[str, str]) -> None:
+    for name in set(ia.__all__) - {"__version__"}:
+        assert f":: interarea.{name}\n" in made["python"], name
+    for name in COMMANDS:
+        assert f"\n## {name}\n" in made["commands"], name
+        assert f"\n# interarea {name}" in made["commands"], f"{name} has no example"
+    for model in library().values():
+        assert f"\n## {model.device.name}\n" in made["devices"]
+        for parameter in model.device.parameters:
+            assert f"| `{parameter.name}` |" in made["devices"]
+    assert "| `G1_dw` |" in made["variables"] and "| `G1_vs` |" in made["variables"]
+    assert all((DOCS / "formats" / f"{kind}.md").is_file() for kind in formats.kinds())
+
+
+def test_spelling() -> None:
+    pytest.importorskip("codespell_lib", reason="codespell is not installed (extra `docs`)")
+    files = [str(p) for p in (*PAGES, DOCS / "index.md", *ROOT.glob("*.md"))]
+    command = [sys.executable, "-m", "codespell_lib", "--ignore-words-list", "te", *files]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.stdout == "", done.stdout
