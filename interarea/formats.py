@@ -148,8 +148,8 @@ def page(kind: str) -> str:
     lines = [
         f"# {kind}",
         "",
-        f"For those who write a file of kind `{kind}`: {kinds()[kind]}. Every key with its unit, range, default "
-        "and an example; made by `docs/formats/make.py` from the models that check the files.",
+        f"For those who write a file of kind `{kind}`: {kinds()[kind]}. Every key with its unit, range, "
+        "default and an example; made by `docs/formats/make.py` from the models that check the files.",
         "",
     ]
     if "properties" in made:

@@ -60,8 +60,10 @@ def python_page() -> Iterator[str]:
     """Every public name, in the order of the front door, from its docstring."""
     yield "# Python"
     yield ""
-    yield "For those who write scripts: every public name of `import interarea as ia`, with shapes, units,"
-    yield "errors and an example. What is not here may change without notice."
+    yield (
+        "For those who write scripts: every public name of `import interarea as ia`, with shapes, "
+        "units, errors and an example. What is not here may change without notice."
+    )
     places = ia._PLACE  # module of each public name
     for module, title in (*_KINDS.items(), ("", "Objects and errors")):
         yield from ("", f"## {title}", "")
@@ -76,9 +78,11 @@ def commands_page() -> Iterator[str]:
     """Every command with its arguments and options, from the command line itself."""
     yield "# Commands"
     yield ""
-    yield "For those who type: every command of `interarea` with its options. Exit code 0: done; 1: what was"
-    yield "asked is not reached (a certificate, a check, not a single good run of a sweep); 2: a mistake, told"
-    yield "in one line."
+    yield (
+        "For those who type: every command of `interarea` with its options. Exit code 0: done; 1: "
+        "what was asked is not reached (a certificate, a check, not a single good run of a sweep); 2: "
+        "a mistake, told in one line."
+    )
     for name, (_, line) in COMMANDS.items():
         command = load(name)
         context = typer.Context(command, info_name=name)
@@ -110,9 +114,12 @@ def devices_page() -> Iterator[str]:
     """Every device: diagram, parameters, records, what it was held against."""
     yield "# Devices"
     yield ""
-    yield "For those who import or write a case: the exciters, governors, stabilizers and compensators that a"
-    yield "machine can have. After this page you know the key of each, its parameters and its signal flow. Each"
-    yield "is one TOML file in `models/devices`; the C, the import of PSS/E records and this page are made from it."
+    yield (
+        "For those who import or write a case: the exciters, governors, stabilizers and compensators "
+        "that a machine can have. After this page you know the key of each, its parameters and its "
+        "signal flow. Each is one TOML file in `models/devices`; the C, the import of PSS/E records "
+        "and this page are made from it."
+    )
     for key, model in library().items():
         device = model.device
         yield from (
@@ -134,9 +141,11 @@ def variables_page() -> Iterator[str]:
     """The variables of the FMUs that the package builds, of one grid and of a channel."""
     yield "# Variables of the FMUs"
     yield ""
-    yield "For those who load an FMU in another tool: the name, role and unit of every variable. The plant's"
-    yield "names carry the ids of the case; here those of `two-area-thesis`, where `G1` stands for any machine. A"
-    yield "controller's FMU has its signals as inputs and its actuators as outputs."
+    yield (
+        "For those who load an FMU in another tool: the name, role and unit of every variable. The "
+        "plant's names carry the ids of the case; here those of `two-area-thesis`, where `G1` stands "
+        "for any machine. A controller's FMU has its signals as inputs and its actuators as outputs."
+    )
     case = ia.load_case("two-area-thesis")
     for title, block in (("Plant", plant_block(case)), ("Channel", channel_block())):
         yield from ("", f"## {title}", "", "| variable | role | unit | what it is |", "|---|---|---|---|")
