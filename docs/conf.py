@@ -49,12 +49,12 @@ html_css_files = ["interarea.css"]
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
-    "header_links_before_dropdown": 6,
     "secondary_sidebar_items": ["page-toc"],
     "footer_start": ["copyright"],
     "footer_end": [],
     "navbar_end": ["theme-switcher"],
 }
+html_context = {"default_mode": "auto"}
 html_show_sourcelink = False
 html_copy_source = False
 copyright = "the interarea developers, BSD-3-Clause"
