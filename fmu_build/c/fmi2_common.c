@@ -82,6 +82,9 @@ static fmi2Status read_direction(Instance *c, const fmi2ValueReference knowns[],
     memset(v, 0, (n_x + n_u) * sizeof(double));
     for (size_t i = 0; i < n_knowns; ++i) {
         const size_t r = knowns[i];
+        if (!isfinite(dv_known[i]))
+            return instance_report(c, fmi2Error, call, "the direction of %s is %g; a finite number is needed",
+                                   instance_real_name(c, r), dv_known[i]);
         if (r < n_x) v[r] = dv_known[i];
         else if (r >= 2 * n_x && r < 2 * n_x + n_u) v[r - n_x] = dv_known[i];
         else return instance_report(c, fmi2Error, call, "%s is neither a continuous state nor a Real input",
@@ -140,6 +143,9 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component component,
     for (size_t i = 0; i < n_unknowns; ++i) {
         const size_t r = unknowns[i];
         dv_unknown[i] = r < 2 * n_x ? vdx[r - n_x] : vy[r - 2 * n_x - n_u];
+        if (!isfinite(dv_unknown[i]))
+            return instance_report(c, fmi2Discard, call, "at time %.9g s the derivative of %s is %g", c->run->time,
+                                   instance_real_name(c, r), dv_unknown[i]);
     }
     return fmi2OK;
 }

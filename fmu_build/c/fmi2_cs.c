@@ -1,5 +1,6 @@
 /* Co-simulation: variable communication steps, inputs as polynomials over the
  * step, output slopes at its end. */
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -64,6 +65,16 @@ static fmi2Status output_slopes(Instance *c, double *slopes, const char *call)
     return instance_report_block(c, status, call, &message);
 }
 
+static fmi2Status check_slopes(Instance *c, const fmi2ValueReference references[], size_t count,
+                               const fmi2Real values[], const char *call)
+{
+    for (size_t i = 0; i < count; ++i)
+        if (!isfinite(values[i]))
+            return instance_report(c, fmi2Discard, call, "at time %.9g s the derivative of %s is %g", c->run->time,
+                                   instance_real_name(c, references[i]), values[i]);
+    return fmi2OK;
+}
+
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component component, const fmi2ValueReference references[],
                                         size_t count, const fmi2Integer orders[], fmi2Real values[])
 {
@@ -90,19 +101,31 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component component, const fmi2Value
         status = instance_refresh_derivatives(c, call);
         for (size_t i = 0; i < count && status == fmi2OK; ++i)
             values[i] = c->block.dx[c->output_state[references[i] - first]];
-        return status;
+        return status == fmi2OK ? check_slopes(c, references, count, values, call) : status;
     }
     slopes = c->work + 6 * c->block.layout.n_x + 2 * c->block.layout.n_u;
     status = output_slopes(c, slopes, call);
     if (status != fmi2OK) return status;
     for (size_t i = 0; i < count; ++i) values[i] = slopes[references[i] - first];
-    return fmi2OK;
+    return check_slopes(c, references, count, values, call);
+}
+
+/* By how much the caller's communication point may differ from where the last step ended: what rounding
+ * makes of sums, never a good part of the step. */
+static double point_slack(double time, double step)
+{
+    return 1e-6 * step + 4.0 * DBL_EPSILON * fabs(time) + fmin(1e-9 * (1.0 + fabs(time)), 0.01 * step);
+}
+
+double step_length(const Instance *c, double begin, double step)
+{
+    return step + (begin - c->run->time);
 }
 
 int step_is_sane(Instance *c, double begin, double step, const char *call)
 {
     const RunState *run = c->run;
-    const double slack = 1e-9 * (1.0 + fabs(run->time)) + 1e-6 * step;
+    const double slack = point_slack(run->time, step);
     const double longest = *c->internal_step * (double)SOLVER_MAX_SUBSTEPS;
 
     if (!isfinite(begin) || !isfinite(step) || !(step > 0.0))
@@ -117,7 +140,7 @@ int step_is_sane(Instance *c, double begin, double step, const char *call)
     else if (run->stop_defined && !(begin + step <= run->stop_time + slack))
         instance_report(c, fmi2Error, call, "the step to %.17g passes the stop time %.17g", begin + step,
                         run->stop_time);
-    else if (!(begin + step > run->time))
+    else if (!(begin + step > run->time && step_length(c, begin, step) > 0.0))
         instance_report(c, fmi2Error, call, "a step of %g s is lost in rounding at time %.17g", step, run->time);
     else
         return 1;
@@ -144,22 +167,22 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real communication_point, fmi
     BlockMessage message = {{0}};
     BlockStatus status;
     fmi2Status result;
-    double end;
+    double length;
 
     (void)no_set_state_prior;
     if (!instance_allowed(c, MODE_STEP_COMPLETE, call)) return fmi2Error;
     if (!step_is_sane(c, communication_point, step, call)) return fmi2Error;
     b = &c->block;
-    end = communication_point + step;
+    length = step_length(c, communication_point, step);
     for (size_t i = 0; i < b->layout.n_u; ++i) c->u_poly[4 * i] = b->u[i];
     if (c->undo != NULL) memcpy(c->undo, c->run, c->saved_size);
 
     if (block_is_sampled) {
-        status = block_step(b, c->run->time, end - c->run->time, c->u_poly, c->y_slope, &message);
-        if (status == BLOCK_OK) c->run->time = end;
+        status = block_step(b, c->run->time, length, c->u_poly, c->y_slope, &message);
     } else {
-        status = solver_advance(c, c->run->time, end, &message);
+        status = solver_advance(c, length, &message);
     }
+    if (status == BLOCK_OK) c->run->time = communication_point + step;
     if (status == BLOCK_DISCARD) {
         if (c->undo != NULL) memcpy(c->run, c->undo, c->saved_size);
         ++c->memory_written;

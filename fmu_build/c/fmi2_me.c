@@ -98,6 +98,10 @@ fmi2Status fmi2SetContinuousStates(fmi2Component component, const fmi2Real x[], 
     Instance *c = component;
 
     if (!instance_allowed(c, MODE_CONTINUOUS, call) || !vector_fits(c, x, count, call)) return fmi2Error;
+    for (size_t i = 0; i < count; ++i)
+        if (!isfinite(x[i]))
+            return instance_report(c, fmi2Error, call, "state %s was set to %g at time %.9g s; a finite value is "
+                                   "needed", instance_real_name(c, i), x[i], c->run->time);
     if (count > 0) memcpy(c->block.x, x, count * sizeof(double));
     c->run->outputs_fresh = c->run->derivatives_fresh = 0;
     return fmi2OK;
@@ -146,7 +150,12 @@ fmi2Status fmi2GetContinuousStates(fmi2Component component, fmi2Real x[], size_t
     if (c->run->mode == MODE_INITIALIZATION && !c->run->outputs_fresh
         && (status = instance_initialise(c, call)) != fmi2OK)
         return status;
-    if (count > 0) memcpy(x, c->block.x, count * sizeof(double));
+    for (size_t i = 0; i < count; ++i) {
+        x[i] = c->block.x[i];
+        if (!isfinite(x[i]))
+            return instance_report(c, fmi2Discard, call, "at time %.9g s state %s is %g", c->run->time,
+                                   instance_real_name(c, i), x[i]);
+    }
     return fmi2OK;
 }
 

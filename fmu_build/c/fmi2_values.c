@@ -58,6 +58,10 @@ fmi2Status fmi2GetReal(fmi2Component component, const fmi2ValueReference referen
     }
     status = refresh(c, outputs | locals, locals, derivatives, call);
     for (size_t i = 0; i < count; ++i) values[i] = c->real[references[i]];
+    for (size_t i = 0; i < count && status == fmi2OK; ++i)
+        if (references[i] < first_parameter && !isfinite(values[i]))
+            status = instance_report(c, fmi2Discard, call, "at time %.9g s %s is %g", c->run->time,
+                                     instance_real_name(c, references[i]), values[i]);
     return status;
 }
 

@@ -224,20 +224,20 @@ fmi2Status instance_refresh_derivatives(Instance *c, const char *call)
     return fmi2OK;
 }
 
-/* Names the first state or output that is not finite. */
+/* Names the first state, input or output that is not finite. */
 fmi2Status instance_check_finite(Instance *c, const char *call)
 {
     const BlockLayout *n = &c->block.layout;
-    const size_t outputs = 2 * n->n_x + n->n_u;
+    const size_t inputs = 2 * n->n_x, outputs = inputs + n->n_u;
 
     for (size_t i = 0; i < n->n_x; ++i)
         if (!isfinite(c->real[i]))
             return instance_report(c, fmi2Error, call, "at time %.9g s state %s became %g%s",
                                    c->run->time, instance_real_name(c, i), c->real[i],
                                    c->step_parameter < c->n_real ? "; try a shorter solver.step" : "");
-    for (size_t i = outputs; i < outputs + n->n_y; ++i)
+    for (size_t i = inputs; i < outputs + n->n_y; ++i)
         if (!isfinite(c->real[i]))
-            return instance_report(c, fmi2Error, call, "at time %.9g s output %s became %g",
-                                   c->run->time, instance_real_name(c, i), c->real[i]);
+            return instance_report(c, fmi2Error, call, "at time %.9g s %s %s became %g", c->run->time,
+                                   i < outputs ? "input" : "output", instance_real_name(c, i), c->real[i]);
     return fmi2OK;
 }

@@ -15,7 +15,7 @@ void solver_inputs(const Instance *c, double elapsed, double *u)
 
 typedef struct {
     Instance *c;
-    double begin, t, h;     /* of the communication step; of the Runge-Kutta step */
+    double begin, elapsed, h;   /* of the communication step; of the Runge-Kutta step in it */
     double *u;
     BlockMessage *message;
 } Flow;
@@ -23,10 +23,10 @@ typedef struct {
 static BlockStatus flow(void *context, RungeKuttaStage stage, const double *x, double *k)
 {
     const Flow *f = context;
-    const double t = stage == RK_BEGIN ? f->t : stage == RK_END ? f->t + f->h : f->t + f->h / 2.0;
+    const double elapsed = f->elapsed + (stage == RK_BEGIN ? 0.0 : stage == RK_END ? f->h : f->h / 2.0);
 
-    if (stage != RK_MIDDLE_AGAIN) solver_inputs(f->c, t - f->begin, f->u);
-    return block_derivatives(&f->c->block, t, x, f->u, k, f->message);
+    if (stage != RK_MIDDLE_AGAIN) solver_inputs(f->c, elapsed, f->u);
+    return block_derivatives(&f->c->block, f->begin + elapsed, x, f->u, k, f->message);
 }
 
 static BlockStatus integrate(Instance *c, Stretch *s, BlockMessage *message)
@@ -35,23 +35,21 @@ static BlockStatus integrate(Instance *c, Stretch *s, BlockMessage *message)
     Flow f = {c, s->begin, 0.0, stretch_h(s), c->work + 5 * n, message};
 
     for (; s->done < s->count; ++s->done) {
-        f.t = stretch_t(s);
+        f.elapsed = stretch_elapsed(s);
         const BlockStatus status = runge_kutta_step(flow, &f, n, f.h, c->block.x, c->work);
         if (status != BLOCK_OK) return status;
     }
     return BLOCK_OK;
 }
 
-BlockStatus solver_advance(Instance *c, double begin, double end, BlockMessage *message)
+BlockStatus solver_advance(Instance *c, double length, BlockMessage *message)
 {
     Block *b = &c->block;
     RunState *run = c->run;
-    Stretch s = {.begin = begin, .end = end, .longest = *c->internal_step};
+    Stretch s = stretch_begin(run->time, length, *c->internal_step, run->last_event);
     BlockStatus status;
 
     for (;;) {
-        s.time = run->time;
-        s.last_event = run->last_event;
         if (!stretch_next(&s, b)) {
             snprintf(message->text, sizeof message->text,
                      "time %.17g: the next event does not lie ahead, or they are more than %d",
@@ -59,12 +57,12 @@ BlockStatus solver_advance(Instance *c, double begin, double end, BlockMessage *
             return BLOCK_ERROR;
         }
         if (b->layout.n_x > 0 && (status = integrate(c, &s, message)) != BLOCK_OK) return status;
-        if (s.to > run->time) run->time = s.to;
+        if (s.end > run->time) run->time = s.time = s.end;
         if (!(s.event < INFINITY)) return BLOCK_OK;
-        solver_inputs(c, s.to - begin, b->u);
+        solver_inputs(c, s.to, b->u);
         instance_log_event(c, "event at time %.9g s", s.event);
         ++c->memory_written;
         if ((status = block_event(b, s.event, b->x, message)) != BLOCK_OK) return status;
-        run->last_event = s.event;
+        run->last_event = s.last_event = s.event;
     }
 }

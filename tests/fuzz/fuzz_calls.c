@@ -34,6 +34,13 @@ static void legal(const Fuzz *f, const Slot *s, fmi2Status status, unsigned phas
     if (status <= fmi2Warning && (!arguments || (phases & IN(s->phase)) == 0)) fuzz_broken(f, what);
 }
 
+/* Numbers that come with fmi2OK are numbers. */
+static void are_finite(const Fuzz *f, fmi2Status status, const double *values, size_t count, const char *what)
+{
+    for (size_t i = 0; status <= fmi2Warning && i < count; ++i)
+        if (!isfinite(values[i])) fuzz_broken(f, what);
+}
+
 void fuzz_free(Fuzz *f, int slot)
 {
     Slot *s = &f->slots[slot];
@@ -184,6 +191,7 @@ static void values(Fuzz *f, Slot *s, int natural)
     }
     legal(f, s, status, call % 2 ? ~IN(BROKEN) & ~IN(ENDED) & ~IN(FAILED) : ~IN(INSTANTIATED), sane,
           "a get or set was accepted in the wrong state, of an unknown reference or with a value that is not finite");
+    if (call == 0) are_finite(f, status, a.reals, a.given, "a value was read that is not finite");
     fuzz_told(f, s, status);
     drop(&a);
 }
@@ -197,9 +205,11 @@ static void directional(Fuzz *f, Slot *s, int natural)
             known.references[i] += (fmi2ValueReference)f->n_x;
     for (size_t i = 0; i < unknown.count; ++i)
         unknown.references[i] += (fmi2ValueReference)(unknown.references[i] < f->n_x ? f->n_x : f->n_x + f->n_u);
-    fuzz_told(f, s, fmi2GetDirectionalDerivative(s->c, OR_NULL(unknown.references), unknown.given,
-                                            OR_NULL(known.references), known.given, OR_NULL(known.seed),
-                                            OR_NULL(unknown.reals)));
+    const fmi2Status status = fmi2GetDirectionalDerivative(s->c, OR_NULL(unknown.references), unknown.given,
+                                                           OR_NULL(known.references), known.given,
+                                                           OR_NULL(known.seed), OR_NULL(unknown.reals));
+    are_finite(f, status, unknown.reals, unknown.given, "a directional derivative is not finite");
+    fuzz_told(f, s, status);
     drop(&known);
     drop(&unknown);
 }
@@ -213,10 +223,12 @@ static void slopes(Fuzz *f, Slot *s, int natural)
         a.references[i] += (fmi2ValueReference)(2 * f->n_x + (set ? 0 : f->n_u));
         a.integers[i] = natural ? set ? 1 + (int)random_below(3) : 1 : (int)random_below(6) - 1;
     }
-    fuzz_told(f, s, set ? fmi2SetRealInputDerivatives(s->c, OR_NULL(a.references), a.given, OR_NULL(a.integers),
-                                                 OR_NULL(a.reals))
-                   : fmi2GetRealOutputDerivatives(s->c, OR_NULL(a.references), a.given, OR_NULL(a.integers),
-                                                  OR_NULL(a.reals)));
+    const fmi2Status status =
+        set ? fmi2SetRealInputDerivatives(s->c, OR_NULL(a.references), a.given, OR_NULL(a.integers), OR_NULL(a.reals))
+            : fmi2GetRealOutputDerivatives(s->c, OR_NULL(a.references), a.given, OR_NULL(a.integers),
+                                           OR_NULL(a.reals));
+    are_finite(f, status, a.reals, a.given, "a derivative of an input or output is not finite");
+    fuzz_told(f, s, status);
     drop(&a);
 }
 
@@ -259,14 +271,21 @@ static void exchange(Fuzz *f, Slot *s, int natural)
     fmi2Status status;
 
     switch (natural && s->phase == EVENT ? 8 : (int)random_below(natural ? 8 : 9)) {
-    case 0: fuzz_told(f, s, fmi2GetDerivatives(s->c, OR_NULL(x), n)); break;
-    case 1: fuzz_told(f, s, fmi2GetContinuousStates(s->c, OR_NULL(x), n)); break;
+    case 0:
+        status = fuzz_told(f, s, fmi2GetDerivatives(s->c, OR_NULL(x), n));
+        are_finite(f, status, x, n, "a derivative is not finite");
+        break;
+    case 1:
+        status = fuzz_told(f, s, fmi2GetContinuousStates(s->c, OR_NULL(x), n));
+        are_finite(f, status, x, n, "a state is not finite");
+        break;
     case 2:
         if (s->c == NULL || s->type != fmi2ModelExchange || n != f->n_x || fmi2GetContinuousStates(s->c, x, n) != fmi2OK)
             memset(x, 0, n * sizeof(double));
         for (size_t i = 0; i < n; ++i) x[i] = natural ? x[i] + 1e-3 * plausible() : chance(80) ? plausible() : absurd();
         status = fmi2SetContinuousStates(s->c, OR_NULL(x), n);
         legal(f, s, status, IN(CONTINUOUS), n == f->n_x, "states were accepted outside continuous-time mode");
+        are_finite(f, status, x, n, "a state was set that is not finite");
         fuzz_told(f, s, status);
         break;
     case 3:

@@ -140,10 +140,11 @@ static int meet_event(Group *g, Lane *lane, size_t k)
     Stretch *way = &lane->way;
     BlockMessage message;
 
+    if (way->end > way->time) way->time = way->end;
     if (lane->events++ == 0) memcpy(c->undo, c->run, c->saved_size);
     get(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     c->run->time = way->time;
-    solver_inputs(c, way->time - way->begin, c->block.u);
+    solver_inputs(c, way->to, c->block.u);
     ++c->memory_written;
     if (block_event(&c->block, way->event, c->block.x, &message) != BLOCK_OK) return 0;
     c->run->last_event = way->last_event = way->event;
@@ -172,9 +173,8 @@ static void begin_lane(Group *g, Lane *lane, size_t k)
     put(g->u_poly, c->u_poly, 4 * g->layout.n_u, g->lanes, k);
     put(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     load_memory(g, c, k);
-    lane->way = (Stretch){.begin = c->run->time, .end = lane->point + lane->step,
-                          .longest = *c->internal_step, .time = c->run->time,
-                          .last_event = c->run->last_event, .event = INFINITY};
+    lane->way = stretch_begin(c->run->time, step_length(c, lane->point, lane->step), *c->internal_step,
+                              c->run->last_event);
     lane->events = 0;
     next_stretch(g, lane, k);
 }
@@ -189,11 +189,11 @@ static void advance(Group *g, size_t n)
         for (size_t k = 0; k < n; ++k) {
             const Stretch *way = &g->lane[k].way;
             const int runs = way->done < way->count;
-            const double h = runs ? stretch_h(way) : 0.0, t = runs ? stretch_t(way) : 0.0;
+            const double h = runs ? stretch_h(way) : 0.0, elapsed = runs ? stretch_elapsed(way) : 0.0;
             g->group.h[k] = h;
-            g->elapsed[k] = t - way->begin;
-            g->elapsed[lanes + k] = t + h / 2.0 - way->begin;
-            g->elapsed[2 * lanes + k] = t + h - way->begin;
+            g->elapsed[k] = elapsed;
+            g->elapsed[lanes + k] = elapsed + h / 2.0;
+            g->elapsed[2 * lanes + k] = elapsed + h;
             busy |= runs;
         }
         if (!busy) return;
@@ -201,7 +201,6 @@ static void advance(Group *g, size_t n)
         for (size_t k = 0; k < n; ++k) {
             Stretch *way = &g->lane[k].way;
             if (way->done == way->count || ++way->done < way->count) continue;
-            way->time = way->to;
             if (way->event < INFINITY) next_stretch(g, &g->lane[k], k);
         }
     }
@@ -229,7 +228,7 @@ static void accept(Group *g, const Lane *lane, size_t k)
     }
     get(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     get(g->group.y, c->block.y, g->layout.n_y, g->lanes, k);
-    c->run->time = lane->way.time;
+    c->run->time = lane->point + lane->step;
     step_consume_inputs(c, lane->step);
     c->run->outputs_fresh = FRESH_BUT_LOCALS;
     c->run->derivatives_fresh = STALE;
@@ -260,7 +259,8 @@ static void finish(Group *g, size_t n, int rates, fmi2Status status[])
     block_group_outputs(&g->group, lanes, rates);
     for (size_t k = 0; k < n; ++k) {
         Lane *lane = &g->lane[k];
-        if (lane->failed || !finite_lane(g->group.x, l->n_x, lanes, k) || !finite_lane(g->group.y, l->n_y, lanes, k)) {
+        if (lane->failed || !finite_lane(g->group.x, l->n_x, lanes, k) || !finite_lane(g->group.y, l->n_y, lanes, k)
+            || !finite_lane(g->group.u, l->n_u, lanes, k)) {
             status[lane->place] = repeat_alone(lane);
             continue;
         }
