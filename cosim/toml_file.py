@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from interarea.models.case.file_kind import other_kind
+from interarea.models.documents import DocumentError, parse_toml
 
 
 def read_toml(path: Path, wanted: str, error: type[Exception]) -> dict[str, Any]:
@@ -28,11 +28,9 @@ def read_toml(path: Path, wanted: str, error: type[Exception]) -> dict[str, Any]
             f"wanted: a {wanted} file"
         )
     try:
-        table = tomllib.loads(content.decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
-        raise error(f"{path}: is no TOML: {fault}") from None
-    except RecursionError:
-        raise error(f"{path}: is no TOML: nested too deeply") from None
+        table = parse_toml(content)
+    except DocumentError as fault:
+        raise error(f"{path}: {fault}") from None
     other = other_kind(table, wanted)
     if other is not None:
         raise error(f"{path}: {other}")

@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import Case
 from interarea.models.case.write_toml import export_toml
 from interarea.models.files import new_folder
+from interarea.models.table import Table
 
 from ..run.run import system_of
 from ..scenario.scenario import load_scenario
@@ -29,10 +30,8 @@ from .first_swing import Positive, after_clearing
 Progress = Callable[[int, int], object]
 
 
-class FaultPlace(BaseModel):
+class FaultPlace(Table):
     """A three-phase fault at a bus, cleared by itself or by the trip of a branch."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     bus: int  #: number of the faulted bus
     trip: str | None = None  #: branch whose trip clears the fault; without it the fault clears itself
@@ -41,15 +40,13 @@ class FaultPlace(BaseModel):
         return f"bus {self.bus}" + ("" if self.trip is None else f", {self.trip} tripped")
 
 
-class AcceptanceTable(BaseModel):
+class AcceptanceTable(Table):
     """What a controller must survive: every combination is run.
 
     ceilings : (least, most) field voltage of every exciter that has limits, pu; as the case has them too.
     latency_s : of every signal. Each signal is lost in turn at `lost_s`, and none.
     clear_cycles : of the fault, periods of the case's frequency.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     fault: tuple[FaultPlace, ...] = Field(min_length=1)  #: the faults, each tried at every operating point
     #: (least, most) field voltage of every exciter that has limits, pu; as the case has them too

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import control
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from interarea.design.controllers.controller import Controller
 from interarea.design.delay.signal_conditions import Condition, condition_of_many
@@ -21,6 +21,7 @@ from interarea.design.robust.spec import RobustSpec, require_moved
 from interarea.models.blocks.controller import Guard
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.variants import operating_variant
+from interarea.models.table import Table
 
 from ..errors import ScenarioError, nearest
 from ..run.artefacts import linear_plant
@@ -32,11 +33,7 @@ Positive = Annotated[float, Field(gt=0.0)]
 _OFFSETS = (BandOffsets().omega, BandOffsets().offset)
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class PointTable(_Table):
+class PointTable(Table):
     """One operating point, as a change to the case (`models.case_variants`)."""
 
     name: str  #: of the operating point
@@ -48,7 +45,7 @@ class PointTable(_Table):
 Ratio = Annotated[float, Field(ge=-1.0, lt=1.0)]
 
 
-class AskTable(_Table):
+class AskTable(Table):
     """What the certificate asks of every operating point under every condition."""
 
     worst_swing: Ratio = 0.0  #: least damping ratio of any swing mode
@@ -59,7 +56,7 @@ class AskTable(_Table):
     synchronism: bool = False  #: after the fault of `fault`, at every operating point
 
 
-class PartTable(_Table):
+class PartTable(Table):
     """One actuator of a decentralised controller: what it sees, and its order, a washout counted."""
 
     actuator: str  #: input of the plant that this part drives
@@ -67,7 +64,7 @@ class PartTable(_Table):
     order: Annotated[int, Field(ge=1, le=20)] = 4  #: states of this part, that of its washout counted
 
 
-class GuardTable(_Table):
+class GuardTable(Table):
     """Which side of the output limit falls while a first swing lasts (`models.blocks.controller.Guard`)."""
 
     watched: dict[str, str] = Field(min_length=1)  #: output -> signal, a speed, that tells of the swing
@@ -82,7 +79,7 @@ class GuardTable(_Table):
         return Guard(**self.model_dump())
 
 
-class DesignTable(_Table):
+class DesignTable(Table):
     """A robust design: one controller for a family of operating points, losses and latencies.
 
     Either one loop (`remote`, `local`, `actuator`, `order`), or one `part` for each actuator.

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import control
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.signal import lsim
 
 from interarea.design.controllers.controller import Controller
@@ -24,6 +24,7 @@ from interarea.fmu_build.write.cache import artefact, code_hash, content_hash, f
 from interarea.models.case.case import Case
 from interarea.models.case.write_toml import export_toml
 from interarea.models.files import temporary_folder
+from interarea.models.table import Table
 
 from ..run.artefacts import plant_fmu
 from ..run.run import run_scenario
@@ -36,10 +37,8 @@ Positive = Annotated[float, Field(gt=0.0)]
 KEPT_BELOW, LOST_ABOVE = 0.05, 0.1
 
 
-class FaultTable(BaseModel):
+class FaultTable(Table):
     """The fault that a controller is tried with: a bus fault, then a branch trip, signals late and lost."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     bus: int  #: number of the faulted bus
     branch: str  #: tripped when the fault is cleared

@@ -17,6 +17,7 @@ from interarea.design.errors import InfeasibleDesign, SolverError, UncertifiedDe
 from interarea.design.linear.linearise import LinearisationError, remove_reference
 from interarea.design.modes.modes import ModeError
 from interarea.models.case.case import Case, case_names, load_case
+from interarea.models.documents import DocumentError, parse_toml
 from interarea.models.errors import CaseError
 from interarea.models.grid.equilibrium import operating_point
 
@@ -194,11 +195,9 @@ def _is_case(path: Path) -> bool:
         return True
     if not path.is_file():
         return False
-    import tomllib
-
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError):
+        table = parse_toml(path.read_bytes())
+    except DocumentError:
         return False  # the scenario's reader says what is wrong
     return "case" not in table and bool({"machines", "base", "change"} & set(table))
 

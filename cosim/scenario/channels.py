@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Literal, Protocol, Self
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from interarea.models.blocks.sizes import OUTAGES
+from interarea.models.table import Table
 
 from ..clock import TICKS_PER_SECOND, Clock, on_tick, seconds, to_ticks
 from ..errors import ScenarioError
@@ -21,12 +22,6 @@ if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is
 
 Seconds = Annotated[float, Field(ge=0.0)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
-
-
-class Table(BaseModel):
-    """A table of a scenario file: unknown keys and numbers that are not finite are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class GammaLatency(Table):

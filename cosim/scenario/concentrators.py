@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self, get_args
 from pydantic import Field, field_validator, model_validator
 
 from interarea.models.blocks.sizes import MOST_SIGNALS
+from interarea.models.table import Table
 
 from ..clock import TICKS_PER_SECOND, Clock, on_tick, seconds
-from .channels import Probability, Seconds, Table
+from .channels import Probability, Seconds
 from .delays import Delays
 
 if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded

@@ -81,12 +81,13 @@ from pydantic import (
 from interarea.design.controllers.bundled import shipped_names
 from interarea.models.blocks.sizes import MOST_SIGNALS
 from interarea.models.errors import CaseError
+from interarea.models.table import ShortName, Table, Title
 
 from ..clock import on_tick
 from ..errors import ScenarioError, nearest, one_line
 from ..stepping_words import Early, Inputs, Loops, early_word
 from ..toml_file import read_toml
-from .channels import ChannelLine, Seconds, Table
+from .channels import ChannelLine, Seconds
 from .concentrators import ConcentratorLine, SignalWay
 from .rounding import event_on_ticks, roundings
 
@@ -194,20 +195,20 @@ class Scenario(Table):
     #: communication step; default: chosen from latencies and events
     step_s: Annotated[float, Field(gt=0.0)] | None = None
     #: name -> the way of one signal; a signal without one arrives undelayed
-    channels: Mapping[str, ChannelTable] = {}
+    channels: Mapping[ShortName, ChannelTable] = {}
     #: name -> several signals aligned by time stamp (IEEE C37.247)
-    concentrators: Mapping[str, ConcentratorTable] = {}
-    fmus: Mapping[str, FmuTable] = {}  #: name -> an FMU of one's own
+    concentrators: Mapping[ShortName, ConcentratorTable] = {}
+    fmus: Mapping[ShortName, FmuTable] = {}  #: name -> an FMU of one's own
     connections: tuple[tuple[str, ...], ...] = ()  #: [from, channels on the way, to] for FMUs of one's own
     event: tuple[Any, ...] = ()  #: faults, trips, pulses and steps, a table each
     #: [machine, machine]: the difference of speeds that the run is judged by; default: the case's, else the
     #: extreme machines of the inter-area mode
     swing: Annotated[tuple[str, ...], Field(min_length=2, max_length=2)] | None = None
-    title: str = ""  #: in a line what is shown
+    title: Title = ""  #: in a line what is shown
     source: str = ""  #: where the scenario comes from
     master: MasterTable = MasterTable.model_construct()  #: how the FMUs are stepped
     expect: Expectation = Expectation.model_construct()  #: the outcome that the tests assert
-    name: str = "scenario"  #: short, for files and messages; default: the file's name
+    name: ShortName = "scenario"  #: short, for files and messages; default: the file's name
     folder: Path = Path()
     rounded: tuple[str, ...] = ()  #: times that lay between two ticks, and what they were taken as
 
@@ -369,7 +370,7 @@ def load_scenario(source: str | Path | Mapping[str, Any] | Scenario) -> Scenario
     if not path.exists():
         raise ScenarioError(f"{path}: no such scenario file")
     table = read_toml(path, "scenario", ScenarioError)
-    return _checked({"name": path.stem, **table}, str(path), path.parent)
+    return _checked({"name": path.stem[:64], **table}, str(path), path.parent)
 
 
 def scenario_names() -> list[str]:

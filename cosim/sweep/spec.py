@@ -30,11 +30,13 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
+from interarea.models.table import ShortName, Table, Title
+
 from ..errors import ScenarioError, SweepError, nearest, one_line
 from ..results.metrics import METRICS
 from ..scenario.scenario import Scenario, load_scenario
 from ..toml_file import read_toml
-from .values import Interval, Parameter, Range, Search, Table, Value
+from .values import Interval, Parameter, Range, Search, Value
 
 COLUMNS_TAKEN = (
     "run", "status", "failure", "reason", "stable", "peak_pu", "energy_pu2s", "effort_pu2s", "fit_error",
@@ -54,8 +56,8 @@ class Trajectories(Table):
 class Sweep(Table):
     """A checked sweep; `base` is the scenario that is varied."""
 
-    name: str = "sweep"  #: of the sweep
-    title: str = ""  #: in a line what is shown
+    name: ShortName = "sweep"  #: of the sweep
+    title: Title = ""  #: in a line what is shown
     base: Scenario
     parameters: Mapping[str, Parameter] = {}  #: name -> what is varied
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  #: of the random parameters
@@ -230,7 +232,7 @@ def load_sweep(source: str | Path | Mapping[str, Any]) -> Sweep:
     if not path.exists():
         raise SweepError(f"{path}: no such sweep file")
     table = read_toml(path, "sweep", SweepError)
-    return sweep_of({"name": path.stem, **table}, str(path), path.parent)
+    return sweep_of({"name": path.stem[:64], **table}, str(path), path.parent)
 
 
 def sweep_of(table: Mapping[str, Any], where: str, folder: Path) -> Sweep:

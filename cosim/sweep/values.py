@@ -15,17 +15,13 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from scipy.special import ndtri
+
+from interarea.models.table import Table
 
 Value = float | int | bool | str | tuple[Any, ...]
 TIME_DIGITS = 9  # the clock's tick is 1 ns: sampled times are rounded to it
-
-
-class Table(BaseModel):
-    """A table of a sweep file: no unknown keys, nothing infinite."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Range(Table):

@@ -7,7 +7,6 @@ follows the validity flags of the signals and fades from one output to the other
 from __future__ import annotations
 
 import itertools
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ import numpy as np
 
 from interarea.models.blocks.supervisor import MAX_BANK, MAX_SIGNALS, Matrices, supervisor_block
 from interarea.models.blocks.variables import Block
+from interarea.models.documents import DocumentError, parse_json
 from interarea.models.files import write_whole
 
 from ..lmi.problem import Matrix
@@ -233,8 +233,8 @@ def load_controller(path: str | Path) -> Controller | ControllerBank:
     ControllerError : names the file and the key at fault.
     """
     try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError):
+        data = parse_json(Path(path).read_bytes())
+    except (OSError, DocumentError):
         return Controller.load(path)  # which says what is wrong with the file
     if not isinstance(data, dict) or data.get("kind") != "bank":
         return Controller.load(path)

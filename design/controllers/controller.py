@@ -18,6 +18,7 @@ import numpy as np
 
 from interarea.models.blocks.controller import Guard, controller_block
 from interarea.models.blocks.variables import Block
+from interarea.models.documents import DocumentError, parse_json
 from interarea.models.errors import UserError
 from interarea.models.files import write_whole
 
@@ -140,13 +141,11 @@ class Controller:
         """
         path = Path(path)
         try:
-            data = json.loads(path.read_text(encoding="utf-8"))
+            data = parse_json(path.read_bytes())
         except FileNotFoundError as error:
             raise ControllerError(f"controller file {path}: not found") from error
-        except (UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise ControllerError(f"controller file {path}: not JSON ({error})") from error
-        except RecursionError:
-            raise ControllerError(f"controller file {path}: not JSON (nested too deeply)") from None
+        except DocumentError as error:
+            raise ControllerError(f"controller file {path}: {error}") from None
         try:
             return cls.from_dict(data)
         except ControllerError as error:

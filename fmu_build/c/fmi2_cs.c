@@ -110,16 +110,24 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component component, const fmi2Value
     return check_slopes(c, references, count, values, call);
 }
 
-/* By how much the caller's communication point may differ from where the last step ended: what rounding
- * makes of sums, never a good part of the step. */
+/* What rounding makes of a time that is a sum or a product. */
+static double rounding(double time)
+{
+    return 4.0 * DBL_EPSILON * fabs(time);
+}
+
+/* By how much the caller's communication point may differ from where the last step ended: never a good
+ * part of the step. */
 static double point_slack(double time, double step)
 {
-    return 1e-6 * step + 4.0 * DBL_EPSILON * fabs(time) + fmin(1e-9 * (1.0 + fabs(time)), 0.01 * step);
+    return 1e-6 * step + rounding(time) + fmin(1e-9 * (1.0 + fabs(time)), 0.01 * step);
 }
 
 double step_length(const Instance *c, double begin, double step)
 {
-    return step + (begin - c->run->time);
+    const double off = begin - c->run->time;
+
+    return fabs(off) <= rounding(c->run->time) ? step : step + off;
 }
 
 int step_is_sane(Instance *c, double begin, double step, const char *call)
@@ -180,7 +188,7 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real communication_point, fmi
     if (block_is_sampled) {
         status = block_step(b, c->run->time, length, c->u_poly, c->y_slope, &message);
     } else {
-        status = solver_advance(c, length, &message);
+        status = solver_advance(c, communication_point + step, length, &message);
     }
     if (status == BLOCK_OK) c->run->time = communication_point + step;
     if (status == BLOCK_DISCARD) {

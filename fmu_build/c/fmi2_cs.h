@@ -4,7 +4,7 @@
 
 /* Whether a step can be tried; reports why not. */
 int step_is_sane(Instance *c, double begin, double step, const char *call);
-/* How long the step from where the last one ended is: `step`, unless the caller's point is off by rounding. */
+/* How long the step from where the last one ended is: `step`, whatever rounding made of the times. */
 double step_length(const Instance *c, double begin, double step);
 /* After a step the inputs stay where it left them and their derivatives must be given anew. */
 void step_consume_inputs(Instance *c, double elapsed);

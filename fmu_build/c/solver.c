@@ -42,11 +42,11 @@ static BlockStatus integrate(Instance *c, Stretch *s, BlockMessage *message)
     return BLOCK_OK;
 }
 
-BlockStatus solver_advance(Instance *c, double length, BlockMessage *message)
+BlockStatus solver_advance(Instance *c, double stop, double length, BlockMessage *message)
 {
     Block *b = &c->block;
     RunState *run = c->run;
-    Stretch s = stretch_begin(run->time, length, *c->internal_step, run->last_event);
+    Stretch s = stretch_begin(run->time, stop, length, *c->internal_step, run->last_event);
     BlockStatus status;
 
     for (;;) {

@@ -119,7 +119,13 @@ class _QuickHelp:
 
 
 class _Command(_QuickHelp, TyperCommand):
-    pass
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Refuse empty words first: as a path one would mean the current folder."""
+        for before, word in zip(["", *args], args, strict=False):
+            if word == "" or (word.startswith("--") and word.endswith("=")):
+                option = word.removesuffix("=") or (before if before.startswith("-") else "an argument")
+                raise typer.BadParameter("is empty, allowed: a name", param_hint=option)
+        return super().parse_args(ctx, args)
 
 
 def load(name: str) -> Any:

@@ -25,7 +25,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -33,6 +32,7 @@ from typing import Any, Self
 
 from pydantic import ValidationError, model_validator
 
+from ..documents import DocumentError, parse_toml
 from ..errors import CaseError, nearest, one_line, reason
 from .checks import check_whole
 from .event_targets import check_events
@@ -183,12 +183,9 @@ def apply_change(document: Mapping[str, Any], change: Mapping[str, Any]) -> dict
 def _document(name_or_path: str | Path, seen: tuple[str, ...], beside: Path | None = None) -> dict[str, Any]:
     text, where, folder = _text(name_or_path, beside)
     try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        hint = " (an id given twice?)" if "overwrite" in str(error) or "declare" in str(error) else ""
-        raise CaseError(f"{where}: not valid TOML: {error}{hint}") from None
-    except RecursionError:
-        raise CaseError(f"{where}: not valid TOML: nested too deeply") from None
+        raw = parse_toml(text)
+    except DocumentError as error:
+        raise CaseError(f"{where}: {error}") from None
     other = other_kind(raw, "case")
     if other is not None:
         raise CaseError(f"{where}: {other}")

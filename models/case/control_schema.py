@@ -4,23 +4,24 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from ..devices.errors import DeviceError
 from ..devices.language.structure import Model
 from ..devices.library import library_model
 from ..devices.rows import numbers_of, row_of
+from ..table import Table
 
 Number = Annotated[float, Field(strict=True)]
 Positive = Annotated[float, Field(strict=True, gt=0.0)]
 NonNegative = Annotated[float, Field(strict=True, ge=0.0)]
 
 
-class Row(BaseModel):
+class Row(Table):
     """One row of a case table: frozen, unknown keys refused, numbers finite."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
+    model_config = ConfigDict(populate_by_name=True)
 
     source: str = ""  #: "KEY, where" when it differs from the source of the whole table
 

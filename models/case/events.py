@@ -15,9 +15,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
 from ..errors import CaseError, nearest, one_line
+from ..table import Table
 
 Number = Annotated[float, Field(strict=True)]
 Time = Annotated[float, Field(strict=True, ge=0.0)]
@@ -25,10 +26,8 @@ Target = Annotated[str, Field(strict=True, min_length=1)]
 BusNumber = Annotated[int, Field(strict=True, ge=1)]
 
 
-class _Event(BaseModel):
+class _Event(Table):
     """Start time in seconds from the start of the run."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     start_s: Time  #: when it begins
 

@@ -27,7 +27,7 @@ from .control_schema import (
 
 BusNumber = Annotated[int, Field(strict=True, ge=1)]
 Switch = Annotated[bool, Field(strict=True)]
-Name = Annotated[str, Field(strict=True, pattern=r"^\S(.*\S)?$")]
+Name = Annotated[str, Field(strict=True, max_length=64, pattern=r"^\S(.*\S)?$")]
 
 
 LEAST_IMPEDANCE_PU = 1e-9  #: of a branch; a smaller one drowns all others in rounding
@@ -206,7 +206,7 @@ class Machine(Row):
     power_flow: a dispatch without dynamic data, good for the power flow only.
     """
 
-    name: Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  #: its id
+    name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  #: its id
     bus: BusNumber  #: number of its bus
     area: Annotated[int, Field(strict=True, ge=1)] = 1  #: for names of modes
     base_mva: Positive  #: base of its per-unit values

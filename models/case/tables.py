@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import Annotated, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from ..errors import CaseError, nearest
+from ..table import Table, Title
 from .control_schema import Positive
 from .events import Event
 from .schema import Branch, Bus, Load, Machine, Shunt, Tie
@@ -20,27 +21,21 @@ SOLVER_STEP_S = (1e-6, 0.1)  #: least and longest Runge-Kutta step of a plant, s
 SolverStep = Annotated[float, Field(ge=SOLVER_STEP_S[0], le=SOLVER_STEP_S[1])]
 
 
-class CaseTables(BaseModel):
+class CaseTables(Table):
     """A grid with its machines, controls and loads; rows keep the order of the file."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        extra="forbid",
-        allow_inf_nan=False,
-        populate_by_name=True,
-        ignored_types=(cached_property,),
-    )
+    model_config = ConfigDict(populate_by_name=True, ignored_types=(cached_property,))
 
     #: short, for files and messages
-    name: Annotated[str, Field(strict=True, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
-    title: str = ""  #: in a line what it is
+    name: Annotated[str, Field(strict=True, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    title: Title = ""  #: in a line what it is
     source: str  #: where the data come from; a table of rows can have its own
     frequency_hz: Positive  #: rated frequency
     base_mva: Positive  #: system base of per-unit values
     solver_step_s: SolverStep | None = None  #: of the plant FMU; None: its default
     #: machines whose difference of speeds a run is judged by; None: taken from the inter-area mode's shape
     swing: Annotated[tuple[str, ...], Field(min_length=2, max_length=2)] | None = None
-    sources: dict[str, str] = {}  #: table -> "KEY, where"
+    sources: Mapping[str, str] = {}  #: table -> "KEY, where"
     buses: Annotated[tuple[Bus, ...], Field(min_length=1)]  #: by number
     branches: tuple[Branch, ...] = ()  #: lines and transformers by name
     shunts: tuple[Shunt, ...] = ()  #: by name

@@ -220,12 +220,12 @@ def test_a_mistake_is_refused_in_one_line(document: Any, cache: Path, change: An
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("x = [", "is no TOML"),
+        ("x = [", "not valid TOML"),
         ("seed = 1", "scenario is missing"),
         ("scenario = 3", "allowed: a file, a bundled name"),
         ('scenario = "lost-sgnal"', "did you mean 'lost-signal'"),
         ('scenario = "nothere.toml"', "no such scenario file"),
-        ("\udcff", "is no TOML"),
+        ("\udcff", "not valid TOML"),
     ],
 )
 def test_a_file_that_is_no_sweep(tmp_path: Path, text: str, words: str) -> None:

@@ -173,8 +173,8 @@ static void begin_lane(Group *g, Lane *lane, size_t k)
     put(g->u_poly, c->u_poly, 4 * g->layout.n_u, g->lanes, k);
     put(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     load_memory(g, c, k);
-    lane->way = stretch_begin(c->run->time, step_length(c, lane->point, lane->step), *c->internal_step,
-                              c->run->last_event);
+    lane->way = stretch_begin(c->run->time, lane->point + lane->step, step_length(c, lane->point, lane->step),
+                              *c->internal_step, c->run->last_event);
     lane->events = 0;
     next_stretch(g, lane, k);
 }

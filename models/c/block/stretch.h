@@ -9,20 +9,21 @@
 enum { STRETCH_MOST_EVENTS = 1000000 };
 
 typedef struct {
-    double begin, length;   /* of the communication step: time, s                 */
+    double begin, stop;     /* times between which the communication step goes    */
+    double length;          /* of it, s                                           */
     double longest;         /* Runge-Kutta step, s                                */
     double time;            /* reached                                            */
     double last_event;      /* events up to this time have been handled           */
     double from, to;        /* stretch under way, s after `begin`                 */
-    double end, event;      /* time at its end; the event there or INFINITY       */
+    double end, event;      /* time at its end, the event there or INFINITY       */
     long count, done;       /* Runge-Kutta steps of the stretch                   */
     long events;            /* on the way so far                                  */
 } Stretch;
 
 /* At the begin of a communication step. */
-static inline Stretch stretch_begin(double begin, double length, double longest, double last_event)
+static inline Stretch stretch_begin(double begin, double stop, double length, double longest, double last_event)
 {
-    return (Stretch){.begin = begin, .length = length, .longest = longest, .time = begin,
+    return (Stretch){.begin = begin, .stop = stop, .length = length, .longest = longest, .time = begin,
                      .last_event = last_event, .event = INFINITY};
 }
 
@@ -33,20 +34,20 @@ static inline double stretch_after(const Stretch *s)
 }
 
 /* From where the last stretch ended to the next event of the block or to the end; 0 when that event
- * does not lie ahead. */
+ * does not lie ahead. Which step an event belongs to is told by times alone, so that none is lost. */
 static inline int stretch_next(Stretch *s, const Block *b)
 {
     /* An event this close to the end counts as reached: masters round. */
     const double slack = 1e-9 * s->length, after = stretch_after(s);
     const double event = block_next_event(b, after), ahead = event - s->begin;
-    const int reached = ahead <= s->length + slack, before = reached && ahead < s->length;
+    const int reached = event <= s->stop + slack, before = event < s->stop;
 
     if (reached && (!(event > after) || s->events > STRETCH_MOST_EVENTS)) return 0;
     s->events += reached;
     s->event = reached ? event : INFINITY;
     s->from = s->to;
-    s->to = before ? ahead : s->length;
-    s->end = before ? event : s->begin + s->length;
+    s->to = before && ahead < s->length ? ahead : s->length;
+    s->end = before ? event : s->stop;
     s->count = s->to > s->from ? runge_kutta_count(s->to - s->from, s->longest) : 0;
     s->done = 0;
     return 1;

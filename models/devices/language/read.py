@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import keyword
 import math
-import tomllib
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from ...documents import DocumentError, parse_toml
 from ...errors import nearest, reason
 from ..errors import DeviceError
 from .device import (
@@ -74,9 +74,9 @@ def device_of(text: str, file: str) -> Device:
     if len(text.encode("utf-8", "replace")) > LARGEST_FILE:
         raise DeviceError(f"{file}: longer than {LARGEST_FILE} bytes, which no device needs")
     try:
-        raw = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        raise DeviceError(f"{file}: not valid TOML: {str(error) or 'nested too deeply'}") from None
+        raw = parse_toml(text)
+    except DocumentError as error:
+        raise DeviceError(f"{file}: {error}") from None
     return _Reader(raw, text, file).device()
 
 

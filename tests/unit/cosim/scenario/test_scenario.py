@@ -100,7 +100,7 @@ def test_missing_keys_files_and_names() -> None:
 def test_what_is_no_toml_names_the_place(tmp_path: Path) -> None:
     path = tmp_path / "bad.toml"
     path.write_text("case = x", encoding="utf-8")
-    with pytest.raises(ScenarioError, match=r"bad\.toml: is no TOML.*line 1"):
+    with pytest.raises(ScenarioError, match=r"bad\.toml: not valid TOML.*line 1"):
         load_scenario(path)
 
 

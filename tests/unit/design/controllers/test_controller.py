@@ -49,7 +49,7 @@ def test_block_takes_speeds_in_per_unit() -> None:
         ({"A": None}, "missing A"),
         ({"B": [[1.0]]}, "do not fit"),
         ({"limit_pu": -1.0}, "limit_pu"),
-        ({"C": [[1.0, float("nan"), 0.0]]}, "finite"),
+        ({"C": [[1.0, float("nan"), 0.0]]}, "NaN is no number"),
     ],
 )
 def test_bad_file_is_named(tmp_path: Path, change: dict[str, object], word: str) -> None:
@@ -67,5 +67,5 @@ def test_missing_and_broken_files(tmp_path: Path) -> None:
     with pytest.raises(ControllerError, match="not found"):
         Controller.load(tmp_path / "none.json")
     (tmp_path / "x.json").write_text("{")
-    with pytest.raises(ControllerError, match="not JSON"):
+    with pytest.raises(ControllerError, match="not valid JSON"):
         Controller.load(tmp_path / "x.json")
