@@ -16,7 +16,7 @@ LARGEST = 1.7e308
 DOUBLES = ctypes.POINTER(ctypes.c_double)
 
 
-def refused(run: Runner, status: int, text: str, call: object, *arguments: object) -> None:
+def check_refused(run: Runner, status: int, text: str, call: object, *arguments: object) -> None:
     """The call fails with `status` (2: fmi2Discard, 3: fmi2Error) and says `text`."""
     run.fmu.setDebugLogging(True, ["logAll"])
     run.log.clear()
@@ -38,7 +38,7 @@ def test_continuous_states_are_finite(decay: Path) -> None:
         continuous(run)
         x = np.array([NAN])
         set_states = lambda: run.fmu.setContinuousStates(x.ctypes.data_as(DOUBLES), 1)  # noqa: E731
-        refused(run, 3, "state x was set to nan", set_states)
+        check_refused(run, 3, "state x was set to nan", set_states)
 
 
 def test_finite_values_that_overflow(decay: Path) -> None:
@@ -49,8 +49,8 @@ def test_finite_values_that_overflow(decay: Path) -> None:
         run.fmu.enterContinuousTimeMode()
         x = np.array([LARGEST])
         run.fmu.setContinuousStates(x.ctypes.data_as(DOUBLES), 1)
-        refused(run, 2, "der(x) is -inf", run.get, "der(x)")
-        refused(run, 2, "the derivative of x is -inf", lambda: derivatives(run))
+        check_refused(run, 2, "der(x) is -inf", run.get, "der(x)")
+        check_refused(run, 2, "the derivative of x is -inf", lambda: derivatives(run))
         x[0] = 1.0
         run.fmu.setContinuousStates(x.ctypes.data_as(DOUBLES), 1)
         assert run.get("der(x)") == -1e6
@@ -67,8 +67,10 @@ def test_directions(decay: Path) -> None:
         run.start({"rate": 1e6, "ceiling": 1.79e308})
         names = [run.reference("der(x)")], [run.reference("x")]
         assert run.fmu.getDirectionalDerivative(*names, [2.0]) == [-2e6]
-        refused(run, 2, "the derivative of der(x) is", run.fmu.getDirectionalDerivative, *names, [LARGEST])
-        refused(run, 3, "the direction of x is nan", run.fmu.getDirectionalDerivative, *names, [NAN])
+        check_refused(
+            run, 2, "the derivative of der(x) is", run.fmu.getDirectionalDerivative, *names, [LARGEST]
+        )
+        check_refused(run, 3, "the direction of x is nan", run.fmu.getDirectionalDerivative, *names, [NAN])
 
 
 def test_an_input_that_its_derivatives_lead_out_of_the_numbers(built: dict[str, Path]) -> None:
@@ -76,7 +78,7 @@ def test_an_input_that_its_derivatives_lead_out_of_the_numbers(built: dict[str, 
         run.start()
         name = next(v.name for v in run.variables.values() if v.causality == "input" and v.type == "Real")
         run.slopes(name, LARGEST, LARGEST, LARGEST)
-        refused(run, 3, f"input {name} became inf", run.step, 0.0, 9.0)
+        check_refused(run, 3, f"input {name} became inf", run.step, 0.0, 9.0)
 
 
 @pytest.mark.parametrize("begin", [0.0, 1e6, 9e9, -9e9])
@@ -101,13 +103,13 @@ def test_steps_are_as_long_as_was_said(decay: Path, begin: float) -> None:
 def test_a_step_that_the_clock_cannot_tell_is_refused(decay: Path) -> None:
     with Runner(decay) as run:
         run.start(startTime=9e9)
-        refused(run, 3, "lost in rounding", run.step, 9e9, 1e-7)
+        check_refused(run, 3, "lost in rounding", run.step, 9e9, 1e-7)
 
 
 def test_a_point_far_from_where_the_last_step_ended_is_refused(decay: Path) -> None:
     with Runner(decay) as run:
         run.start(startTime=9e9)
-        refused(run, 3, "the last step ended at", run.step, 9e9 + 1.0, 0.1)
+        check_refused(run, 3, "the last step ended at", run.step, 9e9 + 1.0, 0.1)
 
 
 @pytest.mark.parametrize("event", [0.1, 0.7, 1.0, 1.1, 3.3, 1e3, 1e6 + 0.1])
