@@ -18,7 +18,7 @@ from ..devices.document import devices_html
 from ..devices.header import library_header, signature
 from ..devices.language.device import NO_LIMIT
 from ..devices.library import library
-from ..grid.bus_devices import port_table
+from ..grid.bus_devices import port_rest, port_table
 from ..grid.control_tables import Group, Parameter
 from ..grid.equilibrium import OperatingPoint, operating_point
 from ..grid.machine_tables import in_plant_order, machine_table
@@ -222,6 +222,9 @@ def _data(
         "branch.names": _lines(b.name for b in case.branches),
         "machine.names": _lines(m.name for m in case.machines),
         "port.table": ports,
+        "port.rest": port_rest(
+            case, point.power_flow.voltages, point.gaps, [m.delta for m in point.machines]
+        ),
         "state.machine": _int(_machine_of_states(case, point)),
         "output.state": _int(_states_of_outputs(case, point)),
         "tie.branch": _int(tie),

@@ -6,6 +6,7 @@ A port is where a nonlinear element meets the linear network (plant/port.h); row
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,6 +93,22 @@ def port_table(
         if gap is not None:
             table.append(_machine_row(case.machines[position], k, gap))
     return np.array(table, dtype=float).reshape(len(table), ROWS)
+
+
+def port_rest(
+    case: Case, voltages: npt.NDArray[np.complex128], gaps: Sequence[AirGap | None], angles: Sequence[float]
+) -> npt.NDArray[np.float64]:
+    """Return the voltages of the ports at rest, (2, ports): real and imaginary parts.
+
+    Where constant power is drawn there are other solutions, at low voltage; the plant starts from this one.
+    voltages : (buses,); gaps, angles : of each machine its air gap, if it has a port, and its rotor angle.
+    """
+    place = {bus.number: k for k, bus in enumerate(case.buses)}
+    at = [voltages[place[case.loads[k].bus]] for k in port_loads(case)]
+    for gap, angle in zip(gaps, angles, strict=True):
+        if gap is not None:
+            at.append(complex(gap.psi_ad, gap.psi_aq) * np.exp(1j * angle))
+    return np.array([np.real(at), np.imag(at)], dtype=float)
 
 
 def _load_row(case: Case, k: int, volt: float) -> list[float]:

@@ -218,6 +218,7 @@ BlockStatus plant_check(const Record *record, const BlockLayout *layout, const P
     (void)reals(&r, "machine.table", M_GIVEN * n);
     (void)reals(&r, "machine.rest", R_ROWS * n);
     (void)reals(&r, "state.rest", layout->n_x);
+    (void)reals(&r, "port.rest", 2 * plan->n_port);
     check_groups(&r, layout, plan);
     (void)integers(&r, "input.machine", plan->n_input, n);
     check_pattern(&r, plan, net->places);
@@ -281,6 +282,7 @@ static void read_tables(const Record *record, const Plan *plan, const Network *n
     read_groups(&r, plan, memory);
     copy_integers(memory + plan->state_machine, integers(&r, "state.machine", plan->n_state, n), plan->n_state);
     copy_reals(memory + plan->port, read_ports(&r, plan), P_ROWS * plan->n_port);
+    copy_reals(memory + plan->port_v, reals(&r, "port.rest", 2 * plan->n_port), 2 * plan->n_port);
 }
 
 static void read_tie(const Record *record, const Plan *plan, const Network *net, double *memory)
