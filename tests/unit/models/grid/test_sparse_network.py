@@ -197,7 +197,7 @@ def test_a_pivot_that_vanishes_names_the_bus() -> None:
 
 @pytest.mark.parametrize("form", ["dense", "sparse"])
 def test_constant_power_starts_at_the_voltages_of_the_case(form: str) -> None:
-    """A load of constant power has a second voltage, near zero, from which Newton's method would not return."""
+    """A load of constant power has a second voltage, near zero, from which Newton would not return."""
     case = mesh(5, 4, every=10)
     constant = {"P_zip": [0, 0, 1], "Q_zip": [0, 0, 1]}
     powers = [-14.0 if k % 2 else 16.0 for k in range(len(case.loads))]
