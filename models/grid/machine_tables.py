@@ -81,14 +81,15 @@ def _numbers(m: Machine) -> list[float]:
 
 
 def _saturation(m: Machine) -> list[float]:
-    """Rows M_BY_SPEED .. M_SAT_Q of plant/plan.h."""
+    """Rows M_BY_SPEED .. M_SAT_Q2 of plant/layout.h."""
     s = m.flux_saturation
     by_speed = float(m.torque_by_speed)
     if s is None:
-        return [by_speed, *[0.0] * 5]
+        return [by_speed, *[0.0] * 6]
     A, B = s.coefficients
     q = (m.number("Xq") - m.number("Xl")) / (m.number("Xd") - m.number("Xl")) if s.axes == "both" else 0.0
-    return [by_speed, 1.0 if s.shape == "quadratic" else 2.0, A, B, float(s.of == "transient_emf"), q]
+    on_q = (0.0, q) if m.number("Xq1") == m.number("Xq") else (q, 0.0)  # one damper in the q axis: on it
+    return [by_speed, 1.0 if s.shape == "quadratic" else 2.0, A, B, float(s.of == "transient_emf"), *on_q]
 
 
 def _number(m: Machine, key: str) -> float:

@@ -4,7 +4,7 @@ How the models map (parameters in the order of the PSS/E model library):
 
 GENROU, GENROE  -> round_rotor; X''q = X''d, Ra from the RAW file; saturation of the subtransient flux.
 GENSAL, GENSAE  -> round_rotor with Xq1 = Xq: then ed1 stays 0 and the one q damper is the outer one;
-                   saturation on the d axis, of E'q or of the subtransient flux.
+                   saturation of E'q on the d axis, GENSAE: of the subtransient flux on both axes.
 GENCLS          -> classical behind ZR + jZX of the RAW file; with H = 0 an infinite bus there.
 controls        -> devices of the package, by their `[dyr]` tables (models/devices).
 """
@@ -188,7 +188,7 @@ def _gensal(where: str, *p: float) -> dict[str, Any]:
 
 
 def _gensae(where: str, *p: float) -> dict[str, Any]:
-    return _salient(p) | _saturation(where, *p[10:], shape="exponential", axes="d")
+    return _salient(p) | _saturation(where, *p[10:], shape="exponential")
 
 
 def _salient(p: tuple[float, ...]) -> dict[str, Any]:

@@ -16,7 +16,8 @@ enum {  /* machine, per unit on the machine base */
     M_H,                /* s                                            */
     M_D,                /* pu torque / pu speed                         */
     M_BY_SPEED,         /* 1: Tm = (Pm - D slip)/(1 + slip), as PSS/E   */
-    M_SATURATES, M_SAT_A, M_SAT_B, M_SAT_EMF, M_SAT_Q,  /* explicit saturation (machine_saturation) */
+    M_SATURATES, M_SAT_A, M_SAT_B, M_SAT_EMF,  /* explicit saturation (machine_saturation)         */
+    M_SAT_Q1, M_SAT_Q2,                        /* its share on ed1, on ed2                         */
     M_EFD0, M_PM0, M_VT0,  /* at the operating point; classical: M_EFD0 is the EMF */
     M_GIVEN,            /* what follows from these (machine_prepare)    */
     M_A = M_GIVEN, M_B, /* (Xd2 - Xl)/(Xd1 - Xl), (Xq2 - Xl)/(Xq1 - Xl) */

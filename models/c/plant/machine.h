@@ -102,11 +102,12 @@ static inline void machine_terminal(const real *table, size_t n, size_t sixth, M
 }
 
 /* Explicit saturation, of a flux that is a state: S of the subtransient flux linkage on
- * both axes (GENROU, GENROE), or on the d axis alone (GENSAE), or of eq1 (GENSAL).
+ * both axes (GENROU, GENROE, GENSAE), or of eq1 (GENSAL).
  *
  *     E S(E) = B (E - A)^2 above A (kind 1),  or  B E^(1 + A) (kind 2)
  *
- * S eq2 (or S eq1) adds to the field current, S ed2 (Xq - Xl)/(Xd - Xl) to what drives ed1. */
+ * S eq2 (or S eq1) adds to the field current, S ed2 (Xq - Xl)/(Xd - Xl) to what drives ed1;
+ * with one damper in the q axis (Xq1 = Xq: ed1 stays 0) to what drives ed2. */
 enum { SATURATES_QUADRATIC = 1, SATURATES_EXPONENTIAL };
 
 static inline void machine_saturation_of(const real *table, size_t n, size_t k, MachineStates x, num *d, num *q)
@@ -119,7 +120,7 @@ static inline void machine_saturation_of(const real *table, size_t n, size_t k, 
     const num s = index_at(table, M_SATURATES * n + k) == SATURATES_QUADRATIC
         ? num_ratio(B * excess * excess, bounded) : B * num_exp(A * num_log(bounded));
     *d = s * (of_emf ? x.eq1[k] : x.eq2[k]);
-    *q = s * x.ed2[k] * table[M_SAT_Q * n + k];
+    *q = s * x.ed2[k];
 }
 
 static inline void machine_saturation(const real *table, size_t n, size_t sixth, MachineStates x, MachineRates dx)
@@ -129,11 +130,11 @@ static inline void machine_saturation(const real *table, size_t n, size_t sixth,
         if (index_at(table, M_SATURATES * n + k) == 0) continue;
         machine_saturation_of(table, n, k, x, &d, &q);
         d = d * table[M_PER_TD01 * n + k];
-        q = q * table[M_PER_TQ01 * n + k];
+        const num q1 = q * (table[M_SAT_Q1 * n + k] * table[M_PER_TQ01 * n + k]);
         dx.eq1[k] -= d;
         dx.eq2[k] -= table[M_A * n + k] * d;
-        dx.ed1[k] -= q;
-        dx.ed2[k] -= table[M_B * n + k] * q;
+        dx.ed1[k] -= q1;
+        dx.ed2[k] -= table[M_B * n + k] * q1 + q * (table[M_SAT_Q2 * n + k] * table[M_PER_TQ02 * n + k]);
     }
 }
 
