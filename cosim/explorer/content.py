@@ -29,6 +29,19 @@ VERSION = 1  #: of the address that a page understands
 #: and where limits act the error comes first.
 _COARSE, _COARSE_AT_LIMITS, _COARSEST_S = 2.0, 1.25, 0.005
 _PULSES = ("vref_pulse", "pm_pulse")
+#: what an address may set beside the start value, in the units of the labels; of a channel by the key's end
+RANGES: dict[str, tuple[float, float]] = {
+    "g": (0.0, 3.0),
+    "l": (0.01, 0.3),
+    "sz": (-30.0, 30.0),
+    "tc": (10.0, 600.0),
+    "latency": (0.0, 1000.0),
+    "loss": (0.0, 90.0),
+    "burst": (1.0, 20.0),
+    "jitter": (0.0, 200.0),
+    "interval": (0.0, 200.0),
+    "hold": (0.0, 2000.0),
+}
 
 
 def content_of(subject: Subject) -> dict[str, Any]:
@@ -76,7 +89,8 @@ def content_of(subject: Subject) -> dict[str, Any]:
         "events": _events(subject),
         "ceilings": _ceilings(subject),
         "plant": dict(scenario.plant),
-        "start": _start(subject),
+        "start": state_of(subject),
+        "ranges": {**RANGES, "lost": (0.0, scenario.stop_s), "back": (0.0, scenario.stop_s)},
     }
 
 
@@ -217,8 +231,9 @@ def _ceilings(subject: Subject) -> dict[str, Any] | None:
     return {"machines": free, "least": float(np.ceil(max(voltages, default=3.0) + 1.0))}
 
 
-def _start(subject: Subject) -> dict[str, Any]:
-    """The page's state at the start, in the units of its labels; what it lacks is nothing special."""
+def state_of(subject: Subject) -> dict[str, Any]:
+    """Return the state of the page that is the scenario: in the units of its labels; what it lacks is nothing
+    special."""
     scenario = subject.scenario
     state: dict[str, Any] = {"k": scenario.controller, "g": scenario.controller_gain, **_event_state(subject)}
     if scenario.controller_limit_pu is not None:

@@ -6,16 +6,15 @@ import base64
 import gzip
 import html
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlencode
 
 from interarea.fmu_build.write.description_xml import product_version
 from interarea.models.files import write_whole
 
 from ..scenario.scenario import Scenario
-from .content import VERSION, content_of
+from .address import link_of
+from .content import content_of
 from .models import GUID, models_of
 from .picture import picture_of
 from .presets import presets_of
@@ -48,16 +47,6 @@ def write_linked_explorer(source: str | Path | Scenario, path: Path, *, cache: P
     data, parts = page_data(subject)
     write_whole(path, explorer_page(subject, data, parts).encode("utf-8"))
     return [{"label": p["label"], "href": path.name + link_of(p["state"])} for p in data["presets"]]
-
-
-def link_of(state: Mapping[str, Any]) -> str:
-    """Return the part of an address that opens a page in a state (keys and units of its labels).
-
-    >>> link_of({"k": "ftc", "remote.latency": 450.0})
-    '#v=1&k=ftc&remote.latency=450'
-    """
-    texts = {key: f"{x:.15g}" if isinstance(x, int | float) else str(x) for key, x in state.items()}
-    return "#" + urlencode({"v": VERSION, **texts})
 
 
 def explorer_page(

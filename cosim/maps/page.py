@@ -26,6 +26,7 @@ from ..sweep.runner import Runner
 from ..sweep.spec import Sweep
 from ..sweep.store import read_plan, read_rows
 from . import page_figures as figures
+from .links import Explorer, write_runs
 from .page_data import (
     Margin,
     facets_of,
@@ -54,6 +55,7 @@ def write_maps(
 ) -> Path:
     """Write the page of the results in `folder` to `path`, as one finished file.
 
+    Beside it, as ``STEM-explorer.html``, the explorer: a click on a cell opens its worst run there.
     worst : runs that are simulated again for their trajectories.
 
     Raises
@@ -70,13 +72,17 @@ def write_maps(
             margins = margins_of(plan.sweep, rows, runner) if plan.controllers else []
             tell("worst runs")
             curves = _curves(plan, rows, runner, worst)
+        tell("explorer")
+        explorer = write_runs(plan, path.with_name(f"{path.stem}-explorer.html"), cached)
         tell("figures")
-        drawn = _draw(plan.sweep, rows, margins, curves)
+        drawn = _draw(plan.sweep, rows, margins, curves, explorer)
+        opens = _titles(plan, rows, explorer)
         svg = {}
         for key, figure in drawn.items():
             file = save_figure(figure, scratch / f"{key}.svg", transparent=True)
-            svg[key] = Markup(inline_svg(file, key))  # our own SVG
-        text = _render(plan, rows, margins, svg, folder)
+            links = opens if key.startswith("map-") else None
+            svg[key] = Markup(inline_svg(file, key, links=links))  # our own SVG
+        text = _render(plan, rows, margins, svg, folder, explorer)
     return write_whole(path, text.encode("utf-8"))
 
 
@@ -91,7 +97,13 @@ def labels_of(sweep: Sweep) -> dict[str, str]:
     return found
 
 
-def _draw(sweep: Sweep, rows: pd.DataFrame, margins: list[Margin], curves: list[Any]) -> dict[str, Figure]:
+def _draw(
+    sweep: Sweep,
+    rows: pd.DataFrame,
+    margins: list[Margin],
+    curves: list[Any],
+    explorer: Explorer | None = None,
+) -> dict[str, Figure]:
     labels = labels_of(sweep)
     facet, facet_values = facets_of(sweep, rows)
     found: dict[str, Figure] = {}
@@ -99,7 +111,9 @@ def _draw(sweep: Sweep, rows: pd.DataFrame, margins: list[Margin], curves: list[
         if is_grid(rows, x, y):
             parts = {str(v or ""): rows if v is None else rows[rows[facet] == v] for v in facet_values}
             maps = {name: map_of(part, x, y) for name, part in parts.items()}
-            found[f"map-{k}"] = figures.map_figure(maps, labels, _lines(sweep, margins, x, y, facet, maps))
+            links = {} if explorer is None else _links(explorer, rows, x, y)
+            lines = _lines(sweep, margins, x, y, facet, maps)
+            found[f"map-{k}"] = figures.map_figure(maps, labels, lines, links)
         else:
             found[f"map-{k}"] = figures.point_figure(rows, x, y, labels)
     names = numeric(sweep, rows)
@@ -123,6 +137,25 @@ def _draw(sweep: Sweep, rows: pd.DataFrame, margins: list[Margin], curves: list[
         found["distribution"] = spread
     if curves:
         found["worst"] = figures.worst_figure(curves)
+    return found
+
+
+def _links(
+    explorer: Explorer, rows: pd.DataFrame, x: str, y: str
+) -> dict[str, dict[tuple[float, float], str]]:
+    """Return facet -> values of the two parameters -> address of that cell's worst run."""
+    facet, values = facets_of(explorer.plan.sweep, rows)
+    parts = {str(v or ""): rows if v is None else rows[rows[facet] == v] for v in values}
+    return {name: explorer.cells(part, x, y) for name, part in parts.items()}
+
+
+def _titles(plan: SweepPlan, rows: pd.DataFrame, explorer: Explorer) -> dict[str, str]:
+    """Return address -> what it opens, of every run that the explorer's page can be."""
+    found = {}
+    for run in rows.run:
+        address = explorer.known(int(run))
+        if address is not None:
+            found[address] = f"open run {run}: {point_text(plan.sweep.values(int(run)))}"
     return found
 
 
@@ -214,7 +247,12 @@ def point_text(values: Mapping[str, Any], first: str = "") -> str:
 
 
 def _render(
-    plan: SweepPlan, rows: pd.DataFrame, margins: list[Margin], svg: Mapping[str, Markup], folder: Path
+    plan: SweepPlan,
+    rows: pd.DataFrame,
+    margins: list[Margin],
+    svg: Mapping[str, Markup],
+    folder: Path,
+    explorer: Explorer,
 ) -> str:
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
@@ -249,7 +287,8 @@ def _render(
         maps=[key for key in order if key in svg],
         svg=svg,
         columns=[(c, labels.get(c) or _SHOWN.get(c, c)) for c in ["run", *columns]],
-        worst=worst,
+        worst=[{**row, "address": explorer.run(int(row["run"]))} for row in worst],
+        explorer=explorer,
         version=plan.version,
         specification=plan.hash,
         same_version=plan.version == code_version(),

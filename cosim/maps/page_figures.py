@@ -12,6 +12,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from ..plots.curves import DASHES, INK, MUTED, SERIES, STYLE, WIDTH
 from .page_data import Map, settled
@@ -29,10 +30,12 @@ def map_figure(
     maps: Mapping[str, Map],
     labels: Mapping[str, str],
     lines: Mapping[str, Sequence[tuple[str, Array, Array]]],
+    links: Mapping[str, Mapping[tuple[float, float], str]] | None = None,
 ) -> Figure:
     """Draw share of stable runs and least damping over two parameters, one row for each facet.
 
     labels : parameter -> axis label. lines : facet -> (label, x, y) drawn over the maps.
+    links : facet -> address that a click on the cell of these two values opens.
     """
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(1.45 * WIDTH, 2.9 * len(maps) + 0.2), layout="constrained")
@@ -47,6 +50,7 @@ def map_figure(
             damping = _cells(row[1], one, one.damping, DAMPING, limits, "{:.2f}")
             row[1].set_title(f"{title}least damping ratio, inter-area")
             for axis, mesh in zip(row, (shares, damping), strict=True):
+                _link(axis, one, (links or {}).get(facet, {}))
                 axis.set_xlabel(labels[one.x_name])
                 axis.set_ylabel(labels[one.y_name])
                 figure.colorbar(mesh, ax=axis, shrink=0.9)
@@ -243,6 +247,16 @@ def _cells(axes: Axes, one: Map, values: Array, colours: Any, norm: Normalize, t
                     fontsize=size,
                 )
     return mesh
+
+
+def _link(axes: Axes, one: Map, links: Mapping[tuple[float, float], str]) -> None:
+    """Lay a shape that is not painted over each cell with an address."""
+    x, y = _edges(one.x), _edges(one.y)
+    for j, i in np.ndindex(*one.stable.shape):
+        address = links.get((float(one.x[i]), float(one.y[j])))
+        if address is not None:
+            corner, size = (float(x[i]), float(y[j])), (float(x[i + 1] - x[i]), float(y[j + 1] - y[j]))
+            axes.add_patch(Rectangle(corner, *size, fill=False, linewidth=0, url=address))
 
 
 def _edges(values: Array) -> Array:

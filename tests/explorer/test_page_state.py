@@ -13,8 +13,9 @@ import pytest
 
 from interarea.cli.app import main
 from interarea.cosim.errors import ScenarioError
+from interarea.cosim.explorer.address import link_of
 from interarea.cosim.explorer.layout import bus_positions
-from interarea.cosim.explorer.page import explorer_page, link_of, page_data
+from interarea.cosim.explorer.page import explorer_page, page_data
 from interarea.cosim.explorer.records import apply_delta, delta
 from interarea.cosim.explorer.subject import subject_of
 from interarea.cosim.explorer.wasm import with_devices

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import html
 import html.parser
+import json
 import math
 import re
+import shutil
+import subprocess
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +17,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from interarea.cosim.explorer.address import address_of
+from interarea.cosim.explorer.subject import subject_of
 from interarea.cosim.maps.page import write_maps
 from interarea.cosim.maps.page_data import certified_margin, is_grid, map_of, margins_of, pairs_of, worst_runs
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.sweep.front import run_sweep
 from interarea.cosim.sweep.plan import plan_sweep
+from interarea.cosim.sweep.point import point_of
 from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.spec import load_sweep
+from interarea.cosim.sweep.store import read_plan
 from interarea.cosim.sweep.values import Search
 
 
@@ -53,6 +63,8 @@ class _Loads(html.parser.HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         for key, value in attrs:
+            if tag == "a":  # loads nothing before it is clicked
+                continue
             if key in ("src", "href", "xlink:href") and value and not value.startswith("#"):
                 self.loaded.append(f"{tag} {key}={value[:60]}")
 
@@ -73,7 +85,55 @@ def test_the_page_is_whole_and_loads_nothing(finished: Any, cache: Path, tmp_pat
     ):
         assert f"<h2>{section}</h2>" in text
     assert len(re.findall("<svg", text)) >= 4
-    assert [p.name for p in tmp_path.iterdir()] == ["maps.html"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["maps-explorer.html", "maps.html"]
+
+
+def test_a_click_on_a_cell_opens_its_run(finished: Any, cache: Path, tmp_path: Path) -> None:
+    """What the explorer makes of a cell's address is the scenario of the run that the cell names."""
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed")
+    text = write_maps(finished[0], tmp_path / "maps.html", cache=cache, worst=0).read_text(encoding="utf-8")
+    named = re.findall(r'<a href="maps-explorer\.html(#[^"]+)" aria-label="open run (\d+):', text)
+    sweep, rows = read_plan(finished[0]).sweep, finished[1]
+    assert len(named) == 2 * rows.groupby(["latency", "loss"]).ngroups  # share and damping
+    addresses = {html.unescape(address): int(run) for address, run in named}
+    opened = _by_node([{"link": a} for a in addresses], tmp_path)
+    assert [x["why"] for x in opened] == [""] * len(addresses)
+    saved = _by_node([{"toml": x["state"]} for x in opened], tmp_path)
+    for run, words in zip(addresses.values(), saved, strict=True):
+        there, here = load_scenario(tomllib.loads(words)), point_of(sweep, sweep.values(run)).scenario
+        assert (there.controller, there.stop_s, there.event) == (here.controller, here.stop_s, here.event)
+        for name, channel in here.channels.items():
+            nothing = {"loss_good": 0.0}  # what a loss of rate 0 says, and no loss leaves out
+            opened_as = nothing | there.channels[name].parameters(name)
+            assert opened_as == nothing | channel.parameters(name), run
+
+
+def _by_node(jobs: list[dict[str, Any]], folder: Path) -> list[Any]:
+    file = folder / "jobs.json"
+    file.write_text(json.dumps(jobs), encoding="utf-8")
+    driver = Path(__file__).parents[1] / "explorer" / "drive.js"
+    command = ["node", str(driver), str(folder / "maps-explorer.html"), str(file)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def test_a_run_that_no_state_of_the_page_is_has_no_link(finished: Any, cache: Path) -> None:
+    sweep = read_plan(finished[0]).sweep
+    subject = subject_of(sweep.base, cache)
+    run = point_of(sweep, sweep.values(0)).scenario
+    address = address_of(subject, run)
+    assert address is not None and address.startswith("#v=1")
+    remote = run.channels["remote"]
+    for change in (
+        {"stop_s": run.stop_s + 1.0},
+        {"controller": "mine.json"},
+        {"operating_point": run.operating_point.model_copy(update={"tie_flow_mw": 12.5})},
+        {"channels": {**run.channels, "remote": remote.model_copy(update={"latency_s": 2.0})}},
+        {"channels": {**run.channels, "remote": remote.model_copy(update={"quantum": 1e-6})}},
+        {"event": (*run.event, *run.event)},
+    ):
+        assert address_of(subject, run.model_copy(update=change)) is None, change
 
 
 def test_pairs_begin_with_latency_and_loss(finished: Any, document: Any) -> None:

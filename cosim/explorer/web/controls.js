@@ -150,7 +150,7 @@ function buildControls(host, data, change) {
     const percent = (x) => (x > 0 ? Number(x.toFixed(1)) + ' %' : 'none');
     const time = (x) => (x >= data.stop ? 'never' : 'at ' + Number(x.toFixed(2)) + ' s');
     add(Slider, section, { key: key('latency'), label: 'Latency', min: 0, max: 1000, step: 5, bend: 1.5, text: ms });
-    add(Slider, section, { key: key('loss'), label: 'Packets lost', min: 0, max: 60, step: 1, text: percent });
+    add(Slider, section, { key: key('loss'), label: 'Packets lost', min: 0, max: 90, step: 1, text: percent });
     add(Slider, section, { key: key('lost'), label: 'Signal lost', min: 0, max: data.stop, step: 0.1, text: time });
     const more = document.createElement('details');
     more.innerHTML = '<summary></summary>';

@@ -49,8 +49,7 @@ function allowedOf(data, key) {
     case 'cl': return { range: [0, data.ceilings ? data.ceilings.least + 12 : 0] };
     case 'seed': return { range: [0, 2147483647], whole: true };
     default: {
-      const range = { g: [0, 3], l: [0.01, 0.3], sz: [-30, 30], tc: [10, 600], latency: [0, 1000], loss: [0, 60], burst: [1, 20],
-        jitter: [0, 200], interval: [0, 200], hold: [0, 2000], lost: [0, data.stop], back: [0, data.stop] }[part];
+      const range = data.ranges[part];
       const start = value(data, {}, key);
       return { range: [Math.min(range[0], start), Math.max(range[1], start)] };
     }
