@@ -9,12 +9,13 @@ from urllib.parse import urlencode
 
 from ..scenario.channels import GilbertElliottLoss
 from ..scenario.scenario import ChannelTable, Scenario
-from .content import RANGES, VERSION, state_of
+from .content import PULSES, RANGES, VERSION, state_of
 from .subject import Subject
 
 #: keys of a scenario that an address sets, or that change no number of a run
 _SET = {"controller", "controller_gain", "controller_limit_pu", "channels", "event", "operating_point"}
 _WORDS = {"title", "source", "name", "folder", "expect", "rounded", "master"}
+_TIMES = ("at", "end")  #: of the event: in a state, but not in an address
 _OF_CHANNELS = {
     *("latency_s", "jitter_s", "reporting_interval_s", "seed", "on_loss", "hold_s", "outages_s", "loss")
 }
@@ -41,19 +42,12 @@ def address_of(subject: Subject, scenario: Scenario) -> str | None:
     state, start = state_of(replace(subject, scenario=scenario)), state_of(subject)
     point = scenario.operating_point.model_dump(exclude_defaults=True)
     places = [k for k, p in enumerate(subject.points) if dict(p.changes) == point]
-    if not places or state["k"] not in {"none", *subject.controllers}:
-        return None
-    if any(state.get(key) != start.get(key) for key in ("at", "end")) or (
-        state["ev"] == "given" and scenario.event != base.event
-    ):
+    if not places or state["k"] not in {"none", *subject.controllers} or not _same_event(base, scenario):
         return None
     nothing = {"loss": 0.0, "burst": 1.0, "lost": base.stop_s, "back": base.stop_s}
-    for key in start.keys() - state.keys():
-        if key.partition(".")[2] not in nothing:
-            return None
-        state[key] = nothing[key.partition(".")[2]]
-    state["op"] = places[0]
-    differs = {k: v for k, v in state.items() if k not in ("at", "end") and v != start.get(k, 0)}
+    absent = {key: nothing.get(key.partition(".")[2]) for key in start.keys() - state.keys()}
+    wanted = {"op": places[0], **absent, **state}
+    differs = {k: v for k, v in wanted.items() if k not in _TIMES and v != start.get(k, 0)}
     return link_of(differs) if all(_within(k, v) for k, v in differs.items()) else None
 
 
@@ -73,6 +67,15 @@ def _same_ways(base: Mapping[str, ChannelTable], other: Mapping[str, ChannelTabl
     )
 
 
+def _same_event(base: Scenario, other: Scenario) -> bool:
+    """Whether events differ at most in what an address can say: machine and size of one pulse."""
+    one = len(base.event) == len(other.event) == 1 and {e.kind for e in base.event + other.event} <= PULSES
+    if not one:
+        return base.event == other.event
+    a, b = base.event[0], other.event[0]
+    return bool((a.start_s, a.end_s) == (b.start_s, b.end_s))
+
+
 def _within(key: str, value: Any) -> bool:
     range_ = RANGES.get(key.rpartition(".")[2])
-    return range_ is None or range_[0] <= value <= range_[1]
+    return value is not None and (range_ is None or range_[0] <= value <= range_[1])

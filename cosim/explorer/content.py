@@ -28,7 +28,7 @@ VERSION = 1  #: of the address that a page understands
 #: Longest Runge-Kutta step while a slider moves, in shortest time constants of the grid: stable up to 2.4,
 #: and where limits act the error comes first.
 _COARSE, _COARSE_AT_LIMITS, _COARSEST_S = 2.0, 1.25, 0.005
-_PULSES = ("vref_pulse", "pm_pulse")
+PULSES = {"vref_pulse", "pm_pulse"}
 #: what an address may set beside the start value, in the units of the labels; of a channel by the key's end
 RANGES: dict[str, tuple[float, float]] = {
     "g": (0.0, 3.0),
@@ -276,7 +276,7 @@ def _event_state(subject: Subject) -> dict[str, Any]:
         return {"ev": "nothing"}
     first = events[0]
     state: dict[str, Any] = {"at": first.start_s}
-    if len(events) == 1 and first.kind in _PULSES:
+    if len(events) == 1 and first.kind in PULSES:
         kind = "nudge" if first.kind == "vref_pulse" else "power"
         return state | {"ev": kind, kind: first.machine, "sz": _percent(first.size_pu), "end": first.end_s}
     return state | {"ev": "given"}

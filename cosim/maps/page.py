@@ -111,7 +111,7 @@ def _draw(
         if is_grid(rows, x, y):
             parts = {str(v or ""): rows if v is None else rows[rows[facet] == v] for v in facet_values}
             maps = {name: map_of(part, x, y) for name, part in parts.items()}
-            links = {} if explorer is None else _links(explorer, rows, x, y)
+            links = _links(explorer, rows, x, y)
             lines = _lines(sweep, margins, x, y, facet, maps)
             found[f"map-{k}"] = figures.map_figure(maps, labels, lines, links)
         else:
@@ -141,9 +141,11 @@ def _draw(
 
 
 def _links(
-    explorer: Explorer, rows: pd.DataFrame, x: str, y: str
+    explorer: Explorer | None, rows: pd.DataFrame, x: str, y: str
 ) -> dict[str, dict[tuple[float, float], str]]:
     """Return facet -> values of the two parameters -> address of that cell's worst run."""
+    if explorer is None:
+        return {}
     facet, values = facets_of(explorer.plan.sweep, rows)
     parts = {str(v or ""): rows if v is None else rows[rows[facet] == v] for v in values}
     return {name: explorer.cells(part, x, y) for name, part in parts.items()}
