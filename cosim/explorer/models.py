@@ -38,7 +38,9 @@ def models_of(subject: Subject) -> tuple[list[dict[str, Any]], list[bytes]]:
     records: list[bytes] = []
     for name in ("none", *subject.controllers):
         for number, point in enumerate(subject.points):
-            block = container_block(_scenario(subject, name, point), cache=subject.cache)
+            block = container_block(
+                _scenario(subject, name, point), cache=subject.cache, controller=subject.own.get(name)
+            )
             record = pack_record({"guid": GUID.encode() + b"\0", **record_entries(block)})
             part, reference = _least(record, records)
             model: dict[str, Any] = {

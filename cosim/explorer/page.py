@@ -9,6 +9,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.description_xml import product_version
 from interarea.models.files import write_whole
 
@@ -41,9 +42,14 @@ def write_explorer(source: str | Path | Scenario, path: str | Path, *, cache: Pa
     return write_whole(Path(path), explorer_page(subject_of(source, cache)).encode("utf-8"))
 
 
-def write_linked_explorer(source: str | Path | Scenario, path: Path, *, cache: Path) -> list[dict[str, str]]:
-    """Write the page; return label and address, relative to its folder, of each preset."""
-    subject = subject_of(source, cache)
+def write_linked_explorer(
+    source: str | Path | Scenario, path: Path, *, cache: Path, own: Mapping[str, Controller]
+) -> list[dict[str, str]]:
+    """Write the page; return label and address, relative to its folder, of each preset.
+
+    own : controllers in place of those of these names.
+    """
+    subject = subject_of(source, cache, own)
     data, parts = page_data(subject)
     write_whole(path, explorer_page(subject, data, parts).encode("utf-8"))
     return [{"label": p["label"], "href": path.name + link_of(p["state"])} for p in data["presets"]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -52,6 +52,7 @@ class Subject:
     scenario: Scenario
     case: Case  #: as the file has it
     cache: Path
+    own: Mapping[str, Controller] = field(default_factory=dict)  #: in place of those of these names
 
     @cached_property
     def controllers(self) -> dict[str, AnyController]:
@@ -62,7 +63,8 @@ class Subject:
             if name == "none" or (name != self.scenario.controller and not self._may_fit(name)):
                 continue
             try:
-                made = controller_of(name, self.case, self.cache, folder=self.scenario.folder)
+                which = self.own.get(name, name)
+                made = controller_of(which, self.case, self.cache, folder=self.scenario.folder)
             except _DESIGN_FAILS:
                 if name == self.scenario.controller:
                     raise
@@ -146,8 +148,12 @@ class Subject:
         return remove_reference(linear_plant(point.case, self.cache))
 
 
-def subject_of(source: str | Path | Scenario, cache: Path) -> Subject:
+def subject_of(
+    source: str | Path | Scenario, cache: Path, own: Mapping[str, Controller] | None = None
+) -> Subject:
     """Return what `source`, a scenario or a case by bundled name or file, is about.
+
+    own : controllers of a case's page in place of those of these names.
 
     Raises
     ------
@@ -164,7 +170,7 @@ def subject_of(source: str | Path | Scenario, cache: Path) -> Subject:
             )
         return _of_scenario(load_scenario(source), cache)
     case = load_case(source)
-    alone = Subject(_scenario_of_case(name, case), case, cache)
+    alone = Subject(_scenario_of_case(name, case), case, cache, own or {})
     first = alone.first
     if first is None:
         return alone
@@ -173,7 +179,7 @@ def subject_of(source: str | Path | Scenario, cache: Path) -> Subject:
         for n, (signal, table) in alone.channels.items()
         if signal in alone.controllers[first].inputs
     }
-    return Subject(_scenario_of_case(name, case, controller=first, channels=channels), case, cache)
+    return Subject(_scenario_of_case(name, case, controller=first, channels=channels), case, cache, own or {})
 
 
 def _of_scenario(scenario: Scenario, cache: Path) -> Subject:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import control
 
@@ -22,6 +23,9 @@ from ..errors import ScenarioError, nearest
 from ..scenario.scenario import CONTROLLER_NAMES, NAMED_CONTROLLERS
 from .artefacts import linear_plant, plant_fmu
 from .controller_fmu import controller_from_fmu
+
+if TYPE_CHECKING:
+    from interarea.design.synthesis.study_designs import StudySpec
 
 #: What a controller can be given as: an object, a name, a file.
 ControllerLike: TypeAlias = "Controller | ControllerBank | control.StateSpace | str | Path"
@@ -63,11 +67,19 @@ def controller_of(
     return load_controller(path)
 
 
-def design_controller(case: Case, name: str, cache: Path, *, reduce: bool = True) -> Controller:
+def design_controller(
+    case: Case,
+    name: str,
+    cache: Path,
+    *,
+    reduce: bool = True,
+    specs: Mapping[str, StudySpec] | None = None,
+) -> Controller:
     """Return controller `name` (wdc | cc | ftc) of a case, designed and certified when it is new.
 
     The conventional controller (cc) is the one with the normal damping of the fault-tolerant one (ftc), so
-    that the two compare. reduce : False keeps the order that synthesis gave.
+    that the two compare. reduce : False keeps the order that synthesis gave. specs : specifications by name
+    in place of the study's own.
 
     Raises
     ------
@@ -78,35 +90,41 @@ def design_controller(case: Case, name: str, cache: Path, *, reduce: bool = True
     if name not in CONTROLLER_NAMES:
         raise ValueError(f"controller {name!r} is not known; {nearest(name, NAMED_CONTROLLERS)}")
     key = content_hash(
-        [name, reduce],
+        [name, reduce, {k: asdict(spec) for k, spec in (specs or {}).items()}],
         file_hash(plant_fmu(case, cache)),
         code_hash("interarea.design.synthesis.study_designs"),
         code_hash(certificate.__module__),
         numerics_versions(),
     )
-    path = artefact(
-        cache, "controllers", f"{name}-{key}", ".json", lambda p: _design(case, name, cache, reduce).save(p)
-    )
+
+    def make(path: Path) -> Path:
+        return _design(case, name, cache, reduce, specs).save(path)
+
+    path = artefact(cache, "controllers", f"{name}-{key}", ".json", make)
     return Controller.load(path)
 
 
-def designed_anew(case: Case, name: str, cache: Path) -> Controller:
+def designed_anew(
+    case: Case, name: str, cache: Path, specs: Mapping[str, StudySpec] | None = None
+) -> Controller:
     """Design controller `name` (wdc | cc | ftc) of a case again, whatever the cache holds of it."""
-    return _design(case, name, cache, True)
+    return _design(case, name, cache, True, specs)
 
 
-def _design(case: Case, name: str, cache: Path, reduce: bool) -> Controller:
+def _design(
+    case: Case, name: str, cache: Path, reduce: bool, specs: Mapping[str, StudySpec] | None
+) -> Controller:
     from interarea.design.synthesis import study_designs as designs
 
     relative = remove_reference(linear_plant(case, cache))
     order = {} if reduce else {"order": relative.nstates}
-    if name == "wdc":
-        made = designs.design_wdc(relative, replace(designs.WdcSpec(), **order), omega_b=case.omega_b)
-    elif name == "ftc":
-        made = designs.design_ftc(relative, replace(designs.FtcSpec(), **order), omega_b=case.omega_b)
+    spec = replace((specs or {}).get(name) or designs.SPECIFICATIONS[name](), **order)
+    if isinstance(spec, designs.WdcSpec):
+        made = designs.design_wdc(relative, spec, omega_b=case.omega_b)
+    elif isinstance(spec, designs.FtcSpec):
+        made = designs.design_ftc(relative, spec, omega_b=case.omega_b)
     else:
-        spec = replace(designs.CcSpec(), **order)
-        reference = design_controller(case, "ftc", cache)
+        reference = design_controller(case, "ftc", cache, specs=specs)
         made = designs.design_cc_like(reference, relative, spec, omega_b=case.omega_b)
     if not reduce:
         return made

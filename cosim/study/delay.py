@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import control
@@ -80,11 +81,13 @@ def redesigned(
     controller: Controller,
     omega_b: float,
     wanted: Sequence[Mapping[str, Any]],
+    base: WdcSpec,
 ) -> list[dict[str, Any]]:
     """Design the WDC again with each latency as a Padé model in its design plant; judge both exactly.
 
-    relative : full plant without reference angle, speeds in pu. controller : the one designed without.
-    wanted : rows latency_s, on ("both" or "remote" signals), order and, unless the usual one, plant_order.
+    relative : full plant without reference angle, speeds in pu. controller : the one designed without, by
+    the specification `base`. wanted : rows latency_s, on ("both" or "remote" signals), order and, unless the
+    usual one, plant_order.
 
     Returns
     -------
@@ -97,7 +100,7 @@ def redesigned(
     rows: list[dict[str, Any]] = []
     for asked in wanted:
         change = {key: asked[key] for key in ("order", "plant_order") if key in asked}
-        spec = WdcSpec(latency_s=asked["latency_s"], latency_on=asked["on"], **change)
+        spec = replace(base, latency_s=asked["latency_s"], latency_on=asked["on"], **change)
         signals = [spec.remote, spec.local] if spec.latency_on == "both" else [spec.remote]
         late = dict.fromkeys(signals, spec.latency_s)
         row: dict[str, Any] = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from interarea.design.reduction.gramians import ReductionError
 from interarea.design.synthesis.generalized_plant import effort_plant, mixed_sensitivity
 from interarea.design.synthesis.printed_iteration import printed_iteration
 from interarea.design.synthesis.reduced_order import closed_norm, on_difference, reduced_order
-from interarea.design.synthesis.study_designs import FtcSpec, WdcSpec
+from interarea.design.synthesis.study_designs import FtcSpec, StudySpec, WdcSpec
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, numerics_versions
 from interarea.models.case.case import load_case
 
@@ -109,13 +109,16 @@ def inter_area_roots(
     return out
 
 
-def printed_ftc(relative: control.StateSpace, omega_b: float, shipped: Controller) -> dict[str, Any]:
+def printed_ftc(
+    relative: control.StateSpace, omega_b: float, shipped: Controller, spec: FtcSpec
+) -> dict[str, Any]:
     """Return what the iteration of eq. 4.29 as printed ends in, beside the fault-tolerant controller used.
+
+    spec : what that one was specified by.
 
     Rows "printed" and "ours": damping ratio of every pole on the design plant, effort there, fastest pole of
     the controller (rad/s), and the rightmost pole on the full plant, normal and lost.
     """
-    spec = FtcSpec()
     plant = speeds_in_rad(relative, omega_b)
     loop = select(plant, [spec.actuator], list(spec.signals))
     design_plant = balanced_truncation(loop, spec.plant_order).system
@@ -148,13 +151,16 @@ def printed_ftc(relative: control.StateSpace, omega_b: float, shipped: Controlle
     }
 
 
-def method_record(case_name: str, names: Sequence[str], remote: str, cache: Path) -> dict[str, Any]:
+def method_record(
+    case_name: str, names: Sequence[str], remote: str, specs: Mapping[str, StudySpec], cache: Path
+) -> dict[str, Any]:
     """Return `orders`, `inter_area_roots` of the named controllers and `printed_ftc` where there is one.
 
-    Everything it needs is found in `cache`, so that a process of its own can make it.
+    specs : of controllers that are not as the study has them. All else is found in `cache`, so that a
+    process of its own can make it.
     """
     case = load_case(case_name)
-    controllers = {name: design_controller(case, name, cache) for name in names}
+    controllers = {name: design_controller(case, name, cache, specs=specs) for name in names}
     key = content_hash(
         plant_fmu(case, cache).name,
         *(controller_fmu(c, case.omega_b, cache).name for c in controllers.values()),
@@ -166,13 +172,14 @@ def method_record(case_name: str, names: Sequence[str], remote: str, cache: Path
     def make() -> dict[str, Any]:
         relative = remove_reference(linear_plant(case, cache))
         plant, modes = speeds_in_rad(relative, case.omega_b), modes_of(relative, case.areas)
-        full = {name: design_controller(case, name, cache, reduce=False) for name in names}
+        full = {name: design_controller(case, name, cache, reduce=False, specs=specs) for name in names}
         record: dict[str, Any] = {
             "orders": {name: order_rows(plant, made, modes) for name, made in full.items()},
             "inter_area_roots": {n: inter_area_roots(plant, c, remote) for n, c in controllers.items()},
         }
-        if "ftc" in controllers:
-            record["printed_ftc"] = printed_ftc(relative, case.omega_b, controllers["ftc"])
+        ftc = specs.get("ftc", FtcSpec())
+        if "ftc" in controllers and isinstance(ftc, FtcSpec):
+            record["printed_ftc"] = printed_ftc(relative, case.omega_b, controllers["ftc"], ftc)
         return record
 
     with threadpool_limits(1):

@@ -93,7 +93,7 @@ def monte_carlo_rows(
 
     Quantiles are the least, the median and the largest; None where no run settled or showed the mode.
     """
-    runs = run_all(monte_carlo_documents(spec, controllers), cache, progress)
+    runs = run_all(monte_carlo_documents(spec, controllers), controllers, cache, progress)
     rows = []
     for name in controllers:
         mine = [run for key, run in runs.items() if key.startswith(f"{name}-jitter-")]

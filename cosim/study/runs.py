@@ -13,17 +13,19 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.cache import artefact, code_hash, content_hash, file_hash, source_hash
 from interarea.models.case.case import load_case
+from interarea.models.files import temporary_folder
 
 from ..errors import ScenarioError
 from ..results.metrics import ring_down, uniform
 from ..results.ringdown import disturbance_end_s
 from ..results.run import Run
 from ..run.artefacts import channel_fmu, plant_fmu
-from ..run.controllers import controller_fmu, design_controller
+from ..run.controllers import controller_fmu
 from ..run.run import run_scenario
-from ..scenario.scenario import CONTROLLER_NAMES, load_scenario
+from ..scenario.scenario import load_scenario
 from ..trajectory import Trajectory
 from .spec import latency_name
 
@@ -124,25 +126,36 @@ def _beside_margin(spec: Mapping[str, Any], margin_s: float) -> dict[str, Docume
 
 
 def run_all(
-    documents: Mapping[str, Document], cache: Path, progress: Callable[[float], None], *, processes: int = 2
+    documents: Mapping[str, Document],
+    controllers: Mapping[str, Controller],
+    cache: Path,
+    progress: Callable[[float], None],
+    *,
+    processes: int = 2,
 ) -> dict[str, StudyRun]:
-    """Run every scenario that is new, in `processes` processes; the others come from `cache`."""
-    folders = {name: _folder(document, cache) for name, document in documents.items()}
+    """Run every scenario that is new, in `processes` processes; the others come from `cache`.
+
+    controllers : those that the scenarios name, as this study designed them.
+    """
+    folders = {name: run_folder(document, controllers, cache) for name, document in documents.items()}
     missing = [name for name, folder in folders.items() if not (folder / "metrics.json").exists()]
     done = len(documents) - len(missing)
     progress(done / len(documents))
-    if len(missing) > 2 and processes > 1:
-        with ProcessPoolExecutor(processes) as pool:
-            waiting = [pool.submit(_run_into, documents[n], folders[n], cache) for n in missing]
-            for future in as_completed(waiting):
-                future.result()
+    with temporary_folder() as own:
+        # a state-space model of python-control cannot be pickled
+        files = {name: controllers[name].save(Path(own) / f"{name}.json") for name in controllers}
+        given = [(documents[n], files.get(documents[n]["controller"]), folders[n], cache) for n in missing]
+        if len(missing) > 2 and processes > 1:
+            with ProcessPoolExecutor(processes) as pool:
+                for future in as_completed([pool.submit(_run_into, *each) for each in given]):
+                    future.result()
+                    done += 1
+                    progress(done / len(documents))
+        else:
+            for each in given:
+                _run_into(*each)
                 done += 1
                 progress(done / len(documents))
-    else:
-        for name in missing:
-            _run_into(documents[name], folders[name], cache)
-            done += 1
-            progress(done / len(documents))
     return {
         name: StudyRun(
             name,
@@ -155,19 +168,21 @@ def run_all(
     }
 
 
-def _folder(document: Document, cache: Path) -> Path:
+def run_folder(document: Document, controllers: Mapping[str, Controller], cache: Path) -> Path:
+    """Return where the results of a scenario are kept: named by all that they come from."""
     case = load_case(document["case"])
     parts: list[object] = [document, case.swing, file_hash(plant_fmu(case, cache))]
-    if document["controller"] in CONTROLLER_NAMES:
-        controller = design_controller(case, document["controller"], cache)
+    if document["controller"] in controllers:
+        controller = controllers[document["controller"]]
         parts += [file_hash(controller_fmu(controller, case.omega_b, cache)), file_hash(channel_fmu(cache))]
     parts += [code_hash(__name__), source_hash("cosim", "*.[ch]")]
     return cache / "runs" / content_hash(*parts)
 
 
-def _run_into(document: Document, folder: Path, cache: Path) -> None:
+def _run_into(document: Document, controller: Path | None, folder: Path, cache: Path) -> None:
+    own = None if controller is None else Controller.load(controller)
     with threadpool_limits(1):
-        run = run_scenario(load_scenario(document), cache=cache)
+        run = run_scenario(load_scenario(document), cache=cache, controller=own)
     artefact(folder.parent, folder.name, "trajectory", ".parquet", run.trajectory.write_parquet)
     numbers = run.metrics.as_dict()
     numbers["late_damping"] = _late_damping(run)

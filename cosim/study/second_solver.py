@@ -6,7 +6,8 @@ found is put back into the inequalities by this package, not by either solver.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from interarea.design.errors import SolverError
 from interarea.design.lmi.clarabel_engine import solve_clarabel
 from interarea.design.lmi.problem import Problem, Solution
 from interarea.design.lmi.solve import recorded, violation
+from interarea.design.synthesis.study_designs import StudySpec
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, numerics_versions
 from interarea.models.case.case import load_case
 
@@ -28,7 +30,9 @@ TOLERANCE = 1e-3
 TIME_LIMIT_S = 120.0
 
 
-def second_solver_record(case_name: str, names: Sequence[str], cache: Path) -> dict[str, Any]:
+def second_solver_record(
+    case_name: str, names: Sequence[str], specs: Mapping[str, StudySpec], cache: Path
+) -> dict[str, Any]:
     """Return `tolerance`, `time_limit_s` and `rows`, one for each LMI of the named controllers.
 
     Each row: controller, problem (counted from 1), unknowns, `objective` of both solvers, `difference`
@@ -42,7 +46,7 @@ def second_solver_record(case_name: str, names: Sequence[str], cache: Path) -> d
     case = load_case(case_name)
     key = content_hash(
         plant_fmu(case, cache).name,
-        list(names),
+        [list(names), {name: asdict(spec) for name, spec in specs.items()}],
         [TOLERANCE, TIME_LIMIT_S],
         code_hash(__name__),
         code_hash("interarea.design.synthesis.study_designs"),
@@ -53,7 +57,7 @@ def second_solver_record(case_name: str, names: Sequence[str], cache: Path) -> d
         rows = []
         for name in names:
             with recorded() as record:
-                designed_anew(case, name, cache)
+                designed_anew(case, name, cache, specs)
             rows += [compared(name, k + 1, problem, solution) for k, (problem, solution) in enumerate(record)]
         return rows
 

@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from interarea.design.synthesis.study_designs import SPECIFICATIONS as DESIGNS
+from interarea.design.synthesis.study_designs import StudySpec
 
 from ..errors import ScenarioError, nearest
 from ..scenario.scenario import CONTROLLER_NAMES
@@ -78,9 +84,36 @@ def load_study(name: str) -> Mapping[str, Any]:
     runs = [row["name"] for row in spec["scenario"]] + latency_names(spec)
     for row in spec["figure"]:
         _check_figure(f"{path}: figure {row.get('key', '?')}", row, spec, runs)
+    design_specs(spec)
     if "claims" in spec:
         spec["claims"] = str(path.parent / spec["claims"])
     return spec
+
+
+def design_specs(spec: Mapping[str, Any]) -> dict[str, StudySpec]:
+    """Return the specifications that a study's table `design` changes, by controller.
+
+    Raises
+    ------
+    ScenarioError : no such controller or key, or a value that does not fit; the first one is named.
+    """
+    given = spec.get("design", {})
+    for name in given:
+        _among("study: design", name, DESIGNS)
+    made: dict[str, StudySpec] = {}
+    for name, table in given.items():
+        kind = DESIGNS[name]
+        for key in table:
+            _among(f"study: design.{name}: key", key, [f.name for f in fields(kind)])
+        try:
+            made[name] = TypeAdapter(kind).validate_python(dict(table))
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"]))
+            raise ScenarioError(
+                f"study: design.{name}.{where} = {first['input']!r}: {first['msg']}"
+            ) from None
+    return made
 
 
 def latency_names(spec: Mapping[str, Any]) -> list[str]:

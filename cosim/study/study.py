@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from interarea.design.linear.linearise import remove_reference, select, speeds_i
 from interarea.design.modes.loop_selection import lead_by_coordinates, rank_loops
 from interarea.design.modes.modes import modes_of
 from interarea.design.reduction.balanced import balanced_truncation
+from interarea.design.synthesis.study_designs import WdcSpec
 from interarea.fmu_build.open.cross_check import complete_fmu
 from interarea.fmu_build.write.cache import (
     cached_json,
@@ -47,7 +49,7 @@ from .printed import printed_rows
 from .report import write_report
 from .runs import run_all, scenario_documents
 from .second_solver import second_solver_record
-from .spec import load_study
+from .spec import design_specs, load_study
 from .survival import survival_record
 
 #: Called with a stage's name and how much of it is done, 0..1.
@@ -84,6 +86,7 @@ def run_study(
     InfeasibleDesign, UncertifiedDesign, StepError : as the step that failed says.
     """
     spec = load_study(name)
+    specs = design_specs(spec)
     cache = default_cache()
     told = progress or (lambda _stage, _done: None)
 
@@ -122,26 +125,27 @@ def run_study(
         done = stage("controllers")
         controllers, unreduced = {}, {}
         for k, label in enumerate(spec["controllers"]):
-            controllers[label] = design_controller(case, label, cache)
-            unreduced[label] = design_controller(case, label, cache, reduce=False)
+            controllers[label] = design_controller(case, label, cache, specs=specs)
+            unreduced[label] = design_controller(case, label, cache, reduce=False, specs=specs)
             fmus[label] = controller_fmu(controllers[label], case.omega_b, cache)
             done((k + 1) / len(spec["controllers"]))
 
         # in a process beside: it needs nothing but what the cache holds by now
         beside = ending.enter_context(ProcessPoolExecutor(1))
-        waiting = beside.submit(method_record, spec["case"], list(controllers), spec["remote"], cache)
+        names = list(controllers)
+        waiting = beside.submit(method_record, spec["case"], names, spec["remote"], specs, cache)
         opinion = (
-            beside.submit(second_solver_record, spec["case"], list(controllers), cache)
-            if second_solver
-            else None
+            beside.submit(second_solver_record, spec["case"], names, specs, cache) if second_solver else None
         )
 
         done = stage("latency")
-        delayed = spec["latency"]["controller"]
+        delayed, base = spec["latency"]["controller"], specs.get("wdc", WdcSpec())
+        assert isinstance(base, WdcSpec)
         key = content_hash(
             fmus["plant"].name,
             fmus[delayed].name,
             dict(spec["latency"]),
+            asdict(base),
             code_hash(latency_analysis.__module__),
         )
         delay = cached_json(
@@ -155,7 +159,7 @@ def run_study(
             "latency",
             f"redesigned-{key}",
             lambda: redesigned(
-                relative, controllers[delayed], case.omega_b, spec["latency"].get("redesign", ())
+                relative, controllers[delayed], case.omega_b, spec["latency"].get("redesign", ()), base
             ),
         )
         pade = cached_json(
@@ -168,7 +172,7 @@ def run_study(
         done(1.0)
 
         done = stage("co-simulation")
-        runs = run_all(scenario_documents(spec, delay["synchronous"]["margin_s"]), cache, done)
+        runs = run_all(scenario_documents(spec, delay["synchronous"]["margin_s"]), controllers, cache, done)
 
         done = stage("packets")
         packets = _packets(spec, plant, controllers, fmus, cache, done) if "packets" in spec else None
@@ -176,7 +180,8 @@ def run_study(
         done = stage("survival")
         survival = None
         if "survival" in spec:
-            tried = {name: design_controller(case, name, cache) for name in spec["survival"]["controllers"]}
+            wanted = spec["survival"]["controllers"]
+            tried = {label: design_controller(case, label, cache, specs=specs) for label in wanted}
             survival = survival_record(spec, tried, cache, done)
         done(1.0)
 
@@ -201,7 +206,7 @@ def run_study(
         done(1.0)
 
     done = stage("explorer")
-    presets = write_linked_explorer(spec["case"], out / "explorer.html", cache=cache)
+    presets = write_linked_explorer(spec["case"], out / "explorer.html", cache=cache, own=controllers)
     done(1.0)
 
     done = stage("report")

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import control
 import numpy as np
@@ -118,6 +118,11 @@ class FtcSpec:
     effort_cap: float | None = None
     limit_pu: float = 0.15
     price_cap: float = PRICE_CAP
+
+
+StudySpec: TypeAlias = WdcSpec | CcSpec | FtcSpec
+#: name of a study's controller -> what it is specified by
+SPECIFICATIONS: Mapping[str, type[StudySpec]] = {"wdc": WdcSpec, "cc": CcSpec, "ftc": FtcSpec}
 
 
 def design_wdc(
@@ -347,7 +352,7 @@ def _finish(
     plant: control.StateSpace,
     made: tuple[control.StateSpace, control.StateSpace],
     norms: tuple[float, float] | None,
-    spec: WdcSpec | CcSpec | FtcSpec,
+    spec: StudySpec,
     synthesis: Synthesis,
     facts: Mapping[str, Any],
     loss_of: Mapping[str, tuple[str, ...]],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import control
@@ -20,15 +21,20 @@ from interarea.cosim.run.controllers import design_controller
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.study.delay import least_damping
+from interarea.cosim.study.figures import OMEGA, StudyParts, loop_functions, weight_gains
+from interarea.cosim.study.methods import order_rows
 from interarea.cosim.study.packet_loss import monte_carlo_documents
-from interarea.cosim.study.runs import scenario_documents
-from interarea.cosim.study.spec import SPECIFICATIONS, load_study, study_names
+from interarea.cosim.study.rows import sensitivity_row
+from interarea.cosim.study.runs import run_folder, scenario_documents
+from interarea.cosim.study.spec import SPECIFICATIONS, design_specs, load_study, study_names
 from interarea.cosim.study.study import STAGES, run_study
 from interarea.design.certificates import closed_loop as certificates
 from interarea.design.certificates.closed_loop import swing_poles
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, select, speeds_in_rad
+from interarea.design.linear.norms import response
 from interarea.design.modes.modes import Modes, modes_of
+from interarea.design.synthesis.study_designs import WdcSpec
 from interarea.models.case.case import Case
 
 
@@ -104,6 +110,56 @@ def test_a_figure_of_what_is_not_there_is_refused_before_anything_runs(
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(ScenarioError, match=said):
         load_study(str(path))
+
+
+def with_table(tmp_path: Path, table: str) -> Path:
+    path = tmp_path / "mine.toml"
+    text = (SPECIFICATIONS / "study_thesis.toml").read_text(encoding="utf-8")
+    claims = SPECIFICATIONS / "published.toml"
+    path.write_text(text.replace('"published.toml"', f'"{claims}"') + table, encoding="utf-8")
+    return path
+
+
+@pytest.mark.slow
+def test_another_weight_changes_what_is_designed_drawn_judged_and_run(
+    tmp_path: Path, plant: control.StateSpace, modes: Modes, two_area: Case, cache: Path
+) -> None:
+    """W1 = 12 / (s + 12) from the specification on; the norm by a sweep over frequency."""
+    spec = load_study(str(with_table(tmp_path, "\n[design.wdc]\nlow_pass = 12.0\n")))
+    specs = design_specs(spec)
+    assert specs == {"wdc": WdcSpec(low_pass=12.0)} and design_specs(load_study("thesis")) == {}
+    made = design_controller(two_area, "wdc", cache, specs=specs)
+    full = design_controller(two_area, "wdc", cache, specs=specs, reduce=False)
+    parts = StudyParts(spec, two_area, None, modes, plant, {}, {"wdc": made}, {}, {}, {})  # type: ignore[arg-type]
+    w1 = 12.0 / np.abs(1j * OMEGA + 12.0)
+    assert weight_gains(parts)[0] == pytest.approx(w1, rel=1e-9)
+    assert sensitivity_row(parts)["w1_s"] == pytest.approx(np.max(w1 * loop_functions(parts)[0]), rel=1e-9)
+
+    K, G = made.system, select(plant, ["G4_vs"], {"dw24": {"G2_dw": 1.0, "G4_dw": -1.0}})
+    jw = 1j * np.geomspace(1e-3, 1e4, 4000)
+    g, k = response(G, jw.imag)[:, 0, 0], response(K, jw.imag)[:, 0, 0]
+    low, high = 12.0 / (jw + 12.0), 10.0 * jw / (jw + 100.0)
+    norm = np.sqrt(np.abs(low / (1 - g * k)) ** 2 + np.abs(high * k / (1 - g * k)) ** 2).max()
+    assert made.design["reduction_price"]["norm"][1] == pytest.approx(norm, rel=1e-3)
+    by_order = {row["order"]: row for row in order_rows(plant, full, modes)}
+    assert by_order[4]["norm"] == pytest.approx(norm, rel=1e-3)
+
+    document = scenario_documents(spec, None)["wdc-pulse"]
+    folders = {run_folder(document, {"wdc": K}, cache) for K in (made, replace(made, limit_pu=0.1))}
+    assert len(folders) == 2  # the runs are those of the controller that is handed over
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("[design.wdc]\nlow_pas = 12.0\n", "'low_pas'.*low_pass"),
+        ("[design.wdd]\n", "'wdd'.*wdc"),
+        ('[design.wdc]\nlow_pass = "x"\n', r"design\.wdc\.low_pass = 'x'"),
+    ],
+)
+def test_a_specification_that_does_not_exist_is_refused(tmp_path: Path, table: str, said: str) -> None:
+    with pytest.raises(ScenarioError, match=said):
+        load_study(str(with_table(tmp_path, f"\n{table}")))
 
 
 def test_swing_poles_are_poles_of_the_closed_loop(
