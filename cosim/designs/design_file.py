@@ -273,7 +273,7 @@ class Designed:
 def run_design(
     table: DesignTable, cache: Path, *, progress: Callable[[str, float], object] | None = None
 ) -> Designed:
-    """Design the controller of `table`; its certificate, on full plants with exact latency, comes with it.
+    """Design the controller of `table`; its certificate, on full linear plants with exact latency, too.
 
     Raises
     ------

@@ -66,7 +66,7 @@ COMMANDS = {
     ),
     "certify": (
         "design:certify",
-        "Recompute a controller's certificate on full plants with exact latency; exit code 1 if it fails.",
+        "Recompute a controller's certificate on full linear plants, exact latency; exit code 1 if it fails.",
     ),
     "build": (
         "export:build",

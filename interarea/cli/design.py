@@ -128,7 +128,7 @@ def certify(
     ] = False,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
-    """Recompute a controller's certificate on full plants with exact latency; exit code 1 if it fails.
+    """Recompute a controller's certificate on full linear plants, exact latency; exit code 1 if it fails.
 
     What is judged (operating points, losses, latencies, the fault, what is asked) is in the controller's own
     record: the FMU alone is enough.
@@ -184,13 +184,14 @@ def _certify_bank(bank: ControllerBank, case: Case, json_: bool) -> None:
             f"every sequence of losses and returns decays at {found.decay_rate:.4f} 1/s or faster "
             f"(slowest loop alone: {found.slowest:.4f} 1/s)"
         )
+    typer.echo("lost is what a channel marks as lost; a signal that is stuck or wrong is not detected")
 
 
 def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
     from interarea.cosim.designs.acceptance import in_words
 
     print_table(
-        f"{name}: full plants, exact latency",
+        f"{name}: full plants, linearised and without limits, exact latency",
         ("operating point", "condition", "stable", "worst swing", "inter-area", "rightmost (1/s)"),
         [
             (

@@ -155,7 +155,8 @@ _TIMES = {
 _EQUATIONS = (
     "<p>Every controller runs on the signals v<sub>j</sub> = m<sub>j</sub> u<sub>j</sub>; the output is "
     "&Sigma; w<sub>i</sub> y<sub>i</sub>, limited. Weights w and trust m follow their targets with the time "
-    "constant <code>fade_time</code>, so nothing jumps when the active controller changes.</p>"
+    "constant <code>fade_time</code>, so nothing jumps when the active controller changes. A signal that is "
+    "stuck or wrong while its flag is up is not detected: it is used as it comes.</p>"
 )
 
 

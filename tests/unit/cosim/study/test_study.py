@@ -11,6 +11,7 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
+from readme_numbers import missing, study_sentences
 from recomputed import recomputed
 from scipy.linalg import expm
 
@@ -272,6 +273,11 @@ def test_the_whole_study(tmp_path: Path, cache: Path) -> None:
     statements = tomllib.loads(Path(load_study("thesis")["claims"]).read_text(encoding="utf-8"))["statement"]
     verdicts = {row["says"]: row["verdict"] for row in study["printed"]["verdicts"]}
     assert verdicts == recomputed(statements, json.loads((tmp_path / "study.json").read_text()))
+    page = (SPECIFICATIONS.parents[2] / "docs" / "thesis.md").read_text(encoding="utf-8")
+    for claim in statements:
+        (line,) = re.findall(rf"^\| `{claim['check']}` .*$", page, re.MULTILINE)
+        assert line.rstrip("| ").endswith(f"| {verdicts[claim['says']]}"), line
+    assert missing(study_sentences(study)) == []
 
     inter = study["modes"]["inter-area"]
     assert inter["frequency_hz"] == pytest.approx(0.6227, rel=0.005)
