@@ -19,6 +19,7 @@ from interarea.models.case.case import load_case
 from interarea.models.files import temporary_folder
 
 from ..errors import ScenarioError
+from ..master.kernel.build import kernel_or_reason
 from ..results.metrics import ring_down, uniform
 from ..results.ringdown import disturbance_end_s
 from ..results.run import Run
@@ -146,6 +147,7 @@ def run_all(
         files = {name: controllers[name].save(Path(own) / f"{name}.json") for name in controllers}
         given = [(documents[n], files.get(documents[n]["controller"]), folders[n], cache) for n in missing]
         if len(missing) > 2 and processes > 1:
+            kernel_or_reason()  # compiled once, not by each process
             with ProcessPoolExecutor(processes) as pool:
                 for future in as_completed([pool.submit(_run_into, *each) for each in given]):
                     future.result()

@@ -91,6 +91,7 @@ def survival_rows(
     table = spec["survival"]
     tried = [(point, ceiling) for ceiling in table["ceiling"] for point in table["point"]]
     rows: list[dict[str, Any]] = []
+    lanes_here(cache)  # compiled once, not by each process
     with temporary_folder() as folder, ProcessPoolExecutor(processes) as pool:
         # a state-space model of python-control cannot be pickled
         files = {name: controllers[name].save(Path(folder) / f"{name}.json") for name in controllers}
