@@ -39,7 +39,7 @@ def design_controller(
 ) -> Controller:
     """Design a fixed-order controller for a family of operating points, losses and latencies.
 
-    Its `certificate` is on full plants with exact latency and says whether what was asked is held.
+    Its `certificate` is on full linear plants with exact latency and says whether what was asked is held.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def certify(
     *,
     spec: str | Path | Mapping[str, Any] | None = None,
 ) -> Certificate:
-    """Recompute what a controller holds, on full plants with exact latency.
+    """Recompute what a controller holds, on full linear plants with exact latency.
 
     A controller is judged by the design in its own record, else by `robust`; a bank of controllers for every
     sequence of losses and returns.
