@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from interarea.fmu_build.write.cache import default_cache
 
@@ -53,12 +53,14 @@ def run_sweep(
     large: bool = False,
     progress: Callable[[Progress], object] | None = None,
     controllers: Mapping[str, ControllerLike] | None = None,
+    retry: Literal["failed"] | None = None,
 ) -> dict[str, Any]:
     """Run what is missing of a sweep into `folder`; return the counts of its summary.
 
     workers : processes on this machine; default one for each core. scheduler : address of a dask scheduler
         whose workers compute instead. large : confirm more than `LARGEST` runs.
     controllers : of one's own, by the name that the scenario or a parameter on `controller` has for them.
+    retry : "failed": runs that failed before are done again too.
 
     Raises
     ------
@@ -68,6 +70,8 @@ def run_sweep(
     sweep = source if isinstance(source, Sweep) else load_sweep(source)
     plan = plan_sweep(sweep, store_in, large=large, controllers=controllers)
     with SweepStore(folder, plan) as store:
+        if retry == "failed":
+            store.forget_failed()
         if store.count < sweep.size:
             files = prepare(plan, store_in)
             if scheduler is None:

@@ -24,6 +24,7 @@ from typing import Any, NoReturn
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from interarea.models.files import settle, write_whole
@@ -120,6 +121,35 @@ class SweepStore:
         self.done[list(fresh)] = True
         return len(chosen)
 
+    def forget_failed(self) -> int:
+        """Remove the rows of runs that failed, which are then done again; return how many.
+
+        A part is taken away before what stays of it is written: killed in between, its runs are done again.
+        """
+        forgotten = 0
+        try:
+            for part in parts_of(self.folder):
+                table = pq.read_table(part)
+                failed = np.array([status == "failed" for status in table.column("status").to_pylist()])
+                if not failed.any():
+                    continue
+                number, runs = _number(part), table.column("run").to_numpy()
+                curves = [(p, pq.read_table(p)) for p in _curves_of(self.folder, number)]
+                for old in (part, *(p for p, _ in curves)):
+                    old.unlink()
+                self.done[runs] = False
+                rest, gone = table.filter(pa.array(~failed)), pa.array(runs[failed])
+                for _, curve in curves:
+                    keep = pc.invert(pc.is_in(curve.column("run"), value_set=gone))
+                    self._place(curve.filter(keep), _CURVES, number)
+                if rest.num_rows:
+                    self._place(rest, _ROWS, number)
+                    self.done[runs[~failed]] = True
+                forgotten += int(failed.sum())
+        except OSError as error:
+            self._explain(error)
+        return forgotten
+
     def finish(self) -> dict[str, Any]:
         """Write summary.json once every run is there and return it."""
         summary = summary_of(self.folder)
@@ -195,6 +225,11 @@ class SweepStore:
 
     def _explain(self, error: OSError) -> NoReturn:
         raise explained(error, self.folder, self.count, len(self.done)) from error
+
+
+def _curves_of(folder: Path, number: int) -> list[Path]:
+    """Return the trajectories of part `number`: one file, or none."""
+    return [p for p in (folder / _CURVES).glob("part-*.parquet") if _number(p) == number]
 
 
 def explained(error: OSError, folder: Path, count: int, size: int) -> SweepError:

@@ -34,6 +34,9 @@ def sweep(
         str | None,
         typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="dask scheduler whose workers compute"),
     ] = None,
+    retry: Annotated[
+        str | None, typer.Option("--retry", metavar="failed", help="do runs that failed before again, too")
+    ] = None,
     large: Annotated[bool, typer.Option("--large", help="confirm a very large number of runs")] = False,
 ) -> None:
     """Run a scenario over many parameters; a sweep that was stopped goes on where it was."""
@@ -51,10 +54,14 @@ def sweep(
         raise SweepError(
             f"--scheduler = {scheduler}, allowed: tcp://HOST:PORT, as `dask scheduler` prints it"
         )
+    if retry not in (None, "failed"):
+        raise SweepError(f"--retry = {retry}, allowed: failed")
     folder_for(out)
     show = _Display()
     try:
-        summary = run_sweep(spec, out, workers=workers, scheduler=scheduler, large=large, progress=show)
+        summary = run_sweep(
+            spec, out, workers=workers, scheduler=scheduler, large=large, progress=show, retry=retry
+        )
     except KeyboardInterrupt:
         show.end()
         print(f"the same command goes on with what is in {out}", file=sys.stderr)

@@ -183,3 +183,8 @@ def test_a_fault_of_ours_says_so_and_ends_with_1(capsys: pytest.CaptureFixture[s
     monkeypatch.setenv(DEBUG_VARIABLE, "1")
     complain(ZeroDivisionError("division by zero"))
     assert "ZeroDivisionError" in capsys.readouterr().err
+
+
+def test_what_a_sweep_can_do_again_is_said(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    code, _, said = interarea("sweep", "x.toml", "--out", tmp_path / "o", "--retry", "all")
+    assert code == 2 and "--retry = all, allowed: failed" in said
