@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from interarea.cosim.errors import StepError, machine_error
+from interarea.cosim.errors import StepError, SweepError, machine_error
 from interarea.cosim.sweep.plan import plan_sweep
 from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.spec import load_sweep
+from interarea.cosim.sweep.workers import dask_cluster
 
 SWEEP = {
     "scenario": {"case": "two-area-thesis", "stop_s": 0.5},
@@ -56,3 +57,24 @@ def test_a_sweep_ends_with_it(cache: Path, tmp_path: Path, monkeypatch: pytest.M
         pytest.raises(OSError, match="File too large"),
     ):
         list(runner.outcomes([0, 1]))
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device", "x.bin"), "x.bin: No space left"),
+        (MemoryError(), ""),
+    ],
+)
+def test_a_worker_of_a_cluster_ends_the_sweep_too(
+    error: BaseException, says: str, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On whatever it fails there: a sweep's error goes back, which is never taken for a row."""
+
+    def failing(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(dask_cluster, "_runner", failing)
+    document = plan_sweep(load_sweep(SWEEP), cache).document()
+    with pytest.raises(SweepError, match=f"a worker on .*: {says}"):
+        dask_cluster.compute([0], [""], document)

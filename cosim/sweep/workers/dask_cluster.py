@@ -6,9 +6,11 @@ scheduler that is restarted, workers that come and go: what is not back yet is s
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import shutil
+import socket
 import tempfile
 import threading
 import time
@@ -254,7 +256,7 @@ def compute(runs: list[int], names: list[str], *blobs: Any) -> list[Outcome]:
 
     Raises
     ------
-    SweepError : this worker has another version, or its disk is full.
+    SweepError : this worker has another version, or its machine fails: disk, quota, open files, memory.
     """
     given = dict(zip(names, blobs, strict=True))
     document = given.pop("")
@@ -264,11 +266,13 @@ def compute(runs: list[int], names: list[str], *blobs: Any) -> list[Outcome]:
             "a worker has another version of interarea or its libraries "
             f"({code_version()}, here {plan.version}); install the same there, or stop that worker"
         )
-    runner = _runner(plan, given)
     try:
-        return list(runner.outcomes(runs))
+        return list(_runner(plan, given).outcomes(runs))
+    except MemoryError:
+        raise SweepError(f"a worker on {socket.gethostname()}: {os.strerror(errno.ENOMEM)}") from None
     except OSError as error:
-        raise SweepError(f"a worker cannot write: {error.filename}: {error.strerror}") from None
+        where = f"{error.filename}: " if error.filename else ""
+        raise SweepError(f"a worker on {socket.gethostname()}: {where}{error.strerror or error}") from None
 
 
 def _runner(plan: SweepPlan, files: Mapping[str, bytes]) -> Runner:
