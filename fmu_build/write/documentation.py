@@ -15,6 +15,7 @@ from interarea.models.blocks.variables import Block
 
 from .compile import fmi_headers, fmi_sources
 from .description_xml import SI_UNITS, product_version
+from .ports_picture import ports_picture
 
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 _COMMENT = re.compile(r"^/\*(.*?)\*/", re.DOTALL | re.MULTILINE)
@@ -42,6 +43,7 @@ def documentation(block: Block, sources: Mapping[str, bytes], platforms: Iterabl
         digest.update(name.encode() + b"\0" + sources[name])
     return _template().render(
         block=block,
+        ports=ports_picture(block),
         equations=equations,
         references=references_in(text),
         sources=sorted(sources),

@@ -19,11 +19,15 @@ def folder_for(path: Path, option: str = "--out") -> Path:
     return path
 
 
-def file_for(path: Path, option: str = "--out") -> Path:
+def file_for(path: Path, option: str = "--out", *, suffix: str = "") -> Path:
     """Return `path` if it is a file, or can be made one; nothing is made.
+
+    suffix : what its name must end in; default anything.
 
     Raises DestinationError, naming `option`.
     """
+    if suffix and path.suffix.lower() != suffix:
+        raise DestinationError(f"{option} {path}: suffix {path.suffix!r}, allowed: {suffix}")
     if path.is_dir():
         raise DestinationError(f"{option} {path}: is a folder, wanted: the name of a file")
     if path.exists() and not path.is_file():

@@ -27,7 +27,7 @@ def explore(
 
     from .destination import file_for
 
-    file_for(out)
+    file_for(out, suffix=".html")
     with busy(f"writing {out}"):
         made = write_explorer(subject, out, cache=default_cache())
     typer.echo(made)

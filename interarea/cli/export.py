@@ -73,7 +73,7 @@ def ssp(
     """Write plant, channels and controller of a scenario, wired and parametrised, as one SSP 1.0 archive."""
     from interarea.cosim.export.ssp import write_ssp
 
-    _write(write_ssp, scenario, out, platforms)
+    _write(write_ssp, ".ssp", scenario, out, platforms)
 
 
 def names_of(platforms: str | None) -> list[str] | None:
@@ -93,10 +93,10 @@ def container(
     """Write plant, channels and controller of a scenario as one FMU that simulates by itself."""
     from interarea.cosim.export.container import write_container
 
-    _write(write_container, scenario, out, platforms)
+    _write(write_container, ".fmu", scenario, out, platforms)
 
 
-def _write(writer: Callable[..., Path], scenario: str, out: Path, platforms: str | None) -> None:
+def _write(writer: Callable[..., Path], suffix: str, scenario: str, out: Path, platforms: str | None) -> None:
     """Have `writer` turn a scenario into the file `out`, and say where it is."""
     from interarea.cosim.scenario.scenario import load_scenario
     from interarea.fmu_build.write.cache import default_cache
@@ -104,7 +104,7 @@ def _write(writer: Callable[..., Path], scenario: str, out: Path, platforms: str
     from .destination import file_for
 
     loaded = load_scenario(scenario)
-    file_for(out)
+    file_for(out, suffix=suffix)
     with busy(f"writing {out}"):
         made = writer(loaded, out, cache=default_cache(), platforms=names_of(platforms))
     typer.echo(made)

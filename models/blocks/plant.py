@@ -24,6 +24,7 @@ from ..grid.equilibrium import OperatingPoint, operating_point
 from ..grid.machine_tables import in_plant_order, machine_table
 from ..grid.network import load_power
 from ..grid.network_tables import Form, network_pattern, network_tables
+from .event_numbers import event_numbers_html
 from .plant_variables import (
     EVENT_CODES,
     event_variables,
@@ -147,7 +148,11 @@ def plant_block(case: Case, *, event_slots: int = 8, network: Form | None = None
         table=VariableTable(variables),
         data=_data(case, point, parameters, event_slots, network),
         sources=plant_sources(),
-        documentation={"Integration": _integration(point, step_s)} | _controls(point),
+        documentation={
+            "Integration": _integration(point, step_s),
+            "Events": event_numbers_html(case),
+            **_controls(point),
+        },
         provenance={"case": case.name, "case hash": original.hash, "source": case.source},
     )
 

@@ -20,7 +20,11 @@ from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.compile import host_platform
 from interarea.fmu_build.write.documentation import equations_of, references_in
 from interarea.fmu_build.write.package import build_fmu
-from interarea.models.case.case import Case
+from interarea.fmu_build.write.ports_picture import ports_picture
+from interarea.models.blocks.event_numbers import event_numbers
+from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.case.case import Case, load_case
+from interarea.models.case.events import event_of
 
 
 def page_of(fmu: Path) -> str:
@@ -42,6 +46,32 @@ def test_plant_page_states_equations_works_case_and_platform(plant: Path, two_ar
     assert "Power System Stability and Control" in page  # cited by machine.h, from the bibliography
     assert two_area.hash in page
     assert f"binaries in this archive: {host_platform()}" in page
+
+
+def test_plant_page_numbers_what_events_act_on(plant: Path, two_area: Case) -> None:
+    """The numbers are those that a scenario's events become."""
+    page = html.unescape(page_of(plant)).replace("\N{NO-BREAK SPACE}", " ")
+    one = {"start_s": 1.0, "size_pu": 0.1}
+    for event, name in (
+        ({"kind": "bus_fault", "bus": 8, "start_s": 1.0, "end_s": 1.1}, "8"),
+        ({"kind": "branch_trip", "branch": "8-9 a", "start_s": 1.0}, "8-9 a"),
+        ({"kind": "vref_pulse", "machine": "G3", "end_s": 1.2, **one}, "G3"),
+        ({"kind": "load_step", "bus": two_area.loads[1].bus, **one}, two_area.loads[1].name),
+    ):
+        number = event_parameters(two_area, [event_of(event, where="event")])["event[1].target"]
+        (row,) = (r for r in re.findall("<tr><td>.*?</tr>", page) if str(event["kind"]) in r)
+        assert re.search(rf"[>, ]{number} = {re.escape(name)}[,<]", row), row
+    assert event_numbers(two_area)["machine"] == ["G1", "G2", "G3", "G4"]
+
+
+def test_picture_shows_every_port_or_how_many_of_a_kind(two_area: Case) -> None:
+    few = etree.fromstring(ports_picture(plant_block(two_area)))
+    texts = [e.text for e in few.iter("text")]
+    assert len(texts) == 1 + 4 + 4 * 4 + 1 and "G1_dw (pu)" in texts and "tie_p (pu)" in texts
+    assert few.findtext("title") == "two_area_thesis: 4 inputs, 17 outputs"
+    many = etree.fromstring(ports_picture(plant_block(load_case("new-england"))))
+    lines = [e.text for e in many.iter("text") if e.text and "10 ports" in e.text]
+    assert len(lines) >= 4 and float(many.get("width", "0")) < 700
 
 
 @pytest.mark.parametrize("kind", ["decay", "controller", "channel", "plant", "loop"])
