@@ -27,7 +27,7 @@ from ..errors import ScenarioError, nearest
 from ..run.artefacts import linear_plant
 from ..toml_file import read_toml
 from .acceptance import AcceptanceTable, judge_acceptance
-from .first_swing import FaultTable, after_fault, predicted_drive
+from .first_swing import FaultRow, FaultTable, after_fault, predicted_drive
 
 Positive = Annotated[float, Field(gt=0.0)]
 _OFFSETS = (BandOffsets().omega, BandOffsets().offset)
@@ -319,6 +319,12 @@ def judge(table: DesignTable, K: control.StateSpace, cache: Path) -> FamilyCerti
     )
 
 
+def _missed(run: FaultRow) -> str:
+    """What a run after the fault misses, as a violation."""
+    what = f"settled after {run.settled_s:.1f} s" if run.synchronism else "synchronism lost"
+    return f"{run.point}, fault with {' and '.join(run.lost) or 'nothing'} lost: {what}"
+
+
 def certify(
     table: DesignTable,
     controller: Controller,
@@ -353,12 +359,7 @@ def certify(
         for point, case in cases.items()
         for lost in losses
     ]
-    missed = tuple(
-        f"{run.point}, fault with {' and '.join(run.lost) or 'nothing'} lost: "
-        + (f"settled after {run.settled_s:.1f} s" if run.synchronism else "synchronism lost")
-        for run in runs
-        if not run.passed
-    )
+    missed = tuple(_missed(run) for run in runs if not run.passed)
     return replace(
         found,
         drive=drive,

@@ -178,9 +178,7 @@ def _connect_signals(system: System, scenario: Scenario) -> None:
             _known(port.name, inputs, f"controller {title}: output {port.name!r} is no input of the plant")
             system.connections.append((f"{CONTROLLER}.{port.name}", f"{PLANT}.{port.name}"))
     for signal, u, y, valid in scenario.signals:  # the others are connected by scenario.connections
-        name, _, end = u.partition(".")
-        where = f"channels.{name}.signal" if end == "u" else f"concentrators.{name}: signal"
-        where = f"{scenario.name}: {where} = {signal!r}"
+        where = _where(scenario, signal, u)
         _known(signal, signals, f"{where} is no output of the plant")
         system.connections.append((f"{PLANT}.{signal}", u))
         if controller is not None:
@@ -188,11 +186,23 @@ def _connect_signals(system: System, scenario: Scenario) -> None:
             system.connections.append((y, f"{CONTROLLER}.{signal}"))
             if f"{signal}_valid" in taken:
                 system.connections.append((valid, f"{CONTROLLER}.{signal}_valid"))
-    fed = {signal for signal, *_ in scenario.signals}
-    fed |= {path[-1].removeprefix(f"{CONTROLLER}.") for path in scenario.connections}
+    fed = _fed(scenario)
     for signal in (s for s in wanted if s not in fed):
         _known(signal, signals, f"controller {title}: input {signal!r} is no output of the plant")
         system.connections.append((f"{PLANT}.{signal}", f"{CONTROLLER}.{signal}"))
+
+
+def _where(scenario: Scenario, signal: str, end: str) -> str:
+    """Return how an error names the way of a signal that begins at input `end` of a line."""
+    name, _, port = end.partition(".")
+    place = f"channels.{name}.signal" if port == "u" else f"concentrators.{name}: signal"
+    return f"{scenario.name}: {place} = {signal!r}"
+
+
+def _fed(scenario: Scenario) -> set[str]:
+    """Return the controller's inputs that the scenario connects: by a way for the signal or by name."""
+    by_name = {path[-1].removeprefix(f"{CONTROLLER}.") for path in scenario.connections}
+    return by_name | {signal for signal, *_ in scenario.signals}
 
 
 def _known(name: str, names: Iterable[str], what: str) -> None:

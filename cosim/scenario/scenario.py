@@ -224,21 +224,8 @@ class Scenario(Table):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        if self.step_s is not None and not self.step_s <= self.stop_s:
-            raise ValueError(f"step_s = {self.step_s:g}, allowed: at most stop_s = {self.stop_s:g}")
-        for k, e in enumerate(self.event, start=1):
-            if not e.start_s < self.stop_s:
-                raise ValueError(
-                    f"event {k} ({e.kind}): start_s = {e.start_s:g} lies outside the run, "
-                    f"allowed: 0 to {self.stop_s:g}"
-                )
         if not self.case:
-            if not self.fmus:
-                raise ValueError("case is missing (or fmus: a scenario needs something to run)")
-            if self.event or self.controller != "none":
-                raise ValueError("event and controller need a case; FMUs of one's own come under fmus")
-            if self.plant or self.operating_point != OperatingPointTable():
-                raise ValueError("plant and operating_point need a case")
+            self._check_needs_a_case()
         changed = self.controller_gain != 1.0 or self.controller_limit_pu is not None
         if changed and (self.controller == "none" or self.controller.endswith(".fmu")):
             raise ValueError(
@@ -250,14 +237,30 @@ class Scenario(Table):
                 raise ValueError(f"connections has {list(path)}, allowed: source, channels, target")
         self._check_names()
         self._check_signals()
+        return self
+
+    @model_validator(mode="after")
+    def _inside_the_run(self) -> Self:
+        if self.step_s is not None and not self.step_s <= self.stop_s:
+            raise ValueError(f"step_s = {self.step_s:g}, allowed: at most stop_s = {self.stop_s:g}")
+        allowed = f"outside the run, allowed: 0 to {self.stop_s:g}"
+        for k, e in enumerate(self.event, start=1):
+            if not e.start_s < self.stop_s:
+                raise ValueError(f"event {k} ({e.kind}): start_s = {e.start_s:g} lies {allowed}")
         for name, channel in self.channels.items():
             for start, _ in channel.outages_s:
                 if not start < self.stop_s:
-                    raise ValueError(
-                        f"channels.{name}: an outage starts at {start:g} s, outside the run, "
-                        f"allowed: 0 to {self.stop_s:g}"
-                    )
+                    raise ValueError(f"channels.{name}: an outage starts at {start:g} s, {allowed}")
         return self
+
+    def _check_needs_a_case(self) -> None:
+        """Raise ValueError for what acts on a case that is not there, or for nothing to run."""
+        if not self.fmus:
+            raise ValueError("case is missing (or fmus: a scenario needs something to run)")
+        if self.event or self.controller != "none":
+            raise ValueError("event and controller need a case; FMUs of one's own come under fmus")
+        if self.plant or self.operating_point != OperatingPointTable():
+            raise ValueError("plant and operating_point need a case")
 
     def _check_names(self) -> None:
         """Raise ValueError for an instance whose name is no name, or that of another."""

@@ -113,6 +113,27 @@ def plan_sweep(
     ------
     SweepError : no runs, too many, a path that leads nowhere, values that do not fit.
     """
+    _check_size(sweep, large)
+    names = _listed(sweep, "case") or [str(sweep.base.case)]
+    folder = sweep.base.folder
+    paths = {n: load_scenario({"case": n, "stop_s": 1.0, "folder": folder}).case_path for n in names}
+    cases = {n: load_case(path) for n, path in paths.items()}
+    made = _controllers_of(sweep, cases, controllers or {}, cache)
+    check_paths(sweep, cases[names[0]], _parameters_of(made, cases))
+    check_values(sweep, cases[names[0]])
+    areas = sorted({area for case in cases.values() for area in case.areas.values()})
+    return SweepPlan(
+        sweep,
+        {n: json.loads(json.dumps(c.document())) for n, c in cases.items()},
+        {key: _content(controller) for key, controller in made.items()},
+        ("inter-area", *(f"local area {a}" for a in areas)),
+        code_version(),
+        {name: _kept_fmu(folder / fmu.file, cache) for name, fmu in sweep.base.fmus.items()},
+        {name: astuple(swing_of(case, cache, sweep.base.swing)) for name, case in cases.items()},
+    )
+
+
+def _check_size(sweep: Sweep, large: bool) -> None:
     size = sweep.size
     if not size:
         empty = next(name for name, n in sweep.axes if n == 0)
@@ -122,39 +143,31 @@ def plan_sweep(
         raise SweepError(
             f"{sweep.name}: {size:,} runs = {axes}; more than {LARGEST:,} must be confirmed with --large"
         )
-    names = _listed(sweep, "case") or [str(sweep.base.case)]
-    folder = sweep.base.folder
-    paths = {n: load_scenario({"case": n, "stop_s": 1.0, "folder": folder}).case_path for n in names}
-    cases = {n: load_case(path) for n, path in paths.items()}
-    wanted = _listed(sweep, "controller") or [sweep.base.controller]
-    own = dict(controllers or {})
+
+
+def _controllers_of(
+    sweep: Sweep, cases: Mapping[str, Case], own: Mapping[str, ControllerLike], cache: Path
+) -> dict[str, Controller | ControllerBank]:
+    """Return "CASE/NAME" -> each controller that a run may have, designed for the case as its file has it."""
     made: dict[str, Controller | ControllerBank] = {}
-    for name in wanted:
+    for name in _listed(sweep, "controller") or [sweep.base.controller]:
         for key, case in cases.items():
             try:
-                found = controller_of(own.get(name, name), case, cache, folder=folder)
+                found = controller_of(own.get(name, name), case, cache, folder=sweep.base.folder)
             except ScenarioError as error:
                 raise ScenarioError(f"{sweep.name}: {error}") from None
             if found is not None:
                 made[f"{key}/{name}"] = found
-    parameters = set()
+    return made
+
+
+def _parameters_of(made: Mapping[str, Controller | ControllerBank], cases: Mapping[str, Case]) -> set[str]:
+    """Return the names of the parameters that the controllers' FMUs have."""
+    parameters: set[str] = set()
     for key, controller in made.items():
         table = controller.block(cases[key.partition("/")[0]].omega_b).table
         parameters |= {v.name for v in table if v.role == "parameter"}
-    first = cases[names[0]]
-    check_paths(sweep, first, parameters)
-    check_values(sweep, first)
-    areas = sorted({area for case in cases.values() for area in case.areas.values()})
-    modes = ("inter-area", *(f"local area {a}" for a in areas))
-    return SweepPlan(
-        sweep,
-        {n: json.loads(json.dumps(c.document())) for n, c in cases.items()},
-        {key: _content(controller) for key, controller in made.items()},
-        modes,
-        code_version(),
-        {name: _kept_fmu(folder / fmu.file, cache) for name, fmu in sweep.base.fmus.items()},
-        {name: astuple(swing_of(case, cache, sweep.base.swing)) for name, case in cases.items()},
-    )
+    return parameters
 
 
 def own_fmu(cache: Path, key: str) -> Path:

@@ -54,7 +54,7 @@ def column_of_mode(kind: str, mode: str) -> str:
 
 def schema_of(plan: SweepPlan) -> pa.Schema:
     """Return the columns of the results; their metadata holds unit and meaning."""
-    sweep, wanted = plan.sweep, plan.sweep.metrics
+    sweep = plan.sweep
     swings = {name: plan.swing(name) for name in plan.swings}
     signal = " or ".join(dict.fromkeys(s.name for s in swings.values())) or "speed difference"
     fields = [_field("run", pa.int64(), "", "number of the run", nullable=False)]
@@ -78,6 +78,15 @@ def schema_of(plan: SweepPlan) -> pa.Schema:
             ),
             _field("evaluations", pa.int64(), "", "runs the search took"),
         ]
+    fields += _measured_fields(plan, signal)
+    notes = {"specification": plan.hash, "version": plan.version, "title": sweep.title or sweep.name}
+    notes["swing"] = "; ".join(f"{name}: {swing.name}, {swing.text}" for name, swing in swings.items())
+    return pa.schema(fields, metadata=notes)
+
+
+def _measured_fields(plan: SweepPlan, signal: str) -> list[pa.Field]:
+    """Return the columns of what is measured; `signal` names the speed difference."""
+    wanted, fields = plan.sweep.metrics, []
     if "stable" in wanted:
         fields.append(
             _field(
@@ -107,9 +116,7 @@ def schema_of(plan: SweepPlan) -> pa.Schema:
             fields.append(_field(column, pa.float64(), unit, text))
     if "packets" in wanted:
         fields += [_field(c, pa.int64(), "", f"packets {w}, all channels") for c, w in PACKETS.items()]
-    notes = {"specification": plan.hash, "version": plan.version, "title": sweep.title or sweep.name}
-    notes["swing"] = "; ".join(f"{name}: {swing.name}, {swing.text}" for name, swing in swings.items())
-    return pa.schema(fields, metadata=notes)
+    return fields
 
 
 def start_row(run: int, values: Mapping[str, Value]) -> Row:

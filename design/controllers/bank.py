@@ -188,32 +188,22 @@ def bank_of_record(
     ControllerError : the arrays do not fit the names.
     """
     m, p = len(inputs), len(outputs)
-    scale = np.array([omega_b if signal.endswith("_dw") else 1.0 for signal in inputs])
     orders = [int(n) for n in arrays.get("orders", ())]
     sizes = {"A": [n * n for n in orders], "B": [n * m for n in orders], "C": [p * n for n in orders]}
-    sizes["D"] = [p * m for _ in orders]
+    sizes["D"] = [p * m] * len(orders)
     wrong = [k for k, counts in sizes.items() if len(arrays.get(k, ())) != sum(counts)]
     if wrong or len(orders) != len(members):
         raise ControllerError(
             f"bank {name}: arrays {', '.join(wrong) or 'orders'} do not fit {len(members)} members"
         )
     parts = {k: np.split(np.asarray(arrays[k]), np.cumsum(counts)[:-1]) for k, counts in sizes.items()}
+    scale = np.array([omega_b if signal.endswith("_dw") else 1.0 for signal in inputs])
     made = []
     for k, (who, n) in enumerate(zip(members, orders, strict=True)):
-        if who == OFF:
-            continue
-        B, D = parts["B"][k].reshape(n, m) / scale, parts["D"][k].reshape(p, m) / scale
-        used = [j for j in range(m) if np.any(B[:, j]) or np.any(D[:, j])]
-        system = control.ss(
-            parts["A"][k].reshape(n, n),
-            B[:, used],
-            parts["C"][k].reshape(p, n),
-            D[:, used],
-            inputs=[inputs[j] for j in used],
-            outputs=list(outputs),
-        )
-        made.append(Controller(who, system, parameters["limit"]))
-    P = arrays.get("lyapunov")
+        if who != OFF:
+            A, C = parts["A"][k].reshape(n, n), parts["C"][k].reshape(p, n)
+            B, D = parts["B"][k].reshape(n, m) / scale, parts["D"][k].reshape(p, m) / scale
+            made.append(Controller(who, _of_used_signals(A, B, C, D, inputs, outputs), parameters["limit"]))
     return ControllerBank(
         name,
         tuple(made),
@@ -221,8 +211,21 @@ def bank_of_record(
         parameters["fade_time"],
         parameters["loss_time"],
         parameters["return_time"],
-        lyapunov=None if P is None else np.asarray(P).reshape(2 * (round(len(P) ** 0.5),)),
+        lyapunov=_square(arrays.get("lyapunov")),
     )
+
+
+def _square(entries: Any) -> Matrix | None:
+    return None if entries is None else np.asarray(entries).reshape(2 * (round(len(entries) ** 0.5),))
+
+
+def _of_used_signals(
+    A: Matrix, B: Matrix, C: Matrix, D: Matrix, inputs: Sequence[str], outputs: Sequence[str]
+) -> control.StateSpace:
+    """Return a member as a system of the inputs that it reads."""
+    used = [j for j in range(len(inputs)) if np.any(B[:, j]) or np.any(D[:, j])]
+    names = [inputs[j] for j in used]
+    return control.ss(A, B[:, used], C, D[:, used], inputs=names, outputs=list(outputs))
 
 
 def load_controller(path: str | Path) -> Controller | ControllerBank:

@@ -264,22 +264,26 @@ def document(value: Any) -> str:
     >>> document({"stable": True, "caps": [[0.05, 0.02], [2.5, 0.1]]})
     '<table><tr><th>stable</th><td>yes</td></tr><tr><th>caps</th><td>0.05, 0.02; 2.5, 0.1</td></tr></table>'
     """
-    if isinstance(value, dict) and value:
+    if value is None or (isinstance(value, str | list | dict) and not value):
+        return "–"
+    if isinstance(value, dict):
         rows = (f"<tr><th>{html.escape(k)}</th><td>{document(v)}</td></tr>" for k, v in value.items())
         return f"<table>{''.join(rows)}</table>"
-    if isinstance(value, list) and value and all(isinstance(row, dict) for row in value):
-        keys = list(dict.fromkeys(key for row in value for key in row))
-        head = "".join(f"<th>{html.escape(key)}</th>" for key in keys)
-        body = ("".join(f"<td>{document(row.get(key, ''))}</td>" for key in keys) for row in value)
-        return f"<table><tr>{head}</tr>{''.join(f'<tr>{cells}</tr>' for cells in body)}</table>"
-    if isinstance(value, list) and any(isinstance(v, list) for v in value):
-        return "; ".join(document(v) for v in value)
-    if value is None or value == "" or value == [] or value == {}:
-        return "–"
     if isinstance(value, list):
-        return ", ".join(document(v) for v in value)
+        return _document_of_list(value)
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.6g}".replace("-", "−")
     return html.escape(str(value))
+
+
+def _document_of_list(values: list[Any]) -> str:
+    """Return a table of rows, or values with commas, or rows of values with semicolons, as HTML."""
+    if all(isinstance(row, dict) for row in values):
+        keys = list(dict.fromkeys(key for row in values for key in row))
+        head = "".join(f"<th>{html.escape(key)}</th>" for key in keys)
+        body = ("".join(f"<td>{document(row.get(key, ''))}</td>" for key in keys) for row in values)
+        return f"<table><tr>{head}</tr>{''.join(f'<tr>{cells}</tr>' for cells in body)}</table>"
+    separator = "; " if any(isinstance(v, list) for v in values) else ", "
+    return separator.join(document(v) for v in values)

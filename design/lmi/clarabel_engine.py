@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -23,6 +24,24 @@ _STATUS = {
     cp.INFEASIBLE: "infeasible",
     cp.INFEASIBLE_INACCURATE: "infeasible",
 }
+
+
+def _multipliers(constraints: Sequence[Any], problem: Problem) -> tuple[Any, ...] | None:
+    """Return the multiplier of each block, complex ones folded back; None where Clarabel gave none."""
+    if any(c.dual_value is None for c in constraints):
+        return None
+    return tuple(
+        _fold(np.asarray(c.dual_value, dtype=float), b)
+        for c, b in zip(constraints, problem.blocks, strict=True)
+    )
+
+
+def _complementarity(
+    multipliers: Sequence[Any], problem: Problem, values: Mapping[str, Matrix], numbers: Mapping[str, float]
+) -> float:
+    """Return how far the products of multipliers and blocks add up to nothing."""
+    pairs = zip(multipliers, problem.blocks, strict=True)
+    return abs(sum(float(np.vdot(Z, b.value(values, numbers)).real) for Z, b in pairs))
 
 
 def solve_clarabel(
@@ -49,10 +68,7 @@ def solve_clarabel(
     """
     started = time.perf_counter()
     unknowns: dict[str, cp.Variable] = {
-        v.name: cp.Variable((v.rows, v.cols), symmetric=True)
-        if v.symmetric
-        else cp.Variable((v.rows, v.cols))
-        for v in problem.variables
+        v.name: cp.Variable((v.rows, v.cols), symmetric=v.symmetric) for v in problem.variables
     }
     scalars: dict[str, cp.Variable] = {g: cp.Variable() for g in problem.scalars}
     constraints = [_expression(real_form(b), unknowns, scalars) >> 0 for b in problem.blocks]
@@ -85,18 +101,10 @@ def solve_clarabel(
     )
     numbers = {g: float(v.value) for g, v in scalars.items()} if known else {}
     value = problem.objective(values, numbers) if known else float("nan")
-    multipliers = None
+    multipliers = _multipliers(constraints, problem) if known else None
     gap = float("nan")
-    if known and all(c.dual_value is not None for c in constraints):
-        multipliers = tuple(
-            _fold(np.asarray(c.dual_value, dtype=float), b)
-            for c, b in zip(constraints, problem.blocks, strict=True)
-        )
-        complementarity = sum(
-            float(np.vdot(Z, b.value(values, numbers)).real)
-            for Z, b in zip(multipliers, problem.blocks, strict=True)
-        )
-        gap = abs(complementarity) / (1.0 + abs(value))
+    if multipliers is not None:
+        gap = _complementarity(multipliers, problem, values, numbers) / (1.0 + abs(value))
     return Solution(
         status=status if known or status == "infeasible" else "failed",
         values=values,

@@ -107,16 +107,18 @@ def judge_family(
         f"{name} is {value:.4g}, asked {wanted}" for name, value, held, wanted in asked if not held
     ]
     lost = {" and ".join(c.lost): c.lost for c in conditions if c.lost}
-    criterion = {
-        name: max(
-            loss_criterion(plant, K, [s for s in K.input_labels if s not in gone])
-            for plant in plants.values()
-        )
-        for name, gone in lost.items()
-    }
+    criterion = {name: _worst_loss(plants, K, gone) for name, gone in lost.items()}
     return FamilyCertificate(
         rows, worst, inter, largest, fastest, tuple(violations), int(K.nstates), criterion
     )
+
+
+def _worst_loss(
+    plants: Mapping[str, control.StateSpace], K: control.StateSpace, gone: Sequence[str]
+) -> float:
+    """Return the largest criterion over the plants when the signals `gone` are lost."""
+    left = [s for s in K.input_labels if s not in gone]
+    return max(loss_criterion(plant, K, left) for plant in plants.values())
 
 
 def _row(point: str, plant: control.StateSpace, K: control.StateSpace, condition: Condition) -> FamilyRow:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -57,73 +57,10 @@ def supervisor_block(
     ------
     ValueError : sizes that do not fit, names that are not known, times or limits out of range.
     """
-    m, p = len(inputs), len(outputs)
-    if not 1 <= m <= MAX_SIGNALS or not 1 <= len(bank) <= MAX_BANK:
-        raise ValueError(
-            f"supervisor {name}: {m} signals and {len(bank)} controllers, allowed are 1 to {MAX_SIGNALS} "
-            f"and 1 to {MAX_BANK}"
-        )
-    names = list(bank)
-    if len(choice) != 2**m or not set(choice) <= set(names):
-        raise ValueError(
-            f"supervisor {name}: choice has {len(choice)} entries {sorted(set(choice))}, wanted {2**m} "
-            f"names out of {', '.join(names)}"
-        )
     times = {"fade_time": fade_s, "loss_time": loss_s, "return_time": return_s, "dwell_time": dwell_s}
-    for key, value in {**times, "limit": limit}.items():
-        if not (value >= 0.0 and np.isfinite(value)) or (key == "limit" and not value > 0.0):
-            raise ValueError(f"supervisor {name}: {key} is {value}, allowed are finite, not negative values")
-    for who, matrices in bank.items():
-        _check(name, who, matrices, m, p)
-    states = [f"{who}.x[{k + 1}]" for who, K in bank.items() for k in range(len(K[0]))]
-    weights = [f"{who}.weight" for who in names]
-    masks = [f"{signal}_trust" for signal in inputs]
-    flags = [f"{signal}_valid" for signal in inputs]
-    everything = [*states, *weights, *masks]
-    through = any(np.any(K[3]) for K in bank.values())
-    variables = [
-        *(Variable(s, "state", "State of a controller of the bank", start=0.0) for s in states),
-        # the flags start up, so the choice for all signals starts active
-        *(
-            Variable(s, "state", "Weight of a controller in the output", start=float(who == choice[-1]))
-            for s, who in zip(weights, names, strict=True)
-        ),
-        *(Variable(s, "state", "Weight of a signal, 0 when not trusted", start=1.0) for s in masks),
-        *(
-            Variable(f"der({s})", "derivative", f"Derivative of {s}", unit="1/s", derivative_of=s)
-            for s in everything
-        ),
-        *(Variable(u, "input", f"Measured signal {u}", unit="pu", start=0.0) for u in inputs),
-        *(
-            Variable(
-                y,
-                "output",
-                f"Control signal {y}, limited to plus or minus `limit`",
-                unit="pu",
-                depends_on=(*everything, *(inputs if through else ())),
-            )
-            for y in outputs
-        ),
-        Variable(
-            "limit",
-            "parameter",
-            "Bound of the magnitude of every output",
-            unit="pu",
-            start=float(limit),
-            min=0.0,
-            tunable=True,
-        ),
-        *(
-            Variable(key, "parameter", _TIMES[key], unit="s", start=float(value), min=0.0)
-            for key, value in times.items()
-        ),
-        *(
-            Variable(f, "input", f"Whether {u} arrives", type="Boolean", start=True)
-            for f, u in zip(flags, inputs, strict=True)
-        ),
-        Variable("active", "output", "Active controller: " + _numbered(names), type="Integer", depends_on=()),
-        Variable("switches", "output", "Switches since the start", type="Integer", depends_on=()),
-    ]
+    _check_sizes(name, bank, choice, len(inputs), len(outputs))
+    _check_numbers(name, times, limit)
+    names = list(bank)
     data: dict[str, Array | npt.NDArray[np.int32] | bytes] = {
         "orders": np.array([len(K[0]) for K in bank.values()], dtype=np.int32),
         "choice": np.array([names.index(c) for c in choice], dtype=np.int32),
@@ -135,7 +72,14 @@ def supervisor_block(
         kind="supervisor",
         name=name,
         description=f"Bank of {len(bank)} controllers in hot standby, chosen by the validity of the signals",
-        table=VariableTable(variables),
+        table=VariableTable(
+            [
+                *_state_variables(bank, choice, inputs),
+                *_port_variables(bank, inputs, outputs),
+                *_parameters(times, limit),
+                *_flags(names, inputs),
+            ]
+        ),
         data=data,
         sources=(SOURCE,),
         internal_step_s=min([*fastest, 0.1 * fade_s] if fade_s > 0.0 else fastest),
@@ -158,6 +102,75 @@ _EQUATIONS = (
     "constant <code>fade_time</code>, so nothing jumps when the active controller changes. A signal that is "
     "stuck or wrong while its flag is up is not detected: it is used as it comes.</p>"
 )
+
+
+def _check_sizes(name: str, bank: Mapping[str, Matrices], choice: Sequence[str], m: int, p: int) -> None:
+    if not 1 <= m <= MAX_SIGNALS or not 1 <= len(bank) <= MAX_BANK:
+        raise ValueError(
+            f"supervisor {name}: {m} signals and {len(bank)} controllers, allowed are 1 to {MAX_SIGNALS} "
+            f"and 1 to {MAX_BANK}"
+        )
+    if len(choice) != 2**m or not set(choice) <= set(bank):
+        raise ValueError(
+            f"supervisor {name}: choice has {len(choice)} entries {sorted(set(choice))}, wanted {2**m} "
+            f"names out of {', '.join(bank)}"
+        )
+    for who, matrices in bank.items():
+        _check(name, who, matrices, m, p)
+
+
+def _check_numbers(name: str, times: Mapping[str, float], limit: float) -> None:
+    for key, value in {**times, "limit": limit}.items():
+        if not (value >= 0.0 and np.isfinite(value)) or (key == "limit" and not value > 0.0):
+            raise ValueError(f"supervisor {name}: {key} is {value}, allowed are finite, not negative values")
+
+
+def _states(bank: Mapping[str, Matrices], inputs: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
+    """Return the names of the controllers' states, of their weights and of the signals' weights."""
+    states = [f"{who}.x[{k + 1}]" for who, K in bank.items() for k in range(len(K[0]))]
+    return states, [f"{who}.weight" for who in bank], [f"{signal}_trust" for signal in inputs]
+
+
+def _state_variables(
+    bank: Mapping[str, Matrices], choice: Sequence[str], inputs: Sequence[str]
+) -> Iterator[Variable]:
+    states, weights, masks = _states(bank, inputs)
+    for s in states:
+        yield Variable(s, "state", "State of a controller of the bank", start=0.0)
+    for s, who in zip(weights, bank, strict=True):  # the flags start up: the choice for all signals is active
+        yield Variable(s, "state", "Weight of a controller in the output", start=float(who == choice[-1]))
+    for s in masks:
+        yield Variable(s, "state", "Weight of a signal, 0 when not trusted", start=1.0)
+    for s in (*states, *weights, *masks):
+        yield Variable(f"der({s})", "derivative", f"Derivative of {s}", unit="1/s", derivative_of=s)
+
+
+def _port_variables(
+    bank: Mapping[str, Matrices], inputs: Sequence[str], outputs: Sequence[str]
+) -> Iterator[Variable]:
+    for u in inputs:
+        yield Variable(u, "input", f"Measured signal {u}", unit="pu", start=0.0)
+    through = inputs if any(np.any(K[3]) for K in bank.values()) else ()
+    depends_on = (*(s for group in _states(bank, inputs) for s in group), *through)
+    for y in outputs:
+        text = f"Control signal {y}, limited to plus or minus `limit`"
+        yield Variable(y, "output", text, unit="pu", depends_on=depends_on)
+
+
+def _parameters(times: Mapping[str, float], limit: float) -> Iterator[Variable]:
+    text = "Bound of the magnitude of every output"
+    yield Variable("limit", "parameter", text, unit="pu", start=float(limit), min=0.0, tunable=True)
+    for key, value in times.items():
+        yield Variable(key, "parameter", _TIMES[key], unit="s", start=float(value), min=0.0)
+
+
+def _flags(names: Sequence[str], inputs: Sequence[str]) -> Iterator[Variable]:
+    for u in inputs:
+        yield Variable(f"{u}_valid", "input", f"Whether {u} arrives", type="Boolean", start=True)
+    yield Variable(
+        "active", "output", "Active controller: " + _numbered(names), type="Integer", depends_on=()
+    )
+    yield Variable("switches", "output", "Switches since the start", type="Integer", depends_on=())
 
 
 def _numbered(names: Sequence[str]) -> str:

@@ -73,6 +73,10 @@ class VariableTable:
         if len(reals) + len(integers) != len(variables):
             bad = [v.name for v in variables if v not in reals and v not in integers]
             raise ValueError(f"variables: {bad} have a role their type does not allow")
+        self._check()
+
+    def _check(self) -> None:
+        """Raise ValueError for names, units, start values or derivatives that no FMU could have."""
         names = [v.name for v in self]
         twice = sorted({n for n in names if names.count(n) > 1}) if len(set(names)) != len(names) else []
         if twice:

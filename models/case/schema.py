@@ -246,7 +246,9 @@ class Machine(Row):
         missing = [key for key in NEEDED[self.model] if getattr(self, key) is None]
         if missing:
             raise ValueError(f"a {self.model} machine needs {', '.join(missing)} as well")
-        if self.model != "round_rotor":
+        if self.model == "round_rotor":
+            self._check_round_rotor()
+        else:
             if self.exciter.kind != "constant" or self.stabilizer is not None:
                 raise ValueError(
                     f"a {self.model} machine has no field circuit, allowed: constant exciter, no stabilizer"
@@ -255,7 +257,10 @@ class Machine(Row):
                 self.governor.kind != "none" or self.H is not None or self.D
             ):
                 raise ValueError("an infinite bus has neither inertia nor a governor, allowed: Ra and Xd1")
-            return self
+        return self
+
+    def _check_round_rotor(self) -> None:
+        """Raise ValueError for saturation or controls given twice, and reactances that no machine has."""
         if self.saturation is not None and self.flux_saturation is not None:
             raise ValueError("saturation and flux_saturation are both given, allowed: one of them")
         if self.exciter.kind == "constant" and (self.stabilizer or self.compensator):
@@ -273,7 +278,6 @@ class Machine(Row):
                     raise ValueError(f"{high} = {b:g} with {low} = {a:g}, allowed: {' '.join(chain)}")
         if self.Xl in (self.Xd2, self.Xq2) and self.Xd2 != self.Xq2:
             raise ValueError(f"Xl = {self.Xl:g} is Xd2 or Xq2, allowed: below both, or all three the same")
-        return self
 
     @property
     def has_constant_emf(self) -> bool:

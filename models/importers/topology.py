@@ -86,6 +86,11 @@ def _join(grid: StaticGrid, report: Report) -> None:
                 )
             )  # fmt: skip
     grid.branches[:] = [b for b in grid.branches if not b.joins]
+    _move_to_nodes(grid, report)
+
+
+def _move_to_nodes(grid: StaticGrid, report: Report) -> None:
+    """Let all that stood at a joined bus stand at the node that is left; name branches that it swallows."""
     for branch in grid.branches:
         branch.first = grid.alias.get(branch.first, branch.first)
         branch.second = grid.alias.get(branch.second, branch.second)
@@ -110,23 +115,28 @@ def _keep_island(grid: StaticGrid, report: Report, island: int | None) -> None:
     sourced = {unit.bus for unit in grid.units}
     swings = {n for n, bus in grid.buses.items() if bus.kind == SLACK and n in sourced}
     if island is not None:
-        chosen = next((p for p in parts if grid.alias.get(island, island) in p), None)
-        if chosen is None:
-            raise CaseError(f"{grid.source}: island = {island}, allowed: the number of a bus in service")
+        alive = [part for part in parts if grid.alias.get(island, island) in part]
+        missing = f"island = {island}, allowed: the number of a bus in service"
     else:
         alive = [part for part in parts if swings & part] or [part for part in parts if sourced & part]
-        if not alive:
-            raise CaseError(f"{grid.source}: no unit in service, allowed: at least one, with a slack bus")
-        chosen = max(alive, key=len)
+        missing = "no unit in service, allowed: at least one, with a slack bus"
+    if not alive:
+        raise CaseError(f"{grid.source}: {missing}")
+    chosen = max(alive, key=len)
+    _report_left_out(grid, report, [part for part in parts if part is not chosen], swings)
+    if len(chosen) < len(grid.buses):
+        _leave_only(grid, chosen)
+
+
+def _report_left_out(grid: StaticGrid, report: Report, parts: list[set[int]], swings: set[int]) -> None:
     for part in parts:
-        if part is chosen:
-            continue
         first = next(grid.buses[n] for n in grid.buses if n in part)
         kind = "with a slack bus of its own" if swings & part else "without a slack bus"
         size = f"island of {len(part)} buses {kind} (bus {first.number})" if len(part) > 1 else f"bus {kind}"
         report.drop(size, first.where)
-    if len(chosen) == len(grid.buses):
-        return
+
+
+def _leave_only(grid: StaticGrid, chosen: set[int]) -> None:
     grid.buses = {n: bus for n, bus in grid.buses.items() if n in chosen}
     grid.branches[:] = [b for b in grid.branches if b.first in chosen and b.second in chosen]
     grid.shunts = [row for row in grid.shunts if row.bus in chosen]
