@@ -36,6 +36,10 @@ COMMANDS = {
         "new:new",
         "Write a commented file that runs: scenario, case, controller, design, sweep or test.",
     ),
+    "device": (
+        "new:device",
+        "Look at a device by itself: diagram, rest at an operating point, poles, step response.",
+    ),
     "modes": (
         "modes:modes",
         "Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes.",

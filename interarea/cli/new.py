@@ -1,8 +1,9 @@
-"""Commands `new` and `show`: a commented file to start from, and the text of what is bundled."""
+"""Commands `new`, `show`, `device`: a file to start from, what is bundled, one device by itself."""
 
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -65,3 +66,91 @@ def show(
     for row in texts:
         note(f"{row['kind']}: {row['file']}")
         typer.echo(row["text"].rstrip())
+
+
+def device(
+    file: Annotated[str, typer.Argument(metavar="DEVICE", help="device file, or a device of the package")],
+    given: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="a parameter of the device")
+    ] = None,
+    at: Annotated[
+        list[str] | None, typer.Option("--at", metavar="SIGNAL=VALUE", help="what it sees, as vt=1.02")
+    ] = None,
+    base_mva: Annotated[float, typer.Option("--base", metavar="MVA", help="base of its machine")] = 100.0,
+    stop_s: Annotated[float, typer.Option("--stop", metavar="S", help="length of the step response")] = 10.0,
+    draw: Annotated[
+        Path | None, typer.Option("--draw", metavar="FILE.svg", help="write the block diagram")
+    ] = None,
+    json_: Annotated[bool, typer.Option("--json", help="print JSON instead of text")] = False,
+) -> None:
+    """Look at a device by itself: diagram, rest at an operating point, poles, step response."""
+    from interarea.models.devices.document import diagram_text
+    from interarea.models.devices.drawing import diagram_svg
+    from interarea.models.devices.library import library, own_model
+    from interarea.models.devices.response import missing, response_of
+    from interarea.models.files import write_whole
+
+    if draw is not None and (file_for(draw, "--draw").suffix != ".svg"):
+        raise UserError(f"--draw {draw}: the diagram is SVG, allowed: a name that ends in .svg")
+    if file.endswith(".toml"):
+        model = own_model(Path(file))
+    elif file.lower() in library():
+        model = library()[file.lower()]
+    else:
+        raise UserError(f"device {file}: no such file or device; {nearest(file.lower(), library())}")
+    parameters = _assigned("--set", given or [])
+    lacking = missing(model, parameters)
+    drawn = [] if draw is None else [str(write_whole(draw, diagram_svg(model.device)))]
+    text = {"device": model.device.name, "title": model.device.title, "kind": model.device.kind}
+    if lacking:
+        if not json_:
+            typer.echo(f"{text['device']}: {text['title']} ({text['kind']})\n{diagram_text(model.device)}")
+        for name in drawn:
+            typer.echo(name, err=json_)
+        raise UserError(
+            f"{model.device.name}: no value for {', '.join(lacking)}; give --set {lacking[0]}=..."
+        )
+    found = response_of(model, parameters, _assigned("--at", at or []), base_mva=base_mva, stop_s=stop_s)
+    rest = found.rest
+    names = rest.instance.state_names
+    document = {
+        **text,
+        "states": dict(zip(names, rest.states, strict=True)),
+        "references": {name: rest.instance.values[name] for name in model.device.references},
+        "signals": dict(rest.signals),
+        "steps": list(rest.steps),
+        "poles": [[float(p.real), float(p.imag)] for p in found.poles],
+        "step": {"of": found.step[0], "size": found.step[1]},
+        "times_s": found.times.tolist(),
+        "output": found.output.tolist(),
+        "files": drawn,
+    }
+    if json_:
+        typer.echo(json.dumps(document, indent=2, allow_nan=False))
+        return
+    typer.echo(f"{text['device']}: {text['title']} ({text['kind']})\n{diagram_text(model.device)}\n\nat rest")
+    for name, value in (rest.signals | document["references"]).items():
+        typer.echo(f"  {name} = {value:.6g}")
+    for margin in rest.margins:
+        typer.echo(f"  {margin.signal} within {margin.low:.4g} .. {margin.high:.4g}: {margin.least:.4g} away")
+    poles = ", ".join(f"{p.real:.4g}{p.imag:+.4g}j" if p.imag else f"{p.real:.4g}" for p in found.poles)
+    typer.echo(f"poles, inputs held (1/s): {poles or 'none'}")
+    typer.echo(f"{model.device.output} after {found.step[0]} {found.step[1]:+g}")
+    for k in range(0, len(found.times), 20):
+        typer.echo(f"  {found.times[k]:8.3f} s  {found.output[k]:+.6g}")
+    for name in drawn:
+        typer.echo(name)
+
+
+def _assigned(option: str, texts: list[str]) -> dict[str, float]:
+    """Return NAME=VALUE texts as numbers by name."""
+    found = {}
+    for text in texts:
+        name, sign, value = text.partition("=")
+        try:
+            found[name.strip()] = float(value)
+        except ValueError:
+            sign = ""
+        if not sign or not math.isfinite(found[name.strip()]):
+            raise UserError(f"{option} {text}: allowed: a name, =, a number, as KA=200")
+    return found

@@ -1,0 +1,115 @@
+"""One device by itself at a point of its machine: rest, poles, what a step makes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.integrate
+
+from .errors import DeviceError
+from .language.device import KINDS
+from .language.structure import Model
+from .rest import RestPoint, rest_of
+from .rows import numbers_of, row_of
+
+Array = npt.NDArray[np.float64]
+#: a machine at 0.82 pu of power and 1 pu of voltage; its phasors fit each other
+POINT = {"vt": 1.0, "vd": 0.6, "vq": 0.8, "id": 0.7, "iq": 0.5, "pe": 0.82, "slip": 0.0, "ifd": 1.9}
+POINT |= {"vc": 1.0, "vs": 0.0, "pm": 0.82, "efd": 1.8}
+#: kind -> what is stepped and by how much
+STEPS = {
+    "exciter": ("vref", 0.01),
+    "governor": ("pref", 0.01),
+    "stabilizer": ("slip", 1e-3),
+    "compensator": ("iq", 0.1),
+}
+_RTOL, _ATOL = 1e-8, 1e-10
+
+
+@dataclass(frozen=True)
+class Response:
+    """A device at rest, its poles with its inputs held, and its output after a step.
+
+    step : what is stepped, by how much. times : s. output : change of the output, pu, as many.
+    """
+
+    rest: RestPoint
+    poles: npt.NDArray[np.complex128]
+    step: tuple[str, float]
+    times: Array
+    output: Array
+
+
+def response_of(
+    model: Model,
+    given: Mapping[str, float | str],
+    point: Mapping[str, float] | None = None,
+    *,
+    base_mva: float = 100.0,
+    stop_s: float = 10.0,
+) -> Response:
+    """Return what the device with parameters `given` does at `point` (values of `POINT` where not given).
+
+    Raises
+    ------
+    DeviceError : a parameter that is missing, unknown or out of range, an input that does not exist, a
+        device that cannot rest at the point.
+    """
+    device = model.device
+    kind = KINDS[device.kind]
+    seen = {name: POINT[name] for name in (*kind.inputs, kind.output) if name in POINT}
+    for name, value in (point or {}).items():
+        if name not in seen:
+            raise DeviceError(
+                f"{device.name}: {name} = {value:g} is no signal of it; known: {', '.join(seen)}"
+            )
+        seen[name] = value
+    if not stop_s > 0.0 or not base_mva > 0.0:
+        raise DeviceError(f"{device.name}: stop {stop_s:g} s, base {base_mva:g} MVA, allowed: above 0")
+    inputs = {name: seen[name] for name in kind.inputs}
+    output = seen[kind.output] if device.references else None
+    try:
+        row = row_of(device, given)
+    except DeviceError as error:
+        raise DeviceError(f"{device.name}{error}") from None
+    rest = rest_of(model, numbers_of(device, row, base_mva), inputs, output, device.name)
+    instance, x0 = rest.instance, np.array(rest.states)
+    n = len(x0)
+    A = np.empty((n, n))
+    for k in range(n):
+        x = x0.astype(complex)
+        x[k] += 1e-30j
+        A[:, k] = np.array([complex(rate).imag for rate in instance.run(x, inputs)[1]]) / 1e-30
+    name, size = STEPS[device.kind]
+    stepped = type(instance)(model, instance.values)
+    changed = dict(inputs)
+    if name in inputs:
+        changed[name] += size
+    else:
+        stepped.values[name] += size
+    times = np.linspace(0.0, stop_s, 201)
+
+    def rates(_: float, x: Array) -> list[float]:
+        return [float(rate) for rate in stepped.run(x, changed)[1]]
+
+    states = np.tile(x0, (len(times), 1))
+    if n:
+        solved = scipy.integrate.solve_ivp(
+            rates, (0.0, stop_s), x0, method="LSODA", t_eval=times, rtol=_RTOL, atol=_ATOL
+        )
+        if not solved.success:
+            raise DeviceError(
+                f"{device.name}: the step response ends at {solved.t[-1]:g} s: {solved.message}"
+            )
+        states = solved.y.T
+    values = [float(stepped.run(x, changed)[0][device.output]) - rest.output for x in states]
+    poles = np.linalg.eigvals(A).astype(complex)
+    return Response(rest, poles[np.argsort(-poles.real)], (name, size), times, np.array(values))
+
+
+def missing(model: Model, given: Mapping[str, object]) -> list[str]:
+    """Return the parameters without a default that `given` lacks."""
+    return [p.name for p in model.device.parameters if p.default is None and p.name not in given]
