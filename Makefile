@@ -15,11 +15,15 @@ study: $(VENV)/installed
 # Everything that decides whether a change lands.
 test: lint types test-fast test-slow
 
+# Two processes share what is built; a file's tests stay together, so that its fixtures are made once.
+WORKERS ?= 2
+test-fast test-slow: export INTERAREA_CACHE ?= $(CURDIR)/build/cache
+
 test-fast: $(VENV)/installed-test
-	$(BIN)/python -m pytest -q --durations=10
+	$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile --durations=15
 
 test-slow: $(VENV)/installed-test
-	$(BIN)/python -m pytest -q -m slow --durations=10
+	$(BIN)/python -m pytest -q -m slow -n $(WORKERS) --dist loadfile --durations=15
 
 lint: $(VENV)/installed-test
 	$(BIN)/ruff check .

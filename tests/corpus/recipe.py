@@ -308,7 +308,7 @@ def json_entries(good: str) -> Iterator[Entry]:
     }.items():  # fmt: skip
         yield Entry(f"controller: {key} wrong", ".json", text(json.dumps(data | {key: bad})), CERTIFY, ".")
     poisoned = json.dumps(data).replace(str(data["A"][0][0]), "NaN", 1)
-    yield Entry("controller: A has NaN", ".json", text(poisoned), CERTIFY, "A")
+    yield Entry("controller: A has NaN", ".json", text(poisoned), CERTIFY, "NaN")
     for share in (0.0, 0.2, 0.8):
         yield Entry(
             f"controller: cut at {share}", ".json", text(good[: int(share * len(good))]), CERTIFY, "JSON"

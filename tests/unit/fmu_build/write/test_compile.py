@@ -95,11 +95,11 @@ def test_a_changed_source_is_another_binary(binaries: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     "platform", ["linux64", "win64", "darwin64", "darwin-arm64", "linux-arm64", "wasm32"]
 )
-def test_two_machines_make_the_same_bytes(platform: str, tmp_path: Path) -> None:
-    """Two empty caches in two folders stand for two machines."""
+def test_two_machines_make_the_same_bytes(platform: str, cache: Path, tmp_path: Path) -> None:
+    """Two caches in two folders, one of them empty, stand for two machines."""
     to = compiling.PLATFORMS.get(platform, compiling.WEB_PAGE)
     sources = source_files((DECAY_C, compiling.record_source()))
-    made = [compiling.compile_for("decay", sources, to, cache=tmp_path / name) for name in ("one", "another")]
+    made = [compiling.compile_for("decay", sources, to, cache=folder) for folder in (cache, tmp_path)]
     assert made[0].read_bytes() == made[1].read_bytes()
 
 
