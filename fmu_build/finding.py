@@ -25,12 +25,13 @@ class Finding:
 
 @dataclass
 class Report:
-    """What a check found, what it could not look at (notes), and facts about the binaries."""
+    """What a check found, what it could not look at (notes, not_run), and facts about the binaries."""
 
     file: str
     findings: list[Finding] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
+    not_run: list[str] = field(default_factory=list)  #: why a binary, or a part of it, was not run
 
     def add(self, rule: str, where: str, message: str, fix: str) -> None:
         """Add a finding; the same rule is told once per place."""
@@ -44,16 +45,27 @@ class Report:
 
     @property
     def clean(self) -> bool:
-        """Whether nothing was found."""
+        """Whether nothing was found in what was looked at; see `verdict` for whether all was."""
         return not self.findings
+
+    @property
+    def verdict(self) -> str:
+        """What the check says of the whole: "findings: 3", "clean", or "not run" with the reason."""
+        if self.findings:
+            return f"findings: {len(self.findings)}"
+        if self.not_run:
+            return f"not run ({'; '.join(self.not_run)}); nothing found in archive and description"
+        return "clean"
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as JSON types."""
         return {
             "file": self.file,
-            "clean": self.clean,
+            "verdict": self.verdict.split(" (")[0].split(":")[0],
+            "clean": self.verdict == "clean",
             "findings": [asdict(f) for f in self.findings],
             "notes": list(self.notes),
+            "not_run": list(self.not_run),
             "facts": self.facts,
         }
 

@@ -14,7 +14,7 @@ from ..open.xml import obeys_schema, read_xml
 from .binary import check_binaries
 from .delegated import fmpy_rules, toolbox_rules
 from .load import TIMEOUT_S, check_running
-from .semantics import check_semantics
+from .semantics import check_semantics, check_units
 from .ssp import STRUCTURE, check_ssp
 
 __all__ = ["CheckError", "Finding", "Report", "check_file"]
@@ -96,13 +96,17 @@ def check_fmu(path: Path, folder: Path, report: Report, *, run: bool, timeout_s:
         report.notes.append(
             f"FMI {version}: only archive and description were checked; the rest is for FMI 2.0"
         )
+        report.not_run.append(f"FMI {version}")
         return
     description = read_description(root)
     report.facts["guid"] = description.guid
     report.facts["interfaces"] = sorted(description.interfaces)
+    if valid:
+        check_units(root, report)
     check_semantics(description, folder, report)
     check_binaries(description, folder, report)
     if run:
         check_running(description, folder, report, timeout_s=timeout_s)
     else:
         report.notes.append("the binary was not run")
+        report.not_run.append("as was asked for")

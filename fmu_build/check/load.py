@@ -27,6 +27,8 @@ _TOPICS = (
     "step splitting",
     "dependencies",
     "directional derivatives",
+    "declared abilities",
+    "one model",
     "illegal calls",
 )
 
@@ -38,8 +40,10 @@ def check_running(d: ModelDescription, folder: Path, report: Report, *, timeout_
         binary = _binary(folder, attributes.get("modelIdentifier", ""))
         if attributes.get("needsExecutionTool", "false") in ("true", "1"):
             report.notes.append(f"{interface} needs an execution tool: it was not run")
+            report.not_run.append(f"{interface} needs an execution tool")
         elif binary is None:
             report.notes.append(f"{interface}: no binary for this machine: it was not run")
+            report.not_run.append(f"{interface} has no binary for this machine")
         else:
             todo += [[interface, str(binary), topic] for topic in _TOPICS]
     ran = report.facts.setdefault("topics", [])

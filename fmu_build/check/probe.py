@@ -16,6 +16,7 @@ from ..finding import Report
 from ..open.description import read_description
 from ..open.fmi2 import CallFailed, Library
 from ..open.xml import read_xml
+from . import declared as check_declared
 from . import runs as check_runs
 from . import sensitivity as check_sensitivity
 
@@ -28,6 +29,8 @@ TOPICS: dict[str, Callable[[Library, check_runs.Tell], None]] = {
     "step splitting": check_runs.split_steps,
     "dependencies": check_sensitivity.dependencies,
     "directional derivatives": check_sensitivity.directional,
+    "declared abilities": check_declared.abilities,
+    "one model": check_declared.one_model,
     "illegal calls": check_runs.illegal_calls,
 }
 

@@ -6,6 +6,7 @@ import itertools
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 from ..finding import Report
 from ..open.description import ModelDescription, ScalarVariable
@@ -33,6 +34,21 @@ def check_semantics(d: ModelDescription, folder: Path, report: Report) -> None:
             )
     if not (folder / "documentation" / "index.html").is_file():
         report.notes.append("no documentation/index.html")
+
+
+def check_units(root: Any, report: Report) -> None:
+    """Add findings about units with which no value can be converted."""
+    for unit in root.findall("UnitDefinitions/Unit"):
+        for part in (*unit.findall("BaseUnit"), *unit.findall("DisplayUnit")):
+            factor = float(part.get("factor", "1"))
+            if not 0.0 < abs(factor) < math.inf:
+                name = unit.get("name", "") + (f", {part.get('name')}" if part.tag == "DisplayUnit" else "")
+                report.add(
+                    "FMI2 2.2.2 units",
+                    f"{_WHERE} unit {name}",
+                    f"factor = {factor:g}: no value has one in the base unit",
+                    "write the factor of the conversion",
+                )
 
 
 def _identity(d: ModelDescription, report: Report) -> None:

@@ -73,7 +73,7 @@ def _point(library: Library, steps: int) -> _Point:
     x = np.empty(0)
     if library.interface == "ModelExchange":
         declared = [*(u for u in d.derivatives if u.index in by_index), *declared]
-        states = _states(d, by_index)
+        states = state_variables(d)
         x = instance.states(len(d.derivatives))
         if len(states) != len(d.derivatives):
             states, x = [], np.empty(0)
@@ -89,7 +89,9 @@ def _point(library: Library, steps: int) -> _Point:
     return _Point(instance, [by_index[k.index] for k in declared], declared, knowns, states, x, u)
 
 
-def _states(d: ModelDescription, by_index: dict[int, ScalarVariable]) -> list[ScalarVariable]:
+def state_variables(d: ModelDescription) -> list[ScalarVariable]:
+    """Return the continuous states in the order of their derivatives."""
+    by_index = {v.index: v for v in d.variables}
     found = []
     for unknown in d.derivatives:
         of = by_index[unknown.index].typed.get("derivative", "") if unknown.index in by_index else ""

@@ -178,6 +178,7 @@ class _Check:
                 Finding(f.rule, f"{name}: {f.where}", f.message, f.fix) for f in found.findings
             ]
             self.report.notes += [f"{name}: {note}" for note in found.notes]
+            self.report.not_run += [f"{name}: {why}" for why in found.not_run]
             self.report.facts.setdefault("fmus", {})[name] = {
                 k: v for k, v in found.facts.items() if k != "description"
             }

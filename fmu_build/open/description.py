@@ -74,6 +74,7 @@ class ModelDescription:
     unit_table: dict[str, UnitOf] = field(default_factory=dict)  #: unit -> what it means
     description: str = ""
     log_categories: tuple[str, ...] = ()
+    event_indicators: int = 0
 
     def flag(self, interface: str, attribute: str) -> bool:
         """Return a Boolean capability of an interface."""
@@ -119,7 +120,12 @@ def read_description(root: Any) -> ModelDescription:
         unit_table={u.get("name", ""): unit_of(u) for u in root.findall("UnitDefinitions/Unit")},
         description=root.get("description", ""),
         log_categories=tuple(c.get("name", "") for c in root.findall("LogCategories/Category")),
+        event_indicators=_count(root.get("numberOfEventIndicators", "0")),
     )
+
+
+def _count(text: str) -> int:
+    return int(text) if text.isdecimal() and len(text) < 7 else 0
 
 
 def _interfaces(root: Any) -> list[str]:

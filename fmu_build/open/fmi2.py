@@ -149,7 +149,7 @@ class Library:
         *,
         log: list[str] | None = None,
     ) -> None:
-        self.d, self.interface = d, interface
+        self.d, self.interface, self.folder = d, interface, folder
         self.resources = (folder / "resources").resolve().as_uri()
         self.log: list[str] = [] if log is None else log
         self.dll = ctypes.CDLL(str(binary.resolve()))

@@ -30,7 +30,6 @@ def check(
             typer.echo(finding.line())
         for note in report.notes:
             typer.echo(f"note: {note}", err=True)
-        count = len(report.findings)
-        typer.echo(f"{file}: {'clean' if count == 0 else f'findings: {count}'}")
+        typer.echo(f"{file}: {report.verdict}")
     if not report.clean:
         raise typer.Exit(1)

@@ -45,7 +45,7 @@ def faulty(fault: int, folder: Path) -> Path:
 def test_the_sound_block_is_clean(tmp_path: Path) -> None:
     report = check_file(faulty(0, tmp_path))
     assert report.clean, [f.line() for f in report.findings]
-    assert len(report.facts["topics"]) == 18  # nine topics for each interface
+    assert len(report.facts["topics"]) == 22  # eleven topics for each interface
 
 
 @pytest.mark.parametrize(

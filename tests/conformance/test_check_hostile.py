@@ -150,7 +150,7 @@ def test_exit_codes_and_json(decay: Path, tmp_path: Path) -> None:
     run = CliRunner()
     clean = run.invoke(app, ["check", str(decay), "--json", "--no-run"])
     assert clean.exit_code == 0
-    assert '"clean": true' in clean.stdout
+    assert '"verdict": "not run"' in clean.stdout
     found = run.invoke(app, ["check", str(archive_of(tmp_path / "x.fmu", "../evil"))])
     assert found.exit_code == 1
     assert "../evil: the entry leaves the folder" in found.stdout
