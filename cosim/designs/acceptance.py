@@ -8,23 +8,21 @@ control; and for each point, ceiling and fault the clearing time that is just su
 
 from __future__ import annotations
 
-import shutil
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from pydantic import Field
 
 from interarea.design.controllers.controller import Controller
-from interarea.models.case.case import Case
-from interarea.models.case.write_toml import export_toml
-from interarea.models.files import new_folder
+from interarea.models.case.case import Case, load_case
 from interarea.models.table import Table
 
-from ..run.run import system_of
-from ..scenario.scenario import load_scenario
+from ..scenario.scenario import CONTROLLER_NAMES
+from .fault_runs import FaultRun, FaultRuns, longest_kept
 from .first_swing import Positive, after_clearing
 
 Progress = Callable[[int, int], object]
@@ -121,89 +119,68 @@ class Acceptance:
         return {**asdict(self), **summary}
 
 
+#: a setting, and whether the controller is there
+Try: TypeAlias = tuple[Setting, bool]
+
+
 def settings_of(
-    table: AcceptanceTable, points: Sequence[str], signals: Sequence[str]
+    table: AcceptanceTable, point: str, ceiling: tuple[float, float] | None, signals: Sequence[str]
 ) -> Iterator[tuple[Setting, list[Setting]]]:
-    """Give each setting without control and those with control that belong to it."""
+    """Give each setting of an operating point without control and those with control that belong to it."""
     losses: list[tuple[str, ...]] = [(), *((name,) for name in signals)] if len(signals) > 1 else [()]
-    for point in points:
-        for ceiling in (None, *table.ceilings):
-            for fault in table.fault:
-                alone = Setting(point, ceiling, fault)
-                yield (
-                    alone,
-                    [Setting(point, ceiling, fault, lost, s) for lost in losses for s in table.latency_s],
-                )
+    for fault in table.fault:
+        yield (
+            Setting(point, ceiling, fault),
+            [Setting(point, ceiling, fault, lost, s) for lost in losses for s in table.latency_s],
+        )
 
 
 class Trial:
-    """Runs settings of an acceptance; case and controller files live as long as it does."""
+    """Runs the settings of an acceptance at one operating point under one ceiling, side by side."""
 
     def __init__(
-        self, cases: Mapping[str, Case], controller: Controller, table: AcceptanceTable, cache: Path
+        self,
+        case: Case,
+        controller: Controller,
+        table: AcceptanceTable,
+        cache: Path,
+        ceiling: tuple[float, float] | None = None,
     ) -> None:
-        self.cases, self.controller, self.table, self.cache = cases, controller, table, cache
-        self._files: dict[tuple[str, tuple[float, float] | None], Path] = {}
+        self.controller, self.table = controller, table
+        self._runs = FaultRuns(case if ceiling is None else with_ceilings(case, *ceiling), cache)
 
     def __enter__(self) -> Trial:
-        self._folder = new_folder()
-        self._controller = self.controller.save(self._folder / "controller.json")
         return self
 
     def __exit__(self, *_: object) -> None:
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._runs.__exit__()
 
-    def angle(self, setting: Setting, *, control: bool, cycles: float | None = None) -> float:
-        """Return the largest angle between two machines after the fault, rad."""
-        t, case = self.table, self.cases[setting.point]
-        fault = setting.fault
-        clear_s = t.start_s + (t.clear_cycles if cycles is None else cycles) / case.frequency_hz
-        document = after_clearing(
-            self._case_file(setting), case, fault.bus, fault.trip, t.start_s, clear_s, x_pu=t.x_pu
-        )
-        document |= {"controller": str(self._controller) if control else "none", "stop_s": t.stop_s}
-        if control:
-            document["channels"] = {
-                f"from_{signal}": {
-                    "signal": signal,
-                    "latency_s": setting.latency_s,
-                    "outages_s": [[t.lost_s, t.stop_s]] if signal in setting.lost else [],
-                }
-                for signal in self.controller.inputs
-            }
-        with system_of(load_scenario(document), cache=self.cache).master() as master:
-            data = master.run()
-        angles = np.array([data[f"plant.{m.name}_delta"] for m in case.machines])
-        return float(np.ptp(angles, axis=0).max())
+    def angles(self, cycles: Mapping[Try, float]) -> dict[Try, float]:
+        """Return the largest angle between two machines after each fault of so many cycles, rad."""
+        found = self._runs.largest_angles([self._run(setting, n) for setting, n in cycles.items()])
+        return dict(zip(cycles, found, strict=True))
 
-    def kept(self, setting: Setting, *, control: bool, cycles: float | None = None) -> bool:
+    def kept(self, cycles: Mapping[Try, float]) -> dict[Try, bool]:
         """Whether no two machines come more than half a turn apart."""
-        return self.angle(setting, control=control, cycles=cycles) < np.pi
+        return {setting: angle < np.pi for setting, angle in self.angles(cycles).items()}
 
-    def clearing_cycles(self, setting: Setting, *, control: bool) -> float | None:
+    def clearing_cycles(self, tries: Sequence[Try]) -> dict[Try, float | None]:
         """Return the longest fault that keeps synchronism (0: not one cycle; None: the longest tried)."""
-        low, high = 1.0, self.table.longest_cycles
-        if self.kept(setting, control=control, cycles=high):
-            return None
-        if not self.kept(setting, control=control, cycles=low):
-            return 0.0
-        while high - low > self.table.resolution_cycles:
-            middle = 0.5 * (low + high)
-            if self.kept(setting, control=control, cycles=middle):
-                low = middle
-            else:
-                high = middle
-        return low
+        t = self.table
+        found = longest_kept(tries, self.kept, 1.0, t.longest_cycles, t.resolution_cycles)
+        return {each: None if n >= t.longest_cycles else n for each, n in found.items()}
 
-    def _case_file(self, setting: Setting) -> Path:
-        key = (setting.point, setting.ceiling)
-        if key not in self._files:
-            case = self.cases[setting.point]
-            if setting.ceiling is not None:
-                case = with_ceilings(case, *setting.ceiling)
-            self._files[key] = self._folder / f"case-{len(self._files)}.toml"
-            export_toml(case, self._files[key])
-        return self._files[key]
+    def _run(self, each: Try, cycles: float) -> FaultRun:
+        t, (setting, controlled) = self.table, each
+        clear_s = t.start_s + cycles / self._runs.case.frequency_hz
+        fault = setting.fault
+        return FaultRun(
+            after_clearing(self._runs.case, fault.bus, fault.trip, t.start_s, clear_s, x_pu=t.x_pu),
+            t.stop_s,
+            self.controller if controlled else None,
+            setting.latency_s,
+            dict.fromkeys(setting.lost, t.lost_s),
+        )
 
 
 def with_ceilings(case: Case, least: float, most: float) -> Case:
@@ -230,34 +207,45 @@ def judge_acceptance(
     clearing : search the clearing times too, at the first latency with the first signal lost.
     progress : called with settings done and all.
     """
-    groups = list(settings_of(table, list(cases), controller.inputs))
-    lost, gained, largest, rows, count = [], [], 0.0, [], 0
-    with Trial(cases, controller, table, cache) as trial:
-        for done, (alone, settings) in enumerate(groups):
-            if progress is not None:
-                progress(done, len(groups))
-            holds = trial.kept(alone, control=False)
-            for setting in settings:
-                angle = trial.angle(setting, control=True)
-                count += 1
-                if angle < np.pi:
-                    largest = max(largest, angle)
-                if holds and not angle < np.pi:
-                    lost.append(str(setting))
-                elif not holds and angle < np.pi:
-                    gained.append(str(setting))
+    places = [(point, ceiling) for point in cases for ceiling in (None, *table.ceilings)]
+    lost: list[str] = []
+    gained: list[str] = []
+    rows: list[ClearingRow] = []
+    largest, count = 0.0, 0
+    for done, (point, ceiling) in enumerate(places):
+        if progress is not None:
+            progress(done, len(places))
+        groups = list(settings_of(table, point, ceiling, controller.inputs))
+        with Trial(cases[point], controller, table, cache, ceiling) as trial:
+            angles = _angles(trial, groups, table.clear_cycles)
+            for alone, settings in groups:
+                holds = angles[alone, False] < np.pi
+                count += len(settings)
+                kept = {s: angles[s, True] for s in settings if angles[s, True] < np.pi}
+                largest = max([largest, *kept.values()])
+                different = [str(s) for s in settings if holds != (s in kept)]
+                (lost if holds else gained).extend(different)
             if clearing:
-                hardest = next((s for s in settings if s.lost), settings[0])
-                rows.append(
-                    ClearingRow(
-                        alone.point,
-                        alone.ceilings,
-                        str(alone.fault),
-                        trial.clearing_cycles(alone, control=False),
-                        trial.clearing_cycles(hardest, control=True),
-                    )
-                )
+                rows += _clearing_rows(trial, groups)
     return Acceptance(count, tuple(lost), tuple(gained), float(np.degrees(largest)), tuple(rows))
+
+
+def _angles(trial: Trial, groups: Sequence[tuple[Setting, list[Setting]]], cycles: float) -> dict[Try, float]:
+    """Run every setting without control and with it, all side by side."""
+    tries = [(s, s is not alone) for alone, settings in groups for s in (alone, *settings)]
+    return trial.angles(dict.fromkeys(tries, cycles))
+
+
+def _clearing_rows(trial: Trial, groups: Sequence[tuple[Setting, list[Setting]]]) -> list[ClearingRow]:
+    """Search each fault's clearing time without control and with it, the first signal lost."""
+    hardest = {alone: next((s for s in settings if s.lost), settings[0]) for alone, settings in groups}
+    found = trial.clearing_cycles(
+        [each for alone, hard in hardest.items() for each in ((alone, False), (hard, True))]
+    )
+    return [
+        ClearingRow(alone.point, alone.ceilings, str(alone.fault), found[alone, False], found[hard, True])
+        for alone, hard in hardest.items()
+    ]
 
 
 def in_words(found: Mapping[str, Any] | None) -> str:
@@ -277,3 +265,29 @@ def in_words(found: Mapping[str, Any] | None) -> str:
             f"{found['clearing_worst_change_cycles']:+.1f} at worst"
         )
     return text
+
+
+def first_failures(certificate: Mapping[str, Any] | None) -> str:
+    """Return in a line the first conditions in which a controller fails by its certificate for a family.
+
+    Linear: the first operating point and condition that is unstable; then its acceptance, as `in_words`.
+    """
+    rows = (certificate or {}).get("rows", ())
+    unstable = [row for row in rows if not row["stable"]]
+    text = in_words((certificate or {}).get("acceptance"))
+    if not unstable:
+        return text
+    first = f"{unstable[0]['point']}, {unstable[0]['condition']}"
+    return f"unstable in {len(unstable)} of {len(rows)} linear conditions (first: {first}); {text}"
+
+
+def kept_certificate(name: str, case_hash: str) -> dict[str, Any] | None:
+    """Return what is known of a controller of the study over the family of `robust`; None of any other.
+
+    It was found by ``interarea certify NAME --acceptance --json`` for the case that design is for: of another
+    case nothing is known.
+    """
+    path = Path(__file__).parent / f"certificate_{name}.json"
+    if name not in CONTROLLER_NAMES or not path.exists() or case_hash != load_case("two-area-thesis").hash:
+        return None
+    return dict(json.loads(path.read_text(encoding="utf-8")))

@@ -10,12 +10,13 @@ from typing import Annotated, Any
 import control
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
+from interarea.design.controllers.bundled import shipped_controller, shipped_names
 from interarea.design.controllers.controller import Controller
 from interarea.design.delay.signal_conditions import Condition, condition_of_many
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
-from interarea.design.modes.modes import modes_of
+from interarea.design.modes.modes import ModeError, Modes, modes_of
 from interarea.design.robust.design import design_robust
-from interarea.design.robust.operating_points import FamilyCertificate, judge_family
+from interarea.design.robust.operating_points import FamilyCertificate, inter_area_band, judge_family
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.spec import RobustSpec, require_moved
 from interarea.models.blocks.controller import Guard
@@ -28,6 +29,7 @@ from ..run.artefacts import linear_plant
 from ..toml_file import read_toml
 from .acceptance import AcceptanceTable, judge_acceptance
 from .first_swing import FaultRow, FaultTable, after_fault, predicted_drive
+from .swing_sensitivity import FirstSwingTable, swing_penalty
 
 Positive = Annotated[float, Field(gt=0.0)]
 _OFFSETS = (BandOffsets().omega, BandOffsets().offset)
@@ -107,16 +109,26 @@ class DesignTable(Table):
     effort_cap: tuple[tuple[Positive, Positive], ...] = ((0.05, 0.155), (300.0, 0.155))
     #: (rad/s, damping): how much more than elsewhere the optimisation wants there, piecewise linear
     offset: tuple[tuple[float, float], ...] = Field(tuple(zip(*_OFFSETS, strict=True)), min_length=2)
+    rho: Positive = 600.0  #: how closely the smoothed worst damping of the search follows the worst
     limit_pu: Positive = 0.15  #: bound of the magnitude of every output
     guard: GuardTable | None = None  #: limits of the output that fall during a first swing
-    starts: Annotated[int, Field(ge=1)] = 3  #: random starts of the search
+    start_from: str | None = None  #: bundled controller, or its JSON file, of the same loops and order
+    starts: Annotated[int, Field(ge=0)] = 3  #: random starts of the search
     evaluations: Annotated[int, Field(ge=1)] = 1800  #: of the objective, from each start
     polishes: Annotated[int, Field(ge=0)] = 20  #: rounds of descent from the best start
     seed: int = 1  #: of the random starts
+    #: operating points, the first ones, on which the starts are tried; the best goes on with all. 0: all
+    starts_on: Annotated[int, Field(ge=0)] = 0
+    plant_order: Annotated[int, Field(ge=2)] = 16  #: states of the reduced plants of the search
+    pade_order: Annotated[int, Field(ge=1, le=8)] = 3  #: of the latencies in the search
+    #: rounds of the search look at the models within this (damping) of the worst, which is quicker where
+    #: there are many large ones; none: at all of them
+    within: Positive | None = None
     ask: AskTable = AskTable()  #: what the certificate asks for
     fault: FaultTable | None = None  #: the fault that the certificate runs at every operating point
     #: non-linear faults that `interarea certify NAME --acceptance` runs
     acceptance: AcceptanceTable | None = None
+    first_swing: FirstSwingTable | None = None  #: what the search lets a controller add to a first swing
     source: str = ""  #: where the design comes from
     _grid: Case | None = PrivateAttr(None)  # of `on`
 
@@ -165,6 +177,12 @@ class DesignTable(Table):
         return tuple(part.actuator for part in self.part) or ((self.actuator,) if self.actuator else ())
 
     @model_validator(mode="after")
+    def _swing_has_faults(self) -> DesignTable:
+        if self.first_swing is not None:
+            self.first_swing.check([point.name for point in self.point], self.acceptance)
+        return self
+
+    @model_validator(mode="after")
     def _one_form(self) -> DesignTable:
         single = {"remote": self.remote, "local": self.local, "actuator": self.actuator}
         given = [key for key, value in single.items() if value is not None]
@@ -194,11 +212,22 @@ class DesignTable(Table):
             fastest_pole=self.fastest_pole,
             effort_cap=self.effort_cap,
             offsets=BandOffsets(*zip(*self.offset, strict=True)),
+            rho=self.rho,
             starts=self.starts,
             evaluations=self.evaluations,
             polishes=self.polishes,
             seed=self.seed,
+            start=None if self.start_from is None else _controller(self.start_from).system,
+            within=float("inf") if self.within is None else self.within,
+            starts_on=self.starts_on,
+            plant_order=self.plant_order,
+            pade_order=self.pade_order,
         )
+
+
+def _controller(name: str) -> Controller:
+    """Return a bundled controller, or that of a JSON file; ControllerError as they say."""
+    return shipped_controller(name) if name in shipped_names() else Controller.load(name)
 
 
 def load_design(path: str | Path) -> DesignTable:
@@ -284,6 +313,18 @@ def run_design(
     spec = table.spec()
     for name, case in family_cases(table).items():
         require_moved(name, plants[name], spec, modes_of(plants[name], case.areas))
+    if table.first_swing is not None and table.acceptance is not None:
+        penalty = swing_penalty(
+            family_cases(table),
+            table.first_swing,
+            table.acceptance,
+            table.signals,
+            table.actuators,
+            list(dict.fromkeys(condition.lost for condition in spec.conditions)),
+            table.limit_pu,
+            cache,
+        )
+        spec = replace(spec, swing=penalty, margins_deg=table.first_swing.margins_deg)
     made = design_robust(plants, spec, omega_b, progress=progress)
     facts = {
         "method": "smoothed worst damping over operating points, losses and latencies",
@@ -297,6 +338,14 @@ def run_design(
     return Designed(controller, {f"start {k}": K for k, K in enumerate(made.tried, start=1)})
 
 
+def named_modes(plant: control.StateSpace, case: Case) -> Modes | None:
+    """Return the swing modes of an operating point by name; None where the case gives none."""
+    try:
+        return modes_of(plant, case.areas)
+    except ModeError:
+        return None
+
+
 def _recorded(table: DesignTable) -> dict[str, Any]:
     """Everything of a design as JSON; what is asked without a bound is left out, JSON having no infinity."""
     data = table.model_dump(mode="json", exclude_none=True)
@@ -307,7 +356,9 @@ def _recorded(table: DesignTable) -> dict[str, Any]:
 def judge(table: DesignTable, K: control.StateSpace, cache: Path) -> FamilyCertificate:
     """Judge a controller (speeds in rad/s) on the family of a design and by what it asks, no fault run."""
     omega_b = table.grid.omega_b
-    plants = {name: speeds_in_rad(p, omega_b) for name, p in family_plants(table, cache).items()}
+    cases = family_cases(table)
+    given = family_plants(table, cache)
+    plants = {name: speeds_in_rad(p, omega_b) for name, p in given.items()}
     return judge_family(
         plants,
         K,
@@ -316,6 +367,7 @@ def judge(table: DesignTable, K: control.StateSpace, cache: Path) -> FamilyCerti
         inter_area=table.ask.inter_area,
         effort_cap=table.ask.effort,
         fastest_pole=table.ask.fastest_pole,
+        bands_hz={name: inter_area_band(named_modes(p, cases[name])) for name, p in given.items()},
     )
 
 

@@ -28,6 +28,7 @@ from interarea.models.table import Table
 
 from ..run.artefacts import plant_fmu
 from ..run.run import run_scenario
+from ..run.swing_signal import swing_of
 
 Array = npt.NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -66,12 +67,11 @@ def fault_scenario(
     case_file: Path, case: Case, fault: FaultTable, controller: str = "none"
 ) -> dict[str, Any]:
     """Return the scenario of the fault; a branch that is out already is not tripped."""
-    events = after_clearing(case_file, case, fault.bus, fault.branch, fault.start_s, fault.clear_s)
-    return events | {"controller": controller, "stop_s": fault.stop_s}
+    events = after_clearing(case, fault.bus, fault.branch, fault.start_s, fault.clear_s)
+    return {"case": str(case_file), "event": events, "controller": controller, "stop_s": fault.stop_s}
 
 
 def after_clearing(
-    case_file: Path,
     case: Case,
     bus: int,
     trip: str | None,
@@ -79,14 +79,14 @@ def after_clearing(
     clear_s: float,
     *,
     x_pu: float = 1e-4,
-) -> dict[str, Any]:
-    """Return case and events of a fault that a trip clears; a branch that is out already is not tripped."""
+) -> list[dict[str, Any]]:
+    """Return the events of a fault that a trip clears; a branch that is out already is not tripped."""
     events: list[dict[str, Any]] = [
         {"kind": "bus_fault", "bus": bus, "start_s": start_s, "end_s": clear_s, "x_pu": x_pu}
     ]
     if trip is not None and case.branch(trip).in_service:
         events.append({"kind": "branch_trip", "branch": trip, "start_s": clear_s})
-    return {"case": str(case_file), "event": events}
+    return events
 
 
 def uncontrolled_speeds(case: Case, fault: FaultTable, cache: Path) -> tuple[Array, dict[str, Array]]:
@@ -155,8 +155,8 @@ def after_fault(
 ) -> FaultRow:
     """Run the fault with every signal of the controller late and `lost` ones gone from `fault.lost_s` on.
 
-    Synchronism: no two machines more than pi apart. Settled: the difference of the first and the last signal
-    of the controller (of the first and the last machine, where it has one) below 2 % of its peak.
+    Synchronism: no two machines more than pi apart. Settled: the speed difference that runs of the case are
+    judged by (`swing_of`) below 2 % of its peak.
     """
     with temporary_folder() as folder:
         export_toml(case, folder / "case.toml")
@@ -173,8 +173,9 @@ def after_fault(
         data = run_scenario(document, cache=cache).trajectory.data
     angles = np.array([data[f"plant.{m.name}_delta"].to_numpy() for m in case.machines])
     spread = float((angles.max(axis=0) - angles.min(axis=0)).max())
-    names = controller.inputs if len(controller.inputs) > 1 else [f"{m.name}_dw" for m in case.machines]
-    swing = (data[f"plant.{names[0]}"] - data[f"plant.{names[-1]}"]).abs()
-    settled = float(data["time_s"][swing > 0.02 * swing.max()].max()) - fault.start_s
+    swing = swing_of(case, cache)
+    first = data[f"plant.{swing.ahead}_dw"]
+    apart = (first - data[f"plant.{swing.behind}_dw"] if swing.behind else first).abs()
+    settled = float(data["time_s"][apart > 0.02 * apart.max()].max()) - fault.start_s
     kept = bool(spread < np.pi)
     return FaultRow(point, tuple(lost), kept, spread, settled, kept and settled <= fault.settle_s)

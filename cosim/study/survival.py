@@ -8,7 +8,7 @@ processor, every run with the bits of the run made alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +25,7 @@ from interarea.models.case.case import Case, load_case
 from interarea.models.case.variants import operating_variant
 from interarea.models.files import temporary_folder
 
+from ..designs.fault_runs import longest_kept
 from ..errors import StepError
 from ..master.instances import FmuParticipant
 from ..master.isolated import participant_of
@@ -171,31 +172,6 @@ def _make_rows(
             }
         )
     return rows
-
-
-def longest_kept(
-    settings: Sequence[Setting],
-    kept: Callable[[Mapping[Setting, float]], Mapping[Setting, bool]],
-    low: float,
-    high: float,
-    tolerance: float,
-) -> dict[Setting, float]:
-    """Bisect for each setting where `kept` ends between `low` and `high`; all settings in each call.
-
-    Returns
-    -------
-    setting -> the longest value found kept; 0 where `low` is not, `high` where that still is.
-    """
-    first, last = kept(dict.fromkeys(settings, low)), kept(dict.fromkeys(settings, high))
-    good = {s: (high if last[s] else low) if first[s] else 0.0 for s in settings}
-    bad = {s: high for s in settings if first[s] and not last[s]}
-    while bad:
-        found = kept({s: 0.5 * (good[s] + limit) for s, limit in bad.items()})
-        for s, holds in found.items():
-            middle = 0.5 * (good[s] + bad[s])
-            good[s], bad[s] = (middle, bad[s]) if holds else (good[s], middle)
-        bad = {s: limit for s, limit in bad.items() if limit - good[s] > tolerance}
-    return good
 
 
 class Faults:

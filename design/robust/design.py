@@ -10,23 +10,19 @@ exact delays.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import control
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize
 
-from ..delay.curves import pade
-from ..delay.signal_conditions import Condition
 from ..errors import InfeasibleDesign
-from ..linear.linearise import select, speeds_in_rad
-from ..linear.norms import frequency_response, gramian_factor
+from ..linear.norms import gramian_factor
 from ..lmi.solve import one_blas_thread
-from ..reduction.balanced import balanced_truncation
 from ..reduction.gramians import projections
-from .smoothed_objective import Array, Complex, DesignModel, EffortGrid, Gains, Objective
-from .spec import RobustSpec, check_plants
+from .design_models import build_objective, tightened
+from .smoothed_objective import Array, Gains, Objective
+from .spec import RobustSpec
 
 #: evaluations between two balancings of the controller
 ROUND = 300
@@ -66,32 +62,44 @@ def design_robust(
         mode is out of reach. ValueError : plants that no design model can be made of.
     """
     objective = build_objective(plants, spec, omega_b)
+    first = dict(list(plants.items())[: spec.starts_on or None])
+    easier = build_objective(first, spec, omega_b) if len(first) < len(plants) else objective
     rng = np.random.default_rng(spec.seed)
     best: tuple[float, Array] | None = None
     reached: list[float] = []
     tried: list[control.StateSpace] = []
     count = 0
     with one_blas_thread():
-        for k in range(spec.starts):
-            theta, used = _descend(objective, _stable_start(objective, rng), spec.evaluations // ROUND)
+        starts = [] if spec.start is None else [given_start(easier, spec)]
+        starts += [_stable_start(easier, rng) for _ in range(spec.starts)]
+        for k, start in enumerate(starts):
+            theta, used = _descend(easier, start, spec.evaluations // ROUND, spec.within)
             count += used
-            value = objective(theta)[0]
+            value = easier(theta)[0]
             reached.append(value)
             tried.append(_with_washout(objective.unpack(theta), spec))
             if best is None or value < best[0]:
                 best = (value, theta)
             if progress is not None:
-                progress(f"start {k + 1} of {spec.starts}", value)
+                progress(f"start {k + 1} of {len(starts)}", value)
         assert best is not None
-        value, theta = best
+        theta = best[1]
+        value = objective(theta)[0]
         for k in range(0, spec.polishes, 3):
-            theta, used = _descend(objective, theta, 3)
+            theta, used = _descend(objective, theta, 3, spec.within)
             count += used
             gained, value = value - objective(theta)[0], objective(theta)[0]
             if progress is not None:
                 progress(f"polish {k + 3} of {spec.polishes}", value)
             if not gained > 1e-5:
                 break
+        for margin in spec.margins_deg if spec.swing is not None else ():
+            objective = replace(objective, swing=tightened(spec, margin))
+            theta, used = _descend(objective, theta, spec.evaluations // ROUND, spec.within)
+            count += used
+            value = objective(theta)[0]
+            if progress is not None:
+                progress(f"first swing, {margin:g} degrees", value)
     rightmost, worst = objective.worst(theta)
     if not rightmost < 0.0:
         raise InfeasibleDesign(
@@ -105,121 +113,15 @@ def design_robust(
     return RobustDesign(K, value, worst, rightmost, count, tuple(reached), tuple(tried))
 
 
-def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, omega_b: float) -> Objective:
-    """Return the objective of `spec`: one design model per operating point and condition.
-
-    Raises ValueError and InfeasibleDesign as `robust_check.check_plants` says.
-    """
-    check_plants(plants, spec)
-    models: list[DesignModel] = []
-    efforts: list[EffortGrid] = []
-    omega = np.geomspace(0.3, 300.0, 60)
-    for point, plant in plants.items():
-        full = select(speeds_in_rad(plant, omega_b), list(spec.actuators), list(spec.signals))
-        unstable = int(np.count_nonzero(np.linalg.eigvals(full.A).real >= 0.0))
-        small = balanced_truncation(full, min(max(spec.plant_order, unstable + 2), full.nstates)).system
-        response = frequency_response(full.A, full.B, full.C, full.D, omega)
-        for condition in spec.conditions:
-            name = f"{point}: {condition.name}"
-            models.append(_design_model(name, small, spec, condition))
-            if spec.effort_cap is not None:
-                efforts.append(_effort_grid(name, omega, response, spec, condition))
-    return Objective(
-        models,
-        _free_order(spec),
-        efforts,
-        offsets=spec.offsets,
-        mask=_structure(spec),
-        feedthrough=spec.feedthrough,
-        dc_block=spec.dc_block,
-        slowest_pole=spec.slowest_pole,
-        fastest_pole=spec.fastest_pole,
-    )
-
-
-def _free_order(spec: RobustSpec) -> int:
-    """States that are designed: all but those of the washouts."""
-    order = sum(order for _, order in spec.sees.values()) if spec.sees else spec.order
-    return order - len(spec.actuators) * (spec.washout_s > 0.0)
-
-
-def _structure(spec: RobustSpec) -> npt.NDArray[np.bool_] | None:
-    if not spec.sees:
-        return None
-    n, p, m = _free_order(spec), len(spec.signals), len(spec.actuators)
-    A, B, C, D = (np.zeros(shape, bool) for shape in ((n, n), (n, p), (m, n), (m, p)))
-    first = 0
-    for row, actuator in enumerate(spec.actuators):
-        signals, order = spec.sees[actuator]
-        order -= int(spec.washout_s > 0.0)
-        states = slice(first, first + order)
-        A[states, states] = True
-        C[row, states] = True
-        for signal in signals:
-            B[states, spec.signals.index(signal)] = True
-            D[row, spec.signals.index(signal)] = spec.feedthrough
-        first += order
-    return np.concatenate([M.ravel() for M in (A, B, C, D)])
-
-
-def _design_model(
-    name: str, plant: control.StateSpace, spec: RobustSpec, condition: Condition
-) -> DesignModel:
-    """Chain washout, plant and Pade models; lost signals give zero."""
-    A, B, C = (np.asarray(M, dtype=float) for M in (plant.A, plant.B, plant.C))
-    if spec.washout_s > 0.0:
-        # u_plant = u - w,  T w' = u - w, one per actuator
-        m, T = B.shape[1], spec.washout_s
-        A = np.block([[A, -B], [np.zeros((m, A.shape[0])), -np.eye(m) / T]])
-        B = np.vstack([B, np.eye(m) / T])
-        C = np.hstack([C, np.zeros((C.shape[0], m))])
-    rows = []
-    for k, signal in enumerate(spec.signals):
-        row = np.zeros((1, A.shape[0]))
-        latency = condition.latency_s_of.get(signal, 0.0)
-        if signal in condition.lost:
-            pass
-        elif latency > 0.0:
-            late = pade(latency, spec.pade_order)
-            size = A.shape[0]
-            delayed = late.B @ C[k : k + 1]
-            A = np.block([[A, np.zeros((size, late.A.shape[0]))], [delayed, late.A]])
-            B = np.vstack([B, np.zeros((late.A.shape[0], B.shape[1]))])
-            C = np.hstack([C, np.zeros((C.shape[0], late.A.shape[0]))])
-            row = np.hstack([late.D @ C[k : k + 1, :size], late.C])
-        else:
-            row = C[k : k + 1]
-        rows.append(row)
-    width = A.shape[0]
-    C_seen = np.vstack([np.hstack([row, np.zeros((1, width - row.shape[1]))]) for row in rows])
-    return DesignModel(name, A, B, C_seen)
-
-
-def _effort_grid(
-    name: str, omega: Array, response: Complex, spec: RobustSpec, condition: Condition
-) -> EffortGrid:
-    assert spec.effort_cap is not None
-    nodes = np.array(spec.effort_cap)
-    cap = np.exp(np.interp(np.log(omega), np.log(nodes[:, 0]), np.log(nodes[:, 1])))
-    seen = response.copy()
-    for k, signal in enumerate(spec.signals):
-        late = np.exp(-1j * omega * condition.latency_s_of.get(signal, 0.0))
-        seen[:, k, :] *= 0.0 if signal in condition.lost else late[:, None]
-    if spec.washout_s > 0.0:
-        s = 1j * omega * spec.washout_s
-        # the filter belongs to the controller: its gain is taken out of the cap, put into the plant
-        washout = s / (1.0 + s)
-        seen = seen * washout[:, None, None]
-        cap = cap / np.abs(washout)
-    return EffortGrid(name, omega, seen, cap)
-
-
 def _stable_start(objective: Objective, rng: np.random.Generator) -> Array:
     """A random stable controller, its gain lowered until every model is stable, the effort near its cap."""
     n, p, m = objective.order, objective.n_y, objective.n_u
     A = rng.normal(size=(n, n))
     A = A - A.T + np.diag(rng.normal(size=n))
-    A = 6.0 * (A - (max(np.linalg.eigvals(A).real.max(), 0.0) + 0.5) * np.eye(n))
+    for states in objective.parts:
+        part = A[np.ix_(states, states)]
+        A[states, states] -= max(np.linalg.eigvals(part).real.max(), 0.0) + 0.5
+    A = 6.0 * A
     B, C = rng.normal(size=(n, p)), rng.normal(size=(m, n))
     theta = objective.pack(A, B, C)
     A, B, C, _ = objective.unpack(theta)
@@ -231,25 +133,62 @@ def _stable_start(objective: Objective, rng: np.random.Generator) -> Array:
     return objective.pack(A, B, C)
 
 
-def _descend(objective: Objective, start: Array, rounds: int) -> tuple[Array, int]:
+def given_start(objective: Objective, spec: RobustSpec) -> Array:
+    """Return the parameters of the controller that `spec` starts from.
+
+    Raises
+    ------
+    ValueError : it has other signals, actuators or another order than the design.
+    """
+    K, n, m = spec.start, objective.order, len(spec.actuators)
+    assert K is not None
+    states = n + m * (spec.washout_s > 0.0)
+    names = (tuple(K.input_labels), tuple(K.output_labels))
+    if K.nstates != states or names != (spec.signals, spec.actuators):
+        raise ValueError(
+            f"robust design: the controller to start from has {K.nstates} states, {', '.join(names[0])} "
+            f"-> {', '.join(names[1])}; wanted {states}, {', '.join(spec.signals)} -> "
+            f"{', '.join(spec.actuators)}"
+        )
+    A, B, C, D = (np.asarray(M, dtype=float) for M in (K.A, K.B, K.C, K.D))
+    # the washouts' states stand last, and their share of the outputs is not designed
+    return objective.pack(A[:n, :n], B[:n], C[:, :n], D)
+
+
+def _descend(objective: Objective, start: Array, rounds: int, within: float = np.inf) -> tuple[Array, int]:
     """L-BFGS with the analytic gradient, K balanced before each round; return the best and evaluations.
 
     The objective is nearly non-smooth and does not see the coordinates of K: balanced ones, and dropping the
-    Hessian's memory with the old ones, free a search that has stalled.
+    Hessian's memory with the old ones, free a search that has stalled. Below infinity `within` makes rounds a
+    third as long, each over the models that were so near to the worst at its start; one after which another
+    model is worse is thrown away, and the next takes twice as many.
     """
     best, value, count = start, objective(start)[0], 0
-    for _ in range(max(rounds, 1)):
+    parts = 1 if np.isinf(within) else 3
+    for _ in range(parts * max(rounds, 1)):
+        some = objective if np.isinf(within) else objective.narrowed(best, within)
         result = minimize(
-            objective,
+            some,
             balanced_parameters(objective, best),
             jac=True,
             method="L-BFGS-B",
-            options={"maxfun": ROUND, "maxiter": ROUND, "maxcor": 30, "ftol": 1e-12, "gtol": 1e-9},
+            options={
+                "maxfun": ROUND // parts,
+                "maxiter": ROUND // parts,
+                "maxcor": 30,
+                "ftol": 1e-12,
+                "gtol": 1e-9,
+            },
         )
         count += int(result.nfev)
-        if not result.fun < value:
+        whole = len(some.models) == len(objective.models)
+        reached = float(result.fun) if whole else objective(result.x)[0]
+        if reached < value:
+            best, value = np.asarray(result.x), reached
+        elif whole:
             break
-        best, value = np.asarray(result.x), float(result.fun)
+        else:
+            within *= 2.0
     return best, count
 
 

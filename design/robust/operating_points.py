@@ -1,6 +1,6 @@
 """A controller judged on full plants: every operating point under every loss and latency, exactly.
 
-What `robust.py` proposes from reduced plants and Padé models is decided here: full
+What `design.py` proposes from reduced plants and Padé models is decided here: full
 plants, exact latency, roots of the characteristic equation.
 """
 
@@ -16,10 +16,14 @@ import numpy as np
 from ..certificates.closed_loop import effort, loss_criterion
 from ..delay.curves import delayed_loop, rightmost_roots
 from ..delay.signal_conditions import Condition
+from ..modes.modes import Modes
+from .design_models import without_common_speed
 
-#: frequencies in which a root counts as a swing, and as the inter-area one, Hz
+#: frequencies in which a root counts as a swing, and as the inter-area one where modes have no names, Hz
 SWING_HZ = (0.1, 2.5)
 INTER_AREA_HZ = (0.3, 0.9)
+#: real part up to which a root at zero is one, 1/s: the common speed where no torque depends on it
+AT_REST = 1e-6
 #: roots damped better than this are filters and the latency's own chain of roots, not swings
 WELL_DAMPED = 0.6
 
@@ -78,6 +82,7 @@ def judge_family(
     inter_area: float = 0.0,
     effort_cap: float = float("inf"),
     fastest_pole: float = float("inf"),
+    bands_hz: Mapping[str, tuple[float, float]] | None = None,
 ) -> FamilyCertificate:
     """Return what `K` does on every plant under every condition, and where it misses what is asked.
 
@@ -87,13 +92,19 @@ def judge_family(
     K : inputs named by signal (rad/s), outputs by actuator (pu), u = +K y.
     worst_swing, inter_area : damping ratios asked of every row.
     effort_cap, fastest_pole : pu per rad/s, rad/s.
+    bands_hz : operating point -> where its inter-area modes are (`inter_area_band`); default `INTER_AREA_HZ`.
     """
-    rows = tuple(_row(point, plant, K, c) for point, plant in plants.items() for c in conditions)
+    bands = dict.fromkeys(plants, INTER_AREA_HZ) | dict(bands_hz or {})
+    rows = tuple(
+        _row(point, plant, K, c, bands[point]) for point, plant in plants.items() for c in conditions
+    )
     worst = min(row.worst_swing for row in rows)
     inter = min(row.inter_area for row in rows)
     # the gain from noise on the signals exists only for a stable loop; an unstable row is named anyway
     steady = {row.point for row in rows if row.condition == conditions[0].name and row.stable}
-    largest = max((effort(plants[p], K) for p in steady), default=float("nan"))
+    # a common speed that stays where it is has no gain at rest; K, which lets no constant pass, leaves it
+    moving = {name: without_common_speed(plant, AT_REST) for name, plant in plants.items()}
+    largest = max((effort(moving[p], K) for p in steady), default=float("nan"))
     poles = np.linalg.eigvals(np.asarray(K.A))
     fastest = float(np.abs(poles).max()) if poles.size else 0.0
     violations = [f"{row.point}, {row.condition}: unstable" for row in rows if not row.stable]
@@ -106,22 +117,52 @@ def judge_family(
     violations += [
         f"{name} is {value:.4g}, asked {wanted}" for name, value, held, wanted in asked if not held
     ]
-    lost = {" and ".join(c.lost): c.lost for c in conditions if c.lost}
-    criterion = {name: _worst_loss(plants, K, gone) for name, gone in lost.items()}
     return FamilyCertificate(
-        rows, worst, inter, largest, fastest, tuple(violations), int(K.nstates), criterion
+        rows,
+        worst,
+        inter,
+        largest,
+        fastest,
+        tuple(violations),
+        int(K.nstates),
+        _loss_criteria(moving, K, conditions),
     )
 
 
-def _worst_loss(
-    plants: Mapping[str, control.StateSpace], K: control.StateSpace, gone: Sequence[str]
-) -> float:
-    """Return the largest criterion over the plants when the signals `gone` are lost."""
-    left = [s for s in K.input_labels if s not in gone]
-    return max(loss_criterion(plant, K, left) for plant in plants.values())
+def _loss_criteria(
+    plants: Mapping[str, control.StateSpace], K: control.StateSpace, conditions: Sequence[Condition]
+) -> dict[str, float]:
+    """Return lost signals -> the loss criterion of the rest, the largest over all plants."""
+    lost = {" and ".join(c.lost): c.lost for c in conditions if c.lost}
+    kept = {name: [s for s in K.input_labels if s not in gone] for name, gone in lost.items()}
+    return {
+        name: max(loss_criterion(plant, K, rest) for plant in plants.values()) for name, rest in kept.items()
+    }
 
 
-def _row(point: str, plant: control.StateSpace, K: control.StateSpace, condition: Condition) -> FamilyRow:
+def inter_area_band(modes: Modes | None) -> tuple[float, float]:
+    """Return the frequencies (Hz) in which a closed loop's roots count as inter-area ones.
+
+    From half the slowest such mode of the open loop to between its fastest and the slowest local one;
+    `INTER_AREA_HZ` where no mode has that name.
+    """
+    found = {name: mode.frequency_hz for name, mode in (modes or {}).items()}
+    between = [hertz for name, hertz in found.items() if name.startswith("inter-area")]
+    local = [hertz for name, hertz in found.items() if name.startswith("local")]
+    if not between:
+        return INTER_AREA_HZ
+    above = [hertz for hertz in local if hertz > max(between)]
+    top = float(np.sqrt(max(between) * min(above))) if above else 1.5 * max(between)
+    return 0.5 * min(between), top
+
+
+def _row(
+    point: str,
+    plant: control.StateSpace,
+    K: control.StateSpace,
+    condition: Condition,
+    inter_area_hz: tuple[float, float],
+) -> FamilyRow:
     loop = delayed_loop(plant, K, condition.latency_s_of, lost=condition.lost)
     # roots left of this line are better damped than WELL_DAMPED at the lower end of the inter-area band
     roots = rightmost_roots(loop, right_of=-2.5)
@@ -129,10 +170,10 @@ def _row(point: str, plant: control.StateSpace, K: control.StateSpace, condition
     return FamilyRow(
         point,
         condition.name,
-        bool(rightmost < 0.0),
+        bool(rightmost < AT_REST),
         rightmost,
         _least_damping(roots, SWING_HZ),
-        _least_damping(roots, INTER_AREA_HZ),
+        _least_damping(roots, inter_area_hz),
     )
 
 

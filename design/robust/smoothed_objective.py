@@ -17,11 +17,13 @@ control effort below a cap over frequency and the controller's poles in a band.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+
+from .swing_penalty import SwingPenalty
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
@@ -71,7 +73,7 @@ class Objective:
 
     The parameter vector holds A_K, B_K, C_K, D_K row by row, masked entries left out; without a mask D_K
     is left out too unless `feedthrough` is set. With `dc_block` D_K is no parameter but C_K A_K^-1 B_K, so
-    that K(0) = 0: a washout that costs no state, its corner the slowest pole of K.
+    that K(0) = 0: a washout that costs no state, its corner the slowest pole of K. `swing` adds its penalty.
     """
 
     models: Sequence[DesignModel]
@@ -84,6 +86,7 @@ class Objective:
     mask: npt.NDArray[np.bool_] | None = None
     feedthrough: bool = False
     dc_block: bool = False
+    swing: SwingPenalty | None = None  #: on what K adds to the first swing after a fault
 
     @property
     def n_y(self) -> int:
@@ -160,6 +163,14 @@ class Objective:
         D = np.zeros((self.n_u, self.n_y)) if D is None else D
         return np.asarray(np.concatenate([A.ravel(), B.ravel(), C.ravel(), D.ravel()])[self._free])
 
+    def narrowed(self, theta: Array, within: float) -> Objective:
+        """Return the objective over the models that are within `within` (damping) of the worst at `theta`."""
+        tops = [float(self.excess(np.linalg.eigvals(A))[0].max()) for A in self.closed_loops(theta)]
+        names = [model.name for group in self.groups for model in group[0]]
+        worst = max(tops)
+        near = {name for name, top in zip(names, tops, strict=True) if top >= worst - within}
+        return replace(self, models=[model for model in self.models if model.name in near])
+
     def closed_loops(self, theta: Array) -> list[Array]:
         """Return the closed-loop matrix of every design model."""
         return [loop for loops in self.loops(self.unpack(theta)) for loop in loops]
@@ -177,6 +188,9 @@ class Objective:
         f, *gradient = self._damping(K)
         for omega, responses, caps in self.grids:
             g, *more = _effort_penalty(omega, responses, caps, K)
+            f, gradient = f + g, [have + add for have, add in zip(gradient, more, strict=True)]
+        if self.swing is not None:
+            g, *more = self.swing(K)
             f, gradient = f + g, [have + add for have, add in zip(gradient, more, strict=True)]
         g, pA = self._pole_penalty(K[0])
         gradient[0] = gradient[0] + pA
@@ -200,23 +214,27 @@ class Objective:
         return [_loops(A, B, C, K) for _, A, B, C in self.groups]
 
     def _damping(self, K: Gains) -> tuple[float, Array, Array, Array, Array]:
+        # eigenvalues alone cost a third of those with vectors, and few models carry the gradient
         spectra = []
         for group, A, B, C in self.groups:
-            eigenvalues, right = np.linalg.eig(_loops(A, B, C, K))
-            spectra.append((group, A.shape[1], right, *self.excess(eigenvalues)))
-        top = max(float(v.max()) for *_, v, _ in spectra)
-        total = sum(float(np.exp(self.rho * (v - top)).sum()) for *_, v, _ in spectra)
+            loops = _loops(A, B, C, K)
+            spectra.append((group, A.shape[1], loops, self.excess(np.linalg.eigvals(loops))[0]))
+        top = max(float(v.max()) for *_, v in spectra)
+        total = sum(float(np.exp(self.rho * (v - top)).sum()) for *_, v in spectra)
         f = top + np.log(total) / self.rho
         dA, dB, dC, dD = (np.zeros_like(M) for M in K)
-        for group, size, right, v, dv in spectra:
-            weight = np.exp(self.rho * (v - top)) / total
+        for group, size, loops, v in spectra:
             # a model whose weight is below rounding adds nothing to the gradient
-            for k in map(int, np.flatnonzero(weight.sum(axis=1) > 1e-14)):
+            share = (np.exp(self.rho * (v - top)) / total).sum(axis=1)
+            for k in map(int, np.flatnonzero(share > 1e-14)):
+                eigenvalues, right = np.linalg.eig(loops[k])
                 try:
-                    left = np.linalg.inv(right[k])
+                    left = np.linalg.inv(right)
                 except np.linalg.LinAlgError:  # a defective matrix: its neighbours carry the gradient
                     continue
-                M = ((right[k] * (weight[k] * dv[k])) @ left).T.real
+                excess, dv = self.excess(eigenvalues)
+                weight = np.exp(self.rho * (excess - top)) / total
+                M = ((right * (weight * dv)) @ left).T.real
                 g = group[k]
                 dD += g.B.T @ M[:size, :size] @ g.C.T
                 dC += g.B.T @ M[:size, size:]

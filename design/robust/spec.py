@@ -16,6 +16,10 @@ from ..modes.modes import Modes
 from ..synthesis.check import UNREACHABLE_MODE, describe_mode, describe_reach, modal_shares
 from ..synthesis.generalized_plant import check_design_plant
 from .smoothed_objective import BandOffsets
+from .swing_penalty import SwingPenalty
+
+#: modes slower than this are the common speed of all machines, rad/s: no target of a damping controller
+COMMON_SPEED = 0.02
 
 
 @dataclass(frozen=True)
@@ -46,12 +50,19 @@ class RobustSpec:
     slowest_pole: float = 0.3
     fastest_pole: float = 280.0
     offsets: BandOffsets = field(default_factory=BandOffsets)
+    rho: float = 600.0  #: how closely the smoothed worst follows the worst
     plant_order: int = 16
     pade_order: int = 3
     starts: int = 6
     evaluations: int = 1800  #: of each start
     polishes: int = 20  #: rounds of the best start at most; ends when three gain less than 1e-5 in all
     seed: int = 1
+    swing: SwingPenalty | None = None  #: on the first swing, once the linear design is there
+    margins_deg: tuple[float, ...] = ()  #: of the first swing, from one to the next
+    #: each round of the search looks at the models within this (damping) of the worst; inf = at all
+    within: float = np.inf
+    start: control.StateSpace | None = None  #: a controller to start from, beside the random ones
+    starts_on: int = 0  #: operating points, the first ones, on which the starts are tried; 0 = all
 
     def __post_init__(self) -> None:
         check_spec(self)
@@ -78,6 +89,8 @@ def check_spec(spec: RobustSpec) -> None:
                 f"robust design: order of {who} is {order}; its washouts take {least} states, at least "
                 f"{least + 1} are needed"
             )
+    if spec.start is None and spec.starts < 1:
+        raise ValueError("robust design: starts = 0, allowed only beside a controller to start from")
     for condition in spec.conditions:
         unknown = {*condition.lost, *condition.latency_s_of} - set(spec.signals)
         if unknown:
@@ -85,6 +98,11 @@ def check_spec(spec: RobustSpec) -> None:
                 f"condition {condition.name!r} names {sorted(unknown)}; the controller's signals are "
                 f"{', '.join(spec.signals)}"
             )
+    _check_bounds(spec)
+
+
+def _check_bounds(spec: RobustSpec) -> None:
+    """Refuse bounds of poles and effort that leave no controller."""
     if not 0.0 < spec.slowest_pole < spec.fastest_pole < np.inf:
         raise ValueError(
             f"robust design: slowest_pole = {spec.slowest_pole:g} and fastest_pole = {spec.fastest_pole:g} "
@@ -141,7 +159,7 @@ def require_moved(
     A, B, C = (np.asarray(M, dtype=float) for M in (picked.A, picked.B, picked.C))
     values, shares = modal_shares(A, B, C)
     targets = {f"mode {n!r}": m.eigenvalue for n, m in (modes or {}).items() if n.startswith("inter-area")}
-    unstable = [complex(v) for v in values if not v.real < 0.0 and v.imag >= 0.0]
+    unstable = [complex(v) for v in values if not v.real < 0.0 and v.imag >= 0.0 and abs(v) > COMMON_SPEED]
     for name, eigenvalue in [*targets.items(), *(("unstable mode", v) for v in unstable)]:
         share = float(shares[int(np.argmin(np.abs(values - eigenvalue)))])
         if not share >= UNREACHABLE_MODE:

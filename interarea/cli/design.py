@@ -157,6 +157,11 @@ def certify(
         typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
     else:
         _show(made.name, found, table)
+        if not acceptance:
+            from interarea.cosim.designs.acceptance import first_failures, kept_certificate
+
+            known = kept_certificate(controller, load_case(table.case).hash) or made.certificate
+            typer.echo(f"on record: {first_failures(known)}")
     if not found.passed:
         raise typer.Exit(1)
 

@@ -22,6 +22,8 @@ def study(
     ] = True,
 ) -> None:
     """Run a whole study: FMUs, designs, co-simulations, figures, report.html and study.json."""
+    from interarea.cosim.designs.acceptance import first_failures, kept_certificate
+    from interarea.cosim.scenario.scenario import CONTROLLER_NAMES
     from interarea.cosim.study.study import STAGES, run_study
 
     from .destination import folder_for
@@ -34,3 +36,6 @@ def study(
     verdicts = [row["verdict"] for row in summary.get("printed", {}).get("verdicts", [])]
     counts = ", ".join(f"{verdicts.count(k)} {k}" for k in ("agrees", "partly", "differs"))
     note(f"printed statements: {counts}")
+    for controller in CONTROLLER_NAMES:
+        known = kept_certificate(controller, summary["provenance"]["case_hash"])
+        note(f"{controller}: {first_failures(known)}")

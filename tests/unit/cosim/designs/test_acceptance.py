@@ -9,12 +9,19 @@ import numpy as np
 import pytest
 
 from interarea.cosim.designs.acceptance import (
+    Acceptance,
     AcceptanceTable,
     Setting,
     Trial,
+    first_failures,
     judge_acceptance,
     with_ceilings,
 )
+from interarea.cosim.designs.fault_runs import FaultRun
+from interarea.cosim.designs.first_swing import after_clearing
+from interarea.cosim.results.ringdown import Swing
+from interarea.cosim.run.run import system_of
+from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import load_case
@@ -49,10 +56,52 @@ def test_without_a_guard_the_grid_is_lost_where_it_holds_alone(cache: Path) -> N
 
 @pytest.mark.slow
 def test_the_clearing_time_is_the_edge_of_synchronism(cache: Path) -> None:
-    setting = Setting("tie +100", None, TABLE.fault[0])
-    with Trial(CASES, _bare(), TABLE, cache) as trial:
-        edge = trial.clearing_cycles(setting, control=False)
+    alone = Setting("tie +100", None, TABLE.fault[0]), False
+    with Trial(CASES["tie +100"], _bare(), TABLE, cache) as trial:
+        edge = trial.clearing_cycles([alone])[alone]
         assert edge is not None
-        assert trial.kept(setting, control=False, cycles=edge)
-        assert not trial.kept(setting, control=False, cycles=edge + TABLE.resolution_cycles)
-        assert trial.angle(setting, control=False, cycles=8.0) < np.pi
+        assert trial.kept({alone: edge})[alone]
+        assert not trial.kept({alone: edge + TABLE.resolution_cycles})[alone]
+        assert trial.angles({alone: 8.0})[alone] < np.pi
+
+
+@pytest.mark.slow
+def test_side_by_side_each_fault_runs_as_it_would_alone(cache: Path) -> None:
+    """Other latencies, losses, clearing times and no controller at all, against single runs by the master."""
+    case, fault = CASES["tie +100"], TABLE.fault[0]
+    tries = {
+        (Setting("tie +100", None, fault), False): 8.0,
+        (Setting("tie +100", None, fault, ("G2_dw",), 0.1), True): 8.0,
+        (Setting("tie +100", None, fault, (), 0.05), True): 6.0,
+    }
+    with Trial(case, _bare(), TABLE, cache) as trial:
+        together = trial.angles(tries)
+    for (setting, controlled), cycles in tries.items():
+        clear_s = 1.0 + cycles / 60.0
+        events = after_clearing(case, 8, "8-9 a", 1.0, clear_s)
+        lost = dict.fromkeys(setting.lost, 1.5)
+        run = FaultRun(events, 10.0, _bare() if controlled else None, setting.latency_s, lost)
+        document = run.document()
+        system = system_of(
+            load_scenario(document),
+            case=case,
+            controller=run.controller or "none",
+            swing=Swing("G1", "G4", "test"),
+            cache=cache,
+        )
+        with system.master() as master:
+            data = master.run()
+        angles = np.array([data[f"plant.{m.name}_delta"] for m in case.machines])
+        assert together[setting, controlled] == pytest.approx(float(np.ptp(angles, axis=0).max()), rel=1e-9)
+
+
+def test_the_first_condition_that_fails_is_said() -> None:
+    row = {"point": "tie +100", "condition": "s200", "stable": False}
+    faults = Acceptance(6, ("tie +100, fault at bus 8, 100 ms",), (), 90.0, ()).as_dict()
+    certificate = {"rows": [{**row, "stable": True}, row, row], "acceptance": faults}
+    assert first_failures(certificate) == (
+        "unstable in 2 of 3 linear conditions (first: tie +100, s200); non-linear faults: 1 of 6 lost that "
+        "hold without it (first: tie +100, fault at bus 8, 100 ms), 0 gained"
+    )
+    assert first_failures(None) == "non-linear faults: not judged"
+    assert first_failures({"rows": [{**row, "stable": True}]}) == "non-linear faults: not judged"

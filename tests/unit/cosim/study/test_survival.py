@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from interarea.cosim.designs.fault_runs import longest_kept
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.study.spec import load_study
-from interarea.cosim.study.survival import NONE, Faults, Setting, case_at, longest_kept
+from interarea.cosim.study.survival import NONE, Faults, Setting, case_at
 from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import Case
 

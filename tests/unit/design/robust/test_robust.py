@@ -15,14 +15,18 @@ from typer.testing import CliRunner
 from interarea.cli.app import app
 from interarea.cosim.designs.design_file import load_design, specification_of
 from interarea.cosim.errors import ScenarioError
+from interarea.cosim.run.artefacts import linear_plant
 from interarea.cosim.run.controller_fmu import controller_from_fmu
 from interarea.cosim.run.controllers import controller_fmu
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.delay.signal_conditions import condition_of, condition_of_many
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
-from interarea.design.robust.design import build_objective, design_robust
-from interarea.design.robust.operating_points import judge_family
+from interarea.design.modes.modes import modes_of
+from interarea.design.robust.design import design_robust
+from interarea.design.robust.design_models import build_objective, without_common_speed
+from interarea.design.robust.operating_points import inter_area_band, judge_family
 from interarea.design.robust.spec import RobustSpec
+from interarea.models.case.case import load_case
 
 
 def independent_plant(tie_pu: float = 0.0, out: tuple[str, ...] = ()) -> control.StateSpace:
@@ -54,7 +58,7 @@ LATE = ("s150", "s200", "L+s150", "L+s200")
     [
         ("robust_linear", CODES, 0.24, 0.28),
         ("robust", CODES, 0.22, 0.22),
-        pytest.param("robust_latency", CODES + LATE, 0.23, 0.23, marks=pytest.mark.slow),
+        pytest.param("robust_latency", CODES + LATE, 0.228, 0.228, marks=pytest.mark.slow),
     ],
 )
 def test_shipped_controllers_hold_their_figures_on_the_independent_model(
@@ -252,3 +256,30 @@ def test_an_unknown_design_names_the_bundled_ones() -> None:
         ScenarioError, match="there are: robust, robust_latency, robust_linear, two_actuators"
     ):
         load_design("nothing")
+
+
+def test_the_inter_area_band_is_that_of_the_case(cache: Path) -> None:
+    """New England: 0.602 Hz between areas, the slowest local mode at 0.927 Hz."""
+    case = load_case("new-england")
+    modes = modes_of(remove_reference(linear_plant(case, cache)), case.areas)
+    low, high = inter_area_band(modes)
+    assert low == pytest.approx(0.602 / 2, abs=1e-3)
+    assert high == pytest.approx(np.sqrt(0.602 * 0.927), abs=1e-3)
+    assert inter_area_band(None) == (0.3, 0.9)
+
+
+def test_a_common_speed_that_stays_is_no_target_and_the_rest_is_unchanged() -> None:
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(5, 5))
+    A -= (np.linalg.eigvals(A).real.max() + 0.4) * np.eye(5)
+    T = rng.normal(size=(6, 6)) + 3.0 * np.eye(6)
+    still = np.block([[np.zeros((1, 1)), np.zeros((1, 5))], [np.zeros((5, 1)), A]])
+    B, C = rng.normal(size=(6, 2)), rng.normal(size=(2, 6))
+    plant = control.ss(T @ still @ np.linalg.inv(T), T @ B, C @ np.linalg.inv(T), np.zeros((2, 2)))
+    swinging = without_common_speed(plant)
+    kept, wanted = (np.sort_complex(np.linalg.eigvals(M)) for M in (swinging.A, A))
+    assert kept == pytest.approx(wanted)
+    s = 1.0 + 2.0j
+    left_out = np.outer(C[:, 0], B[0]) / s
+    assert plant(s) - left_out == pytest.approx(swinging(s), rel=1e-9)
+    assert without_common_speed(swinging) is swinging

@@ -19,7 +19,7 @@ def objective() -> Objective:
     def stable_plant(n: int) -> DesignModel:
         A = rng.normal(size=(n, n))
         A -= (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(n)
-        return DesignModel(f"n={n}", A, rng.normal(size=(n, 1)), rng.normal(size=(2, n)))
+        return DesignModel(f"n={n}, {A[0, 0]:.3f}", A, rng.normal(size=(n, 1)), rng.normal(size=(2, n)))
 
     models = [stable_plant(7), stable_plant(7), stable_plant(9)]
     omega = np.logspace(-1, 2, 20)
@@ -135,3 +135,16 @@ def test_a_mask_fixes_the_structure(objective: Objective) -> None:
     A, _, _, _ = masked.unpack(theta)
     assert np.array_equal(A, np.diag([1.0, 2.0, 3.0, 4.0]))
     assert np.array_equal(masked.pack(*masked.unpack(theta)), theta)
+
+
+def test_narrowed_leaves_out_the_models_that_are_far_from_the_worst(objective: Objective) -> None:
+    theta = _controller(objective, 5)
+    tops = {}
+    for model in objective.models:
+        alone = replace(objective, models=[model], efforts=[])
+        (A,) = alone.closed_loops(theta)
+        tops[model.name, id(model)] = float(alone.excess(np.linalg.eigvals(A))[0].max())
+    spread = max(tops.values()) - min(tops.values())
+    assert objective.narrowed(theta, 1.01 * spread).models == objective.models
+    few = objective.narrowed(theta, 1e-9).models
+    assert [id(model) for model in few] == [max(tops, key=lambda key: tops[key])[1]]

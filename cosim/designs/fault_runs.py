@@ -1,0 +1,149 @@
+"""Faults in a grid by the hundred: runs of one plant side by side, their FMUs and instances kept alive."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from interarea.design.controllers.controller import Controller
+from interarea.fmu_build.errors import BuildError
+from interarea.fmu_build.write.lane_library import GroupLibrary, plant_group
+from interarea.models.case.case import Case
+
+from ..errors import StepError
+from ..master.instances import FmuParticipant
+from ..master.isolated import participant_of
+from ..master.lockstep import advance_together
+from ..master.master import Master
+from ..results.ringdown import Swing
+from ..run.instance import Fmus
+from ..run.run import system_of
+from ..scenario.scenario import load_scenario
+from ..trajectory import Trajectory
+
+#: side by side at most; the processor's vectors take them in parts
+TOGETHER = 32
+Key = TypeVar("Key", bound=Hashable)
+
+
+@dataclass(frozen=True)
+class FaultRun:
+    """One run: events after a start at rest, and the controller whose signals come late or not at all.
+
+    events : as in a scenario file. latency_s : of every signal. lost_s : signal -> when it goes for good.
+    """
+
+    events: Sequence[Mapping[str, Any]]
+    stop_s: float
+    controller: Controller | None = None
+    latency_s: float = 0.0
+    lost_s: Mapping[str, float] = field(default_factory=dict)
+
+    def document(self) -> dict[str, Any]:
+        """Return it as a scenario; case and controller are given to it as objects."""
+        document: dict[str, Any] = {"case": "given", "stop_s": self.stop_s, "event": list(self.events)}
+        if self.controller is not None:
+            document["channels"] = {
+                f"from_{signal}": {
+                    "signal": signal,
+                    "latency_s": self.latency_s,
+                    "outages_s": [[self.lost_s[signal], self.stop_s]] if signal in self.lost_s else [],
+                }
+                for signal in self.controller.inputs
+            }
+        return document
+
+
+class FaultRuns:
+    """Runs faults in one grid; FMUs and instances live as long as this context manager."""
+
+    def __init__(self, case: Case, cache: Path) -> None:
+        self.case = case
+        self._fmus = Fmus(cache)
+        self._library: GroupLibrary | None = None
+        with suppress(BuildError):
+            self._library = plant_group(cache=cache)
+        first, last = case.machines[0].name, case.machines[-1].name
+        self._swing = Swing(first, last, "not looked at")
+        self._live: dict[tuple[int, int], dict[str, FmuParticipant]] = {}
+
+    def __enter__(self) -> FaultRuns:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for participants in self._live.values():
+            for p in participants.values():
+                p.close()
+        self._fmus.close()
+
+    def run(self, runs: Sequence[FaultRun]) -> Iterator[Trajectory]:
+        """Give what each run showed, in order, as far as it came.
+
+        Raises whatever ended a run other than a step that failed (StepError).
+        """
+        for first in range(0, len(runs), TOGETHER):
+            some = runs[first : first + TOGETHER]
+            masters = [self._master(lane, run) for lane, run in enumerate(some)]
+            for master in masters:
+                master.start()
+            errors = advance_together(masters)
+            for master, error in zip(masters, errors, strict=True):
+                if error is not None and not isinstance(error, StepError):
+                    raise error
+                yield master.trajectory
+
+    def largest_angles(self, runs: Sequence[FaultRun]) -> list[float]:
+        """Return the largest angle between two machines of each run, rad; inf where it ended early."""
+        found = []
+        for run, data in zip(runs, self.run(runs), strict=True):
+            angles = np.array([data[f"plant.{m.name}_delta"] for m in self.case.machines])
+            ended = bool(data.time_s[-1] >= run.stop_s - 1e-9)
+            found.append(float(np.ptp(angles, axis=0).max()) if ended else np.inf)
+        return found
+
+    def _master(self, lane: int, run: FaultRun) -> Master:
+        system = system_of(
+            load_scenario(run.document()),
+            case=self.case,
+            controller="none" if run.controller is None else run.controller,
+            swing=self._swing,
+            fmus=self._fmus,
+        )
+        live = self._live.setdefault((lane, id(run.controller)), {})
+        for name, made in system.instances.items():
+            if name in live:
+                live[name].set_start(made.start)
+            else:
+                group = self._library if name == "plant" else None
+                live[name] = participant_of(name, made.file, made.start, group=group)
+        return system.master(live.values())
+
+
+def longest_kept(
+    settings: Sequence[Key],
+    kept: Callable[[Mapping[Key, float]], Mapping[Key, bool]],
+    low: float,
+    high: float,
+    tolerance: float,
+) -> dict[Key, float]:
+    """Bisect for each setting where `kept` ends between `low` and `high`; all settings in each call.
+
+    Returns
+    -------
+    setting -> the longest value found kept; 0 where `low` is not, `high` where that still is.
+    """
+    first, last = kept(dict.fromkeys(settings, low)), kept(dict.fromkeys(settings, high))
+    good = {s: (high if last[s] else low) if first[s] else 0.0 for s in settings}
+    bad = {s: high for s in settings if first[s] and not last[s]}
+    while bad:
+        found = kept({s: 0.5 * (good[s] + limit) for s, limit in bad.items()})
+        for s, holds in found.items():
+            middle = 0.5 * (good[s] + bad[s])
+            good[s], bad[s] = (middle, bad[s]) if holds else (good[s], middle)
+        bad = {s: limit for s, limit in bad.items() if limit - good[s] > tolerance}
+    return good
