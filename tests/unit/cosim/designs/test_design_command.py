@@ -40,6 +40,7 @@ def spec_file(folder: Path, wanted: float) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_design_shows_what_was_tried_and_draws_it(tmp_path: Path, cache: Path) -> None:
     out, plots = tmp_path / "small.json", tmp_path / "plots"
     arguments = ["design", str(spec_file(tmp_path, 0.1)), "--out", str(out), "--against", "robust"]

@@ -120,6 +120,7 @@ def test_several_loss_patterns() -> None:
     assert damping(poles(G, design.controller, (1.0, 0.0))) >= 0.055 - 1e-4
 
 
+@pytest.mark.slow
 def test_infeasible_targets_name_what_was_reached() -> None:
     with pytest.raises(InfeasibleDesign) as error:
         fault_tolerant(two_mass(), {"normal": 0.99, "remote_lost": 0.99}, radius=6.0)
