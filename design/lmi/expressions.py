@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from .problem import BlockLMI, Matrix, MatrixVariable, Problem, Solution, Term
+from .problem import BlockLMI, Matrix, MatrixVariable, Problem, Term
 
 #: One product ``L V R`` or, if the flag is set, ``L V^T R``.
 Product = tuple[Matrix, MatrixVariable, bool, Matrix]
@@ -363,8 +363,3 @@ def _multiple(P: Matrix, Q: Matrix) -> complex | None:
 
 def _real_if_real(a: Matrix) -> Matrix:
     return np.ascontiguousarray(a.real) if np.iscomplexobj(a) and not np.any(a.imag) else a
-
-
-def solution_value(expression: Affine, solution: Solution) -> Matrix:
-    """Return an expression's value at a solution."""
-    return expression.value(solution.values, solution.scalars)

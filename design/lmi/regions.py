@@ -99,17 +99,6 @@ def h2(M: Affine, N: Affine, Bw: Affine, Cz: Affine, Q: Affine) -> tuple[Affine,
     return energy, bmat([[N, Cz.T], [Cz, Q]])
 
 
-def output_peak(N: Affine, Cz: Affine, bound: float) -> Affine:
-    """|z(t)| <= bound for every closed-loop state with x' P x <= 1: ``[[N, Cz'], [Cz, bound^2 I]] >= 0``.
-
-    With z = u this is the bound on the controller's output; which initial
-    states are covered is set by `initial_state`.
-    """
-    if not bound > 0.0:
-        raise ValueError(f"output_peak: bound is {bound}, wanted a positive number")
-    return bmat([[N, Cz.T], [Cz, bound**2 * np.eye(Cz.shape[0])]])
-
-
 def initial_state(X: Affine, x0: Matrix) -> Affine:
     """Plant state x0 (n,), controller at rest, lies in x' P x <= 1: ``1 - x0' X x0 >= 0``."""
     x = np.atleast_2d(np.asarray(x0, dtype=float))

@@ -69,7 +69,7 @@ def solve(problem: Problem, engine: str = "structured", *, tolerance: float = 1e
     -------
     Solution
         With status "failed" where the engine's "optimal" violates a block by
-        more than rounding; use `strictly_feasible` before building on it.
+        more than rounding; use `usable` before building on it.
 
     Raises
     ------
@@ -108,19 +108,6 @@ def violation(problem: Problem, solution: Solution) -> float:
         lam = np.linalg.eigvalsh(S)
         worst = max(worst, float(-lam[0] / max(abs(lam[0]), abs(lam[-1]), 1.0)))
     return float(worst)
-
-
-def strictly_feasible(problem: Problem, solution: Solution) -> bool:
-    """Return whether every block has a Cholesky factor at the solution."""
-    if solution.status not in ("optimal", "almost optimal"):
-        return False
-    for block in problem.blocks:
-        S = block.value(solution.values, solution.scalars)
-        try:
-            np.linalg.cholesky(S)
-        except np.linalg.LinAlgError:
-            return False
-    return bool(np.isfinite(solution.objective))
 
 
 def usable(problem: Problem, solution: Solution, *, rounding: float = 1e-7) -> bool:

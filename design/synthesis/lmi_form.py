@@ -50,10 +50,6 @@ class PoleRegion:
                 "contradict each other; raise the radius or lower the decay rate"
             )
 
-    def contains(self, poles: Matrix, tolerance: float = 1e-6) -> bool:
-        """Return whether all poles lie inside (to a relative tolerance)."""
-        return not self.outside(poles, tolerance).size
-
     def outside(self, poles: Matrix, tolerance: float = 1e-6) -> Matrix:
         """Return the poles that violate a condition."""
         size = np.maximum(np.abs(poles), 1e-12)

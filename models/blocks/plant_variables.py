@@ -32,7 +32,6 @@ _EVENT_WORDS = {
     "machine_trip": "machine disconnected at start",
     "shunt_switch": "shunt switched in (size = 1) or out (size = 0), back at end",
 }
-EVENT_REALS = ("start", "end", "size", "size_q", "r", "x")
 #: names of states that derivatives list altogether; beyond, those that see the network list nothing, which in
 #: FMI says that they may depend on everything
 MOST_DEPENDENCIES = 400_000

@@ -76,10 +76,6 @@ def machine_table(case: Case, points: Sequence[MachinePoint]) -> npt.NDArray[np.
     return np.array(columns).T
 
 
-def _numbers(m: Machine) -> list[float]:
-    return [_number(m, key) for key in MACHINE_KEYS]
-
-
 def _saturation(m: Machine) -> list[float]:
     """Rows M_BY_SPEED .. M_SAT_Q2 of plant/layout.h."""
     s = m.flux_saturation
