@@ -101,7 +101,7 @@ def linear_matrices(case: Case, cache: Path) -> LinearMatrices:
     path = artefact(cache, "linear", key, ".npz", make)
     with np.load(path) as z:
         return LinearMatrices(
-            *(z[m] for m in "ABCD"),
+            *(z["A"], z["B"], z["C"], z["D"]),
             [str(s) for s in z["states"]],
             [str(s) for s in z["inputs"]],
             [str(s) for s in z["outputs"]],

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from ..linear.matrices import LinearMatrices
 
-    Linear = control.StateSpace | LinearMatrices
+    Linear: TypeAlias = control.StateSpace | LinearMatrices
 
 Matrix = NDArray[np.float64]
 ComplexMatrix = NDArray[np.complex128]

@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from ..finding import Finding, Report
-from ..open.description import ModelDescription, read_description
+from ..open.description import ModelDescription, ScalarVariable, read_description
 from ..open.units import Units, unit_definitions
 from ..open.xml import obeys_schema, read_xml
 
@@ -224,14 +224,7 @@ class _Check:
 
     def binding(self, binding: Any, d: ModelDescription, where: str) -> None:
         """Every parameter of a set is a variable that can be set, of that type and dimension."""
-        mapping: dict[str, list[str]] | None = None
-        mapped = binding.find(f"{SSD}ParameterMapping")
-        if mapped is not None:
-            root = self.part(mapped, where, _MAPPING, f"{SSM}ParameterMapping")
-            if root is not None:
-                mapping = {}
-                for entry in root.findall(f"{SSM}MappingEntry"):
-                    mapping.setdefault(entry.get("source", ""), []).append(entry.get("target", ""))
+        mapping = self.mapping(binding, where)
         root = self.part(binding, where, _VALUES, f"{SSV}ParameterSet", f"{SSD}ParameterValues")
         if root is None:
             return
@@ -248,32 +241,47 @@ class _Check:
                         "SSP parameters", place, "the FMU has no such variable", "correct the name"
                     )
                     continue
-                if v.causality not in ("parameter", "input") and v.initial not in ("exact", "approx"):
-                    self.report.add(
-                        "SSP parameters",
-                        place,
-                        f"a {v.causality} that cannot be set",
-                        "set a parameter or input",
-                    )
-                if value is None:
-                    continue
-                kind, unit = value.tag.rpartition("}")[2], value.get("unit")
-                if kind != v.type and (kind, v.type) not in _LOOSE:
-                    self.report.add(
-                        "SSP parameters",
-                        place,
-                        f"is {kind}, the variable is {v.type}",
-                        "use the type of the FMU",
-                    )
-                self.unit_is_defined(unit, place, units if units.names else self.units)
-                of_fmu = d.unit_of(v)
-                if unit and of_fmu and unit != of_fmu and units.dimension(unit) != d.dimension(of_fmu):
-                    self.report.add(
-                        "SSP units",
-                        place,
-                        f"has unit {unit}, the variable {of_fmu}",
-                        "use a unit of the same dimension",
-                    )
+                self.parameter(value, v, d, units, place)
+
+    def mapping(self, binding: Any, where: str) -> dict[str, list[str]] | None:
+        """Return source -> targets of a binding's mapping; None where names stay as they are."""
+        mapped = binding.find(f"{SSD}ParameterMapping")
+        root = None if mapped is None else self.part(mapped, where, _MAPPING, f"{SSM}ParameterMapping")
+        if root is None:
+            return None
+        mapping: dict[str, list[str]] = {}
+        for entry in root.findall(f"{SSM}MappingEntry"):
+            mapping.setdefault(entry.get("source", ""), []).append(entry.get("target", ""))
+        return mapping
+
+    def parameter(self, value: Any, v: ScalarVariable, d: ModelDescription, units: Any, place: str) -> None:
+        """A variable can be set, to a value of its type in a unit of its dimension."""
+        if v.causality not in ("parameter", "input") and v.initial not in ("exact", "approx"):
+            self.report.add(
+                "SSP parameters",
+                place,
+                f"a {v.causality} that cannot be set",
+                "set a parameter or input",
+            )
+        if value is None:
+            return
+        kind, unit = value.tag.rpartition("}")[2], value.get("unit")
+        if kind != v.type and (kind, v.type) not in _LOOSE:
+            self.report.add(
+                "SSP parameters",
+                place,
+                f"is {kind}, the variable is {v.type}",
+                "use the type of the FMU",
+            )
+        self.unit_is_defined(unit, place, units if units.names else self.units)
+        of_fmu = d.unit_of(v)
+        if unit and of_fmu and unit != of_fmu and units.dimension(unit) != d.dimension(of_fmu):
+            self.report.add(
+                "SSP units",
+                place,
+                f"has unit {unit}, the variable {of_fmu}",
+                "use a unit of the same dimension",
+            )
 
     def part(self, holder: Any, where: str, schema: str, tag: str, inline: str = "") -> Any | None:
         """Return the root of an SSV or SSM, given inside the structure or as a file of its own."""
@@ -305,40 +313,42 @@ class _Check:
             start, end = connectors
             if start is None or end is None:
                 continue
-            gives = (
-                {"output", "calculatedParameter", "inout"} if ends[0][0] else {"input", "parameter", "inout"}
-            )
-            takes = (
-                {"input", "parameter", "inout"} if ends[1][0] else {"output", "calculatedParameter", "inout"}
-            )
-            if start.kind not in gives or end.kind not in takes:
-                self.report.add(
-                    "SSP connections",
-                    text,
-                    f"goes from {start.kind} to {end.kind}",
-                    "connect an output to an input",
-                )
+            self.connection(text, start, end, from_element=bool(ends[0][0]), to_element=bool(ends[1][0]))
             if ends[1] in fed:
                 self.report.add(
                     "SSP connections", text, f"the target is also fed by {fed[ends[1]]}", "keep one of them"
                 )
             fed[ends[1]] = text.split(" -> ")[0]
-            if start.type and end.type and start.type != end.type and (start.type, end.type) not in _LOOSE:
-                self.report.add(
-                    "SSP connections", text, f"goes from {start.type} to {end.type}", "connect the same type"
-                )
-            if start.unit and end.unit and start.unit != end.unit:
-                one, other = self.units.dimension(start.unit), self.units.dimension(end.unit)
-                if one is None or other is None or one != other:
-                    self.report.add(
-                        "SSP units",
-                        text,
-                        f"goes from {start.unit} to {end.unit}",
-                        "connect the same dimension",
-                    )
         for element, connectors_of in elements.items():
             open_ends = [
                 c.name for c in connectors_of.values() if c.kind == "input" and (element, c.name) not in fed
             ]
             if open_ends:
                 self.report.notes.append(f"{where}.{element}: nothing feeds {', '.join(open_ends[:6])}")
+
+    def connection(
+        self, text: str, start: Connector, end: Connector, *, from_element: bool, to_element: bool
+    ) -> None:
+        """Both ends point the right way, and their types and dimensions go together."""
+        inner, outer = {"input", "parameter", "inout"}, {"output", "calculatedParameter", "inout"}
+        gives, takes = outer if from_element else inner, inner if to_element else outer
+        if start.kind not in gives or end.kind not in takes:
+            self.report.add(
+                "SSP connections",
+                text,
+                f"goes from {start.kind} to {end.kind}",
+                "connect an output to an input",
+            )
+        if start.type and end.type and start.type != end.type and (start.type, end.type) not in _LOOSE:
+            self.report.add(
+                "SSP connections", text, f"goes from {start.type} to {end.type}", "connect the same type"
+            )
+        if start.unit and end.unit and start.unit != end.unit:
+            one, other = self.units.dimension(start.unit), self.units.dimension(end.unit)
+            if one is None or other is None or one != other:
+                self.report.add(
+                    "SSP units",
+                    text,
+                    f"goes from {start.unit} to {end.unit}",
+                    "connect the same dimension",
+                )

@@ -44,6 +44,13 @@ class LoopMember:
     record: bytes
 
 
+def _solver_step(members: Sequence[LoopMember]) -> tuple[int, float]:
+    """Return which of all parameters is the plant's longest step, and its start value, s."""
+    parameters = [v for m in members for v in m.block.table.of_role("parameter")]
+    place = next(k for k, v in enumerate(parameters) if v.name == STEP_PARAMETER)
+    return place, float(parameters[place].start or 0.0)
+
+
 def loop_block(
     name: str,
     members: Sequence[LoopMember],
@@ -77,9 +84,8 @@ def loop_block(
     pairs = list(connections)
     _check_pairs(name, pairs, by_name)
     controllers = [m.block.longest_step_s for m in members if m.block.kind not in ("plant", "channel")]
-    parameters = [v for m in members for v in m.block.table.of_role("parameter")]
-    own_step = next(k for k, v in enumerate(parameters) if v.name == STEP_PARAMETER)
-    integrated = min([*controllers, float(parameters[own_step].start or 0.0)])
+    own_step, step_of_plant = _solver_step(members)
+    integrated = min([*controllers, step_of_plant])
     data: dict[str, npt.NDArray[np.float64] | npt.NDArray[np.int32] | bytes] = {
         "loop.kinds": np.array([_KINDS[m.block.kind] for m in members], dtype=np.int32),
         "loop.wire": _wires(members, pairs, integers=False),

@@ -50,6 +50,29 @@ class Guard:
 SOURCE = Path(__file__).resolve().parents[1] / "c" / "controller" / "state_space.c"
 
 
+def _state_variables(states: Sequence[str], inputs: Sequence[str]) -> list[Variable]:
+    """Return the states and their derivatives."""
+    numbered = list(enumerate(states, start=1))
+    variables = [Variable(s, "state", f"State {i} of the controller", start=0.0) for i, s in numbered]
+    return variables + [
+        Variable(
+            f"der({s})",
+            "derivative",
+            f"Derivative of state {i}",
+            unit="1/s",
+            derivative_of=s,
+            depends_on=(*states, *inputs),
+        )
+        for i, s in numbered
+    ]
+
+
+def _watched(guard: Guard, inputs: Sequence[str], outputs: Sequence[str]) -> npt.NDArray[np.int32]:
+    """Return for each output the position of the input that its guard watches, -1 without one."""
+    places = [inputs.index(guard.watched[y]) if y in guard.watched else -1 for y in outputs]
+    return np.array(places, dtype=np.int32)
+
+
 def controller_block(
     name: str,
     A: npt.ArrayLike,
@@ -97,20 +120,7 @@ def controller_block(
     if guard is not None:
         guard.check(name, inputs, outputs)
     states = [f"x[{i + 1}]" for i in range(n)]
-    variables = [
-        Variable(s, "state", f"State {i + 1} of the controller", start=0.0) for i, s in enumerate(states)
-    ]
-    variables += [
-        Variable(
-            f"der({s})",
-            "derivative",
-            f"Derivative of state {i + 1}",
-            unit="1/s",
-            derivative_of=s,
-            depends_on=(*states, *inputs),
-        )
-        for i, s in enumerate(states)
-    ]
+    variables = _state_variables(states, inputs)
     filters = _guard_states(guard, outputs)
     variables = _with_guard_states(variables, guard, filters)
     variables += [Variable(u, "input", f"Measured signal {u}", unit="pu", start=0.0) for u in inputs]
@@ -138,15 +148,12 @@ def controller_block(
         )
     )
     variables += _guard_parameters(guard, outputs)
-    watched = [
-        -1 if guard is None or y not in guard.watched else inputs.index(guard.watched[y]) for y in outputs
-    ]
     return Block(
         kind="controller",
         name=name,
         description=f"Linear controller of order {n} with outputs limited to +-{limit:g} pu",
         table=VariableTable(variables),
-        data={} if guard is None else {"guard": np.array(watched, dtype=np.int32)},
+        data={} if guard is None else {"guard": _watched(guard, inputs, outputs)},
         sources=(SOURCE,),
         internal_step_s=_internal_step_s(matrices["A"]),
         documentation={

@@ -200,6 +200,27 @@ def _identifier(name: str) -> str:
     return text if text[:1].isalpha() else f"case_{text}"
 
 
+def _tie(case: Case) -> tuple[list[int], list[int]]:
+    """Return the positions of the tie's branches, and at which end of each its flow is counted."""
+    if case.tie is None:
+        return [], []
+    place = {b.name: k for k, b in enumerate(case.branches)}
+    tie = [place[name] for name in case.tie.branches]
+    return tie, [int(case.branches[k].from_bus != case.tie.from_bus) for k in tie]
+
+
+def _parameter_arrays(parameters: list[tuple[int, int, Parameter]]) -> dict[str, Any]:
+    """Return where in the tables of devices each parameter stands, with its range and name."""
+    tables, devices, rows = zip(*parameters, strict=True) if parameters else ((), (), ())
+    return {
+        "parameter.table": _int(tables),
+        "parameter.device": _int(devices),
+        "parameter.row": _int(p.row for p in rows),
+        "parameter.range": np.array([[p.low for p in rows], [p.high for p in rows]], dtype=float),
+        "parameter.names": _lines(p.name for p in rows),
+    }
+
+
 def _data(
     case: Case,
     point: OperatingPoint,
@@ -207,9 +228,7 @@ def _data(
     slots: int,
     network: Form | None,
 ) -> dict[str, Any]:
-    branches = case.tie.branches if case.tie else ()
-    tie = [next(k for k, b in enumerate(case.branches) if b.name == name) for name in branches]
-    ends = [int(case.branches[k].from_bus != case.tie.from_bus) for k in tie] if case.tie else []
+    tie, ends = _tie(case)
     sixth = sum(m.model == "round_rotor" for m in case.machines)
     counts = [len(case.machines), sixth, len(case.buses), len(case.branches), len(case.loads)]
     groups = point.controls.running()
@@ -234,13 +253,7 @@ def _data(
         "output.state": _int(_states_of_outputs(case, point)),
         "tie.branch": _int(tie),
         "tie.end": _int(ends),
-        "parameter.table": _int(table for table, _, _ in parameters),
-        "parameter.device": _int(k for _, k, _ in parameters),
-        "parameter.row": _int(p.row for *_, p in parameters),
-        "parameter.range": np.array(
-            [[p.low for *_, p in parameters], [p.high for *_, p in parameters]], dtype=float
-        ),
-        "parameter.names": _lines(p.name for *_, p in parameters),
+        **_parameter_arrays(parameters),
     }
     first = len(point.states) - len(point.controls.states())
     arrays |= network_tables(case, point.load_volts, ports, pattern)
