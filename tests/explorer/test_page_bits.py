@@ -32,14 +32,20 @@ def native_rows(toml: str, columns: Sequence[str], cache: Path) -> np.ndarray[An
     rows = np.empty((count + 1, len(columns)))
     with Runner(block_fmu(block, cache)) as fmu:
         fmu.start(stopTime=scenario.stop_s)
-        reals = [c for c in columns if fmu.variables[c].type == "Real"]
-        others = [c for c in columns if fmu.variables[c].type != "Real"]
-        assert [*reals, *others] == list(columns)
-        references = [fmu.reference(c) for c in reals]
+        reads = []
+        for kind, read in (
+            ("Real", fmu.fmu.getReal),
+            ("Integer", fmu.fmu.getInteger),
+            ("Boolean", fmu.fmu.getBoolean),
+        ):
+            places = [j for j, c in enumerate(columns) if fmu.variables[c].type == kind]
+            reads.append((places, read, [fmu.reference(columns[j]) for j in places]))
+        assert sum(len(places) for places, *_ in reads) == len(columns)
         for k in range(count + 1):
             if k > 0:
                 fmu.step((k - 1) * scenario.step_s, scenario.step_s)
-            rows[k] = [*fmu.fmu.getReal(references), *(fmu.get(c) for c in others)]
+            for places, read, references in reads:
+                rows[k, places] = read(references)
     return rows
 
 

@@ -25,8 +25,9 @@ pytestmark = [
 ]
 
 
+@pytest.fixture(scope="module")
 def tracked() -> list[str]:
-    """Return the files of the repository."""
+    """Return the files of the repository, those about to be committed too."""
     words = ["git", "-C", str(ROOT), "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
     try:
         return [
@@ -39,11 +40,11 @@ def tracked() -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def wheel(tracked: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the wheel built of what git would commit, for this machine's platform."""
     pytest.importorskip("setuptools", minversion="77")
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
-    for name in tracked():
+    for name in tracked:
         if (ROOT / name).is_file():
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ROOT / name, source / name)
@@ -81,13 +82,13 @@ def call(installed: Path, folder: Path, *words: str) -> subprocess.CompletedProc
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
-def test_the_wheel_holds_every_file_of_the_package(wheel: Path) -> None:
+def test_the_wheel_holds_every_file_of_the_package(wheel: Path, tracked: list[str]) -> None:
     """A folder without __init__.py is packed only if pyproject.toml names it; so the devices were lost."""
     with zipfile.ZipFile(wheel) as archive:
         packed = set(archive.namelist())
     floors = ("models", "fmu_build", "design", "cosim", "interarea")
     wanted = [
-        n if n.startswith("interarea/") else f"interarea/{n}" for n in tracked() if n.split("/")[0] in floors
+        n if n.startswith("interarea/") else f"interarea/{n}" for n in tracked if n.split("/")[0] in floors
     ]
     assert len(wanted) > 400 and not set(wanted) - packed
     binaries = {n for n in packed if n.startswith("interarea/fmu_build/binaries/")}
