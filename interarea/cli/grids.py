@@ -7,11 +7,14 @@ from typing import Annotated
 
 import typer
 
-_GRIDS = ".raw (PSS/E version 23 to 36) or .m (MATPOWER), plain, .gz, .xz or .bz2"
+_GRIDS = (
+    ".raw (PSS/E version 23 to 36) or .m (MATPOWER), plain, .gz, .xz or .bz2; or wecc-179, npcc, nordic-44: "
+    "downloaded from the wheel of andes, whose licence (GPL) does not let them be shipped"
+)
 
 
 def import_grid(
-    grid: Annotated[Path, typer.Argument(metavar="GRID", help=_GRIDS)],
+    grid: Annotated[str, typer.Argument(metavar="GRID", help=_GRIDS)],
     out: Annotated[Path, typer.Option("--out", metavar="CASE.toml", help="case file", show_default=False)],
     dyr: Annotated[Path | None, typer.Option("--dyr", metavar="FILE", help="PSS/E dynamic data")] = None,
     P_exponent: Annotated[

