@@ -16,9 +16,12 @@ from ..master.graph import Connection, End
 from ..master.isolated import participant_of
 from ..master.master import Master
 from ..results.delay_ledger import DelayLedger, LedgerRow, packet_ledger
+from ..results.metrics import METRICS, RING_DOWN
 from ..results.ringdown import run_metrics
 from ..results.run import Run
 from ..run.controllers import ControllerLike
+from ..run.linear_loop import linear_swings
+from ..run.run import system_of
 from ..run.swing_signal import swing_of
 from ..scenario.delays import Delays
 from ..scenario.scenario import Scenario, load_scenario
@@ -59,6 +62,8 @@ def run_joint(
     ledger = _ledger(loaded, members)
     case = loaded.load_case()
     swing = swing_of(case, folder, loaded.swing)
+    wanted = (*METRICS, RING_DOWN)
+    roots = linear_swings(system_of(loaded, cache=folder, controller=controller))
     limits = [float(m.start.get("limit", _limit(m))) for m in members.all if m.name == "controller"]
     return Run(
         trajectory=trajectory,
@@ -68,7 +73,9 @@ def run_joint(
         scenario=loaded,
         case=case,
         swing=swing,
-        metrics=run_metrics(trajectory, case, swing, loaded, members.step_s, next(iter(limits), None)),
+        metrics=run_metrics(
+            trajectory, case, swing, loaded, members.step_s, next(iter(limits), None), wanted, roots
+        ),
     )
 
 

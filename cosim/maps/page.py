@@ -117,7 +117,7 @@ def _draw(
         else:
             found[f"map-{k}"] = figures.point_figure(rows, x, y, labels)
     names = numeric(sweep, rows)
-    if names and "damping_inter_area" in rows and rows["damping_inter_area"].notna().any():
+    if names and "damping_least" in rows and rows["damping_least"].notna().any():
         sampled = sweep.parameters[names[0]].sampled
         if not sampled:
             found["line"] = figures.line_figure(rows, names[0], facet, labels)
@@ -301,6 +301,7 @@ def _render(
 #: columns beside the parameters, as a reader calls them
 _SHOWN = {
     "stable": "stable",
+    "damping_least": "least damping ratio",
     "damping_inter_area": "damping ratio, inter-area",
     "settling_time_s": "settling time (s)",
     "peak_pu": "peak (pu)",

@@ -35,7 +35,7 @@ class Map:
     """Values of two parameters and, for each pair, what the runs there did.
 
     x, y : sorted values. stable : (y, x) share of stable runs among those that ended; nan without any.
-    damping : (y, x) least damping ratio of the inter-area mode among stable runs; nan where it does not show.
+    damping : (y, x) least damping ratio of all that swings among stable runs; nan where none is.
     """
 
     x_name: str
@@ -107,11 +107,11 @@ def map_of(rows: pd.DataFrame, x_name: str, y_name: str) -> Map:
 
 
 def least_damping(rows: pd.DataFrame) -> float | None:
-    """Return the least damping ratio of the inter-area mode among stable runs (others are no ring-down)."""
+    """Return the least damping ratio of all that swings among stable runs (others are no ring-down)."""
     good = settled(rows)
-    if "damping_inter_area" not in good or not good["damping_inter_area"].notna().any():
+    if "damping_least" not in good or not good["damping_least"].notna().any():
         return None
-    return float(good["damping_inter_area"].min())
+    return float(good["damping_least"].min())
 
 
 def settled(rows: pd.DataFrame) -> pd.DataFrame:
@@ -127,7 +127,7 @@ def is_grid(rows: pd.DataFrame, x_name: str, y_name: str) -> bool:
 
 
 def worst_runs(rows: pd.DataFrame, count: int) -> list[int]:
-    """Return runs, worst first: unstable ones by their peak, then by least damping of the inter-area mode."""
+    """Return runs, worst first: unstable ones by their peak, then by least damping."""
     ended = rows[rows.status == "ok"].copy()
     if "stable" not in ended or ended.empty:
         return []
@@ -135,8 +135,8 @@ def worst_runs(rows: pd.DataFrame, count: int) -> list[int]:
     stable = ended[ended["stable"] == True]  # noqa: E712
     if "peak_pu" in ended:
         unstable = unstable.sort_values("peak_pu", ascending=False, kind="stable")
-    if "damping_inter_area" in ended:
-        stable = stable.sort_values("damping_inter_area", na_position="last", kind="stable")
+    if "damping_least" in ended:
+        stable = stable.sort_values("damping_least", na_position="last", kind="stable")
     return [int(r) for r in [*unstable.run, *stable.run][:count]]
 
 

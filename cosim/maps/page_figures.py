@@ -48,7 +48,7 @@ def map_figure(
             shares = _cells(row[0], one, one.stable, STABILITY, Normalize(0.0, 1.0), "{:.0%}")
             row[0].set_title(f"{title}share of stable runs")
             damping = _cells(row[1], one, one.damping, DAMPING, limits, "{:.2f}")
-            row[1].set_title(f"{title}least damping ratio, inter-area")
+            row[1].set_title(f"{title}least damping ratio")
             for axis, mesh in zip(row, (shares, damping), strict=True):
                 _link(axis, one, (links or {}).get(facet, {}))
                 axis.set_xlabel(labels[one.x_name])
@@ -75,7 +75,7 @@ def point_figure(rows: pd.DataFrame, x: str, y: str, labels: Mapping[str, str]) 
         ok = some[some.status == "ok"]
         flag = ok["stable"].astype(bool) if "stable" in ok else pd.Series(True, index=ok.index)
         good, bad = ok[flag], ok[~flag]
-        damping = good.get("damping_inter_area")
+        damping = good.get("damping_least")
         dots = axes.scatter(
             good[x], good[y], c=SERIES[0] if damping is None else damping, cmap=DAMPING, s=14, label="stable"
         )
@@ -84,7 +84,7 @@ def point_figure(rows: pd.DataFrame, x: str, y: str, labels: Mapping[str, str]) 
         if len(failed):
             axes.scatter(failed[x], failed[y], color=MUTED, marker="+", s=22, label="failed")
         if damping is not None:
-            figure.colorbar(dots, ax=axes, label="damping ratio, inter-area")
+            figure.colorbar(dots, ax=axes, label="least damping ratio")
         axes.set_xlabel(labels[x])
         axes.set_ylabel(labels[y])
         axes.legend(loc="upper left", bbox_to_anchor=(0.0, 1.14), ncols=3)
@@ -100,13 +100,13 @@ def line_figure(rows: pd.DataFrame, x: str, groups: str, labels: Mapping[str, st
         names = sorted(ok[groups].unique()) if groups else [""]
         for k, name in enumerate(names[: len(SERIES)]):
             part = ok[ok[groups] == name] if groups else ok
-            by = part.groupby(x)["damping_inter_area"]
+            by = part.groupby(x)["damping_least"]
             median, low, high = by.median(), by.min(), by.max()
             axes.fill_between(median.index, low, high, color=SERIES[k], alpha=0.18, linewidth=0)
             axes.plot(median.index, median, color=SERIES[k], linestyle=DASHES[k], label=str(name) or None)
         axes.axhline(0.0, color=MUTED, linewidth=0.7)
         axes.set_xlabel(labels[x])
-        axes.set_ylabel("damping ratio, inter-area")
+        axes.set_ylabel("least damping ratio")
         if groups:
             axes.legend(loc="best")
     return figure
@@ -115,7 +115,7 @@ def line_figure(rows: pd.DataFrame, x: str, groups: str, labels: Mapping[str, st
 def distribution_figure(rows: pd.DataFrame, groups: str) -> Figure | None:
     """Draw how damping, settling time, peak and effort are distributed; None without such columns."""
     wanted = {
-        "damping_inter_area": "damping ratio, inter-area",
+        "damping_least": "least damping ratio",
         "settling_time_s": "settling time (s)",
         "peak_pu": "peak (10⁻³ pu)",
         "effort_pu2s": "control effort (pu² s)",

@@ -15,11 +15,16 @@ import numpy as np
 import numpy.typing as npt
 
 from . import matrix_pencil as pencil
+from .variable_projection import refined
 
 Array = npt.NDArray[np.float64]
 METRICS = (
-    "stable", "damping", "frequency", "settling_time", "peak", "energy", "effort", "packets", "fit_error",
+    "least", "stable", "damping", "frequency", "settling_time", "peak", "energy", "effort", "packets",
+    "fit_error",
 )  # fmt: skip
+_FEW_MODES = 6
+RING_DOWN = "ring_down"  #: wanted beside them in a single run: its ring-down, to compare with the roots
+GOOD_FIT = 0.02  #: largest misfit over the largest signal with which a fit still names modes
 _SUSTAINED = 0.005  #: share by which a swing must shrink from one quarter to the next
 _SETTLED = 0.02  #: of the peak: what remains within is no swing any more
 _AT_LIMIT = 1e-3  #: how near to its limit a control counts as at it
@@ -50,13 +55,22 @@ class RingDown:
     error: float
     method: str = "matrix pencil"
 
+    @property
+    def good(self) -> bool:
+        """Whether it describes the signals well enough for its modes to have names."""
+        return self.error <= GOOD_FIT
+
 
 @dataclass(frozen=True)
 class Metrics:
     """What a run reached. `methods` says for each number its window and method.
 
+    least_damping_ratio : of everything that swings; negative where something grows. least_frequency_hz : of
+        that swing. least_mode : its name; "" for one that controller or latency brought in, or none.
     stable : the swing decays, is no sustained oscillation, and no control ends at its limit (`is_stable`).
-    damping_ratio : mode -> damping ratio of the ring-down. frequency_hz : mode -> Hz.
+    damping_ratio, frequency_hz : mode -> of its root in the closed loop where that is known, else of the
+        ring-down; `methods` says which. ring_down : mode -> damping ratio by the ring-down alone, where its
+        fit is good to 2 %.
     settling_time_s : from the last event to where the signal stays within 2 % of its peak; None: it does not.
     signal : the speed difference that all of these are of (`ringdown.Swing`).
     peak_pu : largest |signal|. energy_pu2s : integral of its square. effort_pu2s : of the controls.
@@ -64,9 +78,13 @@ class Metrics:
     """
 
     signal: str
+    least_damping_ratio: float | None
+    least_frequency_hz: float | None
+    least_mode: str
     stable: bool | None
     damping_ratio: Mapping[str, float]
     frequency_hz: Mapping[str, float]
+    ring_down: Mapping[str, float]
     settling_time_s: float | None
     peak_pu: float | None
     energy_pu2s: float | None
@@ -136,6 +154,31 @@ def ring_down(
         for k in sorted(swings.tolist(), key=lambda k: -strength[k])
     ]
     return RingDown(tuple(modes), window, float(np.max(np.abs(misfit) / per_unit)))
+
+
+def robust_ring_down(
+    time_s: Array, values: Array, first: RingDown, starts: Sequence[complex] = ()
+) -> RingDown:
+    """Fit few modes by variable projection with a robust loss, where a matrix pencil fits badly.
+
+    first : what the pencil found; the result is the better of the two. starts : poles to go on from, rad/s;
+        default the strongest of `first`.
+    """
+    poles = np.array(list(starts) or [mode.pole for mode in first.modes[:_FEW_MODES]], dtype=complex)
+    scale = np.max(np.abs(values), axis=0)
+    used = scale > 0.0
+    if not poles.size or not np.any(used):
+        return first
+    found = refined(time_s, values[:, used] / np.max(scale), poles)
+    amplitudes, misfit = pencil.amplitudes_of(time_s, values, found)
+    error = float(np.max(np.abs(misfit) / np.where(used, scale, 1.0)))
+    strength = np.max(np.abs(amplitudes), axis=1)
+    modes = tuple(
+        RingDownMode(complex(found[k]), tuple(amplitudes[k].tolist()))
+        for k in np.argsort(-strength)
+        if found[k].imag > 1e-6
+    )
+    return RingDown(modes, first.window_s, error, "variable projection")
 
 
 def match_modes(

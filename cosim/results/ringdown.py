@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from interarea.design.delay.loop_modes import LoopModes
+from interarea.design.modes.modes import damping_ratio
 from interarea.models.case.tables import swing_name
 
 from ..master.instances import FmuParticipant
@@ -29,6 +31,8 @@ _LEAST_STRENGTH = 5e-2
 _LEAST_PURITY = (
     0.6  # share of the motion in the shape that gives the name: harmonics are mixtures near a half
 )
+_HARMONIC = 0.03  # of the frequency of a sum of two modes
+_NEAR = 0.35  # of a fitted pole to the root it is of, over the root's size
 _LEAST_WINDOW_S = 4.0
 _SKIP_S = 0.25  # after the last disturbance: fast, well damped modes die out
 
@@ -83,13 +87,21 @@ def fit_window(scenario: Scenario) -> tuple[float, float]:
 
 
 def ring_down_of(
-    trajectory: Trajectory, case: Case, window_s: tuple[float, float], step_s: float
+    trajectory: Trajectory,
+    case: Case,
+    window_s: tuple[float, float],
+    step_s: float,
+    roots: LoopModes | None = None,
+    robust: bool = True,
 ) -> tuple[dict[str, m.RingDownMode], m.RingDown]:
     """Fit the machines' speeds (their common motion taken out) in a window; return named modes and the fit.
 
-    Names by shape: a mode whose motion is mostly between the means of the areas is ``inter-area``, one mostly
-    inside area k is ``local area k``; of each the strongest. Mixtures, as harmonics of a large swing, have
-    no name.
+    Where the matrix pencil misses by more than `m.GOOD_FIT`, as where packets make the response ring
+    irregularly, variable projection goes on from its strongest modes, or from `roots`, if `robust`.
+
+    Names: of the root that is nearest. Without roots by shape: a mode whose motion is mostly between the
+    means of the areas is ``inter-area``, one mostly inside area k is ``local area k``; of each the
+    strongest. Mixtures have no name, and nothing has where the fit is poor.
     """
     columns = [f"plant.{g.name}_dw" for g in case.machines]
     spacing = max(1, round(_SAMPLE_S / step_s)) * step_s
@@ -99,18 +111,63 @@ def ring_down_of(
     )
     if len(time) < 10:
         return {}, m.RingDown((), window_s, 0.0)
-    fit = m.ring_down(time, values - values.mean(axis=1, keepdims=True))
+    values = values - values.mean(axis=1, keepdims=True)
+    fit = m.ring_down(time, values)
+    if robust and not fit.good:
+        fit = m.robust_ring_down(time, values, fit, [] if roots is None else _starts(roots))
+    inside = _within_band(fit)
+    if not inside or not fit.good:
+        return {}, fit
+    if roots is not None:
+        return _nearest_named(inside, roots), fit
+    shapes = np.array([mode.amplitudes for mode in inside])
+    named: dict[str, m.RingDownMode] = {}
+    for mode, (name, purity) in zip(inside, _names(shapes, [g.area for g in case.machines]), strict=True):
+        if purity >= _LEAST_PURITY:
+            named.setdefault(name, mode)
+    return named, fit
+
+
+def _starts(roots: LoopModes) -> list[complex]:
+    return [z for z in dict.fromkeys([*roots.roots, *roots.named.values()]) if z.imag > 0.0]
+
+
+def _within_band(fit: m.RingDown) -> list[m.RingDownMode]:
+    """Modes of the band, strongest first, but for faint ones and the harmonics of stronger ones."""
     inside = [mode for mode in fit.modes if _BAND_HZ[0] <= mode.frequency_hz <= _BAND_HZ[1]]
     if not inside:
-        return {}, fit
-    shapes = np.array([mode.amplitudes for mode in inside])
-    sizes = np.max(np.abs(shapes), axis=1)
+        return []
+    sizes = np.max(np.abs([mode.amplitudes for mode in inside]), axis=1)
     strongest = np.maximum.accumulate(sizes)
+    strong = [mode for k, mode in enumerate(inside) if sizes[k] >= _LEAST_STRENGTH * strongest[k]]
+    return [mode for k, mode in enumerate(strong) if not _is_harmonic(mode, strong[:k])]
+
+
+def _is_harmonic(mode: m.RingDownMode, stronger: list[m.RingDownMode]) -> bool:
+    """Whether a pole is a sum of two stronger ones, as the square of a large swing has it."""
+    sums = [a.pole + b.pole for a in stronger for b in stronger]
+    return any(abs(mode.pole.imag - z.imag) <= _HARMONIC * z.imag for z in sums)
+
+
+def _nearest_named(modes: list[m.RingDownMode], roots: LoopModes) -> dict[str, m.RingDownMode]:
+    """Name fitted modes by the roots nearest to them, each root once; those far from all have no name."""
+    unnamed = [z for z in roots.roots if not roots.name_of(z)]
+    targets = [*roots.named.items(), *(("", z) for z in unnamed)]
+    pairs = sorted(
+        (abs(mode.pole - z) / abs(z), k, j)
+        for k, mode in enumerate(modes)
+        for j, (_, z) in enumerate(targets)
+    )
     named: dict[str, m.RingDownMode] = {}
-    for k, (name, purity) in enumerate(_names(shapes, [g.area for g in case.machines])):
-        if sizes[k] >= _LEAST_STRENGTH * strongest[k] and purity >= _LEAST_PURITY:
-            named.setdefault(name, inside[k])
-    return named, fit
+    used_modes: set[int] = set()
+    used_roots: set[int] = set()
+    for distance, k, j in pairs:
+        if distance <= _NEAR and k not in used_modes and j not in used_roots:
+            used_modes.add(k)
+            used_roots.add(j)
+            if targets[j][0]:
+                named[targets[j][0]] = modes[k]
+    return named
 
 
 def _names(shapes: npt.NDArray[np.complex128], areas: Sequence[int]) -> list[tuple[str, float]]:
@@ -152,44 +209,44 @@ def run_metrics(
     step_s: float,
     limit_pu: float | None = None,
     wanted: Collection[str] = m.METRICS,
+    roots: LoopModes | str = "its linear loop was not looked at",
 ) -> m.Metrics:
     """Return the metrics of a run.
 
     limit_pu : of the control signals, None where they have none. wanted : names of `METRICS`; the others
-        stay None.
+        stay None. roots : of the linear loop, or why there are none.
     """
     time = trajectory.time_s
     name, signal = swing.name, swing.of(trajectory)
     end = disturbance_end_s(scenario)
     controls = [trajectory[c] for c in trajectory.reals_of("controller")]
-    named: dict[str, m.RingDownMode] = {}
-    fit, window = None, fit_window(scenario)
+    window = fit_window(scenario)
     window = (window[0], min(window[1], float(time[-1])))
-    if {"damping", "frequency", "fit_error"} & set(wanted) and window[1] > window[0]:
-        named, fit = ring_down_of(trajectory, case, window, step_s)
-    error = 0.0 if fit is None else fit.error
+    swings = _swings(trajectory, case, window, step_s, wanted, roots)
 
     def asked(metric: str, value: Callable[[], Any]) -> Any:
         return value() if metric in wanted else None
 
-    text = (
-        f"matrix pencil on the speeds less their mean, {window[0]:g} to {window[1]:g} s, "
-        f"largest misfit {error:.1e} of the largest signal"
-    )
     return m.Metrics(
         signal=name,
+        least_damping_ratio=swings.least[0],
+        least_frequency_hz=swings.least[1],
+        least_mode=swings.least[2],
         stable=asked("stable", lambda: m.is_stable(time, signal, end, controls=controls, limit_pu=limit_pu)),
-        damping_ratio={n: mode.damping_ratio for n, mode in named.items()},
-        frequency_hz={n: mode.frequency_hz for n, mode in named.items()},
+        damping_ratio={n: damping_ratio(z) for n, z in swings.named.items()},
+        frequency_hz={n: hertz(z) for n, z in swings.named.items()},
+        ring_down={n: mode.damping_ratio for n, mode in swings.fitted.items()},
         settling_time_s=asked("settling_time", lambda: m.settling_time_s(time, signal, end)),
         peak_pu=asked("peak", lambda: float(np.max(np.abs(signal)))),
         energy_pu2s=asked("energy", lambda: m.energy(time, signal)),
         effort_pu2s=asked("effort", lambda: float(sum(m.energy(time, u) for u in controls))),
-        fit_error=error,
+        fit_error=swings.error,
         methods={
             "signal": swing.text,
-            "damping_ratio": text,
-            "frequency_hz": text,
+            "least_damping_ratio": swings.how,
+            "damping_ratio": swings.how,
+            "frequency_hz": swings.how,
+            "ring_down": swings.fit,
             "stable": f"largest |{name}| in quarters of the time after {end:g} s: the last below the second, "
             "and 0.5 % below the third or within 2 % of the peak; no control at its limit in the last",
             "settling_time_s": f"from {end:g} s to the last time |{name}| exceeds 2 % of its peak",
@@ -198,3 +255,61 @@ def run_metrics(
             "effort_pu2s": "sum over controller outputs of the integral of their square, trapezoids",
         },
     )
+
+
+@dataclass(frozen=True)
+class _Swings:
+    """What swings in a run: named poles, the least damped one (ratio, Hz, name), the fit, and how."""
+
+    named: Mapping[str, complex]
+    least: tuple[float | None, float | None, str]
+    fitted: Mapping[str, m.RingDownMode]
+    error: float
+    how: str
+    fit: str
+
+
+def _swings(
+    trajectory: Trajectory,
+    case: Case,
+    window: tuple[float, float],
+    step_s: float,
+    wanted: Collection[str],
+    roots: LoopModes | str,
+) -> _Swings:
+    known = None if isinstance(roots, str) else roots
+    numbers = bool({"least", "damping", "frequency"} & set(wanted))
+    fitted: dict[str, m.RingDownMode] = {}
+    fit = m.RingDown((), window, 0.0)
+    if window[1] > window[0] and ("fit_error" in wanted or (numbers and known is None)):
+        robust = known is None or m.RING_DOWN in wanted
+        fitted, fit = ring_down_of(trajectory, case, window, step_s, known, robust)
+    text = (
+        f"{fit.method} on the speeds less their mean, {window[0]:g} to {window[1]:g} s, "
+        f"largest misfit {fit.error:.1e} of the largest signal"
+        + ("" if fit.good else f": poor, above {m.GOOD_FIT:g}, so that no mode has a name")
+    )
+    if not numbers:
+        return _Swings({}, (None, None, ""), fitted, fit.error, "", text)
+    if known is not None:
+        least = known.least
+        told = (
+            (None, None, "") if least is None else (damping_ratio(least), hertz(least), known.name_of(least))
+        )
+        return _Swings(known.named, told, fitted, fit.error, _ROOTS, text)
+    mode = min(_within_band(fit), key=lambda mode: mode.damping_ratio, default=None)
+    name = next((n for n, one in fitted.items() if one is mode), "")
+    told = (None, None, "") if mode is None else (mode.damping_ratio, mode.frequency_hz, name)
+    poles = {n: one.pole for n, one in fitted.items()}
+    return _Swings(poles, told, fitted, fit.error, f"{text} (no linear loop: {roots})", text)
+
+
+_ROOTS = (
+    "roots of the linear loop at the operating point with exact delay, packets and losses in the mean; names "
+    "followed from the open loop"
+)
+
+
+def hertz(pole: complex) -> float:
+    """Return the frequency of a pole in rad/s."""
+    return abs(pole.imag) / (2.0 * np.pi)

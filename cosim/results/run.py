@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import nearest
 from ..scenario.scenario import Scenario
-from .metrics import Metrics
+from .metrics import GOOD_FIT, Metrics
 from .result import Result, write_json
 from .ringdown import Swing, fit_window, ring_down_of
 
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from interarea.models.case.case import Case
+
+
+LEAST = "least"  #: in place of a mode's name: what is damped least
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -34,15 +37,31 @@ class Run(Result):
     @property
     def summary(self) -> str:
         """What ran and how it went, in a line."""
-        damping = ", ".join(f"{n} {zeta:.3f}" for n, zeta in sorted(self.metrics.damping_ratio.items()))
-        settled = self.metrics.settling_time_s
+        m, settled = self.metrics, self.metrics.settling_time_s
+        named = ", ".join(
+            f"{n} {zeta:.3f} at {m.frequency_hz[n]:.2f} Hz" for n, zeta in sorted(m.damping_ratio.items())
+        )
         return (
             f"{self.case.name}, controller {Path(self.scenario.controller).name}, "
             f"{float(self.trajectory.time_s[-1]):g} s: {self.swing.name} "
             f"{'stable' if self.stable else 'not stable'}, "
-            f"damping {damping or 'not to be read'}, "
+            f"{self.least_in_words}; {f'{named}; ' if named else ''}"
             f"{'not settled' if settled is None else f'settled in {settled:.2f} s'}"
         )
+
+    @property
+    def least_in_words(self) -> str:
+        """The least damping of everything that swings, with its frequency and whose it is."""
+        m = self.metrics
+        if m.least_damping_ratio is None or m.least_frequency_hz is None:
+            return "nothing swings"
+        whose = m.least_mode
+        if not whose and m.methods["least_damping_ratio"].startswith("roots"):
+            whose = "from controller or latency"
+        elif not whose:
+            error = m.fit_error or 0.0
+            whose = "no mode has its shape" if error <= GOOD_FIT else f"no name: fit within {error:.1%} only"
+        return f"least damping {m.least_damping_ratio:.3f} at {m.least_frequency_hz:.2f} Hz ({whose})"
 
     def plot(self) -> Figure:
         """Draw the swing between the areas, the speeds of the machines and the controls over time."""
@@ -74,7 +93,9 @@ class Run(Result):
     def damping_ratio(
         self, mode: str = "inter-area", *, start_s: float | None = None, stop_s: float | None = None
     ) -> float:
-        """Return the damping ratio of a mode in the ring-down (window: `fit_window`, unless given).
+        """Return the damping ratio of a mode, or of ``least``: of everything that swings, the least.
+
+        As `metrics` has it; with `start_s` or `stop_s` that of the ring-down in a window of one's own.
 
         Raises
         ------
@@ -82,12 +103,20 @@ class Run(Result):
         """
         if start_s is None and stop_s is None:
             found = dict(self.metrics.damping_ratio)
+            if self.metrics.least_damping_ratio is not None:
+                found[LEAST] = self.metrics.least_damping_ratio
         else:
             window = fit_window(self.scenario)
             chosen = (window[0] if start_s is None else start_s, window[1] if stop_s is None else stop_s)
             step = self.ledger.step_s
-            named, _ = ring_down_of(self.trajectory, self.case, chosen, step)
+            named, fit = ring_down_of(self.trajectory, self.case, chosen, step)
             found = {name: m.damping_ratio for name, m in named.items()}
+            if not fit.good:
+                raise ValueError(
+                    f"mode {mode!r}: the ring-down from {chosen[0]:g} to {chosen[1]:g} s is fitted within "
+                    f"{fit.error:.1%} only, wanted {GOOD_FIT:.0%} for a mode to have a name; choose another "
+                    "window, or leave start_s and stop_s out"
+                )
         if mode not in found:
             raise ValueError(f"mode {mode!r} does not show in this run; {nearest(mode, found)}")
         return found[mode]

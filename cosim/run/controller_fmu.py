@@ -9,11 +9,14 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-import control
-import numpy as np
-
 from interarea.design.controllers.bank import ControllerBank, bank_of_record
-from interarea.design.controllers.controller import RECORD, Controller, ControllerError, guard_of
+from interarea.design.controllers.controller import (
+    RECORD,
+    Controller,
+    ControllerError,
+    guard_of,
+    matrices_of_parameters,
+)
 from interarea.fmu_build.open.description import ModelDescription
 from interarea.fmu_build.open.fmu_file import describe
 from interarea.models.blocks.binary_table import unpack_record
@@ -58,25 +61,10 @@ def _linear(path: Path, description: ModelDescription, omega_b: float) -> Contro
     starts = {v.name: v.number("start") or 0.0 for v in variables if v.causality == "parameter"}
     inputs = [v.name for v in variables if v.causality == "input"]
     outputs = [v.name for v in variables if v.causality == "output"]
-    orders = [int(m[1]) for n in starts if (m := re.fullmatch(r"A\[(\d+),\1\]", n))]
-    if not orders:
-        raise ControllerError(f"controller FMU {path}: has no parameter A[1,1]: no linear controller")
-    n = max(orders)
-
-    def matrix(letter: str, rows: int, columns: int) -> Any:
-        return np.array(
-            [[starts[f"{letter}[{i + 1},{j + 1}]"] for j in range(columns)] for i in range(rows)]
-        ).reshape(rows, columns)
-
-    scale = np.array([omega_b if name.endswith("_dw") else 1.0 for name in inputs])
-    system = control.ss(
-        matrix("A", n, n),
-        matrix("B", n, len(inputs)) / scale,
-        matrix("C", len(outputs), n),
-        matrix("D", len(outputs), len(inputs)) / scale,
-        inputs=inputs,
-        outputs=outputs,
-    )
+    try:
+        system = matrices_of_parameters(starts, inputs, outputs, omega_b)
+    except ControllerError as error:
+        raise ControllerError(f"controller FMU {path}: {error}") from None
     record = record_of_fmu(path)
     return Controller(
         description.name,

@@ -37,6 +37,7 @@ class Fmus:
 
     def __init__(self, cache: Path) -> None:
         self.cache = cache
+        self.loops: dict[Any, Any] = {}  #: linear plants and what swings with them (`linear_loop`)
         self._files: dict[Path, FmuFile] = {}
         self._controllers: dict[int, tuple[Controller | ControllerBank, FmuFile]] = {}
         self._scaled: dict[tuple[int, float, float | None], tuple[Controller, Controller]] = {}

@@ -23,6 +23,7 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import ValidationError
 
+from interarea.design.controllers.bank import ControllerBank
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.concentrator import concentrator_block
@@ -41,7 +42,7 @@ from ..master.master import Master
 from ..participant import Participant
 from ..results.delay_ledger import delay_ledger, explain, packet_ledger
 from ..results.latency_test import SelfTest, self_test
-from ..results.metrics import METRICS, Metrics
+from ..results.metrics import METRICS, RING_DOWN, Metrics
 from ..results.result import Result
 from ..results.ringdown import Swing, control_limit_pu, run_metrics
 from ..results.run import Run
@@ -53,6 +54,7 @@ from ..trajectory import Trajectory
 from .artefacts import EVENT_SLOTS
 from .controllers import ControllerLike, controller_of
 from .instance import Fmus, Instance
+from .linear_loop import linear_swings
 
 Line = ChannelLine | ConcentratorLine
 AnyLine = TypeVar("AnyLine", ChannelLine, ConcentratorLine)
@@ -94,6 +96,7 @@ class System:
         self.parts: dict[str, Instance] = {}
         self._others: dict[str, Participant] = {}
         self.plants: dict[str, Case] = {}
+        self.bank: ControllerBank | None = None  #: of controllers, where the controller is one
         self.events: dict[str, list[Any]] = {}
         self.marks: list[float] = []
         self.at_rest = True  # until an instance comes in that may start anywhere
@@ -129,6 +132,7 @@ class System:
         if made is None:
             return self
         file = self.fmus.controller(made, case.omega_b)
+        self.bank = made if isinstance(made, ControllerBank) else None
         return self.put(Instance(name, file, block=lambda: made.block(case.omega_b)))
 
     def fmu(
@@ -362,15 +366,15 @@ class System:
         }
         if self.scenario is None or self.swing is None:
             return Result(**common)
-        metrics = self.metrics(master, done)
+        metrics = self.metrics(master, done, (*METRICS, RING_DOWN))
         return Run(**common, scenario=self.scenario, case=self.case, swing=self.swing, metrics=metrics)
 
     def metrics(self, master: Master, done: Trajectory, wanted: Collection[str] = METRICS) -> Metrics:
         """Return the metrics of a run of the system of a scenario with a case (see `run_metrics`)."""
         assert self.scenario is not None and self.swing is not None
-        return run_metrics(
-            done, self.case, self.swing, self.scenario, master.step_s, control_limit_pu(master), wanted
-        )
+        swings = linear_swings(self) if {"least", "damping", "frequency"} & set(wanted) else ""
+        limit = control_limit_pu(master)
+        return run_metrics(done, self.case, self.swing, self.scenario, master.step_s, limit, wanted, swings)
 
     def self_test(self, master: Master | None = None) -> SelfTest:
         """Measure the latency of every connection; compare with the ledger (module `latency_test`)."""

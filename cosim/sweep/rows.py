@@ -87,6 +87,12 @@ def schema_of(plan: SweepPlan) -> pa.Schema:
 def _measured_fields(plan: SweepPlan, signal: str) -> list[pa.Field]:
     """Return the columns of what is measured; `signal` names the speed difference."""
     wanted, fields = plan.sweep.metrics, []
+    if "least" in wanted:
+        text = "of everything that swings, the least damped"
+        fields += [
+            _field("damping_least", pa.float64(), "1", f"damping ratio {text}"),
+            _field("frequency_least", pa.float64(), "Hz", f"frequency {text}"),
+        ]
     if "stable" in wanted:
         fields.append(
             _field(
@@ -98,7 +104,7 @@ def _measured_fields(plan: SweepPlan, signal: str) -> list[pa.Field]:
         )
     for kind, unit in (("damping", "1"), ("frequency", "Hz")):
         if kind in wanted:
-            text = f"{kind} of the mode in the ring-down; null: it does not show"
+            text = f"{kind} of the mode: its root in the loop, else in the ring-down; null: it does not show"
             fields += [_field(column_of_mode(kind, mode), pa.float64(), unit, text) for mode in plan.modes]
     for name, column, unit, text in (
         (
@@ -136,6 +142,8 @@ def measured(
 ) -> Row:
     """Return the columns of what was `wanted`; packets : what each channel counted (`packet_counts`)."""
     row: Row = {}
+    if "least" in wanted:
+        row |= {"damping_least": metrics.least_damping_ratio, "frequency_least": metrics.least_frequency_hz}
     if "stable" in wanted:
         row["stable"] = metrics.stable
     for name, found in (("damping", metrics.damping_ratio), ("frequency", metrics.frequency_hz)):

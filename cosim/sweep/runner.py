@@ -309,6 +309,7 @@ class Runner:
         if "controller" in instances:
             own = controller_start(instances["controller"].file, point)
             instances["controller"] = replace(instances["controller"], start=own)
+            system.parts["controller"] = instances["controller"]  # of which its linear loop is made
         structure = (change, slots, scenario.controller, tuple(instances))
         kept = self._instances(structure, instances, busy)
         key = (

@@ -8,7 +8,8 @@ from __future__ import annotations
 import html
 import json
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -222,6 +223,36 @@ class Controller:
             documentation=documentation,
             provenance={"method": str(self.design.get("method", "given")), "order": str(self.order)},
         )
+
+
+def matrices_of_parameters(
+    starts: Mapping[str, float], inputs: Sequence[str], outputs: Sequence[str], omega_b: float
+) -> control.StateSpace:
+    """Return the linear system in a controller FMU's parameters A[1,1].. (pu); speeds become rad/s.
+
+    Raises
+    ------
+    ControllerError : there are no such parameters.
+    """
+    orders = [int(m[1]) for n in starts if (m := re.fullmatch(r"A\[(\d+),\1\]", n))]
+    if not orders:
+        raise ControllerError("has no parameter A[1,1]: no linear controller")
+    n = max(orders)
+
+    def matrix(letter: str, rows: int, columns: int) -> Any:
+        return np.array(
+            [[starts[f"{letter}[{i + 1},{j + 1}]"] for j in range(columns)] for i in range(rows)]
+        ).reshape(rows, columns)
+
+    scale = np.array([omega_b if name.endswith("_dw") else 1.0 for name in inputs])
+    return control.ss(
+        matrix("A", n, n),
+        matrix("B", n, len(inputs)) / scale,
+        matrix("C", len(outputs), n),
+        matrix("D", len(outputs), len(inputs)) / scale,
+        inputs=list(inputs),
+        outputs=list(outputs),
+    )
 
 
 def guard_of(data: Any) -> Guard:

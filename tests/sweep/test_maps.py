@@ -38,7 +38,7 @@ def _rows() -> pd.DataFrame:
     rows["status"] = "ok"
     rows["stable"] = [True, True, True, False, True, False, False, False]
     rows["peak_pu"] = [1.0, 1.0, 1.0, 5.0, 1.0, 7.0, 2.0, 3.0]
-    rows["damping_inter_area"] = [0.30, 0.20, 0.10, -0.1, 0.25, -0.2, np.nan, -0.3]
+    rows["damping_least"] = [0.30, 0.20, 0.10, -0.1, 0.25, -0.2, np.nan, -0.3]
     return rows
 
 

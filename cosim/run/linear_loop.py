@@ -1,0 +1,149 @@
+"""The swings of a system as roots of its linear loop: exact delay, packets and losses in the mean.
+
+What a ring-down can only estimate is known here, so it is what `run`, sweeps, maps and the test fixture
+tell, as certificates do. Where the loop is not linear, or no longer the one that was linearised, the reason
+is told.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import control
+import numpy as np
+
+from interarea.design.controllers.bank import OFF, ControllerBank
+from interarea.design.controllers.controller import ControllerError, matrices_of_parameters
+from interarea.design.delay.loop_modes import LoopFunction, LoopModes, SignalWay, open_loop_modes
+from interarea.design.linear.linearise import linearise, remove_reference, speeds_in_rad
+from interarea.design.modes.modes import modes_of
+from interarea.fmu_build.open.plant import open_plant
+from interarea.models.errors import InterareaError
+
+from ..results.ringdown import fit_window
+from ..scenario.channels import BernoulliLoss, ChannelLine, GilbertElliottLoss
+from ..scenario.concentrators import ConcentratorLine
+
+if TYPE_CHECKING:
+    from .system import System
+
+_MOST_STATES = 400  #: of a plant whose eigenvectors are worth their time
+_MOST_KEPT = 500
+#: events after which the loop is another one for good, unless they end
+_LASTING = {
+    "branch_trip",
+    "branch_reclose",
+    "machine_trip",
+    "shunt_switch",
+    "load_step",
+    "vref_step",
+    "pm_step",
+}
+
+
+class NotLinearError(InterareaError, ValueError):
+    """Why the swings of a system are not the roots of a linear loop."""
+
+
+def linear_swings(system: System) -> LoopModes | str:
+    """Return the swings of a system in its ring-down window (`fit_window`), or why they are not known."""
+    try:
+        return _swings(system)
+    except InterareaError as error:  # a mode without a name, poles too close together: a ring-down is left
+        return str(error)
+
+
+def _swings(system: System) -> LoopModes:
+    scenario = system.scenario
+    assert scenario is not None
+    start, stop = fit_window(scenario)
+    for event in scenario.event:
+        end = getattr(event, "end_s", None)
+        if event.kind in _LASTING and event.start_s < stop and (end is None or end > start):
+            raise NotLinearError(f"the grid is not what it was after the {event.kind} at {event.start_s:g} s")
+    if scenario.fmus:
+        raise NotLinearError(f"{', '.join(scenario.fmus)} may do anything")
+    if scenario.connections:
+        raise NotLinearError("connections of its own")
+    moved = [name for name in scenario.plant if not name.startswith("solver.")]
+    if moved:
+        raise NotLinearError(f"plant.{moved[0]} was changed")
+    ways = {s: _way(scenario.lines[u.partition(".")[0]], u, start) for s, u, *_ in scenario.signals}
+    lost = frozenset(name for name, way in ways.items() if way.lost)
+    plant = system.parts["plant"].file.path
+    part = system.parts.get("controller")
+    matrices = (
+        [] if part is None else [(k, v) for k, v in part.start.items() if k[0] in "ABCD" and k[1] == "["]
+    )
+    member = None if part is None else (str(part.file.path), lost, tuple(matrices))
+    key = ("swings", str(plant), member, tuple(ways.items()))
+    kept = system.fmus.loops
+    if key not in kept:
+        if len(kept) > _MOST_KEPT:
+            kept.clear()
+        if ("plant", str(plant)) not in kept:
+            kept["plant", str(plant)] = _linear(system)
+        grid, modes = kept["plant", str(plant)]
+        if part is None:
+            kept[key] = open_loop_modes(np.linalg.eigvals(grid.A), modes)
+        else:
+            kept[key] = LoopFunction(grid, _controller(system, lost)).modes(ways, modes)
+    found: LoopModes = kept[key]
+    return found
+
+
+def _linear(system: System) -> tuple[control.StateSpace, dict[str, complex]]:
+    """The plant without reference angle, speeds in rad/s, and its swing modes, 1/s."""
+    case = system.case
+    with open_plant(system.parts["plant"].file.path) as plant:
+        if len(plant.state_names) > _MOST_STATES:
+            raise NotLinearError(f"{len(plant.state_names)} states are more than {_MOST_STATES}")
+        relative = remove_reference(linearise(plant))
+    modes = modes_of(relative, case.areas)
+    return speeds_in_rad(relative, case.omega_b), {name: mode.eigenvalue for name, mode in modes.items()}
+
+
+def _controller(system: System, lost: frozenset[str]) -> control.StateSpace:
+    """The linear controller that acts while these signals are lost, speeds in rad/s."""
+    bank, omega_b = system.bank, system.case.omega_b
+    if isinstance(bank, ControllerBank):
+        name = bank.active([s for s in bank.inputs if s not in lost])
+        member = next((m for m in bank.members if m.name == name), None)
+        if name == OFF or member is None:
+            member = bank.members[0].scaled(0.0)
+        return member.system
+    part = system.parts["controller"]
+    starts = {v.name: part.file.start_of(v.name) for v in part.file.model.variables if "[" in v.name}
+    starts |= {k: float(v) for k, v in part.start.items() if k in starts}
+    inputs, outputs = (
+        [p.name for p in ports if p.type == "Real"]
+        for ports in (part.file.description.inputs, part.file.description.outputs)
+    )
+    try:
+        return matrices_of_parameters(starts, inputs, outputs, omega_b)
+    except ControllerError as error:
+        raise NotLinearError(f"{part.file.path.name} is no linear controller") from error
+
+
+def _way(line: ChannelLine | ConcentratorLine, end: str, at_s: float) -> SignalWay:
+    """How a signal gets to the controller from `at_s` on; random latencies by their mean."""
+    delays = line.delays()
+    loss, lost = 0.0, False
+    if isinstance(line, ConcentratorLine):
+        way = line.signals[int(end.partition(".u")[2]) - 1]
+        loss = way.loss
+        lost = way.lost_s is not None and way.lost_s[0] <= at_s < way.lost_s[1]
+    else:
+        lost = any(start <= at_s < stop for start, stop in line.outages_s)
+        if isinstance(line.loss, BernoulliLoss):
+            loss = line.loss.rate
+        elif isinstance(line.loss, GilbertElliottLoss):
+            bad = line.loss.good_to_bad / (line.loss.good_to_bad + line.loss.bad_to_good)
+            loss = bad * line.loss.loss_bad + (1.0 - bad) * line.loss.loss_good
+    return SignalWay(
+        delays.network_s + delays.jitter_mean_s,
+        line.reporting_interval_s,
+        loss,
+        "zero" if line.on_loss == "zero" else "hold",
+        lost,
+    )

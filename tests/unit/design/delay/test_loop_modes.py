@@ -1,0 +1,147 @@
+"""All swings of a loop with latency, packets and loss: against roots found in other ways."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from interarea.cosim.run.artefacts import linear_plant
+from interarea.cosim.run.controllers import controller_of
+from interarea.design.certificates.closed_loop import closed_loop_matrix, swing_poles
+from interarea.design.controllers.controller import Controller
+from interarea.design.delay.characteristic_roots import DelayError
+from interarea.design.delay.curves import delayed_loop, rightmost_roots, track_roots
+from interarea.design.delay.loop_modes import SWING_HZ, LoopFunction, SignalWay, zeros_of
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.design.modes.modes import Modes, damping_ratio, modes_of
+from interarea.fmu_build.write.cache import default_cache
+from interarea.models.case.case import load_case
+
+BAND = tuple(2.0 * np.pi * f for f in SWING_HZ)
+
+
+@pytest.fixture(scope="module")
+def plant() -> tuple[control.StateSpace, Modes]:
+    case = load_case("two-area-thesis")
+    relative = remove_reference(linear_plant(case, default_cache()))
+    return speeds_in_rad(relative, case.omega_b), modes_of(relative, case.areas)
+
+
+def controller(name: str) -> Controller:
+    made = controller_of(name, load_case("two-area-thesis"), default_cache())
+    assert isinstance(made, Controller)
+    return made
+
+
+def poles_of(modes: Modes) -> dict[str, complex]:
+    return {name: mode.eigenvalue for name, mode in modes.items()}
+
+
+def in_band(roots: np.ndarray) -> np.ndarray:
+    swings = roots[(BAND[0] < roots.imag) & (roots.imag < BAND[1])]
+    return swings[np.argsort(swings.imag)]
+
+
+@pytest.mark.parametrize("name", ["robust", "two_actuators"])
+def test_without_latency_the_roots_are_the_eigenvalues(
+    name: str, plant: tuple[control.StateSpace, Modes]
+) -> None:
+    K = controller(name).system
+    found = LoopFunction(plant[0], K).modes({}, poles_of(plant[1]))
+    values = np.linalg.eigvals(closed_loop_matrix(plant[0], K))
+    inside = values[(values.real > -12.0) & (values.real < 2.0)]
+    np.testing.assert_allclose(
+        in_band(np.array(found.roots)), in_band(inside), rtol=1e-7, err_msg="a root is missing"
+    )
+
+
+def test_with_latency_they_are_those_of_the_discretised_loop(plant: tuple[control.StateSpace, Modes]) -> None:
+    K = controller("robust").system
+    late = dict.fromkeys(K.input_labels, 0.2)
+    found = LoopFunction(plant[0], K).modes({s: SignalWay(t) for s, t in late.items()}, poles_of(plant[1]))
+    exact = rightmost_roots(delayed_loop(plant[0], K, late), right_of=-2.5)
+    roots = np.array(found.roots)
+    np.testing.assert_allclose(in_band(roots[roots.real > -2.5]), in_band(exact), rtol=1e-8)
+    assert (
+        found.least is not None and found.name_of(found.least) == ""
+    )  # no mode of the open loop is least here
+    assert damping_ratio(found.least) == pytest.approx(0.0697, abs=5e-5)
+
+
+def test_modes_have_the_names_that_certificates_give_them(plant: tuple[control.StateSpace, Modes]) -> None:
+    """Two other ways: eigenvectors followed over the gain, a root and its vector over the latency."""
+    K = controller("wdc").system
+    late = dict.fromkeys(K.input_labels, 0.2)
+    found = LoopFunction(plant[0], K).modes({s: SignalWay(t) for s, t in late.items()}, poles_of(plant[1]))
+    fixed = delayed_loop(plant[0], K)
+    for name, pole in swing_poles(plant[0], K, plant[1]).items():
+        root = track_roots(fixed, tuple(late), [0.2], pole, step_s=0.02)[-1]
+        assert found.named[name] == pytest.approx(complex(root), abs=1e-7), name
+    assert found.least is not None and found.name_of(found.least) == "local area 2"
+
+
+@pytest.mark.parametrize("on_loss", ["hold", "zero"])
+@pytest.mark.parametrize("loss", [0.0, 0.3, 0.7])
+def test_lost_packets_act_in_the_mean_as_the_recursion_of_the_mean_does(loss: float, on_loss: str) -> None:
+    """x' = A x + B u, u a packet every 20 ms, two intervals late: E[x] by its own linear recursion."""
+    w, zeta, interval, gain = 4.0, 0.05, 0.02, 0.8
+    A, B, C = (
+        np.array([[0.0, 1.0], [-(w**2), -2 * zeta * w]]),
+        np.array([[0.0], [1.0]]),
+        np.array([[0.0, -gain]]),
+    )
+    step = expm(np.block([[A, B], [np.zeros((1, 3))]]) * interval)
+    F, g = step[:2, :2], step[:2, 2:]
+    # state: x, packets sent one and two intervals ago, what the channel shows
+    M = np.zeros((5, 5))
+    shown = np.zeros((1, 5))
+    shown[0, 3] = 1.0 - loss  # the packet of two intervals ago arrives
+    shown[0, 4] = loss if on_loss == "hold" else 0.0
+    M[:2, :2] = F
+    M[:2] += g @ shown
+    M[2:3, :2] = C
+    M[3, 2] = 1.0
+    M[4] = shown
+    shifts = np.linalg.eigvals(M).astype(complex)
+    values = np.log(shifts[np.abs(shifts) > 1e-9]) / interval
+    exact = min(values[values.imag > 1.0], key=lambda z: abs(z - 4.0j))
+    plant = control.ss(A, B, [[0.0, 1.0]], 0.0, inputs=["u"], outputs=["y"])
+    K = control.ss(
+        [[-1e4]], [[1e4]], [[-gain]], [[0.0]], inputs=["y"], outputs=["u"]
+    )  # a gain, but for 0.1 ms
+    way = SignalWay(2 * interval, interval, loss, "hold" if on_loss == "hold" else "zero")
+    found = LoopFunction(plant, K).modes({"y": way}, {})
+    near = min(found.roots, key=lambda z: abs(z - exact))
+    assert damping_ratio(near) == pytest.approx(damping_ratio(exact), abs=2e-3)
+    assert near.imag == pytest.approx(exact.imag, rel=2e-3)
+
+
+class _Cubic:
+    """Three zeros, one of them where no Newton step from the grid's minima need lead."""
+
+    zeros = np.array([-1.0 + 2.0j, -1.0001 + 2.0001j, 0.5 + 9.0j])
+
+    def value(self, s: np.ndarray) -> np.ndarray:
+        return np.prod(s[:, None] - self.zeros[None, :], axis=1)
+
+    def ratio(self, s: np.ndarray) -> np.ndarray:
+        return np.sum(1.0 / (s[:, None] - self.zeros[None, :]), axis=1)
+
+
+def test_zeros_are_complete_or_it_is_said() -> None:
+    cubic = _Cubic()
+    with pytest.raises(DelayError, match=r"2 roots found .* 3 counted"):
+        zeros_of(cubic, np.zeros(0), (-3.0, 3.0), (0.5, 12.0), [])  # type: ignore[arg-type]
+    found = zeros_of(cubic, np.zeros(0), (-3.0, 3.0), (0.5, 12.0), [-1.00011 + 2.00012j])  # type: ignore[arg-type]
+    np.testing.assert_allclose(np.sort(found.imag), np.sort(cubic.zeros.imag), rtol=1e-9)
+
+
+def test_nothing_arrives_over_a_lost_signal(plant: tuple[control.StateSpace, Modes]) -> None:
+    K = controller("wdc").system
+    ways = {"G2_dw": SignalWay(lost=True), "G4_dw": SignalWay()}
+    found = LoopFunction(plant[0], K).modes(ways, poles_of(plant[1]))
+    values = np.linalg.eigvals(closed_loop_matrix(plant[0], K, lost=["G2_dw"]))
+    assert found.least is not None
+    assert np.min(np.abs(values - found.least)) <= 1e-7
