@@ -20,7 +20,6 @@ from ..results.metrics import METRICS, RING_DOWN
 from ..results.ringdown import run_metrics
 from ..results.run import Run
 from ..run.controllers import ControllerLike
-from ..run.linear_loop import linear_swings
 from ..run.run import system_of
 from ..run.swing_signal import swing_of
 from ..scenario.delays import Delays
@@ -63,7 +62,7 @@ def run_joint(
     case = loaded.load_case()
     swing = swing_of(case, folder, loaded.swing)
     wanted = (*METRICS, RING_DOWN)
-    roots = linear_swings(system_of(loaded, cache=folder, controller=controller))
+    roots = system_of(loaded, cache=folder, controller=controller).linear_swings()
     limits = [float(m.start.get("limit", _limit(m))) for m in members.all if m.name == "controller"]
     return Run(
         trajectory=trajectory,

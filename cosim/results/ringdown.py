@@ -133,20 +133,19 @@ def _starts(roots: LoopModes) -> list[complex]:
 
 
 def _within_band(fit: m.RingDown) -> list[m.RingDownMode]:
-    """Modes of the band, strongest first, but for faint ones and the harmonics of stronger ones."""
+    """Modes of the band that are no faint trace of a stronger one, strongest first."""
     inside = [mode for mode in fit.modes if _BAND_HZ[0] <= mode.frequency_hz <= _BAND_HZ[1]]
     if not inside:
         return []
     sizes = np.max(np.abs([mode.amplitudes for mode in inside]), axis=1)
     strongest = np.maximum.accumulate(sizes)
-    strong = [mode for k, mode in enumerate(inside) if sizes[k] >= _LEAST_STRENGTH * strongest[k]]
-    return [mode for k, mode in enumerate(strong) if not _is_harmonic(mode, strong[:k])]
+    return [mode for k, mode in enumerate(inside) if sizes[k] >= _LEAST_STRENGTH * strongest[k]]
 
 
 def _is_harmonic(mode: m.RingDownMode, stronger: list[m.RingDownMode]) -> bool:
-    """Whether a pole is a sum of two stronger ones, as the square of a large swing has it."""
-    sums = [a.pole + b.pole for a in stronger for b in stronger]
-    return any(abs(mode.pole.imag - z.imag) <= _HARMONIC * z.imag for z in sums)
+    """Whether a mode has the frequency of a sum of two stronger ones, as the square of a large swing has."""
+    sums = [a.pole.imag + b.pole.imag for a in stronger for b in stronger]
+    return any(abs(mode.pole.imag - w) <= _HARMONIC * w for w in sums)
 
 
 def _nearest_named(modes: list[m.RingDownMode], roots: LoopModes) -> dict[str, m.RingDownMode]:
@@ -297,7 +296,9 @@ def _swings(
             (None, None, "") if least is None else (damping_ratio(least), hertz(least), known.name_of(least))
         )
         return _Swings(known.named, told, fitted, fit.error, _ROOTS, text)
-    mode = min(_within_band(fit), key=lambda mode: mode.damping_ratio, default=None)
+    strong = _within_band(fit)
+    own = [one for k, one in enumerate(strong) if one in fitted.values() or not _is_harmonic(one, strong[:k])]
+    mode = min(own, key=lambda mode: mode.damping_ratio, default=None)
     name = next((n for n, one in fitted.items() if one is mode), "")
     told = (None, None, "") if mode is None else (mode.damping_ratio, mode.frequency_hz, name)
     poles = {n: one.pole for n, one in fitted.items()}

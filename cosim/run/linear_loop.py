@@ -7,7 +7,8 @@ is told.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import control
 import numpy as np
@@ -25,7 +26,10 @@ from ..scenario.channels import BernoulliLoss, ChannelLine, GilbertElliottLoss
 from ..scenario.concentrators import ConcentratorLine
 
 if TYPE_CHECKING:
-    from .system import System
+    from interarea.models.case.case import Case
+
+    from ..scenario.scenario import Scenario
+    from .instance import Instance
 
 _MOST_STATES = 400  #: of a plant whose eigenvectors are worth their time
 _MOST_KEPT = 500
@@ -45,17 +49,31 @@ class NotLinearError(InterareaError, ValueError):
     """Why the swings of a system are not the roots of a linear loop."""
 
 
-def linear_swings(system: System) -> LoopModes | str:
-    """Return the swings of a system in its ring-down window (`fit_window`), or why they are not known."""
+@dataclass(frozen=True)
+class Loop:
+    """What a linear loop is made of: scenario, case, instances; `bank` where the controller is one.
+
+    kept : linear plants and swings found before, by what they are of.
+    """
+
+    scenario: Scenario
+    case: Case
+    plant: Instance
+    controller: Instance | None
+    bank: ControllerBank | None
+    kept: dict[Any, Any]
+
+
+def linear_swings(loop: Loop) -> LoopModes | str:
+    """Return the swings of a loop in its ring-down window (`fit_window`), or why they are not known."""
     try:
-        return _swings(system)
+        return _swings(loop)
     except InterareaError as error:  # a mode without a name, poles too close together: a ring-down is left
         return str(error)
 
 
-def _swings(system: System) -> LoopModes:
-    scenario = system.scenario
-    assert scenario is not None
+def _swings(loop: Loop) -> LoopModes:
+    scenario = loop.scenario
     start, stop = fit_window(scenario)
     for event in scenario.event:
         end = getattr(event, "end_s", None)
@@ -70,32 +88,31 @@ def _swings(system: System) -> LoopModes:
         raise NotLinearError(f"plant.{moved[0]} was changed")
     ways = {s: _way(scenario.lines[u.partition(".")[0]], u, start) for s, u, *_ in scenario.signals}
     lost = frozenset(name for name, way in ways.items() if way.lost)
-    plant = system.parts["plant"].file.path
-    part = system.parts.get("controller")
+    plant, part = loop.plant.file.path, loop.controller
     matrices = (
         [] if part is None else [(k, v) for k, v in part.start.items() if k[0] in "ABCD" and k[1] == "["]
     )
     member = None if part is None else (str(part.file.path), lost, tuple(matrices))
     key = ("swings", str(plant), member, tuple(ways.items()))
-    kept = system.fmus.loops
+    kept = loop.kept
     if key not in kept:
         if len(kept) > _MOST_KEPT:
             kept.clear()
         if ("plant", str(plant)) not in kept:
-            kept["plant", str(plant)] = _linear(system)
+            kept["plant", str(plant)] = _linear(loop)
         grid, modes = kept["plant", str(plant)]
         if part is None:
             kept[key] = open_loop_modes(np.linalg.eigvals(grid.A), modes)
         else:
-            kept[key] = LoopFunction(grid, _controller(system, lost)).modes(ways, modes)
+            kept[key] = LoopFunction(grid, _controller(loop, part, lost)).modes(ways, modes)
     found: LoopModes = kept[key]
     return found
 
 
-def _linear(system: System) -> tuple[control.StateSpace, dict[str, complex]]:
+def _linear(loop: Loop) -> tuple[control.StateSpace, dict[str, complex]]:
     """The plant without reference angle, speeds in rad/s, and its swing modes, 1/s."""
-    case = system.case
-    with open_plant(system.parts["plant"].file.path) as plant:
+    case = loop.case
+    with open_plant(loop.plant.file.path) as plant:
         if len(plant.state_names) > _MOST_STATES:
             raise NotLinearError(f"{len(plant.state_names)} states are more than {_MOST_STATES}")
         relative = remove_reference(linearise(plant))
@@ -103,16 +120,15 @@ def _linear(system: System) -> tuple[control.StateSpace, dict[str, complex]]:
     return speeds_in_rad(relative, case.omega_b), {name: mode.eigenvalue for name, mode in modes.items()}
 
 
-def _controller(system: System, lost: frozenset[str]) -> control.StateSpace:
+def _controller(loop: Loop, part: Instance, lost: frozenset[str]) -> control.StateSpace:
     """The linear controller that acts while these signals are lost, speeds in rad/s."""
-    bank, omega_b = system.bank, system.case.omega_b
+    bank, omega_b = loop.bank, loop.case.omega_b
     if isinstance(bank, ControllerBank):
         name = bank.active([s for s in bank.inputs if s not in lost])
         member = next((m for m in bank.members if m.name == name), None)
         if name == OFF or member is None:
             member = bank.members[0].scaled(0.0)
         return member.system
-    part = system.parts["controller"]
     starts = {v.name: part.file.start_of(v.name) for v in part.file.model.variables if "[" in v.name}
     starts |= {k: float(v) for k, v in part.start.items() if k in starts}
     inputs, outputs = (

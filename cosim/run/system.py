@@ -24,6 +24,7 @@ from typing import Any, Literal, TypeVar
 from pydantic import ValidationError
 
 from interarea.design.controllers.bank import ControllerBank
+from interarea.design.delay.loop_modes import LoopModes
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.concentrator import concentrator_block
@@ -54,7 +55,7 @@ from ..trajectory import Trajectory
 from .artefacts import EVENT_SLOTS
 from .controllers import ControllerLike, controller_of
 from .instance import Fmus, Instance
-from .linear_loop import linear_swings
+from .linear_loop import Loop, linear_swings
 
 Line = ChannelLine | ConcentratorLine
 AnyLine = TypeVar("AnyLine", ChannelLine, ConcentratorLine)
@@ -369,10 +370,16 @@ class System:
         metrics = self.metrics(master, done, (*METRICS, RING_DOWN))
         return Run(**common, scenario=self.scenario, case=self.case, swing=self.swing, metrics=metrics)
 
+    def linear_swings(self) -> LoopModes | str:
+        """Return the swings of the system of a scenario with a case as roots of its loop, or why not."""
+        assert self.scenario is not None
+        parts = (self.parts[PLANT], self.parts.get(CONTROLLER), self.bank)
+        return linear_swings(Loop(self.scenario, self.case, *parts, self.fmus.loops))
+
     def metrics(self, master: Master, done: Trajectory, wanted: Collection[str] = METRICS) -> Metrics:
         """Return the metrics of a run of the system of a scenario with a case (see `run_metrics`)."""
         assert self.scenario is not None and self.swing is not None
-        swings = linear_swings(self) if {"least", "damping", "frequency"} & set(wanted) else ""
+        swings = self.linear_swings() if {"least", "damping", "frequency"} & set(wanted) else ""
         limit = control_limit_pu(master)
         return run_metrics(done, self.case, self.swing, self.scenario, master.step_s, limit, wanted, swings)
 

@@ -12,7 +12,6 @@ from interarea.cosim.results.ringdown import fit_window
 from interarea.cosim.results.run import Run
 from interarea.cosim.run.artefacts import linear_plant
 from interarea.cosim.run.controllers import controller_of
-from interarea.cosim.run.linear_loop import linear_swings
 from interarea.cosim.run.run import run_scenario, system_of
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.study.delay import least_damping
@@ -35,7 +34,7 @@ def document(latency_s: float, **changes: Any) -> dict[str, Any]:
     }
     return {
         "case": "two-area-thesis",
-        "controller": "wdc",
+        "controller": "robust",
         "stop_s": 14.0,
         "channels": channels,
         "event": [PULSE],
@@ -44,7 +43,7 @@ def document(latency_s: float, **changes: Any) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def late() -> Run:
-    return run_scenario(document(0.2))
+    return run_scenario(document(0.2, controller="wdc"))
 
 
 def test_a_run_tells_what_is_damped_least_and_not_what_its_ring_down_shows_best(
@@ -62,7 +61,7 @@ def test_a_run_tells_what_is_damped_least_and_not_what_its_ring_down_shows_best(
     assert late.damping_ratio("least") == m.least_damping_ratio and m.least_mode == "local area 2"
     assert m.least_frequency_hz == pytest.approx(1.403, abs=1e-3)
     assert "least damping 0.063 at 1.40 Hz (local area 2)" in late.summary
-    run_sweep({"scenario": document(0.2)}, tmp_path / "sweep", workers=1)
+    run_sweep({"scenario": document(0.2, controller="wdc")}, tmp_path / "sweep", workers=1)
     row = read_rows(tmp_path / "sweep").iloc[0]
     assert (row.damping_least, row.frequency_least) == (m.least_damping_ratio, m.least_frequency_hz)
     assert row.damping_inter_area == late.damping_ratio("inter-area")
@@ -78,12 +77,12 @@ def test_the_ring_down_agrees_with_the_roots_where_its_fit_is_good(late: Run) ->
 
 @pytest.mark.parametrize("latency_s", [0.0, 0.1])
 def test_the_default_controller_shows_its_inter_area_mode(latency_s: float) -> None:
-    run = run_scenario(document(latency_s, controller="robust"))
+    run = run_scenario(document(latency_s))
     assert run.damping_ratio("inter-area") > 0.25
 
 
 def swings(**changes: Any) -> LoopModes | str:
-    return linear_swings(system_of(load_scenario(document(0.1, stop_s=20.0) | changes)))
+    return system_of(load_scenario(document(0.1, stop_s=20.0) | changes)).linear_swings()
 
 
 def test_packets_and_losses_count_in_the_mean() -> None:
