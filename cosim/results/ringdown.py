@@ -289,22 +289,29 @@ def _swings(
         + ("" if fit.good else f": poor, above {m.GOOD_FIT:g}, so that no mode has a name")
     )
     if not numbers:
-        return _Swings({}, (None, None, ""), fitted, fit.error, "", text)
-    if known is not None:
-        least = known.least
-        told = (
-            (None, None, "") if least is None else (damping_ratio(least), hertz(least), known.name_of(least))
-        )
-        return _Swings(known.named, told, fitted, fit.error, _ROOTS, text)
+        return _Swings({}, _NOTHING, fitted, fit.error, "", text)
+    if known is None:
+        poles = {n: one.pole for n, one in fitted.items()}
+        how = f"{text} (no linear loop: {roots})"
+        return _Swings(poles, _least_of_fit(fit, fitted), fitted, fit.error, how, text)
+    least = known.least
+    told = (damping_ratio(least), hertz(least), known.name_of(least)) if least is not None else _NOTHING
+    return _Swings(known.named, told, fitted, fit.error, _ROOTS, text)
+
+
+def _least_of_fit(
+    fit: m.RingDown, named: Mapping[str, m.RingDownMode]
+) -> tuple[float | None, float | None, str]:
+    """The least damped of the modes of a fit: damping ratio, Hz, name."""
     strong = _within_band(fit)
-    own = [one for k, one in enumerate(strong) if one in fitted.values() or not _is_harmonic(one, strong[:k])]
-    mode = min(own, key=lambda mode: mode.damping_ratio, default=None)
-    name = next((n for n, one in fitted.items() if one is mode), "")
-    told = (None, None, "") if mode is None else (mode.damping_ratio, mode.frequency_hz, name)
-    poles = {n: one.pole for n, one in fitted.items()}
-    return _Swings(poles, told, fitted, fit.error, f"{text} (no linear loop: {roots})", text)
+    own = [one for k, one in enumerate(strong) if one in named.values() or not _is_harmonic(one, strong[:k])]
+    if not own:
+        return _NOTHING
+    mode = min(own, key=lambda mode: mode.damping_ratio)
+    return mode.damping_ratio, mode.frequency_hz, next((n for n, one in named.items() if one is mode), "")
 
 
+_NOTHING = (None, None, "")
 _ROOTS = (
     "roots of the linear loop at the operating point with exact delay, packets and losses in the mean; names "
     "followed from the open loop"
