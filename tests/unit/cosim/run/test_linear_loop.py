@@ -107,7 +107,7 @@ def test_a_signal_that_is_lost_in_the_window_counts_as_lost() -> None:
     channels["remote"]["outages_s"] = [[1.5, 20.0]]
     found, whole = swings(channels=channels), swings()
     assert isinstance(found, LoopModes) and isinstance(whole, LoopModes)
-    assert found.named["inter-area"] != pytest.approx(whole.named["inter-area"], abs=0.05)
+    assert found.named["inter-area"] != pytest.approx(whole.named["inter-area"], abs=1e-3)
 
 
 @pytest.mark.parametrize(
