@@ -73,8 +73,30 @@ def linear_swings(loop: Loop) -> LoopModes | str:
 
 
 def _swings(loop: Loop) -> LoopModes:
-    scenario = loop.scenario
+    scenario, part = loop.scenario, loop.controller
     start, stop = fit_window(scenario)
+    _refuse(scenario, start, stop)
+    ways = {s: _way(scenario.lines[u.partition(".")[0]], u, start) for s, u, *_ in scenario.signals}
+    lost = frozenset(name for name, way in ways.items() if way.lost)
+    if part is None:
+        key: tuple[Any, ...] = ("swings", str(loop.plant.file.path))
+    else:
+        matrices = tuple((k, v) for k, v in part.start.items() if k[:2] in ("A[", "B[", "C[", "D["))
+        key = ("swings", str(loop.plant.file.path), str(part.file.path), matrices, tuple(ways.items()))
+    if len(loop.kept) > _MOST_KEPT:
+        loop.kept.clear()
+    if key not in loop.kept:
+        grid, modes = _linear(loop)
+        if part is None:
+            loop.kept[key] = open_loop_modes(np.linalg.eigvals(grid.A), modes)
+        else:
+            loop.kept[key] = LoopFunction(grid, _controller(loop, part, lost)).modes(ways, modes)
+    found: LoopModes = loop.kept[key]
+    return found
+
+
+def _refuse(scenario: Scenario, start: float, stop: float) -> None:
+    """Raise NotLinearError where the loop is not that of plant, controller and channels at the start."""
     for event in scenario.event:
         end = getattr(event, "end_s", None)
         if event.kind in _LASTING and event.start_s < stop and (end is None or end > start):
@@ -86,38 +108,20 @@ def _swings(loop: Loop) -> LoopModes:
     moved = [name for name in scenario.plant if not name.startswith("solver.")]
     if moved:
         raise NotLinearError(f"plant.{moved[0]} was changed")
-    ways = {s: _way(scenario.lines[u.partition(".")[0]], u, start) for s, u, *_ in scenario.signals}
-    lost = frozenset(name for name, way in ways.items() if way.lost)
-    plant, part = loop.plant.file.path, loop.controller
-    matrices = (
-        [] if part is None else [(k, v) for k, v in part.start.items() if k[0] in "ABCD" and k[1] == "["]
-    )
-    member = None if part is None else (str(part.file.path), lost, tuple(matrices))
-    key = ("swings", str(plant), member, tuple(ways.items()))
-    kept = loop.kept
-    if key not in kept:
-        if len(kept) > _MOST_KEPT:
-            kept.clear()
-        if ("plant", str(plant)) not in kept:
-            kept["plant", str(plant)] = _linear(loop)
-        grid, modes = kept["plant", str(plant)]
-        if part is None:
-            kept[key] = open_loop_modes(np.linalg.eigvals(grid.A), modes)
-        else:
-            kept[key] = LoopFunction(grid, _controller(loop, part, lost)).modes(ways, modes)
-    found: LoopModes = kept[key]
-    return found
 
 
 def _linear(loop: Loop) -> tuple[control.StateSpace, dict[str, complex]]:
     """The plant without reference angle, speeds in rad/s, and its swing modes, 1/s."""
-    case = loop.case
-    with open_plant(loop.plant.file.path) as plant:
-        if len(plant.state_names) > _MOST_STATES:
-            raise NotLinearError(f"{len(plant.state_names)} states are more than {_MOST_STATES}")
-        relative = remove_reference(linearise(plant))
-    modes = modes_of(relative, case.areas)
-    return speeds_in_rad(relative, case.omega_b), {name: mode.eigenvalue for name, mode in modes.items()}
+    case, key = loop.case, ("plant", str(loop.plant.file.path))
+    if key not in loop.kept:
+        with open_plant(loop.plant.file.path) as plant:
+            if len(plant.state_names) > _MOST_STATES:
+                raise NotLinearError(f"{len(plant.state_names)} states are more than {_MOST_STATES}")
+            relative = remove_reference(linearise(plant))
+        modes = {name: mode.eigenvalue for name, mode in modes_of(relative, case.areas).items()}
+        loop.kept[key] = (speeds_in_rad(relative, case.omega_b), modes)
+    found: tuple[control.StateSpace, dict[str, complex]] = loop.kept[key]
+    return found
 
 
 def _controller(loop: Loop, part: Instance, lost: frozenset[str]) -> control.StateSpace:
