@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import control
 import numpy as np
 
-from interarea.design.controllers.bank import OFF, ControllerBank
+from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import ControllerError, matrices_of_parameters
 from interarea.design.delay.loop_modes import LoopFunction, LoopModes, SignalWay, open_loop_modes
 from interarea.design.linear.linearise import linearise, remove_reference, speeds_in_rad
@@ -126,23 +126,24 @@ def _linear(loop: Loop) -> tuple[control.StateSpace, dict[str, complex]]:
 
 def _controller(loop: Loop, part: Instance, lost: frozenset[str]) -> control.StateSpace:
     """The linear controller that acts while these signals are lost, speeds in rad/s."""
-    bank, omega_b = loop.bank, loop.case.omega_b
-    if isinstance(bank, ControllerBank):
-        name = bank.active([s for s in bank.inputs if s not in lost])
-        member = next((m for m in bank.members if m.name == name), None)
-        if name == OFF or member is None:
-            member = bank.members[0].scaled(0.0)
-        return member.system
+    if loop.bank is not None:
+        return _member(loop.bank, lost)
     starts = {v.name: part.file.start_of(v.name) for v in part.file.model.variables if "[" in v.name}
     starts |= {k: float(v) for k, v in part.start.items() if k in starts}
-    inputs, outputs = (
-        [p.name for p in ports if p.type == "Real"]
-        for ports in (part.file.description.inputs, part.file.description.outputs)
-    )
+    ports = part.file.description
+    inputs = [p.name for p in ports.inputs if p.type == "Real"]
+    outputs = [p.name for p in ports.outputs if p.type == "Real"]
     try:
-        return matrices_of_parameters(starts, inputs, outputs, omega_b)
+        return matrices_of_parameters(starts, inputs, outputs, loop.case.omega_b)
     except ControllerError as error:
         raise NotLinearError(f"{part.file.path.name} is no linear controller") from error
+
+
+def _member(bank: ControllerBank, lost: frozenset[str]) -> control.StateSpace:
+    """The member that is active while these signals are lost; one that does nothing where none is."""
+    name = bank.active([s for s in bank.inputs if s not in lost])
+    member = next((m for m in bank.members if m.name == name), None)
+    return bank.members[0].scaled(0.0).system if member is None else member.system
 
 
 def _way(line: ChannelLine | ConcentratorLine, end: str, at_s: float) -> SignalWay:
