@@ -15,12 +15,16 @@ from interarea.cli.app import main
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.explorer.address import link_of
 from interarea.cosim.explorer.layout import bus_positions
+from interarea.cosim.explorer.models import models_of
 from interarea.cosim.explorer.page import explorer_page, page_data
 from interarea.cosim.explorer.records import apply_delta, delta
 from interarea.cosim.explorer.subject import subject_of
 from interarea.cosim.explorer.wasm import with_devices
+from interarea.cosim.export.container import container_block
 from interarea.cosim.scenario.channels import GilbertElliottLoss
-from interarea.cosim.scenario.scenario import load_scenario
+from interarea.cosim.scenario.scenario import Scenario, load_scenario
+from interarea.design.controllers.controller import Controller
+from interarea.models.blocks.variables import Block
 from interarea.models.case.case import load_case
 from interarea.models.devices.header import library_header
 
@@ -182,3 +186,24 @@ def test_page_of_a_scenario_starts_as_the_scenario_says(cache: Path) -> None:
     assert (start["k"], start["ev"], start["sz"], start["remote.lost"]) == ("ftc", "nudge", 5.0, 1.0)
     assert start["remote.on_loss"] == "zero"
     assert subject.first == "ftc"
+
+
+@pytest.mark.slow
+def test_a_study_hands_its_own_controllers_over(
+    hand_controller: Controller, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The models are made of what is handed over, not of what a name stands for."""
+    own = dict.fromkeys(("wdc", "cc", "ftc"), hand_controller)
+    subject = subject_of("two-area-thesis", cache, own)
+    assert subject.first == "wdc"
+    assert all(subject.controllers[name] is hand_controller for name in own)
+    made_of = {}
+
+    def block(scenario: Scenario, *, cache: Path, controller: Controller | None) -> Block:
+        made_of[scenario.controller] = controller
+        return container_block(scenario, cache=cache, controller=controller)
+
+    monkeypatch.setattr("interarea.cosim.explorer.models.container_block", block)
+    models_of(subject)
+    assert all(made_of[name] is hand_controller for name in own)
+    assert made_of["none"] is None and made_of["robust"] is None  # by their names
