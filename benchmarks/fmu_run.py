@@ -32,12 +32,12 @@ class PlantSlave:
         parameters: Mapping[str, float] | None = None,
     ) -> None:
         block = plant_block(case)
-        chosen = {} if substep_s is None else {"solver.step": substep_s}
         self.folder = Path(tempfile.mkdtemp(prefix="plant-slave-"))
         path = build_fmu(block, self.folder / "plant.fmu", cache=default_cache())
         description = fmpy.read_model_description(str(path))
         self.references = {v.name: v.valueReference for v in description.modelVariables}
-        types = {v.name: v.type for v in description.modelVariables}
+        self._types = {v.name: v.type for v in description.modelVariables}
+        self._parameters = event_parameters(case, events) | dict(parameters or {})
         self.slave = FMU2Slave(
             guid=description.guid,
             modelIdentifier=description.coSimulation.modelIdentifier,
@@ -45,17 +45,27 @@ class PlantSlave:
             instanceName="plant",
         )
         self.slave.instantiate()
-        for name, value in (event_parameters(case, events) | dict(parameters or {}) | chosen).items():
-            if types[name] == "Real":
+        self._step = self.slave.dll.fmi2DoStep
+        self._step.argtypes = [ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int]
+        self._start(substep_s)
+
+    def _start(self, substep_s: float | None) -> None:
+        chosen = {} if substep_s is None else {"solver.step": substep_s}
+        for name, value in (self._parameters | chosen).items():
+            if self._types[name] == "Real":
                 self.slave.setReal([self.references[name]], [float(value)])
             else:
                 self.slave.setInteger([self.references[name]], [int(value)])
         self.slave.setupExperiment(startTime=0.0)
         self.slave.enterInitializationMode()
         self.slave.exitInitializationMode()
-        self._step = self.slave.dll.fmi2DoStep
-        self._step.argtypes = [ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int]
         self.time_s = 0.0
+
+    def restart(self, substep_s: float | None = None) -> None:
+        """Begin again at 0 s, with other substeps."""
+        self.slave.terminate()
+        self.slave.reset()
+        self._start(substep_s)
 
     def outputs(self, names: Sequence[str]) -> npt.NDArray[np.float64]:
         """Return the values of some variables now."""

@@ -17,6 +17,9 @@ from interarea.models.blocks.variables import STEP_PARAMETER, Block, Enumeration
 
 RECORD_FORMAT = 1  #: read by c/fmi2_instantiate.c
 
+#: parameters that the initial unknowns list altogether
+MOST_DEPENDENCIES = 2_000_000
+
 _SET_NEVER, _SET_START, _SET_ANY_TIME = 0, 1, 2
 _INTEGER_TYPES = {"Integer": 0, "Boolean": 1, "Enumeration": 2}
 
@@ -284,16 +287,19 @@ def _start(v: Variable) -> object:
 
 
 def _structure(block: Block) -> list[str]:
-    """ModelStructure; initial unknowns also depend on every parameter."""
+    """ModelStructure; initial unknowns also depend on every parameter.
+
+    On a large grid they are not listed one by one: without a list FMI takes everything.
+    """
     table = block.table
     index = {v.name: k for k, v in enumerate(table, start=1)}
     parameters = [index[v.name] for v in table if v.role == "parameter"]
     outputs = [v for v in table if v.role == "output"]
     derivatives = [v for v in table if v.role == "derivative"]
 
-    def unknown(v: Variable, extra: Iterable[int]) -> str:
+    def unknown(v: Variable, extra: Iterable[int], listed: bool) -> str:
         depends = None
-        if v.depends_on is not None:
+        if listed and v.depends_on is not None:
             depends = " ".join(str(k) for k in sorted({*(index[n] for n in v.depends_on), *extra}))
         return f"      <Unknown{_attributes({'index': index[v.name], 'dependencies': depends})}/>"
 
@@ -304,7 +310,8 @@ def _structure(block: Block) -> list[str]:
         ("InitialUnknowns", sorted([*outputs, *derivatives], key=lambda v: index[v.name]), parameters),
     ):
         if unknowns:
-            lines += [f"    <{heading}>", *(unknown(v, extra) for v in unknowns), f"    </{heading}>"]
+            listed = len(unknowns) * len(extra) <= MOST_DEPENDENCIES
+            lines += [f"    <{heading}>", *(unknown(v, extra, listed) for v in unknowns), f"    </{heading}>"]
     return [*lines, "  </ModelStructure>"]
 
 

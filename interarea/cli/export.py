@@ -36,6 +36,12 @@ def build(
             "--controller", metavar="CONTROLLER", help="the FMU of this controller too, and that of a channel"
         ),
     ] = None,
+    show: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--show", metavar="PATTERN", help="outputs wanted, such as 'G1_*', 'bus7.v', 'branch[7-8].p'"
+        ),
+    ] = None,
     platforms: Platforms = None,
 ) -> None:
     """Build the plant FMU of a case, complete: documentation, sources and cross-check files."""
@@ -52,7 +58,7 @@ def build(
     cache = default_cache()
     loaded = load_case(case)
     folder_for(out)
-    blocks = {loaded.name: plant_block(loaded)}
+    blocks = {loaded.name: plant_block(loaded, show=show)}
     if controller is not None:
         made = controller_of(controller, loaded, cache)
         if made is not None:

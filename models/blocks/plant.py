@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +25,11 @@ from ..grid.machine_tables import in_plant_order, machine_table
 from ..grid.network import load_power
 from ..grid.network_tables import Form, network_pattern, network_tables
 from .event_numbers import event_numbers_html
+from .plant_shown import Shown, shown_of, shown_tables
 from .plant_variables import (
     EVENT_CODES,
     event_variables,
     input_variables,
-    local_variables,
-    output_variables,
     parameter_variable,
     state_variables,
 )
@@ -110,7 +109,9 @@ def _controls(point: OperatingPoint) -> dict[str, str]:
     return {"Controls": devices_html(library()[key].device for key in keys)} if keys else {}
 
 
-def plant_block(case: Case, *, event_slots: int = 8, network: Form | None = None) -> Block:
+def plant_block(
+    case: Case, *, event_slots: int = 8, show: Sequence[str] | None = None, network: Form | None = None
+) -> Block:
     """Return the plant of `case` as a block with `event_slots` slots for events.
 
     Inputs `G1_vs` .. (pu, at the exciter's summing point); outputs per machine `G1_dw` (pu speed deviation),
@@ -118,7 +119,8 @@ def plant_block(case: Case, *, event_slots: int = 8, network: Form | None = None
     `tie_p`; locals: bus voltages, field voltages, mechanical powers; parameters: gains, times and limits
     of the controls, which keep the equilibrium, `solver.step` (start: the case's `solver_step_s`, else
     `default_step_s`) and the event slots. A slot that is set anew while the plant runs counts from the next
-    event on. `network`: solve it so whatever that costs; else the cheaper form is taken.
+    event on. `show`: patterns of the outputs wanted, see `shown_of`, which also says what a large grid shows
+    without. `network`: solve it so whatever that costs; else the cheaper form is taken.
 
     Raises
     ------
@@ -136,9 +138,8 @@ def plant_block(case: Case, *, event_slots: int = 8, network: Form | None = None
     parameters = [(*place[id(d)], parameter) for d in point.controls.devices for parameter in d.parameters()]
     # of no group: the FMI layer reads it, the plant does not
     parameters.append((0, 0, Parameter(STEP_PARAMETER, 0, "s", _STEP_TEXT, *SOLVER_STEP_S, value=step_s)))
-    variables = (
-        state_variables(point) + input_variables(point) + output_variables(case) + local_variables(case)
-    )
+    shown = shown_of(case, show)
+    variables = state_variables(point) + input_variables(point) + [s.variable for s in shown]
     variables += [parameter_variable(parameter) for *_, parameter in parameters]
     variables += event_variables(event_slots)
     return Block(
@@ -146,7 +147,7 @@ def plant_block(case: Case, *, event_slots: int = 8, network: Form | None = None
         name=_identifier(case.name),
         description=case.title or case.name,
         table=VariableTable(variables),
-        data=_data(case, point, parameters, event_slots, network),
+        data=_data(case, point, parameters, event_slots, shown, network),
         sources=plant_sources(),
         documentation={
             "Integration": _integration(point, step_s),
@@ -200,15 +201,6 @@ def _identifier(name: str) -> str:
     return text if text[:1].isalpha() else f"case_{text}"
 
 
-def _tie(case: Case) -> tuple[list[int], list[int]]:
-    """Return the positions of the tie's branches, and at which end of each its flow is counted."""
-    if case.tie is None:
-        return [], []
-    place = {b.name: k for k, b in enumerate(case.branches)}
-    tie = [place[name] for name in case.tie.branches]
-    return tie, [int(case.branches[k].from_bus != case.tie.from_bus) for k in tie]
-
-
 def _parameter_arrays(parameters: list[tuple[int, int, Parameter]]) -> dict[str, Any]:
     """Return where in the tables of devices each parameter stands, with its range and name."""
     tables, devices, rows = zip(*parameters, strict=True) if parameters else ((), (), ())
@@ -226,18 +218,21 @@ def _data(
     point: OperatingPoint,
     parameters: list[tuple[int, int, Parameter]],
     slots: int,
+    shown: Sequence[Shown],
     network: Form | None,
 ) -> dict[str, Any]:
-    tie, ends = _tie(case)
+    seen = shown_tables(case, shown)
+    ties = len(case.tie.branches) if case.tie else 0
     sixth = sum(m.model == "round_rotor" for m in case.machines)
     counts = [len(case.machines), sixth, len(case.buses), len(case.branches), len(case.loads)]
     groups = point.controls.running()
     before = sum(group.devices[0].word != "exciter" for group, _ in groups)
-    counts += [len(groups), before, len(tie), slots]
+    counts += [len(groups), before, ties, slots]
     ports = port_table(case, point.load_volts, list(range(len(case.machines))), list(point.gaps))
     counts += [len(case.shunts), len(parameters), len(ports)]
     pattern = network_pattern(case, ports, network)
     counts += [0, 0, 0] if pattern is None else [len(pattern.row), pattern.fill, pattern.first]
+    counts.append(len(seen["tie.branch"]) - ties)
     arrays: dict[str, Any] = {
         "plant.counts": _int(counts),
         "plant.base": np.array([case.omega_b, case.base_mva]),
@@ -250,20 +245,19 @@ def _data(
             case, point.power_flow.voltages, point.gaps, [m.delta for m in point.machines]
         ),
         "state.machine": _int(_machine_of_states(case, point)),
-        "output.state": _int(_states_of_outputs(case, point)),
-        "tie.branch": _int(tie),
-        "tie.end": _int(ends),
+        "output.state": _int(_states_of_outputs(case, point, shown)),
         **_parameter_arrays(parameters),
     }
     first = len(point.states) - len(point.controls.states())
-    arrays |= network_tables(case, point.load_volts, ports, pattern)
+    arrays |= seen | network_tables(case, point.load_volts, ports, pattern)
     return arrays | _group_arrays(point, groups, first)
 
 
-def _states_of_outputs(case: Case, point: OperatingPoint) -> list[int]:
+def _states_of_outputs(case: Case, point: OperatingPoint, shown: Sequence[Shown]) -> list[int]:
     """Of each output the state that it is, -1 where it is none; read by the FMI layer."""
-    state_of = {f"{m.name}_dw": point.state_names.index(f"{m.name}.slip") for m in case.machines}
-    return [state_of.get(variable.name, -1) for variable in output_variables(case)]
+    places = {name: k for k, name in enumerate(point.state_names)}
+    outputs = [s for s in shown if s.variable.role == "output"]
+    return [places[f"{case.machines[s.of].name}.slip"] if s.kind == "dw" else -1 for s in outputs]
 
 
 def _machine_of_states(case: Case, point: OperatingPoint) -> list[int]:

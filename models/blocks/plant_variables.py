@@ -1,8 +1,7 @@
-"""Variables of the plant: states, inputs, what it shows, parameters and event slots."""
+"""Variables of the plant: states, inputs, parameters and event slots."""
 
 from __future__ import annotations
 
-from ..case.case import Case
 from ..devices.language.device import NO_LIMIT
 from ..grid.control_tables import Parameter
 from ..grid.equilibrium import OperatingPoint
@@ -75,42 +74,6 @@ def input_variables(point: OperatingPoint) -> list[Variable]:
         Variable(name, "input", "added at the exciter's summing point", unit="pu", start=0.0)
         for name in point.input_names
     ]
-
-
-def output_variables(case: Case) -> list[Variable]:
-    """Return the outputs of the machines, then the power of the tie."""
-    network = tuple(sorted(network_states(case)))
-    angles = tuple(f"{m.name}.delta" for m in case.machines)
-    outputs = []
-    for m in case.machines:
-        outputs += [
-            _output(f"{m.name}_dw", "pu", "speed deviation", (f"{m.name}.slip",)),
-            _output(f"{m.name}_delta", "rad", "rotor angle to the centre of inertia", angles),
-            _output(f"{m.name}_pe", "pu", "active power at the terminals, base of the case", network),
-            _output(f"{m.name}_vt", "pu", "terminal voltage", network),
-        ]
-    if case.tie is not None:
-        text = (
-            f"active power from bus {case.tie.from_bus} over {', '.join(case.tie.branches)}, base of the case"
-        )
-        outputs.append(_output("tie_p", "pu", text, network))
-    return outputs
-
-
-def _output(name: str, unit: str, description: str, depends_on: tuple[str, ...]) -> Variable:
-    return Variable(name, "output", description, unit=unit, depends_on=depends_on)
-
-
-def local_variables(case: Case) -> list[Variable]:
-    """Return the bus voltages, then field voltage and power of each machine."""
-    values = [
-        Variable(f"bus{bus.number}.v", "local", f"voltage magnitude of bus {bus.number}", unit="pu")
-        for bus in case.buses
-    ]
-    for m in case.machines:
-        values.append(Variable(f"{m.name}.Efd", "local", "field voltage", unit="pu"))
-        values.append(Variable(f"{m.name}.Pm", "local", "mechanical power, machine base", unit="pu"))
-    return values
 
 
 def parameter_variable(parameter: Parameter) -> Variable:

@@ -204,58 +204,78 @@ size_t NAME(plant_flow)(real *memory, const int32_t *places, const num *x, const
     return 0;
 }
 
-/* y: dw, delta to the centre of inertia, pe, vt of each machine; then the tie's
- * power if the case has one. */
+/* What is shown from the solved network; Efd and Pm also need solve_devices. */
+static num shown(const real *memory, const Plan *plan, const Pattern *pattern, size_t kind, size_t of,
+                 MachineStates states, num centre, const Work *w)
+{
+    num re = NUM(0.0), im = NUM(0.0);
+
+    switch (kind) {
+    case SHOW_DW: return states.slip[of];
+    case SHOW_DELTA: return states.delta[of] - centre;
+    case SHOW_PE:
+        return (w->vd[of] * w->id[of] + w->vq[of] * w->iq[of]) * memory[plan->machine + M_RATIO * plan->n_machine + of];
+    case SHOW_VT: return w->vt[of];
+    case SHOW_TIE: return network_tie_power(memory, plan, pattern, w->e_re, w->e_im, w->v);
+    case SHOW_EFD: return w->efd[of];
+    case SHOW_PM: return w->pm[of];
+    case SHOW_BUS_V:
+        network_voltage(memory, plan, pattern, of, w->e_re, w->e_im, w->v, &re, &im);
+        return num_sqrt(re * re + im * im);
+    default:
+        network_line_power(memory, plan, pattern, plan->n_tie + of, w->e_re, w->e_im, w->v, &re, &im);
+        return kind == SHOW_LINE_P ? re : im;
+    }
+}
+
+/* Shown variables first .. last - 1, with the rest of a sparse network's voltages if one needs them. */
+static void show(const real *memory, const Plan *plan, const Pattern *pattern, size_t first, size_t last,
+                 MachineStates states, const Work *w, num *to)
+{
+    const real *kinds = memory + plan->show, *of = kinds + plan->n_y + plan->n_w;
+    num centre = NUM(0.0);
+    int everywhere = 0;
+
+    for (size_t k = 0; k < plan->n_machine; ++k) centre += memory[plan->coi + k] * states.delta[k];
+    for (size_t k = first; k < last; ++k) {
+        const size_t kind = index_at(kinds, k);
+        everywhere |= kind == SHOW_TIE || kind == SHOW_BUS_V || kind == SHOW_LINE_P || kind == SHOW_LINE_Q;
+    }
+    if (everywhere && plan->n_node > 0) sparse_backward(memory, plan, pattern, 0, plan->first, w->v);
+    for (size_t k = first; k < last; ++k)
+        to[k - first] = shown(memory, plan, pattern, index_at(kinds, k), index_at(of, k), states, centre, w);
+}
+
+/* y: what the record says, in its order. */
 size_t NAME(plant_outputs)(real *memory, const int32_t *places, const num *x, num *y, num *scratch)
 {
     Plan plan;
     plan_of(memory, &plan);
     const Pattern pattern = pattern_of(places, &plan);
-    const size_t n = plan.n_machine;
-    const MachineStates states = machine_states(x, n, plan.n_sixth);
     Work w = work_arrays(scratch, &plan);
-    num centre = NUM(0.0);
 
     const size_t stuck = solve_network(memory, &plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
-    for (size_t k = 0; k < n; ++k) centre += memory[plan.coi + k] * states.delta[k];
-    for (size_t k = 0; k < n; ++k) {
-        y[4 * k] = states.slip[k];
-        y[4 * k + 1] = states.delta[k] - centre;
-        y[4 * k + 2] = (w.vd[k] * w.id[k] + w.vq[k] * w.iq[k]) * memory[plan.machine + M_RATIO * n + k];
-        y[4 * k + 3] = w.vt[k];
-    }
-    if (plan.n_tie > 0) {
-        sparse_backward(memory, &plan, &pattern, 0, plan.first, w.v);
-        y[4 * n] = network_tie_power(memory, &plan, &pattern, w.e_re, w.e_im, w.v);
-    }
+    show(memory, &plan, &pattern, 0, plan.n_y, machine_states(x, plan.n_machine, plan.n_sixth), &w, y);
     return 0;
 }
 
 #if !defined PLANT_TANGENT && !defined PLANT_LANES
-/* Locals: every bus voltage, then Efd and Pm of each machine. */
+/* Locals: what the record says after the outputs. */
 size_t plant_locals(double *memory, const int32_t *places, const double *x, const double *u, double *locals,
                     double *scratch, double *dx)
 {
     Plan plan;
     plan_of(memory, &plan);
     const Pattern pattern = pattern_of(places, &plan);
-    const size_t n = plan.n_machine;
     Work w = work_arrays(scratch, &plan);
 
+    if (plan.n_w == 0) return 0;
     const size_t stuck = solve_network(memory, &plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
     solve_devices(memory, &plan, x, u, dx, &w);
-    sparse_backward(memory, &plan, &pattern, 0, plan.first, w.v);
-    for (size_t k = 0; k < plan.n_bus; ++k) {
-        double re, im;
-        network_voltage(memory, &plan, &pattern, k, w.e_re, w.e_im, w.v, &re, &im);
-        locals[k] = sqrt(re * re + im * im);
-    }
-    for (size_t k = 0; k < n; ++k) {
-        locals[plan.n_bus + 2 * k] = w.efd[k];
-        locals[plan.n_bus + 2 * k + 1] = w.pm[k];
-    }
+    show(memory, &plan, &pattern, plan.n_y, plan.n_y + plan.n_w, machine_states(x, plan.n_machine, plan.n_sixth), &w,
+         locals);
     return 0;
 }
 

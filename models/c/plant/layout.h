@@ -68,6 +68,10 @@ enum {  /* the same rows at a machine's port */
 typedef enum { PORT_LOAD = 1, PORT_MACHINE } PortKind;
 typedef enum { SATURATION_NONE, SATURATION_TOTAL, SATURATION_INCREMENTAL } SaturationKind;
 
+/* What is shown, outputs and then locals: its kind and which machine, bus or line. */
+typedef enum {
+    SHOW_DW, SHOW_DELTA, SHOW_PE, SHOW_VT, SHOW_TIE, SHOW_BUS_V, SHOW_EFD, SHOW_PM, SHOW_LINE_P, SHOW_LINE_Q, SHOW_KINDS
+} ShowKind;
 enum {  /* tie branch: buses of its measured and its other end, admittances seen from there */
     T_BRANCH, T_OWN, T_OTHER, T_OWN_RE, T_OWN_IM, T_MUTUAL_RE, T_MUTUAL_IM, T_ROWS
 };
@@ -80,8 +84,9 @@ enum {
     H_TRIPPED,          /* machines that are tripped                    */
     H_PORT_READY,       /* 1: port_b and port_z are good for this stage */
     H_IDLE,             /* 1: a lane of a batch that has nothing to do  */
+    H_N_LINE, H_N_Y, H_N_W,
     H_N_NODE, H_N_FILL, H_FIRST, H_PATTERN,  /* sparse network: sizes, where its pattern begins in the record */
-    H_SIZE = 24
+    H_SIZE = 32
 };
 
 /* FMI parameters of a slot: Reals start, end, size, size_q, r, x; integers kind, target. */
@@ -91,6 +96,8 @@ enum { SLOT_KIND, SLOT_TARGET, SLOT_INTEGERS };
 typedef struct {
     size_t n_machine, n_sixth, n_bus, n_branch, n_load;
     size_t n_group, n_device, n_table, n_input, n_tie, n_slot, n_port, n_state;
+    size_t n_line;        /* branches whose power is shown, after the ties         */
+    size_t n_y, n_w;      /* outputs, locals                                       */
     size_t n_node, n_fill, first;  /* sparse network: rows, entries of L and of U, first row a current enters;
                                       n_node is 0 where the network is dense */
     size_t exciters;      /* groups before this one run before the inputs are added */
@@ -107,7 +114,8 @@ typedef struct {
     size_t device_machine; /* n_device: machines, group by group                   */
     size_t device_table;  /* n_table: tables, group by group                       */
     size_t input_machine; /* n_input: the machine an input acts on                 */
-    size_t tie;           /* T_ROWS x n_tie: branches whose power is the output tie_p */
+    size_t tie;           /* T_ROWS x (n_tie + n_line): branches whose power is the output tie_p, then lines */
+    size_t show;          /* ShowKind of n_y + n_w, then of which                  */
     size_t in_service;    /* n_branch: 1 or 0                                      */
     size_t state_machine; /* n_state: the machine a state belongs to               */
     size_t norton;        /* sparse: 2 x n_machine, admittance of each machine     */
@@ -145,7 +153,8 @@ static inline void plan_offsets(Plan *p)
     p->device_machine = at; at += p->n_device;
     p->device_table = at;  at += p->n_table;
     p->input_machine = at; at += p->n_input;
-    p->tie = at;           at += (size_t)T_ROWS * p->n_tie;
+    p->tie = at;           at += (size_t)T_ROWS * (p->n_tie + p->n_line);
+    p->show = at;          at += 2u * (p->n_y + p->n_w);
     p->in_service = at;    at += p->n_branch;
     p->state_machine = at; at += p->n_state;
     p->norton = at;        at += 2u * n * sparse;
@@ -188,6 +197,9 @@ static inline void plan_of(const real *memory, Plan *p)
     p->n_slot = index_at(memory, H_N_SLOT);
     p->n_port = index_at(memory, H_N_PORT);
     p->n_state = index_at(memory, H_N_STATE);
+    p->n_line = index_at(memory, H_N_LINE);
+    p->n_y = index_at(memory, H_N_Y);
+    p->n_w = index_at(memory, H_N_W);
     p->n_node = index_at(memory, H_N_NODE);
     p->n_fill = index_at(memory, H_N_FILL);
     p->first = index_at(memory, H_FIRST);

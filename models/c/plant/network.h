@@ -101,25 +101,34 @@ static inline void network_voltage(const real *memory, const Plan *plan, const P
     }
 }
 
-/* Active power into the tie branches at their measured ends, in service only:
- * P = Re V_a conj(Y_aa V_a + Y_ab V_b). */
+/* Power into tie or line k at its measured end, in service only: S = V_a conj(Y_aa V_a + Y_ab V_b). */
+static inline void network_line_power(const real *memory, const Plan *plan, const Pattern *pattern, size_t k,
+                                      const num *e_re, const num *e_im, const num *v, num *p, num *q)
+{
+    const size_t n = plan->n_tie + plan->n_line;
+    const real *tie = memory + plan->tie, *row = tie + k;
+    const real g_own = row[T_OWN_RE * n], b_own = row[T_OWN_IM * n];
+    const real g_mutual = row[T_MUTUAL_RE * n], b_mutual = row[T_MUTUAL_IM * n];
+    const real on = memory[plan->in_service + index_at(tie, T_BRANCH * n + k)];
+    num ar, ai, br, bi;
+
+    network_voltage(memory, plan, pattern, index_at(tie, T_OWN * n + k), e_re, e_im, v, &ar, &ai);
+    network_voltage(memory, plan, pattern, index_at(tie, T_OTHER * n + k), e_re, e_im, v, &br, &bi);
+    const num re = g_own * ar - b_own * ai + g_mutual * br - b_mutual * bi;
+    const num im = g_own * ai + b_own * ar + g_mutual * bi + b_mutual * br;
+    *p = on * (ar * re + ai * im);
+    *q = on * (ai * re - ar * im);
+}
+
+/* Active power over the tie branches. */
 static inline num network_tie_power(const real *memory, const Plan *plan, const Pattern *pattern,
                                     const num *e_re, const num *e_im, const num *v)
 {
-    const size_t n = plan->n_tie;
-    const real *tie = memory + plan->tie;
-    num total = NUM(0.0);
+    num total = NUM(0.0), p, q;
 
-    for (size_t k = 0; k < n; ++k) {
-        const real *row = tie + k;
-        const real g_own = row[T_OWN_RE * n], b_own = row[T_OWN_IM * n];
-        const real g_mutual = row[T_MUTUAL_RE * n], b_mutual = row[T_MUTUAL_IM * n];
-        num ar, ai, br, bi;
-        network_voltage(memory, plan, pattern, index_at(tie, T_OWN * n + k), e_re, e_im, v, &ar, &ai);
-        network_voltage(memory, plan, pattern, index_at(tie, T_OTHER * n + k), e_re, e_im, v, &br, &bi);
-        const num re = g_own * ar - b_own * ai + g_mutual * br - b_mutual * bi;
-        const num im = g_own * ai + b_own * ar + g_mutual * bi + b_mutual * br;
-        total += memory[plan->in_service + index_at(tie, T_BRANCH * n + k)] * (ar * re + ai * im);
+    for (size_t k = 0; k < plan->n_tie; ++k) {
+        network_line_power(memory, plan, pattern, k, e_re, e_im, v, &p, &q);
+        total += p;
     }
     return total;
 }

@@ -68,6 +68,9 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     memory[H_N_SLOT] = (double)plan.n_slot;
     memory[H_N_PORT] = (double)plan.n_port;
     memory[H_N_STATE] = (double)plan.n_state;
+    memory[H_N_LINE] = (double)plan.n_line;
+    memory[H_N_Y] = (double)plan.n_y;
+    memory[H_N_W] = (double)plan.n_w;
     memory[H_N_NODE] = (double)plan.n_node;
     memory[H_N_FILL] = (double)plan.n_fill;
     memory[H_FIRST] = (double)plan.first;

@@ -4,7 +4,7 @@
 #include "sparse_factor.h"
 
 enum { MOST = 12, ENOUGH = 5, MOST_STEPS = 40 };
-static const double ACCURACY = 1e-10;   /* of the voltages, estimated error relative to the largest */
+static const double ACCURACY = 1e-11;   /* of the voltages, estimated error relative to the largest */
 static const double ROUNDING = 1e-13;   /* what a further step moves when all is said */
 static const double POOR = 0.3;         /* contraction above which other slopes are wanted */
 static const double MOST_FLUX = 1.2;    /* where an iteration may start: psi_I grows exponentially */

@@ -9,7 +9,7 @@
 
 enum {
     C_MACHINE, C_SIXTH, C_BUS, C_BRANCH, C_LOAD, C_GROUP, C_EXCITERS,
-    C_TIE, C_SLOT, C_ITEM, C_PARAMETER, C_PORT, C_NODE, C_FILL, C_FIRST, C_COUNTS
+    C_TIE, C_SLOT, C_ITEM, C_PARAMETER, C_PORT, C_NODE, C_FILL, C_FIRST, C_LINE, C_COUNTS
 };
 
 /* Everything the record must hold; `bad` keeps the first array that does not fit. */
@@ -86,6 +86,9 @@ static const int32_t *read_plan(const Record *record, const BlockLayout *layout,
     plan->n_node = (size_t)c[C_NODE];
     plan->n_fill = (size_t)c[C_FILL];
     plan->first = (size_t)c[C_FIRST];
+    plan->n_line = (size_t)c[C_LINE];
+    plan->n_y = layout->n_y;
+    plan->n_w = layout->n_w;
     if (plan->exciters > plan->n_group || !count_devices(record, plan)) return NULL;
     plan_offsets(plan);
     return c;
@@ -202,6 +205,20 @@ static void check_groups(Reader *r, const BlockLayout *layout, const Plan *plan)
     if (r->bad == NULL) (void)reals(r, "device.table", given);
 }
 
+/* What is shown exists; Efd and Pm, for which the devices must have run, are locals only. */
+static void check_show(Reader *r, const Plan *plan)
+{
+    const size_t n = plan->n_y + plan->n_w;
+    const int32_t *kind = integers(r, "show.kind", n, SHOW_KINDS), *of = integers(r, "show.of", n, SIZE_MAX);
+
+    for (size_t k = 0; r->bad == NULL && k < n; ++k) {
+        const int line = kind[k] == SHOW_LINE_P || kind[k] == SHOW_LINE_Q;
+        const size_t count = line ? plan->n_line : kind[k] == SHOW_BUS_V ? plan->n_bus : plan->n_machine;
+        const int device = kind[k] == SHOW_EFD || kind[k] == SHOW_PM;
+        if ((size_t)of[k] >= count || (device && k < plan->n_y)) r->bad = "show.of";
+    }
+}
+
 BlockStatus plant_check(const Record *record, const BlockLayout *layout, const Plan *plan, const Network *net,
                         BlockMessage *message)
 {
@@ -209,8 +226,7 @@ BlockStatus plant_check(const Record *record, const BlockLayout *layout, const P
     const size_t n = plan->n_machine, n_parameter = layout->n_p - SLOT_REALS * plan->n_slot;
     size_t count;
 
-    if (layout->n_y != 4 * n + (plan->n_tie > 0 ? 1u : 0u) || layout->n_w != plan->n_bus + 2 * n
-        || layout->n_p < SLOT_REALS * plan->n_slot
+    if (layout->n_p < SLOT_REALS * plan->n_slot
         || n_parameter != (size_t)record_i32(record, "plant.counts", &count)[C_PARAMETER]
         || layout->n_ip != SLOT_INTEGERS * plan->n_slot || layout->n_x < 2 * n + 4 * plan->n_sixth)
         return plant_fail(message, BLOCK_ERROR, "record: its counts disagree with the list of variables");
@@ -223,8 +239,9 @@ BlockStatus plant_check(const Record *record, const BlockLayout *layout, const P
     (void)integers(&r, "input.machine", plan->n_input, n);
     check_pattern(&r, plan, net->places);
     (void)integers(&r, "state.machine", layout->n_x, n);
-    (void)integers(&r, "tie.branch", plan->n_tie, plan->n_branch);
-    (void)integers(&r, "tie.end", plan->n_tie, 2);
+    (void)integers(&r, "tie.branch", plan->n_tie + plan->n_line, plan->n_branch);
+    (void)integers(&r, "tie.end", plan->n_tie + plan->n_line, 2);
+    check_show(&r, plan);
     (void)integers(&r, "parameter.table", n_parameter, plan->n_group + 1);
     (void)integers(&r, "parameter.row", n_parameter, 1000);
     (void)integers(&r, "parameter.device", n_parameter, 100000);
@@ -281,6 +298,9 @@ static void read_tables(const Record *record, const Plan *plan, const Network *n
     copy_integers(memory + plan->input_machine, integers(&r, "input.machine", plan->n_input, n), plan->n_input);
     read_groups(&r, plan, memory);
     copy_integers(memory + plan->state_machine, integers(&r, "state.machine", plan->n_state, n), plan->n_state);
+    copy_integers(memory + plan->show, integers(&r, "show.kind", plan->n_y + plan->n_w, SHOW_KINDS), plan->n_y + plan->n_w);
+    copy_integers(memory + plan->show + plan->n_y + plan->n_w,
+                  integers(&r, "show.of", plan->n_y + plan->n_w, SIZE_MAX), plan->n_y + plan->n_w);
     copy_reals(memory + plan->port, read_ports(&r, plan), P_ROWS * plan->n_port);
     copy_reals(memory + plan->port_v, reals(&r, "port.rest", 2 * plan->n_port), 2 * plan->n_port);
 }
@@ -288,7 +308,7 @@ static void read_tables(const Record *record, const Plan *plan, const Network *n
 static void read_tie(const Record *record, const Plan *plan, const Network *net, double *memory)
 {
     Reader r = { record, NULL };
-    const size_t n = plan->n_tie, m = plan->n_branch;
+    const size_t n = plan->n_tie + plan->n_line, m = plan->n_branch;
     const int32_t *branch = integers(&r, "tie.branch", n, m), *end = integers(&r, "tie.end", n, 2);
 
     for (size_t k = 0; k < n; ++k) {

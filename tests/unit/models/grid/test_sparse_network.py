@@ -170,7 +170,7 @@ def test_the_cheaper_form_is_taken() -> None:
     pattern = network_pattern(wide, np.zeros((0, 18)))
     assert pattern is not None and len(wide.machines) ** 2 > SPARSE_PRICE * pattern.multiplications
     assert pattern.multiplications == 2 * pattern.fill + 120  # a machine at every bus: no row is left out
-    assert plant_block(wide).data["plant.counts"][-3] == 120
+    assert plant_block(wide).data["plant.counts"][-4] == 120
     assert network_pattern(wide, np.zeros((0, 18)), "dense") is None
 
 

@@ -1,0 +1,160 @@
+"""Large grids: from RAW and DYR to a running FMU, and what 10 s with one fault cost beside GridKit's figures.
+
+    python benchmarks/bench_large.py FOLDER [--grid NAME ..] [--json FILE]
+
+FOLDER holds the published files under the names in `GRIDS`. The fault is that of GridKit's comparison: at
+its bus from 1 s to 1.15 s through j0.01 pu, nothing opened. CPU time of the process that computes, the least
+of `REPEAT` runs; errors are the largest difference of any speed, over the peak speed, from steps of
+`REFERENCE_S`. Every grid runs in a process of its own, whose largest memory is shown. GridKit's seconds are
+those that its authors published, of their machine: the ratio says what order they are of, no more.
+Source: repository ORNL/GridKit, examples/PhasorDynamics/HICSS-60/benchmark.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import json
+import multiprocessing
+import resource
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from fmu_run import PlantSlave
+from plant_shim import BlockShim
+
+from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.case.case import Case
+from interarea.models.case.events import events_of
+from interarea.models.importers.file import import_grid
+
+#: RAW and DYR under FOLDER, the fault's bus, GridKit's CPU seconds
+GRIDS = {
+    "New England": ("IEEE39/IEEE39.raw", "IEEE39/IEEE39.dyr", 16, 0.011),
+    "ACTIVSg200": ("ACTIVSg200/ACTIVSg200.RAW", "ACTIVSg200/ACTIVSg200_dynamics.dyr", 149, 0.029),
+    "WECC 240": (
+        "WECC240/240busWECC_2018_PSS32_fixed_shunts.raw",
+        "WECC240/240busWECC_2018_PSS.dyr",
+        4005,
+        0.115,
+    ),
+    "ACTIVSg2000": (
+        "ACTIVSg2000/ACTIVSg2000.RAW.xz",
+        "ACTIVSg2000/ACTIVSg2000_dynamics.dyr",
+        7346,
+        0.993,
+    ),
+}
+STOP_S = 10.0
+COMMUNICATION_S = 1.0 / 24.0
+REFERENCE_S = 0.0005
+STEPS_S = (0.001, 0.002, 1.0 / 240.0)
+REPEAT = 3
+ROUNDS = 200  #: of right-hand sides that are timed
+
+
+def right_hand_side(case: Case, form: Any, fault: dict[str, float | int]) -> tuple[float, float]:
+    """CPU seconds of a right-hand side and of the fault's event, with one form of the network."""
+    plant = BlockShim(plant_block(case, network=form), fault)
+    random = np.random.default_rng(1)
+    pointer = ctypes.POINTER(ctypes.c_double)
+    dx = np.zeros_like(plant.x)
+    call, block, t0 = plant._c.block_derivatives, ctypes.byref(plant._block), ctypes.c_double(0.0)
+    points = [plant.x + 1e-6 * k * random.standard_normal(len(dx)) for k in range(ROUNDS)]
+    args = [
+        (block, t0, *(a.ctypes.data_as(pointer) for a in (x, plant.u, dx)), plant.message) for x in points
+    ]
+    begin = time.process_time()
+    for a in args:
+        call(*a)
+    each = (time.process_time() - begin) / ROUNDS
+    begin = time.process_time()
+    plant.event(1.0, plant.x)
+    plant.derivatives(plant.x)
+    return each, time.process_time() - begin
+
+
+def measured(name: str, folder: Path) -> dict[str, Any]:
+    """Everything about one grid."""
+    raw, dyr, bus, published = GRIDS[name]
+    begin = time.process_time()
+    case = import_grid(folder / raw, dyr=folder / dyr, converters="current", release_limits=True).case
+    found: dict[str, Any] = {"grid": name, "buses": len(case.buses), "machines": len(case.machines)}
+    found["import_s"] = time.process_time() - begin
+    events = events_of(
+        [{"kind": "bus_fault", "bus": bus, "start_s": 1.0, "end_s": 1.15, "x_pu": 0.01}], where=name
+    )
+    begin = time.process_time()
+    slave = PlantSlave(case, events, REFERENCE_S)
+    found["fmu_s"] = time.process_time() - begin
+    speeds = [f"{m.name}_dw" for m in case.machines]
+    times = np.arange(0.0, STOP_S + COMMUNICATION_S / 2, COMMUNICATION_S)
+    reference = slave.record(times, speeds)
+    found["peak_speed_pu"] = float(np.abs(reference).max())
+    found["runs"] = []
+    for step_s in STEPS_S:
+        cpu = []
+        for _ in range(REPEAT):
+            slave.restart(step_s)
+            cpu.append(slave.cpu_s(STOP_S, COMMUNICATION_S, speeds))
+        slave.restart(step_s)
+        off = np.abs(slave.record(times, speeds) - reference).max() / np.abs(reference).max()
+        run = {
+            "step_s": step_s,
+            "cpu_s": min(cpu),
+            "error": float(off),
+            "gridkit_ratio": min(cpu) / published,
+        }
+        found["runs"].append(run)
+    slave.close()
+    fault = event_parameters(case, events)
+    for form in ("dense", "sparse") if len(case.buses) < 1000 else ("sparse",):
+        each, event = right_hand_side(case, form, fault)
+        found[form] = {"right_hand_side_us": 1e6 * each, "event_in_steps": event / (4.0 * each)}
+    found["memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return found
+
+
+def _work(name: str, folder: Path, out: Any) -> None:
+    out.put(measured(name, folder))
+
+
+def main() -> None:
+    """Print a line for each run of each grid."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--grid", nargs="*", choices=list(GRIDS), default=list(GRIDS))
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    rows = []
+    start = multiprocessing.get_context("spawn")
+    for name in options.grid:
+        out = start.Queue()
+        worker = start.Process(target=_work, args=(name, options.folder, out))
+        worker.start()
+        row = out.get()
+        worker.join()
+        rows.append(row)
+        print(
+            f"{name}: {row['buses']} buses, {row['machines']} machines; import {row['import_s']:.1f} s, FMU "
+            f"{row['fmu_s']:.1f} s, {row['memory_mb']:.0f} MB; "
+            + str({k: row.get(k) for k in ("dense", "sparse")})
+        )
+        for run in row["runs"]:
+            print(
+                f"  {1e3 * run['step_s']:.3g} ms: {run['cpu_s']:.3f} CPU s, {run['gridkit_ratio']:.2f} of "
+                f"GridKit's published, speed error {run['error']:.1e} of peak",
+                flush=True,
+            )
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""What the plant shows: outputs and locals, all of a small grid, of a large one what is asked for."""
+
+from __future__ import annotations
+
+import difflib
+import fnmatch
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ..case.case import Case, CaseError
+from ..grid.machine_tables import network_states
+from .variables import Variable
+
+#: ShowKind of plant/layout.h
+KINDS = ("dw", "delta", "pe", "vt", "tie", "bus_v", "efd", "pm", "line_p", "line_q")
+MOST_MACHINES = 100  #: of a grid that shows everything unless told otherwise
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One variable and what it is: its kind and the position of its machine, bus or branch."""
+
+    variable: Variable
+    kind: str
+    of: int = 0
+
+
+def shown_of(case: Case, patterns: Sequence[str] | None = None) -> list[Shown]:
+    """Return outputs, then locals of the plant of `case`.
+
+    patterns : of names such as `G1_*`, `bus7.v`, `branch[7-8].*`, `tie_p`, with `*`, `?` and `[..]` as in
+        file names (a `[` of a name may stand for itself): the outputs, and no locals. None: of a grid of up
+        to `MOST_MACHINES` the four outputs of each machine, the tie and, as locals, all bus voltages, field
+        voltages and mechanical powers; of a larger one speed and power of each machine and the tie.
+
+    Raises
+    ------
+    CaseError : a pattern that matches nothing, with the nearest names.
+    """
+    if patterns is None:
+        large = len(case.machines) > MOST_MACHINES
+        machines = [s for s in _of_machines(case) if not large or s.kind in ("dw", "pe")]
+        return [*machines, *_of_tie(case), *([] if large else _locals(case))]
+    every = [*_of_machines(case), *_of_tie(case), *_of_buses(case, "output"), *_of_branches(case)]
+    names = [s.variable.name for s in every]
+    wanted: set[str] = set()
+    for pattern in patterns:
+        found = {n for n in names if n == pattern or fnmatch.fnmatchcase(n, pattern.replace("[", "[[]"))}
+        found = found or set(fnmatch.filter(names, pattern))
+        if not found:
+            near = difflib.get_close_matches(pattern, names, 3, 0.4)
+            raise CaseError(
+                f"{case.name}: nothing to show matches {pattern!r}; "
+                + (f"nearest: {', '.join(near)}" if near else "such as G1_dw, bus7.v, branch[7-8].p, tie_p")
+            )
+        wanted |= found
+    return [s for s in every if s.variable.name in wanted]
+
+
+def shown_tables(case: Case, shown: Sequence[Shown]) -> dict[str, npt.NDArray[np.int32]]:
+    """Return the arrays of the record that say what is shown: ties, lines, then each variable."""
+    number = {b.name: k for k, b in enumerate(case.branches)}
+    tie = [number[name] for name in case.tie.branches] if case.tie else []
+    ends = [int(case.branches[k].from_bus != case.tie.from_bus) for k in tie] if case.tie else []
+    lines = sorted({s.of for s in shown if s.kind.startswith("line_")})
+    row = {k: place for place, k in enumerate(lines)}
+    of = [row[s.of] if s.kind.startswith("line_") else s.of for s in shown]
+    return {
+        "tie.branch": np.array([*tie, *lines], dtype=np.int32),
+        "tie.end": np.array([*ends, *[0] * len(lines)], dtype=np.int32),
+        "show.kind": np.array([KINDS.index(s.kind) for s in shown], dtype=np.int32),
+        "show.of": np.array(of, dtype=np.int32),
+    }
+
+
+def _of_machines(case: Case) -> Iterator[Shown]:
+    network = tuple(sorted(network_states(case)))
+    angles = tuple(f"{m.name}.delta" for m in case.machines)
+    for k, m in enumerate(case.machines):
+        slip = (f"{m.name}.slip",)
+        yield _output(f"{m.name}_dw", "speed deviation", slip, "dw", k)
+        text = "rotor angle to the centre of inertia"
+        yield _output(f"{m.name}_delta", text, angles, "delta", k, "rad")
+        text = "active power at the terminals, base of the case"
+        yield _output(f"{m.name}_pe", text, network, "pe", k)
+        yield _output(f"{m.name}_vt", "terminal voltage", network, "vt", k)
+
+
+def _of_tie(case: Case) -> Iterator[Shown]:
+    if case.tie is None:
+        return
+    text = f"active power from bus {case.tie.from_bus} over {', '.join(case.tie.branches)}, base of the case"
+    yield _output("tie_p", text, tuple(sorted(network_states(case))), "tie")
+
+
+def _of_branches(case: Case) -> Iterator[Shown]:
+    network = tuple(sorted(network_states(case)))
+    for k, b in enumerate(case.branches):
+        for letter, what in (("p", "active"), ("q", "reactive")):
+            text = f"{what} power from bus {b.from_bus} into {b.name}, base of the case"
+            yield _output(f"branch[{b.name}].{letter}", text, network, f"line_{letter}", k)
+
+
+def _of_buses(case: Case, role: str) -> Iterator[Shown]:
+    network = tuple(sorted(network_states(case)))
+    for k, bus in enumerate(case.buses):
+        name, text = f"bus{bus.number}.v", f"voltage magnitude of bus {bus.number}"
+        if role == "output":
+            yield _output(name, text, network, "bus_v", k)
+        else:
+            yield Shown(Variable(name, "local", text, unit="pu"), "bus_v", k)
+
+
+def _locals(case: Case) -> Iterator[Shown]:
+    yield from _of_buses(case, "local")
+    for k, m in enumerate(case.machines):
+        yield Shown(Variable(f"{m.name}.Efd", "local", "field voltage", unit="pu"), "efd", k)
+        yield Shown(Variable(f"{m.name}.Pm", "local", "mechanical power, machine base", unit="pu"), "pm", k)
+
+
+def _output(
+    name: str, text: str, depends_on: tuple[str, ...], kind: str, of: int = 0, unit: str = "pu"
+) -> Shown:
+    return Shown(Variable(name, "output", text, unit=unit, depends_on=depends_on), kind, of)
