@@ -46,25 +46,27 @@ def shown_of(case: Case, patterns: Sequence[str] | None = None) -> list[Shown]:
         return [*machines, *_of_tie(case), *([] if large else _locals(case))]
     every = [*_of_machines(case), *_of_tie(case), *_of_buses(case, "output"), *_of_branches(case)]
     names = [s.variable.name for s in every]
-    wanted: set[str] = set()
-    for pattern in patterns:
-        found = {n for n in names if n == pattern or fnmatch.fnmatchcase(n, pattern.replace("[", "[[]"))}
-        found = found or set(fnmatch.filter(names, pattern))
-        if not found:
-            near = difflib.get_close_matches(pattern, names, 3, 0.4)
-            raise CaseError(
-                f"{case.name}: nothing to show matches {pattern!r}; "
-                + (f"nearest: {', '.join(near)}" if near else "such as G1_dw, bus7.v, branch[7-8].p, tie_p")
-            )
-        wanted |= found
+    wanted = {name for pattern in patterns for name in _matching(case, pattern, names)}
     return [s for s in every if s.variable.name in wanted]
+
+
+def _matching(case: Case, pattern: str, names: list[str]) -> set[str]:
+    found = {n for n in names if n == pattern or fnmatch.fnmatchcase(n, pattern.replace("[", "[[]"))}
+    found = found or set(fnmatch.filter(names, pattern))
+    if not found:
+        near = difflib.get_close_matches(pattern, names, 3, 0.4)
+        advice = f"nearest: {', '.join(near)}" if near else "such as G1_dw, bus7.v, branch[7-8].p, tie_p"
+        raise CaseError(f"{case.name}: nothing to show matches {pattern!r}; {advice}")
+    return found
 
 
 def shown_tables(case: Case, shown: Sequence[Shown]) -> dict[str, npt.NDArray[np.int32]]:
     """Return the arrays of the record that say what is shown: ties, lines, then each variable."""
     number = {b.name: k for k, b in enumerate(case.branches)}
-    tie = [number[name] for name in case.tie.branches] if case.tie else []
-    ends = [int(case.branches[k].from_bus != case.tie.from_bus) for k in tie] if case.tie else []
+    tie, ends = [], []
+    if case.tie is not None:
+        tie = [number[name] for name in case.tie.branches]
+        ends = [int(case.branches[k].from_bus != case.tie.from_bus) for k in tie]
     lines = sorted({s.of for s in shown if s.kind.startswith("line_")})
     row = {k: place for place, k in enumerate(lines)}
     of = [row[s.of] if s.kind.startswith("line_") else s.of for s in shown]
