@@ -82,7 +82,7 @@ def response_of(
     for k in range(n):
         x = x0.astype(complex)
         x[k] += 1e-30j
-        A[:, k] = np.array([complex(rate).imag for rate in instance.run(x, inputs)[1]]) / 1e-30
+        A[:, k] = np.array([complex(rate).imag for rate in instance.run(list(x), inputs)[1]]) / 1e-30
     name, size = STEPS[device.kind]
     stepped = type(instance)(model, instance.values)
     changed = dict(inputs)
@@ -93,7 +93,7 @@ def response_of(
     times = np.linspace(0.0, stop_s, 201)
 
     def rates(_: float, x: Array) -> list[float]:
-        return [float(rate) for rate in stepped.run(x, changed)[1]]
+        return [float(rate) for rate in stepped.run(list(x), changed)[1]]
 
     states = np.tile(x0, (len(times), 1))
     if n:
@@ -105,7 +105,7 @@ def response_of(
                 f"{device.name}: the step response ends at {solved.t[-1]:g} s: {solved.message}"
             )
         states = solved.y.T
-    values = [float(stepped.run(x, changed)[0][device.output]) - rest.output for x in states]
+    values = [float(stepped.run(list(x), changed)[0][device.output]) - rest.output for x in states]
     poles = np.linalg.eigvals(A).astype(complex)
     return Response(rest, poles[np.argsort(-poles.real)], (name, size), times, np.array(values))
 
