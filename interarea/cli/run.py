@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +16,8 @@ if TYPE_CHECKING:
     from interarea.cosim.results.latency_test import SelfTest
     from interarea.cosim.scenario.scenario import Scenario
     from interarea.models.case.case import Case
+
+_GUARDED = "INTERAREA_GUARDED"  #: in the environment of a run that has a process of its own
 
 
 def run(
@@ -40,14 +45,18 @@ def run(
 
     With --self-test and no --out only the self-test is done.
     """
-    from interarea.cosim.scenario.scenario import load_scenario
-
     from .destination import folder_for
 
     if out is None and not self_test:
         raise typer.BadParameter("a folder for the results is needed, or --self-test", param_hint="--out")
     if out is not None:
         folder_for(out)
+    foreign = _not_built_here(Path(scenario))
+    if foreign and _GUARDED not in os.environ:
+        note(f"{', '.join(foreign)}: not built here, so the run has a process of its own, which it may crash")
+        raise typer.Exit(_run_beside(foreign))
+    from interarea.cosim.scenario.scenario import load_scenario
+
     loaded = load_scenario(scenario)
     # a mistake in the file is told before what runs it is loaded
     from interarea.cosim.export.joint import run_joint
@@ -80,6 +89,68 @@ def run(
                 typer.echo(_survived(loaded, loaded.as_given(result.case)), err=True)
     if tested is not None and not tested.passed:
         raise typer.Exit(1)
+
+
+def _not_built_here(scenario: Path) -> list[str]:
+    """Names of the FMUs that this program did not write and that have no process of their own.
+
+    Looks at the file itself: what checks and runs scenarios is loaded by the process that does.
+    """
+    from interarea.models.documents import DocumentError, parse_toml
+
+    try:
+        table = parse_toml(scenario.read_bytes())
+    except (OSError, DocumentError):  # a bundled name; or what is wrong is said when it is loaded
+        return []
+    tables = table.get("fmus")
+    rows = tables.items() if isinstance(tables, dict) else ()
+    files = {n: row.get("file") for n, row in rows if isinstance(row, dict) and not row.get("isolate")}
+    files["controller"] = table.get("controller")
+    paths = {n: scenario.parent / f for n, f in files.items() if isinstance(f, str) and f.endswith(".fmu")}
+    return [name for name, path in paths.items() if path.is_file() and not _is_ours(path)]
+
+
+def _is_ours(file: Path) -> bool:
+    """Whether the description names this program; who forges that gives up the process of his own."""
+    import zipfile
+
+    try:
+        with zipfile.ZipFile(file) as archive, archive.open("modelDescription.xml") as text:
+            return b'generationTool="interarea ' in text.read(4096)
+    except (OSError, KeyError, zipfile.BadZipFile, RuntimeError, NotImplementedError, zlib.error):
+        return True  # what is wrong with it is said when it is opened
+
+
+def _run_beside(foreign: list[str]) -> int:
+    """Give this command to a process of its own; return its exit code.
+
+    Raises StepError where something ended that process.
+    """
+    import signal
+    import subprocess
+
+    from interarea.cosim.errors import StepError
+
+    command = [sys.executable, "-m", "interarea", *sys.argv[1:]]
+    child = subprocess.Popen(command, env={**os.environ, _GUARDED: "1"})
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the child, which ends in order
+    try:
+        code = child.wait()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if 0 <= code < 256:
+        return code
+    try:
+        what = signal.Signals(-code).name
+    except ValueError:  # Windows: a number such as 0xC0000005
+        what = f"code {code & 0xFFFFFFFF:#x}"
+    raise StepError(
+        f"the FMU ended the process of the run ({what})",
+        instance=", ".join(foreign),
+        call="the run",
+        time_s=None,
+        advice="with isolate = true the message names instance, call and time",
+    )
 
 
 def _tested(scenario: Scenario) -> SelfTest:
