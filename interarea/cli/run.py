@@ -117,7 +117,7 @@ def _is_ours(file: Path) -> bool:
     try:
         with zipfile.ZipFile(file) as archive, archive.open("modelDescription.xml") as text:
             return b'generationTool="interarea ' in text.read(4096)
-    except (OSError, KeyError, zipfile.BadZipFile, RuntimeError, NotImplementedError, zlib.error):
+    except (OSError, KeyError, zipfile.BadZipFile, RuntimeError, zlib.error):
         return True  # what is wrong with it is said when it is opened
 
 
