@@ -50,6 +50,7 @@ bench: $(VENV)/installed-bench
 	-$(BIN)/python benchmarks/bench_plant.py
 	-$(BIN)/python benchmarks/bench_batch.py --case two-area-thesis --case new-england --scenarios 16
 	-$(BIN)/python benchmarks/bench_sweep.py
+	-$(BIN)/python benchmarks/bench_pool.py
 	-$(BIN)/python benchmarks/bench_export.py --cold
 	-$(BIN)/python benchmarks/compare_andes.py
 	-$(BIN)/python benchmarks/compare_tops.py

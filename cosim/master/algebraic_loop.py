@@ -8,7 +8,7 @@ from ..clock import Step
 from ..errors import StepError
 from ..polynomials import slope_at, value_at
 from .broyden import Broyden
-from .graph import Group
+from .graph import LoopSet
 from .node import Node
 from .signals import Signal
 
@@ -17,7 +17,7 @@ _LEAST_SCALE = 1e-4  # of the nominal value: a signal smaller than that is measu
 
 
 def iterate_loop(
-    group: Group, nodes: Mapping[str, Node], signals: list[Signal], step: Step, tolerance: float
+    group: LoopSet, nodes: Mapping[str, Node], signals: list[Signal], step: Step, tolerance: float
 ) -> int:
     """Step the members of a loop until its torn `signals` end as supposed; return how often it was repeated.
 
@@ -68,7 +68,7 @@ def _residual(
     return residual, error
 
 
-def not_settled(group: Group, error: float, tolerance: float, step: Step) -> StepError:
+def not_settled(group: LoopSet, error: float, tolerance: float, step: Step) -> StepError:
     """Return the error of a loop whose last relative change `error` exceeds `tolerance`."""
     return StepError(
         f"the loop does not settle in {_MAX_SWEEPS} sweeps: relative change {error:.3g}, "

@@ -47,7 +47,7 @@ class Connection:
 
 
 @dataclass(frozen=True)
-class Group:
+class LoopSet:
     """Participants stepped together, in this order; `torn` connections run against it."""
 
     members: tuple[str, ...]
@@ -64,7 +64,7 @@ class Graph:
 
     descriptions: Mapping[str, Description]
     connections: tuple[Connection, ...]
-    groups: tuple[Group, ...]
+    groups: tuple[LoopSet, ...]
     unconnected: tuple[End, ...]  #: inputs that keep their start value
 
     def into(self, instance: str) -> tuple[Connection, ...]:
@@ -201,11 +201,11 @@ def strongly_connected(
 
 def _group(
     part: tuple[str, ...], connections: Sequence[Connection], descriptions: Mapping[str, Description]
-) -> Group:
+) -> LoopSet:
     """Order a loop so that the fewest direct dependencies, then the fewest signals, run against the order."""
     inside = [c for c in connections if not c.cut and c.source.instance in part and c.target.instance in part]
     if not inside:
-        return Group(part)
+        return LoopSet(part)
 
     def torn(order: tuple[str, ...]) -> list[Connection]:
         place = {name: k for k, name in enumerate(order)}
@@ -223,7 +223,7 @@ def _group(
         best = min(itertools.permutations(part), key=cost)
     else:
         best = _greedy(part, inside)
-    return Group(best, tuple(torn(best)))
+    return LoopSet(best, tuple(torn(best)))
 
 
 def _greedy(part: tuple[str, ...], inside: Sequence[Connection]) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ from ..participant import Participant
 from ..stepping_words import EARLY, INPUTS, LOOPS, Early, Inputs, Loops, early_word
 from ..trajectory import Trajectory
 from .algebraic_loop import iterate_loop
-from .graph import Graph, Group, build_graph
+from .graph import Graph, LoopSet, build_graph
 from .initial_values import initialise
 from .instances import FmuParticipant
 from .kernel.build import kernel_or_reason
@@ -350,7 +350,7 @@ class Master:
 
     # -- private --------------------------------------------------------------------------
 
-    def _planned(self, group: Group) -> tuple[Group, list[Node], list[Signal] | None]:
+    def _planned(self, group: LoopSet) -> tuple[LoopSet, list[Node], list[Signal] | None]:
         """Return a group, its nodes, and when it is iterated its torn signals."""
         iterated = group.members in self.stepping.iterated
         torn = self.stepping.torn_signals(group) if iterated else None

@@ -8,7 +8,7 @@ from interarea.fmu_build.open.ports import Description
 
 from ..errors import GraphError
 from ..stepping_words import Inputs, Loops
-from .graph import Graph, Group
+from .graph import Graph, LoopSet
 from .signals import Signal
 
 
@@ -32,15 +32,15 @@ class Stepping:
         self._descriptions, self._signals = descriptions, signals
         self._holds, self._loops, self._tolerance = inputs.startswith("hold"), loops, tolerance
         waits = inputs != "hold-jacobi"  # where nobody waits for anybody everyone is a group
-        self.groups = list(graph.groups) if waits else [Group((name,)) for name in descriptions]
+        self.groups = list(graph.groups) if waits else [LoopSet((name,)) for name in descriptions]
         self.iterated = {g.members for g in self.groups if g.torn and self._iterates(g)}
 
-    def torn_signals(self, group: Group) -> list[Signal]:
+    def torn_signals(self, group: LoopSet) -> list[Signal]:
         """Return the signals of a loop that run against its order and are not held."""
         torn = {str(c.source) for c in group.torn}
         return [s for s in self._signals if s.name in torn and s.kind != "held"]
 
-    def how(self, group: Group) -> str:
+    def how(self, group: LoopSet) -> str:
         """Return in words what is done with a loop."""
         if self._holds:
             return "inputs held, not iterated"
@@ -51,7 +51,7 @@ class Stepping:
 
     # -- private --------------------------------------------------------------------------
 
-    def _iterates(self, group: Group) -> bool:
+    def _iterates(self, group: LoopSet) -> bool:
         """Whether a loop is iterated: not with held inputs, not when told to extrapolate."""
         if self._holds or self._loops == "extrapolate":
             return False
@@ -63,6 +63,6 @@ class Stepping:
             )
         return not cannot_rewind
 
-    def _cannot_rewind(self, group: Group) -> list[str]:
+    def _cannot_rewind(self, group: LoopSet) -> list[str]:
         """Members that cannot go back to a saved state."""
         return [n for n in group.members if not self._descriptions[n].saves_state]

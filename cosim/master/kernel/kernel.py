@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from ...clock import Steps
 from ..algebraic_loop import not_settled
-from ..graph import Group
+from ..graph import LoopSet
 from ..instances import FmuParticipant
 from ..node import Node
 from ..signals import Signal
@@ -51,8 +51,8 @@ class Kernel:
         library: ctypes.CDLL,
         nodes: Mapping[str, Node],
         signals: Sequence[Signal],
-        groups: Sequence[Group],
-        torn: Callable[[Group], Sequence[Signal]],
+        groups: Sequence[LoopSet],
+        torn: Callable[[LoopSet], Sequence[Signal]],
         iterated: Collection[tuple[str, ...]],
         steps: Steps,
         *,
