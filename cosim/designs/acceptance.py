@@ -282,10 +282,9 @@ def first_failures(certificate: Mapping[str, Any] | None) -> str:
 
 
 def kept_certificate(name: str, case_hash: str) -> dict[str, Any] | None:
-    """Return what is known of a controller of the study over the family of `robust`; None of any other.
+    """Return what a controller of the study holds at two points of `robust_latency`; None of any other.
 
-    It was found by ``interarea certify NAME --acceptance --json`` for the case that design is for: of another
-    case nothing is known.
+    Found by ``benchmarks/study_certificates.py`` for the case of that design: of another nothing is known.
     """
     path = Path(__file__).parent / f"certificate_{name}.json"
     if name not in CONTROLLER_NAMES or not path.exists() or case_hash != load_case("two-area-thesis").hash:

@@ -193,8 +193,8 @@ def _pulsed(
         ]
     )
     arrays: dict[str, Any] = {"peak_deg": np.array(peak_deg)}
-    for m in runs.case.machines:
-        arrays[f"speed_{m.name}"] = np.interp(even, alone.time_s, alone[f"plant.{m.name}_dw"])
+    for each in runs.case.machines:
+        arrays[f"speed_{each.name}"] = np.interp(even, alone.time_s, alone[f"plant.{each.name}_dw"])
     arrays |= {f"to_{m}": np.zeros(even.size) for m in machines}
     for (m, start, sign), data in zip(pulses, tried, strict=True):
         # of first order in the pulse the peak moves as the angle at its instant does

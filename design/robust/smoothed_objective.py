@@ -165,7 +165,10 @@ class Objective:
 
     def narrowed(self, theta: Array, within: float) -> Objective:
         """Return the objective over the models that are within `within` (damping) of the worst at `theta`."""
-        tops = [float(self.excess(np.linalg.eigvals(A))[0].max()) for A in self.closed_loops(theta)]
+        tops = [
+            float(self.excess(np.linalg.eigvals(A).astype(complex))[0].max())
+            for A in self.closed_loops(theta)
+        ]
         names = [model.name for group in self.groups for model in group[0]]
         worst = max(tops)
         near = {name for name, top in zip(names, tops, strict=True) if top >= worst - within}
@@ -218,7 +221,9 @@ class Objective:
         spectra = []
         for group, A, B, C in self.groups:
             loops = _loops(A, B, C, K)
-            spectra.append((group, A.shape[1], loops, self.excess(np.linalg.eigvals(loops))[0]))
+            spectra.append(
+                (group, A.shape[1], loops, self.excess(np.linalg.eigvals(loops).astype(complex))[0])
+            )
         top = max(float(v.max()) for *_, v in spectra)
         total = sum(float(np.exp(self.rho * (v - top)).sum()) for *_, v in spectra)
         f = top + np.log(total) / self.rho

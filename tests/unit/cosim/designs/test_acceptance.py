@@ -15,15 +15,22 @@ from interarea.cosim.designs.acceptance import (
     Trial,
     first_failures,
     judge_acceptance,
+    kept_certificate,
+    settings_of,
     with_ceilings,
 )
+from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.designs.fault_runs import FaultRun
 from interarea.cosim.designs.first_swing import after_clearing
 from interarea.cosim.results.ringdown import Swing
+from interarea.cosim.run.artefacts import linear_plant
+from interarea.cosim.run.controllers import design_controller
 from interarea.cosim.run.run import system_of
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.controllers.controller import Controller
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.design.robust.operating_points import judge_family
 from interarea.models.case.case import load_case
 from interarea.models.case.variants import operating_variant
 
@@ -105,3 +112,40 @@ def test_the_first_condition_that_fails_is_said() -> None:
     )
     assert first_failures(None) == "non-linear faults: not judged"
     assert first_failures({"rows": [{**row, "stable": True}]}) == "non-linear faults: not judged"
+
+
+@pytest.mark.parametrize("name", ["wdc", "cc", "ftc"])
+def test_what_a_controller_of_the_study_does_not_survive_is_kept(name: str) -> None:
+    case = load_case("two-area-thesis")
+    known = kept_certificate(name, case.hash)
+    assert known is not None
+    assert known["acceptance"]["cases"] == 288
+    assert len(known["rows"]) == 18
+    assert "lost that hold without it (first: tie +100" in first_failures(known)
+    assert kept_certificate(name, CASES["tie +100"].hash) is None  # another case
+    assert kept_certificate("robust", case.hash) is None  # has a record of its own
+
+
+@pytest.mark.slow
+def test_the_kept_certificates_are_those_of_the_controllers(cache: Path) -> None:
+    """One linear row and the first lost fault of FTC, found again."""
+    case = load_case("two-area-thesis")
+    known = kept_certificate("ftc", case.hash)
+    assert known is not None
+    controller = design_controller(case, "ftc", cache)
+    table = load_design("robust_latency")
+    row = known["rows"][0]
+    plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
+    found = judge_family({"base": plant}, controller.system, table.family()[:1])
+    assert found.rows[0].worst_swing == pytest.approx(row["worst_swing"], abs=1e-4)
+    assert table.acceptance is not None
+    for setting in (
+        s for _, some in settings_of(table.acceptance, "tie +100", None, controller.inputs) for s in some
+    ):
+        if str(setting) == known["acceptance"]["lost"][0]:
+            with Trial(CASES["tie +100"], controller, table.acceptance, cache) as trial:
+                kept = trial.kept({(setting, False): 8.0, (setting, True): 8.0})
+            assert kept == {(setting, False): True, (setting, True): False}
+            break
+    else:
+        pytest.fail(f"no setting is {known['acceptance']['lost'][0]!r}")

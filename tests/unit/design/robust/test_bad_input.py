@@ -143,3 +143,24 @@ def test_a_design_names_an_inter_area_mode_that_its_signal_does_not_show(
     monkeypatch.setattr(robust_design, "family_plants", blind)
     with pytest.raises(InfeasibleDesign, match=r"'base'.*mode 'inter-area'"):
         run_design(load_design("robust_linear"), cache)
+
+
+def test_a_start_must_have_the_loops_and_the_order_of_the_design() -> None:
+    plants = {"base": resonances()}
+    wrong = control.ss(-np.eye(3), np.ones((3, 2)), np.ones((1, 3)), 0.0, inputs=2, outputs=1)
+    start = control.ss(wrong, inputs=["G2_dw", "G4_dw"], outputs=["G4_vs"])
+    with pytest.raises(ValueError, match=r"has 3 states, G2_dw, G4_dw -> G4_vs; wanted 2"):
+        design_robust(plants, replace(SPEC, start=start), 1.0)
+    with pytest.raises(ValueError, match="starts = 0, allowed only beside a controller to start from"):
+        replace(SPEC, starts=0)
+
+
+def test_a_search_goes_on_from_the_controller_it_is_given() -> None:
+    """No random start, and nothing worse than what was given."""
+    plants = {"base": resonances()}
+    first = design_robust(plants, replace(SPEC, evaluations=300, polishes=0), 1.0)
+    again = design_robust(
+        plants, replace(SPEC, start=first.system, starts=0, evaluations=300, polishes=0), 1.0
+    )
+    assert len(again.starts) == 1
+    assert again.objective <= first.objective + 1e-9
