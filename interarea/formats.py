@@ -57,8 +57,8 @@ def schema(kind: str) -> dict[str, Any]:
             made["$defs"][row]["required"].remove(own)
         for table in _TABLES_OF_ROWS:
             row = properties[table].get("items", {})
-            words = {"source": {"type": "string"}, "defaults": {"type": "object"}}
-            properties[table] = {"type": "object", "properties": words, "additionalProperties": _loose(row)}
+            beside = {"source": {"type": "string"}, "defaults": {"type": "object"}}
+            properties[table] = {"type": "object", "properties": beside, "additionalProperties": _loose(row)}
         properties["change"] = {"type": "object", "description": "a variant: what differs from `base`"}
         properties["base"] = {"type": "string", "description": "a variant: the case that it changes"}
         made["required"] = ["name"]

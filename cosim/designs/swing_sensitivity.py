@@ -196,11 +196,11 @@ def _pulsed(
     for each in runs.case.machines:
         arrays[f"speed_{each.name}"] = np.interp(even, alone.time_s, alone[f"plant.{each.name}_dw"])
     arrays |= {f"to_{m}": np.zeros(even.size) for m in machines}
-    for (m, start, sign), data in zip(pulses, tried, strict=True):
+    for (name, start, sign), data in zip(pulses, tried, strict=True):
         # of first order in the pulse the peak moves as the angle at its instant does
         angle = float(np.degrees(np.interp(peak_s, data.time_s, _apart(data, pair))))
         inside = (even >= start - 1e-9) & (even < start + SLOT_S - 1e-9)
-        arrays[f"to_{m}"][inside] += sign * angle / (2.0 * PULSE_PU * SLOT_S)
+        arrays[f"to_{name}"][inside] += sign * angle / (2.0 * PULSE_PU * SLOT_S)
     return arrays
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pandas as pd
 
@@ -58,7 +58,8 @@ class Explorer:
         groups = rows.groupby([x, y])
         if self.subject is None or groups.ngroups > _MOST:
             return found
-        for (a, b), group in groups:
+        for at, group in groups:
+            a, b = cast("tuple[float, float]", at)
             number = next(iter(worst_runs(group, 1)), int(group.run.iloc[0]))
             address = self.run(number)
             if address is not None:

@@ -33,7 +33,7 @@ def inline_svg(
     for address, words in (links or {}).items():
         there = re.escape(str(escape(address)))
         label = f'<a href="{escape(address)}" aria-label="{escape(words)}"><title>{escape(words)}</title>'
-        text = re.sub(rf'<a xlink:href="{there}"[^>]*>', lambda _, label=label: label, text)
+        text = re.sub(rf'<a xlink:href="{there}"[^>]*>', label.replace("\\", r"\\"), text)
     for colour, variable in THEME.items():
         text = re.sub(re.escape(colour), variable, text, flags=re.IGNORECASE)
     head, _, body = text.partition(">")

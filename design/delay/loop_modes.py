@@ -226,7 +226,8 @@ class _Modal:
 
     def __init__(self, system: control.StateSpace) -> None:
         A, B, C, D = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C, system.D))
-        self.poles, vectors = np.linalg.eig(A) if A.size else (np.zeros(0, complex), np.zeros((0, 0)))
+        poles, vectors = np.linalg.eig(A) if A.size else (np.zeros(0, complex), np.zeros((0, 0)))
+        self.poles: ComplexArray = np.asarray(poles, dtype=np.complex128)
         self._left = np.linalg.solve(vectors, B.astype(complex)) if A.size else np.zeros((0, B.shape[1]))
         self._right, self._D = C @ vectors, D
         self._residues = np.einsum("ij,jk->jik", self._right, self._left).reshape(len(self.poles), -1)

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -247,7 +248,7 @@ class Objective:
                 dA += M[size:, size:]
         return float(f), dA, dB, dC, dD
 
-    def excess(self, eigenvalues: Complex) -> tuple[Array, Complex]:
+    def excess(self, eigenvalues: npt.NDArray[np.inexact[Any]]) -> tuple[Array, Complex]:
         """v of every eigenvalue and dv/da - j dv/db."""
         a, b = eigenvalues.real, eigenvalues.imag
         modulus = np.abs(eigenvalues)

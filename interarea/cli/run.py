@@ -173,4 +173,4 @@ def _survived(scenario: Scenario, case: Case) -> str:
         made = controller_of(scenario.controller_path or scenario.controller, case, default_cache())
     except ControllerError:  # an FMU that is no linear controller: no record
         made = None
-    return first_failures(made and made.certificate)
+    return first_failures(None if made is None else made.certificate)

@@ -60,7 +60,13 @@ def sweep(
     show = _Display()
     try:
         summary = run_sweep(
-            spec, out, workers=workers, scheduler=scheduler, large=large, progress=show, retry=retry
+            spec,
+            out,
+            workers=workers,
+            scheduler=scheduler,
+            large=large,
+            progress=show,
+            retry="failed" if retry else None,
         )
     except KeyboardInterrupt:
         show.end()

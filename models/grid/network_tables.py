@@ -32,7 +32,8 @@ def network_nodes(case: Case, ports: npt.NDArray[np.float64]) -> NetworkNodes:
     """Return the nodes of `case` with the ports of its table, (ports, rows)."""
     buses, machine = len(case.buses), np.array(machine_bus_index(case), dtype=np.int64)
     load = np.array([bus_index(case)[row.bus] for row in case.loads], dtype=np.int64)
-    gaps, port = [], []
+    gaps: list[tuple[int, int]] = []
+    port: list[int] = []
     for kind, device in ports[:, :2].astype(int):
         port.append(int(load[device]) if kind == LOAD else buses + len(gaps))
         if kind != LOAD:
