@@ -65,11 +65,11 @@ def schema(kind: str) -> dict[str, Any]:
     if kind in ("scenario", "case"):
         events = _raw("events")
         made.setdefault("$defs", {}).update(events.pop("$defs", {}))
-        words = "faults, trips, pulses and steps, a table each; all are in docs/formats/events.md"
-        properties["event"] = {"type": "array", "items": events, "description": words}
+        text = "faults, trips, pulses and steps, a table each; all are in docs/formats/events.md"
+        properties["event"] = {"type": "array", "items": events, "description": text}
     if kind == "sweep":
-        words = "the scenario that is varied: bundled name, a file beside this one, or its keys"
-        properties["scenario"] = {"anyOf": [{"type": "string"}, {"type": "object"}], "description": words}
+        text = "the scenario that is varied: bundled name, a file beside this one, or its keys"
+        properties["scenario"] = {"anyOf": [{"type": "string"}, {"type": "object"}], "description": text}
         del properties["base"]
         made["required"] = ["scenario"]
         for name in [n for n in made.get("$defs", {}) if n not in _used(made)]:
