@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from interarea.models.case.case import Case
 
 
+_SHOWN = 4  # modes in a line: inter-area ones first, then the least damped
 LEAST = "least"  #: in place of a mode's name: what is damped least
 
 
@@ -38,9 +39,11 @@ class Run(Result):
     def summary(self) -> str:
         """What ran and how it went, in a line."""
         m, settled = self.metrics, self.metrics.settling_time_s
-        named = ", ".join(
-            f"{n} {zeta:.3f} at {m.frequency_hz[n]:.2f} Hz" for n, zeta in sorted(m.damping_ratio.items())
-        )
+        order = sorted(m.damping_ratio, key=lambda n: (not n.startswith("inter-area"), m.damping_ratio[n]))
+        shown = sorted(order[:_SHOWN])
+        named = ", ".join(f"{n} {m.damping_ratio[n]:.3f} at {m.frequency_hz[n]:.2f} Hz" for n in shown)
+        if len(order) > _SHOWN:
+            named += f" and {len(order) - _SHOWN} more"
         return (
             f"{self.case.name}, controller {Path(self.scenario.controller).name}, "
             f"{float(self.trajectory.time_s[-1]):g} s: {self.swing.name} "
