@@ -128,10 +128,6 @@ def measured(name: str, folder: Path) -> dict[str, Any]:
     return found
 
 
-def _work(name: str, folder: Path, out: Any) -> None:
-    out.put(measured(name, folder))
-
-
 def main() -> None:
     """Print a line for each run of each grid."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -142,11 +138,8 @@ def main() -> None:
     rows = []
     start = multiprocessing.get_context("spawn")
     for name in options.grid:
-        out = start.Queue()
-        worker = start.Process(target=_work, args=(name, options.folder, out))
-        worker.start()
-        row = out.get()
-        worker.join()
+        with start.Pool(1) as pool:
+            row = pool.apply(measured, (name, options.folder))
         rows.append(row)
         print(
             f"{name}: {row['buses']} buses, {row['machines']} machines; import {row['import_s']:.1f} s, FMU "
