@@ -62,8 +62,11 @@ def schema(kind: str) -> dict[str, Any]:
         properties["change"] = {"type": "object", "description": "a variant: what differs from `base`"}
         properties["base"] = {"type": "string", "description": "a variant: the case that it changes"}
         made["required"] = ["name"]
+    if kind in ("scenario", "events"):
+        _allow_cycles(made)
     if kind in ("scenario", "case"):
         events = _raw("events")
+        _allow_cycles(events)
         made.setdefault("$defs", {}).update(events.pop("$defs", {}))
         text = "faults, trips, pulses and steps, a table each; all are in docs/formats/events.md"
         properties["event"] = {"type": "array", "items": events, "description": text}
@@ -75,6 +78,25 @@ def schema(kind: str) -> dict[str, Any]:
         for name in [n for n in made.get("$defs", {}) if n not in _used(made)]:
             del made["$defs"][name]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **made, "title": f"interarea {kind}"}
+
+
+#: a time in periods of the case's frequency
+_CYCLES = {"type": "string", "pattern": "cycle|start|s$"}
+
+
+def _allow_cycles(made: dict[str, Any]) -> None:
+    """Let every time be words such as "8 cycles", and the loss of a channel be a number."""
+    for part in (made, *made.get("$defs", {}).values()):
+        properties = part.get("properties", {})
+        for key, rule in properties.items():
+            if key.endswith("_s") and "$ref" not in rule:
+                about = {k: rule[k] for k in ("default", "description", "title") if k in rule}
+                plain = {k: v for k, v in rule.items() if k not in about}
+                forms = plain.pop("anyOf", None) or [plain]
+                properties[key] = {"anyOf": [*forms, _CYCLES], **about}
+        if "anyOf" in properties.get("loss", {}):
+            share = {"type": "number", "minimum": 0, "maximum": 1}
+            properties["loss"]["anyOf"] = [share, *properties["loss"]["anyOf"]]
 
 
 def _loose(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -152,6 +174,12 @@ def page(kind: str) -> str:
         "default and an example; made by `docs/formats/make.py` from the models that check the files.",
         "",
     ]
+    if kind in ("scenario", "events"):
+        lines += [
+            'A time may be in seconds or words: `"8 cycles"` of the case\'s frequency, `"1.0 s + 8 cycles"`, '
+            'and in an event `"start + 8 cycles"`.',
+            "",
+        ]
     if "properties" in made:
         lines += _table("top level", made, comments, examples)
     elsewhere = _raw("events")["$defs"] if kind in ("scenario", "case") else {}
@@ -203,7 +231,7 @@ def _holds(rule: Mapping[str, Any]) -> str:
         return f"table {rule['$ref'].rpartition('/')[2]}"
     for form in ("anyOf", "oneOf"):
         if form in rule:
-            parts = [_holds(r) for r in rule[form] if r.get("type") != "null"]
+            parts = [_holds(r) for r in rule[form] if r.get("type") != "null" and r != _CYCLES]
             return " or ".join(dict.fromkeys(parts))
     if "const" in rule:
         return f"`{json.dumps(rule['const'])}`"
@@ -330,7 +358,7 @@ def write(pages: Path) -> list[Path]:
     for kind in kinds():
         for file, text in (
             (pages / f"{kind}.md", page(kind)),
-            (SCHEMAS / f"{kind}.json", json.dumps(schema(kind), indent=1) + "\n"),
+            (SCHEMAS / f"{kind}.json", json.dumps(schema(kind), separators=(",", ":")) + "\n"),
         ):
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(text, encoding="utf-8")

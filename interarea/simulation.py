@@ -77,8 +77,8 @@ def simulate(
     """
     if case is not None and isinstance(scenario, Mapping):
         scenario = {**scenario, "case": case_like(case).name}
-    loaded = load_scenario(scenario)
     grid = None if case is None else case_like(case)
+    loaded = load_scenario(scenario, frequency_hz=None if grid is None else grid.frequency_hz)
     if grid is not None:
         loaded = loaded.model_copy(update={"case": grid.name})
     if controller is not None:

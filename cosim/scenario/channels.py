@@ -75,7 +75,7 @@ class ChannelLine(Table):
     jitter_s: Seconds = 0.0  #: each packet is late by 0 to this much more, evenly spread
     #: random latency of each packet on top of `latency_s`
     latency: Annotated[GammaLatency | EmpiricalLatency, Field(discriminator="kind")] | None = None
-    #: random loss of packets
+    #: random loss of packets; a number is the share that is lost, each packet by itself
     loss: Annotated[BernoulliLoss | GilbertElliottLoss, Field(discriminator="kind")] | None = None
     quantum: Seconds = 0.0  #: values are rounded to multiples of this; 0: not rounded
     pdc_wait_s: Seconds = 0.0  #: a packet is handed on so long after its time stamp, or not at all
@@ -86,6 +86,12 @@ class ChannelLine(Table):
     def keys_at(cls, location: Sequence[int | str]) -> list[str]:
         """Return the keys allowed where `location` points into the table, for errors."""
         return list(cls.model_fields)
+
+    @field_validator("loss", mode="before")
+    @classmethod
+    def _share_lost(cls, value: object) -> object:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        return {"kind": "bernoulli", "rate": float(value)} if number else value  # type: ignore[arg-type]
 
     @field_validator("latency_s")
     @classmethod

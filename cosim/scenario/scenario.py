@@ -58,8 +58,9 @@ Optional besides: `swing = ["G2", "G4"]`, the machines whose difference of speed
 (default: those of the case, else the extreme ones of the inter-area mode's shape); `title`, `source`,
 `[master]` (inputs, loops, tolerance, arrivals, early; `joint = true`: one block and no master) and
 `[expect]`, the outcome that the gallery states and the tests assert. A signal without a channel reaches the
-controller undelayed. An instant is a whole number of nanoseconds; one between two is taken as the nearer,
-and the delay ledger says so.
+controller undelayed. A time may be in periods of the case's frequency: "8 cycles", "1.0 s + 8 cycles", and in
+an event "start + 8 cycles". An instant is a whole number of nanoseconds; one between two is taken as the
+nearer, and the delay ledger says so.
 """
 
 from __future__ import annotations
@@ -80,6 +81,7 @@ from pydantic import (
 
 from interarea.design.controllers.bundled import shipped_names
 from interarea.models.blocks.sizes import MOST_SIGNALS
+from interarea.models.case.cycles import in_seconds
 from interarea.models.errors import CaseError
 from interarea.models.table import ShortName, Table, Title
 
@@ -351,8 +353,12 @@ def _beside(folder: Path, name: str) -> str | Path:
     return name
 
 
-def load_scenario(source: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
+def load_scenario(
+    source: str | Path | Mapping[str, Any] | Scenario, *, frequency_hz: float | None = None
+) -> Scenario:
     """Return the scenario of a TOML file, a bundled name, or a dict of the same keys.
+
+    frequency_hz : of the grid that takes the place of the scenario's case; "8 cycles" are of that.
 
     Raises
     ------
@@ -361,7 +367,7 @@ def load_scenario(source: str | Path | Mapping[str, Any] | Scenario) -> Scenario
     if isinstance(source, Scenario):
         return source
     if isinstance(source, Mapping):
-        return _checked(dict(source), "scenario", Path())
+        return _checked(dict(source), "scenario", Path(), frequency_hz)
     path = Path(source)
     if not path.suffix and not path.exists():
         path = BUNDLED / f"{path.name}.toml"
@@ -373,7 +379,7 @@ def load_scenario(source: str | Path | Mapping[str, Any] | Scenario) -> Scenario
     if not path.exists():
         raise ScenarioError(f"{path}: no such scenario file")
     table = read_toml(path, "scenario", ScenarioError)
-    return _checked({"name": path.stem[:64], **table}, str(path), path.parent)
+    return _checked({"name": path.stem[:64], **table}, str(path), path.parent, frequency_hz)
 
 
 def scenario_names() -> list[str]:
@@ -381,8 +387,20 @@ def scenario_names() -> list[str]:
     return sorted(p.stem for p in BUNDLED.glob("*.toml"))
 
 
-def _checked(table: dict[str, Any], where: str, folder: Path) -> Scenario:
+def _frequency_hz(table: Mapping[str, Any], where: str, folder: Path) -> float:
+    """Rated frequency of the case that a table names, which times in cycles are of."""
+    from interarea.models.case.case import load_case
+
+    named = table.get("case")
+    if not isinstance(named, str) or not named:
+        raise ScenarioError(f"{where}: a time in cycles is of a case's frequency; name one (case = ...)")
+    return load_case(_beside(folder, named)).frequency_hz
+
+
+def _checked(table: dict[str, Any], where: str, folder: Path, frequency_hz: float | None) -> Scenario:
+    given = table
     try:
+        table = in_seconds(given, lambda: frequency_hz or _frequency_hz(given, where, folder))
         tables = table.get("event", [])
         if not isinstance(tables, list | tuple):
             raise ScenarioError(f"{where}: event = {tables!r}, allowed: [[event]] tables")

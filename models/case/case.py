@@ -35,6 +35,7 @@ from pydantic import ValidationError, model_validator
 from ..documents import DocumentError, parse_toml
 from ..errors import CaseError, nearest, one_line, reason
 from .checks import check_whole
+from .cycles import in_seconds
 from .event_targets import check_events
 from .events import events_of
 from .file_kind import other_kind
@@ -140,7 +141,10 @@ def case_of(document: Mapping[str, Any], *, where: str) -> Case:
     for row in raw["branches"]:
         _to_case_base(row, raw.get("base_mva"), where)
     raw["sources"] = sources
-    raw["event"] = events_of(raw.get("event", ()), where=where)
+    hz, events = raw.get("frequency_hz"), raw.get("event", ())
+    if isinstance(hz, int | float) and hz > 0.0:
+        events = in_seconds({"event": events}, lambda: hz)["event"]
+    raw["event"] = events_of(events, where=where)
     try:
         return Case.model_validate(raw)
     except ValidationError as error:
