@@ -51,6 +51,7 @@ EXAMPLES = {
     "check": "interarea check loop.ssp",
     "import": "interarea import docs/tutorial/grid.raw --dyr docs/tutorial/grid.dyr --out grid.toml",
     "export": "interarea export new-england --out grid.raw",
+    "device": "interarea device sexs --draw sexs.svg",
     "cache": "interarea cache --check",
     "study": "interarea study thesis --out out/thesis --no-second-solver",
 }

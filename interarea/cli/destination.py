@@ -26,13 +26,13 @@ def file_for(path: Path, option: str = "--out", *, suffix: str = "") -> Path:
 
     Raises DestinationError, naming `option`.
     """
-    if suffix and path.suffix.lower() != suffix:
-        raise DestinationError(f"{option} {path}: suffix {path.suffix!r}, allowed: {suffix}")
     if path.is_dir():
         raise DestinationError(f"{option} {path}: is a folder, wanted: the name of a file")
     if path.exists() and not path.is_file():
         raise DestinationError(f"{option} {path}: is no ordinary file, wanted: the name of a file")
     _require_room(path, path.parent, option)
+    if suffix and path.suffix.lower() != suffix:
+        raise DestinationError(f"{option} {path}: suffix {path.suffix!r}, allowed: {suffix}")
     return path
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections import Counter
@@ -101,8 +102,8 @@ def test_every_cell_of_the_grid_is_run_once_for_each_sample(document: dict[str, 
     assert sweep.size == size
     assume(size <= 2000)
     cells = Counter(tuple(sweep.values(k)[n] for n in listed) for k in range(size))
-    assert len(cells) == size // (sweep.samples or 1)
-    assert set(cells.values()) == {sweep.samples or 1}
+    grid = [[p.grid_value(k) for k in range(p.size)] for p in listed.values()]
+    assert cells == Counter(cell for cell in itertools.product(*grid) for _ in range(sweep.samples or 1))
     for n, p in listed.items():
         assert {cell[list(listed).index(n)] for cell in cells} == {p.grid_value(k) for k in range(p.size)}
     for run in (-1, size):

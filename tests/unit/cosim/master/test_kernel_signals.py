@@ -24,8 +24,8 @@ from interarea.cosim.master.kernel.build import KIND_OF, KernelSignal
 from interarea.cosim.master.master import Master
 from interarea.cosim.master.signals import Kind, Signal
 from interarea.cosim.polynomials import mean_between, slope_at, value_at
-from interarea.cosim.run.artefacts import block_fmu
 from interarea.fmu_build.open.fmu_file import FmuFile
+from interarea.fmu_build.write.package import block_fmu
 
 SHIM = """
 #include "signals.h"
