@@ -62,11 +62,8 @@ def schema(kind: str) -> dict[str, Any]:
         properties["change"] = {"type": "object", "description": "a variant: what differs from `base`"}
         properties["base"] = {"type": "string", "description": "a variant: the case that it changes"}
         made["required"] = ["name"]
-    if kind in ("scenario", "events"):
-        _allow_cycles(made)
     if kind in ("scenario", "case"):
         events = _raw("events")
-        _allow_cycles(events)
         made.setdefault("$defs", {}).update(events.pop("$defs", {}))
         text = "faults, trips, pulses and steps, a table each; all are in docs/formats/events.md"
         properties["event"] = {"type": "array", "items": events, "description": text}
@@ -82,6 +79,8 @@ def schema(kind: str) -> dict[str, Any]:
 
 #: a time in periods of the case's frequency
 _CYCLES = {"type": "string", "pattern": "cycle|start|s$"}
+#: forms of a value that a table of keys leaves out
+_UNSAID = (_CYCLES, {"type": "null"})
 
 
 def _allow_cycles(made: dict[str, Any]) -> None:
@@ -117,10 +116,14 @@ def _raw(kind: str) -> dict[str, Any]:
     if kind == "events":
         from interarea.models.case.events import Event
 
-        return TypeAdapter(Event).json_schema()
-    if kind == "controller":
+        made = TypeAdapter(Event).json_schema()
+    elif kind == "controller":
         return _controller_schema()
-    return _model(kind).model_json_schema(by_alias=True)
+    else:
+        made = _model(kind).model_json_schema(by_alias=True)
+    if kind in ("scenario", "events"):
+        _allow_cycles(made)
+    return made
 
 
 def _model(kind: str) -> type[BaseModel]:
@@ -231,7 +234,7 @@ def _holds(rule: Mapping[str, Any]) -> str:
         return f"table {rule['$ref'].rpartition('/')[2]}"
     for form in ("anyOf", "oneOf"):
         if form in rule:
-            parts = [_holds(r) for r in rule[form] if r.get("type") != "null" and r != _CYCLES]
+            parts = [_holds(r) for r in rule[form] if r not in _UNSAID]
             return " or ".join(dict.fromkeys(parts))
     if "const" in rule:
         return f"`{json.dumps(rule['const'])}`"
