@@ -6,7 +6,9 @@
 #include <time.h>
 
 #include "block.h"
+#include "layout.h"
 #include "physics.h"
+#include "sparse.h"
 
 typedef struct {
     Record record;
