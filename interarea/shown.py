@@ -29,7 +29,9 @@ def _frame(rows: Sequence[Mapping[str, Any]], index: str | None = None) -> pd.Da
 
 
 def _html(title: str, table: pd.DataFrame) -> str:
-    return f"<p><b>{html.escape(title)}</b></p>{table.to_html(float_format='{:.4g}'.format, max_rows=40)}"
+    shown = table if table.index.name is None else table.reset_index()  # no header cell is left empty
+    text = shown.to_html(float_format="{:.4g}".format, max_rows=40, index=False)
+    return f"<p><b>{html.escape(title)}</b></p>{text}"
 
 
 @dataclass(frozen=True, repr=False)
