@@ -6,7 +6,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -59,6 +59,16 @@ class FaultRun:
         return document
 
 
+class GridRun(Protocol):
+    """What is run: a scenario as a document, and its controller as an object."""
+
+    @property
+    def stop_s(self) -> float: ...
+    @property
+    def controller(self) -> Controller | None: ...
+    def document(self) -> dict[str, Any]: ...
+
+
 class FaultRuns:
     """Runs faults in one grid; FMUs and instances live as long as this context manager."""
 
@@ -70,7 +80,7 @@ class FaultRuns:
             self._library = plant_group(cache=cache)
         first, last = case.machines[0].name, case.machines[-1].name
         self._swing = Swing(first, last, "not looked at")
-        self._live: dict[tuple[int, int], dict[str, FmuParticipant]] = {}
+        self._live: dict[tuple[int, int, tuple[str, ...]], dict[str, FmuParticipant]] = {}
 
     def __enter__(self) -> FaultRuns:
         return self
@@ -81,7 +91,7 @@ class FaultRuns:
                 p.close()
         self._fmus.close()
 
-    def run(self, runs: Sequence[FaultRun]) -> Iterator[Trajectory]:
+    def run(self, runs: Sequence[GridRun]) -> Iterator[Trajectory]:
         """Give what each run showed, in order, as far as it came.
 
         Raises whatever ended a run other than a step that failed (StepError).
@@ -97,7 +107,7 @@ class FaultRuns:
                     raise error
                 yield master.trajectory
 
-    def largest_angles(self, runs: Sequence[FaultRun]) -> list[float]:
+    def largest_angles(self, runs: Sequence[GridRun]) -> list[float]:
         """Return the largest angle between two machines of each run, rad; inf where it ended early."""
         found = []
         for run, data in zip(runs, self.run(runs), strict=True):
@@ -106,7 +116,7 @@ class FaultRuns:
             found.append(float(np.ptp(angles, axis=0).max()) if ended else np.inf)
         return found
 
-    def _master(self, lane: int, run: FaultRun) -> Master:
+    def _master(self, lane: int, run: GridRun) -> Master:
         system = system_of(
             load_scenario(run.document()),
             case=self.case,
@@ -114,7 +124,7 @@ class FaultRuns:
             swing=self._swing,
             fmus=self._fmus,
         )
-        live = self._live.setdefault((lane, id(run.controller)), {})
+        live = self._live.setdefault((lane, id(run.controller), tuple(system.instances)), {})
         for name, made in system.instances.items():
             if name in live:
                 live[name].set_start(made.start)

@@ -25,18 +25,9 @@ from interarea.models.case.case import Case, load_case
 from interarea.models.case.variants import operating_variant
 from interarea.models.files import temporary_folder
 
-from ..designs.fault_runs import longest_kept
-from ..errors import StepError
-from ..master.instances import FmuParticipant
-from ..master.isolated import participant_of
-from ..master.lockstep import advance_together
-from ..master.master import Master
+from ..designs.fault_runs import FaultRuns, longest_kept
 from ..run.artefacts import linear_plant, plant_fmu
 from ..run.controllers import controller_fmu
-from ..run.instance import Fmus
-from ..run.run import system_of
-from ..run.swing_signal import swing_of
-from ..scenario.scenario import load_scenario
 from ..sweep.lane_batches import lanes_here
 from .delay import least_swing
 
@@ -174,8 +165,23 @@ def _make_rows(
     return rows
 
 
+@dataclass(frozen=True)
+class _Run:
+    """A setting with its scenario, as `FaultRuns` takes it."""
+
+    scenario: Mapping[str, Any]
+    controller: Controller | None
+
+    @property
+    def stop_s(self) -> float:
+        return float(self.scenario["stop_s"])
+
+    def document(self) -> dict[str, Any]:
+        return dict(self.scenario)
+
+
 class Faults:
-    """Live loops of one case, one for each setting, made once and reset for every clearing time."""
+    """The disturbance of the specification in one case, cleared after any time."""
 
     def __init__(
         self, spec: Mapping[str, Any], controllers: Mapping[str, Controller], case: Case, cache: Path
@@ -186,34 +192,21 @@ class Faults:
         self.start_s = float(next(e["start_s"] for e in events if e["kind"] == "bus_fault"))
         self.clearing_s = self.clear_s - self.start_s  #: of the fault as specified
         self.controllers = dict(controllers)
-        self._library = lanes_here(cache).library
-        self._fmus = Fmus(cache)
-        self._swing = swing_of(case, cache)
-        self._live: dict[Setting, dict[str, FmuParticipant]] = {}
+        self._runs = FaultRuns(case, cache)
 
     def __enter__(self) -> Faults:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for participants in self._live.values():
-            for p in participants.values():
-                p.close()
-        self._fmus.close()
+        self._runs.__exit__()
 
     def largest_angles(self, clearing_s: Mapping[Setting, float]) -> dict[Setting, float]:
         """Return the largest angle between two machines (rad) in the run of each setting; inf: it failed."""
-        masters = [self._master(setting, value) for setting, value in clearing_s.items()]
-        for master in masters:
-            master.start()
-        errors = advance_together(masters)
-        found = {}
-        for setting, master, error in zip(clearing_s, masters, errors, strict=True):
-            if error is not None and not isinstance(error, StepError):
-                raise error
-            curves = master.trajectory
-            angles = np.array([curves[f"plant.{m.name}_delta"] for m in self.case.machines])
-            found[setting] = float("inf") if error else float(np.ptp(angles, axis=0).max())
-        return found
+        runs = [
+            _Run(self.document(setting, value), self.controllers.get(setting.controller))
+            for setting, value in clearing_s.items()
+        ]
+        return dict(zip(clearing_s, self._runs.largest_angles(runs), strict=True))
 
     def document(self, setting: Setting, clearing_s: float) -> dict[str, Any]:
         """Return the scenario of a setting; a branch that is out already is not tripped."""
@@ -236,21 +229,3 @@ class Faults:
             outage = [[table["lost_at_s"], stop]]
             document["channels"] = {"remote": {"signal": self.spec["remote"], "outages_s": outage}}
         return document
-
-    def _master(self, setting: Setting, clearing_s: float) -> Master:
-        scenario = load_scenario(self.document(setting, clearing_s))
-        system = system_of(
-            scenario,
-            case=self.case,
-            controller=self.controllers.get(setting.controller, NONE),
-            swing=self._swing,
-            fmus=self._fmus,
-        )
-        live = self._live.setdefault(setting, {})
-        for name, made in system.instances.items():
-            if name in live:
-                live[name].set_start(made.start)
-            else:
-                group = self._library if name == "plant" else None
-                live[name] = participant_of(name, made.file, made.start, group=group)
-        return system.master(live.values())
