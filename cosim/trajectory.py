@@ -88,6 +88,17 @@ class Trajectory:
         ]
 
     @property
+    def not_finite(self) -> list[str]:
+        """A line on each signal that is not finite somewhere: to go on, nothing may have been connected."""
+        found = []
+        for name, values in self._columns.items():
+            bad = np.flatnonzero(~np.isfinite(values))
+            if bad.size:
+                when = f"at {bad.size} of {len(values)} points, first at t = {self.time_s[bad[0]]:.9g} s"
+                found.append(f"{name} is {values[bad[0]]} {when}; nothing is connected to it")
+        return found
+
+    @property
     def time_s(self) -> npt.NDArray[np.float64]:
         return self[TIME]
 

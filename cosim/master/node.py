@@ -50,8 +50,7 @@ class Node:
         self.order = order
         self.substeps = substeps
         self.has_slopes = any(s.slope_index >= 0 for s in signals)
-        self._names = [p.name for p in participant.description.outputs]
-        self._n_y = len(self._names)
+        self._sent = [s.index for s in signals]
 
     def advance(self, step: Step) -> None:
         """Step the participant and tell its signals their ends."""
@@ -114,14 +113,14 @@ class Node:
         p.send(0)
 
     def check(self, tick: int) -> None:
-        """Raise StepError when an output is not finite."""
+        """Raise StepError when an output that something is connected to is not finite."""
         p = self.participant
-        values = p.y[: self._n_y]
-        if all(map(math.isfinite, values)):
+        y = p.y
+        bad = next((i for i in self._sent if not math.isfinite(y[i])), None)
+        if bad is None:
             return
-        name, value = next((n, v) for n, v in zip(self._names, values, strict=True) if not math.isfinite(v))
         raise StepError(
-            f"output {name} is {value}",
+            f"output {p.description.outputs[bad].name} is {y[bad]}",
             instance=p.name,
             call="reading outputs",
             time_s=seconds(tick),

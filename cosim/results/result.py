@@ -23,12 +23,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Result:
-    """`trajectory`, delay `ledger`, `packets` and the `explanation` of how it was stepped."""
+    """`trajectory`, delay `ledger`, `packets` and the `explanation` of how it was stepped.
+
+    warnings : a line on each thing that did no harm here and is not as it should be.
+    """
 
     trajectory: Trajectory
     ledger: DelayLedger
     packets: PacketLedger
     explanation: str
+    warnings: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.trajectory!r})"
@@ -74,7 +78,8 @@ class Result:
 
     def explain(self) -> str:
         """Return how it was stepped: step, order, loops, unconnected inputs, delay and packet ledgers."""
-        return f"{self.explanation}\n\n{self.packets}"
+        told = "".join(f"\n\nwarning: {line}" for line in self.warnings)
+        return f"{self.explanation}\n\n{self.packets}{told}"
 
 
 def write_json(value: object, path: Path) -> None:

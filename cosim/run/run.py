@@ -96,6 +96,7 @@ def system_of(
         step_s=scenario.step_s,
         cache=cache,
         arrivals=scenario.master.arrivals,
+        strict=scenario.strict,
         **scenario.master.options,
     )
     if fmus is not None:

@@ -72,6 +72,7 @@ class System:
     cache : folder of FMUs and designs; default `default_cache()`.
     arrivals : ``exact``: packets come out of a channel at their instant, which is a communication point;
         ``grid``: at the next point there is, as the ledger then says.
+    strict : refuse FMUs whose description breaks the standard where it does no harm; else a warning tells.
     options : `Master`'s (inputs, loops, tolerance, substeps, engine).
     """
 
@@ -83,10 +84,12 @@ class System:
         step_s: float | None = None,
         cache: Path | None = None,
         arrivals: Literal["exact", "grid"] = "exact",
+        strict: bool = False,
         **options: Any,
     ) -> None:
         self.stop_s, self.start_s = on_tick(stop_s, "stop_s"), on_tick(start_s, "start_s")
         self.step_s, self.options, self.arrivals = step_s, options, arrivals
+        self.strict = strict
         self.fmus = Fmus(default_cache() if cache is None else cache)  #: opened files
         self.scenario: Scenario | None = None  #: that this is the system of
         self.swing: Swing | None = None  #: what runs of that scenario are judged by
@@ -175,6 +178,8 @@ class System:
 
     def put(self, instance: Instance) -> System:
         self._free(instance.name)
+        if self.strict:
+            instance.file.refuse_breaches()
         self.parts[instance.name] = instance
         return self
 
@@ -364,6 +369,7 @@ class System:
             "ledger": ledger,
             "packets": packet_ledger(done, self.channels),
             "explanation": explain(master, ledger),
+            "warnings": (*self._file_warnings(), *done.not_finite),
         }
         if self.scenario is None or self.swing is None:
             return Result(**common)
@@ -398,6 +404,11 @@ class System:
             points=lambda stop_s: points_of(lines.values(), self.arrivals, 0.0, stop_s),
             interval_s=max([line.reporting_interval_s for line in lines.values()], default=0.0),
         )
+
+    def _file_warnings(self) -> list[str]:
+        """Of each FMU that is not as the standard says, a line."""
+        told = (instance.file.warning for instance in self.parts.values())
+        return list(dict.fromkeys(line for line in told if line))
 
     def _slots(self, plant: str) -> int:
         return max(EVENT_SLOTS, len(self.events.get(plant, ())))

@@ -202,6 +202,8 @@ class Scenario(Table):
     concentrators: Mapping[ShortName, ConcentratorTable] = {}
     fmus: Mapping[ShortName, FmuTable] = {}  #: name -> an FMU of one's own
     connections: tuple[tuple[str, ...], ...] = ()  #: [from, channels on the way, to] for FMUs of one's own
+    #: refuse an FMU whose description breaks the standard even where it does no harm; else a warning tells
+    strict: bool = False
     event: tuple[Any, ...] = ()  #: faults, trips, pulses and steps, a table each
     #: [machine, machine]: the difference of speeds that the run is judged by; default: the case's, else the
     #: extreme machines of the inter-area mode

@@ -128,7 +128,10 @@ def plan_sweep(
         {key: _content(controller) for key, controller in made.items()},
         ("inter-area", *(f"local area {a}" for a in areas)),
         code_version(),
-        {name: _kept_fmu(folder / fmu.file, cache) for name, fmu in sweep.base.fmus.items()},
+        {
+            name: _kept_fmu(folder / fmu.file, cache, sweep.base.strict)
+            for name, fmu in sweep.base.fmus.items()
+        },
         {name: astuple(swing_of(case, cache, sweep.base.swing)) for name, case in cases.items()},
     )
 
@@ -183,14 +186,17 @@ def own_fmu(cache: Path, key: str) -> Path:
     return path
 
 
-def _kept_fmu(path: Path, cache: Path) -> str:
+def _kept_fmu(path: Path, cache: Path, strict: bool) -> str:
     """Copy an FMU of the user's into the cache, from where it goes to all workers; return its hash.
 
     Raises
     ------
     GraphError : no such file, or no FMU that the master can step.
     """
-    FmuFile(path).close()
+    file = FmuFile(path)
+    if strict:
+        file.refuse_breaches()
+    file.close()
     key = file_hash(path)
     artefact(cache, "own", key, ".fmu", lambda place: shutil.copyfile(path, place))
     return key

@@ -148,10 +148,10 @@ class Drive:
 
 def step_size(d: ModelDescription) -> float:
     """Return the default experiment's step, else a hundredth of it, else 10 ms."""
-    values = {k: float(v) for k, v in d.experiment.items()}
-    if values.get("stepSize", 0.0) > 0.0:
-        return values["stepSize"]
-    length = values.get("stopTime", 1.0) - values.get("startTime", 0.0)
+    step_s = d.experiment_s("stepSize", 0.0)
+    if step_s > 0.0:
+        return step_s
+    length = d.experiment_s("stopTime", 1.0) - d.experiment_s("startTime", 0.0)
     return length / 100.0 if length > 0.0 else 0.01
 
 

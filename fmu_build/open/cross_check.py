@@ -43,8 +43,7 @@ def add_cross_check(fmu: Path, path: Path) -> Path:
     """
     file = FmuFile(fmu)
     try:
-        experiment = file.model.experiment
-        step_s, stop_s = (float(experiment.get(k, d)) for k, d in (("stepSize", "0.01"), ("stopTime", "1")))
+        step_s, stop_s = (file.model.experiment_s(k, d) for k, d in (("stepSize", 0.01), ("stopTime", 1.0)))
         count = max(1, min(_MOST_STEPS, round(stop_s / step_s)))
         variables = file.model.variables
         inputs = [v for v in variables if v.causality == "input" and v.type == "Real"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -80,6 +81,14 @@ class ModelDescription:
         """Return a Boolean capability of an interface."""
         return self.interfaces.get(interface, {}).get(attribute, "false") in ("true", "1")
 
+    def experiment_s(self, name: str, default: float) -> float:
+        """Return a time of the default experiment, s; `default` where none that is a number is given."""
+        try:
+            value = float(self.experiment.get(name, default))
+        except ValueError:
+            return default
+        return value if math.isfinite(value) else default
+
     def dimension(self, unit: str) -> Dimension | None:
         """Return the exponents of the base units of a unit, None if they are not known."""
         defined = self.unit_table.get(unit)
@@ -124,8 +133,11 @@ def read_description(root: Any) -> ModelDescription:
     )
 
 
-def _count(text: str) -> int:
-    return int(text) if text.isdecimal() and len(text) < 7 else 0
+def _count(text: str, other: int = 0, *, below: int = 10**7) -> int:
+    """Return a whole number as written; `other` where it is none, or none that is `below`."""
+    text = text.strip()
+    known = text.isascii() and text.isdecimal() and len(text) <= 10 and int(text) < below
+    return int(text) if known else other
 
 
 def _interfaces(root: Any) -> list[str]:
@@ -147,7 +159,7 @@ def _variables(root: Any, types: dict[str, tuple[str, dict[str, Any]]]) -> list[
             ScalarVariable(
                 index=index,
                 name=e.get("name", ""),
-                reference=int(reference) if reference.isdigit() and int(reference) < 2**32 else -1,
+                reference=_count(reference, -1, below=2**32),
                 type="" if typed is None else typed.tag,
                 causality=causality,
                 variability=variability,
@@ -167,7 +179,6 @@ def _unknowns(root: Any, section: str) -> tuple[Unknown, ...]:
         dependencies = e.get("dependencies")
         indices = None
         if dependencies is not None:
-            indices = tuple(int(d) for d in dependencies.split() if d.isdigit())
-        index = e.get("index", "")
-        found.append(Unknown(int(index) if index.isdigit() else 0, indices))
+            indices = tuple(_count(d) for d in dependencies.split())
+        found.append(Unknown(_count(e.get("index", "")), indices))
     return tuple(found)

@@ -346,4 +346,4 @@ def numeric(variables: Sequence[ScalarVariable]) -> list[ScalarVariable]:
 
 def start_time(d: ModelDescription) -> float:
     """Return the start time of the default experiment, 0 if there is none."""
-    return float(d.experiment.get("startTime", 0.0))
+    return d.experiment_s("startTime", 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +15,7 @@ from ..finding import Report
 from ..write.cache import host_machine
 from ..write.compile import PLATFORMS, host_platform
 from .archive import read_checked, unpack_checked
+from .breaches import mended
 from .description import ModelDescription, ScalarVariable, read_description
 from .images import FOLDERS, ImageError, read_image
 from .ports import Description, Port, Type
@@ -35,6 +37,7 @@ class FmuFile:
     """An FMU, checked; its files are unpacked where its `folder` is asked for, until `close` or the end.
 
     interface : "CoSimulation", which the master steps, or "ModelExchange".
+    breaches : what breaks the standard in its description, does no harm here and was put right (`mended`).
 
     Raises
     ------
@@ -44,7 +47,7 @@ class FmuFile:
     def __init__(self, path: str | Path, interface: str = "CoSimulation") -> None:
         self.path = Path(path)
         self.interface = interface
-        self.model, names = _looked_at(self.path, interface)
+        self.model, names, self.breaches = _looked_at(self.path, interface)
         folders = {n.split("/")[1] for n in names if n.startswith("binaries/") and n.count("/") > 1}
         self._platform = next((f for f in host_folders() if f in folders), None)
         if self._platform is None:
@@ -55,6 +58,19 @@ class FmuFile:
             )
         self._folder: Path | None = None
         self._known: set[Path] = set()
+
+    @property
+    def warning(self) -> str:
+        """A line on `breaches`; "" where there are none."""
+        if not self.breaches:
+            return ""
+        more = f" and {len(self.breaches) - 1} more" if len(self.breaches) > 1 else ""
+        return f"{self.path.name}: its {DESCRIPTION} breaks the standard: {self.breaches[0]}{more}"
+
+    def refuse_breaches(self) -> None:
+        """Raise FmuFileError where the description breaks the standard, harmless or not."""
+        if self.breaches:
+            raise FmuFileError(f"{self.warning}; it does no harm: without strict = true it runs")
 
     @property
     def folder(self) -> Path:
@@ -121,15 +137,16 @@ class FmuFile:
 
     @cached_property
     def variables(self) -> dict[str, ScalarVariable]:
-        """Every variable by name."""
-        return {v.name: v for v in self.model.variables}
+        """Every variable that can be named, set or asked, by name; of two of one name the first."""
+        known = (v for v in reversed(self.model.variables) if v.name and v.type and v.reference >= 0)
+        return {v.name: v for v in known}
 
     @cached_property
     def enumerations(self) -> dict[str, dict[str, int]]:
         """Of each Enumeration variable: item name -> value."""
         types = self.model.types
         return {
-            v.name: {item: int(_number(value, 0.0)) for item, value in types[declared][1]["items"]}
+            v.name: {item: _whole(value) for item, value in types[declared][1]["items"]}
             for v in self.model.variables
             if v.type == "Enumeration" and (declared := v.typed.get("declaredType", "")) in types
         }
@@ -144,7 +161,7 @@ class FmuFile:
             feedthrough=self._dependencies(self.model.outputs),
             initial_feedthrough=self._dependencies(self.model.initial_unknowns),
             input_order=3 if self.model.flag(self.interface, "canInterpolateInputs") else 0,
-            output_order=int(_number(flags.get("maxOutputDerivativeOrder"), 0.0)),
+            output_order=_whole(flags.get("maxOutputDerivativeOrder")),
             saves_state=self.model.flag(self.interface, "canGetAndSetFMUstate"),
             variable_step=self.model.flag(self.interface, "canHandleVariableCommunicationStepSize"),
             title=self.model.name or self.path.stem,
@@ -175,8 +192,8 @@ def describe(path: Path, interface: str = "CoSimulation") -> ModelDescription:
     return _looked_at(path, interface)[0]
 
 
-def _looked_at(path: Path, interface: str) -> tuple[ModelDescription, list[str]]:
-    """Return the description and the names of the archive's entries."""
+def _looked_at(path: Path, interface: str) -> tuple[ModelDescription, list[str], tuple[str, ...]]:
+    """Return the description, the names of the archive's entries, and what was put right in the first."""
     if not path.is_file():
         raise FmuFileError(f"{path}: no such FMU file")
     report = Report(str(path))
@@ -192,10 +209,10 @@ def _looked_at(path: Path, interface: str) -> tuple[ModelDescription, list[str]]
     model = read_description(root)
     if interface not in model.interfaces:
         raise FmuFileError(f"{path.name}: has no {_PARTS[interface]} part, which is needed here")
-    broken = next(_broken(model), None)
-    if broken is not None:
-        raise FmuFileError(f"{path.name}: its {DESCRIPTION} breaks the standard: {broken}")
-    return model, content[0]
+    model, breaches, trouble = mended(model, interface, lambda text: _number(text, None))
+    if trouble:
+        raise FmuFileError(f"{path.name}: its {DESCRIPTION} breaks the standard: {trouble}")
+    return model, content[0], breaches
 
 
 def host_folders() -> tuple[str, ...]:
@@ -215,42 +232,13 @@ def host_folders() -> tuple[str, ...]:
     return tuple(dict.fromkeys((named, own) if named == "aarch64-darwin" else (own, named)))
 
 
-_CAUSALITY = {"parameter", "calculatedParameter", "input", "output", "local", "independent"}
-_VARIABILITY = {"constant", "fixed", "tunable", "discrete", "continuous"}
-
-
-def _broken(d: ModelDescription) -> Any:
-    """What keeps a master from using a description, sentence by sentence."""
-    seen: set[str] = set()
-    for v in d.variables:
-        where = f'variable "{v.name}" (line {v.line})'
-        if not v.name or v.name in seen:
-            yield f"{where} has no name of its own"
-        seen.add(v.name)
-        if v.causality not in _CAUSALITY:
-            yield f'{where} has causality "{v.causality}", allowed: {", ".join(sorted(_CAUSALITY))}'
-        if v.variability not in _VARIABILITY:
-            yield f'{where} has variability "{v.variability}", allowed: {", ".join(sorted(_VARIABILITY))}'
-        if not v.type or v.reference < 0:
-            yield f"{where} has no {'type' if not v.type else 'valueReference'}"
-        if v.unit is not None and v.unit not in d.units:
-            yield f'The unit "{v.unit}" of {where} is not defined'
-        if v.start is not None and v.type in _TYPE_OF and _number(v.start, None) is None:
-            yield f"{where} has the start value {v.start[:40]!r}, which is no number"
-    count = len(d.variables)
-    for section in (d.outputs, d.derivatives, d.initial_unknowns):
-        for u in section:
-            if not all(1 <= k <= count for k in (u.index, *(u.dependencies or ()))):
-                yield f"ModelStructure names variable {u.index} or one of its dependencies; there are {count}"
-
-
 def _port(v: ScalarVariable, d: ModelDescription) -> Port:
     return Port(
         name=v.name,
         type=_TYPE_OF[v.type],
         unit=None if v.unit is None else d.unit_table.get(v.unit, UnitOf(v.unit)),
         start=_number(v.start, 0.0),
-        nominal=abs(_number(v.typed.get("nominal"), 1.0)) or 1.0,
+        nominal=_nominal(v),
         discrete=v.type != "Real" or v.variability == "discrete",
         description=v.description,
     )
@@ -265,3 +253,15 @@ def _number(text: str | None, default: Any) -> Any:
         return float(text) if text is not None else default
     except ValueError:
         return default
+
+
+def _whole(text: str | None) -> int:
+    """Return a whole number as written, 0 where there is none or it is none."""
+    value = float(_number(text, 0.0))
+    return int(value) if math.isfinite(value) else 0
+
+
+def _nominal(v: ScalarVariable) -> float:
+    """Return the size of a variable, 1 where none that could be one is given."""
+    size = abs(float(_number(v.typed.get("nominal"), 1.0)))
+    return size if 0.0 < size < math.inf else 1.0

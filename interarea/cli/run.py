@@ -83,6 +83,8 @@ def run(
             typer.echo(result.explain())
         for file in files:
             typer.echo(file)
+        for line in result.warnings:
+            note(f"warning: {line}")
         if isinstance(result, Run):
             note(result.summary)
             if loaded.controller != "none":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 import stat
 import tempfile
@@ -11,7 +12,10 @@ from pathlib import Path
 
 import pytest
 from fmu_runner import decay_block
+from lxml import etree
 
+from interarea.cosim.run.run import run_system
+from interarea.cosim.run.system import System
 from interarea.fmu_build.errors import FmuFileError
 from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.package import block_fmu
@@ -40,13 +44,15 @@ def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def opened(path: Path, scratch: Path) -> str:
+def opened(path: Path, scratch: Path, *, strict: bool = False) -> str:
     """Open an FMU up to where its library would be loaded; return how it was refused, "" if it was not."""
     before = {p for p in path.parent.rglob("*") if scratch not in p.parents}
     try:
         file = FmuFile(path)
         try:
-            assert file.binary.is_file() and file.description.title
+            if strict:
+                file.refuse_breaches()
+            assert file.binary.is_file() and file.description.title and file.enumerations is not None
         finally:
             file.close()
         said = ""
@@ -173,7 +179,7 @@ def described(text: str) -> Iterator[tuple[str, str]]:
         yield re.sub(r'<Unknown index="\d+"', f'<Unknown index="{value}"', text), "ModelStructure"
     for value in ("0", "99999"):
         yield re.sub(r'dependencies="[^"]+"', f'dependencies="{value}"', text), "ModelStructure"
-    yield re.sub(r'unit="[^"]+"', 'unit="furlong"', text), ""
+    yield re.sub(r'unit="[^"]+"', 'unit="furlong"', text), '"furlong" is not defined'
     yield text[:start] + text[start:].replace("<Real", "<Ideal"), "type"
     yield re.sub(r'(<ScalarVariable[^>]*? name=)"[^"]*"', r'\1"same"', text), "name of its own"
     yield text.replace("modelName=", "title="), ""
@@ -182,12 +188,101 @@ def described(text: str) -> Iterator[tuple[str, str]]:
 def test_descriptions(entries: Entries, tmp_path: Path, scratch: Path) -> None:
     text, count = entries[XML].decode(), 0
     for changed, says in described(text):
-        said = opened(packed(tmp_path / "x.fmu", entries | {XML: changed.encode()}), scratch)
+        path = packed(tmp_path / "x.fmu", entries | {XML: changed.encode()})
+        said = opened(path, scratch, strict=True)
         assert says in said, (says, said)
+        opened(path, scratch)
         count += 1
     assert count >= 25
     for encoding in ("utf-16", "latin-1", "utf-8-sig"):
         opened(packed(tmp_path / "x.fmu", entries | {XML: text.encode(encoding, "replace")}), scratch)
+
+
+#: what does no harm: pattern, replacement, what the line on it says
+HARMLESS = (
+    (r'variability="[a-z]+"', 'variability="sometimes"', 'variability "sometimes", taken as'),
+    (r'(causality="parameter"[^>]*variability=)"[a-z]+"', r'\1"constant"', '"constant", taken as fixed'),
+    (r'unit="[^"]+"', 'unit="furlong"', 'unit "furlong" is not defined'),
+    (r'dependencies="[^"]+"', 'dependencies="99999"', "taken as on all inputs"),
+    (r'<Unknown index="\d+"', '<Unknown index="4000000000"', "names variable 0 of"),
+    (r'<Unknown index="\d+"', '<Unknown index="²"', "names variable 0 of"),
+    (r'(causality="local"[^>]*valueReference=)"\d+"', r'\1"³"', "left out"),
+)
+
+
+def stepped(path: Path) -> tuple[tuple[str, ...], bytes]:
+    """Return what a run warns of, and its numbers."""
+    system = System(stop_s=0.1, step_s=0.01).fmu("x", path)
+    result = system.run()
+    return result.warnings, result.to_frame().to_numpy().tobytes()
+
+
+@pytest.mark.parametrize("pattern, to, says", HARMLESS, ids=[says for *_, says in HARMLESS])
+def test_harmless_breaches_warn_and_strict_refuses(
+    pattern: str, to: str, says: str, entries: Entries, fmu: Path, tmp_path: Path
+) -> None:
+    text = entries[XML].decode()
+    changed, count = re.subn(pattern, to, text)
+    if not count:  # the block has no such variable: one that has
+        where = text.index("</ModelVariables>")
+        more = (
+            '<ScalarVariable name="more" valueReference="9" variability="tunable" causality="parameter">'
+            '<Real start="1"/></ScalarVariable>'
+            '<ScalarVariable name="own" causality="local" valueReference="9"><Real/></ScalarVariable>'
+        )
+        changed, count = re.subn(pattern, to, text[:where] + more + text[where:])
+    assert count
+    path = packed(tmp_path / "x.fmu", entries | {XML: changed.encode()})
+    warnings, numbers = stepped(path)
+    (line,) = warnings
+    assert says in line and "breaks the standard" in line and "\n" not in line
+    assert (warnings, numbers) == (warnings, stepped(fmu)[1])
+    with pytest.raises(FmuFileError, match="breaks the standard") as refused:
+        System(stop_s=0.1, step_s=0.01, strict=True).fmu("x", path)
+    assert says in str(refused.value)
+
+
+def test_strict_in_a_scenario(entries: Entries, tmp_path: Path) -> None:
+    broken = entries[XML].decode().replace('variability="', 'variability="un')
+    packed(tmp_path / "x.fmu", entries | {XML: broken.encode()})
+    table = {"folder": tmp_path, "fmus": {"x": {"file": "x.fmu"}}, "stop_s": 0.1, "step_s": 0.01}
+    assert len(run_system(table).warnings) == 1
+    with pytest.raises(FmuFileError, match="breaks the standard"):
+        run_system({**table, "strict": True})
+
+
+VALUES = ("", " ", "x", "-1", "0", "²", "1e400", "nan", "-inf", "true", "9" * 25, "9" * 5000, "1 2", "☃")
+
+
+@pytest.mark.parametrize("part", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 9))])
+def test_any_attribute_with_any_value_opens_or_is_refused(
+    part: int, entries: Entries, tmp_path: Path, scratch: Path
+) -> None:
+    """Each attribute of each kind of element: taken away, with odd values; each element gone."""
+    tree = etree.fromstring(entries[XML])
+    seen: set[tuple[str, str]] = set()
+    count = 0
+    for element in tree.iter():
+        for name in ("", *element.attrib):
+            kind = (f"{element.tag} {element.get('causality', '')}", name)
+            if kind in seen:
+                continue
+            seen.add(kind)
+            if len(seen) % 9 != part or (element is tree and not name):
+                continue
+            for value in (*VALUES, None) if name else (None,):
+                changed = copy.deepcopy(tree)
+                place = changed.getroottree().xpath(tree.getroottree().getpath(element))[0]
+                if name and value is not None:
+                    place.set(name, value)
+                elif name:
+                    del place.attrib[name]
+                else:
+                    place.getparent().remove(place)
+                text = etree.tostring(changed)
+                opened(packed(tmp_path / "x.fmu", entries | {XML: text}), scratch)
+                count += 1
+    assert count >= 50
 
 
 def test_what_is_missing(entries: Entries, tmp_path: Path, scratch: Path) -> None:

@@ -105,8 +105,9 @@ static int receive(Kernel *k, KernelNode *node, double *row)
                                        node->dy_order, node->dy);
         if (status > fmi2Warning) return call_failed(k, node, CALL_GET_DERIVATIVES, status);
     }
-    for (int i = 0; i < node->n_y; ++i)
-        if (!isfinite(y[i])) {
+    const KernelSignal *sent = k->signals + node->first_signal;   /* what nobody takes harms nobody */
+    for (int i = 0; i < node->n_signals; ++i)
+        if (!isfinite(y[sent[i].index])) {
             k->node = (int32_t)(node - k->nodes);
             return KERNEL_NOT_FINITE;
         }

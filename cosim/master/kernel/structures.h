@@ -21,7 +21,7 @@ enum {
     KERNEL_OK = 0,
     KERNEL_STOPPED,         /* `stop` was set by another thread                 */
     KERNEL_CALL_FAILED,     /* node, call, status                               */
-    KERNEL_NOT_FINITE,      /* node has an output that is not finite            */
+    KERNEL_NOT_FINITE,      /* node sends a value that is not finite            */
     KERNEL_NOT_SETTLED,     /* group does not settle; value = relative change   */
     KERNEL_PAUSED           /* `budget` is used up: look around and call again  */
 };

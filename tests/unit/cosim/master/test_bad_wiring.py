@@ -71,10 +71,12 @@ def test_compatible_units_are_converted(tmp_path: Path) -> None:
     assert result["x.y"][-1] == pytest.approx(exact, rel=1e-9)
 
 
-def test_a_unit_that_nobody_defines_is_refused(tmp_path: Path) -> None:
+def test_a_unit_that_nobody_defines_is_a_name_and_told(tmp_path: Path) -> None:
     odd = whims_fmu(tmp_path, unit="furlong")
-    with pytest.raises(FmuFileError, match=r'The unit "furlong" of variable "u" .*is not defined'):
-        System(stop_s=0.1).fmu("x", odd)
+    (line,) = System(stop_s=0.1).fmu("x", odd).run().warnings
+    assert re.search(r'variable "u" .*the unit "furlong" is not defined', line)
+    with pytest.raises(FmuFileError, match='"furlong" is not defined'):
+        System(stop_s=0.1, strict=True).fmu("x", odd)
 
 
 def test_units_of_different_dimension_are_refused() -> None:
@@ -117,11 +119,26 @@ def test_another_platform(whims: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("engine", ENGINES)
 def test_an_output_that_turns_nan_stops_the_run_there(whims: Path, engine: str) -> None:
     system = pair(whims, engine=engine).fmu("bad", whims, nan_at=0.45).connect("first.y", "bad.u")
+    system.fmu("sink", whims).connect("bad.y", "sink.u")
     with pytest.raises(StepError, match=r"bad: reading outputs at t = 0\.5 s: output y is nan") as caught:
         system.run()
     run = caught.value.trajectory
     assert run is not None and run.time_s[-1] == 0.4
     np.testing.assert_allclose(run["bad.y"], run.time_s**2 / 2, rtol=1e-12)
+
+
+def test_nan_that_nobody_takes_is_told_once(whims: Path) -> None:
+    """The run goes on to its end, with the same bits whoever steps."""
+    found = []
+    for engine in ENGINES:
+        system = pair(whims, engine=engine).fmu("bad", whims, nan_at=0.45).connect("first.y", "bad.u")
+        found.append(system.run())
+    a, b = found
+    (line,) = a.warnings
+    assert b.warnings == (line,) and line in a.explain()
+    assert line == "bad.y is nan at 6 of 11 points, first at t = 0.5 s; nothing is connected to it"
+    assert a.data.equals(b.data)
+    assert a.trajectory.time_s[-1] == 1.0 and np.isfinite(a["first.y"]).all()
 
 
 @pytest.mark.parametrize("engine", ENGINES)

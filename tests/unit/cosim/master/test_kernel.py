@@ -183,7 +183,9 @@ def mixed(foreign: dict[str, FmuFile], **start: float) -> Master:
     """Lags in a ring, and gates whose every output feeds the next gate's inputs."""
     parts = [FmuParticipant(n, foreign["lag"], {"T": t}) for n, t in (("a", 0.5), ("b", 0.2))]
     parts += [FmuParticipant("g", foreign["gate"]), FmuParticipant("h", foreign["gate"], dict(start))]
+    parts.append(FmuParticipant("sink", foreign["lag"]))
     wires = [("a.y", "b.u"), ("b.y", "a.u"), ("g.last", "h.u"), ("g.even", "h.open"), ("g.total", "h.add")]
+    wires.append(("h.y", "sink.u"))
     return Master(parts, wires, stop_s=2.0, step_s=0.1, marks_s=[0.55])
 
 

@@ -190,8 +190,9 @@ class Spoiled(Linear):
 def test_nan_stops_the_run_at_that_step_with_the_results_so_far() -> None:
     one = np.array([[-1.0]])
     bad = Spoiled("bad", one, one, one, np.zeros((1, 1)), ["u"], ["y"])
+    sink = Linear("sink", one, one, one, np.zeros((1, 1)), ["u"], ["y"])
     with pytest.raises(StepError, match=r"bad: reading outputs at t = 0.5 s: output y is nan") as caught:
-        Master([bad], [], stop_s=1.0, step_s=0.01).run()
+        Master([bad, sink], [("bad.y", "sink.u")], stop_s=1.0, step_s=0.01).run()
     assert caught.value.trajectory is not None
     assert caught.value.trajectory.time_s[-1] == 0.49
 
