@@ -48,10 +48,11 @@ def _fields_of_block() -> list[tuple[str, type]]:
     kinds = {
         "double": _Real,
         "int": _Integer,
+        "size_t": ctypes.c_size_t,
         "const Record": ctypes.POINTER(_Record),
         "BlockLayout": _Layout,
     }
-    members = re.findall(r"(const Record|BlockLayout|double|int)\s+([^;]+);", body)
+    members = re.findall(r"(const Record|BlockLayout|double|int|size_t)\s+([^;]+);", body)
     return [(name.strip(" *"), kinds[kind]) for kind, names in members for name in names.split(",")]
 
 

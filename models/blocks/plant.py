@@ -42,6 +42,8 @@ SOURCES = tuple(
         "plant/plant.c",
         "plant/tables.c",
         "plant/flow.c",
+        "plant/tile_4.c",
+        "plant/tile_8.c",
         "plant/tangent.c",
         "plant/event.c",
         "plant/topology.c",

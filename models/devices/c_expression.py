@@ -43,7 +43,8 @@ class ExpressionWriter:
 
     def row(self, name: str) -> str:
         """A row of the table."""
-        return f"p[{self.big}__{name} * n]"
+        at = f"{self.big}__{name} * n"
+        return f"p[{at}]" if self.in_prepare else f"AT(p, {at})"
 
     def constant(self, node: Node) -> str:
         """C of a node of parameters and numbers: a literal, a row, or a row prepared once."""

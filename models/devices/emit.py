@@ -45,7 +45,7 @@ def devices_header(models: Iterable[Model]) -> str:
     out += _choice("states", "size_t device, uint64_t has", names, [w.states() for w in written])
     out += [
         "static inline void device_run(size_t device, const DeviceGroup *g, const DeviceSignals *in,",
-        "                              const num *x, num *dx)",
+        "                              const cell *x, cell *dx)",
         "{",
         "    switch (device) {",
         *(f"    case DEVICE__{n.upper()}: run_{n}(g, in, x, dx); break;" for n in names),
@@ -105,7 +105,7 @@ class Writer(ExpressionWriter):
         inputs = sorted({n for line in device.lines for n in names_of(line.node)} & set(device.inputs))
         head = [
             f"static inline void run_{self.prefix}(const DeviceGroup *g, const DeviceSignals *in,",
-            f"                       {' ' * len(self.prefix)} const num *x, num *dx)",
+            f"                       {' ' * len(self.prefix)} const cell *x, cell *dx)",
             "{",
             "    const size_t n = g->n;",
             *(["    const uint64_t has = g->has;"] if self.model.bits else []),
@@ -117,17 +117,17 @@ class Writer(ExpressionWriter):
             at = f"at_{state.name} + {there}"
         if not states:
             head += ["    (void)x;", "    (void)dx;"]
-        loop = ["    for (size_t k = 0; k < n; ++k) {", "        const real *p = g->table + k;"]
-        loop += ["        const size_t m = index_at(g->machine, k);"]
-        loop += [f"        const num s_{name} = in->{name}[m];" for name in inputs]
+        loop = ["    EACH(k, 0, n) {", "        const stored *p = g->table + k;"]
+        loop += ["        const where m = where_at(g->machine, k);"]
+        loop += [f"        const num s_{name} = OF(in->{name}, m);" for name in inputs]
         if "pref" in device.references:
-            loop.append(f"        const num s_pref = NUM({self.row('pref')} + in->pref_step[m]);")
+            loop.append(f"        const num s_pref = NUM({self.row('pref')} + OF(in->pref_step, m));")
         for _, state in states:
-            value = f"x[at_{state.name} + k]"
+            value = f"AT(x, at_{state.name} + k)"
             if state.present is not True:
                 value = f"{self.condition(state.present)} ? {value} : NUM(0.0)"
             loop.append(f"        const num x_{state.name} = {value};")
-        if not any("p[" in row for row in body + loop[2:]):
+        if not any("AT(p, " in row for row in body + loop[2:]):
             loop[1] = ""
         rows = [
             f"{self.big}__{name}" for name in (*self.given, *(f"_{k}" for k in range(len(self.prepared))))
@@ -181,12 +181,12 @@ class Writer(ExpressionWriter):
             ]
         output = self.device.output
         if order.loop:  # refused when the case is read
-            return [f"{pad}in->{output}[m] = NUM(NAN);"]
+            return [f"{pad}TO(in->{output}, m, NUM(NAN));"]
         self.on = self.model.on(decided)
         rows: list[str] = []
         for name in order.lines:
             rows += self.output_of(self.model.elements[name])
-        rows.append(f"in->{output}[m] = s_{output};")
+        rows.append(f"TO(in->{output}, m, s_{output});")
         for element in self.model.elements.values():
             rows += self.rates_of(element)
         return [pad + row for row in rows]
@@ -233,7 +233,7 @@ class Writer(ExpressionWriter):
                 continue
             guard = "" if self.on(state.present) else f"if {self.bit(state.present)} "  # type: ignore[arg-type]
             value = getattr(self, f"{e.line.element}_rate")(e, state.name)
-            yield f"{guard}dx[at_{state.name} + k] = {value};"
+            yield f"{guard}PUT(dx, at_{state.name} + k, {value});"
 
     # ------------------------------------------------------------ elements
 

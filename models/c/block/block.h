@@ -49,6 +49,7 @@ typedef struct {
                              * that was handed over for the coming step, 0 = value only */
     double *memory;         /* SAVED discrete state of n_memory doubles        */
     double *scratch;        /* n_scratch doubles; contents mean nothing between calls */
+    size_t lanes;           /* of this machine, from block_start; 0: one number in each operation */
 } Block;
 
 /* What the runner must provide besides the variables; read from the record,

@@ -173,6 +173,7 @@ static BlockStatus open_loop(ClosedLoop *l, Block *b, const Record *record, cons
         Block *inner = &l->block[k];
 
         inner->record = &l->record[k];
+        inner->lanes = b->lanes;
         inner->x = l->state + l->first_x[k];
         inner->dx = NULL;
         inner->w = NULL;
@@ -277,6 +278,7 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
             for (size_t i = 0; i < l.block[k].layout.n_iu; ++i) l.block[k].iu[i] = flags[i];
         }
         if ((status = l.member[k]->start(&l.block[k], t, message)) != BLOCK_OK) return status;
+        if (l.kind[k] == KIND_PLANT) b->lanes = l.block[k].lanes;
     }
     return collect_marks(&l, t, message);
 }

@@ -18,17 +18,17 @@
 
 /* Devices of one kind and one structure. Tables and states lie quantity by quantity. */
 typedef struct {
-    const real *table;     /* rows x n                                                 */
-    const real *machine;   /* n: the machine of each                                   */
+    const stored *table;   /* rows x n                                                 */
+    const stored *machine; /* n: the machine of each                                   */
     size_t n;
     uint64_t has;          /* which of the optional parts are there                    */
 } DeviceGroup;
 
 /* One entry for each machine. */
 typedef struct {
-    const num *vt, *vd, *vq, *id, *iq, *pe, *slip, *ifd;
-    const real *pref_step; /* added to the governors' load reference                   */
-    num *vc, *vs, *pm, *efd;  /* what devices give                                     */
+    const cell *vt, *vd, *vq, *id, *iq, *pe, *slip, *ifd;
+    const stored *pref_step; /* added to the governors' load reference                 */
+    cell *vc, *vs, *pm, *efd; /* what devices give                                     */
 } DeviceSignals;
 
 static inline num element_min(num a, num b) { return num_pick(num_above(a, b), b, a); }

@@ -10,30 +10,47 @@
 #include "physics.h"
 #include "port.h"
 #include "sparse_port.h"
+#include "tiles.h"
 
 /* Work arrays, one entry per machine; e also one per port; v: two per row of a sparse network. id_rotor is what the
- * rotor circuits see: id, or id + isd. */
+ * rotor circuits see: id, or id + isd. lanes: how many neighbours go at a time (tiles.h). */
 typedef struct {
     num *sine, *cosine, *i_re, *i_im, *id, *iq, *vd, *vq, *vt, *vs, *efd, *pm, *id_rotor;
-    num *vc, *pe, *ifd;
+    num *vc, *pe, *ifd, *saturation_d, *saturation_q;
     num *e_re, *e_im, *v;
     PortWork port;
     num *newton;
+    size_t lanes;
     int exact;   /* the ports' slopes are wanted at the solution */
 } Work;
 
-static Work work_arrays(num *scratch, const Plan *plan)
+static Work work_arrays(num *scratch, const Plan *plan, size_t lanes)
 {
     const size_t n = plan->n_machine;
-    num *e = scratch + 16 * n, *v = e + 2 * plan->n_source, *port = v + 2 * plan->n_node;
+    num *e = scratch + 18 * n, *v = e + 2 * plan->n_source, *port = v + 2 * plan->n_node;
     Work w = { scratch, scratch + n, scratch + 2 * n, scratch + 3 * n, scratch + 4 * n,
                scratch + 5 * n, scratch + 6 * n, scratch + 7 * n, scratch + 8 * n,
                scratch + 9 * n, scratch + 10 * n, scratch + 11 * n, scratch + 12 * n,
-               scratch + 13 * n, scratch + 14 * n, scratch + 15 * n, .e_re = e, .e_im = e + plan->n_source, .v = v };
+               scratch + 13 * n, scratch + 14 * n, scratch + 15 * n, scratch + 16 * n, scratch + 17 * n,
+               .e_re = e, .e_im = e + plan->n_source, .v = v, .lanes = lanes };
     w.port = port_arrays(port, plan->n_port);
     w.newton = port + PORT_ARRAYS * plan->n_port;
     return w;
 }
+
+static Machines machines_of(const real *memory, const Plan *plan, const num *x, const Work *w)
+{
+    return (Machines){ memory + plan->machine, plan->n_machine, plan->n_sixth, memory[H_OMEGA_B],
+                       machine_states(x, plan->n_machine, plan->n_sixth), w->sine, w->cosine, w->e_re, w->e_im,
+                       w->i_re, w->i_im, w->id, w->iq, w->vd, w->vq, w->vt, w->efd, w->pm, w->id_rotor, w->ifd,
+                       w->saturation_d, w->saturation_q };
+}
+
+/* f of machine.h over the machines of each order. */
+#define EVERY_MACHINE(f, plan, w, m) do { \
+    TILED(f, (w)->lanes, (plan)->n_sixth, m, 0, (plan)->n_sixth); \
+    TILED(f, (w)->lanes, (plan)->n_machine - (plan)->n_sixth, m, (plan)->n_sixth, (plan)->n_machine); \
+} while (0)
 
 #ifdef PLANT_TANGENT   /* tangent.c: one exact Newton step */
 static size_t port_solve_tangent(const double *memory, const Plan *plan, const num *x, Work *w);
@@ -122,18 +139,15 @@ static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *patter
 /* Returns 0, or 1 + the port where Newton's method fails. */
 static size_t solve_network(real *memory, const Plan *plan, const Pattern *pattern, const num *x, Work *w)
 {
-    const size_t n = plan->n_machine;
-    const real *table = memory + plan->machine;
-    const MachineStates states = machine_states(x, n, plan->n_sixth);
+    const Machines machines = machines_of(memory, plan, x, w);
     size_t stuck = 0;
 
-    machine_emf(table, n, plan->n_sixth, states, w->sine, w->cosine, w->e_re, w->e_im);
+    EVERY_MACHINE(machine_emf, plan, w, &machines);
     if (plan->n_node > 0) stuck = solve_sparse(memory, plan, pattern, x, w);
     else if (plan->n_port > 0) stuck = solve_ports(memory, plan, x, w);
     if (stuck > 0) return stuck;
     if (plan->n_node == 0) network_currents(memory, plan, w->e_re, w->e_im, w->i_re, w->i_im);
-    machine_terminal(table, n, plan->n_sixth, states, w->sine, w->cosine, w->i_re, w->i_im,
-                     w->id, w->iq, w->vd, w->vq, w->vt);
+    EVERY_MACHINE(machine_terminal, plan, w, &machines);
     if (plan->n_port > 0) saturate_terminals(memory, plan, w);
     else w->id_rotor = w->id;
     return 0;
@@ -148,7 +162,7 @@ static void hold_tripped(const real *memory, const Plan *plan, num *dx)
     }
 }
 
-static void run_groups(const real *memory, const Plan *plan, size_t first, size_t last,
+static void run_groups(const real *memory, const Plan *plan, size_t lanes, size_t first, size_t last,
                        const DeviceSignals *signals, const num *x, num *dx)
 {
     for (size_t k = first; k < last; ++k) {
@@ -156,7 +170,7 @@ static void run_groups(const real *memory, const Plan *plan, size_t first, size_
         const DeviceGroup group = { memory + index_at(row, G_TABLE), memory + index_at(row, G_MACHINE),
                                     index_at(row, G_COUNT), (uint64_t)index_at(row, G_HAS) };
         const size_t state = index_at(row, G_STATE);
-        device_run(index_at(row, G_DEVICE), &group, signals, x + state, dx + state);
+        TILED(device_run, lanes, group.n, index_at(row, G_DEVICE), &group, signals, x + state, dx + state);
     }
 }
 
@@ -168,8 +182,8 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
 {
     const size_t n = plan->n_machine;
     const real *table = memory + plan->machine, *of = memory + plan->input_machine;
-    const MachineStates states = machine_states(x, n, plan->n_sixth);
-    const DeviceSignals signals = { w->vt, w->vd, w->vq, w->id, w->iq, w->pe, states.slip, w->ifd,
+    const Machines machines = machines_of(memory, plan, x, w);
+    const DeviceSignals signals = { w->vt, w->vd, w->vq, w->id, w->iq, w->pe, machines.x.slip, w->ifd,
                                     memory + plan->pm_step, w->vc, w->vs, w->pm, w->efd };
 
     for (size_t k = 0; k < n; ++k) {
@@ -179,26 +193,29 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
         w->vc[k] = w->vt[k];
         w->pe[k] = w->vd[k] * w->id[k] + w->vq[k] * w->iq[k];
     }
-    machine_field_currents(table, n, plan->n_sixth, states, w->id_rotor, w->ifd);
-    run_groups(memory, plan, 0, plan->exciters, &signals, x, dx);
+    EVERY_MACHINE(machine_field_currents, plan, w, &machines);
+    run_groups(memory, plan, w->lanes, 0, plan->exciters, &signals, x, dx);
     for (size_t k = 0; k < n; ++k) w->vs[k] += memory[plan->vref_step + k];
     for (size_t k = 0; k < plan->n_input; ++k) w->vs[index_at(of, k)] += u[k];
-    run_groups(memory, plan, plan->exciters, plan->n_group, &signals, x, dx);
+    run_groups(memory, plan, w->lanes, plan->exciters, plan->n_group, &signals, x, dx);
 }
 
-size_t NAME(plant_flow)(real *memory, const int32_t *places, const num *x, const num *u, num *dx, num *scratch)
+size_t NAME(plant_flow)(real *memory, const int32_t *places, size_t lanes, const num *x, const num *u, num *dx,
+                        num *scratch)
 {
     Plan plan;
     plan_of(memory, &plan);
     const Pattern pattern = pattern_of(places, &plan);
     const size_t n = plan.n_machine;
-    Work w = work_arrays(scratch, &plan);
+    Work w = work_arrays(scratch, &plan, lanes);
 
     const size_t stuck = solve_network(memory, &plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
     solve_devices(memory, &plan, x, u, dx, &w);
-    machine_derivatives(memory + plan.machine, n, plan.n_sixth, memory[H_OMEGA_B],
-                        machine_states(x, n, plan.n_sixth), w.id, w.iq, w.efd, w.pm, machine_rates(dx, n, plan.n_sixth));
+    const Machines machines = machines_of(memory, &plan, x, &w);
+    const MachineRates rates = machine_rates(dx, n, plan.n_sixth);
+    TILED(machine_derivatives, lanes, plan.n_sixth, &machines, rates, 0, plan.n_sixth);
+    TILED(machine_derivatives, lanes, n - plan.n_sixth, &machines, rates, plan.n_sixth, n);
     if (plan.n_port > 0) saturate_rates(memory, &plan, &w, dx);
     if (flag_any(num_above(NUM(memory[H_TRIPPED]), NUM(0.0)))) hold_tripped(memory, &plan, dx);
     return 0;
@@ -247,12 +264,12 @@ static void show(const real *memory, const Plan *plan, const Pattern *pattern, s
 }
 
 /* y: what the record says, in its order. */
-size_t NAME(plant_outputs)(real *memory, const int32_t *places, const num *x, num *y, num *scratch)
+size_t NAME(plant_outputs)(real *memory, const int32_t *places, size_t lanes, const num *x, num *y, num *scratch)
 {
     Plan plan;
     plan_of(memory, &plan);
     const Pattern pattern = pattern_of(places, &plan);
-    Work w = work_arrays(scratch, &plan);
+    Work w = work_arrays(scratch, &plan, lanes);
 
     const size_t stuck = solve_network(memory, &plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
@@ -262,13 +279,13 @@ size_t NAME(plant_outputs)(real *memory, const int32_t *places, const num *x, nu
 
 #if !defined PLANT_TANGENT && !defined PLANT_LANES
 /* Locals: what the record says after the outputs. */
-size_t plant_locals(double *memory, const int32_t *places, const double *x, const double *u, double *locals,
-                    double *scratch, double *dx)
+size_t plant_locals(double *memory, const int32_t *places, size_t lanes, const double *x, const double *u,
+                    double *locals, double *scratch, double *dx)
 {
     Plan plan;
     plan_of(memory, &plan);
     const Pattern pattern = pattern_of(places, &plan);
-    Work w = work_arrays(scratch, &plan);
+    Work w = work_arrays(scratch, &plan, lanes);
 
     if (plan.n_w == 0) return 0;
     const size_t stuck = solve_network(memory, &plan, &pattern, x, &w);
@@ -280,12 +297,12 @@ size_t plant_locals(double *memory, const int32_t *places, const double *x, cons
 }
 
 /* Solves the ports at x, so that memory holds their voltages there, and their slopes if the network is sparse. */
-size_t plant_settle(double *memory, const int32_t *places, const double *x, double *scratch)
+size_t plant_settle(double *memory, const int32_t *places, size_t lanes, const double *x, double *scratch)
 {
     Plan plan;
     plan_of(memory, &plan);
     const Pattern pattern = pattern_of(places, &plan);
-    Work w = work_arrays(scratch, &plan);
+    Work w = work_arrays(scratch, &plan, lanes);
     w.exact = 1;
     return plan.n_port > 0 ? solve_network(memory, &plan, &pattern, x, &w) : 0;
 }

@@ -1,15 +1,22 @@
 #ifndef INTERAREA_LANES_H
 #define INTERAREA_LANES_H
-/* scalar.h over several scenarios side by side: a `num` is one double for each of
- * PLANT_LANES scenarios, an extension that gcc and clang share. Every operation is
+/* scalar.h over several scenarios side by side, or neighbours of one plant (tile.h): a `num` is one
+ * double for each of PLANT_LANES, an extension that gcc and clang share. Every operation is
  * that of the scalar code lane by lane, in the same order, so a lane has the bits
  * that its scenario alone would have. A flag is all ones or all zeros per lane. */
 typedef double num __attribute__((vector_size(8 * PLANT_LANES)));
 typedef int64_t flag __attribute__((vector_size(8 * PLANT_LANES)));
 typedef uint64_t word __attribute__((vector_size(8 * PLANT_LANES)));
 typedef num real;
+#ifdef PLANT_TILE   /* tile.h: neighbours in arrays of double */
+typedef double cell;
+typedef double stored;
+#else
+typedef num cell;
+typedef num stored;
+#endif
 
-#define NUM(a) ((num){ 0.0 } + (a))
+#define NUM(a) ((a) - (num){ 0.0 })   /* keeps a zero's sign */
 #define FIRST(a) ((a)[0])
 
 static inline flag num_above(num a, num b) { return (flag)(a > b); }

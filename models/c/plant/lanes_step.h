@@ -13,6 +13,11 @@ static inline num keep_idle(num h, num moved, num x)
 
 static num *lanes_of(double *a) { return (num *)(void *)a; }
 
+static const int32_t *places_of(const BlockGroup *g)
+{
+    return plant_places(g->record, g->memory[H_PATTERN * PLANT_LANES]);
+}
+
 /* solver_inputs of the FMU; `at`: 0 begin, 1 middle, 2 end of the step. */
 static void stage_inputs(const BlockGroup *g, size_t at)
 {
@@ -29,7 +34,7 @@ static BlockStatus lane_flow(void *context, RungeKuttaStage stage, const num *x,
     const BlockGroup *g = context;
 
     if (stage != RK_MIDDLE_AGAIN) stage_inputs(g, stage == RK_BEGIN ? 0 : stage == RK_END ? 2 : 1);
-    (void)NAME(plant_flow)(lanes_of(g->memory), plant_places(g->record, g->memory[H_PATTERN * PLANT_LANES]), x, lanes_of(g->u), k, lanes_of(g->scratch));
+    (void)NAME(plant_flow)(lanes_of(g->memory), places_of(g), 0, x, lanes_of(g->u), k, lanes_of(g->scratch));
     return BLOCK_OK;
 }
 
@@ -42,11 +47,11 @@ void LANES_STEP(const BlockGroup *g)
 
 void LANES_OUTPUTS(const BlockGroup *g)
 {
-    (void)NAME(plant_outputs)(lanes_of(g->memory), plant_places(g->record, g->memory[H_PATTERN * PLANT_LANES]), lanes_of(g->x), lanes_of(g->y), lanes_of(g->scratch));
+    (void)NAME(plant_outputs)(lanes_of(g->memory), places_of(g), 0, lanes_of(g->x), lanes_of(g->y), lanes_of(g->scratch));
 }
 
 void LANES_RATES(const BlockGroup *g)
 {
-    (void)NAME(plant_flow)(lanes_of(g->memory), plant_places(g->record, g->memory[H_PATTERN * PLANT_LANES]), lanes_of(g->x), lanes_of(g->u), lanes_of(g->k),
+    (void)NAME(plant_flow)(lanes_of(g->memory), places_of(g), 0, lanes_of(g->x), lanes_of(g->u), lanes_of(g->k),
                            lanes_of(g->scratch));
 }

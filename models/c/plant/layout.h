@@ -179,9 +179,9 @@ static inline void plan_offsets(Plan *p)
     p->total = at;
 }
 
-static inline int port_is_load(const real *row) { return index_at(row, P_KIND) == PORT_LOAD; }
+static inline int port_is_load(const stored *row) { return index_at(row, P_KIND) == PORT_LOAD; }
 
-static inline void plan_of(const real *memory, Plan *p)
+static inline void plan_of(const stored *memory, Plan *p)
 {
     p->n_machine = index_at(memory, H_N_MACHINE);
     p->n_sixth = index_at(memory, H_N_SIXTH);

@@ -27,8 +27,19 @@
  *
  * Classical: eq2 = E constant (row M_EFD0), ed2 = 0, the reactances Xd1 on both
  * axes (rows M_XD2, M_XQ2); Te = E iq. These machines come last.        [ch. 5] */
-typedef struct { const num *delta, *slip, *eq1, *ed1, *eq2, *ed2; } MachineStates;
-typedef struct { num *delta, *slip, *eq1, *ed1, *eq2, *ed2; } MachineRates;
+typedef struct { const cell *delta, *slip, *eq1, *ed1, *eq2, *ed2; } MachineStates;
+typedef struct { cell *delta, *slip, *eq1, *ed1, *eq2, *ed2; } MachineRates;
+
+/* All machines, and arrays with an entry for each. id_rotor is what the rotor circuits see: id, or id + isd;
+ * saturation_d and _q what saturation adds to the field current and to what drives ed1. */
+typedef struct {
+    const stored *table;
+    size_t n, sixth;
+    stored omega_b;
+    MachineStates x;
+    cell *sine, *cosine, *e_re, *e_im, *i_re, *i_im, *id, *iq, *vd, *vq, *vt, *efd, *pm, *id_rotor, *ifd;
+    cell *saturation_d, *saturation_q;
+} Machines;
 
 /* Fills the rows of the table that follow from the others, once at the start. */
 static inline void machine_prepare(double *table, size_t n, size_t sixth)
@@ -51,53 +62,60 @@ static inline void machine_prepare(double *table, size_t n, size_t sixth)
 
 /* States lie quantity by quantity at the start of x, of the first `sixth` machines
  * all six, of the classical ones after them only the first two. */
-static inline MachineStates machine_states(const num *x, size_t n, size_t sixth)
+static inline MachineStates machine_states(const cell *x, size_t n, size_t sixth)
 {
-    const num *e = x + 2 * n;
+    const cell *e = x + 2 * n;
     return (MachineStates){ x, x + n, e, e + sixth, e + 2 * sixth, e + 3 * sixth };
 }
 
-static inline MachineRates machine_rates(num *dx, size_t n, size_t sixth)
+static inline MachineRates machine_rates(cell *dx, size_t n, size_t sixth)
 {
-    num *e = dx + 2 * n;
+    cell *e = dx + 2 * n;
     return (MachineRates){ dx, dx + n, e, e + sixth, e + 2 * sixth, e + 3 * sixth };
 }
 
+/* The functions below take the machines first .. last - 1, all of one order. */
+
 /* Subtransient EMF in the network frame: E = (eq2 - j ed2) exp(j delta). */
-static inline void machine_emf(const real *table, size_t n, size_t sixth, MachineStates x,
-                               num *sine, num *cosine, num *e_re, num *e_im)
+static inline void machine_emf(const Machines *m, size_t first, size_t last)
 {
-    for (size_t k = 0; k < sixth; ++k) {
-        num_sincos(x.delta[k], &sine[k], &cosine[k]);
-        e_re[k] = x.eq2[k] * cosine[k] + x.ed2[k] * sine[k];
-        e_im[k] = x.eq2[k] * sine[k] - x.ed2[k] * cosine[k];
-    }
-    for (size_t k = sixth; k < n; ++k) {
-        num_sincos(x.delta[k], &sine[k], &cosine[k]);
-        e_re[k] = table[M_EFD0 * n + k] * cosine[k];
-        e_im[k] = table[M_EFD0 * n + k] * sine[k];
+    const stored *emf = m->table + M_EFD0 * m->n;
+
+    EACH(k, first, last) {
+        num sine, cosine;
+        num_sincos(AT(m->x.delta, k), &sine, &cosine);
+        PUT(m->sine, k, sine);
+        PUT(m->cosine, k, cosine);
+        if (first >= m->sixth) {
+            PUT(m->e_re, k, AT(emf, k) * cosine);
+            PUT(m->e_im, k, AT(emf, k) * sine);
+        } else {
+            PUT(m->e_re, k, AT(m->x.eq2, k) * cosine + AT(m->x.ed2, k) * sine);
+            PUT(m->e_im, k, AT(m->x.eq2, k) * sine - AT(m->x.ed2, k) * cosine);
+        }
     }
 }
 
 /* Network current (system base) -> id, iq; terminal voltage vd, vq, |V|. */
-static inline void machine_terminal(const real *table, size_t n, size_t sixth, MachineStates x,
-                                    const num *sine, const num *cosine,
-                                    const num *i_re, const num *i_im,
-                                    num *id, num *iq, num *vd, num *vq, num *vt)
+static inline void machine_terminal(const Machines *m, size_t first, size_t last)
 {
-    const real *per_ratio = table + M_PER_RATIO * n, *Ra = table + M_RA * n;
-    const real *Xd2 = table + M_XD2 * n, *Xq2 = table + M_XQ2 * n;
+    const size_t n = m->n;
+    const stored *per_ratio = m->table + M_PER_RATIO * n, *Ra = m->table + M_RA * n;
+    const stored *Xd2 = m->table + M_XD2 * n, *Xq2 = m->table + M_XQ2 * n, *emf = m->table + M_EFD0 * n;
 
-    for (size_t k = 0; k < n; ++k) {
-        const num iq_system = i_re[k] * cosine[k] + i_im[k] * sine[k];
-        const num id_system = i_re[k] * sine[k] - i_im[k] * cosine[k];
-        iq[k] = iq_system * per_ratio[k];
-        id[k] = id_system * per_ratio[k];
-        const num ed2 = k < sixth ? x.ed2[k] : NUM(0.0);
-        const num eq2 = k < sixth ? x.eq2[k] : NUM(table[M_EFD0 * n + k]);
-        vd[k] = ed2 - Ra[k] * id[k] + Xq2[k] * iq[k];
-        vq[k] = eq2 - Ra[k] * iq[k] - Xd2[k] * id[k];
-        vt[k] = num_sqrt(vd[k] * vd[k] + vq[k] * vq[k]);
+    EACH(k, first, last) {
+        const num sine = AT(m->sine, k), cosine = AT(m->cosine, k), i_re = AT(m->i_re, k), i_im = AT(m->i_im, k);
+        const num iq = (i_re * cosine + i_im * sine) * AT(per_ratio, k);
+        const num id = (i_re * sine - i_im * cosine) * AT(per_ratio, k);
+        const num ed2 = first < m->sixth ? AT(m->x.ed2, k) : NUM(0.0);
+        const num eq2 = first < m->sixth ? AT(m->x.eq2, k) : NUM(AT(emf, k));
+        const num vd = ed2 - AT(Ra, k) * id + AT(Xq2, k) * iq;
+        const num vq = eq2 - AT(Ra, k) * iq - AT(Xd2, k) * id;
+        PUT(m->iq, k, iq);
+        PUT(m->id, k, id);
+        PUT(m->vd, k, vd);
+        PUT(m->vq, k, vq);
+        PUT(m->vt, k, num_sqrt(vd * vd + vq * vq));
     }
 }
 
@@ -110,88 +128,99 @@ static inline void machine_terminal(const real *table, size_t n, size_t sixth, M
  * with one damper in the q axis (Xq1 = Xq: ed1 stays 0) to what drives ed2. */
 enum { SATURATES_QUADRATIC = 1, SATURATES_EXPONENTIAL };
 
-static inline void machine_saturation_of(const real *table, size_t n, size_t k, MachineStates x, num *d, num *q)
+static inline void machine_saturation(const Machines *m, size_t k, num *d, num *q)
 {
-    const real A = table[M_SAT_A * n + k], B = table[M_SAT_B * n + k];
-    const int of_emf = index_at(table, M_SAT_EMF * n + k) != 0;
-    const num flux = of_emf ? x.eq1[k] : num_sqrt(x.eq2[k] * x.eq2[k] + x.ed2[k] * x.ed2[k]);
+    const stored *row = m->table + k;
+    const size_t n = m->n;
+    const num kind = NUM(AT(row, M_SATURATES * n));
+    const flag on = num_above(kind, NUM(0.5)), is_power = num_above(kind, NUM(1.5));
+
+    *d = *q = NUM(0.0);
+    if (!flag_any(on)) return;
+    const real A = AT(row, M_SAT_A * n), B = AT(row, M_SAT_B * n);
+    const num eq1 = AT(m->x.eq1, k), eq2 = AT(m->x.eq2, k), ed2 = AT(m->x.ed2, k);
+    const flag of_emf = num_above(NUM(AT(row, M_SAT_EMF * n)), NUM(0.5));
+    const num flux = num_pick(of_emf, eq1, num_sqrt(eq2 * eq2 + ed2 * ed2));
     const num bounded = num_pick(num_above(flux, NUM(1e-3)), flux, NUM(1e-3));
     const num excess = num_pick(num_above(flux, NUM(A)), flux - A, NUM(0.0));
-    const num s = index_at(table, M_SATURATES * n + k) == SATURATES_QUADRATIC
-        ? num_ratio(B * excess * excess, bounded) : B * num_exp(A * num_log(bounded));
-    *d = s * (of_emf ? x.eq1[k] : x.eq2[k]);
-    *q = s * x.ed2[k];
-}
-
-static inline void machine_saturation(const real *table, size_t n, size_t sixth, MachineStates x, MachineRates dx)
-{
-    for (size_t k = 0; k < sixth; ++k) {
-        num d, q;
-        if (index_at(table, M_SATURATES * n + k) == 0) continue;
-        machine_saturation_of(table, n, k, x, &d, &q);
-        d = d * table[M_PER_TD01 * n + k];
-        const num q1 = q * (table[M_SAT_Q1 * n + k] * table[M_PER_TQ01 * n + k]);
-        dx.eq1[k] -= d;
-        dx.eq2[k] -= table[M_A * n + k] * d;
-        dx.ed1[k] -= q1;
-        dx.ed2[k] -= table[M_B * n + k] * q1 + q * (table[M_SAT_Q2 * n + k] * table[M_PER_TQ02 * n + k]);
-    }
+    num s = num_ratio(B * excess * excess, bounded);
+    if (flag_any(is_power)) s = num_pick(is_power, B * num_exp(A * num_log(bounded)), s);
+    *d = num_pick(on, s * num_pick(of_emf, eq1, eq2), NUM(0.0));
+    *q = num_pick(on, s * ed2, NUM(0.0));
 }
 
 /* Field currents in per unit of the field voltage that holds them, Xad ifd. */
-static inline void machine_field_currents(const real *table, size_t n, size_t sixth, MachineStates x,
-                                          const num *id, num *ifd)
+static inline void machine_field_currents(const Machines *m, size_t first, size_t last)
 {
-    const real *Xd = table + M_XD * n, *Xd1 = table + M_XD1 * n, *A = table + M_A * n;
-    const real *leak_d = table + M_LEAK_D * n;
+    const size_t n = m->n;
+    const stored *Xd = m->table + M_XD * n, *Xd1 = m->table + M_XD1 * n, *A = m->table + M_A * n;
+    const stored *leak_d = m->table + M_LEAK_D * n, *emf = m->table + M_EFD0 * n;
 
-    for (size_t k = 0; k < sixth; ++k)
-        ifd[k] = x.eq1[k] + (Xd[k] - Xd1[k]) * (A[k] * id[k] + (x.eq1[k] - x.eq2[k]) * leak_d[k]);
-    for (size_t k = 0; k < sixth; ++k) {
+    EACH(k, first, last) {
         num d, q;
-        if (index_at(table, M_SATURATES * n + k) == 0) continue;
-        machine_saturation_of(table, n, k, x, &d, &q);
-        ifd[k] += d;
+        if (first >= m->sixth) {
+            PUT(m->ifd, k, NUM(AT(emf, k)));
+            continue;
+        }
+        const num eq1 = AT(m->x.eq1, k), eq2 = AT(m->x.eq2, k);
+        const num ifd = eq1 + (AT(Xd, k) - AT(Xd1, k)) * (AT(A, k) * AT(m->id_rotor, k) + (eq1 - eq2) * AT(leak_d, k));
+        machine_saturation(m, k, &d, &q);
+        PUT(m->saturation_d, k, d);
+        PUT(m->saturation_q, k, q);
+        PUT(m->ifd, k, ifd + d);
     }
-    for (size_t k = sixth; k < n; ++k) ifd[k] = NUM(table[M_EFD0 * n + k]);
 }
 
-static inline void machine_derivatives(const real *table, size_t n, size_t sixth, real omega_b,
-                                       MachineStates x, const num *id, const num *iq,
-                                       const num *efd, const num *pm, MachineRates dx)
+/* After machine_field_currents. */
+static inline void machine_derivatives(const Machines *m, MachineRates dx, size_t first, size_t last)
 {
-    const real *Xd = table + M_XD * n, *Xd1 = table + M_XD1 * n, *Xd2 = table + M_XD2 * n;
-    const real *Xq = table + M_XQ * n, *Xq1 = table + M_XQ1 * n, *Xq2 = table + M_XQ2 * n;
-    const real *A = table + M_A * n, *B = table + M_B * n;
-    const real *leak_d = table + M_LEAK_D * n, *leak_q = table + M_LEAK_Q * n;
-    const real *per_Td01 = table + M_PER_TD01 * n, *per_Td02 = table + M_PER_TD02 * n;
-    const real *per_Tq01 = table + M_PER_TQ01 * n, *per_Tq02 = table + M_PER_TQ02 * n;
-    const real *per_2H = table + M_PER_2H * n, *D = table + M_D * n;
+    const size_t n = m->n;
+    const stored *table = m->table;
 
-    for (size_t k = sixth; k < n; ++k) {
-        dx.delta[k] = omega_b * x.slip[k];
-        dx.slip[k] = (pm[k] - table[M_EFD0 * n + k] * iq[k] - D[k] * x.slip[k]) * per_2H[k];
-    }
-    for (size_t k = 0; k < sixth; ++k) {
-        const num Te = x.ed2[k] * id[k] + x.eq2[k] * iq[k] + (Xq2[k] - Xd2[k]) * id[k] * iq[k];
-        const num deq = x.eq1[k] - x.eq2[k], ded = x.ed1[k] - x.ed2[k];
-        const num eq1 = (efd[k] - x.eq1[k]
-                         - (Xd[k] - Xd1[k]) * (A[k] * id[k] + deq * leak_d[k])) * per_Td01[k];
-        const num ed1 = (-x.ed1[k]
-                         + (Xq[k] - Xq1[k]) * (B[k] * iq[k] - ded * leak_q[k])) * per_Tq01[k];
+    EACH(k, first, last) {
+        const stored *row = table + k;
+        const num slip_k = AT(m->x.slip, k), id = AT(m->id, k), iq = AT(m->iq, k), pm = AT(m->pm, k);
+        const real D = AT(row, M_D * n), per_2H = AT(row, M_PER_2H * n);
+        const flag by_speed = num_above(NUM(AT(row, M_BY_SPEED * n)), NUM(0.5));
+        num slip;
 
-        dx.delta[k] = omega_b * x.slip[k];
-        dx.slip[k] = (pm[k] - Te - D[k] * x.slip[k]) * per_2H[k];
-        dx.eq1[k] = eq1;
-        dx.ed1[k] = ed1;
-        dx.eq2[k] = A[k] * eq1 + (deq - (Xd1[k] - Xd2[k]) * id[k]) * per_Td02[k];
-        dx.ed2[k] = B[k] * ed1 + (ded + (Xq1[k] - Xq2[k]) * iq[k]) * per_Tq02[k];
-    }
-    machine_saturation(table, n, sixth, x, dx);
-    for (size_t k = 0; k < n; ++k) {   /* torque is power over speed, for those that take it so */
-        if (index_at(table, M_BY_SPEED * n + k) == 0) continue;
-        const num share = num_ratio(x.slip[k], 1.0 + x.slip[k]);
-        dx.slip[k] -= (pm[k] - D[k] * x.slip[k]) * share * per_2H[k];
+        if (first >= m->sixth) {
+            slip = (pm - AT(row, M_EFD0 * n) * iq - D * slip_k) * per_2H;
+        } else {
+            const real A = AT(row, M_A * n), B = AT(row, M_B * n);
+            const real Xd1 = AT(row, M_XD1 * n), Xd2 = AT(row, M_XD2 * n), Xq1 = AT(row, M_XQ1 * n), Xq2 = AT(row, M_XQ2 * n);
+            const real per_Td01 = AT(row, M_PER_TD01 * n), per_Td02 = AT(row, M_PER_TD02 * n);
+            const real per_Tq01 = AT(row, M_PER_TQ01 * n), per_Tq02 = AT(row, M_PER_TQ02 * n);
+            const num eq1_k = AT(m->x.eq1, k), ed1_k = AT(m->x.ed1, k), eq2_k = AT(m->x.eq2, k), ed2_k = AT(m->x.ed2, k);
+            const num Te = ed2_k * id + eq2_k * iq + (Xq2 - Xd2) * id * iq;
+            const num deq = eq1_k - eq2_k, ded = ed1_k - ed2_k;
+            num eq1 = (AT(m->efd, k) - eq1_k
+                       - (AT(row, M_XD * n) - Xd1) * (A * id + deq * AT(row, M_LEAK_D * n))) * per_Td01;
+            num ed1 = (-ed1_k
+                       + (AT(row, M_XQ * n) - Xq1) * (B * iq - ded * AT(row, M_LEAK_Q * n))) * per_Tq01;
+            num eq2 = A * eq1 + (deq - (Xd1 - Xd2) * id) * per_Td02;
+            num ed2 = B * ed1 + (ded + (Xq1 - Xq2) * iq) * per_Tq02;
+
+            if (flag_any(num_above(NUM(AT(row, M_SATURATES * n)), NUM(0.5)))) {
+                const num d = AT(m->saturation_d, k) * per_Td01, q = AT(m->saturation_q, k);
+                const num q1 = q * (AT(row, M_SAT_Q1 * n) * per_Tq01);
+                eq1 -= d;
+                eq2 -= A * d;
+                ed1 -= q1;
+                ed2 -= B * q1 + q * (AT(row, M_SAT_Q2 * n) * per_Tq02);
+            }
+            PUT(dx.eq1, k, eq1);
+            PUT(dx.ed1, k, ed1);
+            PUT(dx.eq2, k, eq2);
+            PUT(dx.ed2, k, ed2);
+            slip = (pm - Te - D * slip_k) * per_2H;
+        }
+        if (flag_any(by_speed)) {   /* torque is power over speed, for those that take it so */
+            const num share = num_ratio(slip_k, 1.0 + slip_k);
+            slip = num_pick(by_speed, slip - (pm - D * slip_k) * share * per_2H, slip);
+        }
+        PUT(dx.delta, k, SPREAD(m->omega_b) * slip_k);
+        PUT(dx.slip, k, slip);
     }
 }
 #endif

@@ -4,16 +4,18 @@
 
 /* The right-hand side and the outputs (flow.h), by flow.c and tangent.c. Each returns 0, or 1 + the port
  * where Newton's method fails. Of memory they change only the ports' warm start. places: the pattern of a
- * sparse network (sparse.h). scratch: flow_work(plan) numbers. */
-size_t plant_flow(double *memory, const int32_t *places, const double *x, const double *u, double *dx, double *scratch);
-size_t plant_outputs(double *memory, const int32_t *places, const double *x, double *y, double *scratch);
-size_t plant_locals(double *memory, const int32_t *places, const double *x, const double *u, double *locals,
-                    double *scratch, double *dx);
-size_t plant_settle(double *memory, const int32_t *places, const double *x, double *scratch);
+ * sparse network (sparse.h). lanes: width of the tiles (tiles.h), 0 for none. scratch: flow_work(plan) numbers. */
+size_t plant_flow(double *memory, const int32_t *places, size_t lanes, const double *x, const double *u, double *dx,
+                  double *scratch);
+size_t plant_outputs(double *memory, const int32_t *places, size_t lanes, const double *x, double *y, double *scratch);
+size_t plant_locals(double *memory, const int32_t *places, size_t lanes, const double *x, const double *u,
+                    double *locals, double *scratch, double *dx);
+size_t plant_settle(double *memory, const int32_t *places, size_t lanes, const double *x, double *scratch);
 
 #ifdef PLANT_TANGENT
-size_t plant_flow_tangent(double *memory, const int32_t *places, const num *x, const num *u, num *dx, num *scratch);
-size_t plant_outputs_tangent(double *memory, const int32_t *places, const num *x, num *y, num *scratch);
+size_t plant_flow_tangent(double *memory, const int32_t *places, size_t lanes, const num *x, const num *u, num *dx,
+                          num *scratch);
+size_t plant_outputs_tangent(double *memory, const int32_t *places, size_t lanes, const num *x, num *y, num *scratch);
 #endif
 /* The complex step itself; scratch as for the functions above, complex. */
 size_t plant_directional(double *memory, const int32_t *places, const BlockLayout *layout, const double *x, const double *u,
@@ -23,6 +25,6 @@ static inline size_t flow_work(const Plan *plan)
 {
     const size_t ports = plan->n_node > 0 ? 10 : 16 + 4 * plan->n_port;
     const size_t nodes = plan->n_node > 0 && plan->n_port > 0 ? 8 : 2;
-    return 18 * plan->n_machine + nodes * plan->n_node + ports * plan->n_port;
+    return 20 * plan->n_machine + nodes * plan->n_node + ports * plan->n_port;
 }
 #endif

@@ -5,6 +5,7 @@
 #include "event.h"
 #include "failure.h"
 #include "physics.h"
+#include "processor.h"
 #include "rest.h"
 #include "sparse.h"
 #include "tables.h"
@@ -81,6 +82,7 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     if (status == BLOCK_OK) status = event_check(b, &plan, &net, message);
     if (status == BLOCK_OK) status = event_apply(b, &plan, &net, t, message);
     if (status == BLOCK_OK) memory[H_READY] = READY;
+    b->lanes = processor_lanes();
     return status;
 }
 
@@ -114,7 +116,7 @@ BlockStatus block_derivatives(Block *b, double t, const double *x, const double 
                               BlockMessage *message)
 {
     if (!(b->memory[H_READY] == READY)) return not_started(message);
-    const size_t stuck = plant_flow(b->memory, places_of(b), x, u, dx, b->scratch);
+    const size_t stuck = plant_flow(b->memory, places_of(b), b->lanes, x, u, dx, b->scratch);
     return stuck == 0 ? BLOCK_OK : unsolved(b, stuck, t, message);
 }
 
@@ -125,9 +127,9 @@ BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, 
 
     if (!(b->memory[H_READY] == READY)) return not_started(message);
     plan_of(b->memory, &plan);
-    size_t stuck = plant_outputs(b->memory, places_of(b), x, y, b->scratch);
+    size_t stuck = plant_outputs(b->memory, places_of(b), b->lanes, x, y, b->scratch);
     if (b->w != NULL && stuck == 0)
-        stuck = plant_locals(b->memory, places_of(b), x, u, b->w, b->scratch, b->scratch + flow_work(&plan));
+        stuck = plant_locals(b->memory, places_of(b), b->lanes, x, u, b->w, b->scratch, b->scratch + flow_work(&plan));
     return stuck == 0 ? BLOCK_OK : unsolved(b, stuck, t, message);
 }
 

@@ -4,8 +4,10 @@
  * `num` and compiled several times: as double (the flow); with PLANT_TANGENT as
  * double complex with a tiny imaginary part (the complex step), which carries
  * exact directional derivatives, f(x + i h v) = f(x) + i h f'(x) v; and with
- * PLANT_LANES as several scenarios side by side (lanes.h). `real` is what tables
- * hold: double, or one double for each scenario. A condition on numbers is a
+ * PLANT_LANES as several scenarios side by side (lanes.h), or with PLANT_TILE as
+ * several devices of one scenario (tile.h). `real` is what tables give: double, or
+ * one double for each scenario or device; `stored` and `cell` are what an entry of
+ * a table or of an array of `num` is in memory. A condition on numbers is a
  * `flag` and chooses with num_pick; what a table says about the structure (a time
  * constant that is zero) is the same in every scenario and is read with FIRST.
  *
@@ -59,6 +61,8 @@ static inline double real_of_bits(uint64_t bits)
 #include "lanes.h"   /* NUM, FIRST, flags and the functions below for several scenarios */
 #else
 
+typedef num cell;
+typedef real stored;
 #define NUM(a) ((num)(a))
 #define FIRST(a) (a)
 static inline flag num_above(num a, num b) { return PART(a) > PART(b); }
@@ -117,10 +121,70 @@ static inline num num_ratio(num a, num b) { return a / b; }
 #endif
 
 /* A whole number that a table holds. */
-static inline size_t index_at(const real *memory, size_t at)
+static inline size_t index_at(const stored *memory, size_t at)
 {
+#ifdef PLANT_TILE
+    return (size_t)(ptrdiff_t)memory[at];
+#else
     return (size_t)(ptrdiff_t)FIRST(memory[at]);
+#endif
 }
+
+/* Entry k of an array (AT, PUT) and that of an index which a table holds (OF, TO): of a tile the entries
+ * from k on. EACH goes through first .. last - 1, of which a tile needs as many as it is wide: the last
+ * tile goes back over entries that the one before has done. */
+#ifdef PLANT_TILE
+typedef struct { size_t at[PLANT_LANES]; } where;
+
+static inline num num_at(const double *a)
+{
+    num v;
+    memcpy(&v, a, sizeof v);
+    return v;
+}
+
+static inline num num_of(const double *a, where w)
+{
+    num v = { 0.0 };
+    for (size_t i = 0; i < PLANT_LANES; ++i) v[i] = a[w.at[i]];
+    return v;
+}
+
+static inline void num_to(double *a, where w, num v)
+{
+    for (size_t i = 0; i < PLANT_LANES; ++i) a[w.at[i]] = v[i];
+}
+
+static inline where where_at(const double *table, size_t k)
+{
+    where w;
+    for (size_t i = 0; i < PLANT_LANES; ++i) w.at[i] = (size_t)(ptrdiff_t)table[k + i];
+    return w;
+}
+
+static inline size_t next_of(size_t k, size_t last)
+{
+    const size_t next = k + PLANT_LANES;
+    return next < last && next + PLANT_LANES > last ? last - PLANT_LANES : next;
+}
+
+#define AT(a, k) num_at((a) + (k))
+#define PUT(a, k, v) put_at((a) + (k), v)
+#define OF(a, w) num_of(a, w)
+#define TO(a, w, v) num_to(a, w, v)
+#define SPREAD(a) NUM(a)
+static inline void put_at(double *a, num v) { memcpy(a, &v, sizeof v); }
+#else
+typedef size_t where;
+#define where_at(table, k) index_at(table, k)
+#define next_of(k, last) ((k) + 1)
+#define AT(a, k) ((a)[k])
+#define PUT(a, k, v) ((a)[k] = (v))
+#define OF(a, w) ((a)[w])
+#define TO(a, w, v) ((a)[w] = (v))
+#define SPREAD(a) (a)
+#endif
+#define EACH(k, first, last) for (size_t k = (first); k < (last); k = next_of(k, last))
 
 static inline num num_clamp(num a, real low, real high)
 {

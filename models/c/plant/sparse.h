@@ -57,33 +57,35 @@ static inline Pattern pattern_of(const int32_t *at, const Plan *p)
     return s;
 }
 
-/* sum a_k v[column_k]: four running sums, so that an addition need not wait for the one before. */
+/* sum a_k v[column_k]. What the real and the imaginary part of an entry multiply is summed apart, and every
+ * other entry: the loads and sums go in pairs, and an addition need not wait for the one before. */
 static inline void sparse_row(const real *a, const int32_t *column, size_t count, const num *v,
                               num *re, num *im)
 {
-    num r0 = NUM(0.0), i0 = NUM(0.0), r1 = NUM(0.0), i1 = NUM(0.0);
-    num r2 = NUM(0.0), i2 = NUM(0.0), r3 = NUM(0.0), i3 = NUM(0.0);
+    num r0 = NUM(0.0), s0 = NUM(0.0), p0 = NUM(0.0), q0 = NUM(0.0);
+    num r1 = NUM(0.0), s1 = NUM(0.0), p1 = NUM(0.0), q1 = NUM(0.0);
     size_t k = 0;
 
-    for (; k + 4 <= count; k += 4, a += 8) {
+    for (; k + 2 <= count; k += 2, a += 4) {
         const num *v0 = v + 2 * column[k], *v1 = v + 2 * column[k + 1];
-        const num *v2 = v + 2 * column[k + 2], *v3 = v + 2 * column[k + 3];
-        r0 += a[0] * v0[0] - a[1] * v0[1];
-        i0 += a[0] * v0[1] + a[1] * v0[0];
-        r1 += a[2] * v1[0] - a[3] * v1[1];
-        i1 += a[2] * v1[1] + a[3] * v1[0];
-        r2 += a[4] * v2[0] - a[5] * v2[1];
-        i2 += a[4] * v2[1] + a[5] * v2[0];
-        r3 += a[6] * v3[0] - a[7] * v3[1];
-        i3 += a[6] * v3[1] + a[7] * v3[0];
+        r0 += a[0] * v0[0];
+        s0 += a[0] * v0[1];
+        p0 += a[1] * v0[0];
+        q0 += a[1] * v0[1];
+        r1 += a[2] * v1[0];
+        s1 += a[2] * v1[1];
+        p1 += a[3] * v1[0];
+        q1 += a[3] * v1[1];
     }
-    for (; k < count; ++k, a += 2) {
+    if (k < count) {
         const num *v0 = v + 2 * column[k];
-        r0 += a[0] * v0[0] - a[1] * v0[1];
-        i0 += a[0] * v0[1] + a[1] * v0[0];
+        r0 += a[0] * v0[0];
+        s0 += a[0] * v0[1];
+        p0 += a[1] * v0[0];
+        q0 += a[1] * v0[1];
     }
-    *re = (r0 + r1) + (r2 + r3);
-    *im = (i0 + i1) + (i2 + i3);
+    *re = (r0 + r1) - (q0 + q1);
+    *im = (s0 + s1) + (p0 + p1);
 }
 
 /* The same with entries of 2 x 2 real numbers. */

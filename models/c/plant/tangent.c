@@ -70,17 +70,17 @@ size_t plant_directional(double *memory, const int32_t *places, const BlockLayou
     num *z = (num *)(void *)scratch;
     num *input = z + layout->n_x, *rates = input + layout->n_u, *outputs = rates + layout->n_x;
     num *work = outputs + layout->n_y;
-    size_t stuck = plant_settle(memory, places, x, scratch);
+    size_t stuck = plant_settle(memory, places, 0, x, scratch);
 
     if (stuck > 0) return stuck;
     for (size_t k = 0; k < layout->n_x; ++k) z[k] = with_slope(x[k], H * vx[k]);
     for (size_t k = 0; k < layout->n_u; ++k) input[k] = with_slope(u[k], H * vu[k]);
     if (vdx != NULL) {
-        stuck = plant_flow_tangent(memory, places, z, input, rates, work);
+        stuck = plant_flow_tangent(memory, places, 0, z, input, rates, work);
         for (size_t k = 0; k < layout->n_x; ++k) vdx[k] = cimag(rates[k]) / H;
     }
     if (vy != NULL && stuck == 0) {
-        stuck = plant_outputs_tangent(memory, places, z, outputs, work);
+        stuck = plant_outputs_tangent(memory, places, 0, z, outputs, work);
         for (size_t k = 0; k < layout->n_y; ++k) vy[k] = cimag(outputs[k]) / H;
     }
     return stuck;

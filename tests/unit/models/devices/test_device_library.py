@@ -143,17 +143,21 @@ def test_a_record_goes_in_and_out(name):
 
 DRIVER = """
 #include "devices.h"
-void drive(size_t device, size_t n, uint64_t has, double *table, const double *machine,
+#include "processor.h"
+#include "tiles.h"
+void drive(size_t device, size_t n, uint64_t has, size_t lanes, double *table, const double *machine,
            const DeviceSignals *in, const double *x, double *dx);
-void drive(size_t device, size_t n, uint64_t has, double *table, const double *machine,
+void drive(size_t device, size_t n, uint64_t has, size_t lanes, double *table, const double *machine,
            const DeviceSignals *in, const double *x, double *dx)
 {
     const DeviceGroup group = { table, machine, n, has };
     device_prepare(device, table, n);
-    device_run(device, &group, in, x, dx);
+    TILED(device_run, lanes, n, device, &group, in, x, dx);
 }
 size_t rows_of(size_t device);
 size_t rows_of(size_t device) { return device_rows(device); }
+size_t lanes_of_this_machine(void);
+size_t lanes_of_this_machine(void) { return processor_lanes(); }
 """
 #: members of DeviceSignals, in the order of elements.h
 MEMBERS = ("vt", "vd", "vq", "id", "iq", "pe", "slip", "ifd", "pref_step", "vc", "vs", "pm", "efd")
@@ -168,12 +172,13 @@ class Driver:
         source.write_text(DRIVER)
         header = header_of(self.models)
         flags = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion")
-        path = compile_shared((source, header), (*flags, "-Werror", f"-I{PLANT}"))
+        tiles = (PLANT / "tile_4.c", PLANT / "tile_8.c")
+        path = compile_shared((source, header, *tiles), (*flags, "-Werror", f"-I{PLANT}"))
         self.c = ctypes.CDLL(str(path))
-        self.c.rows_of.restype = ctypes.c_size_t
+        self.c.rows_of.restype = self.c.lanes_of_this_machine.restype = ctypes.c_size_t
 
-    def run(self, model, instances, xs, inputs):
-        """Rates and outputs of devices of one structure next to each other."""
+    def run(self, model, instances, xs, inputs, lanes=0):
+        """Rates and outputs of devices of one structure next to each other, `lanes` at a time."""
         device, n = self.models.index(model), len(instances)
         table = np.zeros((self.c.rows_of(ctypes.c_size_t(device)), n))
         for k, instance in enumerate(instances):
@@ -186,6 +191,7 @@ class Driver:
         where = np.arange(n, dtype=float)
         self.c.drive(
             ctypes.c_size_t(device), ctypes.c_size_t(n), ctypes.c_uint64(instances[0].has),
+            ctypes.c_size_t(lanes),
             table.ctypes.data_as(ctypes.c_void_p), where.ctypes.data_as(ctypes.c_void_p), pointers,
             x.ctypes.data_as(ctypes.c_void_p), dx.ctypes.data_as(ctypes.c_void_p),
         )  # fmt: skip
@@ -211,6 +217,21 @@ def test_c_and_python_agree_far_from_rest(driver, name):
         size = 1.0 + np.abs(np.array(wanted, dtype=float))
         assert np.abs((rates[k] - wanted) / size).max(initial=0.0) < 1e-11
         assert outputs[k] == pytest.approx(values[instance.model.device.output], rel=1e-11, abs=1e-13)
+
+
+@pytest.mark.parametrize("name", TYPICAL)
+def test_devices_side_by_side_have_the_bits_of_each_alone(driver, name):
+    """As many as leave a rest in every tile."""
+    point, inputs = at_rest(name)
+    instance, rng = point.instance, np.random.default_rng(11)
+    xs = [np.array(point.states) + s * rng.standard_normal(len(point.states)) for s in np.geomspace(1e-3, 3.0, 13)]
+    seen = [{k: v + 0.3 * rng.standard_normal() for k, v in inputs.items()} for _ in xs]
+    alone = driver.run(instance.model, [instance] * len(xs), xs, seen)
+    for lanes in (4, 8):
+        if lanes <= driver.c.lanes_of_this_machine():
+            found = driver.run(instance.model, [instance] * len(xs), xs, seen, lanes)
+            np.testing.assert_array_equal(found[0], alone[0])
+            np.testing.assert_array_equal(found[1], alone[1])
 
 
 @pytest.mark.parametrize("name", ["ESST1A", "EXAC1", "IEEEST", "PSS2B", "HYGOV"])
