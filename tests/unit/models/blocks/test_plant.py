@@ -294,3 +294,25 @@ def test_the_default_is_stable_in_every_case(name: str) -> None:
     assert np.abs(poles).max() * shortest_time_s(operating_point(case)) < 1.2
     z = block.longest_step_s * poles[poles.real < -1e-3]
     assert np.all(np.abs(1.0 + z + z**2 / 2 + z**3 / 6 + z**4 / 24) < 1.0)
+
+
+@pytest.mark.parametrize("name", ["two-area-thesis", "new-england", "nets-nyps"])
+def test_machines_side_by_side_have_the_bits_of_each_alone(name):
+    """Saturation of every shape on some machines, torque over speed on others, constant EMF on the last."""
+    machines = {m.name: {} for m in load_case(name).machines}
+    shapes = [{"S10": 0.01, "S12": 0.03}, {"S10": 0.01, "S12": 0.03, "shape": "exponential"}, None]
+    shapes.append({"S10": 0.01, "S12": 0.04, "of": "transient_emf"})
+    for k, own in enumerate(machines.values()):
+        own["torque_by_speed"] = k % 3 == 0
+        if shapes[k % 4]:
+            own["flux_saturation"] = shapes[k % 4]
+    plant = started(name, change={"machines": machines})
+    widest, (x, u) = plant._block.lanes, somewhere(plant)
+    plant._block.lanes = 0
+    wanted = [plant.derivatives(x, u)]
+    for lanes in (4, 8):
+        plant._block.lanes = min(lanes, widest)
+        wanted.append(plant.derivatives(x, u))
+    for found in wanted[1:]:
+        np.testing.assert_array_equal(found[0], wanted[0][0])
+        np.testing.assert_array_equal(found[1], wanted[0][1])

@@ -224,7 +224,10 @@ def test_devices_side_by_side_have_the_bits_of_each_alone(driver, name):
     """As many as leave a rest in every tile."""
     point, inputs = at_rest(name)
     instance, rng = point.instance, np.random.default_rng(11)
-    xs = [np.array(point.states) + s * rng.standard_normal(len(point.states)) for s in np.geomspace(1e-3, 3.0, 13)]
+    xs = [
+        np.array(point.states) + s * rng.standard_normal(len(point.states))
+        for s in np.geomspace(1e-3, 3.0, 13)
+    ]
     seen = [{k: v + 0.3 * rng.standard_normal() for k, v in inputs.items()} for _ in xs]
     alone = driver.run(instance.model, [instance] * len(xs), xs, seen)
     for lanes in (4, 8):
