@@ -296,7 +296,7 @@ def test_the_default_is_stable_in_every_case(name: str) -> None:
     assert np.all(np.abs(1.0 + z + z**2 / 2 + z**3 / 6 + z**4 / 24) < 1.0)
 
 
-@pytest.mark.parametrize("name", ["two-area-thesis", "new-england", "nets-nyps"])
+@pytest.mark.parametrize("name", ["two-area-thesis", "new-england"])
 def test_machines_side_by_side_have_the_bits_of_each_alone(name):
     """Saturation of every shape on some machines, torque over speed on others, constant EMF on the last."""
     machines = {m.name: {} for m in load_case(name).machines}
