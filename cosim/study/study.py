@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -24,6 +24,7 @@ from interarea.design.modes.loop_selection import lead_by_coordinates, rank_loop
 from interarea.design.modes.modes import modes_of
 from interarea.design.reduction.balanced import balanced_truncation
 from interarea.design.synthesis.study_designs import WdcSpec
+from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.open.cross_check import complete_fmu
 from interarea.fmu_build.write.cache import (
     cached_json,
@@ -34,12 +35,14 @@ from interarea.fmu_build.write.cache import (
     place,
 )
 from interarea.models.case.case import load_case
-from interarea.models.files import write_whole
+from interarea.models.files import temporary_folder, write_whole
 from interarea.models.grid.powerflow import solve_powerflow
 
 from ..explorer.page import write_linked_explorer
+from ..explorer.wasm import container_wasm
 from ..run.artefacts import channel_fmu, linear_plant, plant_fmu
 from ..run.controllers import controller_fmu, design_controller
+from ..sweep.lane_batches import lanes_here
 from . import rows
 from .delay import latency_analysis, pade_record, redesigned
 from .figures import StudyParts, difference_of, save_figures
@@ -50,7 +53,7 @@ from .report import write_report
 from .runs import run_all, scenario_documents
 from .second_solver import second_solver_record
 from .spec import design_specs, load_study
-from .survival import survival_record
+from .survival import survival_record, survival_started
 
 #: Called with a stage's name and how much of it is done, 0..1.
 StageProgress = Callable[[str, float], None]
@@ -76,7 +79,9 @@ def run_study(
 ) -> dict[str, Any]:
     """Run study `name` (bundled, or a TOML file) into the folder `out`; return what study.json holds.
 
-    second_solver : whether every LMI is solved by Clarabel too, in a process beside.
+    second_solver : whether every LMI is solved by Clarabel too.
+
+    Two processes beside compile, try the faults and solve a second time while this one goes on.
 
     Writes fmus/*.fmu, figures/*.svg, results/*.parquet, report.html, explorer.html and study.json.
 
@@ -96,7 +101,11 @@ def run_study(
 
     with threadpool_limits(1), ExitStack() as ending:
         done = stage("plant")
+        # processes beside need nothing but what the cache holds by the time they are asked
+        beside = ProcessPoolExecutor(2, initializer=threadpool_limits, initargs=(1,))
+        ending.callback(beside.shutdown, cancel_futures=True)
         case = load_case(spec["case"])
+        beside.submit(_compile, spec["case"], "survival" in spec, cache)
         flow = solve_powerflow(case)
         fmus = {"plant": plant_fmu(case, cache), "channel": channel_fmu(cache)}
         done(0.5)
@@ -130,10 +139,14 @@ def run_study(
             fmus[label] = controller_fmu(controllers[label], case.omega_b, cache)
             done((k + 1) / len(spec["controllers"]))
 
-        # in a process beside: it needs nothing but what the cache holds by now
-        beside = ending.enter_context(ProcessPoolExecutor(1))
         names = list(controllers)
         waiting = beside.submit(method_record, spec["case"], names, spec["remote"], specs, cache)
+        faults = []
+        if "survival" in spec:
+            wanted = spec["survival"]["controllers"]
+            tried = {label: design_controller(case, label, cache, specs=specs) for label in wanted}
+            folder = ending.enter_context(temporary_folder())
+            faults = survival_started(spec, tried, folder, cache, beside)
         opinion = (
             beside.submit(second_solver_record, spec["case"], names, specs, cache) if second_solver else None
         )
@@ -178,11 +191,7 @@ def run_study(
         packets = _packets(spec, plant, controllers, fmus, cache, done) if "packets" in spec else None
 
         done = stage("survival")
-        survival = None
-        if "survival" in spec:
-            wanted = spec["survival"]["controllers"]
-            tried = {label: design_controller(case, label, cache, specs=specs) for label in wanted}
-            survival = survival_record(spec, tried, cache, done)
+        survival = survival_record(spec, faults, done) if faults else None
         done(1.0)
 
         done = stage("figures")
@@ -249,6 +258,14 @@ def run_study(
     write_whole(out / "study.json", f"{text}\n".encode())
     done(1.0)
     return study
+
+
+def _compile(case_name: str, lanes: bool, cache: Path) -> None:
+    """Compile what later stages use; whoever uses it says what cannot be had."""
+    with suppress(BuildError):
+        if lanes:
+            lanes_here(cache)
+        container_wasm(cache, case=load_case(case_name))
 
 
 def _packets(

@@ -8,8 +8,8 @@ processor, every run with the bits of the run made alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,12 +23,10 @@ from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, source_hash
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.variants import operating_variant
-from interarea.models.files import temporary_folder
 
 from ..designs.fault_runs import FaultRuns, longest_kept
 from ..run.artefacts import linear_plant, plant_fmu
 from ..run.controllers import controller_fmu
-from ..sweep.lane_batches import lanes_here
 from .delay import least_swing
 
 NONE = "none"
@@ -47,51 +45,54 @@ class Setting:
         return "remote lost" if self.lost else "nothing lost"
 
 
-def survival_record(
+def survival_started(
     spec: Mapping[str, Any],
     controllers: Mapping[str, Controller],
+    folder: Path,
     cache: Path,
+    pool: Executor,
+) -> list[Future[list[dict[str, Any]]]]:
+    """Start the faults of every operating point and ceiling of `spec["survival"]` in the processes of a pool.
+
+    folder : kept until the last one is done; the controllers lie there, since a state-space model of
+    python-control cannot be pickled.
+    """
+    table = spec["survival"]
+    files = {name: made.save(folder / f"{name}.json") for name, made in controllers.items()}
+    return [
+        pool.submit(_rows_of_case, spec, files, point, ceiling, cache)
+        for ceiling in table["ceiling"]
+        for point in table["point"]
+    ]
+
+
+def survival_record(
+    spec: Mapping[str, Any],
+    started: Sequence[Future[list[dict[str, Any]]]],
     progress: Callable[[float], None],
 ) -> dict[str, Any]:
-    """Return `rows` as `survival_rows`, the clearing time of the fault as specified and what was asked."""
+    """Return `rows`, the clearing time of the fault as specified and what was asked.
+
+    started : as `survival_started` gave it.
+
+    A row for each operating point, ceiling, controller and loss of `spec["survival"]`: point, ceiling,
+    controller, signals; `stable` and `least_damping` of the linear loop (that of the swings; the same with
+    every ceiling); `synchronism` and `largest_angle_rad` (None where it is lost) of the fault as specified;
+    `critical_cycles`, the longest clearing time that keeps synchronism, in cycles of the case's frequency,
+    to the tolerance: 0 where the shortest tried loses it, the longest tried where it never does.
+    """
     table = spec["survival"]
     fault = next(e for e in spec["disturbance"][table["disturbance"]] if e["kind"] == "bus_fault")
     cycles = (fault["end_s"] - fault["start_s"]) * load_case(spec["case"]).frequency_hz
+    rows: list[dict[str, Any]] = []
+    for k, future in enumerate(started):
+        rows += future.result()
+        progress((k + 1) / len(started))
     return {
         "clearing_cycles": round(cycles, 3),
         **{key: table[key] for key in ("lost_at_s", "watch_s", "cycles")},
-        "rows": survival_rows(spec, controllers, cache, progress),
+        "rows": rows,
     }
-
-
-def survival_rows(
-    spec: Mapping[str, Any],
-    controllers: Mapping[str, Controller],
-    cache: Path,
-    progress: Callable[[float], None],
-    *,
-    processes: int = 2,
-) -> list[dict[str, Any]]:
-    """Return one row for each operating point, ceiling, controller and loss of `spec["survival"]`.
-
-    Each row: point, ceiling, controller, signals; `stable` and `least_damping` of the linear loop (that of
-    the swings; the same with every ceiling); `synchronism` and `largest_angle_rad` (None where it is lost) of
-    the fault as specified; `critical_cycles`, the longest clearing time that keeps synchronism, in cycles
-    of the case's frequency, to the tolerance: 0 where the shortest tried loses it, the longest tried where it
-    never does.
-    """
-    table = spec["survival"]
-    tried = [(point, ceiling) for ceiling in table["ceiling"] for point in table["point"]]
-    rows: list[dict[str, Any]] = []
-    lanes_here(cache)  # compiled once, not by each process
-    with temporary_folder() as folder, ProcessPoolExecutor(processes) as pool:
-        # a state-space model of python-control cannot be pickled
-        files = {name: controllers[name].save(Path(folder) / f"{name}.json") for name in controllers}
-        waiting = [pool.submit(_rows_of_case, spec, files, point, ceiling, cache) for point, ceiling in tried]
-        for k, future in enumerate(waiting):
-            rows += future.result()
-            progress((k + 1) / len(waiting))
-    return rows
 
 
 def case_at(case: Case, point: Mapping[str, Any], ceiling: Mapping[str, Any]) -> Case:

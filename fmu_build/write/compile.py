@@ -69,6 +69,9 @@ WEB_PAGE = Platform(
     "-mexec-model=reactor",
 )
 
+#: of the compiler's own folder: what it made of libc and the like, apart from what it made of our files
+SYSTEM_LIBRARIES = "system"
+
 #: Folder of the binaries that travel in the wheel, named by `shipped_name`; a checkout has none.
 SHIPPED = Path(__file__).resolve().parents[1] / "binaries"
 
@@ -317,8 +320,8 @@ def _run_compiler(command: list[str], folder: Path, cache: Path, kind: str, plat
 def _compile(command: list[str], folder: Path, zig_cache: Path, kind: str, platform: str) -> None:
     environment = {
         **os.environ,
-        "ZIG_GLOBAL_CACHE_DIR": str(zig_cache),
-        "ZIG_LOCAL_CACHE_DIR": str(zig_cache),
+        "ZIG_GLOBAL_CACHE_DIR": str(zig_cache / SYSTEM_LIBRARIES),  # a minute to make for each target
+        "ZIG_LOCAL_CACHE_DIR": str(zig_cache / "objects"),
         "LC_ALL": "C",
     }
     try:
