@@ -141,12 +141,8 @@ def run_study(
 
         names = list(controllers)
         waiting = beside.submit(method_record, spec["case"], names, spec["remote"], specs, cache)
-        faults = []
-        if "survival" in spec:
-            wanted = spec["survival"]["controllers"]
-            tried = {label: design_controller(case, label, cache, specs=specs) for label in wanted}
-            folder = ending.enter_context(temporary_folder())
-            faults = survival_started(spec, tried, folder, cache, beside)
+        folder = ending.enter_context(temporary_folder())
+        faults = survival_started(spec, specs, folder, cache, beside)
         opinion = (
             beside.submit(second_solver_record, spec["case"], names, specs, cache) if second_solver else None
         )
@@ -191,7 +187,7 @@ def run_study(
         packets = _packets(spec, plant, controllers, fmus, cache, done) if "packets" in spec else None
 
         done = stage("survival")
-        survival = survival_record(spec, faults, done) if faults else None
+        survival = survival_record(spec, faults, done)
         done(1.0)
 
         done = stage("figures")

@@ -20,13 +20,14 @@ from threadpoolctl import threadpool_limits
 from interarea.design.certificates.closed_loop import closed_loop_matrix
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.design.synthesis.study_designs import StudySpec
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, source_hash
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.variants import operating_variant
 
 from ..designs.fault_runs import FaultRuns, longest_kept
 from ..run.artefacts import linear_plant, plant_fmu
-from ..run.controllers import controller_fmu
+from ..run.controllers import controller_fmu, design_controller
 from .delay import least_swing
 
 NONE = "none"
@@ -47,18 +48,23 @@ class Setting:
 
 def survival_started(
     spec: Mapping[str, Any],
-    controllers: Mapping[str, Controller],
+    specs: Mapping[str, StudySpec],
     folder: Path,
     cache: Path,
     pool: Executor,
 ) -> list[Future[list[dict[str, Any]]]]:
-    """Start the faults of every operating point and ceiling of `spec["survival"]` in the processes of a pool.
+    """Start the faults of every operating point and ceiling of `spec["survival"]`, if it has that table.
 
-    folder : kept until the last one is done; the controllers lie there, since a state-space model of
-    python-control cannot be pickled.
+    specs : of the designs. folder : kept until the last one is done; the controllers lie there, since a
+    state-space model of python-control cannot be pickled. pool : its processes try the faults.
     """
-    table = spec["survival"]
-    files = {name: made.save(folder / f"{name}.json") for name, made in controllers.items()}
+    if "survival" not in spec:
+        return []
+    table, case = spec["survival"], load_case(spec["case"])
+    files = {
+        name: design_controller(case, name, cache, specs=specs).save(folder / f"{name}.json")
+        for name in table["controllers"]
+    }
     return [
         pool.submit(_rows_of_case, spec, files, point, ceiling, cache)
         for ceiling in table["ceiling"]
@@ -70,10 +76,10 @@ def survival_record(
     spec: Mapping[str, Any],
     started: Sequence[Future[list[dict[str, Any]]]],
     progress: Callable[[float], None],
-) -> dict[str, Any]:
+) -> dict[str, Any] | None:
     """Return `rows`, the clearing time of the fault as specified and what was asked.
 
-    started : as `survival_started` gave it.
+    started : as `survival_started` gave it; None where that is nothing.
 
     A row for each operating point, ceiling, controller and loss of `spec["survival"]`: point, ceiling,
     controller, signals; `stable` and `least_damping` of the linear loop (that of the swings; the same with
@@ -81,6 +87,8 @@ def survival_record(
     `critical_cycles`, the longest clearing time that keeps synchronism, in cycles of the case's frequency,
     to the tolerance: 0 where the shortest tried loses it, the longest tried where it never does.
     """
+    if not started:
+        return None
     table = spec["survival"]
     fault = next(e for e in spec["disturbance"][table["disturbance"]] if e["kind"] == "bus_fault")
     cycles = (fault["end_s"] - fault["start_s"]) * load_case(spec["case"]).frequency_hz
