@@ -25,10 +25,11 @@ test-fast: $(VENV)/installed-test
 test-slow: $(VENV)/installed-test
 	$(BIN)/python -m pytest -q -m slow -n $(WORKERS) --dist loadfile --durations=15
 
-# An hour of random FMI calls under sanitizers, then every injected fault; seeds go on from hour to hour.
+# An hour of random FMI calls under sanitizers, then foreign FMUs and every injected fault; seeds go on from hour to hour.
 fuzz: $(VENV)/installed-test
 	$(BIN)/python tests/fuzz/run_fuzz.py --minutes 60 --calls 100000000 --seeds out/fuzz/seeds.json
-	$(BIN)/python -m pytest -q -m "" tests/faults tests/hostile tests/sweep/test_sweep_kills.py
+	-$(BIN)/python tests/foreign/fetch.py
+	$(BIN)/python -m pytest -q -m "" tests/foreign tests/faults tests/hostile tests/sweep/test_sweep_kills.py
 
 lint: $(VENV)/installed-test
 	$(BIN)/ruff check .
