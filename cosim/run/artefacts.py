@@ -25,6 +25,7 @@ from interarea.models.case.case import Case
 if TYPE_CHECKING:
     import control
 
+    from interarea.design.linear.sparse_plant import SparsePlant
     from interarea.models.blocks.variables import Block
 
 EVENT_SLOTS = 8  #: of the plant FMU; a scenario with more events gets one of its own
@@ -120,6 +121,21 @@ def linear_plant(case: Case, cache: Path) -> control.StateSpace:
         outputs=m.output_labels,
         name=case.name.replace(".", "_"),  # python-control refuses a dot
     )
+
+
+def sparse_linear_plant(case: Case, cache: Path) -> SparsePlant:
+    """Return the plant of a case at rest as sparse blocks, from the C of its FMU; only the library is kept.
+
+    Raises
+    ------
+    UserError : no operating point.
+    """
+    from interarea.design.linear.sparse_plant import sparse_plant
+    from interarea.fmu_build.write.device_slopes import DeviceSlopes
+    from interarea.models.blocks.plant import plant_block
+
+    block = plant_block(case, event_slots=0)
+    return sparse_plant(DeviceSlopes(block, cache=cache), block.data)
 
 
 def _save_linear(system: control.StateSpace, path: Path) -> None:

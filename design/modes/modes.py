@@ -189,7 +189,7 @@ def modes_of(
         candidates = sorted(swinging, key=lambda i: values[i].imag)
         coordinate = left[states] / C[np.arange(len(states)), states][:, None]
         fits = [
-            {k: x / total[i] for k, x in _taking_part(coordinate[:, i], C @ right[:, i], area_of).items()}
+            {k: x / total[i] for k, x in pattern_parts(coordinate[:, i], C @ right[:, i], area_of).items()}
             for i in candidates
         ]
     named = _names_of(fits, area_of, least_share)
@@ -271,7 +271,7 @@ def _speed_states(system: Linear, C: Matrix) -> list[int] | None:
     return [int(r[0]) for r in read] if all(r.size == 1 for r in read) else None
 
 
-def _taking_part(left: ComplexMatrix, right: ComplexMatrix, area_of: list[int]) -> dict[str, float]:
+def pattern_parts(left: ComplexMatrix, right: ComplexMatrix, area_of: list[int]) -> dict[str, float]:
     """Participation of each pattern in a mode, from its speeds (machines,) left and right.
 
     As a state's is |w_i v_i|, that of a pattern is |w^T P v| with the projector P on it: between areas, or

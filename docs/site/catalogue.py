@@ -37,7 +37,7 @@ EXAMPLES = {
     "cases": "interarea cases",
     "show": "interarea show lost-signal",
     "new": "interarea new scenario --out mine.toml",
-    "modes": "interarea modes kundur-pss --shapes --tie-flow 100",
+    "modes": "interarea modes nets-nyps --band 0.1:2.5 --below 0.1 --shapes",
     "loops": "interarea loops two-area-thesis",
     "run": "interarea run lost-signal --out out/run --explain",
     "sweep": "interarea sweep examples/latency_loss.toml --out out/sweep",

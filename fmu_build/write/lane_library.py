@@ -12,7 +12,8 @@ from interarea.models.blocks.plant import GROUP_SOURCES, plant_sources
 from ..errors import BuildError
 from .compile import compile_library, fmi_sources, gather_sources, host_platform, record_source
 
-_SOURCE = Path(__file__).resolve().parents[1] / "c" / "group" / "fmu_group.c"
+_FOLDER = Path(__file__).resolve().parents[1] / "c" / "group"
+_SOURCES = (_FOLDER / "fmu_group.c", _FOLDER / "device_slopes.c")
 _ALIGNMENT = 64
 
 
@@ -29,6 +30,9 @@ class GroupLibrary:
         c.interarea_group_size.argtypes = [c_void_p, c_size_t]
         c.interarea_group_open.argtypes = [c_void_p, c_void_p, c_size_t]
         c.interarea_group_open.restype = None
+        c.interarea_devices_size.restype = c.interarea_devices_sources.restype = c_size_t
+        #: the functions of c/group/device_slopes.h
+        self.devices = c
         #: instances that this processor steps at once
         self.lanes = int(c.interarea_group_lanes())
         #: address of `interarea_group_step`
@@ -71,7 +75,7 @@ def _loaded(path: Path) -> GroupLibrary:
 
 def group_sources() -> tuple[Path, ...]:
     """Return the C files of the library."""
-    return (*fmi_sources(), *plant_sources(), record_source(), *GROUP_SOURCES, _SOURCE)
+    return (*fmi_sources(), *plant_sources(), record_source(), *GROUP_SOURCES, *_SOURCES)
 
 
 def plant_group(*, cache: Path | None = None) -> GroupLibrary:

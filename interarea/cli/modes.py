@@ -14,6 +14,7 @@ import typer
 from .terminal import busy, print_table
 
 if TYPE_CHECKING:
+    from interarea.design.modes.all_modes import AllModes
     from interarea.design.modes.modes import Mode, Modes
     from interarea.design.modes.sensitivity import Sensitivity
     from interarea.models.case.case import Case
@@ -49,13 +50,30 @@ def modes(
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="DIR", help="draw compass plots into it")
     ] = None,
+    band: Annotated[
+        str | None,
+        typer.Option(
+            "--band",
+            metavar="LOW:HIGH",
+            help="all modes between so many Hz, of any grid, counted independently",
+        ),
+    ] = None,
+    below: Annotated[
+        float | None,
+        typer.Option(
+            "--below", metavar="RATIO", help="all modes below this damping ratio; 0.2 with --band alone"
+        ),
+    ] = None,
 ) -> None:
     """Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes."""
+    if band is not None or below is not None:
+        _refuse_beside_band(sensitivity=sensitivity, margins=margins, plot=plot)
+        loaded = _at_point(case, tie_flow, circuit_out, load_scale)
+        _all_modes(loaded, band or "0.1:2.5", 0.2 if below is None else below, participation, shapes, json_)
+        return
     from interarea.cosim.run.artefacts import linear_matrices
     from interarea.design.modes.modes import modes_of
     from interarea.fmu_build.write.cache import default_cache
-    from interarea.models.case.case import load_case
-    from interarea.models.case.variants import operating_variant
 
     from .destination import folder_for
 
@@ -63,11 +81,7 @@ def modes(
         folder_for(plot, "--plot")
     cache = default_cache()
     with busy(f"linearising the plant FMU of {case}"):
-        loaded = load_case(case)
-        if tie_flow or circuit_out or load_scale != 1.0:
-            loaded = operating_variant(
-                loaded, tie_flow_mw=tie_flow, out=circuit_out or (), load_scale=load_scale
-            )
+        loaded = _at_point(case, tie_flow, circuit_out, load_scale)
         limits = _start_rows(loaded) if margins else []
         system = linear_matrices(loaded, cache)
         found = modes_of(system, loaded.areas)
@@ -92,6 +106,105 @@ def modes(
         _print_margins(limits)
     for file in files:
         typer.echo(file)
+
+
+def _at_point(case: str, tie_flow: float, circuit_out: list[str] | None, load_scale: float) -> Case:
+    """Return a case at the operating point asked for."""
+    from interarea.models.case.case import load_case
+    from interarea.models.case.variants import operating_variant
+
+    loaded = load_case(case)
+    if not (tie_flow or circuit_out or load_scale != 1.0):
+        return loaded
+    return operating_variant(loaded, tie_flow_mw=tie_flow, out=circuit_out or (), load_scale=load_scale)
+
+
+def _refuse_beside_band(**given: object) -> None:
+    """Refuse what belongs to the named swing modes of a small grid."""
+    from interarea.design.modes.modes import ModeError
+
+    named = [f"--{name}" for name, value in given.items() if value]
+    if named:
+        raise ModeError(f"{named[0]} with --band or --below: not together; leave one out")
+
+
+def _band_hz(text: str) -> tuple[float, float]:
+    """Return the two frequencies of `LOW:HIGH`."""
+    from interarea.design.modes.modes import ModeError
+
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise ModeError(f"--band {text!r}, wanted LOW:HIGH in Hz, such as 0.1:2.5") from None
+    return low, high
+
+
+def _all_modes(case: Case, band: str, below: float, count: int, shapes: bool, as_json: bool) -> None:
+    """Print every mode of a region with the independent count."""
+    from interarea.cosim.run.artefacts import sparse_linear_plant
+    from interarea.design.modes.all_modes import all_modes
+    from interarea.fmu_build.write.cache import default_cache
+
+    band_hz = _band_hz(band)
+    with busy(f"all modes of {case.name}"):
+        plant = sparse_linear_plant(case, default_cache())
+        found = all_modes(plant, case.areas, band_hz=band_hz, below=below)
+    if as_json:
+        document = _all_as_dict(case.name, plant.nstates, found, count, shapes)
+        typer.echo(json.dumps(document, indent=2, allow_nan=False))
+        return
+    (low, high), by_name = found.band_hz, {mode.name: mode for mode in found.modes}
+    title = (
+        f"{case.name}: {plant.nstates} states, modes from {low:g} to {high:g} Hz below a damping ratio of "
+    )
+    title += f"{found.below:g}: {len(by_name)}, counted independently: {found.counted}"
+    _print_modes(title, by_name, count)
+    for line in (*found.moved, *_remarks(found)):
+        typer.echo(line)
+    if shapes and by_name:
+        _print_shapes(by_name, case)
+
+
+def _remarks(found: AllModes) -> list[str]:
+    """What the table does not say."""
+    said = [f"largest residual {found.residual:.1e}"]
+    if found.rotation:
+        said.append("rotation: turning all rotors together moves nothing; its eigenvalue 0 is no instability")
+    if not any(mode.name.startswith("inter-area") for mode in found.modes):
+        said.append("no inter-area mode among them; a wider --band, or machines assigned to areas")
+    if found.unstable:
+        said.append(f"unstable: {', '.join(mode.name for mode in found.unstable)}")
+    return said
+
+
+def _all_as_dict(name: str, states: int, found: AllModes, count: int, shapes: bool) -> dict[str, Any]:
+    rows = [
+        {
+            "name": mode.name,
+            "eigenvalue": [mode.eigenvalue.real, mode.eigenvalue.imag],
+            "frequency_hz": mode.frequency_hz,
+            "damping_ratio": mode.damping_ratio,
+            "share": mode.share,
+            "participation": main_states(mode, count),
+            "shape": {
+                machine: {"size": abs(z), "angle_deg": degrees(phase(z))}
+                for machine, z in (mode.shape.items() if shapes else ())
+            },
+        }
+        for mode in found.modes
+    ]
+    return {
+        "case": name,
+        "states": states,
+        "band_hz": list(found.band_hz),
+        "below": found.below,
+        "counted": found.counted,
+        "moved": list(found.moved),
+        "residual": found.residual,
+        "rotation": found.rotation,
+        "unstable": [mode.name for mode in found.unstable],
+        "modes": rows,
+    }
 
 
 def main_states(mode: Mode, count: int) -> dict[str, float]:
@@ -138,7 +251,7 @@ def _as_dict(
     }
 
 
-def _print_modes(title: str, found: Modes, count: int) -> None:
+def _print_modes(title: str, found: Mapping[str, Mode], count: int) -> None:
     print_table(
         title,
         ("mode", "frequency (Hz)", "damping ratio", "eigenvalue (1/s)", "takes part most"),
@@ -162,7 +275,7 @@ def _size_and_angle(entry: complex) -> str:
     return f"{abs(entry):.2f} {round(degrees(phase(entry))):+d}°"
 
 
-def _print_shapes(found: Modes, case: Case) -> None:
+def _print_shapes(found: Mapping[str, Mode], case: Case) -> None:
     machines = [m.name for m in case.machines]
     print_table(
         "speeds of the machines (size, angle in degrees)",

@@ -136,6 +136,14 @@ static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *patter
     return 0;
 }
 
+/* Terminals of the machines from their currents. */
+static void solve_terminals(const real *memory, const Plan *plan, const Machines *machines, Work *w)
+{
+    EVERY_MACHINE(machine_terminal, plan, w, machines);
+    if (plan->n_port > 0) saturate_terminals(memory, plan, w);
+    else w->id_rotor = w->id;
+}
+
 /* Returns 0, or 1 + the port where Newton's method fails. */
 static size_t solve_network(real *memory, const Plan *plan, const Pattern *pattern, const num *x, Work *w)
 {
@@ -147,9 +155,7 @@ static size_t solve_network(real *memory, const Plan *plan, const Pattern *patte
     else if (plan->n_port > 0) stuck = solve_ports(memory, plan, x, w);
     if (stuck > 0) return stuck;
     if (plan->n_node == 0) network_currents(memory, plan, w->e_re, w->e_im, w->i_re, w->i_im);
-    EVERY_MACHINE(machine_terminal, plan, w, &machines);
-    if (plan->n_port > 0) saturate_terminals(memory, plan, w);
-    else w->id_rotor = w->id;
+    solve_terminals(memory, plan, &machines, w);
     return 0;
 }
 
@@ -200,24 +206,31 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
     run_groups(memory, plan, w->lanes, plan->exciters, plan->n_group, &signals, x, dx);
 }
 
+/* Rates of machines and controls from the machines' terminals. */
+static void solve_rates(const real *memory, const Plan *plan, const num *x, const num *u, num *dx, Work *w)
+{
+    const size_t n = plan->n_machine, sixth = plan->n_sixth;
+
+    solve_devices(memory, plan, x, u, dx, w);
+    const Machines machines = machines_of(memory, plan, x, w);
+    const MachineRates rates = machine_rates(dx, n, sixth);
+    TILED(machine_derivatives, w->lanes, sixth, &machines, rates, 0, sixth);
+    TILED(machine_derivatives, w->lanes, n - sixth, &machines, rates, sixth, n);
+    if (plan->n_port > 0) saturate_rates(memory, plan, w, dx);
+    if (flag_any(num_above(NUM(memory[H_TRIPPED]), NUM(0.0)))) hold_tripped(memory, plan, dx);
+}
+
 size_t NAME(plant_flow)(real *memory, const int32_t *places, size_t lanes, const num *x, const num *u, num *dx,
                         num *scratch)
 {
     Plan plan;
     plan_of(memory, &plan);
     const Pattern pattern = pattern_of(places, &plan);
-    const size_t n = plan.n_machine;
     Work w = work_arrays(scratch, &plan, lanes);
 
     const size_t stuck = solve_network(memory, &plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
-    solve_devices(memory, &plan, x, u, dx, &w);
-    const Machines machines = machines_of(memory, &plan, x, &w);
-    const MachineRates rates = machine_rates(dx, n, plan.n_sixth);
-    TILED(machine_derivatives, lanes, plan.n_sixth, &machines, rates, 0, plan.n_sixth);
-    TILED(machine_derivatives, lanes, n - plan.n_sixth, &machines, rates, plan.n_sixth, n);
-    if (plan.n_port > 0) saturate_rates(memory, &plan, &w, dx);
-    if (flag_any(num_above(NUM(memory[H_TRIPPED]), NUM(0.0)))) hold_tripped(memory, &plan, dx);
+    solve_rates(memory, &plan, x, u, dx, &w);
     return 0;
 }
 

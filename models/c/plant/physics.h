@@ -20,6 +20,13 @@ size_t plant_outputs_tangent(double *memory, const int32_t *places, size_t lanes
 /* The complex step itself; scratch as for the functions above, complex. */
 size_t plant_directional(double *memory, const int32_t *places, const BlockLayout *layout, const double *x, const double *u,
                          const double *vx, const double *vu, double *vdx, double *vy, double *scratch);
+/* The devices without the network between them: the derivative of dx/dt and of the currents that machines and
+ * ports inject (system base) when states, inputs and the voltages of their buses move by vx, vu, vv at the rest
+ * that `settle` finds. vv, vi: n_source real parts (machines, then ports), then as many imaginary ones; a machine's
+ * port follows its machine, so its entries are not read and 0. Scratch as for plant_directional. */
+size_t plant_device_slopes(double *memory, const int32_t *places, const BlockLayout *layout, const double *x,
+                           const double *u, const double *vx, const double *vu, const double *vv, double *vdx,
+                           double *vi, double *scratch);
 
 static inline size_t flow_work(const Plan *plan)
 {

@@ -25,7 +25,8 @@ static int prepared(const Block *b, Plan *plan, Network *net)
 
 static size_t scratch_of(const Plan *plan, const BlockLayout *l)
 {
-    const size_t tangent = 2 * (2 * l->n_x + l->n_u + l->n_y + flow_work(plan)) + 2 * plan->n_machine;
+    const size_t shown = l->n_y > 2 * plan->n_source ? l->n_y : 2 * plan->n_source;
+    const size_t tangent = 2 * (2 * l->n_x + l->n_u + shown + flow_work(plan)) + 2 * plan->n_machine;
     const size_t stage = 2 * plan->n_bus + topology_work(plan);
     return tangent > stage ? tangent : stage;
 }

@@ -85,3 +85,123 @@ size_t plant_directional(double *memory, const int32_t *places, const BlockLayou
     }
     return stuck;
 }
+
+/* dJ/dV of the machine's port in `row` at its voltage, row by row, machine base. */
+static void gap_slope(const double *row, const Work *w, size_t k, num ed2, double v_re, double v_im, double d[4])
+{
+    num re, im, isd, isq;
+    const num sine = with_slope(creal(w->sine[k]), 0.0), cosine = with_slope(creal(w->cosine[k]), 0.0);
+    const num rest = with_slope(creal(ed2), 0.0);
+
+    saturation_injection(row, with_slope(v_re, H), with_slope(v_im, 0.0), sine, cosine, rest, &re, &im, &isd, &isq);
+    d[0] = cimag(re) / H;
+    d[2] = cimag(im) / H;
+    saturation_injection(row, with_slope(v_re, 0.0), with_slope(v_im, H), sine, cosine, rest, &re, &im, &isd, &isq);
+    d[1] = cimag(re) / H;
+    d[3] = cimag(im) / H;
+}
+
+/* How the air gap of a machine with a port moves with its EMF e and the voltage v of its bus. With z = Ra + j Xl
+ * and x = Xd2 - Xl, V_gap (j x + z) - z j x J(V_gap) = j x V + z E, in real and imaginary parts. */
+static void move_gap(const double *memory, const Plan *plan, size_t p, num ed2, num v_re, num v_im, Work *w)
+{
+    const size_t n = plan->n_machine;
+    const double *row = memory + plan->port + P_ROWS * p, *table = memory + plan->machine;
+    const size_t k = index_at(row, P_DEVICE);
+    const double r = table[M_RA * n + k], xl = table[M_XL * n + k], x = row[P_X2];
+    const double re = creal(w->port.v_re[p]), im = creal(w->port.v_im[p]);
+    const double zx_re = -xl * x, zx_im = r * x;
+    double d[4];
+    num j_re, j_im, isd, isq;
+
+    gap_slope(row, w, k, ed2, re, im, d);
+    saturation_injection(row, with_slope(re, 0.0), with_slope(im, 0.0), w->sine[k], w->cosine[k], ed2, &j_re, &j_im,
+                         &isd, &isq);
+    const double e_re = cimag(w->e_re[k]), e_im = cimag(w->e_im[k]), jr = cimag(j_re), ji = cimag(j_im);
+    const double b_re = -x * cimag(v_im) + r * e_re - xl * e_im + zx_re * jr - zx_im * ji;
+    const double b_im = x * cimag(v_re) + r * e_im + xl * e_re + zx_re * ji + zx_im * jr;
+    const double a = r - zx_re * d[0] + zx_im * d[2], b = -(x + xl) - zx_re * d[1] + zx_im * d[3];
+    const double c = (x + xl) - zx_re * d[2] - zx_im * d[0], e = r - zx_re * d[3] - zx_im * d[1];
+    const double size = a * e - b * c;
+    w->port.v_re[p] = with_slope(re, (e * b_re - b * b_im) / size);
+    w->port.v_im[p] = with_slope(im, (a * b_im - c * b_re) / size);
+}
+
+/* Currents of machines and ports when the voltages of their buses are given (n_source each). */
+static void inject_apart(const double *memory, const Plan *plan, const num *ed2, const num *v_re, const num *v_im, Work *w)
+{
+    const size_t n = plan->n_machine;
+
+    for (size_t p = 0; p < plan->n_port; ++p) {
+        const double *row = memory + plan->port + P_ROWS * p;
+        const size_t k = index_at(row, P_DEVICE);
+        if (port_is_load(row)) {
+            w->port.v_re[p] = v_re[n + p];
+            w->port.v_im[p] = v_im[n + p];
+        } else {
+            move_gap(memory, plan, p, ed2[k], v_re[k], v_im[k], w);
+        }
+    }
+    if (plan->n_port > 0) port_inject(memory, plan, ed2, w->sine, w->cosine, w->port, w->e_re, w->e_im);
+    for (size_t p = 0; p < plan->n_port; ++p) {   /* a machine's acts like j x J in its EMF */
+        const double *row = memory + plan->port + P_ROWS * p;
+        const size_t k = index_at(row, P_DEVICE);
+        if (port_is_load(row)) continue;
+        w->e_re[k] -= row[P_X2] * w->e_im[n + p];
+        w->e_im[k] += row[P_X2] * w->e_re[n + p];
+    }
+    for (size_t k = 0; k < n; ++k) {
+        double g, b;
+        network_norton(memory, plan, k, &g, &b);
+        const num re = w->e_re[k] - v_re[k], im = w->e_im[k] - v_im[k];
+        w->i_re[k] = g * re - b * im;
+        w->i_im[k] = g * im + b * re;
+    }
+}
+
+size_t plant_device_slopes(double *memory, const int32_t *places, const BlockLayout *layout, const double *x,
+                           const double *u, const double *vx, const double *vu, const double *vv, double *vdx,
+                           double *vi, double *scratch)
+{
+    Plan plan;
+    plan_of(memory, &plan);
+    const Pattern pattern = pattern_of(places, &plan);
+    const size_t n = plan.n_machine, sources = plan.n_source;
+    num *z = (num *)(void *)scratch;
+    num *input = z + layout->n_x, *rates = input + layout->n_u, *volts = rates + layout->n_x;
+    num *work = volts + 2 * sources;
+    Work w = work_arrays(work, &plan, 0);
+    const Machines machines = machines_of(memory, &plan, z, &w);
+    size_t stuck = plant_settle(memory, places, 0, x, scratch);
+
+    if (stuck > 0) return stuck;
+    for (size_t k = 0; k < layout->n_x; ++k) z[k] = with_slope(x[k], 0.0);
+    stuck = solve_network(memory, &plan, &pattern, z, &w);
+    if (stuck > 0) return stuck;
+    if (plan.n_node > 0) sparse_backward(memory, &plan, &pattern, 0, plan.first, w.v);
+    for (size_t k = 0; k < n; ++k)
+        network_voltage(memory, &plan, &pattern, index_at(memory + plan.machine_bus, k), w.e_re, w.e_im, w.v,
+                        &volts[k], &volts[sources + k]);
+    for (size_t p = 0; p < plan.n_port; ++p) {
+        volts[n + p] = w.port.v_re[p];
+        volts[sources + n + p] = w.port.v_im[p];
+    }
+    for (size_t k = 0; k < 2 * sources; ++k) volts[k] = with_slope(creal(volts[k]), H * vv[k]);
+    for (size_t k = 0; k < layout->n_x; ++k) z[k] = with_slope(x[k], H * vx[k]);
+    for (size_t k = 0; k < layout->n_u; ++k) input[k] = with_slope(u[k], H * vu[k]);
+    EVERY_MACHINE(machine_emf, &plan, &w, &machines);
+    inject_apart(memory, &plan, machines.x.ed2, volts, volts + sources, &w);
+    solve_terminals(memory, &plan, &machines, &w);
+    solve_rates(memory, &plan, z, input, rates, &w);
+    for (size_t k = 0; k < layout->n_x; ++k) vdx[k] = cimag(rates[k]) / H;
+    for (size_t k = 0; k < n; ++k) {
+        vi[k] = cimag(w.i_re[k]) / H;
+        vi[sources + k] = cimag(w.i_im[k]) / H;
+    }
+    for (size_t p = 0; p < plan.n_port; ++p) {
+        const int load = port_is_load(memory + plan.port + P_ROWS * p);
+        vi[n + p] = load ? cimag(w.e_re[n + p]) / H : 0.0;
+        vi[sources + n + p] = load ? cimag(w.e_im[n + p]) / H : 0.0;
+    }
+    return 0;
+}

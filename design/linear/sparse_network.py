@@ -1,0 +1,123 @@
+"""The network of a sparse plant: buses without a device eliminated, N(s) factored."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from interarea.models.grid.sparse_pattern import sparse_pattern
+
+ComplexArray = npt.NDArray[np.complex128]
+IntArray = npt.NDArray[np.int64]
+
+
+class Elimination:
+    """The buses without a device taken out of G once, those on no path between devices: no fill."""
+
+    def __init__(self, G: Any, active: IntArray, buses: int) -> None:
+        """G : (2 b, 2 b) real; active : buses that stay; buses : b."""
+        at = G.tocoo()
+        ends = np.unique(np.stack([at.row // 2, at.col // 2], axis=1), axis=0)
+        pattern = sparse_pattern(buses, ends[ends[:, 0] < ends[:, 1]], active)
+        order = np.argsort(pattern.row)
+        both = np.stack([2 * order, 2 * order + 1], axis=1).ravel()
+        ordered = G[both][:, both].tocsc()
+        k = self.first = 2 * pattern.first
+        self.order, self.active = both, active
+        self.row = pattern.row - pattern.first  #: (b,) place of each bus, negative where eliminated
+        self._upper, self._lower = ordered[:k, k:], ordered[k:, :k]
+        self._inner = splu(ordered[:k, :k].tocsc()) if k else None
+        self.kept = (ordered[k:, k:] - self._filled(ordered.shape[0] - k)).tocsc()
+
+    def _filled(self, kept: int) -> Any:
+        """What the eliminated buses add between those that are kept, in steps of some columns."""
+        if self._inner is None:
+            return sparse.csc_matrix((kept, kept))
+        parts = []
+        for first in range(0, kept, 256):
+            columns = self._upper[:, first : first + 256]
+            found = self._lower @ self._inner.solve(columns.toarray())
+            scale = np.max(np.abs(found), initial=0.0)
+            parts.append(sparse.csc_matrix(np.where(np.abs(found) > 1e-15 * scale, found, 0.0)))
+        return sparse.hstack(parts, format="csc")
+
+    def reduced(self, current: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return (kept rows, ...) of currents at all buses (2 b, ...), none at the eliminated ones."""
+        return current[self.order[self.first :]]
+
+    def everywhere(self, V: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return the voltages at all buses, (2 b, ...), from those that are kept, (rows, ...)."""
+        whole = np.zeros((len(self.order), *V.shape[1:]), dtype=V.dtype)
+        whole[self.order[self.first :]] = V
+        if self._inner is not None:
+            right = -(self._upper @ V)
+            inner = (
+                self._inner.solve(right.real) + 1j * self._inner.solve(right.imag)
+                if np.iscomplexobj(right)
+                else self._inner.solve(right)
+            )
+            whole[self.order[: self.first]] = inner
+        return whole
+
+
+class Network:
+    """N(s), or G, on the buses that are left, factored."""
+
+    def __init__(self, left: Elimination, bus: IntArray, blocks: npt.NDArray[Any] | None) -> None:
+        """bus : (K,) of each device; blocks : (K, 2, 2) what it takes off the diagonal of G; or None."""
+        self._left = left
+        rows = 2 * left.row[bus]
+        self._rows = np.stack([rows, rows + 1], axis=1)
+        matrix = left.kept
+        if blocks is not None:
+            i = (rows[:, None, None] + np.array([[0, 0], [1, 1]])).ravel()
+            j = (rows[:, None, None] + np.array([[0, 1], [0, 1]])).ravel()
+            matrix = (matrix - sparse.csc_matrix((blocks.ravel(), (i, j)), shape=matrix.shape)).tocsc()
+        # the order is a good one already, and the diagonal carries the devices: nobody pivots
+        self._complex = matrix.dtype.kind == "c"
+        self._lu = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+
+    def solve(self, right: npt.NDArray[Any], transposed: bool = False) -> npt.NDArray[Any]:
+        """Return what is left of the network solved for (rows, ...)."""
+        lu = self._lu
+        mode = "T" if transposed else "N"
+        if np.iscomplexobj(right) and not self._complex:
+            return np.asarray(lu.solve(right.real.copy(), mode) + 1j * lu.solve(right.imag.copy(), mode))
+        return np.asarray(lu.solve(np.ascontiguousarray(right), mode))
+
+    def at_devices(self, current: npt.NDArray[Any], transposed: bool = False) -> npt.NDArray[Any]:
+        """Return the voltages at the devices, (K, 2, ...), for what they send, (K, 2, ...)."""
+        left, rows = self._left, self._rows
+        at = np.zeros((left.kept.shape[0], *current.shape[2:]), dtype=current.dtype)
+        np.add.at(at, rows, current)
+        return np.asarray(self.solve(at, transposed)[rows])
+
+    def logarithm(self) -> complex:
+        """Log det, its imaginary part up to multiples of 2 pi."""
+        diagonal = self._lu.U.diagonal().astype(complex)
+        found = np.sum(np.log(diagonal))
+        return complex(found + (1j * np.pi if _is_odd(self._lu.perm_r) != _is_odd(self._lu.perm_c) else 0.0))
+
+
+def _is_odd(permutation: npt.NDArray[Any]) -> bool:
+    """Whether a permutation exchanges an odd number of pairs."""
+    n = len(permutation)
+    if np.array_equal(permutation, np.arange(n)):
+        return False
+    seen, odd = np.zeros(n, dtype=bool), False
+    for k in range(n):
+        j, length = k, 0
+        while not seen[j]:
+            seen[j] = True
+            j, length = int(permutation[j]), length + 1
+        odd ^= length > 0 and length % 2 == 0
+    return odd
+
+
+def times(blocks: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Blocks (K, i, j) times x (K, j) or (K, j, columns)."""
+    return np.asarray((blocks @ x[..., None])[..., 0] if x.ndim == 2 else blocks @ x)

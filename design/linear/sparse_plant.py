@@ -1,0 +1,292 @@
+r"""A plant at rest as sparse blocks: its devices and the network between them, no dense state matrix.
+
+Device k (a machine with its controls) has states x_k, sees the voltage V of its bus and sends a current,
+
+.. math:: \dot x_k = A_k x_k + B_k V + \dots, \qquad I_k = C_k x_k + D_k V, \qquad G V = \sum_k C_k x_k,
+
+with voltages and currents as real and imaginary parts and G = Y less all D_k. Without the states this leaves
+
+.. math:: N(s) = G - \sum_k C_k (s - A_k)^{-1} B_k, \qquad
+          \det(s - A) = \det N(s) \prod_k \det(s - A_k) / \det G,
+
+two rows a bus on the network's own pattern: its zeros are the modes, and its poles, the eigenvalues of the
+A_k, are known. Buses without a device are eliminated once, as far as that fills nothing in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+from scipy.linalg import schur
+
+from interarea.models.errors import InterareaError
+from interarea.models.grid.network import assembled
+
+from .sparse_network import Elimination, Network, times
+
+Matrix = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+IntArray = npt.NDArray[np.int64]
+
+_LOAD = 1  #: kind of a port
+_PAD = -1.0  #: pole of a place where a device has no state; nothing reaches it
+
+
+class SparsePlantError(InterareaError, ValueError):
+    """The blocks would not describe the plant."""
+
+
+class Slopes(Protocol):
+    """Derivatives of the devices of a plant at rest, the network between them cut."""
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the n states."""
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+
+    @property
+    def sources(self) -> int:
+        """Number of machines and ports."""
+
+    def slopes(self, vx: Matrix, vu: Matrix, vv: ComplexArray) -> tuple[Matrix, ComplexArray]:
+        """Return the moves of dx/dt (n,) and of the sources' currents, for moves of x, u and voltages."""
+
+
+@dataclass(frozen=True)
+class SparsePlant:
+    """Blocks of a plant with K devices of at most m states and b buses; per unit on the base of the case.
+
+    Attributes
+    ----------
+    machines : names, in the order of the devices. bus_names : numbers, in the order of the buses.
+    states : names (n,); inputs : names.
+    place : (K, m) state at each place of a device, n where it has none.
+    A : (K, m, m); B : (K, m, 2); C : (K, 2, m), current into the network; D : (K, 2, 2).
+    bus : (K,) bus of each device.
+    Bu : (n, inputs) sparse.
+    G : (2 b, 2 b) real sparse, real and imaginary part of each bus in turn.
+    ends, stamps : (branches, 2) buses and (branches, 4) admittances of the branches in service.
+    branches : their names.
+    """
+
+    machines: tuple[str, ...]
+    bus_names: tuple[str, ...]
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    place: IntArray
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    bus: IntArray
+    Bu: Any
+    G: Any
+    ends: IntArray
+    stamps: ComplexArray
+    branches: tuple[str, ...]
+
+    @property
+    def nstates(self) -> int:
+        """The number n of states."""
+        return len(self.states)
+
+    @cached_property
+    def angle(self) -> IntArray:
+        """The states that are rotor angles, (K,)."""
+        at = {name: k for k, name in enumerate(self.states)}
+        return np.array([at[f"{m}.delta"] for m in self.machines], dtype=np.int64)
+
+    @cached_property
+    def speed(self) -> IntArray:
+        """The states that are speeds, (K,), pu."""
+        at = {name: k for k, name in enumerate(self.states)}
+        return np.array([at[f"{m}.slip"] for m in self.machines], dtype=np.int64)
+
+    @cached_property
+    def device_poles(self) -> ComplexArray:
+        """Eigenvalues of all A_k, (n,): the devices at fixed voltage."""
+        values = np.linalg.eigvals(self.A)
+        sizes = np.sum(self.place < self.nstates, axis=1)
+        whole = [np.linalg.eigvals(a[:k, :k]) for a, k in zip(self.A, sizes, strict=True) if k < len(a)]
+        full = values[sizes == self.A.shape[1]].ravel()
+        return np.concatenate([full, *whole]).astype(complex)
+
+    @cached_property
+    def triangular(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """T (K, m, m) upper triangular, Q' B and C Q with A = Q T Q': N(s) without an inverse."""
+        pairs = [schur(a, output="complex") for a in self.A]
+        T, Q = np.array([t for t, _ in pairs]), np.array([q for _, q in pairs])
+        return T, np.conj(np.swapaxes(Q, 1, 2)) @ self.B, self.C @ Q
+
+    @cached_property
+    def at_rest(self) -> Network:
+        """The network with the devices' states held: voltages from currents."""
+        return Network(self.elimination, self.bus, None)
+
+    def spread(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return the states of each device (K, m, ...) from those of the plant (n, ...)."""
+        return np.concatenate([x, np.zeros((1, *x.shape[1:]), dtype=x.dtype)])[self.place]
+
+    def gathered(self, xk: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return the states of the plant (n, ...) from those of each device (K, m, ...)."""
+        x = np.zeros((self.nstates + 1, *xk.shape[2:]), dtype=xk.dtype)
+        x[self.place] = xk
+        return x[:-1]
+
+    def voltages(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return the voltage of each bus, (b, 2, ...): real and imaginary part, for states (n, ...)."""
+        current = times(self.C, self.spread(x))
+        at = np.zeros((len(self.bus_names), *current.shape[1:]), dtype=current.dtype)
+        np.add.at(at, self.bus, current)
+        left = self.elimination
+        V = left.everywhere(self.at_rest.solve(left.reduced(at.reshape(-1, *current.shape[2:]))))
+        return np.asarray(V.reshape(-1, 2, *V.shape[1:]))
+
+    def times(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return A x (n, ...) for x (n, ...)."""
+        xk = self.spread(x)
+        V = self.at_rest.at_devices(times(self.C, xk))
+        return self.gathered(times(self.A, xk) + times(self.B, V))
+
+    def left_times(self, y: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return A' y (n, ...) for y (n, ...)."""
+        yk = self.spread(y)
+        V = self.at_rest.at_devices(times(np.swapaxes(self.B, 1, 2), yk), transposed=True)
+        return self.gathered(times(np.swapaxes(self.A, 1, 2), yk) + times(np.swapaxes(self.C, 1, 2), V))
+
+    def state_matrix(self) -> Matrix:
+        """Return the dense A (n, n); for small plants."""
+        return np.asarray(self.times(np.eye(self.nstates)))
+
+    @cached_property
+    def elimination(self) -> Elimination:
+        """Which buses are left of the network, and how."""
+        return Elimination(self.G, np.unique(self.bus), len(self.bus_names))
+
+
+def sparse_plant(slopes: Slopes, data: Mapping[str, Any]) -> SparsePlant:
+    """Return the blocks of a plant.
+
+    slopes : its devices' derivatives. data : arrays of its record (`models.blocks.plant.plant_block`).
+
+    Raises
+    ------
+    SparsePlantError : derivatives that are not finite.
+    """
+    machines = _words(data["machine.names"])
+    n, K = len(slopes.states), len(machines)
+    of = np.asarray(data["state.machine"], dtype=np.int64)
+    local = np.zeros(n, dtype=np.int64)
+    for k in range(K):
+        mine = np.flatnonzero(of == k)
+        local[mine] = np.arange(len(mine))
+    m = int(local.max()) + 1
+    place = np.full((K, m), n, dtype=np.int64)
+    place[of, local] = np.arange(n)
+    blocks = _device_blocks(slopes, place, local)
+    buses = _words(data["bus.names"])
+    bus = np.asarray(data["machine.bus"], dtype=np.int64)
+    on = np.asarray(data["branch.status"]) > 0
+    table = np.asarray(data["branch.table"], dtype=float).reshape(8, -1).T[on].reshape(-1, 4, 2)
+    stamps = table[..., 0] + 1j * table[..., 1]
+    ends = np.stack([np.asarray(data[f"branch.{e}"], dtype=np.int64) for e in ("from", "to")], axis=1)[on]
+    port = np.asarray(data["port.table"], dtype=float)[:, :2].astype(int)
+    loads = np.asarray(data["load.bus"], dtype=np.int64)[port[port[:, 0] == _LOAD, 1]]
+    inner = np.concatenate([blocks.D, blocks.ports[port[:, 0] == _LOAD]])
+    return SparsePlant(
+        machines=machines,
+        bus_names=buses,
+        states=slopes.states,
+        inputs=slopes.inputs,
+        place=place,
+        A=blocks.A,
+        B=blocks.B,
+        C=blocks.C,
+        D=blocks.D,
+        bus=bus,
+        Bu=_input_matrix(slopes, machines, of, blocks.moved),
+        G=_network(data, ends, stamps, np.concatenate([bus, loads]), inner),
+        ends=ends,
+        stamps=stamps,
+        branches=tuple(name for name, kept in zip(_words(data["branch.names"]), on, strict=True) if kept),
+    )
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    ports: Matrix  # (ports, 2, 2), of machines empty
+    moved: Matrix  # (n,) dx/dt for 1 at every input
+
+
+def _device_blocks(slopes: Slopes, place: IntArray, local: IntArray) -> _Blocks:
+    """One derivative for every place of all devices at once: what one does moves no other."""
+    (K, m), n, sources = place.shape, len(slopes.states), slopes.sources
+    none_x, none_u, none_v = np.zeros(n), np.zeros(len(slopes.inputs)), np.zeros(sources, dtype=complex)
+    A, B = np.zeros((K, m, m)), np.zeros((K, m, 2))
+    C, D = np.zeros((K, 2, m)), np.zeros((sources, 2, 2))
+
+    def spread(x: Matrix) -> Matrix:
+        return np.append(x, 0.0)[place]
+
+    for j in range(m):
+        dx, current = slopes.slopes(np.where(local == j, 1.0, 0.0), none_u, none_v)
+        A[:, :, j] = spread(dx)
+        C[:, 0, j], C[:, 1, j] = current[:K].real, current[:K].imag
+    for j, unit in enumerate((1.0, 1.0j)):
+        dx, current = slopes.slopes(none_x, none_u, np.full(sources, unit))
+        B[:, :, j] = spread(dx)
+        D[:, 0, j], D[:, 1, j] = current.real, current.imag
+    dx, _ = slopes.slopes(none_x, np.ones(len(slopes.inputs)), none_v)
+    for M in (A, B, C, D, dx):
+        if not np.all(np.isfinite(M)):
+            raise SparsePlantError("derivatives of the plant's devices at rest are not all finite")
+    k, i = np.nonzero(place == n)
+    A[k, i, i] = _PAD
+    return _Blocks(A, B, C, D[:K], D[K:], dx)
+
+
+def _input_matrix(slopes: Slopes, machines: Sequence[str], of: IntArray, dx: Matrix) -> Any:
+    """Columns (n, inputs) from what all inputs at once do: each acts on one machine."""
+    machine = {name: k for k, name in enumerate(machines)}
+    Bu = sparse.lil_matrix((len(slopes.states), len(slopes.inputs)))
+    for j, name in enumerate(slopes.inputs):
+        rows = np.flatnonzero((of == machine[name.removesuffix("_vs")]) & (dx != 0.0))
+        Bu[rows, j] = dx[rows]
+    return Bu.tocsc()
+
+
+def _network(
+    data: Mapping[str, Any], ends: IntArray, stamps: ComplexArray, at: IntArray, inner: Matrix
+) -> Any:
+    """G: branches, shunts and loads as impedances, less the 2 x 2 blocks `inner` at buses `at`."""
+    shunt = np.asarray(data["bus.shunt"], dtype=float)
+    P, Q, volts = np.asarray(data["load.table"], dtype=float)
+    b = shunt.shape[1]
+    diagonal = shunt[0] + 1j * shunt[1]
+    np.add.at(diagonal, np.asarray(data["load.bus"], dtype=np.int64), (P - 1j * Q) / volts**2)
+    Y = assembled(ends, stamps, diagonal).tocoo()
+    real, imag = Y.data.real, Y.data.imag
+    i = np.concatenate([2 * Y.row, 2 * Y.row, 2 * Y.row + 1, 2 * Y.row + 1])
+    j = np.concatenate([2 * Y.col, 2 * Y.col + 1, 2 * Y.col, 2 * Y.col + 1])
+    G = sparse.csc_matrix((np.concatenate([real, -imag, imag, real]), (i, j)), shape=(2 * b, 2 * b))
+    rows = (2 * at[:, None, None] + np.array([[0, 0], [1, 1]])).ravel()
+    columns = (2 * at[:, None, None] + np.array([[0, 1], [0, 1]])).ravel()
+    return (G - sparse.csc_matrix((inner.ravel(), (rows, columns)), shape=G.shape)).tocsc()
+
+
+def _words(text: bytes) -> tuple[str, ...]:
+    """Names, one a line, a zero at the end."""
+    return tuple(text.rstrip(b"\0").decode().split("\n"))

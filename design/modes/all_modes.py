@@ -1,0 +1,171 @@
+"""All modes of a grid of any size within a band and below a damping ratio, counted independently."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ..linear.sparse_plant import SparsePlant
+from .mode_count import Count, OnTheLine, Region, count_modes
+from .mode_search import Pair, Search
+from .modes import Mode, ModeError, pattern_parts
+
+RESIDUAL = 1e-9  #: largest |A v - lambda v| / (|lambda| |v|)
+COMMON = "common frequency"  #: all machines together, what governors hold
+_MECHANICAL = 0.1  # share of angles and speeds below which a mode is of the controls
+_ROTATION = 1e-6  # of |A r| over the largest term: turning all rotors together moves nothing
+_ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class AllModes:
+    """Modes of a region, by frequency, and how many there are by an independent count.
+
+    Attributes
+    ----------
+    modes : names by shape (`inter-area 2`, `local area 1.3`, `common frequency`, `control 4`), numbered by
+        frequency.
+    counted : modes within by the argument principle; always as many as `modes`.
+    band_hz, below : the region that was counted. moved : lines that were moved off a mode, in words.
+    residual : the largest of any mode.
+    rotation : turning all rotors together moves nothing (no infinite bus): one eigenvalue 0, no instability.
+    cells, factorisations : shifted plants factored by the search, and of N(s) by the count.
+    """
+
+    modes: tuple[Mode, ...]
+    counted: int
+    band_hz: tuple[float, float]
+    below: float
+    moved: tuple[str, ...]
+    residual: float
+    rotation: bool
+    searched: int
+    factorisations: int
+
+    @property
+    def unstable(self) -> tuple[Mode, ...]:
+        """Modes that grow."""
+        return tuple(m for m in self.modes if m.eigenvalue.real > 0.0)
+
+
+def all_modes(
+    plant: SparsePlant, areas: Mapping[str, int], *, band_hz: tuple[float, float], below: float
+) -> AllModes:
+    """Find every mode of `plant` in a band whose damping ratio is below a limit; prove that these are all.
+
+    Parameters
+    ----------
+    areas : machine name -> area number, for names.
+    band_hz : frequencies, Hz. below : damping ratio, over 0 and under 1.
+
+    Raises
+    ------
+    ModeError : a band or limit that is none, or modes found and counted that differ.
+    """
+    low, high = band_hz
+    if not 0.0 < low < high < np.inf:
+        raise ModeError(f"band {low:g}:{high:g} Hz, wanted LOW:HIGH with 0 < LOW < HIGH, such as 0.1:2.5")
+    if not 0.0 < below < 1.0:
+        raise ModeError(f"below = {below:g}, wanted a damping ratio over 0 and under 1, such as 0.2")
+    asked = Region((2.0 * np.pi * low, 2.0 * np.pi * high), float(below))
+    search = Search(plant, asked, RESIDUAL)
+    search.everywhere()
+    region, count = _counted(search, asked)
+    for _ in range(_ROUNDS):
+        if count.modes == _within(search, region) or not search.again():
+            break
+        region, count = _counted(search, asked)
+    pairs = sorted((p for p in search.pairs if region.holds(p.value)), key=lambda p: p.value.imag)
+    if len(pairs) != count.modes:
+        raise ModeError(
+            f"{len(pairs)} modes found but {count.modes} counted between {low:g} and {high:g} Hz below a "
+            f"damping ratio of {below:g}; a narrower band or another limit says where they differ"
+        )
+    hz = (region.band[0] / (2.0 * np.pi), region.band[1] / (2.0 * np.pi))
+    return AllModes(
+        modes=_named(plant, pairs, areas),
+        counted=count.modes,
+        band_hz=hz,
+        below=region.below,
+        moved=region.moved,
+        residual=max((p.residual for p in pairs), default=0.0),
+        rotation=_turns_freely(plant),
+        searched=search.factorisations,
+        factorisations=count.factorisations,
+    )
+
+
+def _within(search: Search, region: Region) -> int:
+    return sum(bool(region.holds(p.value)) for p in search.pairs)
+
+
+def _counted(search: Search, asked: Region) -> tuple[Region, Count]:
+    """Count within the region, with its sides moved off the modes that lie on them."""
+    known = [*(p.value for p in search.pairs), *search.beside]
+    region = asked.clear_of(known)
+    for _ in range(_ROUNDS):
+        try:
+            return region, count_modes(search.plant, region, known)
+        except OnTheLine as error:
+            region = region.aside(error.side)
+    raise ModeError(f"modes lie on every line tried: {'; '.join(region.moved)}; choose another band or limit")
+
+
+def _turns_freely(plant: SparsePlant) -> bool:
+    """Whether only differences of rotor angles act."""
+    unit = np.eye(plant.nstates)[:, plant.angle[:1]][:, 0]
+    together = np.zeros(plant.nstates)
+    together[plant.angle] = 1.0
+    alone = np.max(np.abs(plant.times(unit)))
+    return bool(np.max(np.abs(plant.times(together))) <= _ROTATION * alone)
+
+
+def _named(plant: SparsePlant, pairs: list[Pair], areas: Mapping[str, int]) -> tuple[Mode, ...]:
+    area_of = [areas[m] for m in plant.machines]
+    kinds = [_kind(plant, p, area_of) for p in pairs]
+    of_kind = [kind for kind, _ in kinds]
+    modes = []
+    for k, (pair, (kind, share)) in enumerate(zip(pairs, kinds, strict=True)):
+        separator = "." if kind.startswith("local") else " "
+        number = of_kind[: k + 1].count(kind)
+        name = kind if of_kind.count(kind) == 1 else f"{kind}{separator}{number}"
+        speeds = pair.right[plant.speed]
+        speeds = speeds / speeds[np.argmax(np.abs(speeds))]
+        weight = np.abs(pair.left * pair.right)
+        modes.append(
+            Mode(
+                name=name,
+                eigenvalue=pair.value,
+                shape=dict(zip(plant.machines, (complex(z) for z in speeds), strict=True)),
+                participation=dict(zip(plant.states, (weight / weight.sum()).tolist(), strict=True)),
+                share=share,
+                right=pair.right,
+                left=pair.left,
+            )
+        )
+    return tuple(modes)
+
+
+def _kind(plant: SparsePlant, pair: Pair, area_of: list[int]) -> tuple[str, float]:
+    """The pattern that takes most part in a mode, and its share."""
+    weight = np.abs(pair.left * pair.right)
+    mechanical = float((weight[plant.speed].sum() + weight[plant.angle].sum()) / weight.sum())
+    if mechanical < _MECHANICAL:
+        return "control", 1.0 - mechanical
+    w, v = pair.left[plant.speed], pair.right[plant.speed]
+    parts: dict[str, float] = {COMMON: float(len(v) * abs(w.mean() * v.mean()))}
+    parts |= pattern_parts(w, v, area_of)
+    if len(set(area_of)) == 1:
+        del parts["inter-area"]
+    kind = max(parts, key=lambda name: parts[name])
+    return kind, parts[kind] / max(sum(parts.values()), 1e-300)
+
+
+def machine_participation(plant: SparsePlant, mode: Mode) -> npt.NDArray[np.float64]:
+    """Return what each machine with its controls takes part in a mode, (machines,); sums to 1."""
+    weight = np.abs(mode.left * mode.right)
+    each = plant.spread(weight).sum(axis=1)
+    return np.asarray(each / each.sum())

@@ -1,0 +1,184 @@
+r"""How many modes lie within a region, by the argument principle on the small network matrix.
+
+.. math:: \frac{1}{2\pi} \oint d \arg \det N(s) = \text{modes} - \text{device poles within}
+
+The modes already found and the device poles near the edge are divided out first: what is left turns slowly
+unless one is missing, so that few steps suffice. A step is accepted when the change of log det agrees with
+its derivative at both ends; halving until phases are close can count a turn too few.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from ..linear.resolvent import network_logarithm
+from ..linear.sparse_plant import SparsePlant
+
+ComplexArray = npt.NDArray[np.complex128]
+
+RIGHT = 2.0  #: 1/s, growth faster than any swing's
+_NEAR = 0.6  # 1/s: poles and modes so near the edge are divided out
+_TURN = 3.0  # largest change of log det in a step
+_AGREES = 0.25
+_SHIFT = 1e-6  # for the derivative of log det
+_SHORTEST = 1e-7  # of a step: a mode lies on the line
+_MOVE = 1e-3  # of a line that a mode lies on, relative
+
+
+class OnTheLine(Exception):
+    """A mode or pole lies on the edge of the region, near the frequency or damping of `side`."""
+
+    def __init__(self, side: str) -> None:
+        super().__init__(side)
+        self.side = side
+
+
+@dataclass(frozen=True)
+class Region:
+    """Modes of frequencies within a band whose damping ratio is below a limit, growth up to `RIGHT`.
+
+    band : rad/s; below : damping ratio, under 1; moved : what was done about modes on its edge.
+    """
+
+    band: tuple[float, float]
+    below: float
+    moved: tuple[str, ...] = ()
+
+    @property
+    def slope(self) -> float:
+        """Decay over frequency on the line of damping."""
+        return float(self.below / np.sqrt(1.0 - self.below**2))
+
+    def holds(self, s: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Return which of s lie within."""
+        z = np.asarray(s, dtype=complex)
+        inside = (self.band[0] < z.imag) & (z.imag < self.band[1])
+        return np.asarray(inside & (-self.slope * z.imag < z.real) & (z.real < RIGHT))
+
+    def sides(self) -> list[tuple[str, complex, complex]]:
+        """The edge counter-clockwise: name, from, to."""
+        low, high = self.band
+        corners = [
+            complex(-self.slope * low, low),
+            complex(RIGHT, low),
+            complex(RIGHT, high),
+            complex(-self.slope * high, high),
+        ]
+        names = ("low", "right", "high", "below")
+        return [(name, corners[k], corners[(k + 1) % 4]) for k, name in enumerate(names)]
+
+    def aside(self, side: str) -> Region:
+        """Return the region with one side moved outwards a little, and say so."""
+        hz = 2.0 * np.pi
+        low, high = self.band
+        if side == "below":
+            below = self.below + _MOVE * (1.0 - self.below)
+            said = f"damping ratio {self.below:.6g} moved to {below:.6g}"
+            return replace(self, below=below, moved=(*self.moved, f"{said}: a mode lies on that line"))
+        ends = (low * (1.0 - _MOVE), high) if side == "low" else (low, high * (1.0 + _MOVE))
+        k = 0 if side == "low" else 1
+        said = f"band edge {self.band[k] / hz:.6g} Hz moved to {ends[k] / hz:.6g} Hz"
+        return replace(self, band=ends, moved=(*self.moved, f"{said}: a mode lies on that line"))
+
+    def clear_of(self, modes: Sequence[complex]) -> Region:
+        """Return the region with the sides moved on which one of `modes` lies."""
+        region = self
+        for _ in range(10):
+            z = np.asarray(modes, dtype=complex)
+            size = np.maximum(np.abs(z), 1e-12)
+            near = 1e-6
+            if np.any(np.abs(z.real + region.slope * z.imag) < near * size):
+                region = region.aside("below")
+            elif np.any(np.abs(z.imag - region.band[0]) < near * size):
+                region = region.aside("low")
+            elif np.any(np.abs(z.imag - region.band[1]) < near * size):
+                region = region.aside("high")
+            else:
+                break
+        return region
+
+
+@dataclass(frozen=True)
+class Count:
+    """Modes within a region: how many there are, and at how many points N(s) was factored for that."""
+
+    modes: int
+    factorisations: int
+
+
+def count_modes(plant: SparsePlant, region: Region, known: Sequence[complex]) -> Count:
+    """Count the modes within `region`; `known` are some of them or beside them, which makes it quick.
+
+    Raises
+    ------
+    OnTheLine : a mode lies on the edge.
+    """
+    poles, modes = plant.device_poles, np.asarray(known, dtype=complex)
+    inner_poles = int(np.sum(region.holds(poles)))
+    poles, modes = (z[_from_edge(z, region) < _NEAR] for z in (poles, modes))
+    edge = _Edge(plant, poles, modes)
+    turned = sum(edge.turn(*side) for side in region.sides())
+    divided = int(np.sum(region.holds(modes))) - int(np.sum(region.holds(poles)))
+    return Count(round(turned / (2.0 * np.pi)) + divided + inner_poles, edge.points)
+
+
+def _from_edge(z: ComplexArray, region: Region) -> npt.NDArray[np.float64]:
+    """Distance of points from the edge of the region."""
+    found = np.full(len(z), np.inf)
+    for _, a, b in region.sides():
+        along = np.clip(((z - a) * np.conj(b - a)).real / abs(b - a) ** 2, 0.0, 1.0)
+        found = np.minimum(found, np.abs(z - a - along * (b - a)))
+    return found
+
+
+class _Edge:
+    """Log det of N without the poles and modes that are known, and its derivative."""
+
+    def __init__(self, plant: SparsePlant, poles: ComplexArray, modes: ComplexArray) -> None:
+        self._plant, self._poles, self._modes = plant, poles, modes
+        self.points = 0
+        self._last: tuple[complex, tuple[complex, complex]] | None = None
+
+    def at(self, s: complex) -> tuple[complex, complex]:
+        """Return log and its derivative; the corner of two sides is asked for twice."""
+        if self._last is not None and self._last[0] == s:
+            return self._last[1]
+        h = _SHIFT * (1.0 + abs(s)) * 1j
+        one, two = (network_logarithm(self._plant, z) for z in (s - h, s + h))
+        self.points += 2
+        slope = complex((two - one).real, _wrapped((two - one).imag)) / (2.0 * h)
+        middle = one + slope * h
+        with np.errstate(divide="ignore"):
+            value = middle + np.sum(np.log(s - self._poles)) - np.sum(np.log(s - self._modes))
+            slope = slope + np.sum(1.0 / (s - self._poles)) - np.sum(1.0 / (s - self._modes))
+        found = complex(value), complex(slope)
+        self._last = s, found
+        return found
+
+    def turn(self, side: str, start: complex, end: complex) -> float:
+        """Return by how much the phase changes from `start` to `end`, rad."""
+        length, way = abs(end - start), (end - start) / abs(end - start)
+        (value, slope), done, total = self.at(start), 0.0, 0.0
+        step = length
+        while done < length:
+            step = min(step, 0.999 * _TURN / max(abs(slope), 1e-12), length - done)
+            if not step > _SHORTEST and not length - done <= _SHORTEST:
+                raise OnTheLine(side)
+            there = end if done + step >= length else start + way * (done + step)
+            new, new_slope = self.at(there)
+            expected = 0.5 * step * way * (slope + new_slope)
+            change = complex((new - value).real, expected.imag + _wrapped((new - value).imag - expected.imag))
+            if not (abs(change - expected) <= _AGREES and abs(new_slope) * step <= _TURN):
+                step *= 0.5
+                continue
+            total, done, value, slope = total + change.imag, done + step, new, new_slope
+            step *= 2.0
+        return total
+
+
+def _wrapped(angle: float) -> float:
+    return float((angle + np.pi) % (2.0 * np.pi) - np.pi)

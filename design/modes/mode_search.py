@@ -1,0 +1,205 @@
+"""Eigenpairs of a sparse plant in a region: rational Krylov cells find, inverse iteration cleans them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from ..linear.resolvent import Shifted
+from ..linear.sparse_plant import SparsePlant
+from .mode_count import RIGHT, Region
+
+ComplexArray = npt.NDArray[np.complex128]
+
+_MOST_STEPS, _STEPS_AT_ONCE = 120, 20
+_SETTLED = 1e-5  # relative error of an eigenvalue that a cell may claim
+_GROWTH = 0.1  # 1/s: how far right of the axis the first search looks
+_EQUAL = 1e-7  # relative: nearer eigenvalues are copies, or one found twice
+_SMALLEST_CELL = 0.02  # of the band's width
+_CLOSE = 0.5  # 1/s, with half the frequency: eigenpairs that a deflated cell leaves out
+
+
+@dataclass
+class Pair:
+    """An eigenvalue, 1/s, its vectors with left' right = 1, and |A v - lambda v| / (|lambda| |v|)."""
+
+    value: complex
+    right: ComplexArray
+    left: ComplexArray
+    residual: float
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """A rectangle of the plane: where to look, as far as to its corners."""
+
+    real: tuple[float, float]
+    imag: tuple[float, float]
+
+    @property
+    def centre(self) -> complex:
+        return complex(sum(self.real) / 2.0, sum(self.imag) / 2.0)
+
+    @property
+    def reach(self) -> float:
+        return 0.5 * float(np.hypot(self.real[1] - self.real[0], self.imag[1] - self.imag[0]))
+
+    def halves(self) -> tuple[_Cell, _Cell]:
+        """Cut across: in frequency if taller than half its width, else in damping."""
+        x, y, z = self.real, self.imag, self.centre
+        if y[1] - y[0] > 0.5 * (x[1] - x[0]):
+            return _Cell(x, (y[0], z.imag)), _Cell(x, (z.imag, y[1]))
+        return _Cell((x[0], z.real), y), _Cell((z.real, x[1]), y)
+
+
+@dataclass
+class Search:
+    """Looks for the eigenpairs of a plant within a region, and remembers those it has."""
+
+    plant: SparsePlant
+    region: Region
+    tolerance: float
+    pairs: list[Pair] = field(default_factory=list)
+    beside: list[complex] = field(default_factory=list)  #: eigenvalues out of the region, about right
+    solutions: int = 0
+    factorisations: int = 0
+    _cells: list[_Cell] = field(default_factory=list)
+    _random: np.random.Generator = field(default_factory=lambda: np.random.default_rng(7))
+
+    def everywhere(self) -> None:
+        """Look once in every cell, smaller ones where they hold many."""
+        low, high = self.region.band
+        slope = self.region.slope
+        cells = max(1, round(len(self.plant.machines) / 25))
+        edges = np.linspace(low, high, cells + 1)
+        todo = [_Cell((-slope * b, _GROWTH), (a, b)) for a, b in itertools.pairwise(edges)]
+        while todo:
+            cell = todo.pop()
+            found, reached = self._ritz(cell, _MOST_STEPS, deflated=False)
+            self._keep(found)
+            small = cell.imag[1] - cell.imag[0] < _SMALLEST_CELL * (high - low)
+            if reached >= cell.reach or small:
+                self._cells.append(cell)
+            else:
+                todo += cell.halves()
+
+    def again(self) -> bool:
+        """Look once more with what is known left out, right of the axis as well; whether that found any."""
+        before = len(self.pairs)
+        right = [_Cell((_GROWTH, RIGHT), cell.imag) for cell in self._cells]
+        for cell in [*self._cells, *right]:
+            self._keep(self._ritz(cell, 2 * _STEPS_AT_ONCE, deflated=True)[0])
+        return len(self.pairs) > before
+
+    def _ritz(
+        self, cell: _Cell, most: int, *, deflated: bool
+    ) -> tuple[list[tuple[complex, ComplexArray]], float]:
+        """Settled Ritz pairs about the centre of a cell, and how far from it all are settled."""
+        n = self.plant.nstates
+        near = [p for p in self.pairs if abs(p.value - cell.centre) < cell.reach + _CLOSE] if deflated else []
+        shifted = Shifted(self.plant, cell.centre)
+        self.factorisations += 1
+        most = min(most, n - len(near))
+        Q = np.zeros((most + 1, n), dtype=complex)
+        H = np.zeros((most + 1, most), dtype=complex)
+        start = _without(self._random.standard_normal(n) + 0j, near)
+        Q[0] = start / np.linalg.norm(start)
+        for k in range(most):
+            w = _without(shifted.solve(Q[k]), near)
+            self.solutions += 1
+            for _ in range(2):  # once is not orthogonal enough
+                h = np.conj(Q[: k + 1] @ np.conj(w))
+                w -= h @ Q[: k + 1]
+                H[: k + 1, k] += h
+            H[k + 1, k] = np.linalg.norm(w)
+            ended = bool(abs(H[k + 1, k]) <= 1e-13 * np.linalg.norm(H[: k + 1, k]))
+            if not ended:
+                Q[k + 1] = w / H[k + 1, k]
+            if ended or k + 1 == most or (k + 1) % _STEPS_AT_ONCE == 0:
+                values, vectors, reached = _settled(H[: k + 2, : k + 1], cell.centre, ended)
+                if ended or reached >= cell.reach:
+                    break
+        return [(z, y @ Q[: len(y)]) for z, y in zip(values, vectors.T, strict=True)], reached
+
+    def _keep(self, found: Sequence[tuple[complex, ComplexArray]]) -> None:
+        """Refine what lies within the region, or just beside it, and is not known yet."""
+        for value, vector in found:
+            if not self.region.holds(value + 1e-4 * abs(value) * np.array([0, 1, 1j, -1j])).any():
+                if all(abs(value - z) > 1e-4 * (1.0 + abs(z)) for z in self.beside):
+                    self.beside.append(complex(value))
+                continue
+            copies = [p for p in self.pairs if abs(p.value - value) < 1e-5 * (1.0 + abs(value))]
+            rest = _without(vector, copies)
+            if copies and np.linalg.norm(rest) < 1e-3 * np.linalg.norm(vector):
+                continue
+            pair = self._refined(value, rest, copies)
+            if pair is not None:
+                self.pairs.append(pair)
+
+    def _refined(self, value: complex, vector: ComplexArray, copies: list[Pair]) -> Pair | None:
+        """Inverse iteration from both sides; None where it does not settle or ends on what is known."""
+        right = vector / np.linalg.norm(vector)
+        left = _without_left(self._random.standard_normal(len(right)) + 0j, copies)
+        for _ in range(4):
+            shifted = Shifted(self.plant, value * (1.0 + 1e-9) + 1e-10)
+            self.factorisations += 1
+            for _ in range(2):
+                right = _without(shifted.solve(right), copies)
+                left = _without_left(shifted.solve_left(left), copies)
+                right, left = right / np.linalg.norm(right), left / np.linalg.norm(left)
+                self.solutions += 2
+            moved = self.plant.times(right)
+            scale = left @ right
+            if not abs(scale) > 1e-14:
+                return None
+            before, value = value, complex((left @ moved) / scale)
+            residual = float(np.linalg.norm(moved - value * right) / abs(value))
+            if residual <= 0.1 * self.tolerance or (
+                residual <= self.tolerance and abs(value - before) < 1e-9
+            ):
+                break
+        same = [
+            p for p in self.pairs if abs(p.value - value) < _EQUAL * (1.0 + abs(value)) and p not in copies
+        ]
+        if not residual <= self.tolerance or (same and _is_known(right, same)):
+            return None
+        return Pair(value, right, left / scale, residual)
+
+
+def _settled(H: ComplexArray, centre: complex, ended: bool) -> tuple[ComplexArray, ComplexArray, float]:
+    """Settled eigenvalues of A, their vectors in the basis, and the radius within which all are settled."""
+    k = H.shape[1]
+    mu, Y = np.linalg.eig(H[:k])
+    ok = np.abs(mu) > 1e-12 * np.max(np.abs(mu))
+    mu, Y = mu[ok], Y[:, ok]
+    values = centre - 1.0 / mu
+    error = np.zeros(len(mu)) if ended else np.abs(H[k, k - 1] * Y[k - 1]) / np.abs(mu) ** 2
+    good = error <= _SETTLED * np.abs(values)
+    distance = np.abs(values - centre)
+    reached = np.inf if ended else float(np.min(distance[~good], initial=np.max(distance[good], initial=0.0)))
+    inside = good & (distance <= reached)
+    return values[inside], Y[:, inside], reached
+
+
+def _without(x: ComplexArray, pairs: Sequence[Pair]) -> ComplexArray:
+    """Take the parts of known right vectors out of x."""
+    for _ in range(2 if pairs else 0):
+        V, W = np.array([p.right for p in pairs]), np.array([p.left for p in pairs])
+        x = x - (W @ x) @ V
+    return x
+
+
+def _without_left(y: ComplexArray, pairs: Sequence[Pair]) -> ComplexArray:
+    for _ in range(2 if pairs else 0):
+        V, W = np.array([p.right for p in pairs]), np.array([p.left for p in pairs])
+        y = y - (V @ y) @ W
+    return y
+
+
+def _is_known(right: ComplexArray, pairs: Sequence[Pair]) -> bool:
+    rest = _without(right, pairs)
+    return bool(np.linalg.norm(rest) < 1e-3 * np.linalg.norm(right))
