@@ -15,6 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from interarea.models.errors import InterareaError
+
 from ..linear.resolvent import network_logarithm
 from ..linear.sparse_plant import SparsePlant
 
@@ -29,7 +31,7 @@ _SHORTEST = 1e-7  # of a step: a mode lies on the line
 _MOVE = 1e-3  # of a line that a mode lies on, relative
 
 
-class OnTheLine(Exception):
+class OnTheLine(InterareaError):
     """A mode or pole lies on the edge of the region, near the frequency or damping of `side`."""
 
     def __init__(self, side: str) -> None:
