@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import control
 
-from interarea.cosim.run.artefacts import linear_plant
+from interarea.cosim.run.artefacts import linear_plant, sparse_linear_plant
 from interarea.design.linear.linearise import remove_reference
 from interarea.design.modes.loop_selection import rank_loops
 from interarea.design.modes.modes import modes_of
@@ -18,6 +18,7 @@ from interarea.design.reduction.balanced import (
     hankel_reduction,
     singular_perturbation,
 )
+from interarea.design.reduction.low_rank import low_rank_reduction
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case
 from interarea.models.case.case import load_case as load_case
@@ -149,25 +150,43 @@ def loops(case: Case | str | Path) -> RankedLoops:
     return RankedLoops(ranked.mode, ranked.ranking, ranked.coordinates)
 
 
-def reduce(system: control.StateSpace, order: int, *, method: str = "balanced") -> Reduction:
-    """Return a reduced model: `system`, measured `error` (H-infinity) and a-priori `bound`.
+def reduce(
+    system: control.StateSpace | Case | str | Path,
+    order: int,
+    *,
+    method: str = "balanced",
+    inputs: Sequence[str] = (),
+    outputs: Mapping[str, Mapping[str, float]] | None = None,
+) -> Reduction:
+    """Return a reduced model: `system`, measured `error` (of what: `error_of`) and a-priori `bound`.
 
     Parameters
     ----------
-    system : n states; unstable and zero modes are kept as they are.
+    system : n states; unstable and zero modes are kept as they are. Or a case of any size (bundled name, file
+        or `Case`), which is never linearised as a whole: balanced truncation from low-rank Gramians of its
+        sparse blocks, zero modes that nothing sees removed.
     order : states of the result.
-    method : "balanced" (truncation), "singular_perturbation" or "hankel" (optimal Hankel norm).
+    method : "balanced" (truncation), "singular_perturbation" or "hankel" (optimal Hankel norm); of a case
+        "balanced".
+    inputs, outputs : of a case: ``["G1_vs"]`` and ``{"dw12": {"G1_dw": 1.0, "G2_dw": -1.0}}``, speeds in pu.
 
     Raises
     ------
-    UserError : an order out of range, or an unknown method.
+    UserError : an order out of range, an unknown method, or unknown signals of a case.
 
     Examples
     --------
     >>> plant = linearise("two-area-thesis")
     >>> reduce(plant[["G4_dw"], ["G4_vs"]], 8).system.nstates
     8
+    >>> dw24 = {"dw24": {"G2_dw": 1.0, "G4_dw": -1.0}}
+    >>> reduce("two-area-thesis", 24, inputs=["G4_vs"], outputs=dw24).error < 1e-3
+    True
     """
-    if method not in _METHODS:
-        raise ReductionError(f"method = {method!r}, allowed: {', '.join(_METHODS)}")
-    return _METHODS[method](system, order)
+    allowed = _METHODS if isinstance(system, control.StateSpace) else ("balanced",)
+    if method not in allowed:
+        raise ReductionError(f"method = {method!r}, allowed: {', '.join(allowed)}")
+    if isinstance(system, control.StateSpace):
+        return _METHODS[method](system, order)
+    plant = sparse_linear_plant(case_like(system), default_cache())
+    return low_rank_reduction(plant, order, inputs=inputs, outputs=outputs or {})

@@ -22,7 +22,8 @@ FUNCTIONS = {
     "modes": "case: Case | str | Path -> SwingModes",
     "loops": "case: Case | str | Path -> RankedLoops",
     "linearise": "case: Case | str | Path, *, reference: bool = False -> control.StateSpace",
-    "reduce": "system: control.StateSpace, order: int, *, method: str = 'balanced' -> Reduction",
+    "reduce": "system: control.StateSpace | Case | str | Path, order: int, *, method: str = 'balanced', "
+    "inputs: Sequence[str] = (), outputs: Mapping[str, Mapping[str, float]] | None = None -> Reduction",
     "design_controller": "spec: str | Path | Mapping[str, Any], *, case: Case | str | Path | None = None, "
     "progress: Callable[[str, float], object] | None = None -> Controller",
     "load_controller": "name: str | Path, *, case: Case | str | Path = 'two-area-thesis' "

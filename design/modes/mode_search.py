@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -185,19 +186,19 @@ def _settled(H: ComplexArray, centre: complex, ended: bool) -> tuple[ComplexArra
     return values[inside], Y[:, inside], reached
 
 
-def _without(x: ComplexArray, pairs: Sequence[Pair]) -> ComplexArray:
+def _without(x: npt.NDArray[Any], pairs: Sequence[Pair]) -> ComplexArray:
     """Take the parts of known right vectors out of x."""
     for _ in range(2 if pairs else 0):
         V, W = np.array([p.right for p in pairs]), np.array([p.left for p in pairs])
         x = x - (W @ x) @ V
-    return x
+    return np.asarray(x, dtype=complex)
 
 
-def _without_left(y: ComplexArray, pairs: Sequence[Pair]) -> ComplexArray:
+def _without_left(y: npt.NDArray[Any], pairs: Sequence[Pair]) -> ComplexArray:
     for _ in range(2 if pairs else 0):
         V, W = np.array([p.right for p in pairs]), np.array([p.left for p in pairs])
         y = y - (V @ y) @ W
-    return y
+    return np.asarray(y, dtype=complex)
 
 
 def _is_known(right: ComplexArray, pairs: Sequence[Pair]) -> bool:
