@@ -41,6 +41,7 @@ def kinds() -> dict[str, str]:
         "events": "the `[[event]]` tables of a scenario or case",
         "design": "a controller to be designed: operating points, losses, latencies, what is asked (TOML)",
         "controller": "a controller as it is stored, u = +K y (JSON)",
+        "device": "an exciter, stabilizer, governor or compensator of one's own (TOML), named in a case",
         "sweep": "one scenario, many values (TOML)",
     }
 
@@ -60,6 +61,9 @@ def schema(kind: str) -> dict[str, Any]:
             beside = {"source": {"type": "string"}, "defaults": {"type": "object"}}
             properties[table] = {"type": "object", "properties": beside, "additionalProperties": _loose(row)}
         properties["change"] = {"type": "object", "description": "a variant: what differs from `base`"}
+        names = {"type": "array", "items": {"type": "string", "pattern": r"\.toml$"}}
+        texts = {"type": "object", "additionalProperties": {"type": "string"}}
+        properties["devices"] = {"anyOf": [names, texts]}
         properties["base"] = {"type": "string", "description": "a variant: the case that it changes"}
         made["required"] = ["name"]
     if kind in ("scenario", "case"):
@@ -119,6 +123,10 @@ def _raw(kind: str) -> dict[str, Any]:
         made = TypeAdapter(Event).json_schema()
     elif kind == "controller":
         return _controller_schema()
+    elif kind == "device":
+        from interarea.models.devices.schema import device_schema
+
+        return device_schema()
     else:
         made = _model(kind).model_json_schema(by_alias=True)
     if kind in ("scenario", "events"):
@@ -189,6 +197,10 @@ def page(kind: str) -> str:
     for name, part in sorted(made.get("$defs", {}).items()):
         if "properties" in part and name not in elsewhere:
             lines += _table(name, part, comments, examples)
+    if kind == "device":
+        from interarea.models.devices.schema import diagram_words
+
+        lines += diagram_words()
     start = "" if kind == "events" else f" `interarea new {kind}` writes one to start from."
     lines += [f"Next: [the commands that take it](../generated/commands.md).{start}"]
     return "\n".join(lines).rstrip() + "\n"
@@ -216,7 +228,8 @@ def _table(
         words = rule.get("description") or comments.get(f"{name}.{key}", "")
         if not words and "const" in rule:
             words = "says which of them it is"
-        example = examples.get(name, {}).get(key, "")
+        given = [f"`{json.dumps(value)}`" for value in rule.get("examples", ())]
+        example = examples.get(name, {}).get(key, *given[:1] or [""])
         cells = (f"`{key}`", _holds(rule), unit, default, example, " ".join(str(words).split()))
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
     yield ""
@@ -263,16 +276,18 @@ def _example_files(kind: str) -> list[Mapping[str, Any]]:
     """Return the contents of the files of a kind that come along, the template first."""
     from interarea.cosim.designs import design_file
     from interarea.cosim.scenario.scenario import BUNDLED as scenarios
+    from interarea.models import devices
     from interarea.models.case.case import BUNDLED as cases
 
     designs = Path(design_file.__file__).parent
     if kind == "controller":
         return [json.loads((TEMPLATES / "controller.json").read_text(encoding="utf-8"))]
     folders = {"scenario": scenarios, "events": scenarios, "case": cases, "design": designs}
+    folders["device"] = Path(devices.__file__).parent
     name = "scenario" if kind == "events" else kind
-    found = [TEMPLATES / f"{name}.toml", *(sorted(folders[kind].glob("*.toml")) if kind in folders else ())]
+    found = [TEMPLATES / f"{name}.toml", *(sorted(folders[kind].rglob("*.toml")) if kind in folders else ())]
     found.append(TEMPLATES / f"all_{name}.toml")
-    return [tomllib.loads(file.read_text(encoding="utf-8")) for file in found]
+    return [tomllib.loads(file.read_text(encoding="utf-8")) for file in found if file.is_file()]
 
 
 def _examples(kind: str, made: Mapping[str, Any]) -> dict[str, dict[str, str]]:
@@ -315,7 +330,7 @@ def _examples(kind: str, made: Mapping[str, Any]) -> dict[str, dict[str, str]]:
 
 def _comments(kind: str) -> dict[str, str]:
     """Return what the `#:` comments beside the fields say, by model.field."""
-    if kind == "controller":
+    if kind in ("controller", "device"):
         return {}
     found: dict[str, str] = {}
     for model in _models(kind):

@@ -48,6 +48,7 @@ def import_case(
     converters: str = "refuse",
     coordinates: str | Path | None = None,
     release_limits: bool = False,
+    devices: Sequence[str | Path] = (),
     report: Callable[[str], object] | None = None,
 ) -> Case:
     """Read a grid of PSS/E (RAW, with dynamic data in a DYR file) or MATPOWER; plain, .gz or .xz.
@@ -61,6 +62,7 @@ def import_case(
     converters : "refuse", or "current" for inverters as constant currents.
     coordinates : CSV with the columns bus, latitude, longitude.
     release_limits : widen the limits beyond which controls would start; what was changed is in the report.
+    devices : files of devices of one's own; records of their names (USRMDL or not) become these.
     report : called with what was read, assumed and dropped, and how the controls start, as text.
 
     Raises
@@ -86,6 +88,7 @@ def import_case(
         converters=converters,
         coordinates=coordinates,
         release_limits=release_limits,
+        devices=devices,
     )
     if report is not None:
         report(found.report.text())

@@ -18,7 +18,8 @@ FUNCTIONS = {
     "import_case": "grid: str | Path, *, dyr: str | Path | None = None, frequency_hz: float | None = None, "
     "P_exponent: float | None = None, Q_exponent: float | None = None, strict: bool = False, "
     "island: int | None = None, converters: str = 'refuse', coordinates: str | Path | None = None, "
-    "release_limits: bool = False, report: Callable[[str], object] | None = None -> Case",
+    "release_limits: bool = False, devices: Sequence[str | Path] = (), "
+    "report: Callable[[str], object] | None = None -> Case",
     "modes": "case: Case | str | Path -> SwingModes",
     "loops": "case: Case | str | Path -> RankedLoops",
     "linearise": "case: Case | str | Path, *, reference: bool = False -> control.StateSpace",

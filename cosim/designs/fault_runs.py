@@ -77,7 +77,7 @@ class FaultRuns:
         self._fmus = Fmus(cache)
         self._library: GroupLibrary | None = None
         with suppress(BuildError):
-            self._library = plant_group(cache=cache)
+            self._library = plant_group(case, cache=cache)
         first, last = case.machines[0].name, case.machines[-1].name
         self._swing = Swing(first, last, "not looked at")
         self._live: dict[tuple[int, int, tuple[str, ...]], dict[str, FmuParticipant]] = {}

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.write.lane_library import GroupLibrary, plant_group
+from interarea.models.case.case import Case
 
 from ..run.artefacts import EVENT_SLOTS
 from .live_instances import Kept
@@ -30,17 +31,18 @@ class Lanes:
     count: int
 
 
-def lanes_here(cache: Path) -> Lanes:
-    """Return what this processor can do."""
+def lanes_here(cache: Path, case: Case | None = None) -> Lanes:
+    """Return what this processor can do; `case`: of the plants, as `plant_group`."""
     with suppress(BuildError):
-        library = plant_group(cache=cache)
+        library = plant_group(case=case, cache=cache)
         return Lanes(library, library.lanes)
     return Lanes(None, 1)
 
 
-def has_lanes(library: GroupLibrary | None, kept: Kept) -> bool:
+def has_lanes(kept: Kept) -> bool:
     """Whether the plant among instances that have begun can be stepped with others of its kind."""
-    return library is not None and library.work(kept.participants["plant"].component, 2) is not None
+    plant = kept.participants["plant"]
+    return plant.group is not None and plant.group.work(plant.component, 2) is not None
 
 
 def plant_key(job: Job) -> PlantKey | None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.write.compile import compile_binary, host_platform
 from interarea.fmu_build.write.lane_library import plant_group
-from interarea.models.blocks.plant import plant_block
+from interarea.models.blocks.plant import plant_block, plant_sources
 
 from ..master.kernel.build import load_kernel
 from ..run.artefacts import channel_fmu, concentrator_fmu, plant_fmu
@@ -24,13 +24,14 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
     files = [channel_fmu(cache)]
     with suppress(BuildError):  # without it Python steps the FMUs
         files.append(Path(load_kernel(cache)._name))
-    with suppress(BuildError):  # without it the plants go one by one
-        files.append(plant_group(cache=cache).path)
     files += [own_fmu(cache, key) for key in dict.fromkeys(plan.fmus.values())]
     files += [concentrator_fmu(len(c.signals), cache) for c in plan.sweep.base.concentrators.values()]
     cases = {name: plan.case(name) for name in plan.cases}
-    block = plant_block(next(iter(cases.values())))
-    files.append(compile_binary(block.kind, block.sources, host_platform(), cache=cache))
+    for case in {plant_sources(case): case for case in cases.values()}.values():
+        with suppress(BuildError):  # without it the plants go one by one
+            files.append(plant_group(case, cache=cache).path)
+        block = plant_block(case)
+        files.append(compile_binary(block.kind, block.sources, host_platform(), cache=cache))
     files += [plant_fmu(case, cache) for case in cases.values()]
     for key in plan.controllers:
         case, _, name = key.rpartition("/") if key.partition("/")[0] not in cases else key.partition("/")

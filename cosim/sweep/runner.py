@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from interarea.fmu_build.write.lane_library import GroupLibrary
 from interarea.models.case.case import Case
 
 from ..clock import seconds
@@ -189,7 +190,7 @@ class Runner:
             except Exception as error:
                 ended[job.run] = error
         masters = [kept.master for _, kept in begun]
-        if begun and not has_lanes(self.library, begun[0][1]):
+        if begun and not has_lanes(begun[0][1]):
             self._alone.add(plant_key(jobs[0]))
         found = advance_together(masters, watch=lambda _, now_s, stop_s: watch(now_s, stop_s))
         ended |= {job.run: error for (job, _), error in zip(begun, found, strict=True)}
@@ -311,7 +312,7 @@ class Runner:
             instances["controller"] = replace(instances["controller"], start=own)
             system.parts["controller"] = instances["controller"]  # of which its linear loop is made
         structure = (change, slots, scenario.controller, tuple(instances))
-        kept = self._instances(structure, instances, busy)
+        kept = self._instances(structure, instances, busy, system.plants["plant"])
         key = (
             scenario.stop_s,
             scenario.step_s,
@@ -325,7 +326,13 @@ class Runner:
         kept.system = system
         return kept, instances
 
-    def _instances(self, structure: tuple[Any, ...], instances: Instances, busy: Sequence[Kept]) -> Kept:
+    def _library_of(self, case: Case) -> GroupLibrary | None:
+        own = case.own_devices and self.library is not None
+        return lanes_here(self.cache, case).library if own else self.library
+
+    def _instances(
+        self, structure: tuple[Any, ...], instances: Instances, busy: Sequence[Kept], case: Case
+    ) -> Kept:
         place = sum(any(kept is b for b in busy) for s, kept in self._kept.items() if s[:-1] == structure)
         structure = (*structure, place)
         kept = self._kept.pop(structure, None) or Kept()
@@ -333,7 +340,7 @@ class Runner:
             if name in kept.participants:
                 kept.participants[name].set_start(made.start)
             else:
-                group = self.library if name == "plant" else None
+                group = self._library_of(case) if name == "plant" else None
                 kept.participants[name] = participant_of(
                     name, made.file, made.start, group=group, **made.process
                 )

@@ -34,7 +34,7 @@ COMMANDS = {
     ),
     "new": (
         "new:new",
-        "Write a commented file that runs: scenario, case, controller, design, sweep or test.",
+        "Write a commented file that runs: scenario, case, device, controller, design, sweep or test.",
     ),
     "device": (
         "new:device",

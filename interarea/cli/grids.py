@@ -44,6 +44,10 @@ def import_grid(
     release_limits: Annotated[
         bool, typer.Option("--release-limits", help="widen limits beyond which controls would start")
     ] = False,
+    device: Annotated[
+        list[str] | None,
+        typer.Option("--device", metavar="FILE.toml", help="a device of your own, for records of its name"),
+    ] = None,
 ) -> None:
     """Read a grid, solve its power flow, write it as a case file; say what was read, assumed and dropped."""
     from interarea.models.case.write_toml import export_toml
@@ -63,6 +67,7 @@ def import_grid(
         converters=converters,
         coordinates=coordinates,
         release_limits=release_limits,
+        devices=device or (),
     )
     out.parent.mkdir(parents=True, exist_ok=True)
     export_toml(imported.case, out)

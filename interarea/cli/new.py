@@ -21,11 +21,11 @@ SCHEMAS = TEMPLATES.with_name("schemas")
 
 def new(
     kind: Annotated[
-        str, typer.Argument(metavar="KIND", help="scenario, case, controller, design, sweep or test")
+        str, typer.Argument(metavar="KIND", help="scenario, case, device, controller, design, sweep or test")
     ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="file to write", show_default=False)],
 ) -> None:
-    """Write a commented file that runs: scenario, case, controller, design, sweep or test."""
+    """Write a commented file that runs: scenario, case, device, controller, design, sweep or test."""
     there = {file.name.partition(".")[0]: file for file in TEMPLATES.iterdir()}
     if kind not in there:
         raise UserError(f"new {kind}: no such kind of file; {nearest(kind, sorted(there))}")
@@ -86,6 +86,7 @@ def device(
     """Look at a device by itself: diagram, rest at an operating point, poles, step response."""
     from interarea.models.devices.document import diagram_text
     from interarea.models.devices.drawing import diagram_svg
+    from interarea.models.devices.language.read import device_text
     from interarea.models.devices.library import library, own_model
     from interarea.models.devices.response import missing, response_of
     from interarea.models.files import write_whole
@@ -93,7 +94,7 @@ def device(
     if draw is not None and (file_for(draw, "--draw").suffix != ".svg"):
         raise UserError(f"--draw {draw}: the diagram is SVG, allowed: a name that ends in .svg")
     if file.endswith(".toml"):
-        model = own_model(Path(file))
+        model = own_model(device_text(file), file)
     elif file.lower() in library():
         model = library()[file.lower()]
     else:

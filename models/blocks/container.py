@@ -26,11 +26,14 @@ _MAY_FEED = {
 }
 
 
-def container_sources() -> tuple[Path, ...]:
-    """Return the C files of every container: its own, and of the members' those no `*_member.c` includes."""
+def container_sources(plant: Iterable[Path] | None = None) -> tuple[Path, ...]:
+    """Return the C files of every container: its own, and of the members' those no `*_member.c` includes.
+
+    plant : sources of the plant inside; default `plant_sources()`.
+    """
     return (
         *(_HERE / f"container/{name}.c" for name in _OWN),
-        *(p for p in plant_sources() if p.name not in ("plant.c", "record.c")),
+        *(p for p in (plant_sources() if plant is None else plant) if p.name not in ("plant.c", "record.c")),
         *(p for p in channel_block().sources if p.name != "channel.c"),
     )
 
@@ -101,7 +104,7 @@ def loop_block(
         description=description or f"Closed loop of {', '.join(m.name for m in members)}",
         table=VariableTable([v for m in members for v in _outside(m)]),
         data=data,
-        sources=container_sources(),
+        sources=container_sources(next(m.block.sources for m in members if m.block.kind == "plant")),
         step_s=step_s,
         stop_s=stop_s,
         internal_step_s=integrated,

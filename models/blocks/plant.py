@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,10 @@ from ..case.case import Case, CaseError
 from ..case.event_targets import check_events, target_index
 from ..case.tables import SOLVER_STEP_S
 from ..devices.document import devices_html
-from ..devices.header import library_header, signature
+from ..devices.header import devices_file, signature
 from ..devices.language.device import NO_LIMIT
-from ..devices.library import library
+from ..devices.language.structure import Model
+from ..devices.library import devices_with
 from ..grid.bus_devices import port_rest, port_table
 from ..grid.control_tables import Group, Parameter
 from ..grid.equilibrium import OperatingPoint, operating_point
@@ -58,9 +59,14 @@ SOURCES = tuple(
 )
 
 
-def plant_sources() -> tuple[Path, ...]:
-    """Return the C files of the plant and the generated header of its devices."""
-    return (*SOURCES, library_header())
+def plant_sources(case: Case | None = None) -> tuple[Path, ...]:
+    """Return the C files of the plant and the generated header of its devices.
+
+    case : the case of the plant; those without devices of their own share one header, that of the package's.
+    """
+    if case is None or not case.own_devices:
+        return (*SOURCES, devices_file())
+    return (*SOURCES, devices_file(case.own_devices.values(), case.device_keys))
 
 
 #: what FMUs stepped side by side need besides (block/block_group.h)
@@ -107,8 +113,8 @@ def _integration(point: OperatingPoint, step_s: float) -> str:
 
 def _controls(point: OperatingPoint) -> dict[str, str]:
     """What the FMU's documentation says about the controls in use."""
-    keys = dict.fromkeys(d.key for d in point.controls.devices)
-    return {"Controls": devices_html(library()[key].device for key in keys)} if keys else {}
+    models = {d.key: d.rest.instance.model for d in point.controls.devices}
+    return {"Controls": devices_html(model.device for model in models.values())} if models else {}
 
 
 def plant_block(
@@ -150,7 +156,7 @@ def plant_block(
         description=case.title or case.name,
         table=VariableTable(variables),
         data=_data(case, point, parameters, event_slots, shown, network),
-        sources=plant_sources(),
+        sources=plant_sources(case),
         documentation={
             "Integration": _integration(point, step_s),
             "Events": event_numbers_html(case),
@@ -252,7 +258,7 @@ def _data(
     }
     first = len(point.states) - len(point.controls.states())
     arrays |= seen | network_tables(case, point.load_volts, ports, pattern)
-    return arrays | _group_arrays(point, groups, first)
+    return arrays | _group_arrays(point, groups, first, case.own_devices)
 
 
 def _states_of_outputs(case: Case, point: OperatingPoint, shown: Sequence[Shown]) -> list[int]:
@@ -267,9 +273,11 @@ def _machine_of_states(case: Case, point: OperatingPoint) -> list[int]:
     return [position[name.split(".")[0]] for name in point.state_names]
 
 
-def _group_arrays(point: OperatingPoint, groups: tuple[tuple[Group, int], ...], first: int) -> dict[str, Any]:
+def _group_arrays(
+    point: OperatingPoint, groups: tuple[tuple[Group, int], ...], first: int, own: Mapping[str, Model]
+) -> dict[str, Any]:
     """Groups of devices in the order in which they run; `first`: place of the first state of a device."""
-    numbers = {key: k for k, key in enumerate(library())}
+    numbers = {key: k for k, key in enumerate(devices_with(own))}
     given = [group.table.ravel() for group, _ in groups]
     return {
         "group.device": _int(numbers[group.key] for group, _ in groups),
@@ -278,7 +286,7 @@ def _group_arrays(point: OperatingPoint, groups: tuple[tuple[Group, int], ...], 
         "group.state": _int(first + place for _, place in groups),
         "device.machine": _int(d.machine for group, _ in groups for d in group.devices),
         "device.table": np.concatenate(given) if given else np.zeros(0),
-        "device.signature": _int([signature()]),
+        "device.signature": _int([signature(own.values())]),
         "input.machine": _int(d.machine for d in point.controls.of("exciter")),
         "machine.rest": point.controls.seen,
         "state.rest": point.x0,

@@ -9,6 +9,7 @@ apply to all its rows:
     base_mva = 100.0
     solver_step_s = 0.002       # optional: longest Runge-Kutta step of the plant FMU
     swing = ["G2", "G4"]        # optional: machines whose speed difference a run is judged by
+    devices = ["my_avr.toml"]   # optional: device files of one's own beside this one
     [branches]
     source = "Kundur1994, Ex. 12.6"
     "7-8 a" = { from = 7, to = 8, r = 0.011, x = 0.11, b = 0.1925 }
@@ -36,6 +37,7 @@ from ..documents import DocumentError, parse_toml
 from ..errors import CaseError, nearest, one_line, reason
 from .checks import check_whole
 from .cycles import in_seconds
+from .device_files import devices_of, with_device_texts
 from .event_targets import check_events
 from .events import events_of
 from .file_kind import other_kind
@@ -66,6 +68,8 @@ class Case(CaseTables):
         del content["swing"]  # how a run is judged, nothing that the grid does
         if self.solver_step_s is None:
             del content["solver_step_s"]
+        if not self.devices:
+            del content["devices"]
         text = json.dumps(content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -77,6 +81,8 @@ class Case(CaseTables):
             for k, v in self.model_dump(by_alias=True, exclude_none=True).items()
             if k in scalars and v not in ("", ())
         }
+        if self.devices:
+            raw["devices"] = dict(self.devices)
         if self.swing is not None:
             raw["swing"] = list(self.swing)
         for table, key in ROW_TABLES.items():
@@ -100,7 +106,9 @@ class Case(CaseTables):
         ------
         CaseError : a key that does not exist, a value out of range, a network that falls apart.
         """
-        document = apply_change(self.document(), change)
+        document = apply_change(
+            self.document(), with_device_texts(change, Path(), f"{self.name} with changes")
+        )
         document["name"] = name or self.name
         return case_of(document, where=f"{self.name} with changes")
 
@@ -130,8 +138,11 @@ def load_case(name_or_path: str | Path) -> Case:
 
 
 def case_of(document: Mapping[str, Any], *, where: str) -> Case:
-    """Build a Case from a document in the form of a case file; `where` names it in errors."""
-    raw = {k: v for k, v in document.items() if v != REMOVED}
+    """Build a Case from a document in the form of a case file; `where` names it in errors.
+
+    Files of devices are read from the current folder.
+    """
+    raw = {k: v for k, v in with_device_texts(document, Path(), where).items() if v != REMOVED}
     sources = dict(raw.get("sources", {}))
     for table, key in ROW_TABLES.items():
         rows, source = _rows(raw.get(table, {}), table, key, where)
@@ -145,8 +156,9 @@ def case_of(document: Mapping[str, Any], *, where: str) -> Case:
     if isinstance(hz, int | float) and hz > 0.0:
         events = in_seconds({"event": events}, lambda: hz)["event"]
     raw["event"] = events_of(events, where=where)
+    own = devices_of(raw.get("devices", {}), where)
     try:
-        return Case.model_validate(raw)
+        return Case.model_validate(raw, context=own)
     except ValidationError as error:
         raise CaseError(f"{where}: {one_line(error, lambda location: _path(location, raw))}") from None
 
@@ -190,6 +202,7 @@ def _document(name_or_path: str | Path, seen: tuple[str, ...], beside: Path | No
         raw = parse_toml(text)
     except DocumentError as error:
         raise CaseError(f"{where}: {error}") from None
+    raw = with_device_texts(raw, folder or BUNDLED, where)
     other = other_kind(raw, "case")
     if other is not None:
         raise CaseError(f"{where}: {other}")
@@ -203,7 +216,7 @@ def _document(name_or_path: str | Path, seen: tuple[str, ...], beside: Path | No
             f"{where}: {extra[0]} stands outside [change]; a variant holds base, change, name, title, source"
         )
     base = _document(raw["base"], (*seen, where), folder)
-    changed = apply_change(base, raw.get("change", {}))
+    changed = apply_change(base, with_device_texts(raw.get("change", {}), folder or BUNDLED, where))
     return changed | {k: raw[k] for k in ("name", "title", "source") if k in raw}
 
 

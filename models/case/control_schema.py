@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo
 from pydantic_core import PydanticCustomError
 
 from ..devices.errors import DeviceError
 from ..devices.language.structure import Model
-from ..devices.library import library_model
+from ..devices.library import NONE, device_model
 from ..devices.rows import numbers_of, row_of
 from ..table import Table
 
@@ -31,7 +32,7 @@ class Control(Row):
 
     model_config = ConfigDict(extra="allow")
 
-    kind: str  #: which device: a file of `models/devices`
+    kind: str  #: which device: a file of `models/devices`, or one of `devices` of the case
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -43,20 +44,21 @@ class Control(Row):
 BARE = {"exciter": "constant", "governor": "none"}
 
 
-def control_model(word: str, control: Control) -> Model | None:
-    """Return the device of a control, None where there is none; `word`: exciter, stabilizer, ..."""
-    return None if BARE.get(word) == control.kind else library_model(control.kind, word)
+def control_model(word: str, control: Control, own: Mapping[str, Model]) -> Model | None:
+    """Return the device of a control, None where there is none.
+
+    word : exciter, stabilizer, ... own : the case's own devices (`CaseTables.own_devices`).
+    """
+    return None if BARE.get(word) == control.kind else device_model(control.kind, word, own)
 
 
-def control_numbers(word: str, control: Control, mbase: float) -> dict[str, float | str]:
+def control_numbers(model: Model, control: Control, mbase: float) -> dict[str, float | str]:
     """Return the numbers of a control with a device: absent limits as +-1e30, what is computed as a word."""
-    model = control_model(word, control)
-    assert model is not None
     return numbers_of(model.device, control.parameters, mbase)
 
 
 def _control(word: str, kind: str | None) -> Any:
-    def read(value: Any) -> Any:
+    def read(value: Any, info: ValidationInfo) -> Any:
         if isinstance(value, Control):
             return value
         if not isinstance(value, dict):
@@ -74,7 +76,7 @@ def _control(word: str, kind: str | None) -> Any:
         try:
             if not isinstance(chosen, str):
                 raise DeviceError(f"{word} {chosen!r} does not exist")
-            return rest | row_of(library_model(chosen, word).device, given)
+            return rest | row_of(device_model(chosen, word, info.context or NONE).device, given)
         except DeviceError as error:
             text = str(error)
             text = text if text[0] in ".:" else f".kind: {text}"

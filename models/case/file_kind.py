@@ -11,6 +11,7 @@ KINDS: Mapping[str, tuple[frozenset[str], str]] = {
     "sweep": (frozenset({"parameters"}), "interarea sweep"),
     "design": (frozenset({"conditions", "ask"}), "interarea design"),
     "case": (frozenset({"machines", "buses", "branches", "base", "change"}), "interarea modes"),
+    "device": (frozenset({"diagram"}), "interarea device"),
     "scenario": (frozenset({"stop_s", "event", "channels", "connections"}), "interarea run"),
 }
 

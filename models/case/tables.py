@@ -9,9 +9,12 @@ from typing import Annotated, TypeVar
 
 from pydantic import ConfigDict, Field
 
+from ..devices.language.device import KINDS
+from ..devices.language.structure import Model
+from ..devices.library import own_models
 from ..errors import CaseError, nearest
 from ..table import Table, Title
-from .control_schema import Positive
+from .control_schema import BARE, Positive
 from .events import Event
 from .schema import Branch, Bus, Load, Machine, Shunt, Tie
 
@@ -36,6 +39,7 @@ class CaseTables(Table):
     #: machines whose difference of speeds a run is judged by; None: taken from the inter-area mode's shape
     swing: Annotated[tuple[str, ...], Field(min_length=2, max_length=2)] | None = None
     sources: Mapping[str, str] = {}  #: table -> "KEY, where"
+    devices: Mapping[str, str] = {}  #: device files of one's own beside this one, or what they hold by name
     buses: Annotated[tuple[Bus, ...], Field(min_length=1)]  #: by number
     branches: tuple[Branch, ...] = ()  #: lines and transformers by name
     shunts: tuple[Shunt, ...] = ()  #: by name
@@ -60,6 +64,17 @@ class CaseTables(Table):
     def slack(self) -> Machine:
         """The machine that holds the angle reference and balances the power flow."""
         return next(m for m in self.machines if m.slack)
+
+    @property
+    def own_devices(self) -> Mapping[str, Model]:
+        """The devices of `devices` by key, which `kind` of a control may name."""
+        return own_models(self.devices)
+
+    @property
+    def device_keys(self) -> set[str]:
+        """Keys of the devices that the machines have."""
+        controls = ((word, getattr(m, word)) for m in self.machines for word in KINDS)
+        return {c.kind for word, c in controls if c is not None and c.kind != BARE.get(word)}
 
     def machine(self, name: str) -> Machine:
         """Return machine `name`; CaseError with the nearest names when there is none."""

@@ -33,6 +33,7 @@ def export_toml(case: Case, path: str | Path | None = None) -> str:
         for key, value in document.items()
         if not isinstance(value, Mapping | tuple)
     ]
+    lines += _devices(document.get("devices", {}))
     for table in ROW_TABLES:
         rows = dict(document[table])
         if not rows:
@@ -62,6 +63,17 @@ def _section(name: str, row: Mapping[str, Any]) -> list[str]:
         if isinstance(value, Mapping):
             lines += _section(f"{name}.{_key(key)}", value)
     return lines
+
+
+def _devices(texts: Mapping[str, str]) -> list[str]:
+    rows = [f"{_key(name)} = {_lines(text)}" for name, text in texts.items()]
+    return ["", "[devices]", *rows] if rows else []
+
+
+def _lines(text: str) -> str:
+    """Text of several lines as it stands."""
+    inside = text.replace("\\", "\\\\").replace('"""', '""\\"').replace("\x7f", "\\u007f")
+    return '"""\n' + inside + ('"""' if not inside.endswith('"') else '\\\n"""')
 
 
 def _key(name: str) -> str:

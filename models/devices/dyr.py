@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -42,7 +42,22 @@ def dyr_models() -> dict[str, tuple[Model, DyrModel]]:
     return {row.model: (model, row) for model in library().values() for row in model.device.dyr}
 
 
-def device_for_dyr(record: DyrRecord, own: Sequence[Model] = ()) -> DyrDevice:
+def own_records(own: Iterable[Model]) -> dict[str, tuple[Model, DyrModel]]:
+    """Return the record names that a user's devices read.
+
+    One without a `[dyr]` table reads the record of its own name, its parameters in their order.
+    """
+    return {row.model: (model, row) for model in own for row in _rows(model)}
+
+
+def _rows(model: Model) -> tuple[DyrModel, ...]:
+    """The records of a device; of the package's those that its file names, which may be none."""
+    if model.device.dyr or model.device.key in library():
+        return model.device.dyr
+    return (DyrModel(model.device.name.upper(), tuple(p.name for p in model.device.parameters), ()),)
+
+
+def device_for_dyr(record: DyrRecord, own: Iterable[Model] = ()) -> DyrDevice:
     """Return the device of a record; `own`: a user's devices, which come first.
 
     Raises
@@ -50,7 +65,7 @@ def device_for_dyr(record: DyrRecord, own: Sequence[Model] = ()) -> DyrDevice:
     DeviceError : unknown model (with the nearest names), too few or too many fields, a field that is no
         number or out of the parameter's range, a function of the model that is not modelled.
     """
-    known = dyr_models() | {row.model: (model, row) for model in own for row in model.device.dyr}
+    known = dyr_models() | own_records(own)
     if record.model not in known:
         raise DeviceError(
             f"{record.where}: model {record.model!r} at bus {record.bus}; {nearest(record.model, known)}"
@@ -103,11 +118,11 @@ def dyr_fields(model: Model, values: Mapping[str, float]) -> tuple[str, tuple[fl
     ------
     DeviceError : no record of the device's can hold these values.
     """
-    for row in model.device.dyr:
+    for row in _rows(model):
         fits = (evaluate(node, values) == values[name] for name, node in row.assigned)
         if all(fits):
             return row.model, tuple(0.0 if n in ("-", "0") else float(values[n]) for n in row.fields)
-    known = ", ".join(row.model for row in model.device.dyr) or "none"
+    known = ", ".join(row.model for row in _rows(model)) or "none"
     raise DeviceError(f"{model.device.name}: no record holds these values; its records: {known}")
 
 

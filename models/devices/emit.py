@@ -31,9 +31,7 @@ def devices_header(models: Iterable[Model]) -> str:
     names = [w.prefix for w in written]
     digest = zlib.crc32("\n".join(out).encode())  # a record made for other devices is refused
     out += [f"#define DEVICE_SIGNATURE {digest}u"]
-    out += [
-        f"enum {{ {', '.join(f'DEVICE__{n.upper()}' for n in names)}{', ' if names else ''}DEVICE__COUNT }};"
-    ]
+    out += [f"enum {{ {', '.join([*(f'DEVICE_NUMBER_{n.upper()}' for n in names), 'DEVICE_COUNT'])} }};"]
     numbers = {
         "rows": [f"{n.upper()}___ROWS" for n in names],
         "given": [f"{n.upper()}___GIVEN" for n in names],
@@ -48,7 +46,7 @@ def devices_header(models: Iterable[Model]) -> str:
         "                              const cell *x, cell *dx)",
         "{",
         "    switch (device) {",
-        *(f"    case DEVICE__{n.upper()}: run_{n}(g, in, x, dx); break;" for n in names),
+        *(f"    case DEVICE_NUMBER_{n.upper()}: equations_of_{n}(g, in, x, dx); break;" for n in names),
         "    default: (void)g; (void)in; (void)x; (void)dx;",
         "    }",
         "}",
@@ -56,7 +54,7 @@ def devices_header(models: Iterable[Model]) -> str:
         "static inline void device_prepare(size_t device, double *table, size_t n)",
         "{",
         "    switch (device) {",
-        *(f"    case DEVICE__{n.upper()}: prepare_{n}(table, n); break;" for n in names),
+        *(f"    case DEVICE_NUMBER_{n.upper()}: numbers_of_{n}(table, n); break;" for n in names),
         "    default: (void)table; (void)n;",
         "    }",
         "}",
@@ -72,7 +70,7 @@ def _choice(what: str, arguments: str, names: list[str], values: list[str]) -> l
         "{",
         *(["    (void)has;"] if "has" in arguments else []),
         "    switch (device) {",
-        *(f"    case DEVICE__{n.upper()}: return {v};" for n, v in zip(names, values, strict=True)),
+        *(f"    case DEVICE_NUMBER_{n.upper()}: return {v};" for n, v in zip(names, values, strict=True)),
         "    default: return 0;",
         "    }",
         "}",
@@ -104,8 +102,8 @@ class Writer(ExpressionWriter):
         body = self.branch(self.model.order, {}, 2)
         inputs = sorted({n for line in device.lines for n in names_of(line.node)} & set(device.inputs))
         head = [
-            f"static inline void run_{self.prefix}(const DeviceGroup *g, const DeviceSignals *in,",
-            f"                       {' ' * len(self.prefix)} const cell *x, cell *dx)",
+            f"static inline void equations_of_{self.prefix}(const DeviceGroup *g, const DeviceSignals *in,",
+            f"{' ' * len(f'static inline void equations_of_{self.prefix}(')}const cell *x, cell *dx)",
             "{",
             "    const size_t n = g->n;",
             *(["    const uint64_t has = g->has;"] if self.model.bits else []),
@@ -155,7 +153,7 @@ class Writer(ExpressionWriter):
         ]
         self.in_prepare = False
         head = ["#if !defined PLANT_TANGENT && !defined PLANT_LANES"]
-        head += [f"static inline void prepare_{self.prefix}(double *table, size_t n)", "{"]
+        head += [f"static inline void numbers_of_{self.prefix}(double *table, size_t n)", "{"]
         if not rows:
             return [*head, "    (void)table;", "    (void)n;", "}", "#endif"]
         return [

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from ..errors import nearest
 from .errors import DeviceError
-from .language.device import KINDS, Device
-from .language.read import read_device
+from .language.device import KINDS
+from .language.read import device_of, read_device
 from .language.structure import Model
 
+MOST_OWN = 50  #: devices of a user's own in a case
+NONE: Mapping[str, Model] = MappingProxyType({})  #: no device of a user's own
 _HERE = Path(__file__).parent
 FOLDERS = {kind: _HERE / f"{kind}s" for kind in KINDS}
 
@@ -28,27 +32,58 @@ def keys_of(kind: str) -> tuple[str, ...]:
     return tuple(key for key, model in library().items() if model.device.kind == kind)
 
 
-def library_model(key: str, kind: str) -> Model:
-    """Return a device of the package.
+def devices_with(own: Mapping[str, Model]) -> dict[str, Model]:
+    """Return the package's devices and, behind them, a user's own, by key, in the order of their numbers."""
+    return library() | dict(own)
+
+
+def device_model(key: str, kind: str, own: Mapping[str, Model]) -> Model:
+    """Return a device of the package or of a user.
 
     Raises
     ------
     DeviceError : there is none of that key and kind; with the nearest ones.
     """
-    model = library().get(key)
+    model = own.get(key) or library().get(key)
     if model is None or model.device.kind != kind:
-        raise DeviceError(f"{kind} {key!r} does not exist; {nearest(key, keys_of(kind))}")
+        known = [*(k for k, m in own.items() if m.device.kind == kind), *keys_of(kind)]
+        raise DeviceError(f"{kind} {key!r} does not exist; {nearest(key, known)}")
     return model
 
 
-def own_model(path: Path) -> Model:
-    """Return the device of a user's file.
+def own_model(text: str, file: str) -> Model:
+    """Return the device of a user's file, whose name is for messages.
 
     Raises
     ------
-    DeviceError : the file is wrong, or has the name of a device of the package.
+    DeviceError : the text is wrong, or has the name of a device of the package.
     """
-    device: Device = read_device(path)
+    device = device_of(text, file)
     if device.key in library():
-        raise DeviceError(f"{path}: name = {device.name!r} is a device of the package; choose another name")
+        raise DeviceError(f"{file}: name = {device.name!r} is a device of the package; choose another name")
     return Model(device)
+
+
+def own_models(texts: Mapping[str, str]) -> Mapping[str, Model]:
+    """Return a user's devices by key, sorted; `texts`: what their files hold, by name of file.
+
+    Raises
+    ------
+    DeviceError : as `own_model`; too many, or two of one name.
+    """
+    return _own_models(tuple(texts.items()))
+
+
+@functools.lru_cache(maxsize=32)
+def _own_models(texts: tuple[tuple[str, str], ...]) -> Mapping[str, Model]:
+    if len(texts) > MOST_OWN:
+        raise DeviceError(f"{len(texts)} devices, allowed: {MOST_OWN} in a case")
+    found: dict[str, Model] = {}
+    for file, text in texts:
+        model = own_model(text, file)
+        other = found.setdefault(model.device.key, model)
+        if other is not model:
+            raise DeviceError(
+                f"{file}: name = {model.device.name!r} is that of {other.device.file} too; rename one"
+            )
+    return MappingProxyType(dict(sorted(found.items())))

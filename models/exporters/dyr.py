@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 
 from ..case.case import Case
-from ..case.control_schema import control_model, control_numbers
+from ..case.control_schema import Control, control_model, control_numbers
 from ..case.schema import Machine
 from ..devices.dyr import dyr_fields
 from ..devices.errors import DeviceError
 from ..devices.language.device import NO_LIMIT
+from ..devices.language.structure import Model
 from .raw import machine_identities
 from .written import Written, named
 
 _CONTROLS = ("exciter", "stabilizer", "compensator", "governor")
+#: what a user-written model is, the number IC of its record
+_CODES = {"compensator": 2, "stabilizer": 3, "exciter": 4, "governor": 5}
 _ROUND = ("Td01", "Td02", "Tq01", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xq1", "Xd2", "Xl")
 _SALIENT = ("Td01", "Td02", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xd2", "Xl")
 _WIDE = 9999.0  #: an absent limit, as people write it
@@ -37,21 +40,31 @@ def dyr_of(case: Case) -> Written:
         losses += lost
         for word in _CONTROLS:
             control = getattr(m, word)
-            if control is None or control_model(word, control) is None:
+            device = None if control is None else control_model(word, control, case.own_devices)
+            if control is None or device is None:
                 continue
             try:
-                name, fields = _control(m, word)
+                name, fields = _control(device, control, m.base_mva)
             except DeviceError as error:
                 losses.append(f"{m.name}.{word}: {error}")
                 continue
-            lines.append(_record(m.bus, name, identity[m.name], fields))
+            user = _user(device) if control.kind in case.own_devices else ""
+            lines.append(_record(m.bus, name, identity[m.name], fields, user))
     if bare:
         losses.append(f"machines without dynamic data have no record ({named(bare)})")
     return Written("\n".join([*lines, ""]), tuple(losses))
 
 
-def _record(bus: int, model: str, identity: str, fields: tuple[float, ...]) -> str:
-    return f"{bus} '{model}' '{identity}' " + " ".join(f"{value!r}" for value in fields) + " /"
+def _record(bus: int, model: str, identity: str, fields: tuple[float, ...], user: str = "") -> str:
+    head = f"{bus} '{model}' '{identity}' "
+    if user:  # a user-written model: its name after the identifier, then what it is and how much it has
+        head = f"{bus} 'USRMDL' '{identity}' '{model}' {user.format(len(fields))} "
+    return head + " ".join(f"{value!r}" for value in fields) + " /"
+
+
+def _user(model: Model) -> str:
+    """What stands between name and values of a user-written model: IC IT NI NC NS NV."""
+    return f"{_CODES[model.device.kind]} 0 0 {{}} {len(model.states)} 0"
 
 
 def _machine(m: Machine) -> tuple[str, tuple[float, ...], list[str]]:
@@ -79,12 +92,9 @@ def _machine(m: Machine) -> tuple[str, tuple[float, ...], list[str]]:
     return ("GENSA" if salient else "GENRO") + letter, fields, lost
 
 
-def _control(m: Machine, word: str) -> tuple[str, tuple[float, ...]]:
-    control = getattr(m, word)
-    model = control_model(word, control)
-    assert model is not None
+def _control(model: Model, control: Control, base_mva: float) -> tuple[str, tuple[float, ...]]:
     values: dict[str, float] = {}
-    for name, value in control_numbers(word, control, m.base_mva).items():
+    for name, value in control_numbers(model, control, base_mva).items():
         if isinstance(value, str):
             raise DeviceError(f"{name} = {value!r} is computed at rest")
         values[name] = math.copysign(_WIDE, value) if abs(value) >= NO_LIMIT else float(value)

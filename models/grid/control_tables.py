@@ -186,7 +186,7 @@ def rests_of(
     case: Case, points: tuple[MachinePoint, ...]
 ) -> tuple[npt.NDArray[np.float64], list[tuple[int, str, RestPoint | Unrest]]]:
     """Return what every machine's devices see, and each device (machine, kind) at rest or why it is not."""
-    seen = np.zeros((len(SEEN), len(points)))
+    seen, own = np.zeros((len(SEEN), len(points))), case.own_devices
     found: list[tuple[int, str, RestPoint | Unrest]] = []
     for k, point in enumerate(points):
         row = {key: float(getattr(point, key)) for key in ("vt", "vd", "vq", "id", "iq", "pe", "pm", "efd")}
@@ -194,22 +194,22 @@ def rests_of(
         seen[:, k] = [row[key] for key in SEEN]
         for word in KINDS:
             control: Control | None = getattr(case.machines[k], word)
-            if control is None or control_model(word, control) is None:
+            model = None if control is None else control_model(word, control, own)
+            if control is None or model is None:
                 continue
-            rest = _rest(case, k, word, control, row)
+            rest = _rest(case, k, model, control, row)
             found.append((k, word, rest))
             if isinstance(rest, RestPoint):
                 seen[SEEN.index(KINDS[word].output), k] = row[KINDS[word].output] = rest.output
     return seen, found
 
 
-def _rest(case: Case, k: int, word: str, control: Control, row: dict[str, float]) -> RestPoint | Unrest:
-    m, model = case.machines[k], control_model(word, control)
-    assert model is not None
+def _rest(case: Case, k: int, model: Model, control: Control, row: dict[str, float]) -> RestPoint | Unrest:
+    m, word = case.machines[k], model.device.kind
     seen = {name: row.get(name, 0.0) for name in KINDS[word].inputs}
     who = f"{case.name}: machines.{m.name}.{word}"
     output = row[KINDS[word].output] if model.device.references else None
-    numbers = control_numbers(word, control, m.base_mva)
+    numbers = control_numbers(model, control, m.base_mva)
     try:
         return rest_of(model, numbers, seen, output, who)
     except DeviceError as error:

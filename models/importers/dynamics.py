@@ -16,9 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..devices.dyr import device_for_dyr, dyr_models
+from ..devices.dyr import device_for_dyr, dyr_models, own_records
+from ..devices.language.structure import Model
+from ..devices.library import NONE
 from ..errors import CaseError, nearest
-from .dyr import DyrRecord, read_dyr
+from .dyr import KNOWN, DyrRecord, read_dyr
 from .raw.record import Record
 from .report import Report
 
@@ -69,19 +71,22 @@ def machine_dynamics(
     report: Report,
     *,
     converters_as_current: bool = False,
+    own: Mapping[str, Model] = NONE,
 ) -> Dynamics:
     """Return the dynamic data of the DYR file `path`.
 
     machine_of : (bus, id) -> name of a unit in service. out : units out of service, whose records are
     counted and passed over. A unit without a machine model is constant P and Q; a converter is refused, or a
-    constant current if `converters_as_current`.
+    constant current if `converters_as_current`. own : devices of the user's own, whose records come before
+    those of the package's.
 
     Raises
     ------
     CaseError : a model that is not supported, a record that is cut off or too long, a second model of one
         kind for one machine; each with file and line.
     """
-    file = read_dyr(path)
+    records = dyr_models() | own_records(own.values())
+    file = read_dyr(path, KNOWN | records.keys())
     for note in file.notes:
         place, _, what = note.partition(": ")
         report.assume(what, place)
@@ -103,15 +108,15 @@ def machine_dynamics(
             report.drop("relay or meter", record.where)
             continue
         if at not in machine_of:
-            if model not in _MACHINES and model not in dyr_models():
-                raise CaseError(f"{record.where}: {_unknown(model, record.bus)}")
+            if model not in _MACHINES and model not in records:
+                raise CaseError(f"{record.where}: {_unknown(record, records)}")
             report.assume("DYR record of a unit that the grid does not have left out", record.where)
             continue
         name = machine_of[at]
         if name in constant:
             report.drop("further DYR record of a constant current", record.where)
             continue
-        kind, row = _row(record)
+        kind, row = _row(record, own, records)
         if (name, kind) in seen:
             raise CaseError(f"{record.where}: second {kind} of {name}, the first is at {seen[name, kind]}")
         seen[name, kind] = record.where
@@ -132,12 +137,12 @@ def machine_dynamics(
     return Dynamics({name: row for name, row in rows.items() if name not in constant}, where, constant)
 
 
-def _row(record: DyrRecord) -> tuple[str, dict[str, Any]]:
+def _row(record: DyrRecord, own: Mapping[str, Model], records: Collection[str]) -> tuple[str, dict[str, Any]]:
     """What a record is, and the keys it gives."""
     if record.model not in _MACHINES:
-        if record.model not in dyr_models():
-            raise CaseError(f"{record.where}: {_unknown(record.model, record.bus)}")
-        found = device_for_dyr(record)
+        if record.model not in records:
+            raise CaseError(f"{record.where}: {_unknown(record, records)}")
+        found = device_for_dyr(record, own.values())
         device = found.model.device
         return device.kind, {"kind": device.key} | dict(found.parameters)
     count, convert = _MACHINES[record.model]
@@ -153,10 +158,14 @@ def _row(record: DyrRecord) -> tuple[str, dict[str, Any]]:
     return MACHINE, row | {"torque_by_speed": True} if row["model"] == "round_rotor" else row
 
 
-def _unknown(model: str, bus: int) -> str:
-    advice = "; --converters current takes converters as constant currents" if model in CONVERTERS else ""
-    near = nearest(model, [*_MACHINES, *dyr_models()])
-    return f"model {model!r} at bus {bus} is not supported; {near}{advice}"
+def _unknown(record: DyrRecord, records: Collection[str]) -> str:
+    model, advice = record.model, ""
+    if record.user:
+        advice = f"; draw it as a device named {model} and give its file with --device"
+    elif model in CONVERTERS:
+        advice = "; --converters current takes converters as constant currents"
+    near = nearest(model, [*_MACHINES, *records])
+    return f"model {model!r} at bus {record.bus} is not supported; {near}{advice}"
 
 
 def _saturation(where: str, S10: float, S12: float, **kind: str) -> dict[str, Any]:

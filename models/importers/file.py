@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +31,7 @@ def import_grid(
     converters: str = "refuse",
     coordinates: str | Path | None = None,
     release_limits: bool = False,
+    devices: Sequence[str | Path] = (),
 ) -> Imported:
     """Return the grid of a file of PSS/E or MATPOWER, or of a name in `PUBLISHED`; options as `import_psse`.
 
@@ -49,7 +51,7 @@ def import_grid(
             found = import_grid(
                 raw, dyr=own, frequency_hz=frequency_hz, P_exponent=P_exponent, Q_exponent=Q_exponent,
                 strict=strict, island=island, converters=converters, coordinates=coordinates,
-                release_limits=release_limits,
+                release_limits=release_limits, devices=devices,
             )  # fmt: skip
         source = PUBLISHED[str(grid)].source
         found.report.lines.append(source)
@@ -68,6 +70,8 @@ def import_grid(
     if suffix == ".m":
         if dyr is not None:
             raise CaseError(f"{dyr}: dynamic data goes with a RAW file, not with MATPOWER")
+        if devices:
+            raise CaseError(f"{devices[0]}: a device goes with a DYR file, which MATPOWER does not have")
         return import_matpower(
             file,
             frequency_hz=frequency_hz,
@@ -88,6 +92,7 @@ def import_grid(
             converters_as_current=converters == "current",
             coordinates=coordinates,
             frequency_hz=frequency_hz,
+            devices=devices,
         )
         return imported if dyr is None else _started(imported, release=release_limits)
     raise CaseError(f"{file}: suffix {suffix!r}, allowed: {FORMATS}")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from ..case.case import case_of
+from ..case.device_files import devices_of, with_device_texts
 from ..errors import CaseError
 from .document import document_of, unit_names
 from .dynamics import machine_dynamics
@@ -40,6 +42,7 @@ def import_psse(
     converters_as_current: bool = False,
     coordinates: str | Path | None = None,
     frequency_hz: float | None = None,
+    devices: Sequence[str | Path] = (),
 ) -> Imported:
     """Return the grid of a PSS/E RAW (version 23 to 36) and DYR file, each plain, gzip or xz.
 
@@ -48,7 +51,8 @@ def import_psse(
 
     strict : an assumption is an error. island : a bus of the island to keep, when there are several.
     converters_as_current : converters become constant currents instead of being refused. coordinates : CSV
-    with bus, latitude, longitude. frequency_hz : for a file that has none; 60 Hz when not given.
+    with bus, latitude, longitude. frequency_hz : for a file that has none; 60 Hz when not given. devices :
+    files of devices of one's own, which records of their names (USRMDL or not) become.
 
     Raises
     ------
@@ -58,6 +62,8 @@ def import_psse(
     """
     path = Path(raw)
     report = Report(strict)
+    given = with_device_texts({"devices": tuple(devices)}, Path(), str(path))
+    own = devices_of(given["devices"], str(path))
     file = read_raw(path)
     grid = static_grid(file, report, frequency_hz)
     if coordinates is not None:
@@ -76,7 +82,7 @@ def import_psse(
         machine_of = {(u.home, u.identity): n for u, n in zip(grid.units, names, strict=True)}
         out |= {key for key in _all_units(file) if key not in machine_of}
         dynamics = machine_dynamics(
-            Path(dyr), machine_of, out, report, converters_as_current=converters_as_current
+            Path(dyr), machine_of, out, report, converters_as_current=converters_as_current, own=own
         )
         rows, lines = dynamics.rows, lines | dynamics.where
         constant = {names.index(n): exponent for n, exponent in dynamics.constant.items()}
@@ -92,6 +98,7 @@ def import_psse(
     )
     for key, row in rows.items():
         document["machines"][key] |= row
+    document["devices"] = given["devices"]
     try:
         case = case_of(document, where=str(path))
     except CaseError as error:

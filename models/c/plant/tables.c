@@ -55,7 +55,7 @@ static int count_devices(const Record *record, Plan *plan)
     if (count != plan->n_group || same != count) return 0;
     plan->n_device = plan->n_table = 0;
     for (size_t k = 0; k < count; ++k) {
-        if (device[k] < 0 || device[k] >= DEVICE__COUNT || n[k] < 1 || n[k] > 100000) return 0;
+        if (device[k] < 0 || device[k] >= DEVICE_COUNT || n[k] < 1 || n[k] > 100000) return 0;
         plan->n_device += (size_t)n[k];
         plan->n_table += (size_t)n[k] * device_rows((size_t)device[k]);
     }
@@ -188,7 +188,7 @@ static void check_pattern(Reader *r, const Plan *plan, const int32_t *places)
 static void check_groups(Reader *r, const BlockLayout *layout, const Plan *plan)
 {
     const size_t n = plan->n_group;
-    const int32_t *device = integers(r, "group.device", n, DEVICE__COUNT), *count = integers(r, "group.count", n, 100001);
+    const int32_t *device = integers(r, "group.device", n, DEVICE_COUNT), *count = integers(r, "group.count", n, 100001);
     const int32_t *state = integers(r, "group.state", n, layout->n_x + 1), *known;
     const int32_t *has = integers(r, "group.has", n, (size_t)INT32_MAX + 1);
     size_t given = 0, length;
@@ -264,7 +264,7 @@ static void copy_integers(double *to, const int32_t *from, size_t n)
 static void read_groups(Reader *r, const Plan *plan, double *memory)
 {
     const size_t n = plan->n_group;
-    const int32_t *device = integers(r, "group.device", n, DEVICE__COUNT), *count = integers(r, "group.count", n, 100001);
+    const int32_t *device = integers(r, "group.device", n, DEVICE_COUNT), *count = integers(r, "group.count", n, 100001);
     const int32_t *has = integers(r, "group.has", n, SIZE_MAX), *state = integers(r, "group.state", n, SIZE_MAX);
     size_t length, table = plan->device_table, machine = plan->device_machine;
     const double *given = record_f64(r->record, "device.table", &length);

@@ -53,13 +53,22 @@ def read_device(path: str | Path) -> Device:
     ------
     DeviceError : the file cannot be read, or is wrong anywhere.
     """
+    return device_of(device_text(path), str(path))
+
+
+def device_text(path: str | Path) -> str:
+    """Return what a device file holds; DeviceError : it cannot be read, or is too long."""
     try:
+        if Path(path).exists() and not Path(path).is_file():  # a pipe would wait for ever
+            raise DeviceError(f"{path}: is no file, allowed: the TOML file of a device")
         with Path(path).open("rb") as file:
             raw = file.read(LARGEST_FILE + 1)
     except OSError as error:
         raise DeviceError(f"{path}: the device file cannot be read: {reason(error)}") from None
+    if len(raw) > LARGEST_FILE:
+        raise DeviceError(f"{path}: longer than {LARGEST_FILE} bytes, which no device needs")
     try:
-        return device_of(raw.decode("utf-8"), str(path))
+        return raw.decode("utf-8").replace("\r\n", "\n")
     except UnicodeDecodeError:
         raise DeviceError(f"{path}: the device file is not UTF-8 text") from None
 
@@ -119,8 +128,12 @@ class _Reader:
                     f"{key[:40]}: no such key here, {nearest(key[:40], _KEYS)}", self.line_of(key)
                 )
         name, kind = self.word("name"), self.word("kind")
-        if not NAME.fullmatch(name):
-            raise self.fail(f"name = {name[:40]!r}, allowed: a letter, then letters, digits, _ (24)")
+        # C tells devices from their parameters by a double _
+        if not NAME.fullmatch(name) or "__" in name or name.endswith("_"):
+            raise self.fail(
+                f"name = {name[:40]!r}, allowed: a letter, then letters, digits, single _ between them (24)",
+                self.line_of("name"),
+            )
         if kind not in KINDS:
             raise self.fail(f"kind = {kind[:40]!r}, {nearest(kind[:40], KINDS)}", self.line_of("kind"))
         self.kind = KINDS[kind]

@@ -15,6 +15,7 @@ from interarea.cli.listing import bundled_files
 from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.sweep.spec import load_sweep
+from interarea.models.devices.library import own_model
 
 PAGES = Path(__file__).resolve().parents[3] / "docs" / "formats"
 
@@ -52,7 +53,7 @@ def test_the_files_that_show_every_key_are_valid() -> None:
     assert load_sweep(formats.TEMPLATES / "all_sweep.toml").samples == 20
 
 
-@pytest.mark.parametrize("kind", ["scenario", "case", "controller", "design", "sweep", "test"])
+@pytest.mark.parametrize("kind", ["scenario", "case", "device", "controller", "design", "sweep", "test"])
 def test_what_new_writes_runs(kind: str, interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     file = tmp_path / f"mine.{ {'controller': 'json', 'test': 'py'}.get(kind, 'toml') }"
     code, out, _ = interarea("new", kind, "--out", file)
@@ -64,6 +65,8 @@ def test_what_new_writes_runs(kind: str, interarea, tmp_path: Path) -> None:  # 
         assert ia.simulate(file).stable  # type: ignore[attr-defined]
     elif kind == "case":
         assert not ia.load_case(file).branch("8-9 a").in_service
+    elif kind == "device":
+        assert own_model(file.read_text(encoding="utf-8"), "mine.toml").device.key == "my_avr"
     elif kind == "controller":
         assert ia.load_controller(file).order == 2
     elif kind == "design":

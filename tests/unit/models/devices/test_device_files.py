@@ -5,14 +5,20 @@ from __future__ import annotations
 import random
 import re
 import time
+import tomllib
 
 import pytest
 
+from interarea.models.devices.document import ELEMENTS as ELEMENT_WORDS
+from interarea.models.devices.document import OPTIONS
 from interarea.models.devices.emit import devices_header
 from interarea.models.devices.errors import DeviceError
+from interarea.models.devices.language.device import ELEMENTS
+from interarea.models.devices.language.expression import FUNCTIONS
 from interarea.models.devices.language.read import device_of
 from interarea.models.devices.language.structure import Model
 from interarea.models.devices.library import library, own_model
+from interarea.models.devices.schema import device_schema
 
 GOOD = '''name = "MY_AVR"
 kind = "exciter"
@@ -75,11 +81,26 @@ def test_what_is_wrong_is_said_with_its_line_and_remedy(old, new, says):
     assert "\n" not in str(caught.value)
 
 
-def test_a_library_name_is_taken(tmp_path):
-    file = tmp_path / "my_avr.toml"
-    file.write_text(GOOD.replace("MY_AVR", "sexs"))
+def test_every_element_and_function_has_its_words():
+    said = {call.partition("(")[0] for call in ELEMENT_WORDS}
+    assert said == {*FUNCTIONS, *ELEMENTS, "ramp"}
+    options = {word.split("=")[0] for words in OPTIONS for word in words.split(", ")}
+    assert options == {option for _, known in ELEMENTS.values() for option in known}
+
+
+def test_every_device_of_the_package_fits_the_schema_of_device_files():
+    schema = device_schema()
+    for model in library().values():
+        raw = tomllib.loads(model.device.text)
+        assert set(schema["required"]) <= set(raw) <= set(schema["properties"]), model.device.name
+        for row in raw.get("parameters", {}).values():
+            assert set(row) <= set(schema["$defs"]["Parameter"]["properties"])
+            assert row.get("unit", "1") in schema["$defs"]["Parameter"]["properties"]["unit"]["enum"]
+
+
+def test_a_library_name_is_taken():
     with pytest.raises(DeviceError, match="'sexs' is a device of the package; choose another name"):
-        own_model(file)
+        own_model(GOOD.replace("MY_AVR", "sexs"), "my_avr.toml")
 
 
 def test_a_loop_without_a_state_is_refused_where_a_time_is_zero():
