@@ -10,6 +10,8 @@ import interarea
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE / "site"))  # commands, catalogue
+# cells call `interarea` as a reader does, wherever the environment is
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
 for pool in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(pool, "1")
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -168,9 +168,14 @@ def _parameters_of(made: Mapping[str, Controller | ControllerBank], cases: Mappi
     """Return the names of the parameters that the controllers' FMUs have."""
     parameters: set[str] = set()
     for key, controller in made.items():
-        table = controller.block(cases[key.partition("/")[0]].omega_b).table
+        table = controller.block(cases[case_in(key, cases)].omega_b).table
         parameters |= {v.name for v in table if v.role == "parameter"}
     return parameters
+
+
+def case_in(key: str, cases: Iterable[str]) -> str:
+    """Return which of `cases` the "CASE/NAME" of a controller begins with; both may be paths."""
+    return max((name for name in cases if key.startswith(f"{name}/")), key=len)
 
 
 def own_fmu(cache: Path, key: str) -> Path:

@@ -13,7 +13,7 @@ from interarea.models.blocks.plant import plant_block, plant_sources
 from ..master.kernel.build import load_kernel
 from ..run.artefacts import channel_fmu, concentrator_fmu, plant_fmu
 from ..run.controllers import controller_fmu
-from .plan import SweepPlan, own_fmu
+from .plan import SweepPlan, case_in, own_fmu
 
 
 def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
@@ -34,8 +34,8 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
         files.append(compile_binary(block.kind, block.sources, host_platform(), cache=cache))
     files += [plant_fmu(case, cache) for case in cases.values()]
     for key in plan.controllers:
-        case, _, name = key.rpartition("/") if key.partition("/")[0] not in cases else key.partition("/")
-        made = plan.controller(case, name)
+        case = case_in(key, cases)
+        made = plan.controller(case, key[len(case) + 1 :])
         if made is not None:
             files.append(controller_fmu(made, cases[case].omega_b, cache))
     return files

@@ -28,8 +28,8 @@ def tables(document: Any, tmp_path: Path) -> dict[str, dict[str, Any]]:
     """Return one sweep twice: with the package's exciter, and with its copy beside the case."""
     (tmp_path / "grid").mkdir()
     text = library()["static"].device.text
-    (tmp_path / "grid" / "mine.toml").write_text(text.replace('name = "static"', 'name = "MINE"'))
-    for kind, first in (("static", ""), ("mine", 'devices = ["mine.toml"]\n')):
+    (tmp_path / "grid" / "exciter.toml").write_text(text.replace('name = "static"', 'name = "MINE"'))
+    for kind, first in (("static", ""), ("mine", 'devices = ["exciter.toml"]\n')):
         (tmp_path / "grid" / f"{kind}.toml").write_text(
             f'base = "two-area-thesis"\nname = "grid"\n[change]\n{first}[change.machines.defaults]\n'
             f'exciter = {{ kind = "{kind}", KA = 200.0, TA = 0.001, TR = 0.01 }}\n'
