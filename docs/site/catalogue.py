@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+import numpy as np
 import typer
 
 import interarea as ia
@@ -16,7 +17,10 @@ from interarea.cli.app import COMMANDS, load
 from interarea.cosim.explorer.page import write_explorer
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.blocks.channel import channel_block
+from interarea.models.blocks.concentrator import concentrator_block
+from interarea.models.blocks.controller import Guard, controller_block
 from interarea.models.blocks.plant import plant_block
+from interarea.models.blocks.supervisor import supervisor_block
 from interarea.models.blocks.variables import Block
 from interarea.models.devices.document import diagram_text, range_text
 from interarea.models.devices.library import library
@@ -109,6 +113,18 @@ def commands_page() -> Iterator[str]:
                     else f" (default: {p.default})"
                 )
                 yield f"| `{shown}` | {words}{default} |".replace("\n", " ")
+    yield from ("", "## Environment", "", "| variable | what it does |", "|---|---|")
+    yield from (f"| `{name}` | {words} |" for name, words in ENVIRONMENT.items())
+
+
+#: variables of the environment that the package looks at
+ENVIRONMENT = {
+    "INTERAREA_CACHE": "folder of what is made once (FMUs, binaries, designs); else the user's cache folder",
+    "INTERAREA_DEBUG": "1: a mistake shows where in the code it was found, not one line",
+    "CC": "C compiler to use in place of zig",
+    "XDG_CACHE_HOME": "where the user's cache folder lies (Linux, macOS); else ~/.cache",
+    "LOCALAPPDATA": "likewise (Windows)",
+}
 
 
 def devices_page() -> Iterator[str]:
@@ -138,6 +154,20 @@ def devices_page() -> Iterator[str]:
         yield from ("", f"Source: {'; '.join(device.sources)}. Held against: {device.oracle or 'nothing'}.")
 
 
+def blocks() -> Iterator[tuple[str, Block]]:
+    """One block of each kind that becomes an FMU."""
+    yield "Plant", plant_block(ia.load_case("two-area-thesis"))
+    yield "Channel", channel_block()
+    yield "Concentrator of two signals", concentrator_block(2)
+    signals, actuators = ["G2_dw", "G4_dw"], ["G4_vs"]
+    one = (np.array([[-1.0]]), np.array([[1.0, -1.0]]), np.array([[0.1]]), np.zeros((1, 2)))
+    guard = Guard({"G4_vs": "G4_dw"}, {"G4_vs": 0.5}, 0.01)
+    yield "Controller", controller_block("controller", *one, signals, actuators, guard=guard)
+    bank = {"both": one, "local": one}
+    choice = ["local", "local", "local", "both"]
+    yield "Controllers of which one acts", supervisor_block("bank", bank, choice, signals, actuators)
+
+
 def variables_page() -> Iterator[str]:
     """The variables of the FMUs that the package builds, of one grid and of a channel."""
     yield "# Variables of the FMUs"
@@ -145,10 +175,10 @@ def variables_page() -> Iterator[str]:
     yield (
         "For those who load an FMU in another tool: the name, role and unit of every variable. The "
         "plant's names carry the ids of the case; here those of `two-area-thesis`, where `G1` stands "
-        "for any machine. A controller's FMU has its signals as inputs and its actuators as outputs."
+        "for any machine. A controller's FMU has its signals as inputs and its actuators as outputs; here "
+        "`G2_dw`, `G4_dw` and `G4_vs`. A closed loop in one FMU has the parameters of all as `MEMBER.NAME`."
     )
-    case = ia.load_case("two-area-thesis")
-    for title, block in (("Plant", plant_block(case)), ("Channel", channel_block())):
+    for title, block in blocks():
         yield from ("", f"## {title}", "", "| variable | role | unit | what it is |", "|---|---|---|---|")
         yield from _rows(block)
 
