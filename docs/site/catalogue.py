@@ -163,8 +163,8 @@ def blocks() -> Iterator[tuple[str, Block]]:
     one = (np.array([[-1.0]]), np.array([[1.0, -1.0]]), np.array([[0.1]]), np.zeros((1, 2)))
     guard = Guard({"G4_vs": "G4_dw"}, {"G4_vs": 0.5}, 0.01)
     yield "Controller", controller_block("controller", *one, signals, actuators, guard=guard)
-    bank = {"both": one, "local": one}
-    choice = ["local", "local", "local", "both"]
+    bank = {"both": one, "off": one}
+    choice = ["off", "off", "off", "both"]
     yield "Controllers of which one acts", supervisor_block("bank", bank, choice, signals, actuators)
 
 
