@@ -13,6 +13,7 @@ import numpy as np
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.write.lane_library import GroupLibrary, plant_group
+from interarea.models.blocks.plant import plant_sources
 from interarea.models.case.case import Case
 
 from ..errors import StepError
@@ -77,7 +78,7 @@ class FaultRuns:
         self._fmus = Fmus(cache)
         self._library: GroupLibrary | None = None
         with suppress(BuildError):
-            self._library = plant_group(case, cache=cache)
+            self._library = plant_group(plant_sources(case), cache=cache)
         first, last = case.machines[0].name, case.machines[-1].name
         self._swing = Swing(first, last, "not looked at")
         self._live: dict[tuple[int, int, tuple[str, ...]], dict[str, FmuParticipant]] = {}

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.write.lane_library import GroupLibrary, plant_group
+from interarea.models.blocks.plant import plant_sources
 from interarea.models.case.case import Case
 
 from ..run.artefacts import EVENT_SLOTS
@@ -32,9 +33,9 @@ class Lanes:
 
 
 def lanes_here(cache: Path, case: Case | None = None) -> Lanes:
-    """Return what this processor can do; `case`: of the plants, as `plant_group`."""
+    """Return what this processor can do; `case`: of the plants, as `plant_sources`."""
     with suppress(BuildError):
-        library = plant_group(case=case, cache=cache)
+        library = plant_group(plant=plant_sources(case), cache=cache)
         return Lanes(library, library.lanes)
     return Lanes(None, 1)
 

@@ -29,7 +29,7 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
     cases = {name: plan.case(name) for name in plan.cases}
     for case in {plant_sources(case): case for case in cases.values()}.values():
         with suppress(BuildError):  # without it the plants go one by one
-            files.append(plant_group(case, cache=cache).path)
+            files.append(plant_group(plant_sources(case), cache=cache).path)
         block = plant_block(case)
         files.append(compile_binary(block.kind, block.sources, host_platform(), cache=cache))
     files += [plant_fmu(case, cache) for case in cases.values()]

@@ -30,7 +30,7 @@ class DeviceSlopes:
 
     def __init__(self, block: Block, *, cache: Path | None = None) -> None:
         table = block.table
-        self._c = plant_group(cache=cache).devices
+        self._c = plant_group(block.sources, cache=cache).devices
         packed = pack_record(block.data)
         self._record = np.frombuffer(packed, dtype=np.uint8).copy()
         layout = (c_size_t * 9)(*(int(n) for n in table.layout()))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import functools
+from collections.abc import Iterable
 from ctypes import c_size_t, c_void_p
 from pathlib import Path
 
 from interarea.models.blocks.plant import GROUP_SOURCES, plant_sources
-from interarea.models.case.case import Case
 
 from ..errors import BuildError
 from .compile import compile_library, fmi_sources, gather_sources, host_platform, record_source
@@ -74,20 +74,27 @@ def _loaded(path: Path) -> GroupLibrary:
         raise BuildError(f"cannot load the plants' library {path}: {error}") from error
 
 
-def group_sources(case: Case | None = None) -> tuple[Path, ...]:
-    """Return the C files of the library for plants of `case`; see `plant_sources`."""
-    return (*fmi_sources(), *plant_sources(case), record_source(), *GROUP_SOURCES, *_SOURCES)
+def group_sources(plant: Iterable[Path] | None = None) -> tuple[Path, ...]:
+    """Return the C files of the library; `plant`: those of the plants, default `plant_sources()`."""
+    return (
+        *fmi_sources(),
+        *(plant_sources() if plant is None else plant),
+        record_source(),
+        *GROUP_SOURCES,
+        *_SOURCES,
+    )
 
 
-def plant_group(case: Case | None = None, *, cache: Path | None = None) -> GroupLibrary:
+def plant_group(plant: Iterable[Path] | None = None, *, cache: Path | None = None) -> GroupLibrary:
     """Return the library that steps plants side by side, compiled when the cache does not hold it.
 
-    case : of the plants; default: any without devices of its own.
+    plant : C files of the plants (`plant_sources`, `Block.sources`); default: of any grid without devices of
+        its own.
     cache : folder of compiled binaries; default ``$INTERAREA_CACHE``, else the user's cache folder.
 
     Raises
     ------
     BuildError : no compiler, a platform without one, or a library that cannot be loaded.
     """
-    sources = gather_sources(group_sources(case))
+    sources = gather_sources(group_sources(plant))
     return _loaded(compile_library("plant-group", sources, host_platform(), cache=cache))

@@ -7,14 +7,17 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
+from interarea.cosim.run.artefacts import sparse_linear_plant
 from interarea.cosim.sweep.front import run_sweep
 from interarea.cosim.sweep.plan import plan_of_document, plan_sweep
 from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.spec import load_sweep
 from interarea.cosim.sweep.store import read_rows
+from interarea.models.case.case import load_case
 from interarea.models.devices.library import library
 
 PARAMETERS = {
@@ -48,6 +51,11 @@ def test_rows_are_those_of_the_package_in_one_process_and_in_others(
     plan = plan_sweep(load_sweep(tables["mine"]), cache)
     run_sweep(tables["mine"], tmp_path / "apart", workers=2, cache=cache)
     pd.testing.assert_frame_equal(read_rows(tmp_path / "apart"), wanted, check_exact=True)
+    sparse = [
+        sparse_linear_plant(load_case(tmp_path / "grid" / f"{kind}.toml"), cache)
+        for kind in ("static", "mine")
+    ]
+    assert np.array_equal(*(plant.state_matrix() for plant in sparse))
     shutil.rmtree(tmp_path / "grid")  # what a machine elsewhere does not have
     again = plan_of_document(json.loads(json.dumps(plan.document())))
     (tmp_path / "scratch").mkdir()
