@@ -5,19 +5,21 @@ from __future__ import annotations
 import difflib
 import errno
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from interarea.models.errors import InterareaError, UserError
 
 if TYPE_CHECKING:
-    from pydantic import ValidationError
-
     from .trajectory import Trajectory
 
 
 class ScenarioError(UserError):
     """A scenario that cannot be run as written: file, key, value, what is allowed."""
+
+
+class ScenarioWarning(UserWarning):
+    """Something in a scenario that can be run as written but was hardly meant: one line."""
 
 
 class GraphError(UserError):
@@ -104,30 +106,3 @@ def nearest(name: str, known: Iterable[str]) -> str:
         return "there are none"
     shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
     return f"there are: {shown}"
-
-
-_TABLE_WANTED = ("model_type", "model_attributes_type", "dict_type", "mapping_type")
-
-
-def one_line(error: ValidationError, keys_at: Callable[[tuple[int | str, ...]], Iterable[str]]) -> str:
-    """Return the first failure of a pydantic model in one line; `keys_at`: location -> keys allowed there."""
-    first = error.errors()[0]
-    # the forms that a value may have are no words of the file
-    key = ".".join(str(part) for part in first["loc"] if part not in ("str", "tuple[str, ...]"))
-    if first["type"] == "value_error":
-        text = first["msg"].removeprefix("Value error, ")
-        return f"{key}: {text}" if key else text
-    if first["type"] == "missing":
-        return f"{key} is missing"
-    if first["type"] == "extra_forbidden":
-        hint = nearest(str(first["loc"][-1]), keys_at(first["loc"]))
-        return f"{key} = {first['input']!r}: no such key; {hint}"
-    if first["type"] == "literal_error":
-        return f"{key} = {first['input']!r}, allowed: {first['ctx']['expected']}"
-    if first["type"] in _TABLE_WANTED:
-        own = str(first["loc"][-1])
-        near = [k for k in keys_at(first["loc"]) if k.startswith(f"{own}_")]
-        hint = f"; did you mean {' or '.join(map(repr, near))}?" if near else ""
-        return f"{key} = {first['input']!r}, allowed: a table{hint}"
-    allowed = first["msg"].removeprefix("Input should be ")
-    return f"{key} = {first['input']!r}, allowed: {allowed}"

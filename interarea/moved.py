@@ -68,7 +68,7 @@ cosim -> cosim.plots: plots:curves compass:label_layout diagrams
 cosim -> cosim.study: study study_delay:delay study_figures:figures study_loss:packet_loss study_rows:rows
     study_runs:runs report
 cosim -> cosim.study: claims:verdicts published:printed
-cosim -> cli: cli:app cli_check:check cli_design:design cli_import:grids cli_list:listing cli_modes:modes
+cosim -> cli: cli:app cli_check:export cli_design:design cli_import:grids cli_list:listing cli_modes:modes
     cli_run:run cli_ssp:export cli_sweep:sweep terminal destination
 cosim -> : pytest_plugin
 """

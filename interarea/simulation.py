@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 import control
 from pydantic import ValidationError
 
-from interarea.cosim.errors import ScenarioError, SweepError, one_line
+from interarea.cosim.errors import ScenarioError, SweepError
 from interarea.cosim.results.result import Result
 from interarea.cosim.run.run import run_scenario, run_system
 from interarea.cosim.scenario.scenario import ChannelTable, load_scenario
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.grids import case_like
+from interarea.models.mistakes import mistakes
 from interarea.shown import SweepResults
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ class Channel(ChannelTable):
         try:
             super().__init__(**keys)
         except ValidationError as error:
-            raise ScenarioError(f"Channel: {one_line(error, lambda _: ChannelTable.model_fields)}") from None
+            raise ScenarioError(*(f"Channel: {line}" for line in mistakes(error, ChannelTable))) from None
 
 
 def simulate(

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from pydantic import ValidationError
+from collections.abc import Iterable
 
 _LONGEST = 900  #: characters of a message; what a wrong file holds may be as long as it likes
 
@@ -17,16 +13,47 @@ class InterareaError(Exception):
 
 
 class UserError(InterareaError, ValueError):
-    """Something given is wrong (case, scenario, sweep, graph, controller, place for results): one line.
+    """Something given is wrong (case, scenario, sweep, graph, controller, place for results).
 
-    The line says what, where, what was found and what is allowed, whatever the wrong file has in it.
+    A line for each mistake says what, where, what was found and what is allowed, whatever the wrong file has
+    in it; `args` are these lines.
     """
 
-    def __init__(self, text: str) -> None:
-        line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
-        if len(line) > _LONGEST:
-            line = f"{line[: _LONGEST // 2]} ... {line[5 - _LONGEST // 2 :]}"
-        super().__init__(line)
+    def __init__(self, *mistakes: str) -> None:
+        super().__init__(*(_printable(text) for text in mistakes))
+
+    def __str__(self) -> str:
+        return "\n".join(self.args)
+
+
+def _printable(text: str) -> str:
+    whole = "; ".join(text.split("\n"))  # of several mistakes told as one
+    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in whole)
+    return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[5 - _LONGEST // 2 :]}"
+
+
+class Collected:
+    """The mistakes of several steps, each of which may end by one: ``with collected: ...``, then `end`."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self._errors: list[UserError] = []
+
+    def __enter__(self) -> Collected:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
+        if isinstance(error, UserError):
+            self._errors.append(error)
+            self.lines += [line for line in error.args if line not in self.lines]
+        return isinstance(error, UserError)
+
+    def end(self, kind: type[UserError]) -> None:
+        """Raise the only error there is, or one of all their lines; nothing where there is none."""
+        if len(self._errors) == 1 and list(self._errors[0].args) == self.lines:
+            raise self._errors[0]
+        if self.lines:
+            raise kind(*self.lines)
 
 
 class CaseError(UserError):
@@ -56,25 +83,3 @@ def reason(error: Exception) -> str:
     """
     text = error.strerror if isinstance(error, OSError) else None
     return f"{text[0].lower()}{text[1:]}" if text else str(error)
-
-
-def one_line(error: ValidationError, path_of: Callable[[tuple[int | str, ...]], list[str]]) -> str:
-    """Return the first failure of a pydantic `error` in one line; `path_of` turns its location into words."""
-    first = error.errors()[0]
-    key = ".".join(path_of(first["loc"]))
-    message = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    context = first.get("ctx", {})
-    if first["type"] == "value_error":
-        return f"{key}: {message}" if key else message
-    if first["type"] == "control":  # a device's row: the message begins with the key in it
-        return f"{key}{message}"
-    if first["type"] == "missing":
-        return f"{key} is missing{more}"
-    if first["type"] == "extra_forbidden":
-        return f"{key} = {first['input']!r}: no such key here{more}"
-    if first["type"] == "union_tag_not_found":
-        return f"{key}.kind is missing{more}"
-    if first["type"] == "union_tag_invalid":
-        return f"{key}.kind = {context['tag']!r}, allowed: {context['expected_tags']}{more}"
-    return f"{key} = {first['input']!r}, allowed: {message}{more}"

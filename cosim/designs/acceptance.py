@@ -21,7 +21,7 @@ from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import Case, load_case
 from interarea.models.table import Table
 
-from ..scenario.scenario import CONTROLLER_NAMES
+from ..scenario.names import CONTROLLER_NAMES
 from .fault_runs import FaultRun, FaultRuns, longest_kept
 from .first_swing import Positive, after_clearing
 

@@ -22,6 +22,7 @@ from interarea.design.robust.spec import RobustSpec, require_moved
 from interarea.models.blocks.controller import Guard
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.variants import operating_variant
+from interarea.models.mistakes import mistakes
 from interarea.models.table import Table
 
 from ..errors import ScenarioError, nearest
@@ -254,21 +255,10 @@ def design_of(keys: Mapping[str, Any], *, where: str = "design") -> DesignTable:
         table = DesignTable.model_validate(keys)
         table.spec()
     except ValidationError as error:
-        raise ScenarioError(f"{where}: {_said(error)}") from error
+        raise ScenarioError(*(f"{where}: {line}" for line in mistakes(error, DesignTable))) from error
     except ValueError as error:
         raise ScenarioError(f"{where}: {error}") from error
     return table
-
-
-def _said(error: ValidationError) -> str:
-    """Return the first failure of a design in one line, and every key that is missing."""
-    rows = error.errors()
-    missing = [".".join(map(str, row["loc"])) for row in rows if row["type"] == "missing"]
-    if missing:
-        return f"{', '.join(missing)} missing; a bundled design shows a whole one"
-    first = rows[0]
-    key = ".".join(str(part) for part in first["loc"])
-    return f"{key} = {first['input']!r}: {first['msg'].lower()}" if key else first["msg"]
 
 
 def design_names() -> list[str]:
@@ -434,4 +424,5 @@ def specification_of(controller: Controller) -> DesignTable | None:
     try:
         return DesignTable.model_validate(given)
     except ValidationError as error:
-        raise ScenarioError(f"controller {controller.name}: its specification: {_said(error)}") from error
+        said = f"controller {controller.name}: its specification"
+        raise ScenarioError(*(f"{said}: {line}" for line in mistakes(error, DesignTable))) from error

@@ -238,12 +238,12 @@ def state_of(subject: Subject) -> dict[str, Any]:
     state: dict[str, Any] = {"k": scenario.controller, "g": scenario.controller_gain, **_event_state(subject)}
     if scenario.controller_limit_pu is not None:
         state["l"] = scenario.controller_limit_pu
-    for name, channel in scenario.channels.items():
+    for k, (name, channel) in enumerate(scenario.channels.items()):
         values = {
             "latency": _ms(channel.latency_s),
             "jitter": _ms(channel.jitter_s),
             "interval": _ms(channel.reporting_interval_s),
-            "seed": channel.seed,
+            "seed": k if channel.seed is None else channel.seed,  # nothing is random yet
             "on_loss": channel.on_loss,
             "hold": _ms(channel.hold_s),
         }

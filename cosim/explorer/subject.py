@@ -24,7 +24,8 @@ from interarea.models.grid.equilibrium import operating_point
 from ..errors import ScenarioError
 from ..run.artefacts import linear_plant
 from ..run.controllers import controller_of
-from ..scenario.scenario import CONTROLLER_NAMES, Scenario, load_scenario, scenario_names
+from ..scenario.names import CONTROLLER_NAMES
+from ..scenario.scenario import Scenario, load_scenario, scenario_names
 
 if TYPE_CHECKING:
     AnyController = Controller | ControllerBank

@@ -62,7 +62,7 @@ def members_of(scenario: Scenario, *, cache: Path, controller: ControllerLike | 
     ------
     ScenarioError, CaseError, GraphError : as `system_of`.
     """
-    system = system_of(scenario, cache=cache, controller=controller)
+    system = system_of(scenario, cache=cache, controller=controller).warned()
     members = tuple(
         Member(i.name, i.file, None if i.block is None else i.block(), i.start)
         for i in system.instances.values()

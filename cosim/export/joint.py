@@ -62,13 +62,15 @@ def run_joint(
     case = loaded.load_case()
     swing = swing_of(case, folder, loaded.swing)
     wanted = (*METRICS, RING_DOWN)
-    roots = system_of(loaded, cache=folder, controller=controller).linear_swings()
+    system = system_of(loaded, cache=folder, controller=controller)
+    roots = system.linear_swings()
     limits = [float(m.start.get("limit", _limit(m))) for m in members.all if m.name == "controller"]
     return Run(
         trajectory=trajectory,
         ledger=ledger,
         packets=packet_ledger(trajectory, loaded.lines),
         explanation=f"step {1e3 * members.step_s:g} ms, {_HOW}\n{ledger}",
+        warnings=tuple(system.warnings),
         scenario=loaded,
         case=case,
         swing=swing,
@@ -111,6 +113,7 @@ def _ledger(scenario: Scenario, members: Members) -> DelayLedger:
                 d.network_s,
                 reporting_s=d.reporting_s,
                 jitter_mean_s=d.jitter_mean_s,
+                note=d.seed_of(end.instance),
             )
         )
     return DelayLedger(tuple(rows), members.step_s, "joint", scenario.rounded)

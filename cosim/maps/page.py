@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 import pandas as pd
 from markupsafe import Markup
@@ -18,8 +17,7 @@ from interarea.fmu_build.write.cache import default_cache
 from interarea.models.files import temporary_folder, write_whole
 
 from ..errors import SweepError
-from ..plots.curves import save_figure
-from ..plots.html import inline_svg
+from ..plots.html import page_environment, page_figure
 from ..sweep.plan import SweepPlan, code_version
 from ..sweep.rows import FAILURES
 from ..sweep.runner import Runner
@@ -77,11 +75,10 @@ def write_maps(
         tell("figures")
         drawn = _draw(plan.sweep, rows, margins, curves, explorer)
         opens = _titles(plan, rows, explorer)
-        svg = {}
-        for key, figure in drawn.items():
-            file = save_figure(figure, scratch / f"{key}.svg", transparent=True)
-            links = opens if key.startswith("map-") else None
-            svg[key] = Markup(inline_svg(file, key, links=links))  # our own SVG
+        svg = {
+            key: page_figure(figure, key, links=opens if key.startswith("map-") else None)
+            for key, figure in drawn.items()
+        }
         text = _render(plan, rows, margins, svg, folder, explorer)
     return write_whole(path, text.encode("utf-8"))
 
@@ -256,13 +253,7 @@ def _render(
     folder: Path,
     explorer: Explorer,
 ) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
+    environment = page_environment(TEMPLATES)
     environment.filters["plain"] = _plain
     sweep = plan.sweep
     labels = labels_of(sweep)

@@ -77,14 +77,15 @@ def new_figure(rows: int = 1, cols: int = 1, *, height: float = 2.6, **kwargs: A
     return figure, axes
 
 
-def save_figure(figure: Figure, path: Path, *, transparent: bool = False) -> Path:
-    """Write a figure: SVG with outlines for text and no date, PNG at 160 dpi, by the path's suffix.
+def save_figure(figure: Figure, path: Path, *, transparent: bool = False, outlines: bool = True) -> Path:
+    """Write a figure: SVG without a date, PNG at 160 dpi, by the path's suffix.
 
     transparent : for a page that brings its own light or dark ground; by itself a figure stands on white.
+    outlines : text of an SVG as outlines, alike everywhere; else as text, to be found, copied and read out.
     """
     metadata = {"Date": None, "Creator": "interarea"} if path.suffix == ".svg" else None
     drawn = io.BytesIO()
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context(STYLE | ({} if outlines else {"svg.fonttype": "none"})):
         figure.savefig(drawn, format=path.suffix[1:], transparent=transparent, metadata=metadata, dpi=160)
     data = drawn.getvalue()
     if path.suffix == ".svg":  # a path on one line instead of one line a point

@@ -1,14 +1,22 @@
-"""Figures inside HTML pages."""
+"""Pages of the house: figures inside HTML, one style, values under the pointer."""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from markupsafe import escape
+import jinja2
+import numpy as np
+from markupsafe import Markup, escape
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from .curves import GRID, INK, MUTED, SERIES
+from interarea.models.files import temporary_folder
+
+from .curves import GRID, INK, MUTED, SERIES, save_figure
 
 THEME = {INK: "var(--ink)", MUTED: "var(--muted)", GRID: "var(--grid)"} | {
     colour: f"var(--s{k})" for k, colour in enumerate(SERIES)
@@ -44,3 +52,67 @@ def inline_svg(
     return re.sub(
         r"\n\s*", "\n", f'{head} role="{role}" aria-label="{escape(title or f"figure {key}")}"{style}>{body}'
     ).strip()
+
+
+_MOST_POINTS = 800  #: of a curve that a page keeps for its pointer
+
+
+def page_environment(folder: Path) -> jinja2.Environment:
+    """Return the templates of a folder, all of them pages of one house: its style and its pointer."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader([folder, Path(__file__).parent]),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    script = (Path(__file__).parent / "hover.js").read_text(encoding="utf-8")
+    environment.globals["hover_script"] = Markup(script)  # our own
+    return environment
+
+
+def page_figure(
+    figure: Figure, key: str, title: str | None = None, *, links: Mapping[str, str] | None = None
+) -> Markup:
+    """Return a figure for a page: text as text, colours of the theme, values under the pointer.
+
+    Named curves over an increasing x are kept with it (`_MOST_POINTS` of each). Others as `inline_svg`.
+    """
+    with temporary_folder() as scratch:
+        file = save_figure(figure, scratch / "figure.svg", transparent=True, outlines=False)
+        drawn = inline_svg(file, key, title, links=links)
+    data = json.dumps(_curves_of(figure), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return Markup(f'{drawn}<script type="application/json">{data}</script>')  # our own SVG and numbers
+
+
+def _curves_of(figure: Figure) -> dict[str, Any]:
+    """Return where the axes of a drawn figure lie, in points from the top left, and their curves."""
+    wide, high = (float(72.0 * inches) for inches in figure.get_size_inches())
+    axes = []
+    for axis in figure.axes:
+        place, (low, top) = axis.get_position(), axis.get_xlim()
+        named = {str(line.get_label()): _thinned(line) for line in axis.get_lines()}
+        curves = [
+            {"name": name, "x": points[0], "y": points[1]}
+            for name, points in named.items()
+            if points is not None and not name.startswith("_")
+        ]
+        if curves and axis.get_xscale() == "linear":
+            at = [place.x0 * wide, (1.0 - place.y1) * high, place.x1 * wide, (1.0 - place.y0) * high]
+            name = axis.get_xlabel() or next(
+                (a.get_xlabel() for a in figure.axes[::-1] if a.get_xlabel()), "x"
+            )
+            axes.append({"name": name, "at": [round(v, 1) for v in at], "x": [low, top], "curves": curves})
+    return {"size": [wide, high], "axes": axes}
+
+
+def _thinned(line: Line2D) -> tuple[list[float], list[float | None]] | None:
+    """Return a curve as few enough points, in four digits; None of one that goes back in x."""
+    x, y = (np.asarray(v, dtype=float) for v in line.get_data())
+    if len(x) < 2 or not np.all(np.diff(x) >= 0.0):
+        return None
+    every = -(-len(x) // _MOST_POINTS)
+    return (
+        [float(f"{v:.6g}") for v in x[::every]],
+        [float(f"{v:.4g}") if np.isfinite(v) else None for v in y[::every]],
+    )

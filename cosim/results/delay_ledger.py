@@ -148,6 +148,8 @@ def _through_channel(master: Master, c: Connection, known: Delays | None, ahead:
         newest = ahead and master.inputs == "hold-gauss-seidel"
         added += (0.0 if newest else master.step_s) - latency
         notes.append(f"value at the {'end' if newest else 'start'} of the step held")
+    if known.seed is not None:
+        notes.append(known.seed_of(c.target.instance))
     if known.waiting_s:
         notes.append("arrivals wait for a communication point")
     return LedgerRow(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,26 +11,28 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from interarea.models.files import write_whole
-
 from ..trajectory import Trajectory
 from .delay_ledger import DelayLedger, PacketLedger
+from .record import write_json, write_record
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from ..scenario.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Result:
     """`trajectory`, delay `ledger`, `packets` and the `explanation` of how it was stepped.
 
-    warnings : a line on each thing that did no harm here and is not as it should be.
+    warnings : a line on each thing that did no harm here and is not as it should be, or was hardly meant.
     """
 
     trajectory: Trajectory
     ledger: DelayLedger
     packets: PacketLedger
     explanation: str
+    scenario: Scenario | None = None  #: that was run, None of a system put together in Python
     warnings: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -56,7 +57,10 @@ class Result:
         return self.data.set_index("time_s")
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write trajectory.csv, trajectory.parquet and ledger.json into a folder; return the files."""
+        """Write trajectory.csv, trajectory.parquet, ledger.json into a folder; return the files.
+
+        Of a scenario scenario.toml too, resolved, and run.json: versions, seeds, commit.
+        """
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         files = [folder / name for name in ("trajectory.csv", "trajectory.parquet", "ledger.json")]
@@ -67,9 +71,12 @@ class Result:
             "inputs": self.ledger.inputs,
             "delays": self.ledger.as_rows(),
             "rounded": list(self.ledger.rounded),
+            "warnings": list(self.warnings),
             "packets": {name: dict(row) for name, row in self.packets.rows.items()},
         }
         write_json(ledgers, files[2])
+        if self.scenario is not None:
+            files += write_record(folder, self.scenario, getattr(self, "case", None))
         return files
 
     def _repr_html_(self) -> str:
@@ -80,8 +87,3 @@ class Result:
         """Return how it was stepped: step, order, loops, unconnected inputs, delay and packet ledgers."""
         told = "".join(f"\n\nwarning: {line}" for line in self.warnings)
         return f"{self.explanation}\n\n{self.packets}{told}"
-
-
-def write_json(value: object, path: Path) -> None:
-    """Write a value of JSON types, one line a leaf."""
-    write_whole(path, json.dumps(value, indent=1, allow_nan=False) + "\n")

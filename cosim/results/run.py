@@ -6,10 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from interarea.models.files import write_whole
+
 from ..errors import nearest
 from ..scenario.scenario import Scenario
 from .metrics import GOOD_FIT, Metrics
-from .result import Result, write_json
+from .record import write_json
+from .result import Result
 from .ringdown import Swing, fit_window, ring_down_of
 
 if TYPE_CHECKING:
@@ -72,15 +75,20 @@ class Run(Result):
 
         return run_plot(self)
 
-    def save(self, folder: str | Path) -> list[Path]:
-        """Write trajectory.csv, trajectory.parquet, ledger.json, metrics.json and run.svg; return them."""
-        from ..plots.curves import save_figure
+    def save(self, folder: str | Path, *, explorer: str = "") -> list[Path]:
+        """Write what `Result.save` does, metrics.json, run.svg and the page report.html; return the files.
 
-        files = super().save(folder)
-        files += [Path(folder) / "metrics.json", Path(folder) / "run.svg"]
-        write_json(self.metrics.as_dict(), files[3])
-        save_figure(self.plot(), files[4])
-        return files
+        explorer : address of the explorer's page of this run, for the page to link.
+        """
+        from ..plots.curves import save_figure
+        from .run_page import run_page
+
+        files, folder = super().save(folder), Path(folder)
+        metrics, figure, page = (folder / n for n in ("metrics.json", "run.svg", "report.html"))
+        write_json(self.metrics.as_dict(), metrics)
+        save_figure(self.plot(), figure)
+        write_whole(page, run_page(self, explorer))
+        return [*files, metrics, figure, page]
 
     def _repr_html_(self) -> str:
         """Return the summary and the figure, for notebooks."""

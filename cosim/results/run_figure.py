@@ -50,7 +50,7 @@ def run_plot(run: Ran) -> Figure:
     start, end = float(curves.time_s[0]), float(curves.time_s[-1])
     figure, axes = new_figure(rows, 1, height=1.4 * rows + 0.8, sharex=True)
     with mpl.rc_context(STYLE):
-        axes[0].plot(curves.time_s, 1e3 * swing, color=SERIES[0])
+        axes[0].plot(curves.time_s, 1e3 * swing, color=SERIES[0], label=run.swing.name)
         axes[0].set_ylabel(f"{run.swing.name}\n(10⁻³ pu)")
         for k, machine in enumerate(run.case.machines):
             speed = 1e3 * np.asarray(curves[f"plant.{machine.name}_dw"])

@@ -20,7 +20,7 @@ from interarea.fmu_build.write.package import block_fmu
 from interarea.models.case.case import Case
 
 from ..errors import ScenarioError, nearest
-from ..scenario.scenario import CONTROLLER_NAMES, NAMED_CONTROLLERS
+from ..scenario.names import CONTROLLER_NAMES, NAMED_CONTROLLERS
 from .artefacts import linear_plant, plant_fmu
 from .controller_fmu import controller_from_fmu
 

@@ -7,17 +7,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.models.blocks.plant import event_parameters
 from interarea.models.case.case import Case
+from interarea.models.errors import Collected
 
 from ..errors import ScenarioError, nearest
 from ..results.result import Result
 from ..results.ringdown import Swing
 from ..results.run import Run
+from ..scenario.names import wrong_targets
 from ..scenario.scenario import Scenario, load_scenario
 from .controllers import ControllerLike, controller_of
 from .instance import Fmus, Instance
+from .oddities import made_for_another, outputs_used, times_past_the_end
 from .swing_signal import swing_of
 from .system import CONTROLLER, PLANT, System
 
@@ -41,6 +45,7 @@ def run_scenario(
     Raises
     ------
     ScenarioError, CaseError : a mistake in the scenario. StepError : an FMU failed, with the results so far.
+    A `ScenarioWarning` names what was hardly meant: `Run.warnings`.
     """
     loaded = load_scenario(scenario)
     if not loaded.case:
@@ -65,7 +70,7 @@ def run_system(
             f"{loaded.name}: master.joint = true asks for one block and no master; run it by "
             "`interarea run` or cosim.export.joint.run_joint, or take it out"
         )
-    system = system_of(loaded, case=case, controller=controller, cache=cache)
+    system = system_of(loaded, case=case, controller=controller, cache=cache).warned()
     if controller is not None and system.swing is not None:
         name = system.parts[CONTROLLER].file.description.title if CONTROLLER in system.parts else "none"
         system.scenario = loaded.model_copy(update={"controller": name})  # results tell what ran
@@ -101,31 +106,41 @@ def system_of(
     )
     if fmus is not None:
         system.fmus = fmus
+    system.warnings += times_past_the_end(scenario)
+    wrong = Collected()
     system.scenario, system.rounded = scenario, list(scenario.rounded)
     if scenario.case:
         case = scenario.load_case() if case is None else case
-        event_parameters(case, scenario.event)  # refuses an unknown target here
+        wrong.lines += wrong_targets(case, scenario.event, scenario.name)
+        with wrong:
+            event_parameters(case, [] if wrong.lines else scenario.event)  # refuses trips that cut the grid
         system.events[PLANT] = list(scenario.event)
         system.plant(case)
-        _start_plant(system, scenario)
         which = scenario.controller_path or scenario.controller if controller is None else controller
-        _add_controller(system, scenario, which)
-        system.swing = swing or swing_of(case, system.fmus.cache, scenario.swing)
+        with wrong:
+            _start_plant(system, scenario)
+        with wrong:
+            made = _add_controller(system, scenario, which)
+            system.warnings += made_for_another(made, case)
+        with wrong:
+            system.swing = swing or swing_of(case, system.fmus.cache, scenario.swing)
     for name, line in scenario.lines.items():
-        system.line(
-            name,
-            line,
-            f"{scenario.name}: {'channels' if name in scenario.channels else 'concentrators'}.{name}",
-        )
+        kind = "channels" if name in scenario.channels else "concentrators"
+        with wrong:
+            system.line(name, line, f"{scenario.name}: {kind}.{name}")
     if scenario.case:
-        _connect_signals(system, scenario)
+        with wrong:
+            _connect_signals(system, scenario)
     for name, table in scenario.fmus.items():
-        file = system.fmus.own(name, scenario.folder / table.file)
-        system.put(Instance(name, file, dict(table.start), process=table.process))
+        with wrong:
+            file = system.fmus.own(name, scenario.folder / table.file)
+            system.put(Instance(name, file, dict(table.start), process=table.process))
         if table.latency_s:
             system.latency_s[name] = table.latency_s
     for path in scenario.connections:
-        system.connect(*path)
+        with wrong:
+            system.connect(*path)
+    wrong.end(ScenarioError)
     system.marks = list(scenario.marks_s)
     system.at_rest = not scenario.fmus  # a case starts at its operating point; others anywhere
     return system
@@ -135,23 +150,29 @@ def _start_plant(system: System, scenario: Scenario) -> None:
     """Give the plant's parameters the start values of the scenario."""
     plant = system.parts[PLANT]
     names = [v.name for v in plant.file.variables.values() if v.causality == "parameter"]
+    wrong = Collected()
     for name in scenario.plant:
-        _known(name, names, f"{scenario.name}: plant.{name} is no parameter of the plant")
+        with wrong:
+            _known(name, names, f"{scenario.name}: plant.{name} is no parameter of the plant")
+    wrong.end(ScenarioError)
     system.parts[PLANT] = replace(plant, start=dict(scenario.plant))
 
 
-def _add_controller(system: System, scenario: Scenario, which: ControllerLike) -> None:
-    """Add a controller, changed as the scenario says.
+def _add_controller(
+    system: System, scenario: Scenario, which: ControllerLike
+) -> Controller | ControllerBank | None:
+    """Add a controller, changed as the scenario says, and return it as it was before; None of an FMU.
 
     A named one is designed for the case as the file has it: another operating point changes no design.
     """
     if isinstance(which, str | Path):
         if Path(which).suffix == ".fmu":
             system.controller(which)
-            return
+            return None
         made = controller_of(which, scenario.as_given(system.case), system.fmus.cache)
     else:
         made = controller_of(which, system.case, system.fmus.cache)
+    given = made
     gain, limit = scenario.controller_gain, scenario.controller_limit_pu
     if made is not None and (gain != 1.0 or limit is not None):
         if not isinstance(made, Controller):
@@ -162,6 +183,7 @@ def _add_controller(system: System, scenario: Scenario, which: ControllerLike) -
         made = system.fmus.scaled(made, gain, limit)
     if made is not None:
         system.controller(made)
+    return given
 
 
 def _connect_signals(system: System, scenario: Scenario) -> None:
@@ -175,22 +197,28 @@ def _connect_signals(system: System, scenario: Scenario) -> None:
         description = controller.file.description
         title, taken = description.title, description.input_of
         wanted = [p.name for p in description.inputs if p.type == "Real"]
-        for port in (p for p in description.outputs if p.type == "Real"):
-            _known(port.name, inputs, f"controller {title}: output {port.name!r} is no input of the plant")
-            system.connections.append((f"{CONTROLLER}.{port.name}", f"{PLANT}.{port.name}"))
+        outputs = [p.name for p in description.outputs if p.type == "Real"]
+        driving, warnings = outputs_used(title, outputs, inputs, scenario.connections)
+        system.connections += [(f"{CONTROLLER}.{name}", f"{PLANT}.{name}") for name in driving]
+        system.warnings += warnings
+    wrong = Collected()
     for signal, u, y, valid in scenario.signals:  # the others are connected by scenario.connections
         where = _where(scenario, signal, u)
-        _known(signal, signals, f"{where} is no output of the plant")
+        with wrong:
+            _known(signal, signals, f"{where} is no output of the plant")
         system.connections.append((f"{PLANT}.{signal}", u))
-        if controller is not None:
-            _known(signal, wanted, f"{where} is no input of controller {title}")
+        if controller is not None and signal in signals:
+            with wrong:
+                _known(signal, wanted, f"{where} is no input of controller {title}")
             system.connections.append((y, f"{CONTROLLER}.{signal}"))
             if f"{signal}_valid" in taken:
                 system.connections.append((valid, f"{CONTROLLER}.{signal}_valid"))
     fed = _fed(scenario)
     for signal in (s for s in wanted if s not in fed):
-        _known(signal, signals, f"controller {title}: input {signal!r} is no output of the plant")
+        with wrong:
+            _known(signal, signals, f"controller {title}: input {signal!r} is no output of the plant")
         system.connections.append((f"{PLANT}.{signal}", f"{CONTROLLER}.{signal}"))
+    wrong.end(ScenarioError)
 
 
 def _where(scenario: Scenario, signal: str, end: str) -> str:

@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar
+from warnings import warn
 
 from pydantic import ValidationError
 
@@ -33,9 +34,10 @@ from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import event_of
 from interarea.models.errors import CaseError
+from interarea.models.mistakes import mistakes
 
 from ..clock import on_tick
-from ..errors import GraphError, ScenarioError, nearest, one_line
+from ..errors import GraphError, ScenarioError, ScenarioWarning, nearest
 from ..master.graph import end_of, pairs_of
 from ..master.instances import FmuParticipant, Value
 from ..master.isolated import participant_of
@@ -96,6 +98,7 @@ class System:
         self.channels: dict[str, Line] = {}
         self.connections: list[tuple[str, str]] = []
         self.latency_s: dict[str, float] = {}
+        self.warnings: list[str] = []  #: what the scenario says that was hardly meant
         self.rounded: list[str] = []  #: times that lay between two ticks of the clock, and what they became
         self.parts: dict[str, Instance] = {}
         self._others: dict[str, Participant] = {}
@@ -200,6 +203,7 @@ class System:
 
     def line(self, name: str, line: Line, where: str) -> System:
         """Add what delays signals."""
+        line = line.seeded(name)
         block: Callable[[], Block]
         if isinstance(line, ChannelLine):
             file, block = self.fmus.channel(), channel_block
@@ -236,7 +240,7 @@ class System:
         try:
             line = kind.model_validate(keys)
         except ValidationError as error:
-            raise ScenarioError(f"{where}.{one_line(error, kind.keys_at)}") from None
+            raise ScenarioError(*(f"{where}.{text}" for text in mistakes(error, kind))) from None
         self.rounded += roundings(keys, line, where)
         return line
 
@@ -369,12 +373,19 @@ class System:
             "ledger": ledger,
             "packets": packet_ledger(done, self.channels),
             "explanation": explain(master, ledger),
-            "warnings": (*self._file_warnings(), *done.not_finite),
+            "warnings": (*self.warnings, *self._file_warnings(), *done.not_finite),
+            "scenario": self.scenario,
         }
         if self.scenario is None or self.swing is None:
             return Result(**common)
         metrics = self.metrics(master, done, (*METRICS, RING_DOWN))
-        return Run(**common, scenario=self.scenario, case=self.case, swing=self.swing, metrics=metrics)
+        return Run(**common, case=self.case, swing=self.swing, metrics=metrics)
+
+    def warned(self) -> System:
+        """Return this system after a `ScenarioWarning` for each of its warnings."""
+        for line in self.warnings:
+            warn(line, ScenarioWarning, stacklevel=3)
+        return self
 
     def linear_swings(self) -> LoopModes | str:
         """Return the swings of the system of a scenario with a case as roots of its loop, or why not."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Literal, Protocol, Self
 
@@ -14,7 +13,7 @@ from interarea.models.table import Table
 
 from ..clock import TICKS_PER_SECOND, Clock, on_tick, seconds, to_ticks
 from ..errors import ScenarioError
-from .delays import Delays
+from .delays import Delays, derived_seed
 
 if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
     from ..master.instances import Value
@@ -79,13 +78,9 @@ class ChannelLine(Table):
     loss: Annotated[BernoulliLoss | GilbertElliottLoss, Field(discriminator="kind")] | None = None
     quantum: Seconds = 0.0  #: values are rounded to multiples of this; 0: not rounded
     pdc_wait_s: Seconds = 0.0  #: a packet is handed on so long after its time stamp, or not at all
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0  #: of the packets' random numbers
+    #: of the packets' random numbers; default: made of the channel's name, so that no two lose the same ones
+    seed: Annotated[int, Field(ge=0, lt=2**31)] | None = None
     outages_s: tuple[tuple[Seconds, Seconds], ...] = ()  #: [from, to] times in which the signal is lost
-
-    @classmethod
-    def keys_at(cls, location: Sequence[int | str]) -> list[str]:
-        """Return the keys allowed where `location` points into the table, for errors."""
-        return list(cls.model_fields)
 
     @field_validator("loss", mode="before")
     @classmethod
@@ -150,7 +145,7 @@ class ChannelLine(Table):
             "jitter": self.jitter_s,
             "quantum": self.quantum,
             "pdc_wait": self.pdc_wait_s,
-            "seed": self.seed,
+            "seed": self.seed or 0,
         }
         start |= self._quantiles()
         if isinstance(self.loss, BernoulliLoss):
@@ -211,6 +206,18 @@ class ChannelLine(Table):
         off = {"jitter_s": 0.0, "latency": None, "loss": None, "quantum": 0.0, "outages_s": ()}
         return self.model_copy(update=off)
 
+    @property
+    def random(self) -> bool:
+        """Whether anything depends on the seed."""
+        lost = self.loss is not None and any(x for x in dict(self.loss).values() if isinstance(x, float))
+        return bool(self.jitter_s) or self.latency is not None or lost
+
+    def seeded(self, name: str) -> Self:
+        """Return this channel with the seed it has under `name`, where anything is random."""
+        if self.seed is not None or not self.random:
+            return self
+        return self.model_copy(update={"seed": derived_seed(0, name)})
+
     def delays(self, clock: Clock | None = None) -> Delays:
         """Return what the ledger states about this channel; with the `clock` of a run what arrivals wait too.
 
@@ -229,6 +236,7 @@ class ChannelLine(Table):
             reporting_s=0.5 * self.reporting_interval_s,
             jitter_mean_s=0.0 if self.pdc_wait_s else 0.5 * self.jitter_s + mean,
             waiting_s=0.0 if clock is None else self._waiting_s(clock),
+            seed=self.seed if self.random else None,
         )
 
     def _waiting_s(self, clock: Clock) -> float:

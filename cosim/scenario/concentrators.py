@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Literal, Self, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -12,7 +11,7 @@ from interarea.models.table import Table
 
 from ..clock import TICKS_PER_SECOND, Clock, on_tick, seconds
 from .channels import Probability, Seconds
-from .delays import Delays
+from .delays import Delays, derived_seed
 
 if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
     from interarea.models.blocks.concentrator import FrameSets
@@ -40,14 +39,8 @@ class ConcentratorLine(Table):
     latency_s: Seconds = 0.0  #: from the concentrator to the controller
     #: what stands for a signal that is missing: zero or its last value
     on_loss: Literal["zero", "hold"] = "zero"
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0  #: of the random numbers
-
-    @classmethod
-    def keys_at(cls, location: Sequence[int | str]) -> list[str]:
-        """Return the keys allowed where `location` points into the table, for errors."""
-        way = cls.model_fields["signals"].annotation
-        inside = len(location) > 1 and location[0] == "signals"
-        return list((get_args(way)[0] if inside else cls).model_fields)
+    #: of the random numbers; default: made of the concentrator's name
+    seed: Annotated[int, Field(ge=0, lt=2**31)] | None = None
 
     @field_validator("latency_s", "wait_s")
     @classmethod
@@ -69,7 +62,7 @@ class ConcentratorLine(Table):
             "latency": self.latency_s,
             "relative": int(self.relative),
             "on_loss": self.on_loss,
-            "seed": self.seed,
+            "seed": self.seed or 0,
         }
         for i, s in enumerate(self.signals, start=1):
             start |= {f"latency[{i}]": s.latency_s, f"jitter[{i}]": s.jitter_s, f"loss[{i}]": s.loss}
@@ -102,6 +95,17 @@ class ConcentratorLine(Table):
         )
         return self.model_copy(update={"signals": ways})
 
+    @property
+    def random(self) -> bool:
+        """Whether anything depends on the seed."""
+        return any(s.jitter_s or s.loss for s in self.signals)
+
+    def seeded(self, name: str) -> Self:
+        """Return this concentrator with the seed it has under `name`, where anything is random."""
+        if self.seed is not None or not self.random:
+            return self
+        return self.model_copy(update={"seed": derived_seed(0, name)})
+
     def arrivals(self, start_s: float, stop_s: float) -> list[int]:
         """Return the ticks at which a set comes out."""
         import numpy as np
@@ -128,7 +132,8 @@ class ConcentratorLine(Table):
                 wait = float(np.mean(ends[np.searchsorted(ends, due)] - due)) / TICKS_PER_SECOND
         # rounding of a mean over many sets is no jitter
         jitter = mean if mean > 1e-9 else 0.0
-        return Delays(least, least, 0.5 * self.reporting_interval_s, jitter, wait)
+        seed = self.seed if self.random else None
+        return Delays(least, least, 0.5 * self.reporting_interval_s, jitter, wait, seed)
 
     def _sets(self, start_s: float, stop_s: float) -> FrameSets:
         from interarea.models.blocks.concentrator import frame_sets

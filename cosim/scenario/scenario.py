@@ -65,7 +65,7 @@ nearer, and the delay ledger says so.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -79,26 +79,25 @@ from pydantic import (
     model_validator,
 )
 
-from interarea.design.controllers.bundled import shipped_names
 from interarea.models.blocks.sizes import MOST_SIGNALS
 from interarea.models.case.cycles import in_seconds
-from interarea.models.errors import CaseError
+from interarea.models.errors import Collected, UserError
+from interarea.models.mistakes import mistakes
 from interarea.models.table import ShortName, Table, Title
 
 from ..clock import on_tick
-from ..errors import ScenarioError, nearest, one_line
+from ..errors import ScenarioError, nearest
 from ..stepping_words import Early, Inputs, Loops, early_word
 from ..toml_file import read_toml
 from .channels import ChannelLine, Seconds
 from .concentrators import ConcentratorLine, SignalWay
+from .names import NAMED_CONTROLLERS, beside, wrong_names
 from .rounding import event_on_ticks, roundings
 
 if TYPE_CHECKING:  # the file is checked before what a case takes is loaded
     from interarea.models.case.case import Case
 
 BUNDLED = Path(__file__).parent / "bundled"
-CONTROLLER_NAMES = ("wdc", "cc", "ftc")  #: designed for a case, in the order in which the study tells them
-NAMED_CONTROLLERS = ("none", *CONTROLLER_NAMES, "active", *shipped_names())
 _RESERVED = ("plant", "controller")
 
 
@@ -221,6 +220,11 @@ class Scenario(Table):
     def _on_the_clock(cls, value: float | None) -> float | None:
         return None if value is None else on_tick(value, "stop_s and step_s")
 
+    @field_validator("channels", "concentrators")
+    @classmethod
+    def _seeded(cls, value: Mapping[str, Any]) -> Mapping[str, Any]:
+        return {name: line.seeded(name) for name, line in value.items()}
+
     @field_validator("event")
     @classmethod
     def _events_on_the_clock(cls, value: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -228,58 +232,69 @@ class Scenario(Table):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        if not self.case:
-            self._check_needs_a_case()
+        """Refuse what does not go together, all of it at once."""
+        wrong = [*self._without_a_case(), *self._names(), *self._ways(), *self._times()]
         changed = self.controller_gain != 1.0 or self.controller_limit_pu is not None
         if changed and (self.controller == "none" or self.controller.endswith(".fmu")):
-            raise ValueError(
+            wrong.append(
                 f"controller_gain and controller_limit_pu do nothing to controller = {self.controller!r}, "
                 "allowed: with a controller that is made here"
             )
-        for path in self.connections:
-            if len(path) < 2:
-                raise ValueError(f"connections has {list(path)}, allowed: source, channels, target")
-        self._check_names()
-        self._check_signals()
+        wrong += [
+            f"connections has {list(path)}, allowed: source, channels, target"
+            for path in self.connections
+            if len(path) < 2
+        ]
+        if wrong:
+            raise ValueError("\n".join(wrong))
         return self
 
-    @model_validator(mode="after")
-    def _inside_the_run(self) -> Self:
+    def _times(self) -> Iterator[str]:
+        """Yield what is wrong about instants: all lie inside the run, signals arrive in it."""
         if self.step_s is not None and not self.step_s <= self.stop_s:
-            raise ValueError(f"step_s = {self.step_s:g}, allowed: at most stop_s = {self.stop_s:g}")
+            yield f"step_s = {self.step_s:g}, allowed: at most stop_s = {self.stop_s:g}"
         allowed = f"outside the run, allowed: 0 to {self.stop_s:g}"
         for k, e in enumerate(self.event, start=1):
             if not e.start_s < self.stop_s:
-                raise ValueError(f"event {k} ({e.kind}): start_s = {e.start_s:g} lies {allowed}")
+                yield f"event {k} ({e.kind}): start_s = {e.start_s:g} lies {allowed}"
+        for name, line in self.lines.items():
+            if not line.least_latency_s < self.stop_s:
+                yield (
+                    f"{'channels' if name in self.channels else 'concentrators'}.{name}: a latency of "
+                    f"{line.least_latency_s:g} s with stop_s = {self.stop_s:g}: nothing would ever arrive, "
+                    "allowed: below stop_s (in seconds: 0.1 are 100 ms)"
+                )
         for name, channel in self.channels.items():
             for start, _ in channel.outages_s:
                 if not start < self.stop_s:
-                    raise ValueError(f"channels.{name}: an outage starts at {start:g} s, {allowed}")
-        return self
+                    yield f"channels.{name}: an outage starts at {start:g} s, {allowed}"
 
-    def _check_needs_a_case(self) -> None:
-        """Raise ValueError for what acts on a case that is not there, or for nothing to run."""
+    def _without_a_case(self) -> Iterator[str]:
+        """Yield what acts on a case that is not there, or that there is nothing to run."""
+        if self.case:
+            return
         if not self.fmus:
-            raise ValueError("case is missing (or fmus: a scenario needs something to run)")
+            yield "case is missing (or fmus: a scenario needs something to run)"
+            return
         if self.event or self.controller != "none":
-            raise ValueError("event and controller need a case; FMUs of one's own come under fmus")
+            yield "event and controller need a case; FMUs of one's own come under fmus"
         if self.plant or self.operating_point != OperatingPointTable():
-            raise ValueError("plant and operating_point need a case")
+            yield "plant and operating_point need a case"
 
-    def _check_names(self) -> None:
-        """Raise ValueError for an instance whose name is no name, or that of another."""
+    def _names(self) -> Iterator[str]:
+        """Yield each instance whose name is no name, or that of another."""
         seen = set(_RESERVED)
         for kind in ("fmus", "channels", "concentrators"):
             for name in getattr(self, kind):
                 if not name.isidentifier() or name in seen:
-                    raise ValueError(
+                    yield (
                         f"{kind}.{name}: its name must be an identifier other than "
                         f"{' and '.join(_RESERVED)}, used once"
                     )
                 seen.add(name)
 
-    def _check_signals(self) -> None:
-        """Raise ValueError for a way that nothing travels, or a signal that travels twice."""
+    def _ways(self) -> Iterator[str]:
+        """Yield each way that nothing travels, and each signal that travels twice."""
         ways = [(f"channels.{n}", c.signal, n) for n, c in self.channels.items()]
         for name, table in self.concentrators.items():
             for i, s in enumerate(table.signals, start=1):
@@ -287,16 +302,16 @@ class Scenario(Table):
         taken: dict[str, str] = {}
         for where, signal, end in ways:
             if signal and not self.case:
-                raise ValueError(f"{where}: signal needs a case; connect {end} by connections")
+                yield f"{where}: signal needs a case; connect {end} by connections"
             if not signal and not any(end in path for path in self.connections):
-                raise ValueError(f"{where}: signal is missing (or name {end} in connections)")
+                yield f"{where}: signal is missing (or name {end} in connections)"
             if signal in taken:
-                raise ValueError(
+                yield (
                     f"{where}: signal = {signal!r} already travels through {taken[signal]}, "
                     "allowed: one channel for each signal"
                 )
             if signal:
-                taken[signal] = where
+                taken.setdefault(signal, where)
 
     @property
     def lines(self) -> dict[str, ChannelTable | ConcentratorTable]:
@@ -323,7 +338,7 @@ class Scenario(Table):
     @property
     def case_path(self) -> str | Path:
         """The case as `load_case` takes it: a bundled name, or a file beside the scenario."""
-        return _beside(self.folder, self.case)
+        return beside(self.folder, self.case)
 
     def load_case(self) -> Case:
         """Return the case at its operating point here; CaseError as `load_case` and `operating_variant`."""
@@ -346,13 +361,7 @@ class Scenario(Table):
         """The controller file, or None for a named controller."""
         if self.controller in NAMED_CONTROLLERS:
             return None
-        return Path(_beside(self.folder, self.controller))
-
-
-def _beside(folder: Path, name: str) -> str | Path:
-    if "/" in name or "\\" in name or Path(name).suffix:
-        return folder / name
-    return name
+        return Path(beside(self.folder, self.controller))
 
 
 def load_scenario(
@@ -396,47 +405,44 @@ def _frequency_hz(table: Mapping[str, Any], where: str, folder: Path) -> float:
     named = table.get("case")
     if not isinstance(named, str) or not named:
         raise ScenarioError(f"{where}: a time in cycles is of a case's frequency; name one (case = ...)")
-    return load_case(_beside(folder, named)).frequency_hz
+    return load_case(beside(folder, named)).frequency_hz
 
 
-def _checked(table: dict[str, Any], where: str, folder: Path, frequency_hz: float | None) -> Scenario:
-    given = table
-    try:
+def _checked(given: dict[str, Any], where: str, folder: Path, frequency_hz: float | None) -> Scenario:
+    found = Collected()
+    table, events = given, ()
+    with found:
         table = in_seconds(given, lambda: frequency_hz or _frequency_hz(given, where, folder))
-        tables = table.get("event", [])
-        if not isinstance(tables, list | tuple):
-            raise ScenarioError(f"{where}: event = {tables!r}, allowed: [[event]] tables")
-        plain = [e for e in tables if isinstance(e, Mapping)]
-        for k, e in enumerate(tables, start=1):
-            if not isinstance(e, Mapping | BaseModel):
-                raise ScenarioError(f"{where}: event {k} = {e!r}, allowed: a table")
-        events = tuple(tables)
-        if plain and len(plain) == len(tables):
-            from interarea.models.case.events import events_of
-
-            events = events_of(plain, where=where)
+    with found:
+        events = _events_of(table.get("event", []), where)
+    try:
+        # a wrong event has said so, and one of its own kind takes no part in what follows
         scenario = Scenario.model_validate({"folder": folder, **table, "event": events})
-        rounded = (*scenario.rounded, *roundings(table, scenario))
-        return scenario.model_copy(update={"rounded": rounded}) if rounded else scenario
-    except CaseError as error:
-        raise ScenarioError(str(error)) from None
+    except UserError as error:
+        found.lines += error.args
     except ValidationError as error:
-        raise ScenarioError(f"{where}: {one_line(error, _keys)}") from None
-
-
-def _keys(location: tuple[int | str, ...]) -> list[str]:
-    """Return the keys allowed where `location` points into the scenario."""
-    if len(location) == 1:
         hidden = ("name", "folder", "rounded")
-        return [k for k in Scenario.model_fields if k not in hidden]
-    tables: dict[str, type[BaseModel]] = {
-        "channels": ChannelTable,
-        "fmus": FmuTable,
-        "master": MasterTable,
-        "expect": Expectation,
-        "operating_point": OperatingPointTable,
-    }
-    if location[0] == "concentrators":
-        return ConcentratorTable.keys_at(location[2:])
-    table = tables.get(str(location[0]))
-    return list(table.model_fields) if table is not None else []
+        found.lines += [f"{where}: {line}" for line in mistakes(error, Scenario, hidden=hidden)]
+    if found.lines:
+        found.lines += [line for line in wrong_names(table, where, folder) if line not in found.lines]
+        raise ScenarioError(*found.lines)
+    rounded = (*scenario.rounded, *roundings(table, scenario))
+    return scenario.model_copy(update={"rounded": rounded}) if rounded else scenario
+
+
+def _events_of(tables: Any, where: str) -> tuple[Any, ...]:
+    """Return the events of a scenario, given as tables or as events."""
+    if not isinstance(tables, list | tuple):
+        raise ScenarioError(f"{where}: event = {tables!r}, allowed: [[event]] tables")
+    wrong = [
+        f"{where}: event {k} = {e!r}, allowed: a table"
+        for k, e in enumerate(tables, start=1)
+        if not isinstance(e, Mapping | BaseModel)
+    ]
+    if wrong:
+        raise ScenarioError(*wrong)
+    if tables and all(isinstance(e, Mapping) for e in tables):
+        from interarea.models.case.events import events_of
+
+        return events_of(tables, where=where)
+    return tuple(tables)

@@ -11,23 +11,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import jinja2
 from markupsafe import Markup
 
 from interarea.models.files import write_whole
 
-from ..plots.html import inline_svg
+from ..plots.html import inline_svg, page_environment
 
 
 def render_report(study: Mapping[str, Any], figures: Mapping[str, Path]) -> str:
     """Return the page for `study` (as in study.json) with `figures` (key -> SVG file)."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
+    environment = page_environment(Path(__file__).parent)
     environment.filters |= {"number": _number, "percent": _percent, "seconds": _seconds, "pole": _pole}
     titles = {row["key"]: row["title"] for row in study["figure_list"]}
     nothing: dict[str, Any] = {"verdicts": [], "modes": [], "loops": [], "corrections": []}

@@ -13,7 +13,7 @@ from interarea.design.synthesis.study_designs import SPECIFICATIONS as DESIGNS
 from interarea.design.synthesis.study_designs import StudySpec
 
 from ..errors import ScenarioError, nearest
-from ..scenario.scenario import CONTROLLER_NAMES
+from ..scenario.names import CONTROLLER_NAMES
 from ..toml_file import read_toml
 
 SPECIFICATIONS = Path(__file__).resolve().parent / "thesis"  #: folder of the bundled studies

@@ -29,6 +29,8 @@ from interarea.models.case.case import Case
 from interarea.models.case.variants import operating_variant
 
 from ..errors import SweepError, nearest
+from ..scenario.delays import derived_seed
+from ..scenario.document import scenario_document
 from ..scenario.scenario import (
     ChannelTable,
     ConcentratorTable,
@@ -37,8 +39,8 @@ from ..scenario.scenario import (
     SignalTable,
     load_scenario,
 )
-from .spec import Path_, Sweep, scenario_document
-from .values import Value, derived_seed
+from .spec import Path_, Sweep
+from .values import Value
 
 OPERATING = ("tie_flow_mw", "load_scale", "out")
 CASE_TABLES = ("buses", "branches", "shunts", "loads", "machines")

@@ -24,19 +24,23 @@ Listed values and ranges form a grid, each cell of which has `samples` runs when
 from __future__ import annotations
 
 from collections.abc import Mapping
+from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
+from interarea.models.errors import Collected
+from interarea.models.mistakes import meant, mistakes
 from interarea.models.table import ShortName, Table, Title
 
-from ..errors import ScenarioError, SweepError, nearest, one_line
+from ..errors import SweepError, nearest
 from ..results.metrics import METRICS
+from ..scenario.document import scenario_document
 from ..scenario.scenario import Scenario, load_scenario
 from ..toml_file import read_toml
-from .values import Interval, Parameter, Range, Search, Value
+from .values import Parameter, Search, Value
 
 COLUMNS_TAKEN = (
     "run", "status", "failure", "reason", "stable", "peak_pu", "energy_pu2s", "effort_pu2s", "fit_error",
@@ -212,13 +216,6 @@ def split_path(text: str, where: str) -> Path_:
         rest = rest[1:]
 
 
-def scenario_document(scenario: Scenario) -> dict[str, Any]:
-    """Return a scenario as the table of its file (what was given, nothing more)."""
-    return scenario.model_dump(
-        mode="json", exclude_unset=True, exclude_none=True, exclude={"folder", "rounded"}
-    )
-
-
 def load_sweep(source: str | Path | Mapping[str, Any]) -> Sweep:
     """Return the sweep of a TOML file or a dict of the same keys.
 
@@ -237,38 +234,35 @@ def load_sweep(source: str | Path | Mapping[str, Any]) -> Sweep:
 
 def sweep_of(table: Mapping[str, Any], where: str, folder: Path) -> Sweep:
     """Return the sweep of a table; `where` names it in errors, files are looked for in `folder`."""
-    raw = dict(table)
-    if "base" in raw:
-        raise SweepError(f"{where}: base = {raw['base']!r}: no such key; {nearest('base', _keys(()))}")
-    given = raw.pop("scenario", None)
+    raw, found = dict(table), Collected()
+    base = raw.pop("base", None)
+    if base is not None:
+        found.lines.append(f"{where}: base = {base!r}: no such key; {meant('base', _KEYS)}")
+    with found:
+        raw["base"] = _base(raw.pop("scenario", None), where, folder, raw)
+    try:
+        swept = Sweep.model_validate(raw)
+    except ValidationError as error:
+        told = mistakes(error, Sweep)
+        found.lines += [f"{where}: {line}" for line in told if line != "base is missing"]
+    found.end(SweepError)
+    return swept
+
+
+_KEYS = [*(k for k in Sweep.model_fields if k != "base"), "scenario"]
+
+
+def _base(given: Any, where: str, folder: Path, others: Mapping[str, Any]) -> Scenario:
+    """Return the scenario that a sweep names or holds."""
     if given is None:
+        near = get_close_matches("scenario", others, 1)
+        hint = f" (is {near[0]!r} meant as that?)" if near else ""
         raise SweepError(
-            f"{where}: scenario is missing, allowed: a file, a bundled name or a [scenario] table"
+            f"{where}: scenario is missing, allowed: a file, a bundled name or a [scenario] table{hint}"
         )
     if isinstance(given, Mapping):
-        base = load_scenario({"folder": folder, **given})
-    elif isinstance(given, str) and given:
+        return load_scenario({"folder": folder, **given})
+    if isinstance(given, str) and given:
         beside = folder / given
-        base = load_scenario(beside if beside.is_file() or beside.suffix else given)
-    else:
-        raise SweepError(
-            f"{where}: scenario = {given!r}, allowed: a file, a bundled name or a [scenario] table"
-        )
-    try:
-        return Sweep.model_validate({**raw, "base": base})
-    except ValidationError as error:
-        raise SweepError(f"{where}: {one_line(error, _keys)}") from None
-    except ScenarioError as error:
-        raise SweepError(f"{where}: {error}") from None
-
-
-def _keys(location: tuple[int | str, ...]) -> list[str]:
-    if len(location) <= 1:
-        return [*(k for k in Sweep.model_fields if k != "base"), "scenario"]
-    if location[0] == "trajectories":
-        return list(Trajectories.model_fields)
-    if len(location) == 3:
-        return list(Parameter.model_fields)
-    forms: dict[str, type[Table]] = {"range": Range, "latin_hypercube": Interval, "bisect": Search}
-    form = forms.get(str(location[2])) if len(location) > 3 else None
-    return list(form.model_fields) if form is not None else []
+        return load_scenario(beside if beside.is_file() or beside.suffix else given)
+    raise SweepError(f"{where}: scenario = {given!r}, allowed: a file, a bundled name or a [scenario] table")

@@ -249,11 +249,6 @@ def unit_draw(seed: int, name: str, k: int) -> float:
     return (int.from_bytes(digest[:7], "little") % 2**53 + 0.5) / 2**53
 
 
-def derived_seed(seed: int, name: str) -> int:
-    """Return the seed of channel `name` in a run with `seed`: 31 bits, different for each channel."""
-    return int.from_bytes(hashlib.sha256(f"{seed}/{name}".encode()).digest()[:4], "little") % 2**31
-
-
 @lru_cache(maxsize=64)
 def _permutation(seed: int, name: str, n: int) -> npt.NDArray[np.int64]:
     key = int.from_bytes(hashlib.sha256(f"{seed}/{name}/cells".encode()).digest()[:16], "little")

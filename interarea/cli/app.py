@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
@@ -14,7 +15,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from .. import __version__
-from .terminal import complain, set_level, steady_streams
+from .terminal import complain, say_warning, set_level, steady_streams
 
 INTERRUPTED = 130  #: exit code after Ctrl-C, as shells have it
 
@@ -52,6 +53,10 @@ COMMANDS = {
         "run:run",
         "Co-simulate one scenario; writes trajectory, ledgers, metrics and a plot.",
     ),
+    "compare": (
+        "compare:compare",
+        "Run one scenario with several controllers: metrics, curves and roots over latency on one page.",
+    ),
     "sweep": (
         "sweep:sweep",
         "Run a scenario over many parameters; a sweep that was stopped goes on where it was.",
@@ -85,7 +90,7 @@ COMMANDS = {
         "Write plant, channels and controller of a scenario as one FMU that simulates by itself.",
     ),
     "check": (
-        "check:check",
+        "export:check",
         "Check an FMU or SSP; one line per finding with its rule and fix; exit code 1 if there are any.",
     ),
     "import": (
@@ -202,6 +207,7 @@ def program(
 def main() -> None:
     """Run the command line: exit code 0, 2 for a mistake of the user, 1 for a fault of ours."""
     steady_streams()
+    warnings.showwarning = say_warning
     try:
         app(prog_name="interarea")
     except KeyboardInterrupt:

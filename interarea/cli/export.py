@@ -1,7 +1,8 @@
-"""Commands that hand FMUs to other tools: `build`, and a scenario's whole loop as `ssp` or `container`."""
+"""Commands on FMUs for other tools: `build`, a whole loop as `ssp` or `container`, `check` of any."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
@@ -114,3 +115,27 @@ def _write(writer: Callable[..., Path], suffix: str, scenario: str, out: Path, p
     with busy(f"writing {out}"):
         made = writer(loaded, out, cache=default_cache(), platforms=names_of(platforms))
     typer.echo(made)
+
+
+def check(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="FMU or SSP file", show_default=False)],
+    json_: Annotated[bool, typer.Option("--json", help="print JSON instead of lines")] = False,
+    run: Annotated[
+        bool, typer.Option("--run/--no-run", help="load the FMU's binary and see how it behaves")
+    ] = True,
+) -> None:
+    """Check an FMU or SSP; one line per finding with its rule and fix; exit code 1 if there are any."""
+    from interarea.fmu_build.check.check import check_file
+
+    with busy(f"checking {file}"):
+        report = check_file(file, run=run)
+    if json_:
+        typer.echo(json.dumps(report.as_dict(), indent=2))
+    else:
+        for finding in report.findings:
+            typer.echo(finding.line())
+        for note in report.notes:
+            typer.echo(f"note: {note}", err=True)
+        typer.echo(f"{file}: {report.verdict}")
+    if not report.clean:
+        raise typer.Exit(1)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal import busy, note
+from .terminal import busy, note, say_warning
 
 if TYPE_CHECKING:
     from interarea.cosim.results.latency_test import SelfTest
@@ -84,7 +84,7 @@ def run(
         for file in files:
             typer.echo(file)
         for line in result.warnings:
-            note(f"warning: {line}")
+            say_warning(line)
         if isinstance(result, Run):
             note(result.summary)
             if loaded.controller != "none":

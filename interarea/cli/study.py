@@ -23,7 +23,7 @@ def study(
 ) -> None:
     """Run a whole study: FMUs, designs, co-simulations, figures, report.html and study.json."""
     from interarea.cosim.designs.acceptance import first_failures, kept_certificate
-    from interarea.cosim.scenario.scenario import CONTROLLER_NAMES
+    from interarea.cosim.scenario.names import CONTROLLER_NAMES
     from interarea.cosim.study.study import STAGES, run_study
 
     from .destination import folder_for

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-from interarea.models.errors import InterareaError
+from interarea.models.errors import InterareaError, UserError
 
 DEBUG_VARIABLE = "INTERAREA_DEBUG"
 
@@ -31,6 +31,7 @@ def steady_streams() -> None:
     replaced by one that swallows.
     """
     _levels.clear()
+    _warned.clear()
     codecs.register_error("interarea", _in_plain_letters)
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -73,6 +74,17 @@ def set_level(name: str) -> Callable[[bool], None]:
             _levels.add(name)
 
     return given
+
+
+_warned: set[str] = set()  # by this call of the command
+
+
+def say_warning(message: Warning | str, *where: object) -> None:
+    """Print a warning in one line, once, unless `--quiet`: what `warnings.showwarning` does here."""
+    line = " ".join(str(message).split())
+    if line not in _warned:
+        _warned.add(line)
+        note(f"interarea: warning: {line}")
 
 
 def note(text: object) -> None:
@@ -132,13 +144,17 @@ def _plain_progress() -> Callable[[str, float], None]:
 
 
 def complain(error: BaseException) -> int:
-    """Print an error in one line on stderr and return the exit code: 2 for a user's mistake, 1 for ours.
+    """Print an error on stderr, a line for each mistake; return the exit code: 2 for a user's, 1 for ours.
 
     A mistake is any error class of this package, or a file that cannot be read or written. With
     `INTERAREA_DEBUG` set the traceback is shown too.
     """
     if os.environ.get(DEBUG_VARIABLE) or "verbose" in _levels:
         traceback.print_exception(error)
+    if isinstance(error, UserError):
+        for mistake in error.args:
+            print(f"interarea: {mistake}", file=sys.stderr)
+        return 2
     line = " ".join(str(error).split())
     if isinstance(error, InterareaError):
         print(f"interarea: {line}", file=sys.stderr)

@@ -34,7 +34,8 @@ from typing import Any, Self
 from pydantic import ValidationError, model_validator
 
 from ..documents import DocumentError, parse_toml
-from ..errors import CaseError, nearest, one_line, reason
+from ..errors import CaseError, Collected, nearest, reason
+from ..mistakes import mistakes
 from .checks import check_whole
 from .cycles import in_seconds
 from .device_files import devices_of, with_device_texts
@@ -155,12 +156,22 @@ def case_of(document: Mapping[str, Any], *, where: str) -> Case:
     hz, events = raw.get("frequency_hz"), raw.get("event", ())
     if isinstance(hz, int | float) and hz > 0.0:
         events = in_seconds({"event": events}, lambda: hz)["event"]
-    raw["event"] = events_of(events, where=where)
     own = devices_of(raw.get("devices", {}), where)
+    raw["event"], found = (), Collected()
+    with found:
+        raw["event"] = events_of(events, where=where)
+    with found:
+        case = _checked(raw, own, where)
+    found.end(CaseError)
+    return case
+
+
+def _checked(raw: dict[str, Any], own: Any, where: str) -> Case:
     try:
         return Case.model_validate(raw, context=own)
     except ValidationError as error:
-        raise CaseError(f"{where}: {one_line(error, lambda location: _path(location, raw))}") from None
+        lines = mistakes(error, Case, path_of=lambda location: _path(location, raw))
+        raise CaseError(*(f"{where}: {line}" for line in lines)) from None
 
 
 def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:

@@ -17,7 +17,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
-from ..errors import CaseError, nearest, one_line
+from ..errors import CaseError, Collected, nearest
+from ..mistakes import mistakes
 from ..table import Table
 
 Number = Annotated[float, Field(strict=True)]
@@ -193,10 +194,14 @@ def event_of(table: Mapping[str, Any], *, where: str) -> Any:
     try:
         return _ONE.validate_python(dict(table))
     except ValidationError as error:
-        text = one_line(error, lambda loc: [str(part) for part in loc if part != kind])
-        raise CaseError(f"{where} ({kind}): {text}") from None
+        raise CaseError(*(f"{where} ({kind}): {line}" for line in mistakes(error, Event))) from None
 
 
 def events_of(tables: Iterable[Mapping[str, Any]], *, where: str) -> tuple[Any, ...]:
-    """Return the events of all `[[event]]` tables; errors count from 1."""
-    return tuple(event_of(table, where=f"{where}: event {k}") for k, table in enumerate(tables, start=1))
+    """Return the events of all `[[event]]` tables; errors count from 1 and name all that is wrong."""
+    events, found = [], Collected()
+    for k, table in enumerate(tables, start=1):
+        with found:
+            events.append(event_of(table, where=f"{where}: event {k}"))
+    found.end(CaseError)
+    return tuple(events)

@@ -56,6 +56,28 @@ def export_toml(case: Case, path: str | Path | None = None) -> str:
     return text
 
 
+def toml_text(table: Mapping[str, Any]) -> str:
+    """Return a table as TOML: its values, its tables, then its arrays of tables.
+
+    >>> toml_text({"stop_s": 2.0, "channels": {"remote": {"signal": "G2_dw"}}, "event": [{"kind": "a"}]})
+    'stop_s = 2.0\\n\\n[channels.remote]\\nsignal = "G2_dw"\\n\\n[[event]]\\nkind = "a"\\n'
+    """
+
+    def listed(value: Any) -> bool:
+        return isinstance(value, list | tuple) and bool(value) and isinstance(value[0], Mapping)
+
+    plain = {k: v for k, v in table.items() if not isinstance(v, Mapping) and not listed(v)}
+    lines = [f"{_key(k)} = {_value(v)}" for k, v in plain.items()]
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            only_tables = all(isinstance(v, Mapping) for v in value.values())
+            lines += _section(_key(key), value)[2 if only_tables else 0 :]  # whose header says nothing
+    for key, rows in table.items():
+        for row in rows if listed(rows) else ():
+            lines += ["", f"[[{_key(key)}]]", *(f"{_key(k)} = {_value(v)}" for k, v in row.items())]
+    return "\n".join(lines).lstrip("\n") + "\n"
+
+
 def _section(name: str, row: Mapping[str, Any]) -> list[str]:
     lines = ["", f"[{name}]"]
     lines += [f"{_key(k)} = {_value(v)}" for k, v in row.items() if not isinstance(v, Mapping)]

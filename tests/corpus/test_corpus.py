@@ -102,9 +102,9 @@ def test_one_clear_line(entry: Entry, tmp_path: Path, monkeypatch: pytest.Monkey
     )
     lines = [line for line in complaint.splitlines() if line.startswith("interarea: ")]
     assert code == 2, (code, said, complaint)
-    assert len(lines) == 1 and "Traceback" not in complaint, complaint
-    assert len(lines[0]) < 1000, complaint
-    assert re.search(entry.says, lines[0]), lines[0]
+    assert lines and "Traceback" not in complaint, complaint  # a line for each mistake that one entry makes
+    assert max(map(len, lines)) < 1000, complaint
+    assert any(re.search(entry.says, line) for line in lines), lines
     assert sorted(tmp_path.rglob("*")) == before, "something was written"
 
 

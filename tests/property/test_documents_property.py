@@ -14,9 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from interarea.cosim.errors import ScenarioError, SweepError
+from interarea.cosim.scenario.document import scenario_document
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.sweep.plan import plan_sweep
-from interarea.cosim.sweep.spec import load_sweep, scenario_document
+from interarea.cosim.sweep.spec import load_sweep
 from interarea.models.case.case import Case, case_of, load_case
 from interarea.models.case.write_toml import export_toml
 from interarea.models.errors import CaseError
@@ -221,8 +222,8 @@ def spoilt(document: dict[str, Any], data: st.DataObject) -> dict[str, Any]:
     return table
 
 
-def check_line(text: str) -> None:
-    assert text and "\n" not in text and len(text) < 1000
+def check_lines(error: Exception) -> None:
+    assert error.args and all(a and "\n" not in a and len(a) < 1000 for a in error.args)
 
 
 @settings(max_examples=400)
@@ -232,7 +233,7 @@ def test_a_spoilt_scenario_loads_or_is_refused_in_one_line(data: st.DataObject) 
     try:
         load_scenario(table)
     except ScenarioError as error:
-        check_line(str(error))
+        check_lines(error)
 
 
 @settings(max_examples=150)
@@ -242,7 +243,7 @@ def test_a_spoilt_sweep_is_planned_or_refused_in_one_line(cache: Path, data: st.
     try:
         plan = plan_sweep(load_sweep(table), cache)
     except (SweepError, ScenarioError, CaseError) as error:
-        check_line(str(error))
+        check_lines(error)
     else:
         values = plan.sweep.values(plan.sweep.size - 1)
         assert set(values) == set(plan.sweep.parameters)
@@ -258,7 +259,7 @@ def test_a_spoilt_case_loads_or_is_refused_in_one_line(data: st.DataObject) -> N
     try:
         case_of(spoilt(small_case(), data), where="spoilt")
     except CaseError as error:
-        check_line(str(error))
+        check_lines(error)
 
 
 @settings(max_examples=25)

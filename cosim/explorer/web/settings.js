@@ -57,7 +57,6 @@ function channelTable(data, state, channel) {
   const loss = get('loss'), burst = get('burst'), jitter = get('jitter');
   set('latency_s', get('latency') / 1000, 0);
   set('jitter_s', jitter / 1000, 0);
-  set('seed', get('seed'), 0);
   table.on_loss = get('on_loss');
   table.hold_s = get('hold') / 1000;
   if (loss !== start('loss') || burst !== start('burst')) {
@@ -70,6 +69,8 @@ function channelTable(data, state, channel) {
     }
   }
   const packets = table.loss || table.jitter_s || table.latency || table.pdc_wait_s;
+  if (table.loss || table.jitter_s || table.latency) table.seed = get('seed');
+  else delete table.seed;
   set('reporting_interval_s', (get('interval') || (packets ? 20 : 0)) / 1000, 0);
   const later = (channel.table.outages_s || []).slice(1);
   const lost = get('lost'), back = Math.min(get('back'), data.stop);

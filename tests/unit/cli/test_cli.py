@@ -82,6 +82,7 @@ def test_run_writes_its_files(interarea, tmp_path: Path) -> None:  # type: ignor
     code, out, _ = interarea("run", file, "--out", tmp_path / "out", "--explain")
     assert code == 0
     names = {"trajectory.csv", "trajectory.parquet", "ledger.json", "metrics.json", "run.svg"}
+    names |= {"scenario.toml", "run.json", "report.html"}
     assert {p.name for p in (tmp_path / "out").iterdir()} == names
     assert (tmp_path / "out" / "trajectory.csv").read_text().startswith("time_s,plant.G1_dw")
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["stable"] in (True, False)
@@ -143,7 +144,8 @@ def test_a_mistake_in_a_scenario_is_one_line(  # type: ignore[no-untyped-def]
     file.write_text(SCENARIO.replace(*change), encoding="utf-8")
     code, out, err = interarea("run", file, "--out", tmp_path / "out")
     assert code == 2 and out == ""
-    assert err.count("\n") == 1 and "Traceback" not in err
+    assert all(line.startswith("interarea: ") for line in err.splitlines()) and "Traceback" not in err
+    assert err.count("\n") == (2 if change == ("stop_s", "stop") else 1)  # one is missing, one unknown
     assert all(word in err for word in words)
     assert not (tmp_path / "out").exists()
 

@@ -19,7 +19,8 @@ from interarea.cosim.errors import DestinationError, ScenarioError
 from interarea.cosim.run.artefacts import channel_fmu
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.run.system import System
-from interarea.cosim.scenario.scenario import NAMED_CONTROLLERS, scenario_names
+from interarea.cosim.scenario.names import NAMED_CONTROLLERS
+from interarea.cosim.scenario.scenario import scenario_names
 from interarea.cosim.study.report import _number, _percent
 from interarea.cosim.sweep.store import read_rows
 from interarea.fmu_build.open.fmu_file import FmuFile

@@ -173,5 +173,5 @@ def test_wiring_mistakes_are_refused(change: dict[str, Any], says: str, by_hand:
 def test_mistakes_of_the_case_are_refused() -> None:
     with pytest.raises(CaseError):
         run_scenario(document(case="three-area"))
-    with pytest.raises(CaseError, match="bus 99"):
+    with pytest.raises(ScenarioError, match="event 1: bus_fault: bus 99"):
         run_scenario(document(event=[{"kind": "bus_fault", "bus": 99, "start_s": 1.0, "end_s": 1.1}]))

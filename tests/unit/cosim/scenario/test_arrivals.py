@@ -60,6 +60,7 @@ def received(line: dict[str, Any], stop_s: float) -> tuple[np.ndarray, np.ndarra
             "jitter_s": 0.01,
             "on_loss": "hold",
             "loss": {"kind": "bernoulli", "rate": 0.2},
+            "seed": 0,
         },
     ],
 )

@@ -1,0 +1,111 @@
+"""Names in a scenario, of what is bundled and of what its case has, and those that name nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from interarea.design.controllers.bundled import shipped_names
+from interarea.models.errors import Collected, UserError
+
+from ..errors import nearest
+
+if TYPE_CHECKING:  # the file is checked before what a case takes is loaded
+    from interarea.models.case.case import Case
+
+CONTROLLER_NAMES = ("wdc", "cc", "ftc")  #: designed for a case, in the order in which the study tells them
+NAMED_CONTROLLERS = ("none", *CONTROLLER_NAMES, "active", *shipped_names())
+
+
+def beside(folder: Path, name: str) -> str | Path:
+    """Return what a file names: something bundled, or a path from its own folder."""
+    if "/" in name or "\\" in name or Path(name).suffix:
+        return folder / name
+    return name
+
+
+def wrong_names(table: Mapping[str, Any], where: str, folder: Path) -> list[str]:
+    """Return a line for each name in a scenario's table that names nothing, whatever else is wrong."""
+    lines, named = list(wrong_controller(table.get("controller"), where, folder)), table.get("case")
+    if not isinstance(named, str) or not named:
+        return lines
+    from interarea.models.case.case import load_case
+
+    try:
+        case = load_case(beside(folder, named))
+    except (UserError, OSError) as error:
+        return [*lines, *(error.args if isinstance(error, UserError) else ())]
+    events = table.get("event", ())
+    lines += wrong_targets(case, events if isinstance(events, list | tuple) else (), where)
+    return [*lines, *_wrong_rows(case, table, where), *_wrong_signals(case, table, where)]
+
+
+def wrong_controller(name: Any, where: str, folder: Path) -> Iterator[str]:
+    """Yield a line where the controller is neither a name nor a file."""
+    if not isinstance(name, str) or not name or name in NAMED_CONTROLLERS:
+        return
+    if not (folder / name).exists():
+        hint = nearest(name, NAMED_CONTROLLERS)
+        yield (
+            f"{where}: controller = {name!r} is neither a name nor a file; {hint} "
+            "(or the path of a controller file)"
+        )
+
+
+def wrong_targets(case: Case, events: Iterable[Any], where: str) -> list[str]:
+    """Return a line for each event, a table or an object, whose target the case does not have."""
+    from interarea.models.case.event_targets import target_index
+    from interarea.models.case.events import event_of
+
+    wrong = Collected()
+    for k, given in enumerate(events, start=1):
+        try:
+            event = event_of(given, where="") if isinstance(given, Mapping) else given
+        except UserError:  # told by whoever reads it
+            continue
+        if not hasattr(event, "kind"):
+            continue
+        try:
+            target_index(case, event)
+        except UserError as error:
+            wrong.lines += [
+                f"{where}: event {k}: {line.removeprefix(f'{case.name}: ')}" for line in error.args
+            ]
+    return wrong.lines
+
+
+def _wrong_rows(case: Case, table: Mapping[str, Any], where: str) -> Iterator[str]:
+    """Yield a line for each machine of `swing` and each branch that is out that the case does not have."""
+    machines, branches = [m.name for m in case.machines], [b.name for b in case.branches]
+    swing, point = table.get("swing"), table.get("operating_point")
+    out = point.get("out") if isinstance(point, Mapping) else None
+    for key, names, known in (("swing", swing, machines), ("operating_point.out", out, branches)):
+        for name in names if isinstance(names, list | tuple) else ():
+            if isinstance(name, str) and name not in known:
+                yield f"{where}: {key} has {name!r}; {nearest(name, known)}"
+
+
+def _wrong_signals(case: Case, table: Mapping[str, Any], where: str) -> Iterator[str]:
+    """Yield a line for each signal that the plant of the case does not put out."""
+    ways = [*_signals(table)]
+    if not ways:
+        return
+    from interarea.models.blocks.plant import plant_block
+
+    known = [v.name for v in plant_block(case).table if v.role == "output"]
+    for place, signal in ways:
+        if signal not in known:
+            yield f"{where}: {place}.signal = {signal!r} is no output of the plant; {nearest(signal, known)}"
+
+
+def _signals(table: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield where signals are named in channels and concentrators, whatever else stands there."""
+    for kind in ("channels", "concentrators"):
+        rows = table.get(kind)
+        for name, row in rows.items() if isinstance(rows, Mapping) else ():
+            of = row.get("signals", [row]) if isinstance(row, Mapping) else None
+            for s in of if isinstance(of, list | tuple) else ():
+                signal = s.get("signal") if isinstance(s, Mapping) else None
+                if isinstance(signal, str) and signal:
+                    yield f"{kind}.{name}", signal
