@@ -49,7 +49,8 @@ FUNCTIONS = {
     "design: Mapping[str, Any] = <factory>, certificate: Mapping[str, Any] | None = None, "
     "guard: Guard | None = None -> None",
     "System": "*, stop_s: float, start_s: float = 0.0, step_s: float | None = None, "
-    "cache: Path | None = None, arrivals: Literal['exact', 'grid'] = 'exact', **options: Any -> None",
+    "cache: Path | None = None, arrivals: Literal['exact', 'grid'] = 'exact', strict: bool = False, "
+    "**options: Any -> None",
     "Channel": "**keys: Any -> None",
 }
 ERRORS = {

@@ -88,7 +88,8 @@ def _wrong_rows(case: Case, table: Mapping[str, Any], where: str) -> Iterator[st
 
 def _wrong_signals(case: Case, table: Mapping[str, Any], where: str) -> Iterator[str]:
     """Yield a line for each signal that the plant of the case does not put out."""
-    ways = [*_signals(table)]
+    speeds = {f"{m.name}_dw" for m in case.machines}  # told without the plant, which takes numpy
+    ways = [(place, signal) for place, signal in _signals(table) if signal not in speeds]
     if not ways:
         return
     from interarea.models.blocks.plant import plant_block

@@ -56,7 +56,8 @@ def test_a_run_is_looked_at_and_saved(run: ia.Result, tmp_path: Path) -> None:  
     shown = run._repr_html_()
     assert shown.startswith("<p><b>two-area-thesis, controller by_hand") and "<svg" in shown
     names = {p.name for p in run.save(tmp_path)}
-    assert names == {"trajectory.csv", "trajectory.parquet", "ledger.json", "metrics.json", "run.svg"}
+    data = {"trajectory.csv", "trajectory.parquet", "ledger.json", "metrics.json", "run.svg"}
+    assert names == data | {"report.html", "scenario.toml", "run.json"}
     assert names == {p.name for p in tmp_path.iterdir()}
 
 
