@@ -44,7 +44,7 @@ EXAMPLES = {
     "modes": "interarea modes nets-nyps --band 0.1:2.5 --below 0.1 --shapes",
     "loops": "interarea loops two-area-thesis",
     "run": "interarea run lost-signal --out out/run --explain",
-    "compare": "interarea compare none robust mine.json --scenario wide-area-damping --out compared",
+    "compare": "interarea compare none robust robust_latency --scenario wide-area-damping --out out/compared",
     "sweep": "interarea sweep examples/latency_loss.toml --out out/sweep",
     "maps": "interarea maps out/sweep",
     "explore": "interarea explore two-area-thesis --out page.html",
