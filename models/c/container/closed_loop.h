@@ -42,6 +42,7 @@ typedef struct {
     size_t n_memory, n_scratch;             /* what the outer block needs                */
     const int32_t *wire;                    /* per input: the output that feeds it, or -1 */
     const int32_t *flag;                    /* the same of integer inputs and outputs    */
+    int direct[LOOP_MEMBERS];               /* whether its outputs reach another member within a step */
     int64_t step;                           /* ns                                        */
     double internal_step;                   /* longest Runge-Kutta step, s: the controllers' or the plant's own */
     size_t solver;                          /* parameter that holds the plant's          */

@@ -35,14 +35,16 @@ static void draw(double *d, double v0, double s0, double v1, double s1, double h
 }
 
 /* Outputs of plant and controller at t, from states x and from the channels'
- * outputs in y; the plant's first, they depend on its states only. Fills u. */
-static BlockStatus signals(ClosedLoop *l, double t, const double *x, double *y, double *u, BlockMessage *message)
+ * outputs in y; the plant's first, they depend on its states only. Fills u.
+ * Within a step, not all: those that another member takes directly. */
+static BlockStatus signals(ClosedLoop *l, double t, int all, const double *x, double *y, double *u,
+                           BlockMessage *message)
 {
     for (int plant = 1; plant >= 0; --plant)
         for (size_t k = 0; k < l->count; ++k) {
             BlockStatus status;
 
-            if (!loop_is(l, k, plant)) continue;
+            if (!loop_is(l, k, plant) || !(all || l->direct[k])) continue;
             for (size_t i = 0; i < l->block[k].layout.n_u; ++i) {
                 const int32_t from = l->wire[l->first_u[k] + i];
                 u[l->first_u[k] + i] = from < 0 || plant ? 0.0 : y[from];
@@ -68,7 +70,7 @@ static BlockStatus flow(ClosedLoop *l, double t, double elapsed, const double *x
     for (size_t k = 0; k < l->count; ++k)
         for (size_t j = 0; l->kind[k] == KIND_CHANNEL && j < l->block[k].layout.n_y; ++j)
             y[l->first_y[k] + j] = value_at(l->poly + 4 * (l->first_y[k] + j), elapsed);
-    if ((status = signals(l, t, x, y, u, message)) != BLOCK_OK) return status;
+    if ((status = signals(l, t, 0, x, y, u, message)) != BLOCK_OK) return status;
     for (size_t k = 0; k < l->count; ++k) {
         if (l->kind[k] == KIND_CHANNEL) continue;
         status = l->member[k]->derivatives(&l->block[k], t, x + l->first_x[k], u + l->first_u[k],
@@ -110,7 +112,7 @@ static BlockStatus integrate(ClosedLoop *l, double begin, double length, BlockMe
 static BlockStatus settle(ClosedLoop *l, double t, BlockMessage *message)
 {
     double *dx = l->work, *vu = l->work + 5 * l->n_x, *y = l->outer->y;
-    BlockStatus status = signals(l, t, l->state, y, vu, message);
+    BlockStatus status = signals(l, t, 1, l->state, y, vu, message);
 
     if (status != BLOCK_OK) return status;
     for (size_t k = 0; k < l->count; ++k) {

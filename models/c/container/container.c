@@ -120,6 +120,19 @@ static int wires_fit(const int32_t *wire, size_t found, size_t count, size_t out
     return 1;
 }
 
+/* A channel hears its source at communication points only. */
+static void find_direct(ClosedLoop *l)
+{
+    for (size_t k = 0; k < l->count; ++k) l->direct[k] = 0;
+    for (size_t k = 0; k < l->count; ++k)
+        for (size_t i = 0; l->kind[k] != KIND_CHANNEL && i < l->block[k].layout.n_u; ++i)
+            for (size_t from = 0; from < l->count; ++from) {
+                const int32_t wire = l->wire[l->first_u[k] + i];
+                if (wire >= (int32_t)l->first_y[from]
+                    && (size_t)wire < l->first_y[from] + l->block[from].layout.n_y) l->direct[from] = 1;
+            }
+}
+
 static BlockStatus read_wiring(ClosedLoop *l, const Record *record, size_t n_p, BlockMessage *message)
 {
     size_t count[4], n_solver;
@@ -136,6 +149,7 @@ static BlockStatus read_wiring(ClosedLoop *l, const Record *record, size_t n_p, 
     if (internal == NULL || count[1] != 1 || !(internal[0] >= 1e-7)) return unfit(message, "`loop.internal`");
     if (!wires_fit(l->wire, count[2], l->n_u, l->n_y)) return unfit(message, "`loop.wire`");
     if (!wires_fit(l->flag, count[3], l->n_iu, l->n_iy)) return unfit(message, "`loop.flag`");
+    find_direct(l);
     l->step = (int64_t)floor(step[0] * 1e9 + 0.5);
     l->internal_step = internal[0];
     return BLOCK_OK;
