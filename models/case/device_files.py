@@ -15,7 +15,7 @@ from ..errors import CaseError
 _ALLOWED = 'allowed: a list of device files such as ["my_avr.toml"], or a table of what they hold by name'
 
 
-def with_device_texts(table: Mapping[str, Any], folder: Path, where: str) -> Mapping[str, Any]:
+def with_device_texts(table: Mapping[str, Any], folder: Path, where: str) -> dict[str, Any]:
     """Return `table` with what the files of its list `devices` hold, by name, in place of that list.
 
     folder : in which relative names are looked for. where : names the table in errors.
@@ -26,7 +26,7 @@ def with_device_texts(table: Mapping[str, Any], folder: Path, where: str) -> Map
     """
     names = table.get("devices")
     if not isinstance(names, list | tuple):
-        return table
+        return dict(table)
     texts: dict[str, str] = {}
     for name in names:
         if not isinstance(name, str | Path) or not str(name).endswith(".toml"):

@@ -61,7 +61,9 @@ def own_model(text: str, file: str) -> Model:
     device = device_of(text, file)
     if device.key in library():
         raise DeviceError(f"{file}: name = {device.name!r} is a device of the package; choose another name")
-    return Model(device)
+    model = Model(device)
+    _ = model.order  # refuses what would take too many
+    return model
 
 
 def own_models(texts: Mapping[str, str]) -> Mapping[str, Model]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import keyword
 import math
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ from .expression import (
     replaced,
 )
 
-LARGEST_FILE, MOST_LINES, MOST_STATES = 65536, 200, 40
+LARGEST_FILE, MOST_LINES, MOST_STATES, LARGEST_EXPRESSION = 65536, 200, 40, 2000
 _KEYS = {
     "name", "kind", "title", "sources", "oracle", "notes", "references", "diagram", "dyr", "computed",
     "parameters", "check",
@@ -264,17 +265,31 @@ class _Reader:
     def fold(self, lines: list[Line], constant: dict[str, Node]) -> list[Line]:
         """Put lines of parameters only into the lines that use them."""
         solved: dict[str, Node] = {}
+        sizes: dict[str, int] = {}
         for _ in range(len(constant)):
             for name, node in constant.items():
-                if name not in solved and is_constant(put := replaced(node, solved), self.constants):
-                    solved[name] = put
-                    if _size(put) > 2000:
-                        raise self.fail(f"{name} grows too long when put together")
+                if name in solved:
+                    continue
+                size = self.bounded(name, node, sizes)
+                if is_constant(put := replaced(node, solved), self.constants):
+                    solved[name], sizes[name] = put, size
+        for line in lines:
+            self.bounded(line.name, line.node, sizes, line.number)
         return [
             Line(line.name, replaced(line.node, solved), line.comment, line.number)
             for line in lines
             if line.name not in solved or line.name == self.kind.output
         ]
+
+    def bounded(self, name: str, node: Node, sizes: Mapping[str, int], line: int = 0) -> int:
+        """Return the size of an expression with lines of parameters put in, before they are."""
+        size = _size(node, sizes)
+        if size > LARGEST_EXPRESSION:
+            raise self.fail(
+                f"{name} has {size} parts with the lines of parameters put in, allowed: {LARGEST_EXPRESSION}",
+                line,
+            )
+        return size
 
     def read_line(self, code: str, comment: str, k: int) -> list[Line]:
         name, sign, text = code.partition("=")
@@ -400,8 +415,10 @@ class _Reader:
             raise self.fail(f"{states} states, allowed: {MOST_STATES}")
 
 
-def _size(node: Node) -> int:
-    return 1 + sum(_size(part) for part in node.args)
+def _size(node: Node, sizes: Mapping[str, int]) -> int:
+    """Number of parts of an expression; `sizes`: of names that stand for more than one."""
+    parts = (*node.args, *(part for _, part in node.options))
+    return sizes.get(node.name, 1) if node.op == "name" else 1 + sum(_size(part, sizes) for part in parts)
 
 
 def _split(text: str) -> list[str]:

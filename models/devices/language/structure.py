@@ -12,7 +12,7 @@ from .element import Condition, Element, On, State, conditions_in, names_passed
 from .elements import element_of
 from .expression import Node, evaluate
 
-MOST_BITS = 30
+MOST_BITS, MOST_ORDERS = 30, 64
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ class Model:
 
     @cached_property
     def order(self) -> Order:
-        """The order of the lines."""
+        """The order of the lines; DeviceError : it takes too many of them to serve every structure."""
+        self._orders = 0
         return self._order({})
 
     def on(self, decided: Mapping[int, bool]) -> On:
@@ -100,6 +101,12 @@ class Model:
         return order.lines
 
     def _order(self, decided: dict[int, bool]) -> Order:
+        self._orders += 1
+        if self._orders > MOST_ORDERS:  # they double with each loop
+            raise DeviceError(
+                f"{self.device.file}: more than {MOST_ORDERS} orders of its lines, by which times are 0; let "
+                "fewer lags inside loops be 0 (above = 0 in place of min = 0)"
+            )
         on = self.on(decided)
         needs = {name: names_passed(e, on) & set(self.elements) for name, e in self.elements.items()}
         done: list[str] = []

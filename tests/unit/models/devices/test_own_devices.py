@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import time
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from interarea.formats import TEMPLATES
 from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import Case, CaseError, load_case
 from interarea.models.case.write_toml import export_toml
-from interarea.models.devices.library import library
+from interarea.models.devices.library import library, own_models
 from interarea.models.exporters.dyr import dyr_of
 from interarea.models.exporters.raw import raw_of
 from interarea.models.importers.psse import import_psse
@@ -163,6 +164,32 @@ def test_without_a_table_of_records_fields_are_the_parameters_in_order(tmp_path:
     dyr.write_text(dyr_text(case) + "1 'USRMDL' 1 'MY_PI' 4 0 0 3 3 0 0.02 20.0 5.0 /\n")
     with pytest.raises(CaseError, match=r"a.dyr:\d+: MY_PI has 3 fields, allowed: 4, TR KP KI TA"):
         import_psse(raw, dyr, devices=[file])
+
+
+def test_a_file_whose_orders_double_with_each_line_is_refused_at_once() -> None:
+    """Each pair of lags that may both be absent has two orders; thirteen pairs would be 8192 times the C."""
+    pairs = range(13)
+    lines = "\n".join(f"a{k} = lag(b{k} + vc, S{k})\nb{k} = lag(a{k}/2 + vref, T{k})" for k in pairs)
+    rows = "\n".join(f"S{k} = {{ min = 0 }}\nT{k} = {{ min = 0 }}" for k in pairs)
+    total = " + ".join(f"a{k}" for k in pairs)
+    text = (
+        f'name = "B"\nkind = "exciter"\ndiagram = """\n{lines}\nefd = {total} + vs\n"""\n[parameters]\n{rows}'
+    )
+    begun = time.process_time()
+    with pytest.raises(CaseError, match=r"b\.toml: more than 64 orders of its lines"):
+        own_models({"b.toml": text})
+    assert time.process_time() - begun < 2.0
+
+
+def test_lines_of_parameters_that_multiply_are_refused_before_they_are_put_in() -> None:
+    product = "*".join(["c2"] * 40)
+    many = "\n".join(f"x{k} = vc*({product})" for k in range(60))
+    lines = f"c0 = P + 1\nc1 = {' + '.join(['c0'] * 40)}\nc2 = {' + '.join(['c1'] * 12)}\n{many}"
+    head = f'name = "B"\nkind = "exciter"\ndiagram = """\n{lines}\nefd = x0 + vs\n"""\n'
+    begun = time.process_time()
+    with pytest.raises(CaseError, match=r"b\.toml:7: x0 has \d+ parts with the lines of parameters put in"):
+        own_models({"b.toml": f"{head}[parameters]\nP = {{}}"})
+    assert time.process_time() - begun < 1.0
 
 
 OTHER = AVR.replace("MY_AVR", "OTHER")
