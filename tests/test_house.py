@@ -32,7 +32,7 @@ ORDER = {
     ],
     "cosim": [
         *("plots", "master", "scenario", "results", "run", "export", "designs", "explorer"),
-        *("sweep", "maps", "study"),
+        *("sweep", "maps", "screen", "study"),
     ],
     "interarea": ["cli"],
 }

@@ -242,7 +242,7 @@ def _curves(plan: SweepPlan, rows: pd.DataFrame, runner: Runner, count: int) -> 
 def point_text(values: Mapping[str, Any], first: str = "") -> str:
     """Return parameters in words: "controller ftc, latency 0.1"."""
     names = sorted(values, key=lambda n: n != first)
-    return ", ".join(f"{n} {_plain(values[n])}" for n in names)
+    return ", ".join(f"{n} {plain(values[n])}" for n in names)
 
 
 def _render(
@@ -254,7 +254,7 @@ def _render(
     explorer: Explorer,
 ) -> str:
     environment = page_environment(TEMPLATES)
-    environment.filters["plain"] = _plain
+    environment.filters["plain"] = plain
     sweep = plan.sweep
     labels = labels_of(sweep)
     failed = rows[rows.status != "ok"]
@@ -311,12 +311,12 @@ def _range(sweep: Sweep, name: str) -> str:
     elif p.random is not None:
         what = "random: " + ", ".join(f"{k} = {v}" for k, v in p.random.model_dump(exclude_none=True).items())
     else:
-        listed = [_plain(p.grid_value(k)) for k in range(min(p.size, 12))]
+        listed = [plain(p.grid_value(k)) for k in range(min(p.size, 12))]
         what = ", ".join(listed) + (f", ... ({p.size} values)" if p.size > 12 else "")
     return f"{where}: {what}"
 
 
-def _plain(value: Any) -> str:
+def plain(value: Any) -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "–"
     if isinstance(value, bool | np.bool_):

@@ -22,6 +22,7 @@ METRICS = (
     "least", "stable", "damping", "frequency", "settling_time", "peak", "energy", "effort", "packets",
     "fit_error",
 )  # fmt: skip
+SYNCHRONISM = "synchronism"  #: of a run with a fault, where it is asked for: `Excursion`
 _FEW_MODES = 6
 RING_DOWN = "ring_down"  #: wanted beside them in a single run: its ring-down, to compare with the roots
 GOOD_FIT = 0.02  #: largest misfit over the largest signal with which a fit still names modes

@@ -6,7 +6,7 @@ What makes them is loaded when something has to be made.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,15 +31,21 @@ if TYPE_CHECKING:
 EVENT_SLOTS = 8  #: of the plant FMU; a scenario with more events gets one of its own
 
 
-def plant_fmu(case: Case, cache: Path, *, event_slots: int = EVENT_SLOTS) -> Path:
-    """Return the plant FMU of a case, built when its data or the sources that make it are new."""
+def plant_fmu(
+    case: Case, cache: Path, *, event_slots: int = EVENT_SLOTS, show: Sequence[str] | None = None
+) -> Path:
+    """Return the plant FMU of a case, built when its data or the sources that make it are new.
+
+    show : patterns of its outputs; None: what a plant shows by itself.
+    """
 
     def block() -> Block:
         from interarea.models.blocks.plant import plant_block
 
-        return plant_block(case, event_slots=event_slots)
+        return plant_block(case, event_slots=event_slots, show=show)
 
-    return _kept_fmu(cache, "plant", case.name, [case.model_dump_json(), event_slots], block)
+    given = [case.model_dump_json(), event_slots, *([] if show is None else [list(show)])]
+    return _kept_fmu(cache, "plant", case.name, given, block)
 
 
 def concentrator_fmu(signals: int, cache: Path) -> Path:

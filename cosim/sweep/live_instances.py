@@ -21,12 +21,15 @@ from ..errors import ScenarioError
 from ..master.instances import FmuParticipant
 from ..master.instances import Value as Start
 from ..master.master import Master
+from ..results.excursion import Excursion, excursion_of
+from ..results.metrics import SYNCHRONISM
+from ..results.ringdown import disturbance_end_s
 from ..run.artefacts import EVENT_SLOTS, plant_fmu
 from ..run.instance import Fmus
 from ..run.system import System
 from .plan import SweepPlan, own_fmu
 from .point import CaseChange, Point
-from .rows import Row, measured, packet_counts
+from .rows import Row, excursion_row, measured, packet_counts
 from .shared_start import Beginning
 
 KEPT = 4  #: plants, and sets of instances, that stay alive
@@ -90,9 +93,9 @@ class LiveFmus(Fmus):
         base = self._cases.setdefault(change.case, self.plan.case(change.case))
         case = change.apply(base)
         if case is base and slots == EVENT_SLOTS:
-            return Plant(case, self.open(plant_fmu(case, self.cache)), own=False)
+            return Plant(case, self.open(plant_fmu(case, self.cache, show=self.plan.sweep.show)), own=False)
         path = self.scratch / f"plant-{case.hash}-{slots}.fmu"
-        build_fmu(plant_block(case, event_slots=slots), path, cache=self.cache)
+        build_fmu(plant_block(case, event_slots=slots, show=self.plan.sweep.show), path, cache=self.cache)
         return Plant(case, FmuFile(path), own=True)
 
     def plant(self, case: Case, event_slots: int) -> FmuFile:
@@ -135,7 +138,17 @@ class Kept:
         """Return the metrics of the run that has come to its end, by column."""
         metrics = self.system.metrics(self.master, self.master.trajectory, wanted)
         packets = [packet_counts(self.master.participants[name]) for name in self.system.channels]
-        return measured(metrics, wanted, modes, packets)
+        row = measured(metrics, wanted, modes, packets)
+        if SYNCHRONISM in wanted:
+            row |= excursion_row(self.excursion())
+        return row
+
+    def excursion(self) -> Excursion:
+        """Return the extremes of the run that has come to its end."""
+        scenario = self.system.scenario
+        assert scenario is not None
+        tripped = tuple(e.machine for e in scenario.event if e.kind == "machine_trip")
+        return excursion_of(self.master.trajectory, self.system.case, disturbance_end_s(scenario), tripped)
 
     def release(self, after_s: float = -math.inf) -> None:
         """Free the beginnings that reach beyond `after_s`."""

@@ -32,7 +32,7 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
             files.append(plant_group(plant_sources(case), cache=cache).path)
         block = plant_block(case)
         files.append(compile_binary(block.kind, block.sources, host_platform(), cache=cache))
-    files += [plant_fmu(case, cache) for case in cases.values()]
+    files += [plant_fmu(case, cache, show=plan.sweep.show) for case in cases.values()]
     for key in plan.controllers:
         case = case_in(key, cases)
         made = plan.controller(case, key[len(case) + 1 :])

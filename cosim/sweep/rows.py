@@ -13,7 +13,8 @@ from typing import Any
 import pyarrow as pa
 
 from ..results.delay_ledger import PACKET_COUNTS
-from ..results.metrics import Metrics
+from ..results.excursion import Excursion
+from ..results.metrics import SYNCHRONISM, Metrics
 from ..trajectory import Trajectory
 from .plan import SweepPlan
 from .spec import Sweep
@@ -36,6 +37,15 @@ _COLUMNS = {
     "fit_error": "fit_error",
 }
 Row = dict[str, Any]
+#: column of `SYNCHRONISM` -> type, unit, meaning
+_EXCURSION = {
+    "synchronous": (pa.bool_(), "", "no two machines came half a turn apart"),
+    "angle_deg": (pa.float64(), "deg", "largest angle between two machines"),
+    "voltage_pu": (pa.float64(), "pu", "lowest voltage after the last event"),
+    "voltage_at": (pa.string(), "", "where that is"),
+    "nadir_hz": (pa.float64(), "Hz", "lowest frequency of a machine"),
+    "zenith_hz": (pa.float64(), "Hz", "highest frequency of a machine"),
+}
 
 
 @dataclass(frozen=True)
@@ -120,6 +130,8 @@ def _measured_fields(plan: SweepPlan, signal: str) -> list[pa.Field]:
     ):
         if name in wanted:
             fields.append(_field(column, pa.float64(), unit, text))
+    if SYNCHRONISM in wanted:
+        fields += [_field(c, *rest) for c, rest in _EXCURSION.items()]
     if "packets" in wanted:
         fields += [_field(c, pa.int64(), "", f"packets {w}, all channels") for c, w in PACKETS.items()]
     return fields
@@ -156,6 +168,11 @@ def measured(
         counts = list(packets)
         row |= {column: int(sum(c.get(name, 0.0) for c in counts)) for column, name in PACKETS.items()}
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
+
+
+def excursion_row(found: Excursion) -> Row:
+    """Return the columns of `SYNCHRONISM`."""
+    return {column: getattr(found, column) for column in _EXCURSION}
 
 
 def packet_counts(participant: Any) -> dict[str, float]:

@@ -17,6 +17,7 @@ from ..clock import seconds
 from ..errors import StepError, machine_error
 from ..master.isolated import participant_of
 from ..master.lockstep import advance_together
+from ..results.metrics import SYNCHRONISM
 from ..run.artefacts import EVENT_SLOTS
 from ..run.run import system_of
 from ..trajectory import Trajectory
@@ -109,13 +110,22 @@ class Runner:
         def stable(at: float) -> bool:
             nonlocal counted
             for seed in range(search.seeds):
-                kept, _ = self.simulate({**values, name: at}, seed=seed if search.seeds > 1 else None)
                 counted += 1
-                if not kept.measure(("stable",), ())["stable"]:
+                if not self._holds({**values, name: at}, seed if search.seeds > 1 else None):
                     return False
             return True
 
         return *edge_of(stable, search), counted
+
+    def _holds(self, values: Mapping[str, Value], seed: int | None) -> bool:
+        """Whether a run is stable; where synchronism is asked for, whether it keeps that."""
+        if SYNCHRONISM not in self.plan.sweep.metrics:
+            return bool(self.simulate(values, seed=seed)[0].measure(("stable",), ())["stable"])
+        try:
+            return self.simulate(values, seed=seed)[0].excursion().synchronous
+        except StepError:  # voltages have collapsed
+            self._free_instances()
+            return False
 
     def plant_of(self, values: Mapping[str, Value]) -> tuple[Case, Path]:
         """Return the case of a point and its plant FMU (there until other cases are asked for)."""

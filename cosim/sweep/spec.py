@@ -36,7 +36,8 @@ from interarea.models.mistakes import meant, mistakes
 from interarea.models.table import ShortName, Table, Title
 
 from ..errors import SweepError, nearest
-from ..results.metrics import METRICS
+from ..results.excursion import SHOWN
+from ..results.metrics import METRICS, SYNCHRONISM
 from ..scenario.document import scenario_document
 from ..scenario.scenario import Scenario, load_scenario
 from ..toml_file import read_toml
@@ -67,15 +68,16 @@ class Sweep(Table):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  #: of the random parameters
     #: number of runs of random and latin-hypercube parameters
     samples: Annotated[int, Field(ge=1)] | None = None
-    metrics: tuple[str, ...] = METRICS  #: what a row holds
+    #: what a row holds; "synchronism" besides, for faults: angles, lowest voltage, extremes of frequency
+    metrics: tuple[str, ...] = METRICS
     time_limit_s: Annotated[float, Field(gt=0.0)] = 60.0  #: of one run; longer ones are failed rows
     trajectories: Trajectories = Trajectories()  #: which trajectories are kept
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
         for metric in self.metrics:
-            if metric not in METRICS:
-                raise ValueError(f"metrics has {metric!r}; {nearest(metric, METRICS)}")
+            if metric not in (*METRICS, SYNCHRONISM):
+                raise ValueError(f"metrics has {metric!r}; {nearest(metric, (*METRICS, SYNCHRONISM))}")
         for name in self.parameters:
             if not name.isidentifier() or name in COLUMNS_TAKEN or name.startswith(("damping_", "packets_")):
                 raise ValueError(
@@ -99,6 +101,11 @@ class Sweep(Table):
             if p.bisect is not None:
                 return name, p.bisect
         return None
+
+    @property
+    def show(self) -> tuple[str, ...] | None:
+        """What the plants show, by pattern; None: what they show by themselves."""
+        return SHOWN if SYNCHRONISM in self.metrics else None
 
     def paths(self, name: str) -> tuple[Path_, ...]:
         """Return where parameter `name` goes, `*` written out for each channel."""

@@ -47,6 +47,7 @@ EXAMPLES = {
     "compare": "interarea compare none robust robust_latency --scenario wide-area-damping --out out/compared",
     "sweep": "interarea sweep examples/latency_loss.toml --out out/sweep",
     "maps": "interarea maps out/sweep",
+    "screen": "interarea screen two-area-thesis --controller robust --clearing-times --out out/screen",
     "explore": "interarea explore two-area-thesis --out page.html",
     "design": "interarea design robust --out robust.json",
     "certify": "interarea certify robust --acceptance",

@@ -65,6 +65,10 @@ COMMANDS = {
         "sweep:maps",
         "Draw the maps of a sweep: stability, margins certified and simulated, worst runs; one page.",
     ),
+    "screen": (
+        "screen:screen",
+        "Fault every bus of a grid, or trip every branch; one page, worst first, with clearing times.",
+    ),
     "explore": (
         "explore:explore",
         "Write one HTML file in which the loop runs: drag delay, loss, controller or fault, and see.",

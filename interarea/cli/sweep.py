@@ -44,20 +44,11 @@ def sweep(
 
     from .destination import folder_for
 
-    if workers is not None and not workers >= 1:
-        raise SweepError(f"--workers = {workers}, allowed: at least 1")
-    if workers is not None and scheduler is not None:
-        raise SweepError(
-            "--workers and --scheduler: the scheduler has workers of its own, allowed: one of the two"
-        )
-    if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
-        raise SweepError(
-            f"--scheduler = {scheduler}, allowed: tcp://HOST:PORT, as `dask scheduler` prints it"
-        )
+    check_workers(workers, scheduler)
     if retry not in (None, "failed"):
         raise SweepError(f"--retry = {retry}, allowed: failed")
     folder_for(out)
-    show = _Display()
+    show = Display()
     try:
         summary = run_sweep(
             spec,
@@ -84,6 +75,20 @@ def sweep(
     typer.echo(out)
     if not summary["ok"]:
         raise typer.Exit(1)
+
+
+def check_workers(workers: int | None, scheduler: str | None) -> None:
+    """Refuse what cannot compute, before anything is begun."""
+    if workers is not None and not workers >= 1:
+        raise SweepError(f"--workers = {workers}, allowed: at least 1")
+    if workers is not None and scheduler is not None:
+        raise SweepError(
+            "--workers and --scheduler: the scheduler has workers of its own, allowed: one of the two"
+        )
+    if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
+        raise SweepError(
+            f"--scheduler = {scheduler}, allowed: tcp://HOST:PORT, as `dask scheduler` prints it"
+        )
 
 
 def _commonest(out: Path) -> str:
@@ -121,7 +126,7 @@ def maps(
     typer.echo(page)
 
 
-class _Display:
+class Display:
     """Progress on stderr: one changing line on a terminal, else a line every ten seconds."""
 
     def __init__(self) -> None:

@@ -1,0 +1,64 @@
+"""How far a grid strays after a fault: angles between machines, voltages, frequencies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from interarea.models.case.case import Case
+
+from ..trajectory import Trajectory
+
+#: what a plant must show for it (`plant_shown.shown_of`)
+SHOWN = ("*_*", "bus*.v")
+OUT_OF_STEP_DEG = 180.0  #: between two machines: synchronism is lost
+
+
+@dataclass(frozen=True)
+class Excursion:
+    """Extremes of a run.
+
+    angle_deg : largest angle between any two machines that run. voltage_pu : lowest of all buses (of the
+        machines' terminals where no bus is shown) from the last event on; `voltage_at` says where.
+    nadir_hz, zenith_hz : lowest and highest frequency of a machine, of its speed.
+    """
+
+    angle_deg: float
+    voltage_pu: float
+    voltage_at: str
+    nadir_hz: float
+    zenith_hz: float
+
+    @property
+    def synchronous(self) -> bool:
+        """Whether no two machines came half a turn apart."""
+        return self.angle_deg < OUT_OF_STEP_DEG
+
+
+def excursion_of(
+    trajectory: Trajectory, case: Case, from_s: float, tripped: tuple[str, ...] = ()
+) -> Excursion:
+    """Return the extremes of a run whose last event is at `from_s`; `tripped` machines do not count.
+
+    Raises
+    ------
+    KeyError : the plant does not show its machines' angles and speeds.
+    """
+    machines = [m.name for m in case.machines if m.name not in tripped]
+    angles = np.array([trajectory[f"plant.{name}_delta"] for name in machines])
+    slips = np.array([trajectory[f"plant.{name}_dw"] for name in machines])
+    buses = [f"bus{b.number}.v" for b in case.buses]
+    seen = buses if f"plant.{buses[0]}" in trajectory else [f"{name}_vt" for name in machines]
+    # an event's instant is recorded twice, before and after: only what follows counts
+    after = trajectory.time_s > from_s
+    volts = np.array([trajectory[f"plant.{name}"][after] for name in seen])
+    lowest = volts.min(axis=1) if volts.shape[1] else np.full(len(seen), np.nan)
+    place = int(np.argmin(lowest))
+    return Excursion(
+        angle_deg=float(np.degrees(np.ptp(angles, axis=0).max())),
+        voltage_pu=float(lowest[place]),
+        voltage_at=seen[place].removesuffix(".v").removesuffix("_vt"),
+        nadir_hz=float(case.frequency_hz * (1.0 + slips.min())),
+        zenith_hz=float(case.frequency_hz * (1.0 + slips.max())),
+    )

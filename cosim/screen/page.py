@@ -1,0 +1,89 @@
+"""The page of a screening, and its rows as CSV and JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from interarea.models.files import write_whole
+
+from ..maps.page import plain
+from ..plots.curves import DASHES, MUTED, SERIES, STYLE, WIDTH
+from ..plots.html import page_environment, page_figure
+from ..results.excursion import OUT_OF_STEP_DEG
+from .screening import PLACE, Found, Screening
+
+SHOWN = 300  #: disturbances on the page; all are in the files beside it
+
+
+def write_screening(screening: Screening, found: Sequence[Found], folder: Path) -> Path:
+    """Write `screen.html`, `screen.csv` and `screen.json` into `folder`; return the page."""
+    rows = [asdict(one) for one in found]
+    for row in rows:  # JSON has no infinity: as long as was tried
+        row["critical_at_least"] = row["critical_s"] is not None and math.isinf(row["critical_s"])
+        if row["critical_at_least"]:
+            row["critical_s"] = screening.longest_s
+    document = {"screening": asdict(screening), "rows": rows}
+    write_whole(folder / "screen.json", (json.dumps(document, indent=1) + "\n").encode())
+    write_whole(folder / "screen.csv", pd.DataFrame(rows).to_csv(index=False, lineterminator="\n").encode())
+    environment = page_environment(Path(__file__).parent)
+    environment.filters["plain"] = plain
+    controllers = list(dict.fromkeys(one.controller for one in found))
+    groups: dict[tuple[str, str], dict[str, Found]] = {}
+    for one in found:
+        groups.setdefault((one.place, one.outage), {})[one.controller] = one
+    text = environment.get_template("screen.html.j2").render(
+        screening=screening,
+        place=PLACE[screening.kind],
+        controllers=controllers,
+        counts={c: _counts(found, c) for c in controllers},
+        groups=list(groups.items())[:SHOWN],
+        total=len(groups),
+        failed=[one for one in found if one.verdict == "failed"],
+        searched=any(one.critical_s is not None for one in found),
+        svg=page_figure(angle_figure(found), "angles"),
+    )
+    return write_whole(folder / "screen.html", text.encode("utf-8"))
+
+
+def _counts(found: Sequence[Found], controller: str) -> dict[str, Any]:
+    """How often each verdict fell, and the extremes of what kept synchronism."""
+    mine = [one for one in found if one.controller == controller]
+    kept = [one for one in mine if one.verdict == "kept"]
+    return {
+        **{verdict: sum(one.verdict == verdict for one in mine) for verdict in ("kept", "lost", "failed")},
+        "voltage": min((v for one in kept if (v := one.voltage_pu) is not None), default=None),
+        "nadir": min((f for one in kept if (f := one.nadir_hz) is not None), default=None),
+        "zenith": max((f for one in kept if (f := one.zenith_hz) is not None), default=None),
+    }
+
+
+def angle_figure(found: Sequence[Found]) -> Figure:
+    """Draw the largest angle of each disturbance, sorted, a curve for each controller."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")
+        axes = figure.subplots()
+        for k, controller in enumerate(dict.fromkeys(one.controller for one in found)):
+            mine = [one for one in found if one.controller == controller and one.verdict != "failed"]
+            angles = [OUT_OF_STEP_DEG if one.verdict == "lost" else one.angle_deg or 0.0 for one in mine]
+            line = {
+                "color": SERIES[k % len(SERIES)],
+                "linestyle": DASHES[k % len(DASHES)],
+                "label": controller,
+            }
+            axes.step(np.arange(1, len(angles) + 1), np.sort(angles)[::-1], where="mid", **line)
+        axes.axhline(OUT_OF_STEP_DEG, color=MUTED, linewidth=0.8)
+        axes.set_xlabel("disturbances, worst first for each controller")
+        axes.set_ylabel("largest angle between two machines (deg)")
+        axes.set_ylim(0.0, 1.05 * OUT_OF_STEP_DEG)
+        axes.legend(title="controller")
+    return figure
