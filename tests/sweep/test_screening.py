@@ -99,7 +99,7 @@ def test_worst_comes_first_and_nothing_runs_twice(
 ) -> None:
     rows, folder = found
     assert rows[0].critical_s <= rows[1].critical_s
-    monkeypatch.setattr("interarea.cosim.sweep.front.local_outcomes", None)  # nothing is left to be computed
+    monkeypatch.setattr("interarea.cosim.sweep.front.local_outcomes", None)  # nothing is left to do
     assert run_screening(SCREENING, folder, clearing=True, workers=1, cache=cache) == rows
 
 
@@ -126,7 +126,8 @@ def test_order_lost_failed_kept(found: tuple[list[Found], Path]) -> None:
             {"bus": 1, "controller": "robust", "synchronous": False, "angle_deg": 500.0, **kept},
             {"bus": 1, "controller": "none", "synchronous": True, "angle_deg": 50.0, **kept},
             {"bus": 2, "controller": "none", "synchronous": True, "angle_deg": 60.0, **kept},
-            {"bus": 3, "controller": "none", **none, "status": "failed", "failure": "invalid", "reason": "why"},
+            {"bus": 3, "controller": "none", **none, "status": "failed", "failure": "invalid",
+             "reason": "why"},
             {"bus": 4, "controller": "none", **none, "status": "failed", "failure": "fmu",
              "reason": "network: no voltage found at bus 4"},
             {"bus": 5, "controller": "none", "synchronous": False, "angle_deg": 200.0, **kept},

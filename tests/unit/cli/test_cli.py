@@ -190,3 +190,30 @@ def test_a_fault_of_ours_says_so_and_ends_with_1(capsys: pytest.CaptureFixture[s
 def test_what_a_sweep_can_do_again_is_said(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     code, _, said = interarea("sweep", "x.toml", "--out", tmp_path / "o", "--retry", "all")
     assert code == 2 and "--retry = all, allowed: failed" in said
+
+
+def test_screen_writes_its_page_and_says_how_many_slip(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    out = tmp_path / "screen"
+    words = ("--bus", "8", "--clearing", "700 ms", "--stop", "3", "--workers", "1", "--out", str(out))
+    code, said, _ = interarea("screen", "two-area-thesis", *words)
+    assert code == 0
+    assert said.splitlines() == ["controller none: 1 of 1 lose synchronism", str(out / "screen.html")]
+    assert json.loads((out / "screen.json").read_text())["rows"][0]["verdict"] == "lost"
+
+
+@pytest.mark.parametrize(
+    "words, why",
+    [
+        (("--bus", "80"), "no bus 80"),
+        (("--bus", "8", "--trips"), "--bus is of faults"),
+        (("--branch", "7-8 a"), "--branch of --trips"),
+        (("--clearing", "soon"), "--clearing = soon, allowed"),
+        (("--clearing", "0 cycles"), "--clearing = 0 cycles, allowed"),
+        (("--workers", "0"), "--workers = 0, allowed"),
+        (("--controller", "rubost"), "rubost"),
+        (("--outage", "7-80"), "7-80"),
+    ],
+)
+def test_screen_refuses_in_one_line(interarea, tmp_path: Path, words, why: str) -> None:  # type: ignore[no-untyped-def]
+    code, _, said = interarea("screen", "two-area-thesis", *words, "--out", str(tmp_path / "screen"))
+    assert code == 2 and why in said and len(said.splitlines()) == 1
