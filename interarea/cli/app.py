@@ -66,7 +66,7 @@ COMMANDS = {
         "Draw the maps of a sweep: stability, margins certified and simulated, worst runs; one page.",
     ),
     "screen": (
-        "screen:screen",
+        "sweep:screen",
         "Fault every bus of a grid, or trip every branch; one page, worst first, with clearing times.",
     ),
     "explore": (
