@@ -19,7 +19,6 @@ from interarea.design.robust.design import design_robust
 from interarea.design.robust.operating_points import FamilyCertificate, inter_area_band, judge_family
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.spec import RobustSpec, require_moved
-from interarea.models.blocks.controller import Guard
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.variants import operating_variant
 from interarea.models.mistakes import mistakes
@@ -29,57 +28,11 @@ from ..errors import ScenarioError, nearest
 from ..run.artefacts import linear_plant
 from ..toml_file import read_toml
 from .acceptance import AcceptanceTable, judge_acceptance
+from .design_tables import AskTable, GuardTable, PartTable, PointTable, Positive, StageTable
 from .first_swing import FaultRow, FaultTable, after_fault, predicted_drive
 from .swing_sensitivity import FirstSwingTable, swing_penalty
 
-Positive = Annotated[float, Field(gt=0.0)]
 _OFFSETS = (BandOffsets().omega, BandOffsets().offset)
-
-
-class PointTable(Table):
-    """One operating point, as a change to the case (`models.case_variants`)."""
-
-    name: str  #: of the operating point
-    tie_flow_mw: float = 0.0  #: load moved across the tie, so that its flow grows by this
-    out: tuple[str, ...] = ()  #: branches out of service
-    load_scale: Positive = 1.0  #: factor on every load
-
-
-Ratio = Annotated[float, Field(ge=-1.0, lt=1.0)]
-
-
-class AskTable(Table):
-    """What the certificate asks of every operating point under every condition."""
-
-    worst_swing: Ratio = 0.0  #: least damping ratio of any swing mode
-    inter_area: Ratio = 0.0  #: least damping ratio of the inter-area mode
-    #: largest H-infinity norm of K (I - G K)^-1 at any operating point, pu per rad/s
-    effort: Positive = float("inf")
-    fastest_pole: Positive = float("inf")  #: largest magnitude of the controller's poles, rad/s
-    synchronism: bool = False  #: after the fault of `fault`, at every operating point
-
-
-class PartTable(Table):
-    """One actuator of a decentralised controller: what it sees, and its order, a washout counted."""
-
-    actuator: str  #: input of the plant that this part drives
-    signals: tuple[str, ...] = Field(min_length=1)  #: what this part sees
-    order: Annotated[int, Field(ge=1, le=20)] = 4  #: states of this part, that of its washout counted
-
-
-class GuardTable(Table):
-    """Which side of the output limit falls while a first swing lasts (`models.blocks.controller.Guard`)."""
-
-    watched: dict[str, str] = Field(min_length=1)  #: output -> signal, a speed, that tells of the swing
-    sides: dict[str, Annotated[float, Field(ge=-1.0, le=1.0)]]  #: above 0 the upper limit falls
-    threshold: Positive  #: rad/s
-    #: time constant of the washout before it, so that a lasting deviation does not hold the limit shut
-    washout_s: Positive = 10.0
-    lowpass_s: Positive = 1.0  #: time constant of the low pass on the watched signal
-
-    def guard(self) -> Guard:
-        """Return it as a controller has it."""
-        return Guard(**self.model_dump())
 
 
 class DesignTable(Table):
@@ -108,6 +61,7 @@ class DesignTable(Table):
     fastest_pole: Positive = 280.0  #: bound of the magnitude of the controller's poles, rad/s
     #: (rad/s, pu per rad/s): cap of the effort over frequency, straight between the points in log scales
     effort_cap: tuple[tuple[Positive, Positive], ...] = ((0.05, 0.155), (300.0, 0.155))
+    effort_under: tuple[str, ...] = ()  #: conditions under which the search holds that cap; none: all
     #: (rad/s, damping): how much more than elsewhere the optimisation wants there, piecewise linear
     offset: tuple[tuple[float, float], ...] = Field(tuple(zip(*_OFFSETS, strict=True)), min_length=2)
     rho: Positive = 600.0  #: how closely the smoothed worst damping of the search follows the worst
@@ -125,6 +79,10 @@ class DesignTable(Table):
     #: rounds of the search look at the models within this (damping) of the worst, which is quicker where
     #: there are many large ones; none: at all of them
     within: Positive | None = None
+    #: the search in stages, from first guesses made for the loops (`starts` of them, tried in the first);
+    #: none: all conditions at once from random starts, and `rho`, `evaluations`, `polishes`, `starts_on` and
+    #: `within` say how
+    stage: tuple[StageTable, ...] = ()
     ask: AskTable = AskTable()  #: what the certificate asks for
     fault: FaultTable | None = None  #: the fault that the certificate runs at every operating point
     #: non-linear faults that `interarea certify NAME --acceptance` runs
@@ -178,6 +136,14 @@ class DesignTable(Table):
         return tuple(part.actuator for part in self.part) or ((self.actuator,) if self.actuator else ())
 
     @model_validator(mode="after")
+    def _stages_agree(self) -> DesignTable:
+        known = {point.name for point in self.point}
+        for k, stage in enumerate(self.stage, start=1):
+            if strange := sorted(set(stage.points) - known):
+                raise ValueError(f"stage {k} names the points {strange}; the design's are {sorted(known)}")
+        return self
+
+    @model_validator(mode="after")
     def _swing_has_faults(self) -> DesignTable:
         if self.first_swing is not None:
             self.first_swing.check([point.name for point in self.point], self.acceptance)
@@ -212,6 +178,8 @@ class DesignTable(Table):
             slowest_pole=self.slowest_pole,
             fastest_pole=self.fastest_pole,
             effort_cap=self.effort_cap,
+            effort_under=self.effort_under,
+            stages=tuple(stage.stage() for stage in self.stage),
             offsets=BandOffsets(*zip(*self.offset, strict=True)),
             rho=self.rho,
             starts=self.starts,

@@ -1,10 +1,10 @@
 """Fixed-order controllers that hold the worst damping up over operating points, losses and latencies.
 
 The recipe: reduce each operating point's plant, put a Pade model of each latency
-and a washout in, and minimise the smoothed objective of `smoothed.py` from
-several random stable starts with its analytic gradient; polish the best. What
-comes out is only a proposal: `certificate.py` judges it on the full plants with
-exact delays.
+and a washout in, and minimise the smoothed objective of `smoothed_objective.py`:
+with L-BFGS from several random stable starts, or in stages (`stages.py`) with
+Newton steps from first guesses made for the loops. What comes out is only a
+proposal: `operating_points.py` judges it on the full plants with exact delays.
 """
 
 from __future__ import annotations
@@ -23,9 +23,12 @@ from ..reduction.gramians import projections
 from .design_models import build_objective, tightened
 from .smoothed_objective import Array, Gains, Objective
 from .spec import RobustSpec
+from .stages import staged_search
 
 #: evaluations between two balancings of the controller
 ROUND = 300
+#: evaluations of L-BFGS between Newton steps
+BETWEEN = 100
 
 
 @dataclass(frozen=True)
@@ -62,37 +65,24 @@ def design_robust(
         mode is out of reach. ValueError : plants that no design model can be made of.
     """
     objective = build_objective(plants, spec, omega_b)
-    first = dict(list(plants.items())[: spec.starts_on or None])
-    easier = build_objective(first, spec, omega_b) if len(first) < len(plants) else objective
     rng = np.random.default_rng(spec.seed)
-    best: tuple[float, Array] | None = None
-    reached: list[float] = []
-    tried: list[control.StateSpace] = []
-    count = 0
     with one_blas_thread():
-        starts = [] if spec.start is None else [given_start(easier, spec)]
-        starts += [_stable_start(easier, rng) for _ in range(spec.starts)]
-        for k, start in enumerate(starts):
-            theta, used = _descend(easier, start, spec.evaluations // ROUND, spec.within)
-            count += used
-            value = easier(theta)[0]
-            reached.append(value)
-            tried.append(_with_washout(objective.unpack(theta), spec))
-            if best is None or value < best[0]:
-                best = (value, theta)
-            if progress is not None:
-                progress(f"start {k + 1} of {len(starts)}", value)
-        assert best is not None
-        theta = best[1]
+        if spec.stages:
+            starts = [] if spec.start is None else [given_start(objective, spec)]
+            theta, count, found = staged_search(
+                objective,
+                spec.stages,
+                starts,
+                spec.starts,
+                0.2 * min((cap for _, cap in spec.effort_cap or ()), default=0.5),
+                rng,
+                balanced=balanced_parameters,
+                descend=lambda some, theta: _descend(some, theta, 1, each=BETWEEN),
+                progress=progress,
+            )
+        else:
+            theta, count, found = _from_random(objective, plants, spec, omega_b, rng, progress)
         value = objective(theta)[0]
-        for k in range(0, spec.polishes, 3):
-            theta, used = _descend(objective, theta, 3, spec.within)
-            count += used
-            gained, value = value - objective(theta)[0], objective(theta)[0]
-            if progress is not None:
-                progress(f"polish {k + 3} of {spec.polishes}", value)
-            if not gained > 1e-5:
-                break
         for margin in spec.margins_deg if spec.swing is not None else ():
             objective = replace(objective, swing=tightened(spec, margin))
             theta, used = _descend(objective, theta, spec.evaluations // ROUND, spec.within)
@@ -110,7 +100,43 @@ def design_robust(
             asked=spec.order,
         )
     K = _with_washout(objective.unpack(theta), spec)
-    return RobustDesign(K, value, worst, rightmost, count, tuple(reached), tuple(tried))
+    reached = tuple(each for each, _ in found)
+    tried = tuple(_with_washout(objective.unpack(start), spec) for _, start in found)
+    return RobustDesign(K, value, worst, rightmost, count, reached, tried)
+
+
+def _from_random(
+    objective: Objective,
+    plants: Mapping[str, control.StateSpace],
+    spec: RobustSpec,
+    omega_b: float,
+    rng: np.random.Generator,
+    progress: Callable[[str, float], object] | None,
+) -> tuple[Array, int, list[tuple[float, Array]]]:
+    """L-BFGS from each start, the best polished: parameters, evaluations, (objective, those) of each."""
+    first = dict(list(plants.items())[: spec.starts_on or None])
+    easier = build_objective(first, spec, omega_b) if len(first) < len(plants) else objective
+    found: list[tuple[float, Array]] = []
+    count = 0
+    starts = [] if spec.start is None else [given_start(easier, spec)]
+    starts += [_stable_start(easier, rng) for _ in range(spec.starts)]
+    for k, start in enumerate(starts):
+        theta, used = _descend(easier, start, spec.evaluations // ROUND, spec.within)
+        count += used
+        found.append((easier(theta)[0], theta))
+        if progress is not None:
+            progress(f"start {k + 1} of {len(starts)}", found[-1][0])
+    theta = min(found, key=lambda each: each[0])[1]
+    value = objective(theta)[0]
+    for k in range(0, spec.polishes, 3):
+        theta, used = _descend(objective, theta, 3, spec.within)
+        count += used
+        gained, value = value - objective(theta)[0], objective(theta)[0]
+        if progress is not None:
+            progress(f"polish {k + 3} of {spec.polishes}", value)
+        if not gained > 1e-5:
+            break
+    return theta, count, found
 
 
 def _stable_start(objective: Objective, rng: np.random.Generator) -> Array:
@@ -155,7 +181,9 @@ def given_start(objective: Objective, spec: RobustSpec) -> Array:
     return objective.pack(A[:n, :n], B[:n], C[:, :n], D)
 
 
-def _descend(objective: Objective, start: Array, rounds: int, within: float = np.inf) -> tuple[Array, int]:
+def _descend(
+    objective: Objective, start: Array, rounds: int, within: float = np.inf, each: int = ROUND
+) -> tuple[Array, int]:
     """L-BFGS with the analytic gradient, K balanced before each round; return the best and evaluations.
 
     The objective is nearly non-smooth and does not see the coordinates of K: balanced ones, and dropping the
@@ -173,8 +201,8 @@ def _descend(objective: Objective, start: Array, rounds: int, within: float = np
             jac=True,
             method="L-BFGS-B",
             options={
-                "maxfun": ROUND // parts,
-                "maxiter": ROUND // parts,
+                "maxfun": each // parts,
+                "maxiter": each // parts,
                 "maxcor": 30,
                 "ftol": 1e-12,
                 "gtol": 1e-9,

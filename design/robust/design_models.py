@@ -40,7 +40,8 @@ def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, 
         for condition in spec.conditions:
             name = f"{point}: {condition.name}"
             models.append(_design_model(name, small, spec, condition))
-            if spec.effort_cap is not None:
+            held = not spec.effort_under or condition.name in spec.effort_under
+            if spec.effort_cap is not None and held:
                 efforts.append(_effort_grid(name, omega, response, spec, condition))
     return Objective(
         models,

@@ -30,6 +30,7 @@ Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 Gains = tuple[Array, Array, Array, Array]
 
+EFFORT_WEIGHT = 20.0**0.5  #: of the excess over the cap of the effort, before it is squared
 SLOW_RADIUS = 0.2  #: below this modulus damping is measured against the radius, not the modulus (rad/s)
 
 
@@ -190,15 +191,34 @@ class Objective:
         """Return f and its gradient."""
         K = self.unpack(theta)
         f, *gradient = self._damping(K)
-        for omega, responses, caps in self.grids:
-            g, *more = _effort_penalty(omega, responses, caps, K)
-            f, gradient = f + g, [have + add for have, add in zip(gradient, more, strict=True)]
-        if self.swing is not None:
-            g, *more = self.swing(K)
-            f, gradient = f + g, [have + add for have, add in zip(gradient, more, strict=True)]
-        g, pA = self._pole_penalty(K[0])
-        gradient[0] = gradient[0] + pA
-        return f + g, self.pack_gradient(K, *gradient)
+        penalty, slope = self.penalties(K)
+        return f + penalty, self.pack_gradient(K, *gradient) + slope
+
+    def value(self, theta: Array) -> float:
+        """Return f alone."""
+        K = self.unpack(theta)
+        v = np.concatenate([v.ravel() for *_, v in self.spectra(K)])
+        top = float(v.max())
+        return top + float(np.log(np.exp(self.rho * (v - top)).sum())) / self.rho + self.penalties(K)[0]
+
+    def penalties(self, K: Gains) -> tuple[float, Array]:
+        """Return the penalties on effort, first swing and poles, and their gradient over the parameters."""
+        hinges, rows = self.hinges(K)
+        value, gradient = float((hinges**2).sum()), 2.0 * hinges @ rows
+        if self.swing is None:
+            return value, gradient
+        more, *slopes = self.swing(K)
+        return value + more, gradient + self.pack_gradient(K, *slopes)
+
+    def hinges(self, K: Gains, margin: float = 0.0) -> tuple[Array, Array]:
+        """Return by how much effort and poles exceed their bounds (h,), and the gradients (h, parameters).
+
+        The penalty is the sum of their squares. margin : those so near within a bound too, below 0.
+        """
+        found = [self.pole_hinges(K, margin)]
+        found += [self._effort_hinges(K, *grid, margin) for grid in self.grids]
+        values, rows = zip(*found, strict=True)
+        return np.concatenate(values), np.concatenate(rows)
 
     def pack_gradient(
         self, K: Gains, dA: Array, dB: Array | None = None, dC: Array | None = None, dD: Array | None = None
@@ -217,14 +237,18 @@ class Objective:
         """Return the closed-loop matrices (k, n, n) of each group of equal size."""
         return [_loops(A, B, C, K) for _, A, B, C in self.groups]
 
-    def _damping(self, K: Gains) -> tuple[float, Array, Array, Array, Array]:
-        # eigenvalues alone cost a third of those with vectors, and few models carry the gradient
+    def spectra(self, K: Gains) -> list[tuple[list[DesignModel], int, Array, Array]]:
+        """Return for each group its models, their states, closed loops (k, n, n), v of every eigenvalue."""
         spectra = []
         for group, A, B, C in self.groups:
             loops = _loops(A, B, C, K)
-            spectra.append(
-                (group, A.shape[1], loops, self.excess(np.linalg.eigvals(loops).astype(complex))[0])
-            )
+            excess = self.excess(np.linalg.eigvals(loops).astype(complex))[0]
+            spectra.append((group, A.shape[1], loops, excess))
+        return spectra
+
+    def _damping(self, K: Gains) -> tuple[float, Array, Array, Array, Array]:
+        # eigenvalues alone cost a third of those with vectors, and few models carry the gradient
+        spectra = self.spectra(K)
         top = max(float(v.max()) for *_, v in spectra)
         total = sum(float(np.exp(self.rho * (v - top)).sum()) for *_, v in spectra)
         f = top + np.log(total) / self.rho
@@ -232,7 +256,7 @@ class Objective:
         for group, size, loops, v in spectra:
             # a model whose weight is below rounding adds nothing to the gradient
             share = (np.exp(self.rho * (v - top)) / total).sum(axis=1)
-            for k in map(int, np.flatnonzero(share > 1e-14)):
+            for k in map(int, np.flatnonzero(share > 1e-8)):
                 eigenvalues, right = np.linalg.eig(loops[k])
                 try:
                     left = np.linalg.inv(right)
@@ -259,17 +283,57 @@ class Objective:
         db = np.where(fast, -a * b / m**3, 0.0) + slope * np.sign(b)
         return offset + a / m, da - 1j * db
 
-    def _pole_penalty(self, A_K: Array) -> tuple[float, Array]:
-        poles, right = np.linalg.eig(A_K)
+    def bends(self, eigenvalue: complex) -> tuple[float, float, float]:
+        """Second derivatives of v: over a twice, over a and b, over b twice."""
+        a, b, m = eigenvalue.real, eigenvalue.imag, abs(eigenvalue)
+        if m < SLOW_RADIUS:
+            return 0.0, 0.0, 0.0
+        return -3.0 * a * b**2 / m**5, b * (2.0 * a**2 - b**2) / m**5, a * (2.0 * b**2 - a**2) / m**5
+
+    def pole_hinges(self, K: Gains, margin: float = 0.0) -> tuple[Array, Array]:
+        """Return by how much poles of K are out of their bounds (h,), and the gradients (h, parameters)."""
+        poles, right = np.linalg.eig(K[0])
         left = np.linalg.inv(right)
         size = np.maximum(np.abs(poles), 1e-9)
-        fast = np.maximum(0.0, np.log(size / self.fastest_pole))
-        slow = np.maximum(0.0, np.log(self.slowest_pole / size))
-        late = np.maximum(0.0, poles.real + self.slowest_pole)
-        radial = 2.0 * (fast - slow) / size  # d/d|p|
-        derivative = radial * np.conj(poles) / size + 20.0 * late
-        value = float((fast**2 + slow**2 + 10.0 * late**2).sum())
-        return value, ((right * derivative) @ left).T.real
+        hinges = [
+            (np.log(size / self.fastest_pole), np.conj(poles) / size**2),
+            (np.log(self.slowest_pole / size), -np.conj(poles) / size**2),
+            (np.sqrt(10.0) * (poles.real + self.slowest_pole), np.full(poles.shape, np.sqrt(10.0) + 0j)),
+        ]
+        values, rows = [], [np.zeros((0, self._free.sum()))]
+        for value, slope in hinges:
+            for k in np.flatnonzero(value > -margin):
+                values.append(float(value[k]))
+                dA = (slope[k] * np.outer(right[:, k], left[k])).T.real
+                rows.append(self.pack_gradient(K, dA)[None])
+        return np.array(values), np.concatenate(rows)
+
+    def _effort_hinges(
+        self, K: Gains, omega: Array, G: Complex, cap: Array, margin: float
+    ) -> tuple[Array, Array]:
+        """Return where |T|/cap - 1 > -margin, T = (I - K G)^-1 K, Frobenius norm, (h,), and its gradients.
+
+        omega (f,), G (e, f, p, m), cap (e, f): e plants on one frequency grid.
+        """
+        A_K, B_K, C_K, D_K = K
+        P = np.linalg.inv(1j * omega[:, None, None] * np.eye(A_K.shape[0]) - A_K)
+        PB, CP = P @ B_K, C_K @ P
+        gain = C_K @ PB + D_K
+        loop = np.eye(gain.shape[1]) - gain @ G
+        S = 1.0 / loop if loop.shape[-1] == 1 else np.linalg.inv(loop)
+        T = S @ gain
+        size = np.sqrt((T.real**2 + T.imag**2).sum(axis=(2, 3)))
+        excess = size / cap - 1.0
+        plants, frequencies = np.nonzero(excess > -margin)
+        G, T, S = G[plants, frequencies], T[plants, frequencies], S[plants, frequencies]
+        PB, CP = PB[frequencies], CP[frequencies]
+        # d(|T|/cap) = d(|T|^2) / (2 |T| cap)
+        scale = EFFORT_WEIGHT / (cap * np.maximum(size, 1e-300))[plants, frequencies]
+        X = (np.eye(G.shape[1]) + G @ T) @ np.conj(T.transpose(0, 2, 1)) @ S * scale[:, None, None]
+        dD, dC, dB, dA = (M.real.transpose(0, 2, 1) for M in (X, PB @ X, X @ CP, PB @ X @ CP))
+        rows = [self.pack_gradient(K, *each)[None] for each in zip(dA, dB, dC, dD, strict=True)]
+        empty = np.zeros((0, self._free.sum()))
+        return EFFORT_WEIGHT * excess[plants, frequencies], np.concatenate([empty, *rows])
 
 
 def _loops(A: Array, B: Array, C: Array, K: Gains) -> Array:
@@ -282,36 +346,3 @@ def _loops(A: Array, B: Array, C: Array, K: Gains) -> Array:
     loops[:, size:, :size] = B_K @ C
     loops[:, size:, size:] = A_K
     return loops
-
-
-def _effort_penalty(
-    omega: Array, G: Complex, cap: Array, K: Gains, weight: float = 20.0
-) -> tuple[float, Array, Array, Array, Array]:
-    """weight * sum max(0, |T|/cap - 1)^2 with T = (I - K G)^-1 K, Frobenius norm, and its gradient.
-
-    omega (f,), G (e, f, p, m), cap (e, f): e plants on one frequency grid.
-    """
-    A_K, B_K, C_K, D_K = K
-    P = np.linalg.inv(1j * omega[:, None, None] * np.eye(A_K.shape[0]) - A_K)
-    PB, CP = P @ B_K, C_K @ P
-    gain = C_K @ PB + D_K
-    loop = np.eye(gain.shape[1]) - gain @ G
-    S = 1.0 / loop if loop.shape[-1] == 1 else np.linalg.inv(loop)
-    T = S @ gain
-    size = np.sqrt((T.real**2 + T.imag**2).sum(axis=(2, 3)))
-    excess = np.maximum(0.0, size / cap - 1.0)
-    value = weight * float((excess**2).sum())
-    if value == 0.0:
-        return 0.0, np.zeros_like(A_K), np.zeros_like(B_K), np.zeros_like(C_K), np.zeros_like(D_K)
-    # d(value) = weight * 2 excess / cap * d|T|,  d|T| = d(|T|^2) / (2 |T|)
-    scale = weight * excess / (cap * np.maximum(size, 1e-300))
-    plants, frequencies = np.nonzero(excess)
-    G, T, S = G[plants, frequencies], T[plants, frequencies], S[plants, frequencies]
-    scale = scale[plants, frequencies]
-    PB, CP = PB[frequencies], CP[frequencies]
-    X = (np.eye(G.shape[1]) + G @ T) @ np.conj(T.transpose(0, 2, 1)) @ S * scale[:, None, None]
-    dD = 2.0 * X.sum(axis=0).real.T
-    dC = 2.0 * (PB @ X).sum(axis=0).real.T
-    dB = 2.0 * (X @ CP).sum(axis=0).real.T
-    dA = 2.0 * (PB @ X @ CP).sum(axis=0).real.T
-    return value, dA, dB, dC, dD

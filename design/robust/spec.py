@@ -16,6 +16,7 @@ from ..modes.modes import Modes
 from ..synthesis.check import UNREACHABLE_MODE, describe_mode, describe_reach, modal_shares
 from ..synthesis.generalized_plant import check_design_plant
 from .smoothed_objective import BandOffsets
+from .stages import Stage
 from .swing_penalty import SwingPenalty
 
 #: modes slower than this are the common speed of all machines, rad/s: no target of a damping controller
@@ -31,6 +32,9 @@ class RobustSpec:
     order : states of the controller in all, those of its washouts counted.
     sees : actuator -> (signals, order) of a decentralised controller; empty = one full controller.
     effort_cap : (omega, cap) nodes in rad/s and pu per rad/s, log-log interpolated; None = no cap.
+    effort_under : names of the conditions under which it holds; none = all.
+    stages : of the search, each with more of the conditions, by Newton steps from a first guess that is made
+        for the loops; none = L-BFGS on all of them from random starts.
     washout_s : time constant of sT/(1+sT) in series with each output; 0 = none.
     dc_block : K(0) = 0 by D = C A^-1 B instead of a washout in series: no state is spent on it.
     slowest_pole, fastest_pole : rad/s, of the controller; with `dc_block` the slowest is the least corner of
@@ -44,6 +48,7 @@ class RobustSpec:
     order: int = 6
     sees: Mapping[str, tuple[tuple[str, ...], int]] = field(default_factory=dict)
     effort_cap: tuple[tuple[float, float], ...] | None = ((0.05, 0.15), (300.0, 0.15))
+    effort_under: tuple[str, ...] = ()
     washout_s: float = 0.0
     feedthrough: bool = False
     dc_block: bool = True
@@ -63,6 +68,7 @@ class RobustSpec:
     within: float = np.inf
     start: control.StateSpace | None = None  #: a controller to start from, beside the random ones
     starts_on: int = 0  #: operating points, the first ones, on which the starts are tried; 0 = all
+    stages: tuple[Stage, ...] = ()
 
     def __post_init__(self) -> None:
         check_spec(self)
@@ -98,7 +104,18 @@ def check_spec(spec: RobustSpec) -> None:
                 f"condition {condition.name!r} names {sorted(unknown)}; the controller's signals are "
                 f"{', '.join(spec.signals)}"
             )
+    _check_stages(spec)
     _check_bounds(spec)
+
+
+def _check_stages(spec: RobustSpec) -> None:
+    """Refuse stages and caps for conditions that are not among those of the design."""
+    known = {condition.name for condition in spec.conditions}
+    wanted = [("effort_under", spec.effort_under)]
+    wanted += [(f"stage {k}", stage.conditions) for k, stage in enumerate(spec.stages, start=1)]
+    for what, names in wanted:
+        if strange := sorted(set(names) - known):
+            raise ValueError(f"robust design: {what} names {strange}; the design's are {sorted(known)}")
 
 
 def _check_bounds(spec: RobustSpec) -> None:
@@ -158,6 +175,8 @@ def require_moved(
     picked = select(plant, list(spec.actuators), list(spec.signals))
     A, B, C = (np.asarray(M, dtype=float) for M in (picked.A, picked.B, picked.C))
     values, shares = modal_shares(A, B, C)
+    # a common speed that nothing brings back has a gain without bound, beside which no other mode has a share
+    shares = shares / max(float(shares[np.abs(values) > COMMON_SPEED].max(initial=0.0)), 1e-300)
     targets = {f"mode {n!r}": m.eigenvalue for n, m in (modes or {}).items() if n.startswith("inter-area")}
     unstable = [complex(v) for v in values if not v.real < 0.0 and v.imag >= 0.0 and abs(v) > COMMON_SPEED]
     for name, eigenvalue in [*targets.items(), *(("unstable mode", v) for v in unstable)]:

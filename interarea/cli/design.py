@@ -194,7 +194,6 @@ def _certify_bank(bank: ControllerBank, case: Case, json_: bool) -> None:
 
 def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
     from interarea.cosim.designs.acceptance import in_words
-    from interarea.design.robust.operating_points import INTER_AREA_HZ
 
     print_table(
         f"{name}: full plants, linearised and without limits, exact latency",
@@ -213,8 +212,8 @@ def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
     )
     typer.echo("; ".join(f"{condition.name}: {condition.in_words}" for condition in table.family()))
     typer.echo(
-        f"inter-area: least damped root from {INTER_AREA_HZ[0]:g} to {INTER_AREA_HZ[1]:g} Hz, of whatever "
-        "mode; `interarea run` follows names from the open loop"
+        "inter-area: least damped root in the band of the open loop's inter-area modes, of whatever mode; "
+        "`interarea run` follows names from the open loop"
     )
     typer.echo(
         f"worst swing {found.worst_swing:.4f}, inter-area {found.inter_area:.4f}, effort {found.effort:.4f}, "

@@ -90,7 +90,8 @@ def bundled() -> dict[str, dict[str, str]]:
 
 
 def _order(file: Path) -> str:
-    return f"shipped for two-area-thesis, order {len(json.loads(file.read_text(encoding='utf-8'))['A'])}"
+    record = json.loads(file.read_text(encoding="utf-8"))
+    return f"shipped for {record['design']['specification']['case']}, order {len(record['A'])}"
 
 
 def _title(file: Path) -> str:

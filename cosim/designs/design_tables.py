@@ -1,0 +1,73 @@
+"""Tables inside a design file: operating points, parts, stages of the search, guard, what is asked."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from interarea.design.robust.stages import Stage
+from interarea.models.blocks.controller import Guard
+from interarea.models.table import Table
+
+Positive = Annotated[float, Field(gt=0.0)]
+
+
+class PointTable(Table):
+    """One operating point, as a change to the case (`models.case_variants`)."""
+
+    name: str  #: of the operating point
+    tie_flow_mw: float = 0.0  #: load moved across the tie, so that its flow grows by this
+    out: tuple[str, ...] = ()  #: branches out of service
+    load_scale: Positive = 1.0  #: factor on every load
+
+
+Ratio = Annotated[float, Field(ge=-1.0, lt=1.0)]
+
+
+class AskTable(Table):
+    """What the certificate asks of every operating point under every condition."""
+
+    worst_swing: Ratio = 0.0  #: least damping ratio of any swing mode
+    inter_area: Ratio = 0.0  #: least damping ratio of the inter-area mode
+    #: largest H-infinity norm of K (I - G K)^-1 at any operating point, pu per rad/s
+    effort: Positive = float("inf")
+    fastest_pole: Positive = float("inf")  #: largest magnitude of the controller's poles, rad/s
+    synchronism: bool = False  #: after the fault of `fault`, at every operating point
+
+
+class PartTable(Table):
+    """One actuator of a decentralised controller: what it sees, and its order, a washout counted."""
+
+    actuator: str  #: input of the plant that this part drives
+    signals: tuple[str, ...] = Field(min_length=1)  #: what this part sees
+    order: Annotated[int, Field(ge=1, le=20)] = 4  #: states of this part, that of its washout counted
+
+
+class StageTable(Table):
+    """One stage of the search, which goes on from where the one before ended."""
+
+    conditions: tuple[str, ...] = ()  #: those of the design that are looked at; none: all
+    points: tuple[str, ...] = ()  #: operating points that are looked at; none: all
+    #: how closely the smoothed worst damping follows the worst, from one value to the next
+    rho: tuple[Positive, ...] = Field((60.0, 120.0, 300.0), min_length=1)
+    steps: Annotated[int, Field(ge=1)] = 40  #: of the descent at each value of `rho`, at most
+
+    def stage(self) -> Stage:
+        """Return it as the search takes it."""
+        return Stage(self.points, self.conditions, self.rho, self.steps)
+
+
+class GuardTable(Table):
+    """Which side of the output limit falls while a first swing lasts (`models.blocks.controller.Guard`)."""
+
+    watched: dict[str, str] = Field(min_length=1)  #: output -> signal, a speed, that tells of the swing
+    sides: dict[str, Annotated[float, Field(ge=-1.0, le=1.0)]]  #: above 0 the upper limit falls
+    threshold: Positive  #: rad/s
+    #: time constant of the washout before it, so that a lasting deviation does not hold the limit shut
+    washout_s: Positive = 10.0
+    lowpass_s: Positive = 1.0  #: time constant of the low pass on the watched signal
+
+    def guard(self) -> Guard:
+        """Return it as a controller has it."""
+        return Guard(**self.model_dump())

@@ -1,0 +1,102 @@
+"""The search in stages: few conditions at first, then more, each stage from where the last one ended."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .first_guess import first_guess
+from .newton import newton_descent
+from .smoothed_objective import Array, Objective
+
+#: turns of Newton steps and L-BFGS at each rho at most, and what the last must have gained for another
+ALTERNATIONS, WORTHWHILE = 3, 2e-3
+
+Descend = Callable[[Objective, Array], tuple[Array, int]]
+Balanced = Callable[[Objective, Array], Array]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of the search.
+
+    points, conditions : names of those that are looked at; none: all.
+    rho : how closely the smoothed worst follows the worst, from one to the next.
+    steps : of the descent at each, at most.
+    """
+
+    points: tuple[str, ...] = ()
+    conditions: tuple[str, ...] = ()
+    rho: tuple[float, ...] = (60.0, 120.0, 300.0)
+    steps: int = 40
+
+    def of(self, objective: Objective) -> Objective:
+        """Return the objective over the models of this stage."""
+
+        def looked_at(name: str) -> bool:
+            point, condition = name.rsplit(": ", 1)
+            return (not self.points or point in self.points) and (
+                not self.conditions or condition in self.conditions
+            )
+
+        return replace(
+            objective,
+            models=[model for model in objective.models if looked_at(model.name)],
+            efforts=[effort for effort in objective.efforts if looked_at(effort.name)],
+        )
+
+
+def staged_search(
+    objective: Objective,
+    stages: Sequence[Stage],
+    starts: Sequence[Array],
+    guesses: int,
+    bound: float,
+    rng: np.random.Generator,
+    *,
+    balanced: Balanced,
+    descend: Descend,
+    progress: Callable[[str, float], object] | None = None,
+) -> tuple[Array, int, list[tuple[float, Array]]]:
+    """Return the parameters after the last stage, evaluations, and (objective, parameters) of every start.
+
+    starts : given ones; `guesses` more are made for the first stage, their gains within `bound`. The best of
+    all after the first stage goes on. descend : L-BFGS for some evaluations; gives both of these.
+    """
+    first = stages[0].of(objective)
+    begun = [*starts, *(first_guess(first, rng, bound) for _ in range(guesses))]
+    reached, count = [], 0
+    for k, theta in enumerate(begun, start=1):
+        theta, used = _through(first, stages[0], theta, balanced, descend)
+        count += used
+        reached.append((first.value(theta), theta))
+        if progress is not None:
+            progress(f"stage 1 of {len(stages)}, start {k} of {len(begun)}", reached[-1][0])
+    theta = min(reached, key=lambda each: each[0])[1]
+    for k, stage in enumerate(stages[1:], start=2):
+        some = stage.of(objective)
+        theta, used = _through(some, stage, theta, balanced, descend)
+        count += used
+        if progress is not None:
+            progress(f"stage {k} of {len(stages)}", some.value(theta))
+    return theta, count, reached
+
+
+def _through(
+    objective: Objective, stage: Stage, theta: Array, balanced: Balanced, descend: Descend
+) -> tuple[Array, int]:
+    """Newton steps at each rho, and some of `descend` where they end: two eigenvalues may have met."""
+    count = 0
+    for rho in stage.rho:
+        smoothed = replace(objective, rho=rho)
+        value = smoothed.value(theta)
+        for _ in range(ALTERNATIONS):
+            theta, used = newton_descent(smoothed, theta, stage.steps, balanced=balanced)
+            theta, more = descend(smoothed, theta)
+            count += used + more
+            gained, value = value - smoothed.value(theta), smoothed.value(theta)
+            if not gained > WORTHWHILE:
+                break
+    return theta, count

@@ -1,0 +1,169 @@
+"""Newton steps of the smoothed worst damping: second derivatives against differences, descent, start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from interarea.design.robust.design import _descend, balanced_parameters
+from interarea.design.robust.first_guess import first_guess
+from interarea.design.robust.newton import _trusted, derivatives, newton_descent
+from interarea.design.robust.smoothed_objective import BandOffsets, DesignModel, EffortGrid, Objective
+from interarea.design.robust.stages import Stage, staged_search
+
+#: two parts of two states, each with a signal and an actuator of its own
+PARTS = np.concatenate(
+    [np.kron(np.eye(2), np.ones(shape)).ravel() for shape in ((2, 2), (2, 1), (1, 2), (1, 1))]
+)
+
+
+def _swinging(name: str, seed: int) -> DesignModel:
+    """Three weakly damped oscillators, two inputs, two outputs; another seed, a little otherwise."""
+    same, rng = np.random.default_rng(7), np.random.default_rng(seed)
+    A = np.zeros((6, 6))
+    for k, omega in enumerate((2.5, 3.7, 7.0) * rng.uniform(0.9, 1.1, 3)):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[-0.05 * omega, omega], [-omega, -0.05 * omega]]
+    B, C = same.normal(size=(6, 2)), same.normal(size=(2, 6))
+    return DesignModel(name, A, B + 0.1 * rng.normal(size=B.shape), C + 0.1 * rng.normal(size=C.shape))
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["full", "decentralised, K(0) = 0"])
+def objective(request: pytest.FixtureRequest) -> Objective:
+    models = [_swinging("base: N", 1), _swinging("base: s100", 2), _swinging("other: N", 3)]
+    omega, g = np.geomspace(0.5, 30.0, 15), models[0]
+    response = g.C @ np.linalg.inv(1j * omega[:, None, None] * np.eye(6) - g.A) @ g.B
+    return Objective(
+        models,
+        4,
+        [EffortGrid("base: N", omega, response, np.full(15, 0.05))],
+        offsets=BandOffsets((0.0, 30.0), (0.0, 0.0)),
+        rho=40.0,
+        mask=PARTS.astype(bool) if request.param else None,
+        feedthrough=not request.param,
+        dc_block=request.param,
+    )
+
+
+def _controller(objective: Objective, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return objective.pack(
+        rng.normal(size=(4, 4)) * 0.3 - np.diag([1.0, 2.0, 4.0, 6.0]),
+        rng.normal(size=(4, 2)),
+        0.05 * rng.normal(size=(2, 4)),
+        0.02 * rng.normal(size=(2, 2)),
+    )
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_second_derivatives_agree_with_differences_of_the_gradient(objective: Objective, seed: int) -> None:
+    free = replace(objective, efforts=[], slowest_pole=1e-3, fastest_pole=1e4)
+    theta = _controller(objective, seed)
+    gradient, hessian = derivatives(free, theta, np.full(theta.size, 0.1))
+    assert gradient == pytest.approx(free(theta)[1], abs=1e-6 * np.abs(gradient).max())
+    step = 1e-5
+    numeric = np.array(
+        [(free(theta + step * e)[1] - free(theta - step * e)[1]) / (2 * step) for e in np.eye(theta.size)]
+    )
+    # weights below 1e-6 are left out
+    assert hessian == pytest.approx(numeric, abs=2e-4 * np.abs(numeric).max())
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.3])
+def test_hinges_agree_with_differences_and_their_squares_with_the_penalty(
+    objective: Objective, margin: float
+) -> None:
+    tight = replace(objective, slowest_pole=1.5, fastest_pole=5.0)
+    theta = _controller(objective, 4)
+    K = tight.unpack(theta)
+    values, rows = tight.hinges(K, margin)
+    assert values.size > 6
+    assert tight.penalties(K)[0] == pytest.approx((np.maximum(values, 0.0) ** 2).sum())
+    direction = np.random.default_rng(5).normal(size=theta.size)
+    ahead, behind = (tight.hinges(tight.unpack(theta + s * direction), margin)[0] for s in (1e-6, -1e-6))
+    assert rows @ direction == pytest.approx((ahead - behind) / 2e-6, rel=1e-4, abs=1e-5)
+
+
+@pytest.mark.parametrize("shift", [0.0, 3.0])
+def test_a_trusted_step_is_the_least_value_within_its_radius(shift: float) -> None:
+    rng = np.random.default_rng(4)
+    slope, curvature = rng.normal(size=5), np.sort(rng.uniform(1.0, 4.0, 5)) - shift
+    move, predicted = _trusted(slope, curvature, 0.5)
+
+    def falls(x: np.ndarray) -> float:
+        return float(-(slope @ x) - 0.5 * (curvature * x**2).sum())
+
+    assert np.linalg.norm(move) <= 0.5 * (1.0 + 1e-9)
+    assert predicted == pytest.approx(falls(move))
+    others = rng.normal(size=(500, 5))
+    others *= 0.5 * rng.uniform(0.0, 1.0, (500, 1)) / np.linalg.norm(others, axis=1, keepdims=True)
+    assert max(falls(x) for x in others) <= predicted
+
+
+def _staged(objective: Objective, stages: tuple[Stage, ...]) -> tuple[np.ndarray, int]:
+    theta, count, found = staged_search(
+        objective,
+        stages,
+        [],
+        1,
+        0.2,
+        np.random.default_rng(1),
+        balanced=balanced_parameters,
+        descend=lambda some, at: _descend(some, at, 1, each=100),
+    )
+    assert len(found) == 1
+    return theta, count
+
+
+def test_rounds_of_lbfgs_between_go_on_where_newton_steps_end(objective: Objective) -> None:
+    start = first_guess(objective, np.random.default_rng(1), 0.2)
+    alone, _ = newton_descent(objective, start, 60, balanced=balanced_parameters)
+    both, _ = _staged(objective, (Stage(rho=(objective.rho,), steps=60),))
+    assert objective.value(alone) < objective.value(start)
+    assert objective.value(both) <= objective.value(alone)
+
+
+def test_newton_steps_alone_never_go_up(objective: Objective) -> None:
+    theta, value = _controller(objective, 5), np.inf
+    for steps in (1, 3, 9):
+        found, _ = newton_descent(objective, theta, steps, balanced=balanced_parameters)
+        assert objective.value(found) < min(value, objective.value(theta))
+        value = objective.value(found)
+
+
+def test_a_later_stage_goes_on_from_the_one_before(objective: Objective) -> None:
+    first = Stage(points=("base",), rho=(40.0,), steps=10)
+    only, _ = _staged(objective, (first,))
+    both, _ = _staged(objective, (first, Stage(rho=(40.0,), steps=20)))
+    assert objective.value(both) < objective.value(only) - 3e-4
+
+
+def test_the_value_alone_is_that_with_the_gradient(objective: Objective) -> None:
+    theta = _controller(objective, 3)
+    assert objective.value(theta) == pytest.approx(objective(theta)[0], rel=1e-12)
+
+
+def test_the_first_guess_damps_every_mode_and_turns_with_the_plant(objective: Objective) -> None:
+    still = objective.pack(-np.eye(4), np.zeros((4, 2)), np.zeros((2, 4)))
+    guess = first_guess(objective, np.random.default_rng(1), 0.2)
+    assert objective.value(guess) < objective.value(still) - 1e-3
+    turned = replace(objective, models=[replace(m, B=-m.B) for m in objective.models], efforts=[])
+    other = first_guess(turned, np.random.default_rng(1), 0.02)
+    free = replace(objective, efforts=[])
+    guess = first_guess(free, np.random.default_rng(1), 0.02)
+    A, B, C, _ = free.unpack(guess)
+    again = turned.unpack(other)
+    assert again[0] == pytest.approx(A)
+    assert again[1] == pytest.approx(B)
+    assert again[2] == pytest.approx(-C, abs=1e-9)
+
+
+def test_a_stage_looks_at_its_points_and_conditions_only(objective: Objective) -> None:
+    def names(stage: Stage) -> list[str]:
+        return [model.name for model in stage.of(objective).models]
+
+    assert names(Stage()) == ["base: N", "base: s100", "other: N"]
+    assert names(Stage(points=("base",))) == ["base: N", "base: s100"]
+    assert names(Stage(conditions=("N",))) == ["base: N", "other: N"]
+    assert [e.name for e in Stage(points=("other",)).of(objective).efforts] == []
