@@ -149,7 +149,7 @@ def _damping(objective: Objective, K: Gains) -> tuple[Array, Array, Array]:
     for group, size, loops, v in spectra:
         share = (np.exp(rho * (v - top)) / total).sum(axis=1)
         for k in map(int, np.flatnonzero(share > 1e-6)):
-            values, right = np.linalg.eig(loops[k])
+            values, right = (each.astype(complex) for each in np.linalg.eig(loops[k]))
             try:
                 left = np.linalg.inv(right)
             except np.linalg.LinAlgError:  # a defective matrix: its neighbours carry the derivatives
@@ -157,7 +157,8 @@ def _damping(objective: Objective, K: Gains) -> tuple[Array, Array, Array]:
             excess, dv = objective.excess(values)
             # of a pair only one is looked at, with the weight of both
             weight = np.exp(rho * (excess - top)) / total * np.where(values.imag > 0.0, 2.0, 1.0)
-            reach, seen = left[:, :size] @ group[k].B, group[k].C @ right[:size]
+            reach = (left[:, :size] @ group[k].B).astype(complex)
+            seen = group[k].C @ right[:size]
             outs, ins = moves.sides(reach, left[:, size:], seen, right[size:])
             for i in map(int, np.flatnonzero((weight > 1e-7) & (values.imag >= 0.0))):
                 gap = values[i] - values
@@ -197,9 +198,9 @@ class _Moves:
         self._inner = np.linalg.solve(A, B) if objective.dc_block else np.zeros((n, p))
         self._outer = np.linalg.solve(A.T, C.T) if objective.dc_block else np.zeros((n, m))
         # places in (states' own, states with D's share, actuators) and (states' own, signals, with D's share)
-        own, shared, last = np.arange(n), n + np.arange(n), 2 * n + np.arange(m)
-        seen = n + np.arange(p)
-        late = n + p + np.arange(n)
+        own, shared, last = np.arange(0.0, n), np.arange(n, 2.0 * n), np.arange(2.0 * n, 2 * n + m)
+        seen = np.arange(n, n + float(p))
+        late = np.arange(n + p, 2.0 * n + p)
         self._from = self._places(objective, own, shared, last, last, (n, p, m), rows=True)
         self._to = self._places(objective, own, seen, late, seen, (n, p, m), rows=False)
         self.size = self._from.size
@@ -221,7 +222,7 @@ class _Moves:
         n, p, m = sizes
         shapes = ((n, n), (n, p), (m, n), (m, p))
         spread = [
-            np.broadcast_to(places[:, None] if rows else places[None, :], shape).astype(float)
+            np.broadcast_to(places[:, None] if rows else places[None, :], shape)
             for places, shape in zip((a, b, c, d), shapes, strict=True)
         ]
         return objective.pack(*spread).astype(np.intp)
