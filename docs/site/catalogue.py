@@ -42,7 +42,7 @@ EXAMPLES = {
     "show": "interarea show lost-signal",
     "new": "interarea new scenario --out mine.toml",
     "modes": "interarea modes nets-nyps --band 0.1:2.5 --below 0.1 --shapes",
-    "loops": "interarea loops two-area-thesis",
+    "loops": "interarea loops nets-nyps --below 0.2 --together 4 --latency 0.1",
     "run": "interarea run lost-signal --out out/run --explain",
     "compare": "interarea compare none robust robust_latency --scenario wide-area-damping --out out/compared",
     "sweep": "interarea sweep examples/latency_loss.toml --out out/sweep",

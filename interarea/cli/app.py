@@ -46,8 +46,8 @@ COMMANDS = {
         "Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes.",
     ),
     "loops": (
-        "modes:loops",
-        "Rank actuators and signals for the inter-area mode of a case.",
+        "loops:loops",
+        "Rank actuators and signals for the inter-area mode, or every signal for all modes of a band.",
     ),
     "run": (
         "run:run",

@@ -68,7 +68,7 @@ def modes(
     """Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes."""
     if band is not None or below is not None:
         _refuse_beside_band(sensitivity=sensitivity, margins=margins, plot=plot)
-        loaded = _at_point(case, tie_flow, circuit_out, load_scale)
+        loaded = at_point(case, tie_flow, circuit_out, load_scale)
         _all_modes(loaded, band or "0.1:2.5", 0.2 if below is None else below, participation, shapes, json_)
         return
     from interarea.cosim.run.artefacts import linear_matrices
@@ -81,7 +81,7 @@ def modes(
         folder_for(plot, "--plot")
     cache = default_cache()
     with busy(f"linearising the plant FMU of {case}"):
-        loaded = _at_point(case, tie_flow, circuit_out, load_scale)
+        loaded = at_point(case, tie_flow, circuit_out, load_scale)
         limits = _start_rows(loaded) if margins else []
         system = linear_matrices(loaded, cache)
         found = modes_of(system, loaded.areas)
@@ -108,7 +108,7 @@ def modes(
         typer.echo(file)
 
 
-def _at_point(case: str, tie_flow: float, circuit_out: list[str] | None, load_scale: float) -> Case:
+def at_point(case: str, tie_flow: float, circuit_out: list[str] | None, load_scale: float) -> Case:
     """Return a case at the operating point asked for."""
     from interarea.models.case.case import load_case
     from interarea.models.case.variants import operating_variant
@@ -128,7 +128,7 @@ def _refuse_beside_band(**given: object) -> None:
         raise ModeError(f"{named[0]} with --band or --below: not together; leave one out")
 
 
-def _band_hz(text: str) -> tuple[float, float]:
+def band_hz_of(text: str) -> tuple[float, float]:
     """Return the two frequencies of `LOW:HIGH`."""
     from interarea.design.modes.modes import ModeError
 
@@ -145,7 +145,7 @@ def _all_modes(case: Case, band: str, below: float, count: int, shapes: bool, as
     from interarea.design.modes.all_modes import all_modes
     from interarea.fmu_build.write.cache import default_cache
 
-    band_hz = _band_hz(band)
+    band_hz = band_hz_of(band)
     with busy(f"all modes of {case.name}"):
         plant = sparse_linear_plant(case, default_cache())
         found = all_modes(plant, case.areas, band_hz=band_hz, below=below)
@@ -367,30 +367,3 @@ def _plots(found: Modes, case: Case, folder: Path) -> list[Path]:
         figure = mode_shape_plot(mode.shape, case.areas, title)
         files.append(save_figure(figure, folder / f"{name.replace(' ', '-')}.svg"))
     return files
-
-
-def loops(
-    case: CaseName,
-    json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
-) -> None:
-    """Rank actuators and signals for the inter-area mode of a case."""
-    from interarea.cosim.study.rows import loop_rows
-    from interarea.grids import load_case
-    from interarea.grids import loops as ranked_loops
-
-    loaded = load_case(case)
-    with busy(f"linearising the plant FMU of {case}"):
-        ranked = loop_rows(ranked_loops(loaded))
-    if json_:
-        typer.echo(json.dumps({"case": loaded.name, **ranked}, indent=2, allow_nan=False))
-        return
-    print_table(
-        f"{loaded.name}: loops for the inter-area mode",
-        ("actuator", "signal", "index", "geometric"),
-        [
-            (r["actuator"], r["signal"], f"{r['index']:.4f}", f"{r['geometric']:.4f}")
-            for r in ranked["ranking"]
-        ],
-    )
-    for line in ranked["coordinates"].split("; "):  # what the two columns are
-        typer.echo(line)

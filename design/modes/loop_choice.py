@@ -1,0 +1,354 @@
+r"""Which actuators with which signals, for several modes at once and on a grid of any size.
+
+With :math:`A v = \lambda v,\ w^T A = \lambda w^T,\ w^T v = 1` a loop from actuator b to signal c that is late
+by tau has the residue :math:`R = (c v)(w^T b)\, e^{-\lambda\tau}`: a small gain K moves the mode by K R.
+Signals of one kind (speeds, bus frequencies, angles, powers, currents) have one unit, so the index of a loop
+is |R| over the largest of its kind for that mode: no state coordinates and no unit move it. A set is as good
+as the mode it serves worst: its score is the least over modes of its largest index.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from interarea.models.case.tables import swing_name
+
+from ..linear.sparse_plant import SparsePlant
+from .modes import Mode, ModeError
+
+ComplexArray = npt.NDArray[np.complex128]
+
+KINDS = ("speed", "frequency", "angle", "power", "current")
+_ENDS = 6  #: machines or buses of an area whose differences are candidates, those that show a mode most
+_UNSEEN = 1e-9  # of the largest residue of any mode: less reaches or shows nothing
+_MOST_ACTUATORS = 24  # of which sets are formed
+_MOST_SETS = 200_000
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A signal that could be fed back: what it shows of each mode, in the unit of its kind.
+
+    kind : of `KINDS`; speeds and frequencies in pu, angles in rad, powers and currents in pu.
+    """
+
+    name: str
+    kind: str
+    shows: ComplexArray  #: (modes,)
+
+
+@dataclass(frozen=True)
+class RankedLoop:
+    """One signal fed back to one actuator, for one mode.
+
+    index : 0..1, part of the largest residue that any signal of its kind and any actuator has.
+    residue : with the delay, unit of the signal per unit of the actuator and second.
+    lead_deg : phase that the controller has to make up, the delay included, -180..180.
+    beside : the other mode that the loop moves most, and how much more (or less) than the target.
+    """
+
+    mode: str
+    actuator: str
+    signal: str
+    kind: str
+    index: float
+    residue: complex
+    lead_deg: float
+    beside: tuple[str, float]
+
+
+@dataclass(frozen=True)
+class LoopSet:
+    """Actuators, each with the signal that serves it best.
+
+    score : least over modes of the largest index. left : the same after the worst loss of one signal.
+    decides : the mode that decides the score. loops : actuator -> signal, for the mode it serves most.
+    """
+
+    actuators: tuple[str, ...]
+    score: float
+    left: float
+    decides: str
+    loops: Mapping[str, str]
+
+    @property
+    def reason(self) -> str:
+        """Why it stands where it does, in words."""
+        return (
+            f"{self.decides} is served least, {self.score:.2f}; {self.left:.2f} when the worst signal is lost"
+        )
+
+
+@dataclass(frozen=True)
+class LoopChoice:
+    """Ranked loops of each target mode, best first, and ranked sets."""
+
+    targets: tuple[str, ...]
+    latency_s: float
+    loops: Mapping[str, tuple[RankedLoop, ...]]
+    sets: tuple[LoopSet, ...]
+
+
+def choose_loops(
+    plant: SparsePlant,
+    modes: Sequence[Mode],
+    areas: Mapping[str, int],
+    voltages: ComplexArray,
+    *,
+    targets: Sequence[str] = (),
+    latency_s: float = 0.0,
+    actuators: Sequence[str] = (),
+    kinds: Sequence[str] = KINDS,
+    together: int = 2,
+    most: int = 10,
+) -> LoopChoice:
+    """Rank every signal at every actuator for every target mode, and sets of `together` actuators.
+
+    Parameters
+    ----------
+    modes : of the plant (`all_modes`); targets : names among them, default the inter-area ones.
+    areas : machine name -> area number. voltages : (b,) of the buses at rest, pu.
+    latency_s : of every signal. actuators : inputs of the plant, default all. most : rows that are kept.
+
+    Raises
+    ------
+    ModeError : no inter-area mode, unknown names, no actuator, a target that no loop reaches and sees.
+    """
+    aimed = _targets(modes, targets)
+    names = _actuators(plant, actuators)
+    unknown = [kind for kind in kinds if kind not in KINDS]
+    if unknown or not kinds:
+        raise ModeError(f"signals {unknown[0] if unknown else '(none)'!r}, allowed: {', '.join(KINDS)}")
+    if not (np.isfinite(latency_s) and latency_s >= 0.0):
+        raise ModeError(f"latency = {latency_s:g} s, wanted: 0 or more")
+    if not 0 < together <= len(names):
+        raise ModeError(f"sets of {together} actuators, wanted: 1 to {len(names)}, as many as there are")
+    V = np.array([mode.right for mode in modes]).T
+    value = np.array([mode.eigenvalue for mode in modes])
+    reach = (
+        np.array([mode.left for mode in modes])
+        @ plant.Bu[:, [plant.inputs.index(n) for n in names]].toarray()
+    )
+    signals = [s for s in signals_of(plant, V, value, areas, voltages, aimed) if s.kind in kinds]
+    late = np.exp(-value * latency_s)
+    # (signals, modes, actuators)
+    residues = np.array([s.shows for s in signals])[:, :, None] * (reach * late[:, None])[None]
+    index = _indices(residues, [s.kind for s in signals])
+    for m in aimed:
+        if not np.max(np.abs(residues[:, m])) > _UNSEEN * np.max(np.abs(residues)):
+            raise ModeError(
+                f"{modes[m].name} ({modes[m].frequency_hz:.3f} Hz): no actuator with a signal reaches and "
+                "shows it; allow more actuators or more kinds of signals"
+            )
+    labels = [mode.name for mode in modes]
+    loops = {labels[m]: tuple(_ranked(m, labels, names, signals, residues, index, most)) for m in aimed}
+    sets = _sets([labels[m] for m in aimed], names, [s.name for s in signals], index[:, aimed], together)
+    return LoopChoice(tuple(labels[m] for m in aimed), latency_s, loops, sets[:most])
+
+
+def _targets(modes: Sequence[Mode], wanted: Sequence[str]) -> list[int]:
+    labels = [mode.name for mode in modes]
+    listed = ", ".join(labels) or "none"
+    for name in wanted:
+        if name not in labels:
+            raise ModeError(
+                f"no mode {name!r} in this band and below this damping ratio; there are: {listed}"
+            )
+    found = [k for k, n in enumerate(labels) if (n in wanted if wanted else n.startswith("inter-area"))]
+    if not found:
+        raise ModeError(
+            f"no inter-area mode in this band and below this damping ratio; there are: {listed}; widen the "
+            "band, raise the limit, or name the modes"
+        )
+    return found
+
+
+def _actuators(plant: SparsePlant, wanted: Sequence[str]) -> list[str]:
+    for name in wanted:
+        if name not in plant.inputs:
+            raise ModeError(f"no actuator {name!r}; the plant has {', '.join(plant.inputs[:12])}")
+    names = list(wanted or plant.inputs)
+    if not names:
+        raise ModeError(
+            "no machine has an exciter that takes a signal (an input *_vs), so no loop can be closed; "
+            "give machines an exciter that regulates"
+        )
+    return names
+
+
+def signals_of(
+    plant: SparsePlant,
+    right: ComplexArray,
+    value: ComplexArray,
+    areas: Mapping[str, int],
+    voltages: ComplexArray,
+    aimed: Sequence[int],
+) -> list[Signal]:
+    """Return every candidate signal with what it shows of each mode: own speeds, differences, branches.
+
+    right : (n, modes); value : (modes,) eigenvalues; aimed : modes whose most visible ends form differences.
+    """
+    omega = _base(plant)
+    speeds = right[plant.speed]
+    found = [Signal(f"{m}_dw", "speed", speeds[k]) for k, m in enumerate(plant.machines)]
+    machine_area = np.array([areas[m] for m in plant.machines])
+    for a, b in _pairs(speeds, machine_area, aimed):
+        name = swing_name(plant.machines[a], plant.machines[b])
+        found.append(Signal(name, "speed", speeds[a] - speeds[b]))
+    dV = plant.voltages(right)
+    size2 = np.abs(voltages) ** 2
+    theta = (voltages.real[:, None] * dV[:, 1] - voltages.imag[:, None] * dV[:, 0]) / size2[:, None]
+    bus_area = _bus_areas(plant, machine_area)
+    for a, b in _pairs(theta, bus_area, aimed):
+        name = f"{plant.bus_names[a]}_{plant.bus_names[b]}"
+        found.append(Signal(f"angle_{name}", "angle", theta[a] - theta[b]))
+        found.append(Signal(f"frequency_{name}", "frequency", value * (theta[a] - theta[b]) / omega))
+    return found + _branches(plant, dV, voltages)
+
+
+def _branches(plant: SparsePlant, dV: ComplexArray, voltages: ComplexArray) -> list[Signal]:
+    """Active power into each branch at its `from` end, and the size of the current there."""
+    a, b = plant.ends.T
+    own, mutual = plant.stamps[:, 0], plant.stamps[:, 1]
+    current = own * voltages[a] + mutual * voltages[b]
+
+    def product(y: ComplexArray, v: npt.NDArray[Any]) -> tuple[Any, Any]:
+        """Real and imaginary part of y v, each a complex amplitude of the mode."""
+        re, im = v[:, 0], v[:, 1]
+        return y.real[:, None] * re - y.imag[:, None] * im, y.real[:, None] * im + y.imag[:, None] * re
+
+    parts = [product(own, dV[a]), product(mutual, dV[b])]
+    i_re, i_im = parts[0][0] + parts[1][0], parts[0][1] + parts[1][1]
+    V, I = voltages[a], current
+    power = (
+        V.real[:, None] * i_re
+        + V.imag[:, None] * i_im
+        + I.real[:, None] * dV[a, 0]
+        + I.imag[:, None] * dV[a, 1]
+    )
+    size = np.maximum(np.abs(I), 1e-9)[:, None]
+    flow = (I.real[:, None] * i_re + I.imag[:, None] * i_im) / size
+    found = [Signal(f"power_{name}", "power", power[k]) for k, name in enumerate(plant.branches)]
+    return found + [Signal(f"current_{name}", "current", flow[k]) for k, name in enumerate(plant.branches)]
+
+
+def _base(plant: SparsePlant) -> float:
+    """Rated speed, rad/s: d angle / dt over the speed."""
+    at = np.argwhere(plant.place == plant.angle[:, None])
+    speed = np.argwhere(plant.place == plant.speed[:, None])
+    return float(plant.A[at[0, 0], at[0, 1], speed[0, 1]])
+
+
+def _bus_areas(plant: SparsePlant, machine_area: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Area of each bus: of its nearest machine by branches, 0 where none is connected."""
+    b = len(plant.bus_names)
+    area = np.zeros(b, dtype=int)
+    area[plant.bus] = machine_area
+    one, other = plant.ends.T
+    for _ in range(b):
+        take = (area[one] == 0) & (area[other] != 0)
+        give = (area[other] == 0) & (area[one] != 0)
+        if not (take.any() or give.any()):
+            break
+        area[one[take]] = area[other[take]]
+        area[other[give]] = area[one[give]]
+    return area
+
+
+def _pairs(shows: ComplexArray, area: npt.NDArray[Any], aimed: Sequence[int]) -> list[tuple[int, int]]:
+    """Places in different areas, of each the `_ENDS` that show one of the aimed modes most."""
+    most: dict[int, set[int]] = {}
+    for k in sorted(set(area.tolist()) - {0}):
+        mine = np.flatnonzero(area == k)
+        for m in aimed:
+            best = mine[np.argsort(-np.abs(shows[mine, m]), kind="stable")[:_ENDS]]
+            most.setdefault(k, set()).update(int(i) for i in best)
+    return [
+        (a, b) for one, two in combinations(most, 2) for a in sorted(most[one]) for b in sorted(most[two])
+    ]
+
+
+def _indices(residues: ComplexArray, kinds: Sequence[str]) -> npt.NDArray[np.float64]:
+    """Residues over the largest of their kind and mode."""
+    size = np.abs(residues)
+    of = np.array(kinds)
+    for kind in set(kinds):
+        rows = of == kind
+        size[rows] /= np.maximum(size[rows].max(axis=(0, 2), keepdims=True), 1e-300)
+    return size
+
+
+def _ranked(
+    m: int,
+    labels: Sequence[str],
+    actuators: Sequence[str],
+    signals: Sequence[Signal],
+    residues: ComplexArray,
+    index: npt.NDArray[np.float64],
+    most: int,
+) -> list[RankedLoop]:
+    """The best loops for mode m; of equal ones those that move other modes less."""
+    others = np.abs(residues) / np.maximum(np.abs(residues[:, m : m + 1]), 1e-300)
+    others[:, m] = 0.0
+    worst = others.argmax(axis=1)
+    spread = others.max(axis=1)
+    order = np.lexsort((spread.ravel(), -np.round(index[:, m], 6).ravel()))[:most]
+    found = []
+    for i, j in zip(*np.unravel_index(order, spread.shape), strict=True):
+        R = complex(residues[i, m, j])
+        found.append(
+            RankedLoop(
+                mode=labels[m],
+                actuator=actuators[j],
+                signal=signals[i].name,
+                kind=signals[i].kind,
+                index=float(index[i, m, j]),
+                residue=R,
+                lead_deg=float(np.degrees(np.angle(-1.0 / R))),
+                beside=(labels[int(worst[i, j])], float(spread[i, j])) if len(labels) > 1 else ("", 0.0),
+            )
+        )
+    return found
+
+
+def _sets(
+    labels: Sequence[str],
+    actuators: Sequence[str],
+    signals: Sequence[str],
+    index: npt.NDArray[np.float64],
+    together: int,
+) -> tuple[LoopSet, ...]:
+    """Sets of the actuators that serve some mode most, best first; index : (signals, modes, actuators)."""
+    best = index.max(axis=0)  # (modes, actuators)
+    strong = np.argsort(-best.max(axis=0), kind="stable")[: max(_MOST_ACTUATORS, together)]
+    rows = []
+    for picked in combinations(sorted(int(k) for k in strong), together):
+        if len(rows) >= _MOST_SETS:
+            break
+        each = best[:, list(picked)]
+        served = each.max(axis=1)
+        lost = (
+            [np.min(np.delete(each, k, axis=1).max(axis=1)) for k in range(together)]
+            if together > 1
+            else [0.0]
+        )
+        rows.append((float(served.min()), float(min(lost)), float(each.sum()), picked))
+    rows.sort(key=lambda row: row[:3], reverse=True)
+    return tuple(
+        LoopSet(
+            actuators=tuple(actuators[k] for k in picked),
+            score=score,
+            left=left,
+            decides=labels[int(np.argmin(best[:, list(picked)].max(axis=1)))],
+            loops={
+                actuators[k]: signals[int(np.argmax(index[:, int(np.argmax(best[:, k])), k]))] for k in picked
+            },
+        )
+        for score, left, _, picked in rows
+    )

@@ -1,0 +1,162 @@
+"""The command `loops`: which actuator with which signal, for the inter-area mode or all modes of a band."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .modes import CaseName, at_point, band_hz_of
+from .terminal import busy, print_table
+
+if TYPE_CHECKING:
+    from interarea.design.modes.loop_choice import LoopChoice
+    from interarea.models.case.case import Case
+
+
+def loops(
+    case: CaseName,
+    json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
+    band: Annotated[
+        str | None,
+        typer.Option(
+            "--band", metavar="LOW:HIGH", help="every signal, every actuator, all modes between so many Hz"
+        ),
+    ] = None,
+    below: Annotated[
+        float | None,
+        typer.Option(
+            "--below", metavar="RATIO", help="all modes below this damping ratio; 0.2 with --band alone"
+        ),
+    ] = None,
+    mode: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--mode", metavar="NAME", help="target, as `modes --band` names it; default: inter-area ones"
+        ),
+    ] = None,
+    latency: Annotated[
+        float, typer.Option("--latency", metavar="S", help="of every signal; turns the phase to make up")
+    ] = 0.0,
+    signals: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--signals", metavar="KIND", help="speed, frequency, angle, power or current; default all"
+        ),
+    ] = None,
+    actuator: Annotated[
+        list[str] | None, typer.Option("--actuator", metavar="INPUT", help="allowed, as G1_vs; default all")
+    ] = None,
+    together: Annotated[int, typer.Option("--together", metavar="N", min=1, help="actuators in a set")] = 2,
+    most: Annotated[int, typer.Option("--most", metavar="N", min=1, help="rows to show")] = 10,
+    circuit_out: Annotated[
+        list[str] | None, typer.Option("--circuit-out", metavar="BRANCH", help="branch out of service")
+    ] = None,
+) -> None:
+    """Rank actuators and signals for the inter-area mode, or every signal for all modes of a band."""
+    if band is None and below is None:
+        _refuse_alone(mode=mode, latency=latency, signals=signals, actuator=actuator, circuit_out=circuit_out)
+        _inter_area(case, json_)
+        return
+    loaded = at_point(case, 0.0, circuit_out, 1.0)
+    options: dict[str, Any] = {"latency_s": latency, "together": together, "most": most}
+    options |= {"targets": mode or (), "actuators": actuator or ()} | ({"kinds": signals} if signals else {})
+    with busy(f"loops of {loaded.name}"):
+        choice = _chosen(loaded, band or "0.1:2.5", 0.2 if below is None else below, options)
+    if json_:
+        typer.echo(json.dumps({"case": loaded.name, **_as_dict(choice)}, indent=2, allow_nan=False))
+        return
+    _print_choice(loaded.name, choice)
+
+
+def _refuse_alone(**given: object) -> None:
+    """Refuse what needs the modes of a region."""
+    from interarea.design.modes.modes import ModeError
+
+    named = [f"--{name.replace('_', '-')}" for name, value in given.items() if value]
+    if named:
+        raise ModeError(f"{named[0]} needs --band or --below, which say what modes there are")
+
+
+def _inter_area(case: str, as_json: bool) -> None:
+    """Speed differences of a small grid for its inter-area mode, with the geometric index."""
+    from interarea.cosim.study.rows import loop_rows
+    from interarea.grids import load_case
+    from interarea.grids import loops as ranked_loops
+
+    loaded = load_case(case)
+    with busy(f"linearising the plant FMU of {case}"):
+        ranked = loop_rows(ranked_loops(loaded))
+    if as_json:
+        typer.echo(json.dumps({"case": loaded.name, **ranked}, indent=2, allow_nan=False))
+        return
+    print_table(
+        f"{loaded.name}: loops for the inter-area mode",
+        ("actuator", "signal", "index", "geometric"),
+        [
+            (r["actuator"], r["signal"], f"{r['index']:.4f}", f"{r['geometric']:.4f}")
+            for r in ranked["ranking"]
+        ],
+    )
+    for line in ranked["coordinates"].split("; "):  # what the two columns are
+        typer.echo(line)
+
+
+def _chosen(case: Case, band: str, below: float, options: dict[str, Any]) -> LoopChoice:
+    from interarea.cosim.run.artefacts import sparse_linear_plant
+    from interarea.design.modes.all_modes import all_modes
+    from interarea.design.modes.loop_choice import choose_loops
+    from interarea.fmu_build.write.cache import default_cache
+    from interarea.models.grid.powerflow import solve_powerflow
+
+    band_hz = band_hz_of(band)
+    plant = sparse_linear_plant(case, default_cache())
+    found = all_modes(plant, case.areas, band_hz=band_hz, below=below)
+    return choose_loops(plant, found.modes, case.areas, solve_powerflow(case).voltages, **options)
+
+
+def _as_dict(choice: LoopChoice) -> dict[str, Any]:
+    def row(loop: Any) -> dict[str, Any]:
+        return asdict(loop) | {"residue": [loop.residue.real, loop.residue.imag], "beside": list(loop.beside)}
+
+    return {
+        "targets": list(choice.targets),
+        "latency_s": choice.latency_s,
+        "loops": {mode: [row(loop) for loop in ranked] for mode, ranked in choice.loops.items()},
+        "sets": [asdict(one) | {"reason": one.reason} for one in choice.sets],
+    }
+
+
+def _print_choice(name: str, choice: LoopChoice) -> None:
+    late = f", signals {choice.latency_s:g} s late" if choice.latency_s else ""
+    for mode, ranked in choice.loops.items():
+        print_table(
+            f"{name}: loops for {mode}{late}",
+            ("actuator", "signal", "index", "phase to make up", "moves most beside"),
+            [
+                (
+                    loop.actuator,
+                    loop.signal,
+                    f"{loop.index:.3f}",
+                    f"{loop.lead_deg:+.0f}°",
+                    f"{loop.beside[0]} {loop.beside[1]:.2g} times" if loop.beside[0] else "-",
+                )
+                for loop in ranked
+            ],
+        )
+    print_table(
+        f"{name}: sets of actuators for {', '.join(choice.targets)}",
+        ("actuators", "score", "each with", "reason"),
+        [
+            (
+                ", ".join(one.actuators),
+                f"{one.score:.3f}",
+                ", ".join(f"{a} <- {s}" for a, s in one.loops.items()),
+                one.reason,
+            )
+            for one in choice.sets
+        ],
+    )
+    typer.echo("index: residue over the largest of its kind of signal for that mode; score: least over modes")

@@ -1,0 +1,42 @@
+"""`interarea loops --band --below`: every signal at every actuator for every inter-area mode."""
+
+import json
+
+import pytest
+
+
+def test_tables_of_loops_and_sets(interarea) -> None:  # type: ignore[no-untyped-def]
+    code, out, _ = interarea(
+        "loops", "two-area-thesis", "--below", "0.2", "--latency", "0.1", "--most", "3", "--signals", "speed"
+    )
+    assert code == 0
+    lines = out.splitlines()
+    assert lines[0] == "two-area-thesis: loops for inter-area, signals 0.1 s late"
+    assert lines[2].split()[:3] == ["G4_vs", "dw24", "1.000"]
+    assert "sets of actuators for inter-area" in out
+    assert out.count("G4_vs") >= 3
+
+
+def test_the_json_has_the_same(interarea) -> None:  # type: ignore[no-untyped-def]
+    given = ("loops", "nets-nyps", "--below", "0.2", "--together", "4", "--mode", "inter-area 2", "--json")
+    found = json.loads(interarea(*given)[1])
+    assert found["targets"] == ["inter-area 2"]
+    best = found["loops"]["inter-area 2"][0]
+    assert best["index"] == pytest.approx(1.0)
+    assert {"actuator", "signal", "kind", "residue", "lead_deg", "beside"} <= set(best)
+    assert len(found["sets"][0]["actuators"]) == 4
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (("--latency", "0.1"), "--latency needs --band or --below"),
+        (("--below", "0.01"), "no inter-area mode in this band and below this damping ratio"),
+        (("--below", "0.2", "--mode", "x"), "no mode 'x'"),
+    ],
+)
+def test_a_mistake_is_one_line(interarea, given, said) -> None:  # type: ignore[no-untyped-def]
+    code, _, err = interarea("loops", "two-area-thesis", *given)
+    assert code == 2
+    assert said in err
+    assert len(err.strip().splitlines()) == 1
