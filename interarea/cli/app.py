@@ -70,7 +70,7 @@ COMMANDS = {
         "Fault every bus of a grid, or trip every branch; one page, worst first, with clearing times.",
     ),
     "explore": (
-        "explore:explore",
+        "export:explore",
         "Write one HTML file in which the loop runs: drag delay, loss, controller or fault, and see.",
     ),
     "design": (

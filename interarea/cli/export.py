@@ -1,4 +1,4 @@
-"""Commands on FMUs for other tools: `build`, a whole loop as `ssp` or `container`, `check` of any."""
+"""What leaves: `build`, a whole loop as `ssp`, `container` or page to `explore`; `check` of any FMU."""
 
 from __future__ import annotations
 
@@ -139,3 +139,26 @@ def check(
         typer.echo(f"{file}: {report.verdict}")
     if not report.clean:
         raise typer.Exit(1)
+
+
+def explore(
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE.html", help="page to write", show_default=False)
+    ],
+    subject: Annotated[
+        str, typer.Argument(metavar="SCENARIO | CASE", help="a file, or a bundled name of either")
+    ] = "two-area-thesis",
+) -> None:
+    """Write one HTML file in which the loop runs: drag delay, loss, controller or fault, and see.
+
+    It needs no server and no network: the simulation is the container's C as WebAssembly.
+    """
+    from interarea.cosim.explorer.page import write_explorer
+    from interarea.fmu_build.write.cache import default_cache
+
+    from .destination import file_for
+
+    file_for(out, suffix=".html")
+    with busy(f"writing {out}"):
+        made = write_explorer(subject, out, cache=default_cache())
+    typer.echo(made)
