@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, islice
 from typing import Any
 
 import numpy as np
@@ -122,34 +122,26 @@ def choose_loops(
     """
     aimed = _targets(modes, targets)
     names = _actuators(plant, actuators)
+    _require(kinds, latency_s, together, names)
+    V = np.array([mode.right for mode in modes]).T
+    value = np.array([mode.eigenvalue for mode in modes])
+    B = plant.Bu[:, [plant.inputs.index(n) for n in names]].toarray()
+    reach = (np.array([mode.left for mode in modes]) @ B) * np.exp(-value * latency_s)[:, None]
+    signals = [s for s in signals_of(plant, V, value, areas, voltages, aimed) if s.kind in kinds]
+    table = _Residues([m.name for m in modes], names, signals, reach)
+    table.require(aimed, modes)
+    loops = {modes[m].name: tuple(table.ranked(m, most)) for m in aimed}
+    return LoopChoice(tuple(loops), latency_s, loops, table.sets(aimed, together)[:most])
+
+
+def _require(kinds: Sequence[str], latency_s: float, together: int, actuators: Sequence[str]) -> None:
     unknown = [kind for kind in kinds if kind not in KINDS]
     if unknown or not kinds:
         raise ModeError(f"signals {unknown[0] if unknown else '(none)'!r}, allowed: {', '.join(KINDS)}")
     if not (np.isfinite(latency_s) and latency_s >= 0.0):
         raise ModeError(f"latency = {latency_s:g} s, wanted: 0 or more")
-    if not 0 < together <= len(names):
-        raise ModeError(f"sets of {together} actuators, wanted: 1 to {len(names)}, as many as there are")
-    V = np.array([mode.right for mode in modes]).T
-    value = np.array([mode.eigenvalue for mode in modes])
-    reach = (
-        np.array([mode.left for mode in modes])
-        @ plant.Bu[:, [plant.inputs.index(n) for n in names]].toarray()
-    )
-    signals = [s for s in signals_of(plant, V, value, areas, voltages, aimed) if s.kind in kinds]
-    late = np.exp(-value * latency_s)
-    # (signals, modes, actuators)
-    residues = np.array([s.shows for s in signals])[:, :, None] * (reach * late[:, None])[None]
-    index = _indices(residues, [s.kind for s in signals])
-    for m in aimed:
-        if not np.max(np.abs(residues[:, m])) > _UNSEEN * np.max(np.abs(residues)):
-            raise ModeError(
-                f"{modes[m].name} ({modes[m].frequency_hz:.3f} Hz): no actuator with a signal reaches and "
-                "shows it; allow more actuators or more kinds of signals"
-            )
-    labels = [mode.name for mode in modes]
-    loops = {labels[m]: tuple(_ranked(m, labels, names, signals, residues, index, most)) for m in aimed}
-    sets = _sets([labels[m] for m in aimed], names, [s.name for s in signals], index[:, aimed], together)
-    return LoopChoice(tuple(labels[m] for m in aimed), latency_s, loops, sets[:most])
+    if not 0 < together <= len(actuators):
+        raise ModeError(f"sets of {together} actuators, wanted: 1 to {len(actuators)}, as many as there are")
 
 
 def _targets(modes: Sequence[Mode], wanted: Sequence[str]) -> list[int]:
@@ -274,81 +266,79 @@ def _pairs(shows: ComplexArray, area: npt.NDArray[Any], aimed: Sequence[int]) ->
     ]
 
 
-def _indices(residues: ComplexArray, kinds: Sequence[str]) -> npt.NDArray[np.float64]:
-    """Residues over the largest of their kind and mode."""
-    size = np.abs(residues)
-    of = np.array(kinds)
-    for kind in set(kinds):
-        rows = of == kind
-        size[rows] /= np.maximum(size[rows].max(axis=(0, 2), keepdims=True), 1e-300)
-    return size
+class _Residues:
+    """R[signal, mode, actuator] = shows[signal, mode] reach[mode, actuator], never formed as a whole."""
 
+    def __init__(
+        self,
+        labels: Sequence[str],
+        actuators: Sequence[str],
+        signals: Sequence[Signal],
+        reach: ComplexArray,
+    ) -> None:
+        self._labels, self._actuators, self._signals, self._reach = labels, actuators, signals, reach
+        self._shows = np.array([s.shows for s in signals])
+        self._seen = np.abs(self._shows)  # over the largest of the kind, for each mode
+        of = np.array([s.kind for s in signals])
+        for kind in set(of.tolist()):
+            rows = of == kind
+            self._seen[rows] /= np.maximum(self._seen[rows].max(axis=0), 1e-300)
+        self._moved = np.abs(reach) / np.maximum(np.abs(reach).max(axis=1, keepdims=True), 1e-300)
 
-def _ranked(
-    m: int,
-    labels: Sequence[str],
-    actuators: Sequence[str],
-    signals: Sequence[Signal],
-    residues: ComplexArray,
-    index: npt.NDArray[np.float64],
-    most: int,
-) -> list[RankedLoop]:
-    """The best loops for mode m; of equal ones those that move other modes less."""
-    others = np.abs(residues) / np.maximum(np.abs(residues[:, m : m + 1]), 1e-300)
-    others[:, m] = 0.0
-    worst = others.argmax(axis=1)
-    spread = others.max(axis=1)
-    order = np.lexsort((spread.ravel(), -np.round(index[:, m], 6).ravel()))[:most]
-    found = []
-    for i, j in zip(*np.unravel_index(order, spread.shape), strict=True):
-        R = complex(residues[i, m, j])
-        found.append(
-            RankedLoop(
-                mode=labels[m],
-                actuator=actuators[j],
-                signal=signals[i].name,
-                kind=signals[i].kind,
-                index=float(index[i, m, j]),
-                residue=R,
-                lead_deg=float(np.degrees(np.angle(-1.0 / R))),
-                beside=(labels[int(worst[i, j])], float(spread[i, j])) if len(labels) > 1 else ("", 0.0),
+    def require(self, aimed: Sequence[int], modes: Sequence[Mode]) -> None:
+        """Refuse targets that no loop reaches and sees."""
+        size = np.abs(self._shows).max(axis=0) * np.abs(self._reach).max(axis=1)
+        for m in aimed:
+            if not size[m] > _UNSEEN * size.max():
+                raise ModeError(
+                    f"{modes[m].name} ({modes[m].frequency_hz:.3f} Hz): no actuator with a signal reaches "
+                    "and shows it; allow more actuators or more kinds of signals"
+                )
+
+    def ranked(self, m: int, most: int) -> list[RankedLoop]:
+        """The best loops for mode m; of equal ones those that move other modes less."""
+        index = np.outer(self._seen[:, m], self._moved[m])
+        first = np.argsort(-index, axis=None, kind="stable")[: 4 * most]
+        places = [divmod(int(k), index.shape[1]) for k in first]
+        found = [self._loop(m, i, j, float(index[i, j])) for i, j in places]
+        return sorted(found, key=lambda loop: (-round(loop.index, 6), loop.beside[1]))[:most]
+
+    def _loop(self, m: int, i: int, j: int, index: float) -> RankedLoop:
+        R = self._shows[i] * self._reach[:, j]  # of each mode
+        others = np.abs(R) / max(abs(R[m]), 1e-300)
+        others[m] = 0.0
+        worst = int(others.argmax())
+        return RankedLoop(
+            mode=self._labels[m],
+            actuator=self._actuators[j],
+            signal=self._signals[i].name,
+            kind=self._signals[i].kind,
+            index=index,
+            residue=complex(R[m]),
+            lead_deg=float(np.degrees(np.angle(-1.0 / R[m]))) if R[m] else 0.0,
+            beside=(self._labels[worst], float(others[worst])) if len(others) > 1 else ("", 0.0),
+        )
+
+    def sets(self, aimed: Sequence[int], together: int) -> tuple[LoopSet, ...]:
+        """Sets of the actuators that serve some target most, the best first."""
+        best = self._moved[list(aimed)]  # the index with the best signal of any kind
+        strong = np.argsort(-best.max(axis=0), kind="stable")[: max(_MOST_ACTUATORS, together)]
+        rows = []
+        for picked in islice(combinations(sorted(int(k) for k in strong), together), _MOST_SETS):
+            each = best[:, list(picked)]
+            rest = [np.delete(each, k, axis=1) for k in range(together)]
+            left = min(float(np.min(np.max(one, axis=1, initial=0.0))) for one in rest)
+            rows.append((float(each.max(axis=1).min()), left, float(each.sum()), picked))
+        rows.sort(key=lambda row: row[:3], reverse=True)
+        serves = {int(k): aimed[int(np.argmax(best[:, k]))] for k in strong}
+        shown = {k: self._signals[int(np.argmax(self._seen[:, m]))] for k, m in serves.items()}
+        return tuple(
+            LoopSet(
+                actuators=tuple(self._actuators[k] for k in picked),
+                score=score,
+                left=left,
+                decides=self._labels[aimed[int(np.argmin(best[:, list(picked)].max(axis=1)))]],
+                loops={self._actuators[k]: shown[k].name for k in picked},
             )
+            for score, left, _, picked in rows
         )
-    return found
-
-
-def _sets(
-    labels: Sequence[str],
-    actuators: Sequence[str],
-    signals: Sequence[str],
-    index: npt.NDArray[np.float64],
-    together: int,
-) -> tuple[LoopSet, ...]:
-    """Sets of the actuators that serve some mode most, best first; index : (signals, modes, actuators)."""
-    best = index.max(axis=0)  # (modes, actuators)
-    strong = np.argsort(-best.max(axis=0), kind="stable")[: max(_MOST_ACTUATORS, together)]
-    rows = []
-    for picked in combinations(sorted(int(k) for k in strong), together):
-        if len(rows) >= _MOST_SETS:
-            break
-        each = best[:, list(picked)]
-        served = each.max(axis=1)
-        lost = (
-            [np.min(np.delete(each, k, axis=1).max(axis=1)) for k in range(together)]
-            if together > 1
-            else [0.0]
-        )
-        rows.append((float(served.min()), float(min(lost)), float(each.sum()), picked))
-    rows.sort(key=lambda row: row[:3], reverse=True)
-    return tuple(
-        LoopSet(
-            actuators=tuple(actuators[k] for k in picked),
-            score=score,
-            left=left,
-            decides=labels[int(np.argmin(best[:, list(picked)].max(axis=1)))],
-            loops={
-                actuators[k]: signals[int(np.argmax(index[:, int(np.argmax(best[:, k])), k]))] for k in picked
-            },
-        )
-        for score, left, _, picked in rows
-    )
