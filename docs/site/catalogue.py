@@ -101,7 +101,7 @@ def commands_page() -> Iterator[str]:
             f"# {EXAMPLES[name]}",
             "```",
             "",
-            "| | what it is |",
+            "| argument | what it is |",
             "|---|---|",
         )
         for p in command.params:

@@ -96,7 +96,7 @@ def diagram_words() -> Iterator[str]:
         "An element has states and a line of its own; a function may stand in any expression, beside "
         "`+ - * /` and `**2` to `**4`. Times and gains of elements are expressions of parameters.",
         "",
-        "| | what it gives |",
+        "| word | what it gives |",
         "|---|---|",
         *(f"| `{call}` | {text} |" for call, text in (ELEMENTS | OPTIONS).items()),
         "",

@@ -42,6 +42,13 @@ def test_first_line_says_for_whom_and_the_last_what_is_next(page: Path) -> None:
     assert text.rstrip().split("\n\n")[-1].startswith("Next: ["), "the next step stands at the end"
 
 
+def test_no_table_has_an_empty_heading(made: dict[str, str]) -> None:
+    texts = {p.name: p.read_text(encoding="utf-8") for p in PAGES} | made
+    for name, text in texts.items():
+        for head in re.findall(r"^(\|.*\|)\n\|[-| :]+\|$", text, re.MULTILINE):
+            assert all(cell.strip() for cell in head.strip("|").split("|")), f"{name}: {head}"
+
+
 def test_every_page_can_be_reached_from_the_first() -> None:
     reached: set[str] = set()
     todo = ["index"]
