@@ -15,9 +15,9 @@ from ..delay.signal_conditions import Condition
 from ..linear.linearise import select, speeds_in_rad
 from ..linear.norms import frequency_response
 from ..reduction.balanced import balanced_truncation
-from ..reduction.gramians import assemble, separate_slow
-from .smoothed_objective import Array, Complex, DesignModel, EffortGrid, Objective
-from .spec import COMMON_SPEED, RobustSpec, check_plants
+from ..reduction.gramians import assemble, matrices, separate_slow
+from .smoothed_objective import COMMON_SPEED, Array, Complex, DesignModel, EffortGrid, Objective
+from .spec import RobustSpec, check_plants
 from .swing_penalty import SwingPenalty
 
 
@@ -32,10 +32,13 @@ def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, 
     omega = np.geomspace(0.3, 300.0, 60)
     for point, plant in plants.items():
         full = select(speeds_in_rad(plant, omega_b), list(spec.actuators), list(spec.signals))
-        swinging = without_common_speed(full)
+        swinging, standing = without_common_speed(full), _common_speed(full)
         unstable = int(np.count_nonzero(np.linalg.eigvals(swinging.A).real >= 0.0))
         order = min(max(spec.plant_order, unstable + 2), swinging.nstates)
         small = balanced_truncation(swinging, order).system
+        if standing is not None:
+            # without a Gramian it is not reduced; without it the loop's gain near rest would be another
+            small = assemble(small, matrices(small), standing)
         response = frequency_response(full.A, full.B, full.C, full.D, omega)
         for condition in spec.conditions:
             name = f"{point}: {condition.name}"
@@ -61,12 +64,20 @@ def without_common_speed(plant: control.StateSpace, slower_than: float = COMMON_
     """Return the plant less the mode of its common speed, where that does not return by itself.
 
     Without governors it is the slowest of all (0 where no torque depends on the speed). No controller with
-    K(0) = 0 moves it; as the worst damped mode it would be all that the search sees. slower_than : rad/s.
+    K(0) = 0 moves it. slower_than : rad/s.
     """
     A, B, C, D = (np.asarray(M, dtype=float) for M in (plant.A, plant.B, plant.C, plant.D))
     if not np.abs(np.linalg.eigvals(A)).min(initial=np.inf) < slower_than:
         return plant
     return assemble(plant, separate_slow(A, B, C, D, slower_than).stable)
+
+
+def _common_speed(plant: control.StateSpace) -> tuple[Array, Array, Array] | None:
+    """Return A, B, C of the mode that `without_common_speed` takes out."""
+    A, B, C, D = matrices(plant)
+    if not np.abs(np.linalg.eigvals(A)).min(initial=np.inf) < COMMON_SPEED:
+        return None
+    return separate_slow(A, B, C, D, COMMON_SPEED).rest
 
 
 def _free_order(spec: RobustSpec) -> int:

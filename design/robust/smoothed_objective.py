@@ -31,6 +31,8 @@ Complex = npt.NDArray[np.complex128]
 Gains = tuple[Array, Array, Array, Array]
 
 EFFORT_WEIGHT = 20.0**0.5  #: of the excess over the cap of the effort, before it is squared
+#: modes slower than this are the common speed of all machines, rad/s: no target of a damping controller
+COMMON_SPEED = 0.02
 SLOW_RADIUS = 0.2  #: below this modulus damping is measured against the radius, not the modulus (rad/s)
 
 
@@ -273,7 +275,7 @@ class Objective:
         return float(f), dA, dB, dC, dD
 
     def excess(self, eigenvalues: npt.NDArray[np.inexact[Any]]) -> tuple[Array, Complex]:
-        """v of every eigenvalue and dv/da - j dv/db."""
+        """v of every eigenvalue and dv/da - j dv/db; -1 of the common speed, which no controller moves."""
         a, b = eigenvalues.real, eigenvalues.imag
         modulus = np.abs(eigenvalues)
         fast = modulus >= SLOW_RADIUS
@@ -281,7 +283,8 @@ class Objective:
         offset, slope = self.offsets(np.abs(b))
         da = np.where(fast, b**2 / m**3, 1.0 / SLOW_RADIUS)
         db = np.where(fast, -a * b / m**3, 0.0) + slope * np.sign(b)
-        return offset + a / m, da - 1j * db
+        standing = modulus < COMMON_SPEED
+        return np.where(standing, -1.0, offset + a / m), np.where(standing, 0.0, da - 1j * db)
 
     def bends(self, eigenvalue: complex) -> tuple[float, float, float]:
         """Second derivatives of v: over a twice, over a and b, over b twice."""

@@ -15,12 +15,9 @@ from ..linear.linearise import select
 from ..modes.modes import Modes
 from ..synthesis.check import UNREACHABLE_MODE, describe_mode, describe_reach, modal_shares
 from ..synthesis.generalized_plant import check_design_plant
-from .smoothed_objective import BandOffsets
+from .smoothed_objective import COMMON_SPEED, BandOffsets
 from .stages import Stage
 from .swing_penalty import SwingPenalty
-
-#: modes slower than this are the common speed of all machines, rad/s: no target of a damping controller
-COMMON_SPEED = 0.02
 
 
 @dataclass(frozen=True)

@@ -283,3 +283,26 @@ def test_a_common_speed_that_stays_is_no_target_and_the_rest_is_unchanged() -> N
     left_out = np.outer(C[:, 0], B[0]) / s
     assert plant(s) - left_out == pytest.approx(swinging(s), rel=1e-9)
     assert without_common_speed(swinging) is swinging
+
+
+def test_design_models_keep_the_common_speed_that_a_loop_feels_near_rest() -> None:
+    """Two machines with one common speed: the sum of the torques moves it for good, K(0) = 0 or not."""
+    rng = np.random.default_rng(5)
+    swing = np.array([[-0.3, 4.0], [-4.0, -0.3]])
+    A = np.block([[np.zeros((1, 1)), np.zeros((1, 2))], [np.zeros((2, 1)), swing]])
+    B, C = rng.normal(size=(3, 1)), rng.normal(size=(2, 3))
+    plant = control.ss(A, B, C, np.zeros((2, 1)), inputs=["G4_vs"], outputs=["G2_dw", "G4_dw"])
+    conditions = (condition_of("N", "G4_dw", "G2_dw"),)
+    spec = RobustSpec(("G2_dw", "G4_dw"), ("G4_vs",), conditions, order=2)
+    objective = build_objective({"base": plant}, spec, OMEGA_B)
+    model = objective.models[0]
+    for s in (0.05j, 1.0j, 4.0j):
+        seen = model.C @ np.linalg.solve(s * np.eye(3) - model.A, model.B)
+        assert seen == pytest.approx(OMEGA_B * plant(s).reshape(2, 1), rel=1e-9)
+    # which the search does not count: no controller moves it
+    values = np.linalg.eigvals(model.A)
+    excess, slope = objective.excess(values.astype(complex))
+    at_rest = np.abs(values) < 1e-9
+    assert at_rest.sum() == 1
+    assert excess[at_rest] == -1.0
+    assert slope[at_rest] == 0.0
