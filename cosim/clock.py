@@ -10,6 +10,7 @@ the decimal time, so 3 steps of 10 ms are 0.03 to the bit.
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -149,7 +150,10 @@ class Clock:
         grid = np.arange(self.start + self.step, self.stop, self.step, dtype=np.int64)
         marks = np.array(self.marks, dtype=np.int64)
         points = np.array(self.points, dtype=np.int64)
-        kept = np.union1d(grid, np.append(marks, self.stop))
+        kept = np.append(grid, self.stop)  # of 1e7 steps each array counts: no more of them than needed
+        del grid
+        if marks.size:
+            kept = np.union1d(kept, marks)
         around = [points]
         near = np.empty(0, dtype=np.int64)
         if self.edges:
@@ -157,20 +161,25 @@ class Clock:
             around += [points + 1, bent - 1, bent, bent + 1]
             near = np.concatenate([bent, bent + 1, points + 1])
         extra = np.concatenate(around)
-        ends = np.union1d(kept, extra[(self.start < extra) & (extra < self.stop)])
-        short = np.diff(ends, prepend=self.start) == 1
+        extra = extra[(self.start < extra) & (extra < self.stop)]
+        ends = np.union1d(kept, extra) if extra.size else kept
+        short = np.append(ends[0] - self.start == 1, ends[1:] - ends[:-1] == 1)
         edge = np.zeros(len(ends), dtype=bool)
         edge[short] = np.isin(ends[short], near)
-        recorded = np.zeros(len(ends), dtype=bool)
-        recorded[np.searchsorted(ends, kept)] = True
-        return Steps(self.start, ends.tolist(), edge, recorded)
+        recorded = np.ones(len(ends), dtype=bool)
+        if ends is not kept:
+            recorded[:] = False
+            recorded[np.searchsorted(ends, kept)] = True
+        ticks = array("q")
+        ticks.frombytes(memoryview(ends).cast("B"))
+        return Steps(self.start, ticks, edge, recorded)
 
 
 class Steps(Sequence[Step]):
-    """Steps that follow one another: `start`, then where each ends, what each is."""
+    """Steps that follow one another: `start`, then where each ends, what each is; eight bytes an end."""
 
     def __init__(
-        self, start: int, ends: list[int], edge: npt.NDArray[np.bool_], recorded: npt.NDArray[np.bool_]
+        self, start: int, ends: array[int], edge: npt.NDArray[np.bool_], recorded: npt.NDArray[np.bool_]
     ) -> None:
         self.start, self.ends, self.edge, self.recorded = start, ends, edge, recorded
 

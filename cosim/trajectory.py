@@ -15,6 +15,7 @@ from interarea.fmu_build.open.ports import Port
 
 if TYPE_CHECKING:
     import pandas as pd
+    import pyarrow as pa
 
 TIME = "time_s"
 
@@ -88,29 +89,18 @@ class Trajectory:
         ]
 
     @property
-    def not_finite(self) -> list[str]:
-        """A line on each signal that is not finite somewhere: to go on, nothing may have been connected."""
-        found = []
-        for name, values in self._columns.items():
-            bad = np.flatnonzero(~np.isfinite(values))
-            if bad.size:
-                when = f"at {bad.size} of {len(values)} points, first at t = {self.time_s[bad[0]]:.9g} s"
-                found.append(f"{name} is {values[bad[0]]} {when}; nothing is connected to it")
-        return found
-
-    @property
     def time_s(self) -> npt.NDArray[np.float64]:
         return self[TIME]
 
-    def write_csv(self, path: Path) -> None:
-        """Write the numbers with all their digits; the units go into the Parquet file and `units`."""
-        self.data.to_csv(path, index=False, float_format="%.17g")
+    def thinned(self, names: Sequence[str], first: int, every: int) -> Trajectory:
+        """Return some columns at each `every`-th point from number `first` on."""
+        columns = {name: self._columns[name][first::every] for name in names}
+        return Trajectory(columns, {n: self.units[n] for n in names}, self.descriptions, self.engine)
 
-    def write_parquet(self, path: Path) -> None:
-        """Write a Parquet file whose schema carries unit and description of each column."""
+    def table(self) -> pa.Table:
+        """Return an Arrow table whose schema carries unit and description of each column."""
         import pandas as pd
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
         table = pa.Table.from_pandas(pd.DataFrame(self.data), preserve_index=False)
         fields = []
@@ -118,7 +108,13 @@ class Trajectory:
             extra = {"unit": self.units[f.name], "description": self.descriptions.get(f.name, "")}
             fields.append(f.with_metadata({k: v for k, v in extra.items() if v}))
         notes = {**(table.schema.metadata or {}), b"units": json.dumps(dict(self.units)).encode()}
-        pq.write_table(table.cast(pa.schema(fields, metadata=notes)), path)
+        return table.cast(pa.schema(fields, metadata=notes))
+
+    def write_parquet(self, path: Path) -> None:
+        """Write `table` as a Parquet file."""
+        import pyarrow.parquet as pq
+
+        pq.write_table(self.table(), path)
 
     @classmethod
     def read_parquet(cls, path: Path) -> Trajectory:

@@ -19,6 +19,7 @@ from ..results.delay_ledger import DelayLedger, LedgerRow, packet_ledger
 from ..results.metrics import METRICS, RING_DOWN
 from ..results.ringdown import run_metrics
 from ..results.run import Run
+from ..results.tally import Tally
 from ..run.controllers import ControllerLike
 from ..run.run import system_of
 from ..run.swing_signal import swing_of
@@ -68,7 +69,7 @@ def run_joint(
     return Run(
         trajectory=trajectory,
         ledger=ledger,
-        packets=packet_ledger(trajectory, loaded.lines),
+        packets=packet_ledger(trajectory, Tally.of(trajectory, loaded.lines)),
         explanation=f"step {1e3 * members.step_s:g} ms, {_HOW}\n{ledger}",
         warnings=tuple(system.warnings),
         scenario=loaded,

@@ -40,6 +40,7 @@ from .instances import FmuParticipant
 from .kernel.build import kernel_or_reason
 from .kernel.kernel import Kernel, run_kernels, why_not
 from .node import Node
+from .records import Records, Sink
 from .signals import Signal
 from .snapshot import Fork, Saved
 from .step_choice import clock_of, latency_ticks, step_and_reason
@@ -72,6 +73,7 @@ class Master:
     early : what follows when an FMU returns early from a step, see `early_return`; ``roll back`` needs every
         FMU to save its state, and Python to step.
     at_rest : all start where nothing moves (`clock_of`).
+    sink : takes the results in parts while the run goes on, the last when it ends; they are not kept then.
 
     Raises
     ------
@@ -96,6 +98,7 @@ class Master:
         engine: Engine = "auto",
         early: Early = "continue",
         at_rest: bool = False,
+        sink: Sink | None = None,
     ) -> None:
         early = early_word(early)
         for key, value, allowed in (
@@ -141,7 +144,8 @@ class Master:
         self.stepping = Stepping(descriptions, self.graph, self.signals, inputs, loops, tolerance)
         self._plan = [self._planned(group) for group in self.stepping.groups]
         self._index = -1
-        self._make_records()
+        points = 1 + int(np.count_nonzero(self.clock.steps.recorded))
+        self._records = Records(self.participants.values(), points, sink)
         self.engine = engine
         self.ran = ""  #: who did the steps since the start: kernel | python | python (why not the kernel)
         self.early = early
@@ -171,7 +175,7 @@ class Master:
     def start(self) -> None:
         """Initialise all participants (again, if they ran before) and record the start."""
         start_s, stop_s = seconds(self.clock.start), seconds(self.clock.stop)
-        self._rows = self.repeated = self.rolled_back = 0
+        self._records.count = self.repeated = self.rolled_back = 0
         self.ran = ""
         for p in self.participants.values():
             p.begin(start_s, stop_s)
@@ -181,7 +185,7 @@ class Master:
         for node in self.nodes.values():
             node.take_start(self.clock.start, slopes=True)
         self._index = 0
-        self._record(self.clock.start)
+        self._records.add(self.clock.start)
 
     def step(self) -> bool:
         """Do the next communication step, in Python; return whether there was one.
@@ -206,7 +210,8 @@ class Master:
             raise
         self._index += 1
         if step.recorded:
-            self._record(step.end)
+            self._records.free(self.ran)
+            self._records.add(step.end)
         return True
 
     def run(self, until_s: float | None = None, *, progress: Progress | None = None) -> Trajectory:
@@ -242,9 +247,11 @@ class Master:
             if kernel is None:
                 self.step()
             else:
-                self._stretch(kernel, last)
+                self._stretch(kernel, min(last, self._index + self._records.free(self.ran)))
             if progress is not None:
                 progress(self.time_s, stop_s)
+        if self.finished:
+            self._records.hand_on(self.ran)
 
     # -- for `together` -------------------------------------------------------------------
 
@@ -259,12 +266,12 @@ class Master:
         kernel = self._compiled()
         if kernel is not None:
             self._note("kernel")
-            kernel.begin(self._index, self._rows)
+            kernel.begin(self._index, self._records.count)
         return kernel
 
     def sync_from_kernel(self, kernel: Kernel) -> None:
         """Go where the kernel has come to."""
-        self._index, self._rows = kernel.index, kernel.row
+        self._index, self._records.count = kernel.index, kernel.row
         self.repeated += kernel.repeated
 
     def fail(self, error: Exception) -> None:
@@ -299,9 +306,8 @@ class Master:
 
     @property
     def trajectory(self) -> Trajectory:
-        """Results up to now: every output of every participant."""
-        n, columns, ports = self._rows, self._columns, self._ports
-        return Trajectory.of_records(self._times[:n], self._records[:n], columns, ports, engine=self.ran)
+        """Results up to now: every output of every participant; with a sink, those not yet handed on."""
+        return self._records.trajectory(self.ran)
 
     # -- saving ---------------------------------------------------------------------------
 
@@ -313,7 +319,7 @@ class Master:
             if not p.description.saves_state:
                 raise GraphError(f"{n} cannot save its state (canGetAndSetFMUstate): no fork of this run")
         states = {n: p.save() for n, p in self.participants.items()}
-        return Saved(self._index, states, tuple(s.copy() for s in self.signals), self._rows)
+        return Saved(self._index, states, tuple(s.copy() for s in self.signals), self._records.count)
 
     def restore(self, saved: Saved) -> None:
         """Go back to `saved`; the records up to then are kept as they are."""
@@ -321,7 +327,7 @@ class Master:
             p.restore(saved.states[n])
         for s, kept in zip(self.signals, saved.signals, strict=True):
             s.paste(kept)
-        self._index, self._rows = saved.index, saved.rows
+        self._index, self._records.count = saved.index, saved.rows
 
     def release(self, saved: Saved) -> None:
         """Free the participants' part of `saved`."""
@@ -332,7 +338,7 @@ class Master:
         """Return the beginning up to now, for `take_over`; `release` its `saved` when it is not needed."""
         saved = self.save()
         counts = (self.residual, self.repeated, self.rolled_back, self.ran)
-        times, records = self._times[: saved.rows].copy(), self._records[: saved.rows].copy()
+        times, records = (a[: saved.rows].copy() for a in (self._records.times, self._records.values))
         return Fork(saved, self.ends[: saved.index], times, records, counts)
 
     def take_over(self, fork: Fork) -> bool:
@@ -344,7 +350,8 @@ class Master:
         for p in self._stopping:
             p.resume(seconds(fork.ends[-1] if fork.ends else self.clock.start))
         self.restore(saved)
-        self._times[: saved.rows], self._records[: saved.rows] = fork.times, fork.records
+        self._records.times[: saved.rows] = fork.times
+        self._records.values[: saved.rows] = fork.records
         self.residual, self.repeated, self.rolled_back, self.ran = fork.counts
         return True
 
@@ -355,18 +362,6 @@ class Master:
         iterated = group.members in self.stepping.iterated
         torn = self.stepping.torn_signals(group) if iterated else None
         return group, [self.nodes[n] for n in group.members], torn
-
-    def _make_records(self) -> None:
-        """Make room for every output at every recorded point."""
-        parts = self.participants.values()
-        outputs = [(p.name, port) for p in parts for port in p.description.outputs]
-        self._columns = [f"{name}.{port.name}" for name, port in outputs]
-        self._ports = [port for _, port in outputs]
-        self._recorded = [(p, len(p.description.outputs)) for p in parts]
-        rows = 1 + int(np.count_nonzero(self.clock.steps.recorded))
-        self._times = np.full(rows, np.nan)
-        self._records = np.full((rows, len(outputs)), np.nan)
-        self._rows = 0
 
     def _once(self, step: Step) -> None:
         """Do one step, and no more."""
@@ -411,15 +406,15 @@ class Master:
             self.stepping.iterated,
             self.clock.steps,
             tolerance=self.tolerance,
-            times=self._times,
-            records=self._records,
+            times=self._records.times,
+            records=self._records.values,
         )
         return self._kernel
 
     def _stretch(self, kernel: Kernel, last: int) -> None:
         """Let the kernel step for a while."""
         self._note("kernel")
-        kernel.begin(self._index, self._rows)
+        kernel.begin(self._index, self._records.count)
         try:
             error = run_kernels([kernel], [last])[0]
         finally:  # Ctrl-C too
@@ -434,11 +429,3 @@ class Master:
             engine = f"python ({self._why_python})"
         if engine not in self.ran:
             self.ran = f"{self.ran}, then {engine}" if self.ran else engine
-
-    def _record(self, tick: int) -> None:
-        row: list[float] = []
-        for p, n in self._recorded:
-            row += p.y[:n]
-        self._records[self._rows] = row
-        self._times[self._rows] = seconds(tick)
-        self._rows += 1

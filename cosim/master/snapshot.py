@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -24,7 +25,7 @@ class Fork:
     """A beginning that several masters can share: the state after it, what was recorded and counted."""
 
     saved: Saved
-    ends: list[int]
+    ends: array[int]
     times: npt.NDArray[np.float64]
     records: npt.NDArray[np.float64]
     counts: tuple[float, int, int, str]

@@ -24,15 +24,14 @@ communication points; that wait is the master's too.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-
-import numpy as np
 
 from ..master.graph import Connection
 from ..master.master import Master
 from ..scenario.delays import Delays
 from ..trajectory import Trajectory
+from .tally import Tally
 
 
 @dataclass(frozen=True)
@@ -192,14 +191,14 @@ class PacketLedger:
 PACKET_COUNTS = ("sent", "delivered", "dropped", "late")
 
 
-def packet_ledger(trajectory: Trajectory, channels: Iterable[str]) -> PacketLedger:
-    """Return what the channels counted by the end of a run, from their recorded outputs.
+def packet_ledger(trajectory: Trajectory, tally: Tally) -> PacketLedger:
+    """Return what the channels counted by the end of a run: from its last part, and the tally of all.
 
     Of a channel without packets the age of its information is told: at the end, and mean and largest over
     the communication points.
     """
     rows: dict[str, dict[str, float]] = {}
-    for name in channels:
+    for name in tally.channels:
         row: dict[str, float] = {}
         for count in PACKET_COUNTS:
             if f"{name}.{count}" in trajectory:
@@ -209,9 +208,9 @@ def packet_ledger(trajectory: Trajectory, channels: Iterable[str]) -> PacketLedg
         else:
             arrived = row.get("delivered", 0.0) + row.get("dropped", 0.0) + row.get("late", 0.0)
             row["on their way"] = row["sent"] - arrived
-        if f"{name}.age" in trajectory:
-            age = trajectory[f"{name}.age"]
-            row |= {"age": float(age[-1]), "age mean": float(np.mean(age)), "age max": float(np.max(age))}
+        if name in tally.ages:
+            age = tally.ages[name]
+            row |= {"age": age.last, "age mean": age.mean, "age max": age.largest}
         if row:
             rows[name] = row
     return PacketLedger(rows)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ import numpy.typing as npt
 from ..trajectory import Trajectory
 from .delay_ledger import DelayLedger, PacketLedger
 from .record import write_json, write_record
+from .trajectory_files import TrajectoryFiles
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -56,16 +57,23 @@ class Result:
         """Return the signals over time: index ``time_s``, columns ``INSTANCE.VARIABLE``."""
         return self.data.set_index("time_s")
 
-    def save(self, folder: str | Path) -> list[Path]:
+    def save(self, folder: str | Path, *, record: Sequence[str] = (), every: int = 1) -> list[Path]:
         """Write trajectory.csv, trajectory.parquet, ledger.json into a folder; return the files.
 
         Of a scenario scenario.toml too, resolved, and run.json: versions, seeds, commit.
+
+        record, every : columns and points of the trajectory, as the keys of a scenario.
+
+        Raises
+        ------
+        DestinationError : a file that cannot be written. ScenarioError : a column that is not there.
         """
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        files = [folder / name for name in ("trajectory.csv", "trajectory.parquet", "ledger.json")]
-        self.trajectory.write_csv(files[0])
-        self.trajectory.write_parquet(files[1])
+        with TrajectoryFiles(Path(folder), record, every) as files:
+            files.add(self.trajectory)
+        return [*files.files, *self.save_ledger(Path(folder))]
+
+    def save_ledger(self, folder: Path) -> list[Path]:
+        """Write what `save` does beside the trajectory."""
         ledgers = {
             "step_s": self.ledger.step_s,
             "inputs": self.ledger.inputs,
@@ -74,7 +82,8 @@ class Result:
             "warnings": list(self.warnings),
             "packets": {name: dict(row) for name, row in self.packets.rows.items()},
         }
-        write_json(ledgers, files[2])
+        files = [folder / "ledger.json"]
+        write_json(ledgers, files[0])
         if self.scenario is not None:
             files += write_record(folder, self.scenario, getattr(self, "case", None))
         return files

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -75,15 +76,24 @@ class Run(Result):
 
         return run_plot(self)
 
-    def save(self, folder: str | Path, *, explorer: str = "") -> list[Path]:
+    def save(
+        self,
+        folder: str | Path,
+        *,
+        record: Sequence[str] | None = None,
+        every: int | None = None,
+        explorer: str = "",
+    ) -> list[Path]:
         """Write what `Result.save` does, metrics.json, run.svg and the page report.html; return the files.
 
+        record, every : see `Result.save`; default as the scenario says.
         explorer : address of the explorer's page of this run, for the page to link.
         """
         from ..plots.curves import save_figure
         from .run_page import run_page
 
-        files, folder = super().save(folder), Path(folder)
+        record, folder = self.scenario.record if record is None else record, Path(folder)
+        files = super().save(folder, record=record, every=every or self.scenario.every)
         metrics, figure, page = (folder / n for n in ("metrics.json", "run.svg", "report.html"))
         write_json(self.metrics.as_dict(), metrics)
         save_figure(self.plot(), figure)

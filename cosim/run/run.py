@@ -17,8 +17,11 @@ from ..errors import ScenarioError, nearest
 from ..results.result import Result
 from ..results.ringdown import Swing
 from ..results.run import Run
+from ..results.tally import Tally
+from ..results.trajectory_files import TrajectoryFiles, chosen
 from ..scenario.names import wrong_targets
 from ..scenario.scenario import Scenario, load_scenario
+from ..trajectory import Trajectory
 from .controllers import ControllerLike, controller_of
 from .instance import Fmus, Instance
 from .oddities import made_for_another, outputs_used, times_past_the_end
@@ -75,6 +78,39 @@ def run_system(
         name = system.parts[CONTROLLER].file.description.title if CONTROLLER in system.parts else "none"
         system.scenario = loaded.model_copy(update={"controller": name})  # results tell what ran
     return system.run(progress=progress)
+
+
+def write_run(
+    scenario: Scenario | str | Path | Mapping[str, Any],
+    folder: Path,
+    *,
+    cache: Path | None = None,
+    progress: Callable[[float, float], object] | None = None,
+) -> tuple[Result, list[Path]]:
+    """Run any scenario and write its files; without a case while it runs, so that any length fits in memory.
+
+    The trajectory of a result without a case is the last part of it then; the whole is in the files.
+
+    Raises
+    ------
+    As `run_system`; DestinationError : a file that cannot be written.
+    """
+    loaded = load_scenario(scenario)
+    if loaded.case:
+        done = run_system(loaded, cache=cache, progress=progress)
+        return done, done.save(folder)
+    system = system_of(loaded, cache=cache).warned()
+    tally = Tally(tuple(system.channels))
+    with TrajectoryFiles(folder, loaded.record, loaded.every) as files:
+
+        def take(part: Trajectory) -> None:
+            files.add(part)
+            tally.add(part)
+
+        with system.master(sink=take) as master:
+            master.advance(progress=progress)
+            result = system.result(master, files.last, tally)
+    return result, [*files.files, *result.save_ledger(folder)]
 
 
 def system_of(
@@ -140,6 +176,8 @@ def system_of(
     for path in scenario.connections:
         with wrong:
             system.connect(*path)
+    with wrong:
+        chosen(system.signals, scenario.record)  # refuses an unknown one here
     wrong.end(ScenarioError)
     system.marks = list(scenario.marks_s)
     system.at_rest = not scenario.fmus  # a case starts at its operating point; others anywhere

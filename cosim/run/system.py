@@ -42,6 +42,7 @@ from ..master.graph import end_of, pairs_of
 from ..master.instances import FmuParticipant, Value
 from ..master.isolated import participant_of
 from ..master.master import Master
+from ..master.records import Sink
 from ..participant import Participant
 from ..results.delay_ledger import delay_ledger, explain, packet_ledger
 from ..results.latency_test import SelfTest, self_test
@@ -49,6 +50,7 @@ from ..results.metrics import METRICS, RING_DOWN, Metrics
 from ..results.result import Result
 from ..results.ringdown import Swing, control_limit_pu, run_metrics
 from ..results.run import Run
+from ..results.tally import Tally
 from ..scenario.channels import ChannelLine, hold_packets
 from ..scenario.concentrators import ConcentratorLine
 from ..scenario.rounding import event_on_ticks, roundings
@@ -183,6 +185,8 @@ class System:
         self._free(instance.name)
         if self.strict:
             instance.file.refuse_breaches()
+        if instance.file.warning and instance.file.warning not in self.warnings:
+            self.warnings.append(instance.file.warning)
         self.parts[instance.name] = instance
         return self
 
@@ -309,6 +313,11 @@ class System:
         return participant_of(name, made.file, made.start, **made.process)
 
     @property
+    def signals(self) -> list[str]:
+        """Every output of every FMU, as results name it."""
+        return [f"{name}.{p.name}" for name, i in self.parts.items() for p in i.file.description.outputs]
+
+    @property
     def marks_s(self) -> tuple[float, ...]:
         """Instants of events and outages inside the run, s."""
         return tuple(sorted({t for t in self.marks if self.start_s < t < self.stop_s}))
@@ -318,10 +327,12 @@ class System:
         """Ticks at which packets come out, where these are communication points."""
         return points_of(self.channels.values(), self.arrivals, self.start_s, self.stop_s)
 
-    def master(self, participants: Collection[FmuParticipant] | None = None) -> Master:
+    def master(
+        self, participants: Collection[FmuParticipant] | None = None, sink: Sink | None = None
+    ) -> Master:
         """Return a master of the system, to be stepped: a context manager that ends the instances.
 
-        participants : of the `instances`, where they are there already.
+        participants : of the `instances`, where they are there already. sink : see `Master`.
 
         Raises
         ------
@@ -348,6 +359,7 @@ class System:
             points=self.points,
             latency_s=self.latency_s,
             at_rest=self.at_rest,
+            sink=sink,
             **self.options,
         )
 
@@ -363,17 +375,21 @@ class System:
         with self.master() as master:
             return self.result(master, master.run(progress=progress))
 
-    def result(self, master: Master, trajectory: Trajectory | None = None) -> Result:
-        """Return what a master of this system has done so far: a `Run` of a scenario with a case."""
-        done = master.trajectory if trajectory is None else trajectory
+    def result(self, master: Master, last: Trajectory | None = None, tally: Tally | None = None) -> Result:
+        """Return what a master of this system has done so far: a `Run` of a scenario with a case.
+
+        last, tally : the last part of what it recorded, and the tally of all.
+        """
+        done = master.trajectory if last is None else last
         delays = {name: line.delays(master.clock) for name, line in self.channels.items()}
+        tally = Tally.of(done, self.channels) if tally is None else tally
         ledger = delay_ledger(master, delays, self.rounded)
         common: dict[str, Any] = {
             "trajectory": done,
             "ledger": ledger,
-            "packets": packet_ledger(done, self.channels),
+            "packets": packet_ledger(done, tally),
             "explanation": explain(master, ledger),
-            "warnings": (*self.warnings, *self._file_warnings(), *done.not_finite),
+            "warnings": (*self.warnings, *tally.warnings),
             "scenario": self.scenario,
         }
         if self.scenario is None or self.swing is None:
@@ -415,11 +431,6 @@ class System:
             points=lambda stop_s: points_of(lines.values(), self.arrivals, 0.0, stop_s),
             interval_s=max([line.reporting_interval_s for line in lines.values()], default=0.0),
         )
-
-    def _file_warnings(self) -> list[str]:
-        """Of each FMU that is not as the standard says, a line."""
-        told = (instance.file.warning for instance in self.parts.values())
-        return list(dict.fromkeys(line for line in told if line))
 
     def _slots(self, plant: str) -> int:
         return max(EVENT_SLOTS, len(self.events.get(plant, ())))

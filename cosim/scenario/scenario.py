@@ -203,6 +203,8 @@ class Scenario(Table):
     connections: tuple[tuple[str, ...], ...] = ()  #: [from, channels on the way, to] for FMUs of one's own
     #: refuse an FMU whose description breaks the standard even where it does no harm; else a warning tells
     strict: bool = False
+    record: tuple[str, ...] = ()  #: signals (INSTANCE.VARIABLE, or a pattern: plant.*) to write; default: all
+    every: Annotated[int, Field(ge=1)] = 1  #: every n-th point is written, and the last
     event: tuple[Any, ...] = ()  #: faults, trips, pulses and steps, a table each
     #: [machine, machine]: the difference of speeds that the run is judged by; default: the case's, else the
     #: extreme machines of the inter-area mode

@@ -14,6 +14,7 @@ from .terminal import busy, note, say_warning
 
 if TYPE_CHECKING:
     from interarea.cosim.results.latency_test import SelfTest
+    from interarea.cosim.results.result import Result
     from interarea.cosim.scenario.scenario import Scenario
     from interarea.models.case.case import Case
 
@@ -40,10 +41,24 @@ def run(
             "--self-test", help="measure the latency of every connection; exit code 1 if not as stated"
         ),
     ] = False,
+    record: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--record", metavar="NAME", help="signal or pattern to write, several times; default: all"
+        ),
+    ] = None,
+    every: Annotated[
+        int | None, typer.Option("--every", min=1, metavar="N", help="write every N-th point, and the last")
+    ] = None,
+    strict: Annotated[
+        bool | None,
+        typer.Option("--strict", help="refuse FMUs that break the standard even where it does no harm"),
+    ] = None,
 ) -> None:
     """Co-simulate one scenario; writes trajectory, ledgers, metrics and a plot.
 
-    With --self-test and no --out only the self-test is done.
+    With --self-test and no --out only the self-test is done. --record, --every and --strict stand in for the
+    scenario's keys of these names. Without a case the files are written while it runs.
     """
     from .destination import folder_for
 
@@ -57,11 +72,12 @@ def run(
         raise typer.Exit(_run_beside(foreign))
     from interarea.cosim.scenario.scenario import load_scenario
 
-    loaded = load_scenario(scenario)
+    given = {"record": tuple(record) if record else None, "every": every, "strict": strict}
+    loaded = load_scenario(scenario).model_copy(update={k: v for k, v in given.items() if v is not None})
     # a mistake in the file is told before what runs it is loaded
     from interarea.cosim.export.joint import run_joint
     from interarea.cosim.results.run import Run
-    from interarea.cosim.run.run import run_system
+    from interarea.cosim.run.run import write_run
     from interarea.fmu_build.write.cache import default_cache
 
     tested = None
@@ -71,9 +87,11 @@ def run(
         typer.echo(tested)
     if out is not None:
         with busy(f"running {scenario}"):
-            run_it = run_joint if loaded.master.joint else run_system
-            result = run_it(loaded, cache=default_cache())
-            files = result.save(out)
+            if loaded.master.joint:
+                result: Result = run_joint(loaded, cache=default_cache())
+                files = result.save(out)
+            else:
+                result, files = write_run(loaded, out, cache=default_cache())
         if explore:
             from interarea.cosim.explorer.page import write_explorer
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Collection, Mapping, Sequence
-from ctypes import addressof, byref, c_double, c_int, c_int32, c_int64, c_ubyte, c_uint, c_void_p
+from ctypes import addressof, byref, c_double, c_int, c_int32, c_int64, c_uint, c_void_p
 from typing import Any
 
 import numpy as np
@@ -97,9 +97,10 @@ class Kernel:
         run.nodes, run.signals = self._at(self._k_nodes), self._at(self._k_signals)
         run.groups = self._at(k_groups)
         run.members, run.torn = self._at(_array(c_int32, members)), self._at(_array(c_int32, against))
-        run.points = self._at(_array(c_int64, [steps.start, *steps.ends]))
-        flags = built.STEP_EDGE * steps.edge + built.STEP_RECORDED * steps.recorded
-        run.flags = self._at(_array(c_ubyte, flags.tolist()))
+        points = np.insert(np.frombuffer(steps.ends, dtype=np.int64), 0, steps.start)
+        flags = (built.STEP_EDGE * steps.edge + built.STEP_RECORDED * steps.recorded).astype(np.uint8)
+        self._keep += [points, flags]
+        run.points, run.flags = points.ctypes.data, flags.ctypes.data
         run.times, run.records = times.ctypes.data, records.ctypes.data
         run.spare = self._at(_array(c_double, [0.0] * records.shape[1]))
         run.work = self._at((c_double * max(1, most * most + 6 * most))())

@@ -9,6 +9,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from interarea.cosim.results.trajectory_files import TrajectoryFiles
 from interarea.cosim.trajectory import Trajectory
 from interarea.fmu_build.open.ports import Port
 from interarea.fmu_build.open.units import UnitOf
@@ -44,8 +45,9 @@ def test_parquet_keeps_bits_units_and_descriptions(trajectory: Trajectory, tmp_p
 
 
 def test_csv_keeps_bits(trajectory: Trajectory, tmp_path: Path) -> None:
-    trajectory.write_csv(tmp_path / "t.csv")
-    again = pd.read_csv(tmp_path / "t.csv")
+    with TrajectoryFiles(tmp_path) as files:
+        files.add(trajectory)
+    again = pd.read_csv(files.files[0])
     assert (again["a.v"] == trajectory.data["a.v"]).all()
 
 

@@ -1,0 +1,131 @@
+"""trajectory.csv and trajectory.parquet, written in parts while a run goes on: whole, or not there."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from types import TracebackType
+from typing import IO, TYPE_CHECKING, Any
+
+from interarea.models.files import settle
+
+from ..errors import DestinationError, ScenarioError, nearest
+from ..trajectory import TIME, Trajectory
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
+
+
+def chosen(columns: Sequence[str], record: Sequence[str]) -> list[str]:
+    """Return the columns that names or patterns (``plant.*``) in `record` choose, in their order; () = all.
+
+    Raises
+    ------
+    ScenarioError : a name or pattern that chooses nothing.
+    """
+    for pattern in record:
+        if not any(fnmatchcase(name, pattern) for name in columns):
+            raise ScenarioError(f"record = {pattern!r}: no signal has this name; {nearest(pattern, columns)}")
+    return [n for n in columns if n == TIME or not record or any(fnmatchcase(n, p) for p in record)]
+
+
+class TrajectoryFiles:
+    """Both files of a run in `folder`; a context manager that ends with both, or with what was there before.
+
+    record : columns as `chosen` takes them. every : every n-th point is written, and the last.
+
+    Raises
+    ------
+    DestinationError : a file that cannot be written; names it.
+    """
+
+    def __init__(self, folder: Path, record: Sequence[str] = (), every: int = 1) -> None:
+        self.files = [folder / "trajectory.csv", folder / "trajectory.parquet"]
+        self._record, self._every = record, every
+        self._points = 0
+        self.last: Trajectory | None = None  #: part that was taken last
+        self._partial: list[Path] = []
+        self._csv: IO[str] | None = None
+        self._parquet: pq.ParquetWriter | None = None
+
+    def __enter__(self) -> TrajectoryFiles:
+        with self._named(self.files[0].parent):
+            self.files[0].parent.mkdir(parents=True, exist_ok=True)
+        for file in self.files:
+            with self._named(file):
+                handle, name = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}-", suffix=".partial")
+                self._partial.append(Path(name))
+                if self._csv is None:
+                    self._csv = os.fdopen(handle, "w", encoding="utf-8", newline="")
+                else:
+                    os.close(handle)
+        return self
+
+    def add(self, part: Trajectory) -> None:
+        """Write the points of a part."""
+        kept = part.thinned(chosen(list(part.units), self._record), -self._points % self._every, self._every)
+        self._points += len(part.time_s)
+        self.last = part
+        self._write(kept)
+
+    def _write(self, kept: Trajectory) -> None:
+        first = self._parquet is None
+        table = kept.table()
+        with self._named(self.files[0]):
+            assert self._csv is not None
+            kept.data.to_csv(self._csv, index=False, float_format="%.17g", header=first)
+        with self._named(self.files[1]):
+            if self._parquet is None:
+                import pyarrow.parquet as pq
+
+                self._parquet = pq.ParquetWriter(self._partial[1], table.schema)
+            self._parquet.write_table(table)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self._end()
+        finally:
+            with contextlib.suppress(OSError):
+                self._close()
+            for partial in self._partial:
+                with contextlib.suppress(OSError):
+                    partial.unlink(missing_ok=True)
+
+    def _end(self) -> None:
+        """Write the last point if it is still missing, and give both files their names."""
+        if self.last is not None and (self._points - 1) % self._every:
+            self._write(self.last.thinned(chosen(list(self.last.units), self._record), -1, 1))
+        for closed, partial, file in zip((self._csv, self._parquet), self._partial, self.files, strict=True):
+            with self._named(file):
+                if closed is not None:
+                    closed.close()
+                partial.chmod(0o644)
+                settle(partial, file)
+
+    def _close(self) -> None:
+        open_: tuple[Any, ...] = (self._csv, self._parquet)
+        for file in open_:
+            if file is not None:
+                with contextlib.suppress(OSError):
+                    file.close()
+
+    @staticmethod
+    @contextlib.contextmanager
+    def _named(file: Path) -> Iterator[None]:
+        """Name the file in what the system says."""
+        try:
+            yield
+        except OSError as error:
+            reason = os.strerror(error.errno) if error.errno in errno.errorcode else str(error)
+            raise DestinationError(
+                f"{file}: {reason}: not written, what was there before stays; make room, or write less "
+                "(record, every)"
+            ) from error
