@@ -185,8 +185,7 @@ class System:
         self._free(instance.name)
         if self.strict:
             instance.file.refuse_breaches()
-        if instance.file.warning and instance.file.warning not in self.warnings:
-            self.warnings.append(instance.file.warning)
+        self.warnings += {instance.file.warning} - {"", *self.warnings}
         self.parts[instance.name] = instance
         return self
 
@@ -376,18 +375,14 @@ class System:
             return self.result(master, master.run(progress=progress))
 
     def result(self, master: Master, last: Trajectory | None = None, tally: Tally | None = None) -> Result:
-        """Return what a master of this system has done so far: a `Run` of a scenario with a case.
-
-        last, tally : the last part of what it recorded, and the tally of all.
-        """
+        """Return what a master has done so far: its `last` part, the tally of all; with a case a `Run`."""
         done = master.trajectory if last is None else last
         delays = {name: line.delays(master.clock) for name, line in self.channels.items()}
-        tally = Tally.of(done, self.channels) if tally is None else tally
         ledger = delay_ledger(master, delays, self.rounded)
         common: dict[str, Any] = {
             "trajectory": done,
             "ledger": ledger,
-            "packets": packet_ledger(done, tally),
+            "packets": packet_ledger(done, tally := tally or Tally.of(done, self.channels)),
             "explanation": explain(master, ledger),
             "warnings": (*self.warnings, *tally.warnings),
             "scenario": self.scenario,

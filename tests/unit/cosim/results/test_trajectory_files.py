@@ -24,7 +24,7 @@ from interarea.cosim.scenario.scenario import Scenario, load_scenario
 from interarea.cosim.trajectory import TIME, Trajectory
 from interarea.fmu_build.write.package import build_fmu
 
-NAMES = ["trajectory.csv", "trajectory.parquet", "ledger.json"]
+NAMES = ["trajectory.csv", "trajectory.parquet", "ledger.json", "scenario.toml", "run.json"]
 
 
 @pytest.fixture(scope="module")
