@@ -1,0 +1,124 @@
+"""All modes of grids of any size: found, counted and dense, with seconds; and a reduction to design order.
+
+    python benchmarks/bench_modes.py [FOLDER] [--grid NAME ..] [--dense STATES] [--json FILE]
+
+Bundled cases below damping ratios of 0.15 and 0.3, or with FOLDER its published files under the names in
+`GRIDS` (inverters as constant currents, loads as impedances) below 0.15, from 0.1 to 2 Hz. Dense: numpy's QR
+on the whole state matrix, of grids up to `--dense` states. Exit code 1 where found, counted and dense differ,
+or a residual is above 1e-9.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from interarea.cosim.run.artefacts import sparse_linear_plant
+from interarea.design.linear.sparse_plant import SparsePlant
+from interarea.design.modes.all_modes import RESIDUAL, all_modes
+from interarea.design.modes.mode_count import Region
+from interarea.design.reduction.low_rank import low_rank_reduction
+from interarea.fmu_build.write.cache import default_cache
+from interarea.models.case.case import Case, case_names, load_case
+from interarea.models.importers.file import import_grid
+
+BAND_HZ = (0.1, 2.0)
+#: RAW and DYR under FOLDER
+GRIDS = {
+    "ACTIVSg200": ("ACTIVSg200/ACTIVSg200.RAW", "ACTIVSg200/ACTIVSg200_dynamics.dyr"),
+    "ACTIVSg500": ("ACTIVSg500/ACTIVSg500.RAW", "ACTIVSg500/ACTIVSg500_dynamics.dyr"),
+    "WECC240": (
+        "WECC240/240busWECC_2018_PSS32_fixed_shunts.raw",
+        "WECC240/240busWECC_2018_PSS.dyr",
+    ),
+    "ACTIVSg2000": ("ACTIVSg2000/ACTIVSg2000.RAW.xz", "ACTIVSg2000/ACTIVSg2000_dynamics.dyr"),
+}
+
+
+def imported(folder: Path, name: str) -> Case:
+    """Return a published grid with its loads as impedances."""
+    raw, dyr = GRIDS[name]
+    case = import_grid(folder / raw, dyr=folder / dyr, converters="current", release_limits=True).case
+    change = {"P_zip": None, "Q_zip": None, "P_exponent": 2.0, "Q_exponent": 2.0}
+    return case.model_copy(update={"loads": tuple(q.model_copy(update=change) for q in case.loads)})
+
+
+def measured(case: Case, below: float, dense_up_to: int) -> dict[str, Any]:
+    """Everything about one grid."""
+    begin = time.process_time()
+    plant = sparse_linear_plant(case, default_cache())
+    row: dict[str, Any] = {"grid": case.name, "below": below, "states": plant.nstates}
+    row["blocks_s"] = time.process_time() - begin
+    begin, wall = time.process_time(), time.perf_counter()
+    found = all_modes(plant, case.areas, band_hz=BAND_HZ, below=below)
+    row |= {"cpu_s": time.process_time() - begin, "wall_s": time.perf_counter() - wall}
+    row |= {"found": len(found.modes), "counted": found.counted, "residual": found.residual}
+    row |= {"cells_and_refined": found.searched, "factorisations": found.factorisations, "dense": None}
+    if plant.nstates <= dense_up_to:
+        begin = time.process_time()
+        values = np.linalg.eigvals(plant.state_matrix())
+        row["dense_s"] = time.process_time() - begin
+        region = Region((2 * np.pi * found.band_hz[0], 2 * np.pi * found.band_hz[1]), found.below)
+        row["dense"] = int(np.sum(region.holds(values)))
+    return row
+
+
+def reduction(plant: SparsePlant, name: str, order: int) -> dict[str, Any]:
+    """Four exciter inputs to four speed differences of large grids, as design takes them."""
+    machines = [u.removesuffix("_vs") for u in plant.inputs]
+    n = len(machines)
+    picked = [machines[0], machines[n // 4], machines[n // 2], machines[-1]]
+    pairs = zip(picked, [*picked[1:], picked[0]], strict=True)
+    outputs = {f"{a}-{b}": {f"{a}_dw": 1.0, f"{b}_dw": -1.0} for a, b in pairs}
+    begin = time.process_time()
+    made = low_rank_reduction(plant, order, inputs=[f"{m}_vs" for m in picked], outputs=outputs)
+    return {"grid": name, "order": order, "error": made.error, "cpu_s": time.process_time() - begin}
+
+
+def main() -> None:
+    """Print a line for each grid."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--grid", nargs="*", choices=list(GRIDS), default=list(GRIDS))
+    parser.add_argument("--dense", type=int, default=2000, metavar="STATES")
+    parser.add_argument("--reduce", type=int, default=60, metavar="ORDER")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    jobs: list[tuple[Any, float]] = [(load_case(name), z) for name in case_names() for z in (0.15, 0.3)]
+    if options.folder:
+        jobs = [(name, 0.15) for name in options.grid]
+    rows, wrong = [], 0
+    for grid, below in jobs:
+        case = imported(options.folder, grid) if isinstance(grid, str) else grid
+        row = measured(case, below, options.dense)
+        rows.append(row)
+        dense = "-" if row["dense"] is None else f"{row['dense']} in {row['dense_s']:.2f} s"
+        good = row["found"] == row["counted"] == (row["counted"] if row["dense"] is None else row["dense"])
+        wrong += not (good and row["residual"] <= RESIDUAL)
+        print(
+            f"{row['grid']}: {row['states']} states below {below:g}: {row['found']} found, "
+            f"{row['counted']} counted, dense {dense}; {row['cpu_s']:.2f} CPU s, "
+            f"blocks {row['blocks_s']:.2f}, residual {row['residual']:.0e}, "
+            f"{row['factorisations']} points of the count",
+            flush=True,
+        )
+        if row["states"] > 500:
+            plant = sparse_linear_plant(case, default_cache())
+            made = reduction(plant, row["grid"], options.reduce)
+            rows.append(made)
+            print(
+                f"  to {made['order']} states: error {made['error']:.1e} of peak, {made['cpu_s']:.1f} CPU s"
+            )
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1) + "\n")
+    sys.exit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main()
