@@ -99,7 +99,9 @@ def machine_error(error: BaseException) -> OSError | None:
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return a clause naming the known names closest to `name`, or all of them when there are few."""
     names = sorted(set(known))
-    close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    close = difflib.get_close_matches(name, names, n=3, cutoff=0.5) or [
+        known for known in names if known.casefold() == name.casefold()
+    ]
     if close:
         return "did you mean " + " or ".join(repr(c) for c in close) + "?"
     if not names:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -58,7 +59,7 @@ def _told(key: str, row: Any, known: Sequence[str]) -> list[str]:
     own = str(row["loc"][-1]) if row["loc"] else key
     match row["type"]:
         case "value_error":
-            return [f"{key}: {text}" if key else text for text in message.split("\n")]
+            return [_placed(key, own, text) for text in message.split("\n")]
         case "control":  # a device's row: the message begins with the key in it
             return [f"{key}{message}"]
         case "missing":
@@ -75,7 +76,29 @@ def _told(key: str, row: Any, known: Sequence[str]) -> list[str]:
             near = [repr(k) for k in known if k.startswith(f"{own}_")]
             hint = f"; did you mean {' or '.join(near)}?" if near else ""
             return [f"{key} = {given!r}, allowed: a table{hint}"]
-    return [f"{key} = {given!r}, allowed: {message}"]
+    return [f"{key} = {given!r}, allowed: {_in_words(own, given, message)}"]
+
+
+def _placed(key: str, own: str, text: str) -> str:
+    """Return a text of a rule with its place, the key that it begins with said once."""
+    if key and text.startswith(f"{own} "):
+        return f"{key.removesuffix(own)}{text}"
+    return f"{key}: {text}" if key else text
+
+
+def _in_words(own: str, given: object, message: str) -> str:
+    """Return what is allowed as who writes files says it."""
+    if message.startswith("a valid number") and isinstance(given, str):
+        if _NUMBER.fullmatch(given.strip()):
+            return f"a number, without quotes: {given.strip()}"
+        if own.endswith("_s"):
+            return 'seconds as a number, or words such as "8 cycles", "1.5 s"'
+    if message.startswith("a valid tuple"):
+        return "a list in brackets"
+    return message.removeprefix("Tuple should have ").replace(" after validation", "")
+
+
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
 def _one_of(key: str, given: object, allowed: str) -> str:

@@ -11,7 +11,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from interarea.design.delay.loop_modes import LoopModes, damping_ratio
+from interarea.design.delay.loop_modes import LoopModes
+from interarea.design.modes.modes import damping_ratio
 from interarea.models.errors import Collected, InterareaError
 from interarea.models.files import write_whole
 

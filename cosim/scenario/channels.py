@@ -86,6 +86,8 @@ class ChannelLine(Table):
     @classmethod
     def _share_lost(cls, value: object) -> object:
         number = isinstance(value, int | float) and not isinstance(value, bool)
+        if (number and not 0.0 <= value <= 1.0) or isinstance(value, str):  # type: ignore[operator]
+            raise ValueError(f"loss = {value!r}, allowed: a share from 0 to 1 (10 % are 0.1), or a table")
         return {"kind": "bernoulli", "rate": float(value)} if number else value  # type: ignore[arg-type]
 
     @field_validator("latency_s")

@@ -35,7 +35,10 @@ def wrong_names(table: Mapping[str, Any], where: str, folder: Path) -> list[str]
     try:
         case = load_case(beside(folder, named))
     except (UserError, OSError) as error:
-        return [*lines, *(error.args if isinstance(error, UserError) else ())]
+        return [
+            *lines,
+            *(f"{where}: {line}" for line in (error.args if isinstance(error, UserError) else ())),
+        ]
     events = table.get("event", ())
     lines += wrong_targets(case, events if isinstance(events, list | tuple) else (), where)
     return [*lines, *_wrong_rows(case, table, where), *_wrong_signals(case, table, where)]

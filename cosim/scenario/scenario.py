@@ -98,6 +98,7 @@ if TYPE_CHECKING:  # the file is checked before what a case takes is loaded
     from interarea.models.case.case import Case
 
 BUNDLED = Path(__file__).parent / "bundled"
+_HIDDEN = ("name", "folder", "rounded")  #: keys that no hint names
 _RESERVED = ("plant", "controller")
 
 
@@ -261,10 +262,10 @@ class Scenario(Table):
                 yield f"event {k} ({e.kind}): start_s = {e.start_s:g} lies {allowed}"
         for name, line in self.lines.items():
             if not line.least_latency_s < self.stop_s:
+                kind, late_s = "channels" if name in self.channels else "concentrators", line.least_latency_s
                 yield (
-                    f"{'channels' if name in self.channels else 'concentrators'}.{name}: a latency of "
-                    f"{line.least_latency_s:g} s with stop_s = {self.stop_s:g}: nothing would ever arrive, "
-                    "allowed: below stop_s (in seconds: 0.1 are 100 ms)"
+                    f"{kind}.{name}: a latency of {late_s:g} s with stop_s = {self.stop_s:g}: nothing would "
+                    "ever arrive, allowed: below stop_s (in seconds: 0.1 are 100 ms)"
                 )
         for name, channel in self.channels.items():
             for start, _ in channel.outages_s:
@@ -407,7 +408,10 @@ def _frequency_hz(table: Mapping[str, Any], where: str, folder: Path) -> float:
     named = table.get("case")
     if not isinstance(named, str) or not named:
         raise ScenarioError(f"{where}: a time in cycles is of a case's frequency; name one (case = ...)")
-    return load_case(beside(folder, named)).frequency_hz
+    try:
+        return load_case(beside(folder, named)).frequency_hz
+    except UserError as error:
+        raise ScenarioError(*(f"{where}: {line}" for line in error.args)) from None
 
 
 def _checked(given: dict[str, Any], where: str, folder: Path, frequency_hz: float | None) -> Scenario:
@@ -415,16 +419,16 @@ def _checked(given: dict[str, Any], where: str, folder: Path, frequency_hz: floa
     table, events = given, ()
     with found:
         table = in_seconds(given, lambda: frequency_hz or _frequency_hz(given, where, folder))
+    if found.lines:  # cycles of some frequency, for the rest to be looked at
+        table = in_seconds(given, lambda: 50.0)
     with found:
         events = _events_of(table.get("event", []), where)
     try:
-        # a wrong event has said so, and one of its own kind takes no part in what follows
         scenario = Scenario.model_validate({"folder": folder, **table, "event": events})
     except UserError as error:
         found.lines += error.args
     except ValidationError as error:
-        hidden = ("name", "folder", "rounded")
-        found.lines += [f"{where}: {line}" for line in mistakes(error, Scenario, hidden=hidden)]
+        found.lines += [f"{where}: {line}" for line in mistakes(error, Scenario, hidden=_HIDDEN)]
     if found.lines:
         found.lines += [line for line in wrong_names(table, where, folder) if line not in found.lines]
         raise ScenarioError(*found.lines)
@@ -436,11 +440,8 @@ def _events_of(tables: Any, where: str) -> tuple[Any, ...]:
     """Return the events of a scenario, given as tables or as events."""
     if not isinstance(tables, list | tuple):
         raise ScenarioError(f"{where}: event = {tables!r}, allowed: [[event]] tables")
-    wrong = [
-        f"{where}: event {k} = {e!r}, allowed: a table"
-        for k, e in enumerate(tables, start=1)
-        if not isinstance(e, Mapping | BaseModel)
-    ]
+    others = [(k, e) for k, e in enumerate(tables, start=1) if not isinstance(e, Mapping | BaseModel)]
+    wrong = [f"{where}: event {k} = {e!r}, allowed: a table" for k, e in others]
     if wrong:
         raise ScenarioError(*wrong)
     if tables and all(isinstance(e, Mapping) for e in tables):

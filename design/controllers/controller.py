@@ -161,6 +161,9 @@ class Controller:
         missing = [k for k in ("name", "inputs", "outputs", "A", "B", "C", "D") if k not in data]
         if missing:
             raise ControllerError(f"missing {', '.join(missing)}")
+        for key in "ABCD":
+            if not isinstance(data[key], list):
+                raise ControllerError(f"{key} = {data[key]!r}, allowed: a matrix as a list of rows")
         n, p, m = len(data["A"]), len(data["outputs"]), len(data["inputs"])
         try:
             shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}

@@ -13,6 +13,8 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
+from interarea.models.errors import UserError
+
 from ..linear.linearise import select
 from ..reduction.gramians import balance
 from .characteristic_roots import (
@@ -142,10 +144,10 @@ def delayed_plant(
 
 
 def _known(names: Iterable[str], known: list[str], kind: str) -> None:
-    """Raise ValueError for the first name that is not known."""
+    """Raise UserError for the first name that is not known."""
     for name in names:
         if name not in known:
-            raise ValueError(f"unknown {kind} {name!r}; known are {', '.join(known)}")
+            raise UserError(f"unknown {kind} {name!r}; known are {', '.join(known)}")
 
 
 def delayed_loop(

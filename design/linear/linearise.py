@@ -13,7 +13,7 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
-from interarea.models.errors import InterareaError
+from interarea.models.errors import InterareaError, UserError
 
 if TYPE_CHECKING:
     from interarea.models.blocks.linear_plant import Plant
@@ -221,7 +221,7 @@ def select(
     ):
         for name in wanted:
             if name not in known:
-                raise ValueError(f"unknown {kind} {name!r} of the plant; known are {', '.join(known)}")
+                raise UserError(f"unknown {kind} {name!r} of the plant; known are {', '.join(known)}")
     pick = np.array([known_in.index(name) for name in wanted_in], dtype=int)
     W = np.zeros((len(combos), len(known_out)))
     for k, combo in enumerate(combos.values()):

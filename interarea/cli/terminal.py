@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -79,12 +79,19 @@ def set_level(name: str) -> Callable[[bool], None]:
 _warned: set[str] = set()  # by this call of the command
 
 
-def say_warning(message: Warning | str, *where: object) -> None:
+def say_warning(
+    message: Warning | str,
+    category: type[Warning] = UserWarning,
+    filename: str = "",
+    lineno: int = 0,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
     """Print a warning in one line, once, unless `--quiet`: what `warnings.showwarning` does here."""
-    line = " ".join(str(message).split())
-    if line not in _warned:
-        _warned.add(line)
-        note(f"interarea: warning: {line}")
+    text = " ".join(str(message).split())
+    if text not in _warned:
+        _warned.add(text)
+        note(f"interarea: warning: {text}")
 
 
 def note(text: object) -> None:

@@ -189,6 +189,8 @@ def event_of(table: Mapping[str, Any], *, where: str) -> Any:
     CaseError : unknown kind (with the nearest ones), missing or unknown key, time that is no time.
     """
     kind = table.get("kind") if isinstance(table, Mapping) else None
+    if kind is None:
+        raise CaseError(f"{where}: kind is missing; {nearest(kind, EVENT_KINDS)}")
     if kind not in EVENT_KINDS:
         raise CaseError(f"{where}: kind = {kind!r}; {nearest(kind, EVENT_KINDS)}")
     try:
