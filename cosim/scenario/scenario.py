@@ -386,10 +386,8 @@ def load_scenario(
     if not path.suffix and not path.exists():
         path = BUNDLED / f"{path.name}.toml"
         if not path.is_file():
-            raise ScenarioError(
-                f"scenario {str(source)!r} is neither a file nor bundled; "
-                f"{nearest(str(source), scenario_names())}"
-            )
+            hint = nearest(str(source), scenario_names())
+            raise ScenarioError(f"scenario {str(source)!r} is neither a file nor bundled; {hint}")
     if not path.exists():
         raise ScenarioError(f"{path}: no such scenario file")
     table = read_toml(path, "scenario", ScenarioError)
