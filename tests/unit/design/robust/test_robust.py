@@ -306,3 +306,5 @@ def test_design_models_keep_the_common_speed_that_a_loop_feels_near_rest() -> No
     assert at_rest.sum() == 1
     assert excess[at_rest] == -1.0
     assert slope[at_rest] == 0.0
+    # a root as slow that is unstable is no common speed
+    assert objective.excess(np.array([0.01 + 0j]))[0] == pytest.approx(objective.offsets.offset[0] + 0.05)
