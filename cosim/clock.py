@@ -171,7 +171,7 @@ class Clock:
             recorded[:] = False
             recorded[np.searchsorted(ends, kept)] = True
         ticks = array("q")
-        ticks.frombytes(memoryview(ends).cast("B"))
+        ticks.frombytes(ends.data.cast("B"))
         return Steps(self.start, ticks, edge, recorded)
 
 

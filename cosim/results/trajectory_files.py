@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -54,6 +53,15 @@ class TrajectoryFiles:
         self._parquet: pq.ParquetWriter | None = None
 
     def __enter__(self) -> TrajectoryFiles:
+        try:
+            self._begin()
+        except BaseException:
+            self._discard()
+            raise
+        return self
+
+    def _begin(self) -> None:
+        """Make the two partial files."""
         with self._named(self.files[0].parent):
             self.files[0].parent.mkdir(parents=True, exist_ok=True)
         for file in self.files:
@@ -64,7 +72,6 @@ class TrajectoryFiles:
                     self._csv = os.fdopen(handle, "w", encoding="utf-8", newline="")
                 else:
                     os.close(handle)
-        return self
 
     def add(self, part: Trajectory) -> None:
         """Write the points of a part."""
@@ -93,11 +100,7 @@ class TrajectoryFiles:
             if kind is None:
                 self._end()
         finally:
-            with contextlib.suppress(OSError):
-                self._close()
-            for partial in self._partial:
-                with contextlib.suppress(OSError):
-                    partial.unlink(missing_ok=True)
+            self._discard()
 
     def _end(self) -> None:
         """Write the last point if it is still missing, and give both files their names."""
@@ -110,12 +113,15 @@ class TrajectoryFiles:
                 partial.chmod(0o644)
                 settle(partial, file)
 
-    def _close(self) -> None:
+    def _discard(self) -> None:
+        """Close what is open and remove what has no name of its own yet."""
         open_: tuple[Any, ...] = (self._csv, self._parquet)
-        for file in open_:
-            if file is not None:
-                with contextlib.suppress(OSError):
-                    file.close()
+        for file in (f for f in open_ if f is not None):
+            with contextlib.suppress(OSError):
+                file.close()
+        for partial in self._partial:
+            with contextlib.suppress(OSError):
+                partial.unlink(missing_ok=True)
 
     @staticmethod
     @contextlib.contextmanager
@@ -124,7 +130,7 @@ class TrajectoryFiles:
         try:
             yield
         except OSError as error:
-            reason = os.strerror(error.errno) if error.errno in errno.errorcode else str(error)
+            reason = str(error) if error.errno is None else os.strerror(error.errno)
             raise DestinationError(
                 f"{file}: {reason}: not written, what was there before stays; make room, or write less "
                 "(record, every)"

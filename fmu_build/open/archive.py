@@ -7,6 +7,7 @@ the archive's directory are not believed, unpacking counts for itself.
 
 from __future__ import annotations
 
+import errno
 import stat
 import zipfile
 from collections.abc import Callable
@@ -22,6 +23,11 @@ _PIECE = 1 << 20
 _METHODS = {zipfile.ZIP_STORED: "store", zipfile.ZIP_DEFLATED: "deflate"}
 _WINDOWS_NAMES = {"con", "prn", "aux", "nul", *(f"{d}{k}" for d in ("com", "lpt") for k in range(1, 10))}
 _HOSTILE = "archive"
+#: errors of the system that an entry's name causes
+_OF_NAMES = {
+    *(errno.ENAMETOOLONG, errno.EINVAL, errno.EISDIR, errno.ENOTDIR, errno.EEXIST, errno.ENOENT),
+    *(errno.EILSEQ, None),
+}
 
 
 def unpack_checked(
@@ -186,6 +192,8 @@ def _unpack(archive: zipfile.ZipFile, entries: list[zipfile.ZipInfo], folder: Pa
                     file.write(piece)
             budget -= entry.file_size
         except (zipfile.BadZipFile, EOFError, RuntimeError, OSError) as error:
+            if isinstance(error, OSError) and error.errno not in _OF_NAMES:
+                raise  # of the machine: nothing is known of the archive
             report.add(_HOSTILE, entry.filename, f"cannot be unpacked: {error}", "pack it again")
             return False
         except Exception as error:  # zlib.error, lzma.LZMAError, ... of damaged data

@@ -36,11 +36,14 @@ def mended(
         variables.append(_usable(v, d, number, told.append))
     count = len(variables)
     trouble = _state_trouble(d, variables) if interface == "ModelExchange" else ""
-    structure = {
-        name: tuple(_placed(getattr(d, name), count, told.append))
-        for name in ("outputs", "derivatives", "initial_unknowns")
-    }
-    return replace(d, variables=tuple(variables), **structure), tuple(told), trouble
+    used = replace(
+        d,
+        variables=tuple(variables),
+        outputs=tuple(_placed(d.outputs, count, told.append)),
+        derivatives=tuple(_placed(d.derivatives, count, told.append)),
+        initial_unknowns=tuple(_placed(d.initial_unknowns, count, told.append)),
+    )
+    return used, tuple(told), trouble
 
 
 def _where(v: ScalarVariable) -> str:

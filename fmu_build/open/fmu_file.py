@@ -83,9 +83,13 @@ class FmuFile:
         if self._folder is None:
             wanted = (f"binaries/{self._platform}/", "resources/")
             report, folder = Report(str(self.path)), new_folder()
-            whole = unpack_checked(self.path, folder, report, wanted=lambda n: n.startswith(wanted))
+            whole = False
+            try:
+                whole = unpack_checked(self.path, folder, report, wanted=lambda n: n.startswith(wanted))
+            finally:
+                if not whole:
+                    shutil.rmtree(folder, ignore_errors=True)
             if not whole:
-                shutil.rmtree(folder, ignore_errors=True)
                 found = report.findings[0]
                 raise FmuFileError(f"{self.path.name}: not unpacked: {found.where}: {found.message}")
             self._folder = folder

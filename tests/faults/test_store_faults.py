@@ -5,14 +5,11 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import tempfile
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
-import pyarrow.parquet as pq
 import pytest
+from file_faults import Fault
 from stored_runs import PLAN, RUNS, finished, outcome, session
 
 from interarea.cosim.errors import SweepError
@@ -21,32 +18,6 @@ from interarea.cosim.sweep.store import SweepStore, read_rows
 
 WORK = [[0, 1, 2, 3], [4, 5, 6, 7, 8]]
 FAULTS = {"ENOSPC": "the disk is full", "EDQUOT": "the disk is full", "EFBIG": "too large", "EIO": "error"}
-
-
-class Fault:
-    """An error of the machine at operation number `at` on a file, and at no other; `count` of all of them."""
-
-    def __init__(self, at: int, number: int) -> None:
-        self.at, self.number, self.count = at, number, 0
-
-    @contextlib.contextmanager
-    def injected(self) -> Iterator[None]:
-        with pytest.MonkeyPatch.context() as patch:
-            for owner, name in (
-                (pq, "write_table"), (tempfile, "mkstemp"), (os, "fsync"), (os, "fdopen"),
-                (Path, "open"), (Path, "replace"), (Path, "unlink"), (Path, "mkdir"), (Path, "chmod"),
-            ):  # fmt: skip
-                patch.setattr(owner, name, self._failing(getattr(owner, name)))
-            yield
-
-    def _failing(self, real: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*arguments: Any, **options: Any) -> Any:
-            self.count += 1
-            if self.count == self.at:
-                raise OSError(self.number, os.strerror(self.number))
-            return real(*arguments, **options)
-
-        return call
 
 
 @pytest.fixture(autouse=True)
