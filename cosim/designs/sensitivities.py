@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from interarea.design.linear.linearise import linearise
-from interarea.design.modes.modes import modes_of
-from interarea.design.modes.sensitivity import Sensitivity, eigenvalue_sensitivity
+from interarea.design.linear.sparse_plant import SparsePlant
+from interarea.design.modes.modes import Mode, modes_of
+from interarea.design.modes.sensitivity import Sensitivity, eigenvalue_sensitivity, sparse_sensitivity
 from interarea.fmu_build.open.plant import open_plant
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.plant import plant_block
@@ -18,7 +19,7 @@ from interarea.models.case.case import Case
 from interarea.models.case.parameter_path import parameter_value, with_parameter
 from interarea.models.files import temporary_folder
 
-from ..run.artefacts import linear_plant
+from ..run.artefacts import linear_plant, sparse_linear_plant
 
 
 def parameter_sensitivities(
@@ -41,6 +42,25 @@ def parameter_sensitivities(
 
         value = parameter_value(case, path)
         found[path] = eigenvalue_sensitivity(modes, matrix_of, value, parameter=path)
+    return found
+
+
+def all_mode_sensitivities(
+    case: Case, modes: Sequence[Mode], paths: Sequence[str], cache: Path
+) -> dict[str, Mapping[str, Sensitivity]]:
+    """Return the same for `modes` of the sparse plant of a case of any size.
+
+    Raises
+    ------
+    CaseError : as `parameter_sensitivities`.
+    """
+    found: dict[str, Mapping[str, Sensitivity]] = {}
+    for path in paths:
+
+        def plant_of(value: float, path: str = path) -> SparsePlant:
+            return sparse_linear_plant(with_parameter(case, path, value), cache)
+
+        found[path] = sparse_sensitivity(modes, plant_of, parameter_value(case, path), parameter=path)
     return found
 
 

@@ -12,13 +12,14 @@ difference of these Jacobians, extrapolated once: error of order h^4, estimated 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .modes import Modes
+from ..linear.sparse_plant import SparsePlant
+from .modes import Mode, Modes
 
 Matrix = NDArray[np.float64]
 
@@ -107,6 +108,52 @@ def eigenvalue_sensitivity(
             error=abs(mode.sensitivity(dA - fine)),
         )
     return found
+
+
+def sparse_sensitivity(
+    modes: Sequence[Mode], plant_of: Callable[[float], SparsePlant], value: float, *, parameter: str
+) -> Mapping[str, Sensitivity]:
+    """Return the same for modes of a sparse plant: w' A(p) v needs no matrix.
+
+    plant_of : the plant for a value of the parameter, operating point included, of the same states.
+
+    Raises
+    ------
+    ValueError : a value that is not finite, or another number of states.
+    """
+    if not np.isfinite(value):
+        raise ValueError(f"{parameter} = {value!r}, allowed: finite")
+    right = np.array([mode.right for mode in modes]).T
+    left = np.array([mode.left for mode in modes])
+
+    def values_of(p: float) -> npt.NDArray[np.complex128]:
+        plant = plant_of(p)
+        if plant.nstates != len(right):
+            raise ValueError(
+                f"{parameter}: {plant.nstates} states at {p:g}, the modes have {len(right)}; "
+                "the parameter must not add or remove states"
+            )
+        return np.asarray(np.sum(left.T * plant.times(right), axis=0))
+
+    step = 1e-3 * (abs(value) or 1.0)
+    at = [[values_of(value + k * h) for k in _places(value)] for h in (step, step / 2.0)]
+    coarse, fine = (_slope(value, rows, h) for rows, h in zip(at, (step, step / 2.0), strict=True))
+    derivative = (4.0 * fine - coarse) / 3.0
+    return {
+        mode.name: Sensitivity(mode.name, parameter, value, mode.eigenvalue, complex(d), float(abs(d - f)))
+        for mode, d, f in zip(modes, derivative, fine, strict=True)
+    }
+
+
+def _places(value: float) -> tuple[int, ...]:
+    """Steps of the difference: one-sided from 0, as many parameters may not be negative."""
+    return (0, 1, 2) if value == 0.0 else (1, -1)
+
+
+def _slope(value: float, rows: Sequence[npt.NDArray[np.complex128]], h: float) -> npt.NDArray[np.complex128]:
+    if value == 0.0:
+        return np.asarray((-3.0 * rows[0] + 4.0 * rows[1] - rows[2]) / (2.0 * h))
+    return np.asarray((rows[0] - rows[1]) / (2.0 * h))
 
 
 def _central(matrix_of: Callable[[float], Matrix], value: float, h: float) -> Matrix:

@@ -67,9 +67,10 @@ def modes(
 ) -> None:
     """Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes."""
     if band is not None or below is not None:
-        _refuse_beside_band(sensitivity=sensitivity, margins=margins, plot=plot)
+        _refuse_beside_band(margins=margins, plot=plot)
         loaded = at_point(case, tie_flow, circuit_out, load_scale)
-        _all_modes(loaded, band or "0.1:2.5", 0.2 if below is None else below, participation, shapes, json_)
+        region = band_hz_of(band or "0.1:2.5"), 0.2 if below is None else below
+        _all_modes(loaded, *region, sensitivity or [], participation, shapes, json_)
         return
     from interarea.cosim.run.artefacts import linear_matrices
     from interarea.design.modes.modes import modes_of
@@ -139,18 +140,28 @@ def band_hz_of(text: str) -> tuple[float, float]:
     return low, high
 
 
-def _all_modes(case: Case, band: str, below: float, count: int, shapes: bool, as_json: bool) -> None:
+def _all_modes(
+    case: Case,
+    band_hz: tuple[float, float],
+    below: float,
+    paths: list[str],
+    count: int,
+    shapes: bool,
+    as_json: bool,
+) -> None:
     """Print every mode of a region with the independent count."""
+    from interarea.cosim.designs.sensitivities import all_mode_sensitivities
     from interarea.cosim.run.artefacts import sparse_linear_plant
     from interarea.design.modes.all_modes import all_modes
     from interarea.fmu_build.write.cache import default_cache
 
-    band_hz = band_hz_of(band)
     with busy(f"all modes of {case.name}"):
         plant = sparse_linear_plant(case, default_cache())
         found = all_modes(plant, case.areas, band_hz=band_hz, below=below)
+        moved = all_mode_sensitivities(case, found.modes, paths if found.modes else [], default_cache())
     if as_json:
         document = _all_as_dict(case.name, plant.nstates, found, count, shapes)
+        document["sensitivity"] = _sensitivity_dict(moved)
         typer.echo(json.dumps(document, indent=2, allow_nan=False))
         return
     (low, high), by_name = found.band_hz, {mode.name: mode for mode in found.modes}
@@ -163,6 +174,8 @@ def _all_modes(case: Case, band: str, below: float, count: int, shapes: bool, as
         typer.echo(line)
     if shapes and by_name:
         _print_shapes(by_name, case)
+    for path, by_mode in moved.items():
+        _print_sensitivity(path, by_mode)
 
 
 def _remarks(found: AllModes) -> list[str]:
@@ -234,19 +247,7 @@ def _as_dict(
         "states": len(values),
         "eigenvalues": values,
         "modes": rows,
-        "sensitivity": {
-            path: {
-                name: {
-                    "value": s.value,
-                    "derivative": [s.derivative.real, s.derivative.imag],
-                    "error": s.error,
-                    "frequency_hz": s.frequency_slope,
-                    "damping_ratio": s.damping_slope,
-                }
-                for name, s in by_mode.items()
-            }
-            for path, by_mode in moved.items()
-        },
+        "sensitivity": _sensitivity_dict(moved),
         "plots": [str(file) for file in files],
     }
 
@@ -285,6 +286,22 @@ def _print_shapes(found: Mapping[str, Mode], case: Case) -> None:
             for name, mode in found.items()
         ],
     )
+
+
+def _sensitivity_dict(moved: Mapping[str, Mapping[str, Sensitivity]]) -> dict[str, Any]:
+    return {
+        path: {
+            name: {
+                "value": s.value,
+                "derivative": [s.derivative.real, s.derivative.imag],
+                "error": s.error,
+                "frequency_hz": s.frequency_slope,
+                "damping_ratio": s.damping_slope,
+            }
+            for name, s in by_mode.items()
+        }
+        for path, by_mode in moved.items()
+    }
 
 
 def _print_sensitivity(path: str, by_mode: Mapping[str, Sensitivity]) -> None:

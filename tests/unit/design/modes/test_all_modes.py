@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from interarea.cosim.designs.sensitivities import all_mode_sensitivities, parameter_sensitivities
 from interarea.cosim.run.artefacts import linear_matrices, sparse_linear_plant
 from interarea.design.linear.resolvent import Shifted, network_logarithm
 from interarea.design.linear.sparse_plant import SparsePlant
@@ -174,3 +175,14 @@ def test_names_and_shapes_agree_with_the_named_swing_modes() -> None:
 def test_a_region_that_is_none_is_refused(band: tuple[float, float], below: float, said: str) -> None:
     with pytest.raises(ModeError, match=said):
         all_modes(plant_of("two-area-thesis"), case_of("two-area-thesis").areas, band_hz=band, below=below)
+
+
+@pytest.mark.parametrize("path", ["machines.G1.exciter.KA", "machines.G2.H"])
+def test_sensitivities_are_those_of_the_dense_plant(path: str) -> None:
+    case = case_of("two-area-thesis")
+    found = all_modes(plant_of("two-area-thesis"), case.areas, band_hz=(0.1, 2.5), below=0.2)
+    ours = all_mode_sensitivities(case, found.modes, [path], default_cache())[path]["inter-area"]
+    dense = parameter_sensitivities(case, [path], default_cache())[path]["inter-area"]
+    assert ours.value == dense.value
+    assert ours.derivative == pytest.approx(dense.derivative, rel=1e-6, abs=1e-10)
+    assert ours.damping_slope == pytest.approx(dense.damping_slope, rel=1e-6, abs=1e-10)
