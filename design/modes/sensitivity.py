@@ -126,7 +126,7 @@ def sparse_sensitivity(
     right = np.array([mode.right for mode in modes]).T
     left = np.array([mode.left for mode in modes])
 
-    def values_of(p: float) -> npt.NDArray[np.complex128]:
+    def values_of(p: float) -> NDArray[np.complex128]:
         plant = plant_of(p)
         if plant.nstates != len(right):
             raise ValueError(
@@ -150,7 +150,7 @@ def _places(value: float) -> tuple[int, ...]:
     return (0, 1, 2) if value == 0.0 else (1, -1)
 
 
-def _slope(value: float, rows: Sequence[npt.NDArray[np.complex128]], h: float) -> npt.NDArray[np.complex128]:
+def _slope(value: float, rows: Sequence[NDArray[np.complex128]], h: float) -> NDArray[np.complex128]:
     if value == 0.0:
         return np.asarray((-3.0 * rows[0] + 4.0 * rows[1] - rows[2]) / (2.0 * h))
     return np.asarray((rows[0] - rows[1]) / (2.0 * h))
