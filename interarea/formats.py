@@ -229,7 +229,7 @@ def _table(
         if not words and "const" in rule:
             words = "says which of them it is"
         given = [f"`{json.dumps(value)}`" for value in rule.get("examples", ())]
-        example = examples.get(name, {}).get(key, *given[:1] or [""])
+        example = examples.get(name, {}).get(key) or next(iter(given), "")
         cells = (f"`{key}`", _holds(rule), unit, default, example, " ".join(str(words).split()))
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
     yield ""

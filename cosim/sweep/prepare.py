@@ -34,8 +34,8 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
         files.append(compile_binary(block.kind, block.sources, host_platform(), cache=cache))
     files += [plant_fmu(case, cache, show=plan.sweep.show) for case in cases.values()]
     for key in plan.controllers:
-        case = case_in(key, cases)
-        made = plan.controller(case, key[len(case) + 1 :])
+        name = case_in(key, cases)
+        made = plan.controller(name, key[len(name) + 1 :])
         if made is not None:
-            files.append(controller_fmu(made, cases[case].omega_b, cache))
+            files.append(controller_fmu(made, cases[name].omega_b, cache))
     return files
