@@ -180,7 +180,7 @@ def _events(subject: Subject) -> dict[str, Any]:
             try:
                 values = event_parameters(case, [event_of(table, where="event")])
             except CaseError:
-                continue  # such as a trip that cuts the network in pieces
+                continue  # such as a load step where no load is
             places.append({"name": table[key], "target": values["event[1].target"]})
         return places
 

@@ -174,7 +174,7 @@ def run_screening(
     return worst_first(read_rows(folder / FAULTS), screening, critical)
 
 
-def _key(row: Mapping[str, Any], screening: Screening) -> tuple[str, str, str]:
+def _key(row: Mapping[Any, Any], screening: Screening) -> tuple[str, str, str]:
     place = row[PLACE[screening.kind]]
     return str(place), str(row.get("outage", "")), str(row.get("controller", "none"))
 
@@ -216,7 +216,7 @@ def _badness(one: Found) -> tuple[int, float, float]:
 
 
 def _found(
-    row: Mapping[str, Any], screening: Screening, critical: Mapping[tuple[str, str, str], float | None]
+    row: Mapping[Any, Any], screening: Screening, critical: Mapping[tuple[str, str, str], float | None]
 ) -> Found:
     key = _key(row, screening)
     if row["status"] != "ok":

@@ -197,6 +197,7 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real communication_point, fmi
         c->run->mode = MODE_STEP_FAILED;
     }
     if (status != BLOCK_OK) return instance_report_block(c, status, call, &message);
+    instance_remark(c, &message);
     step_consume_inputs(c, step);
     c->run->outputs_fresh = block_is_sampled;
     c->run->derivatives_fresh = 0;

@@ -35,6 +35,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component component, fmi2EventInfo *info)
                                        ? block_event(b, next, b->x, &message) : BLOCK_ERROR;
         if (status != BLOCK_OK) return instance_report_block(c, BLOCK_ERROR, call, &message);
         instance_log_event(c, "event at time %.9g s", next);
+        instance_remark(c, &message);
         run->last_event = next;
         changed = 1;
     }

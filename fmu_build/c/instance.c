@@ -89,6 +89,13 @@ fmi2Status instance_report_block(Instance *c, BlockStatus status, const char *ca
                            message->text);
 }
 
+void instance_remark(Instance *c, BlockMessage *message)
+{
+    /* As errors: what it says was not asked for, and nothing else tells it. */
+    if (message->text[0] != 0) send(c, fmi2Warning, LOG_WARNING, message->text);
+    message->text[0] = 0;
+}
+
 fmi2Status fmi2SetDebugLogging(fmi2Component component, fmi2Boolean logging_on, size_t n_categories,
                                const fmi2String categories[])
 {
@@ -188,6 +195,7 @@ fmi2Status instance_initialise(Instance *c, const char *call)
     c->run->last_event = -INFINITY;
     status = block_start(b, c->run->time, &message);
     if (status != BLOCK_OK) return instance_report_block(c, BLOCK_ERROR, call, &message);
+    instance_remark(c, &message);
     c->run->last_event = c->run->time;
     c->run->outputs_fresh = c->run->derivatives_fresh = 0;
     return instance_refresh_outputs(c, call);

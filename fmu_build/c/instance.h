@@ -81,6 +81,8 @@ fmi2Status instance_report(Instance *c, fmi2Status status, const char *call,
                            const char *format, ...);
 fmi2Status instance_report_block(Instance *c, BlockStatus status, const char *call,
                                  const BlockMessage *message);
+/* Logs what a block said of itself with BLOCK_OK, and empties it. */
+void instance_remark(Instance *c, BlockMessage *message);
 void instance_log_event(Instance *c, const char *format, ...);
 const char *instance_real_name(const Instance *c, size_t reference);
 const char *instance_integer_name(const Instance *c, size_t reference);

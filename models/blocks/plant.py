@@ -171,7 +171,7 @@ def event_parameters(case: Case, events: Iterable[Any]) -> dict[str, float | int
 
     Raises
     ------
-    CaseError : a target that does not exist (with the nearest names), trips that cut the network in pieces.
+    CaseError : a target that does not exist (with the nearest names).
     """
     events, case = list(events), in_plant_order(case)
     check_events(case, events)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 from ..errors import CaseError, nearest
 from .tables import CaseTables
@@ -68,11 +68,9 @@ def _check_slack(case: CaseTables) -> None:
                 )
 
 
-def islands_of(case: CaseTables, closed: Mapping[str, bool] | None = None) -> list[set[int]]:
-    """Return the connected sets of buses, the slack's first, under the branches in service or in `closed`."""
-    if closed is None:
-        closed = {branch.name: branch.in_service for branch in case.branches}
-    links = [(b.from_bus, b.to_bus) for b in case.branches if closed[b.name]]
+def islands_of(case: CaseTables) -> list[set[int]]:
+    """Return the connected sets of buses, the slack's first, under the branches in service."""
+    links = [(b.from_bus, b.to_bus) for b in case.branches if b.in_service]
     return connected_parts([case.slack.bus, *(bus.number for bus in case.buses)], links)
 
 

@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from typing import Any
 
 from ..errors import CaseError, nearest
-from .checks import islands_of
 from .tables import CaseTables
 
 
@@ -52,31 +51,11 @@ def _load_at(case: CaseTables, bus: int) -> int:
 
 
 def check_events(case: CaseTables, events: Iterable[Any]) -> None:
-    """Check that every target exists and that no set of trips cuts the network in pieces.
+    """Check that every target exists; what trips cut off is the plant's concern (plant/topology.c).
 
     Raises
     ------
-    CaseError : as `target_index`; or the event whose trip leaves buses without a path to the rest.
+    CaseError : as `target_index`.
     """
-    switching: list[tuple[float, int, str, bool]] = []
-    for k, event in enumerate(events, start=1):
+    for event in events:
         target_index(case, event)
-        if event.kind == "branch_trip":
-            switching.append((event.start_s, k, event.branch, False))
-            if event.end_s is not None:
-                switching.append((event.end_s, k, event.branch, True))
-        elif event.kind == "branch_reclose":
-            switching.append((event.start_s, k, event.branch, True))
-    closed = {b.name: b.in_service for b in case.branches}
-    for time in sorted({s[0] for s in switching}):
-        here = [s for s in switching if s[0] == time]
-        for _, _, branch, closes in here:
-            closed[branch] = closes
-        parts = islands_of(case, closed)
-        if len(parts) > 1:
-            names = ", ".join(f"{k} ({branch!r})" for _, k, branch, closes in here if not closes)
-            cut = ", ".join(str(bus) for bus in sorted(parts[1])[:10])
-            raise CaseError(
-                f"{case.name}: event {names} at {time:g} s cuts buses {cut} off, "
-                "allowed: trips that leave one connected network (a machine leaves by machine_trip)"
-            )

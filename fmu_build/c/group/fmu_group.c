@@ -138,7 +138,7 @@ static int meet_event(Group *g, Lane *lane, size_t k)
 {
     Instance *c = lane->c;
     Stretch *way = &lane->way;
-    BlockMessage message;
+    BlockMessage message = {{0}};
 
     if (way->end > way->time) way->time = way->end;
     if (lane->events++ == 0) memcpy(c->undo, c->run, c->saved_size);
@@ -147,6 +147,7 @@ static int meet_event(Group *g, Lane *lane, size_t k)
     solver_inputs(c, way->to, c->block.u);
     ++c->memory_written;
     if (block_event(&c->block, way->event, c->block.x, &message) != BLOCK_OK) return 0;
+    instance_remark(c, &message);
     c->run->last_event = way->last_event = way->event;
     put(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     load_memory(g, c, k);

@@ -24,7 +24,8 @@ typedef enum {
     BLOCK_ERROR = 2      /* message says what, where, got, allowed                      */
 } BlockStatus;
 
-/* Set by the callee on any status other than BLOCK_OK. */
+/* Set by the callee on any status other than BLOCK_OK; with BLOCK_OK a text, which the caller had made empty,
+ * is a remark for whoever keeps a log (block_start, block_event). */
 typedef struct { char text[BLOCK_MESSAGE_SIZE]; } BlockMessage;
 
 /* How many of each variable the block has: the order of the value references.

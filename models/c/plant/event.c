@@ -117,20 +117,25 @@ static double branch_state(const Block *b, const Plan *plan, size_t branch, int 
     return state;
 }
 
-/* Infinite buses, as long as one runs, are the centre: their H is infinite. */
-static void centre_of_inertia(double *memory, const Plan *plan)
+/* Of each part of the network. Infinite buses, as long as one runs, are the centre: their H is infinite.
+ * total, infinite: a number for each machine. */
+static void centre_of_inertia(double *memory, const Plan *plan, double *total, double *infinite)
 {
     const size_t n = plan->n_machine;
     const double *H = memory + plan->machine + M_H * n, *ratio = memory + plan->machine + M_RATIO * n;
     const double *running = memory + plan->running;
-    double total = 0.0, infinite = 0.0;
+
+    for (size_t k = 0; k < n; ++k) total[k] = infinite[k] = 0.0;
     for (size_t k = 0; k < n; ++k) {
-        if (isinf(H[k])) infinite += running[k];
-        else total += H[k] * ratio[k] * running[k];
+        const size_t part = index_at(memory + plan->part, k);
+        if (isinf(H[k])) infinite[part] += running[k];
+        else total[part] += H[k] * ratio[k] * running[k];
     }
     for (size_t k = 0; k < n; ++k) {
-        const double weight = isinf(H[k]) ? 1.0 : infinite > 0.0 ? 0.0 : H[k] * ratio[k];
-        memory[plan->coi + k] = weight * running[k] / (infinite > 0.0 ? infinite : total);
+        const size_t part = index_at(memory + plan->part, k);
+        const double weight = isinf(H[k]) ? 1.0 : infinite[part] > 0.0 ? 0.0 : H[k] * ratio[k];
+        const double all = infinite[part] > 0.0 ? infinite[part] : total[part];
+        memory[plan->coi + k] = running[k] > 0.5 ? weight / all : 0.0;
     }
 }
 
@@ -221,6 +226,7 @@ BlockStatus event_apply(Block *b, const Plan *plan, const Network *net, double t
         double *row = memory + plan->port + P_ROWS * k;
         if (!port_is_load(row)) row[P_ON] = memory[plan->running + index_at(row, P_DEVICE)];
     }
-    centre_of_inertia(memory, plan);
-    return topology_build(memory, plan, net, extra, work, message);
+    const BlockStatus status = topology_build(memory, plan, net, extra, work, message);
+    if (status == BLOCK_OK) centre_of_inertia(memory, plan, work, work + plan->n_machine);
+    return status;
 }

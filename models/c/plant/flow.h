@@ -16,7 +16,7 @@
  * rotor circuits see: id, or id + isd. lanes: how many neighbours go at a time (tiles.h). */
 typedef struct {
     num *sine, *cosine, *i_re, *i_im, *id, *iq, *vd, *vq, *vt, *vs, *efd, *pm, *id_rotor;
-    num *vc, *pe, *ifd, *saturation_d, *saturation_q;
+    num *vc, *pe, *ifd, *saturation_d, *saturation_q, *centre;
     num *e_re, *e_im, *v;
     PortWork port;
     num *newton;
@@ -27,11 +27,11 @@ typedef struct {
 static Work work_arrays(num *scratch, const Plan *plan, size_t lanes)
 {
     const size_t n = plan->n_machine;
-    num *e = scratch + 18 * n, *v = e + 2 * plan->n_source, *port = v + 2 * plan->n_node;
+    num *e = scratch + 19 * n, *v = e + 2 * plan->n_source, *port = v + 2 * plan->n_node;
     Work w = { scratch, scratch + n, scratch + 2 * n, scratch + 3 * n, scratch + 4 * n,
                scratch + 5 * n, scratch + 6 * n, scratch + 7 * n, scratch + 8 * n,
                scratch + 9 * n, scratch + 10 * n, scratch + 11 * n, scratch + 12 * n,
-               scratch + 13 * n, scratch + 14 * n, scratch + 15 * n, scratch + 16 * n, scratch + 17 * n,
+               scratch + 13 * n, scratch + 14 * n, scratch + 15 * n, scratch + 16 * n, scratch + 17 * n, scratch + 18 * n,
                .e_re = e, .e_im = e + plan->n_source, .v = v, .lanes = lanes };
     w.port = port_arrays(port, plan->n_port);
     w.newton = port + PORT_ARRAYS * plan->n_port;
@@ -234,15 +234,34 @@ size_t NAME(plant_flow)(real *memory, const int32_t *places, size_t lanes, const
     return 0;
 }
 
+/* Centres of inertia of the parts of the network, each at the number of its first machine: of several
+ * scenarios each has parts of its own. */
+#ifdef PLANT_LANES
+static inline void add_at(num *centre, real part, num v)
+{
+    for (size_t i = 0; i < PLANT_LANES; ++i) centre[(size_t)(ptrdiff_t)part[i]][i] += v[i];
+}
+
+static inline num value_at(const num *centre, real part)
+{
+    num v = NUM(0.0);
+    for (size_t i = 0; i < PLANT_LANES; ++i) v[i] = centre[(size_t)(ptrdiff_t)part[i]][i];
+    return v;
+}
+#else
+static inline void add_at(num *centre, real part, num v) { centre[(size_t)(ptrdiff_t)part] += v; }
+static inline num value_at(const num *centre, real part) { return centre[(size_t)(ptrdiff_t)part]; }
+#endif
+
 /* What is shown from the solved network; Efd and Pm also need solve_devices. */
 static num shown(const real *memory, const Plan *plan, const Pattern *pattern, size_t kind, size_t of,
-                 MachineStates states, num centre, const Work *w)
+                 MachineStates states, const Work *w)
 {
     num re = NUM(0.0), im = NUM(0.0);
 
     switch (kind) {
     case SHOW_DW: return states.slip[of];
-    case SHOW_DELTA: return states.delta[of] - centre;
+    case SHOW_DELTA: return states.delta[of] - value_at(w->centre, memory[plan->part + of]);
     case SHOW_PE:
         return (w->vd[of] * w->id[of] + w->vq[of] * w->iq[of]) * memory[plan->machine + M_RATIO * plan->n_machine + of];
     case SHOW_VT: return w->vt[of];
@@ -263,17 +282,18 @@ static void show(const real *memory, const Plan *plan, const Pattern *pattern, s
                  MachineStates states, const Work *w, num *to)
 {
     const real *kinds = memory + plan->show, *of = kinds + plan->n_y + plan->n_w;
-    num centre = NUM(0.0);
     int everywhere = 0;
 
-    for (size_t k = 0; k < plan->n_machine; ++k) centre += memory[plan->coi + k] * states.delta[k];
+    for (size_t k = 0; k < plan->n_machine; ++k) w->centre[k] = NUM(0.0);
+    for (size_t k = 0; k < plan->n_machine; ++k)
+        add_at(w->centre, memory[plan->part + k], memory[plan->coi + k] * states.delta[k]);
     for (size_t k = first; k < last; ++k) {
         const size_t kind = index_at(kinds, k);
         everywhere |= kind == SHOW_TIE || kind == SHOW_BUS_V || kind == SHOW_LINE_P || kind == SHOW_LINE_Q;
     }
     if (everywhere && plan->n_node > 0) sparse_backward(memory, plan, pattern, 0, plan->first, w->v);
     for (size_t k = first; k < last; ++k)
-        to[k - first] = shown(memory, plan, pattern, index_at(kinds, k), index_at(of, k), states, centre, w);
+        to[k - first] = shown(memory, plan, pattern, index_at(kinds, k), index_at(of, k), states, w);
 }
 
 /* y: what the record says, in its order. */

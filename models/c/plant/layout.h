@@ -86,6 +86,7 @@ enum {
     H_IDLE,             /* 1: a lane of a batch that has nothing to do  */
     H_N_LINE, H_N_Y, H_N_W,
     H_N_NODE, H_N_FILL, H_FIRST, H_PATTERN,  /* sparse network: sizes, where its pattern begins in the record */
+    H_PARTS, H_DEAD,         /* parts of the network with a machine; buses in parts without one */
     H_SIZE = 32
 };
 
@@ -105,7 +106,8 @@ typedef struct {
     /* offsets into memory, in doubles */
     size_t machine;       /* M_ROWS x n_machine                                    */
     size_t machine_bus;   /* n_machine                                             */
-    size_t coi;           /* n_machine: weight in the centre of inertia            */
+    size_t coi;           /* n_machine: weight in its part's centre of inertia     */
+    size_t part;          /* n_machine: first machine of its part of the network   */
     size_t running;       /* n_machine: 1, or 0 after a trip                       */
     size_t pm_step;       /* n_machine: added to the mechanical power, machine base */
     size_t vref_step;     /* n_machine: added at the exciter's summing point       */
@@ -145,6 +147,7 @@ static inline void plan_offsets(Plan *p)
     p->machine = at;       at += (size_t)M_ROWS * n;
     p->machine_bus = at;   at += n;
     p->coi = at;           at += n;
+    p->part = at;          at += n;
     p->running = at;       at += n;
     p->pm_step = at;       at += n;
     p->vref_step = at;     at += n;

@@ -67,14 +67,16 @@ static void add_machines(double *memory, const Plan *plan, const Pattern *s, Mat
 
 /* What hangs on the diagonal besides branches. */
 static void add_diagonal(double *memory, const Plan *plan, const Network *net, const Pattern *s, const double *extra,
-                         Matrix a)
+                         const double *dead, Matrix a)
 {
     const size_t n = plan->n_bus, n_load = plan->n_load;
 
     for (size_t k = 0; k < n; ++k)
-        add(a.diagonal + 2 * s->row[k], net->shunt[k] + extra[k], net->shunt[n + k] + extra[n + k]);
+        if (dead[k] > 0.5) add(a.diagonal + 2 * s->row[k], 1.0, 0.0);   /* V = 0 */
+        else add(a.diagonal + 2 * s->row[k], net->shunt[k] + extra[k], net->shunt[n + k] + extra[n + k]);
     for (size_t k = 0; k < n_load; ++k) {
         const double v = net->load[L_V0 * n_load + k];
+        if (dead[net->load_bus[k]] > 0.5) continue;
         add(a.diagonal + 2 * s->row[net->load_bus[k]], net->load[L_P * n_load + k] / (v * v),
             -net->load[L_Q * n_load + k] / (v * v));
     }
@@ -83,15 +85,15 @@ static void add_diagonal(double *memory, const Plan *plan, const Network *net, c
 
 /* The matrix in the places of the factors, and its row sums: what it gives for 1 at every node. */
 static void assemble(double *memory, const Plan *plan, const Network *net, const Pattern *s,
-                     const double *extra, double *sum)
+                     const double *extra, const double *dead, double *sum)
 {
     const size_t m = plan->n_branch, fill = plan->n_fill;
     const Matrix a = matrix_of(memory, plan);
 
     for (size_t k = 0; k < 2 * (2 * fill + plan->n_node); ++k) a.entry[k] = 0.0;
-    add_diagonal(memory, plan, net, s, extra, a);
+    add_diagonal(memory, plan, net, s, extra, dead, a);
     for (size_t k = 0; k < m; ++k) {
-        if (!(memory[plan->in_service + k] > 0.5)) continue;
+        if (!(memory[plan->in_service + k] > 0.5) || dead[net->branch_from[k]] > 0.5) continue;
         add_row(a.diagonal + 2 * s->row[net->branch_from[k]], net->branch, B_FF_RE, m, k);
         add_row(a.diagonal + 2 * s->row[net->branch_to[k]], net->branch, B_TT_RE, m, k);
         add_row(a.entry + 2 * s->branch[2 * k], net->branch, B_FT_RE, m, k);
@@ -133,7 +135,7 @@ static size_t bus_at(const Plan *plan, const Pattern *s, size_t row)
 }
 
 BlockStatus sparse_stage(double *memory, const Plan *plan, const Network *net, const double *extra,
-                         double *work, BlockMessage *message)
+                         const double *dead, double *work, BlockMessage *message)
 {
     const Pattern s = pattern_of(net->places, plan);
     double *sum = work, *w = sum + 2 * plan->n_node, worst = 0.0;
@@ -141,7 +143,7 @@ BlockStatus sparse_stage(double *memory, const Plan *plan, const Network *net, c
 
     memory[H_PORT_READY] = 0.0;   /* the slopes are those of another stage */
     for (size_t k = 0; k < 4 * plan->n_port; ++k) memory[plan->port_slope + k] = 0.0;
-    assemble(memory, plan, net, &s, extra, sum);
+    assemble(memory, plan, net, &s, extra, dead, sum);
     size_t row = sparse_factor(memory, plan, &s, w);
     if (row == plan->n_node) {
         row = farthest(memory, plan, &s, sum, &worst);

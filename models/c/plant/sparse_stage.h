@@ -3,8 +3,8 @@
 #include "tables.h"
 
 /* The factors of a sparse network (sparse.h) for the switches in memory and `extra`, as
- * topology_build. work: sparse_stage_work(plan) doubles. */
+ * topology_build. dead: 1 for buses that are taken out. work: sparse_stage_work(plan) doubles. */
 size_t sparse_stage_work(const Plan *plan);
 BlockStatus sparse_stage(double *memory, const Plan *plan, const Network *network, const double *extra,
-                         double *work, BlockMessage *message);
+                         const double *dead, double *work, BlockMessage *message);
 #endif

@@ -2,6 +2,8 @@
  * now, reduced to the machines. Done at the start and at events only. */
 #include "topology.h"
 
+#include <stdio.h>
+
 #include "failure.h"
 #include "network.h"
 #include "sparse_stage.h"
@@ -9,7 +11,8 @@
 size_t topology_work(const Plan *plan)
 {
     const size_t n = plan->n_bus;
-    return plan->n_node > 0 ? n + sparse_stage_work(plan) : 2 * n * n + 4 * n;
+    const size_t stage = plan->n_node > 0 ? 2 * n + sparse_stage_work(plan) : 2 * n * n + 5 * n;
+    return stage > 2 * plan->n_machine ? stage : 2 * plan->n_machine;
 }
 
 static void add(double *a, size_t n, size_t row, size_t col, double re, double im)
@@ -79,15 +82,16 @@ static void port_row(double *memory, const Plan *plan, const Network *net, size_
 }
 
 static void assemble(const double *memory, const Plan *plan, const Network *net,
-                     const double *extra, double *a)
+                     const double *extra, const double *dead, double *a)
 {
     const size_t n = plan->n_bus, m = plan->n_branch, n_load = plan->n_load;
 
     for (size_t k = 0; k < 2 * n * n; ++k) a[k] = 0.0;
     for (size_t k = 0; k < n; ++k)
-        add(a, n, k, k, net->shunt[k] + extra[k], net->shunt[n + k] + extra[n + k]);
+        if (dead[k] > 0.5) a[2 * (k * n + k)] = 1.0;   /* V = 0 */
+        else add(a, n, k, k, net->shunt[k] + extra[k], net->shunt[n + k] + extra[n + k]);
     for (size_t k = 0; k < m; ++k) {
-        if (!(memory[plan->in_service + k] > 0.5)) continue;
+        if (!(memory[plan->in_service + k] > 0.5) || dead[net->branch_from[k]] > 0.5) continue;
         const size_t f = (size_t)net->branch_from[k], t = (size_t)net->branch_to[k];
         const double *y = net->branch + k;
         add(a, n, f, f, y[B_FF_RE * m], y[B_FF_IM * m]);
@@ -97,6 +101,7 @@ static void assemble(const double *memory, const Plan *plan, const Network *net,
     }
     for (size_t k = 0; k < n_load; ++k) {
         const double v = net->load[L_V0 * n_load + k];
+        if (dead[net->load_bus[k]] > 0.5) continue;
         add(a, n, (size_t)net->load_bus[k], (size_t)net->load_bus[k],
             net->load[L_P * n_load + k] / (v * v), -net->load[L_Q * n_load + k] / (v * v));
     }
@@ -195,37 +200,80 @@ static size_t part_of(double *part, size_t k)
     return k;
 }
 
-/* Every bus must hang together with the first machine's: the model has one
- * frequency reference and no isolated parts. Returns n, or a bus left alone. */
-static size_t unreached_bus(const double *memory, const Plan *plan, const Network *net, double *part)
+/* Which buses hang together, and the first machine of each machine's part. A part where no machine runs is
+ * dead: 1 in `dead` for its buses, and its loads draw nothing. part, first: a number for each bus. */
+static void find_parts(double *memory, const Plan *plan, const Network *net, double *part, double *first, double *dead)
 {
-    for (size_t k = 0; k < plan->n_bus; ++k) part[k] = (double)k;
+    double parts = 0.0, buses = 0.0;
+
+    for (size_t k = 0; k < plan->n_bus; ++k) {
+        part[k] = (double)k;
+        first[k] = (double)plan->n_machine;
+        dead[k] = 1.0;
+    }
     for (size_t k = 0; k < plan->n_branch; ++k) {
         if (!(memory[plan->in_service + k] > 0.5)) continue;
         const size_t f = part_of(part, (size_t)net->branch_from[k]), t = part_of(part, (size_t)net->branch_to[k]);
         part[f > t ? f : t] = (double)(f > t ? t : f);
     }
-    const size_t first = part_of(part, index_at(memory + plan->machine_bus, 0));
-    for (size_t k = 0; k < plan->n_bus; ++k)
-        if (part_of(part, k) != first) return k;
-    return plan->n_bus;
+    for (size_t k = 0; k < plan->n_machine; ++k) {
+        const size_t of = part_of(part, index_at(memory + plan->machine_bus, k));
+        if (!(first[of] < (double)plan->n_machine)) first[of] = (double)k;
+        memory[plan->part + k] = first[of];
+        if (!(memory[plan->running + k] > 0.5)) continue;
+        if (dead[of] > 0.5) parts += 1.0;
+        dead[of] = 0.0;
+    }
+    for (size_t k = 0; k < plan->n_bus; ++k) {
+        dead[k] = dead[part_of(part, k)];
+        buses += dead[k];
+    }
+    for (size_t k = 0; k < plan->n_port; ++k) {
+        double *row = memory + plan->port + P_ROWS * k;
+        if (port_is_load(row) && dead[net->load_bus[index_at(row, P_DEVICE)]] > 0.5) row[P_P] = row[P_Q] = 0.0;
+    }
+    memory[H_PARTS] = parts;
+    memory[H_DEAD] = buses;
+}
+
+/* A remark where the network falls apart, or hangs together otherwise than before. */
+static void tell_parts(const double *memory, const Plan *plan, const Network *net, const double *dead, double parts,
+                       double buses, BlockMessage *message)
+{
+    char name[64], rest[64] = "";
+    size_t k = 0, length;
+
+    if (memory[H_PARTS] == parts && memory[H_DEAD] == buses) return;
+    if (memory[H_DEAD] > 0.0) {
+        while (k + 1 < plan->n_bus && !(dead[k] > 0.5)) ++k;
+        if (memory[H_DEAD] > 1.0) (void)snprintf(rest, sizeof rest, " and %.0f more", memory[H_DEAD] - 1.0);
+        (void)plant_fail(message, BLOCK_OK, "network: bus %s%s, cut off without a machine that runs, taken out; ",
+                         plant_name(net->bus_names, k, name), rest);
+    } else {
+        (void)plant_fail(message, BLOCK_OK, "network: ");
+    }
+    length = strlen(message->text);
+    if (memory[H_PARTS] > 1.0)
+        (void)snprintf(message->text + length, sizeof message->text - length,
+                       "%.0f parts go on, each about a centre of inertia of its own", memory[H_PARTS]);
+    else
+        (void)snprintf(message->text + length, sizeof message->text - length, "%s",
+                       memory[H_DEAD] > 0.0 ? "the rest goes on" : "all buses hang together again");
 }
 
 BlockStatus topology_build(double *memory, const Plan *plan, const Network *net,
                         const double *extra, double *work, BlockMessage *message)
 {
     const size_t n = plan->n_bus, m = plan->n_machine;
-    double *a = work + n, *order = a + 2 * n * n, *v = order + n;
+    double *dead = work + n, *a = work + 2 * n, *order = a + 2 * n * n, *v = order + n;
     char name[64];
 
-    const size_t alone = unreached_bus(memory, plan, net, work);
-    if (alone < n)
-        return plant_fail(message, BLOCK_ERROR,
-                          "network: bus %s is cut off from the rest by the branches out of service; "
-                          "keep every bus connected",
-                          plant_name(net->bus_names, alone, name));
-    if (plan->n_node > 0) return sparse_stage(memory, plan, net, extra, work + n, message);
-    assemble(memory, plan, net, extra, a);
+    const double parts = memory[H_PARTS], buses = memory[H_DEAD];
+    find_parts(memory, plan, net, work, work + 2 * n, dead);
+    if (parts > 0.0 || memory[H_PARTS] > 1.0 || memory[H_DEAD] > 0.0)   /* at the start all in one is no news */
+        tell_parts(memory, plan, net, dead, parts, buses, message);
+    if (plan->n_node > 0) return sparse_stage(memory, plan, net, extra, dead, work + 2 * n, message);
+    assemble(memory, plan, net, extra, dead, a);
     const size_t stuck = factor(a, n, order);
     if (stuck < n)
         return plant_fail(message, BLOCK_ERROR,

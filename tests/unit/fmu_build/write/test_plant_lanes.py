@@ -10,6 +10,7 @@ import pytest
 from plant_lanes import PlantLanes
 
 from interarea.models.blocks.plant import event_parameters
+from interarea.models.blocks.plant_variables import EVENT_CODES
 from interarea.models.case.case import load_case
 from interarea.models.case.events import events_of
 
@@ -84,16 +85,12 @@ def test_plants_whose_network_iterates_go_one_by_one(cache: Path) -> None:
 
 def test_a_run_that_fails_says_why_and_leaves_the_others_alone(plants: PlantLanes) -> None:
     rows = scenarios(5)
-    branch = next(k for k, b in enumerate(load_case(CASE).branches) if 1 in (b.from_bus, b.to_bus))
-    rows[2] |= {
-        "event[3].kind": 2,
-        "event[3].target": branch + 1,
-        "event[3].start": 0.25,
-        "event[3].end": 1e30,
-    }
+    for k in range(4):  # of all machines: the last one may not go
+        trip = {"kind": EVENT_CODES["machine_trip"], "target": k + 1, "start": 0.25, "end": 1e30}
+        rows[2] |= {f"event[{3 + k}].{key}": value for key, value in trip.items()}
     rows[4] |= {"event[1].target": 99}
     good, run = plants.run(scenarios(5), stop_s=0.4), plants.run(rows, stop_s=0.4)
-    assert "is cut off" in run.errors[2]
+    assert "the last machine was tripped" in run.errors[2]
     assert run.ended_s[2] in (pytest.approx(0.24), pytest.approx(0.25))
     assert np.all(np.isfinite(run.outputs[:25, :, 2])) and np.all(np.isnan(run.outputs[26:, :, 2]))
     assert "event[1].target = 99" in run.errors[4]

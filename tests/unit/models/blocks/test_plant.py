@@ -261,13 +261,6 @@ def test_bad_parameters_are_refused_by_name(parameters, says):
         BlockShim(plant_block(load_case("two-area-thesis")), parameters)
 
 
-def test_a_trip_that_cuts_off_a_bus_names_it():
-    case = load_case("two-area-thesis")
-    branch = next(k for k, b in enumerate(case.branches) if 1 in (b.from_bus, b.to_bus))
-    with pytest.raises(BlockFailure, match=r"bus .* is cut off"):
-        BlockShim(plant_block(case), {"event[1].kind": 2, "event[1].target": branch + 1})
-
-
 def test_use_before_start_is_refused():
     plant = BlockShim(plant_block(load_case("two-area-thesis")), start=False)
     with pytest.raises(BlockFailure, match="before block_start"):

@@ -75,12 +75,3 @@ def test_constant_excitation_has_no_set_point() -> None:
     event = event_of(GOOD[4], where="here")
     with pytest.raises(CaseError, match="constant excitation"):
         target_index(load_case("kundur-manual"), event)
-
-
-def test_trips_may_not_cut_the_network() -> None:
-    case = load_case("two-area-thesis")
-    both = [{"kind": "branch_trip", "branch": f"8-9 {c}", "start_s": t} for c, t in (("a", 1.0), ("b", 2.0))]
-    with pytest.raises(CaseError, match=r"event 2 \('8-9 b'\) at 2 s cuts buses 1, 2, 5, 6, 7, 8 off"):
-        check_events(case, events_of(both, where="here"))
-    both[0]["end_s"] = 2.0  # the first circuit is back when the second opens
-    check_events(case, events_of(both, where="here"))
