@@ -27,10 +27,10 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
     files += [own_fmu(cache, key) for key in dict.fromkeys(plan.fmus.values())]
     files += [concentrator_fmu(len(c.signals), cache) for c in plan.sweep.base.concentrators.values()]
     cases = {name: plan.case(name) for name in plan.cases}
-    for case in {plant_sources(case): case for case in cases.values()}.values():
+    for grid in {plant_sources(case): case for case in cases.values()}.values():
         with suppress(BuildError):  # without it the plants go one by one
-            files.append(plant_group(plant_sources(case), cache=cache).path)
-        block = plant_block(case)
+            files.append(plant_group(plant_sources(grid), cache=cache).path)
+        block = plant_block(grid)
         files.append(compile_binary(block.kind, block.sources, host_platform(), cache=cache))
     files += [plant_fmu(case, cache, show=plan.sweep.show) for case in cases.values()]
     for key in plan.controllers:
