@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import zlib
@@ -35,6 +36,7 @@ def run(
     explore: Annotated[
         bool, typer.Option("--explore", help="write explorer.html too: the run as a page to drag")
     ] = False,
+    json_: Annotated[bool, typer.Option("--json", help="print the metrics as JSON, files on stderr")] = False,
     self_test: Annotated[
         bool,
         typer.Option(
@@ -100,7 +102,9 @@ def run(
         if explain:
             typer.echo(result.explain())
         for file in files:
-            typer.echo(file)
+            (note if json_ else typer.echo)(file)
+        if json_ and isinstance(result, Run):
+            typer.echo(json.dumps(result.metrics.as_dict(), indent=2, allow_nan=False))
         for line in result.warnings:
             say_warning(line)
         if isinstance(result, Run):

@@ -112,7 +112,7 @@ def maps(
     from interarea.cosim.maps.page import write_maps
 
     from .destination import file_for
-    from .terminal import busy
+    from .terminal import steps
 
     if not 0 <= worst <= 50:
         raise SweepError(f"--worst = {worst}, allowed: 0 to 50")
@@ -121,8 +121,8 @@ def maps(
     if not folder.exists():
         raise SweepError(f"{folder}: no such folder, wanted: that of a sweep's results (its --out)")
     page = file_for(out or folder / "maps.html")
-    with busy(f"drawing {folder}"):
-        page = write_maps(folder, page, worst=worst)
+    with steps(("margins", "worst runs", "explorer", "figures")) as tell:
+        page = write_maps(folder, page, worst=worst, progress=tell)
     typer.echo(page)
 
 

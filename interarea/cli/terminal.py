@@ -139,6 +139,23 @@ def stage_progress(stages: Sequence[str]) -> Iterator[Callable[[str, float], Non
         yield report
 
 
+@contextmanager
+def steps(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
+    """Show work that goes from step to step: what is called with a step ends the one before it."""
+    with stage_progress(names) as report:
+        begun: list[str] = []
+
+        def tell(name: str) -> None:
+            if begun:
+                report(begun[-1], 1.0)
+            begun.append(name)
+            report(name, 0.0)
+
+        yield tell
+        if begun:
+            report(begun[-1], 1.0)
+
+
 def _plain_progress() -> Callable[[str, float], None]:
     finished: set[str] = set()
 

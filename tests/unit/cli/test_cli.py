@@ -87,6 +87,9 @@ def test_run_writes_its_files(interarea, tmp_path: Path) -> None:  # type: ignor
     assert (tmp_path / "out" / "trajectory.csv").read_text().startswith("time_s,plant.G1_dw")
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["stable"] in (True, False)
     assert "step 20 ms (given)" in out
+    code, out, err = interarea("run", file, "--out", tmp_path / "out", "--json")
+    assert code == 0 and "trajectory.csv" in err
+    assert json.loads(out) == json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert json.loads((tmp_path / "out" / "ledger.json").read_text())["step_s"] == 0.02
 
 
