@@ -101,18 +101,25 @@ def run(
                 files.append(write_explorer(loaded, out / "explorer.html", cache=default_cache()))
         if explain:
             typer.echo(result.explain())
-        for file in files:
-            (note if json_ else typer.echo)(file)
-        if json_ and isinstance(result, Run):
-            typer.echo(json.dumps(result.metrics.as_dict(), indent=2, allow_nan=False))
-        for line in result.warnings:
-            say_warning(line)
+        _tell(result, files, json_)
         if isinstance(result, Run):
             note(result.summary)
             if loaded.controller != "none":
                 typer.echo(_survived(loaded, loaded.as_given(result.case)), err=True)
     if tested is not None and not tested.passed:
         raise typer.Exit(1)
+
+
+def _tell(result: Result, files: list[Path], json_: bool) -> None:
+    """Print what a run has written, as JSON its metrics in their place, and its warnings."""
+    from interarea.cosim.results.run import Run
+
+    for file in files:
+        (note if json_ else typer.echo)(file)
+    if json_ and isinstance(result, Run):
+        typer.echo(json.dumps(result.metrics.as_dict(), indent=2, allow_nan=False))
+    for line in result.warnings:
+        say_warning(line)
 
 
 def _not_built_here(scenario: Path) -> list[str]:
