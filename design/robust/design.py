@@ -21,7 +21,7 @@ from ..linear.norms import gramian_factor
 from ..lmi.solve import one_blas_thread
 from ..reduction.gramians import projections
 from .design_models import build_objective, tightened
-from .smoothed_objective import Array, Gains, Objective
+from .smoothed_objective import AT_REST, Array, Gains, Objective
 from .spec import RobustSpec
 from .stages import staged_search
 
@@ -91,7 +91,7 @@ def design_robust(
             if progress is not None:
                 progress(f"first swing, {margin:g} degrees", value)
     rightmost, worst = objective.worst(theta)
-    if not rightmost < 0.0:
+    if not rightmost < AT_REST:
         raise InfeasibleDesign(
             f"robust design: no controller of order {spec.order} kept all {len(objective.models)} design "
             f"models stable in {spec.starts} starts (largest real part {rightmost:.3g} 1/s); raise the "
