@@ -83,7 +83,7 @@ def angle_figure(found: Sequence[Found]) -> Figure:
             axes.step(np.arange(1, len(angles) + 1), np.sort(angles)[::-1], where="mid", **line)
         axes.axhline(OUT_OF_STEP_DEG, color=MUTED, linewidth=0.8)
         axes.set_xlabel("disturbances, worst first for each controller")
-        axes.set_ylabel("largest angle between two machines (deg)")
+        axes.set_ylabel("largest angle (deg)")
         axes.set_ylim(0.0, 1.05 * OUT_OF_STEP_DEG)
         axes.legend(title="controller")
     return figure
