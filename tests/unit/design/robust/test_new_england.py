@@ -1,0 +1,49 @@
+"""The bundled controller of New England: what it holds on full plants, and the record of its faults."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from interarea.cosim.designs.design_file import family_plants, load_design, specification_of
+from interarea.design.controllers.bundled import shipped_controller
+from interarea.design.delay.signal_conditions import condition_of_many
+from interarea.design.linear.linearise import speeds_in_rad
+from interarea.design.modes.modes import modes_of
+from interarea.design.robust.operating_points import inter_area_band, judge_family
+
+
+def test_it_is_what_its_design_file_says_and_its_record_is_of_that() -> None:
+    table, K = load_design("new_england"), shipped_controller("new_england")
+    assert specification_of(K) == table
+    assert (K.inputs, K.outputs) == (table.signals, table.actuators)
+    record = K.certificate
+    assert record is not None
+    assert len(record["rows"]) == len(table.point) * len(table.conditions)
+    assert all(row["stable"] for row in record["rows"])
+    assert record["acceptance"]["lost"] == []
+
+
+@pytest.mark.slow
+def test_it_raises_the_inter_area_damping_with_any_one_signal_lost(cache: Path) -> None:
+    table, K = load_design("new_england"), shipped_controller("new_england").system
+    pu = family_plants(table, cache)
+    plants = {name: speeds_in_rad(plant, table.grid.omega_b) for name, plant in pu.items()}
+    modes = {name: modes_of(plant, table.grid.areas) for name, plant in pu.items()}
+    # latencies between those of the design too
+    codes = ("N", "s150", *(f"s{ms}+L:{signal}" for ms in (50, 200) for signal in table.signals))
+    found = judge_family(
+        plants,
+        K,
+        [condition_of_many(code, table.signals) for code in codes],
+        bands_hz={name: inter_area_band(each) for name, each in modes.items()},
+    )
+    assert all(row.stable for row in found.rows)
+    least = min(
+        m.damping_ratio for each in modes.values() for n, m in each.items() if n.startswith("inter-area")
+    )
+    local = min(m.damping_ratio for each in modes.values() for n, m in each.items() if n.startswith("local"))
+    assert least < 0.05
+    assert found.inter_area >= 2.0 * least
+    assert found.worst_swing >= 0.9 * local
