@@ -33,6 +33,13 @@ def chosen(columns: Sequence[str], record: Sequence[str]) -> list[str]:
     return [n for n in columns if n == TIME or not record or any(fnmatchcase(n, p) for p in record)]
 
 
+def remove_partial(folder: Path, process: int) -> None:
+    """Remove what a process that something ended has left in `folder` of the files it was writing."""
+    for partial in folder.glob(f".trajectory.*-{process}-*.partial"):
+        with contextlib.suppress(OSError):
+            partial.unlink()
+
+
 class TrajectoryFiles:
     """Both files of a run in `folder`; a context manager that ends with both, or with what was there before.
 
@@ -66,7 +73,8 @@ class TrajectoryFiles:
             self.files[0].parent.mkdir(parents=True, exist_ok=True)
         for file in self.files:
             with self._named(file):
-                handle, name = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}-", suffix=".partial")
+                prefix = f".{file.name}-{os.getpid()}-"
+                handle, name = tempfile.mkstemp(dir=file.parent, prefix=prefix, suffix=".partial")
                 self._partial.append(Path(name))
                 if self._csv is None:
                     self._csv = os.fdopen(handle, "w", encoding="utf-8", newline="")

@@ -71,7 +71,7 @@ def run(
     foreign = _not_built_here(Path(scenario))
     if foreign and _GUARDED not in os.environ:
         note(f"{', '.join(foreign)}: not built here, so the run has a process of its own, which it may crash")
-        raise typer.Exit(_run_beside(foreign))
+        raise typer.Exit(_run_beside(foreign, out))
     from interarea.cosim.scenario.scenario import load_scenario
 
     given = {"record": tuple(record) if record else None, "every": every, "strict": strict}
@@ -152,7 +152,7 @@ def _is_ours(file: Path) -> bool:
         return True  # what is wrong with it is said when it is opened
 
 
-def _run_beside(foreign: list[str]) -> int:
+def _run_beside(foreign: list[str], out: Path | None) -> int:
     """Give this command to a process of its own; return its exit code.
 
     Raises StepError where something ended that process.
@@ -171,6 +171,10 @@ def _run_beside(foreign: list[str]) -> int:
         signal.signal(signal.SIGINT, before)
     if 0 <= code < 256:
         return code
+    if out is not None:
+        from interarea.cosim.results.trajectory_files import remove_partial
+
+        remove_partial(out, child.pid)
     try:
         what = signal.Signals(-code).name
     except ValueError:  # Windows: a number such as 0xC0000005
