@@ -38,7 +38,9 @@ def made_for_another(controller: Controller | ControllerBank | None, case: Case)
     design = getattr(controller, "design", {}) or {}
     given = design.get("specification")
     named = given.get("case") if isinstance(given, dict) else None
-    if controller is None or not isinstance(named, str) or Path(named).suffix or named in ("", case.name):
+    if controller is None or not named or not isinstance(named, str) or Path(named).suffix:
+        return []
+    if f"{case.name}-".startswith(f"{named}-"):  # other operating points of a case have its name in front
         return []
     return [
         f"controller {controller.name}: designed for the case {named!r}, runs with {case.name!r}; its "
