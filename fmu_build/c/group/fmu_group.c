@@ -133,7 +133,8 @@ static void load_memory(Group *g, const Instance *c, size_t k)
     g->written[k] = c->memory_written;
 }
 
-/* The event at the end of the stretch; 0 when it cannot be handled. */
+/* The event at the end of the stretch; 0 when it cannot be handled here: it fails, or the block remarks on
+ * it, which the FMU's own code tells, once and in its place. */
 static int meet_event(Group *g, Lane *lane, size_t k)
 {
     Instance *c = lane->c;
@@ -146,8 +147,7 @@ static int meet_event(Group *g, Lane *lane, size_t k)
     c->run->time = way->time;
     solver_inputs(c, way->to, c->block.u);
     ++c->memory_written;
-    if (block_event(&c->block, way->event, c->block.x, &message) != BLOCK_OK) return 0;
-    instance_remark(c, &message);
+    if (block_event(&c->block, way->event, c->block.x, &message) != BLOCK_OK || message.text[0] != 0) return 0;
     c->run->last_event = way->last_event = way->event;
     put(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     load_memory(g, c, k);
