@@ -20,6 +20,7 @@ import numpy.typing as npt
 from interarea.models.case.tables import swing_name
 
 from ..linear.sparse_plant import SparsePlant
+from .loop_selection import require_actuator
 from .modes import Mode, ModeError
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -166,11 +167,7 @@ def _actuators(plant: SparsePlant, wanted: Sequence[str]) -> list[str]:
         if name not in plant.inputs:
             raise ModeError(f"no actuator {name!r}; the plant has {', '.join(plant.inputs[:12])}")
     names = list(wanted or plant.inputs)
-    if not names:
-        raise ModeError(
-            "no machine has an exciter that takes a signal (an input *_vs), so no loop can be closed; "
-            "give machines an exciter that regulates"
-        )
+    require_actuator(names)
     return names
 
 

@@ -80,6 +80,15 @@ def difference_signals(areas: Mapping[str, int]) -> dict[str, dict[str, float]]:
     return signals
 
 
+def require_actuator(names: Sequence[str]) -> None:
+    """Refuse a plant without an input that a controller could drive."""
+    if not names:
+        raise ModeError(
+            "no machine has an exciter that takes a signal (an input *_vs), so no loop can be closed; "
+            "give machines an exciter that regulates"
+        )
+
+
 def rank_loops(
     system: control.StateSpace,
     mode: Mode,
@@ -125,11 +134,7 @@ def rank_loops(
     if not signals:
         raise ValueError("no candidate signals: all machines lie in one area")
     wanted = [n for n in system.input_labels if n.endswith("_vs")] if actuators is None else actuators
-    if not wanted:
-        raise ModeError(
-            "no machine has an exciter that takes a signal (an input *_vs), so no loop can be closed; "
-            "give machines an exciter that regulates"
-        )
+    require_actuator(wanted)
     picked = select(system, wanted, {name: dict(weights) for name, weights in signals.items()})
     A, B, C = (np.asarray(M, dtype=float) for M in (picked.A, picked.B, picked.C))
     if mode.right.size != A.shape[0] or not np.allclose(

@@ -9,6 +9,8 @@ from typing import Annotated
 
 import typer
 
+from .modes import CaseName
+from .study import OutFolder
 from .terminal import busy
 
 ScenarioFile = Annotated[
@@ -25,12 +27,8 @@ Platforms = Annotated[
 
 
 def build(
-    case: Annotated[
-        str, typer.Argument(metavar="CASE", help="bundled case or TOML file", show_default=False)
-    ],
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
-    ],
+    case: CaseName,
+    out: OutFolder,
     controller: Annotated[
         str | None,
         typer.Option(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .modes import CaseName, at_point, band_hz_of
+from .modes import Below, CaseName, CircuitsOut, at_point, region_of
 from .terminal import busy, print_table
 
 if TYPE_CHECKING:
@@ -25,12 +25,7 @@ def loops(
             "--band", metavar="LOW:HIGH", help="every signal, every actuator, all modes between so many Hz"
         ),
     ] = None,
-    below: Annotated[
-        float | None,
-        typer.Option(
-            "--below", metavar="RATIO", help="all modes below this damping ratio; 0.2 with --band alone"
-        ),
-    ] = None,
+    below: Below = None,
     mode: Annotated[
         list[str] | None,
         typer.Option(
@@ -51,9 +46,7 @@ def loops(
     ] = None,
     together: Annotated[int, typer.Option("--together", metavar="N", min=1, help="actuators in a set")] = 2,
     most: Annotated[int, typer.Option("--most", metavar="N", min=1, help="rows to show")] = 10,
-    circuit_out: Annotated[
-        list[str] | None, typer.Option("--circuit-out", metavar="BRANCH", help="branch out of service")
-    ] = None,
+    circuit_out: CircuitsOut = None,
 ) -> None:
     """Rank actuators and signals for the inter-area mode, or every signal for all modes of a band."""
     if band is None and below is None:
@@ -64,7 +57,7 @@ def loops(
     options: dict[str, Any] = {"latency_s": latency, "together": together, "most": most}
     options |= {"targets": mode or (), "actuators": actuator or ()} | ({"kinds": signals} if signals else {})
     with busy(f"loops of {loaded.name}"):
-        choice = _chosen(loaded, band or "0.1:2.5", 0.2 if below is None else below, options)
+        choice = _chosen(loaded, *region_of(band, below), options)
     if json_:
         typer.echo(json.dumps({"case": loaded.name, **_as_dict(choice)}, indent=2, allow_nan=False))
         return
@@ -104,14 +97,13 @@ def _inter_area(case: str, as_json: bool) -> None:
         typer.echo(line)
 
 
-def _chosen(case: Case, band: str, below: float, options: dict[str, Any]) -> LoopChoice:
+def _chosen(case: Case, band_hz: tuple[float, float], below: float, options: dict[str, Any]) -> LoopChoice:
     from interarea.cosim.run.artefacts import sparse_linear_plant
     from interarea.design.modes.all_modes import all_modes
     from interarea.design.modes.loop_choice import choose_loops
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.grid.powerflow import solve_powerflow
 
-    band_hz = band_hz_of(band)
     plant = sparse_linear_plant(case, default_cache())
     found = all_modes(plant, case.areas, band_hz=band_hz, below=below)
     return choose_loops(plant, found.modes, case.areas, solve_powerflow(case).voltages, **options)

@@ -22,6 +22,15 @@ if TYPE_CHECKING:
 CaseName = Annotated[
     str, typer.Argument(metavar="CASE", help="bundled case or TOML file", show_default=False)
 ]
+CircuitsOut = Annotated[
+    list[str] | None, typer.Option("--circuit-out", metavar="BRANCH", help="branch out of service")
+]
+Below = Annotated[
+    float | None,
+    typer.Option(
+        "--below", metavar="RATIO", help="all modes below this damping ratio; 0.2 with --band alone"
+    ),
+]
 
 _NONE = 1e29  #: limits beyond are none
 
@@ -40,9 +49,7 @@ def modes(
     tie_flow: Annotated[
         float, typer.Option("--tie-flow", metavar="MW", help="load moved across the tie")
     ] = 0.0,
-    circuit_out: Annotated[
-        list[str] | None, typer.Option("--circuit-out", metavar="BRANCH", help="branch out of service")
-    ] = None,
+    circuit_out: CircuitsOut = None,
     load_scale: Annotated[float, typer.Option("--load-scale", metavar="FACTOR", help="on every load")] = 1.0,
     margins: Annotated[
         bool, typer.Option("--margins", help="how far the controls start from their limits")
@@ -58,19 +65,13 @@ def modes(
             help="all modes between so many Hz, of any grid, counted independently",
         ),
     ] = None,
-    below: Annotated[
-        float | None,
-        typer.Option(
-            "--below", metavar="RATIO", help="all modes below this damping ratio; 0.2 with --band alone"
-        ),
-    ] = None,
+    below: Below = None,
 ) -> None:
     """Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes."""
     if band is not None or below is not None:
         _refuse_beside_band(margins=margins, plot=plot)
         loaded = at_point(case, tie_flow, circuit_out, load_scale)
-        region = band_hz_of(band or "0.1:2.5"), 0.2 if below is None else below
-        _all_modes(loaded, *region, sensitivity or [], participation, shapes, json_)
+        _all_modes(loaded, *region_of(band, below), sensitivity or [], participation, shapes, json_)
         return
     from interarea.cosim.run.artefacts import linear_matrices
     from interarea.design.modes.modes import modes_of
@@ -129,15 +130,16 @@ def _refuse_beside_band(**given: object) -> None:
         raise ModeError(f"{named[0]} with --band or --below: not together; leave one out")
 
 
-def band_hz_of(text: str) -> tuple[float, float]:
-    """Return the two frequencies of `LOW:HIGH`."""
+def region_of(band: str | None, below: float | None) -> tuple[tuple[float, float], float]:
+    """Return the two frequencies (Hz) of `LOW:HIGH` and the damping ratio, where the modes are wanted."""
     from interarea.design.modes.modes import ModeError
 
+    text = band or "0.1:2.5"
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
         raise ModeError(f"--band {text!r}, wanted LOW:HIGH in Hz, such as 0.1:2.5") from None
-    return low, high
+    return (low, high), 0.2 if below is None else below
 
 
 def _all_modes(

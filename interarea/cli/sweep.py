@@ -12,6 +12,8 @@ import typer
 
 from interarea.cosim.errors import SweepError
 
+from .study import OutFolder
+
 if TYPE_CHECKING:
     from interarea.cosim.sweep.front import Progress
 
@@ -21,9 +23,7 @@ _EVERY_S = 10.0  # a line of progress where there is no terminal
 
 def sweep(
     spec: Annotated[Path, typer.Argument(metavar="SWEEP.toml", help="sweep file", show_default=False)],
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
-    ],
+    out: OutFolder,
     workers: Annotated[
         int | None,
         typer.Option(
@@ -130,9 +130,7 @@ def screen(
     grid: Annotated[
         str, typer.Argument(metavar="GRID", help="case: bundled name or file", show_default=False)
     ],
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
-    ],
+    out: OutFolder,
     trips: Annotated[bool, typer.Option("--trips", help="open each branch in place of faults")] = False,
     bus: Annotated[
         list[int] | None, typer.Option("--bus", metavar="NUMBER", help="only this bus; may be repeated")

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import random
 import re
-import sys
 import zipfile
 from importlib.resources import files
 from pathlib import Path
 
 import pytest
+from command_line import invoke
 from corpus.recipe import (
     CASE,
     CASE_WRONG,
@@ -33,7 +32,6 @@ from corpus.recipe import (
 )
 from grid_text import dyr_text, matpower_text, raw_text
 
-from interarea.cli.app import main
 from interarea.design.controllers.bundled import FOLDER
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.package import build_fmu
@@ -70,19 +68,6 @@ def corpus() -> list[Entry]:
 
 
 ENTRIES = corpus()
-
-
-def invoke(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> tuple[int, str, str]:
-    """Run the command line in this process; return exit code, stdout, stderr."""
-    out, err = io.StringIO(), io.StringIO()
-    monkeypatch.setattr(sys, "argv", ["interarea", *arguments])
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            main()
-            code = 0
-        except SystemExit as stop:
-            code = stop.code if isinstance(stop.code, int) else 1
-    return code, out.getvalue(), err.getvalue()
 
 
 def test_size() -> None:

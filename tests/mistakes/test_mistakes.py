@@ -6,17 +6,14 @@ and hostile input lies in tests/corpus and tests/hostile.
 
 from __future__ import annotations
 
-import contextlib
-import io
-import sys
 import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import invoke
 
 import interarea as ia
-from interarea.cli.app import main
 
 HERE = Path(__file__).parent
 SOURCES = {p.stem: tomllib.loads(p.read_text(encoding="utf-8")) for p in sorted(HERE.glob("*.toml"))}
@@ -47,16 +44,9 @@ def told(source: str, row: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> t
             assert old in text, f"{old!r} is not in the good file"
             text = text.replace(old, new, 1)
         Path(words[1]).write_text(text, encoding="utf-8")
-    out, err = io.StringIO(), io.StringIO()
-    monkeypatch.setattr(sys, "argv", ["interarea", *words])
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            main()
-            code = 0
-        except SystemExit as stop:
-            code = stop.code if isinstance(stop.code, int) else 1
-    assert "Traceback" not in err.getvalue()
-    return code, err.getvalue().splitlines()
+    code, _, complaint = invoke(words, monkeypatch)
+    assert "Traceback" not in complaint
+    return code, complaint.splitlines()
 
 
 def test_size() -> None:
