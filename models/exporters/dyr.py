@@ -78,18 +78,25 @@ def _machine(m: Machine) -> tuple[str, tuple[float, ...], list[str]]:
         lost.append(f"{m.name}: X''q = {m.Xq2:g}, which becomes X''d")
     if not m.torque_by_speed:
         lost.append(f"{m.name}: its torque is not power over speed, which PSS/E's is")
-    curve, kind = (0.0, 0.0), m.flux_saturation
-    if kind is not None:
-        curve = (kind.S10, kind.S12)
-    elif m.saturation is not None:
-        s = m.saturation
-        lost.append(f"{m.name}: saturation of the form Asat exp(Bsat (flux - psiT1)), used as {s.use!r}")
-        at = [s.Asat * math.exp(s.Bsat * (flux - s.psiT1)) for flux in (1.0, 1.2)]
-        curve = (at[0], at[1] / 1.2)  # of the flux
-    salient = m.Xq1 == m.Xq and (m.saturation is None or kind is not None)
-    letter = "E" if kind is not None and kind.shape == "exponential" else "L" if salient else "U"
-    fields = (*(m.number(key) for key in (_SALIENT if salient else _ROUND)), *curve)
+    if m.flux_saturation is None and m.saturation is not None:
+        use = m.saturation.use
+        lost.append(f"{m.name}: saturation of the form Asat exp(Bsat (flux - psiT1)), used as {use!r}")
+    salient = m.Xq1 == m.Xq and (m.saturation is None or m.flux_saturation is not None)
+    exponential = m.flux_saturation is not None and m.flux_saturation.shape == "exponential"
+    letter = "E" if exponential else "L" if salient else "U"
+    fields = (*(m.number(key) for key in (_SALIENT if salient else _ROUND)), *_saturation(m))
     return ("GENSA" if salient else "GENRO") + letter, fields, lost
+
+
+def _saturation(m: Machine) -> tuple[float, float]:
+    """S(1.0) and S(1.2) of a machine, 0 without saturation."""
+    if m.flux_saturation is not None:
+        return m.flux_saturation.S10, m.flux_saturation.S12
+    if m.saturation is None:
+        return 0.0, 0.0
+    s = m.saturation
+    at = [s.Asat * math.exp(s.Bsat * (flux - s.psiT1)) for flux in (1.0, 1.2)]
+    return at[0], at[1] / 1.2  # of the flux
 
 
 def _control(model: Model, control: Control, base_mva: float) -> tuple[str, tuple[float, ...]]:

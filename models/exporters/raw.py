@@ -8,7 +8,7 @@ from ..case.case import Case
 from ..case.schema import Branch, Machine
 from ..errors import CaseError
 from ..grid.powerflow import PowerFlow, solve_powerflow
-from .written import Written, losses_of_network, named
+from .written import Written, is_transformer, losses_of_network, named, types_of_buses
 
 _LONGEST_NAME = 12  #: characters of a bus name in PSS/E
 _LARGEST_BUS = 999_997
@@ -27,19 +27,11 @@ def raw_of(case: Case, flow: PowerFlow | None = None) -> Written:
     PowerFlowError : the power flow has no solution.
     """
     flow = flow or solve_powerflow(case)
-    losses = losses_of_network(case)
     for bus in case.buses:
         if bus.number > _LARGEST_BUS:
             raise CaseError(f"{case.name}: bus {bus.number}, allowed: at most {_LARGEST_BUS} in a RAW file")
-    long = [str(bus.number) for bus in case.buses if len(bus.name) > _LONGEST_NAME]
-    if long:
-        losses.append(f"names of buses beyond {_LONGEST_NAME} characters (bus {named(long)})")
-    if any(bus.latitude_deg is not None for bus in case.buses):
-        losses.append("places of the buses on the map")
-    swung = [b for b in case.branches if _is_transformer(b)]
+    swung = [b for b in case.branches if is_transformer(b)]
     charged = [b for b in swung if b.b]
-    if charged:
-        losses.append(f"charging of transformers, which becomes shunts ({named(b.name for b in charged)})")
     title = case.title.replace("\n", " ")[:60]
     lines = [f"0, {case.base_mva!r}, 33, 0, 1, {case.frequency_hz!r} / {case.name}", title, case.source[:60]]
     _section(lines, "BUS", "LOAD", _buses(case, flow))
@@ -56,7 +48,19 @@ def raw_of(case: Case, flow: PowerFlow | None = None) -> Written:
     )  # fmt: skip
     for name, following in zip(rest, (*rest[1:], ""), strict=True):
         _section(lines, name, following, ())
-    return Written("\n".join([*lines, "Q", ""]), tuple(losses))
+    return Written("\n".join([*lines, "Q", ""]), tuple(_losses(case, charged)))
+
+
+def _losses(case: Case, charged: list[Branch]) -> list[str]:
+    losses = losses_of_network(case)
+    long = [str(bus.number) for bus in case.buses if len(bus.name) > _LONGEST_NAME]
+    if long:
+        losses.append(f"names of buses beyond {_LONGEST_NAME} characters (bus {named(long)})")
+    if any(bus.latitude_deg is not None for bus in case.buses):
+        losses.append("places of the buses on the map")
+    if charged:
+        losses.append(f"charging of transformers, which becomes shunts ({named(b.name for b in charged)})")
+    return losses
 
 
 def _section(lines: list[str], name: str, following: str, rows: Iterable[str]) -> None:
@@ -65,12 +69,8 @@ def _section(lines: list[str], name: str, following: str, rows: Iterable[str]) -
     lines.append(f"0 / END OF {name} DATA{begin}")
 
 
-def _is_transformer(branch: Branch) -> bool:
-    return branch.kind == "transformer" or branch.tap != 1.0 or branch.shift_deg != 0.0
-
-
 def _buses(case: Case, flow: PowerFlow) -> Iterable[str]:
-    kinds = {m.bus: 3 if m.slack else 2 for m in sorted(case.machines, key=lambda m: m.slack)}
+    kinds = types_of_buses(case)
     voltages = zip(case.buses, flow.magnitudes, flow.angles_deg, strict=True)
     for bus, magnitude, angle in voltages:
         name = bus.name[:_LONGEST_NAME].replace("'", " ")

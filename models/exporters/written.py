@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ..case.case import Case
+from ..case.schema import Branch
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,16 @@ def named(names: Iterable[str], most: int = 5) -> str:
     every = list(names)
     more = f" and {len(every) - most} more" if len(every) > most else ""
     return ", ".join(every[:most]) + more
+
+
+def is_transformer(branch: Branch) -> bool:
+    """Return whether a branch needs the record of a transformer, whatever it is called."""
+    return branch.kind == "transformer" or branch.tap != 1.0 or branch.shift_deg != 0.0
+
+
+def types_of_buses(case: Case) -> dict[int, int]:
+    """Return bus -> type for those with a machine: 3 at the slack, else 2."""
+    return {m.bus: 3 if m.slack else 2 for m in sorted(case.machines, key=lambda m: m.slack)}
 
 
 def losses_of_network(case: Case) -> list[str]:

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from .report import Report
 from .static import StaticBranch, StaticGrid, StaticUnit
 from .stored import Solution
 
@@ -17,6 +18,15 @@ def unit_names(grid: StaticGrid) -> list[str]:
     """Return a name for each unit: G and its bus, and its identifier where several share the bus."""
     name_of = _names([(unit.home, unit.identity) for unit in grid.units])
     return [name_of("G", unit.home, unit.identity) for unit in grid.units]
+
+
+def load_exponents(
+    P_exponent: float | None, Q_exponent: float | None, grid: StaticGrid, report: Report, where: str
+) -> tuple[float, float]:
+    """Return how P and Q of loads follow the voltage: as given, else as constant impedance, which is said."""
+    if None in (P_exponent, Q_exponent) and any(load.follows is None for load in grid.loads):
+        report.assume("loads follow the voltage as constant impedance unless the exponents say else", where)
+    return 2.0 if P_exponent is None else P_exponent, 2.0 if Q_exponent is None else Q_exponent
 
 
 def document_of(

@@ -11,7 +11,7 @@ controls        -> devices of the package, by their `[dyr]` tables (models/devic
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -90,51 +90,83 @@ def machine_dynamics(
     for note in file.notes:
         place, _, what = note.partition(": ")
         report.assume(what, place)
-    rows: dict[str, dict[str, Any]] = {name: {} for name in machine_of.values()}
-    seen: dict[tuple[str, str], str] = {}
-    where: dict[str, str] = {}
-    constant: dict[str, float] = {}
+    units = _Units(path, machine_of, report)
+    if converters_as_current:
+        units.take_converters(file.records)
     for record in file.records:
+        name = units.concerned(record, out, records)
+        if name is not None:
+            units.take(name, record, *_row(record, own, records))
+    units.take_the_rest()
+    rows = {name: row for name, row in units.rows.items() if name not in units.constant}
+    return Dynamics(rows, units.where, units.constant)
+
+
+class _Units:
+    """The units of a grid, and what the records that were read say of each."""
+
+    def __init__(self, path: Path, machine_of: Mapping[tuple[int, str], str], report: Report) -> None:
+        self.path, self.machine_of, self.report = path, machine_of, report
+        self.rows: dict[str, dict[str, Any]] = {name: {} for name in machine_of.values()}
+        self.seen: dict[tuple[str, str], str] = {}  #: name of a unit and kind of a model -> file:line
+        self.where: dict[str, str] = {}
+        self.constant: dict[str, float] = {}
+
+    def take_converters(self, records: Iterable[DyrRecord]) -> None:
+        """Make the converters among the units constant currents."""
+        for record in records:
+            at = (record.bus, record.identity)
+            if record.model in CONVERTERS and at in self.machine_of:
+                self.constant[self.machine_of[at]] = 1.0
+                self.report.assume("converter taken as a constant current", record.where)
+
+    def concerned(
+        self, record: DyrRecord, out: Collection[tuple[int, str]], records: Collection[str]
+    ) -> str | None:
+        """Return the name of the unit that `record` tells of; None, and a line of the report, if of none."""
         at = (record.bus, record.identity)
-        if record.model in CONVERTERS and at in machine_of and converters_as_current:
-            constant[machine_of[at]] = 1.0
-            report.assume("converter taken as a constant current", record.where)
-    for record in file.records:
-        at, model = (record.bus, record.identity), record.model
         if at in out:
-            report.drop("DYR record of a unit out of service", record.where)
-            continue
-        if model in RELAYS:
-            report.drop("relay or meter", record.where)
-            continue
-        if at not in machine_of:
-            if model not in _MACHINES and model not in records:
+            self.report.drop("DYR record of a unit out of service", record.where)
+            return None
+        if record.model in RELAYS:
+            self.report.drop("relay or meter", record.where)
+            return None
+        if at not in self.machine_of:
+            if record.model not in _MACHINES and record.model not in records:
                 raise CaseError(f"{record.where}: {_unknown(record, records)}")
-            report.assume("DYR record of a unit that the grid does not have left out", record.where)
-            continue
-        name = machine_of[at]
-        if name in constant:
-            report.drop("further DYR record of a constant current", record.where)
-            continue
-        kind, row = _row(record, own, records)
-        if (name, kind) in seen:
-            raise CaseError(f"{record.where}: second {kind} of {name}, the first is at {seen[name, kind]}")
-        seen[name, kind] = record.where
+            self.report.assume("DYR record of a unit that the grid does not have left out", record.where)
+            return None
+        if self.machine_of[at] in self.constant:
+            self.report.drop("further DYR record of a constant current", record.where)
+            return None
+        return self.machine_of[at]
+
+    def take(self, name: str, record: DyrRecord, kind: str, row: Mapping[str, Any]) -> None:
+        """Give the unit `name` the keys that its record makes."""
+        if (name, kind) in self.seen:
+            first = self.seen[name, kind]
+            raise CaseError(f"{record.where}: second {kind} of {name}, the first is at {first}")
+        self.seen[name, kind] = record.where
         if kind == MACHINE:
-            where[name] = record.where
-            rows[name] |= row
+            self.where[name] = record.where
+            self.rows[name] |= row
         else:
-            rows[name][kind] = {"source": f"{path.name}, {model}"} | row
-        report.read[f"{model}"] += 1
-    for (bus, identity), name in machine_of.items():
-        if name in where or name in constant:
-            continue
-        other = next((place for (n, _), place in seen.items() if n == name), None)
-        if other is not None:
-            raise CaseError(f"{other}: machine {name} has controls but no machine model in {path.name}")
-        constant[name] = 0.0
-        report.assume("unit without DYR record taken as constant P and Q", f"{path}: bus {bus}, {identity!r}")
-    return Dynamics({name: row for name, row in rows.items() if name not in constant}, where, constant)
+            self.rows[name][kind] = {"source": f"{self.path.name}, {record.model}", **row}
+        self.report.read[record.model] += 1
+
+    def take_the_rest(self) -> None:
+        """Make the units without any record constant P and Q."""
+        for (bus, identity), name in self.machine_of.items():
+            if name in self.where or name in self.constant:
+                continue
+            other = next((place for (n, _), place in self.seen.items() if n == name), None)
+            if other is not None:
+                raise CaseError(
+                    f"{other}: machine {name} has controls but no machine model in {self.path.name}"
+                )
+            self.constant[name] = 0.0
+            place = f"{self.path}: bus {bus}, {identity!r}"
+            self.report.assume("unit without DYR record taken as constant P and Q", place)
 
 
 def _row(record: DyrRecord, own: Mapping[str, Model], records: Collection[str]) -> tuple[str, dict[str, Any]]:

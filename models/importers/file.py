@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from ..errors import CaseError
 from ..grid.powerflow import solve_powerflow
@@ -43,59 +44,55 @@ def import_grid(
     CaseError : no such file, another format, an option that is not allowed, or what the format's own reader
         refuses.
     """
+    how: dict[str, Any] = {
+        "frequency_hz": frequency_hz,
+        "P_exponent": P_exponent,
+        "Q_exponent": Q_exponent,
+        "strict": strict,
+        "island": island,
+        "coordinates": coordinates,
+    }
     file = Path(grid)
     if str(grid) in PUBLISHED and not file.exists():
-        if dyr is not None:
-            raise CaseError(f"{dyr}: {grid} has its own dynamic data, allowed: no --dyr")
-        with published(str(grid)) as (raw, own):
-            found = import_grid(
-                raw, dyr=own, frequency_hz=frequency_hz, P_exponent=P_exponent, Q_exponent=Q_exponent,
-                strict=strict, island=island, converters=converters, coordinates=coordinates,
-                release_limits=release_limits, devices=devices,
-            )  # fmt: skip
-        source = PUBLISHED[str(grid)].source
-        found.report.lines.append(source)
-        return replace(found, case=found.case.model_copy(update={"source": source}))
+        how |= {"converters": converters, "release_limits": release_limits, "devices": devices}
+        return _import_published(str(grid), dyr, how)
     if not file.is_file():
         what = "is a folder" if file.is_dir() else "no such file"
         raise CaseError(f"{file}: {what}, allowed: {FORMATS}, or {', '.join(PUBLISHED)}")
     if converters not in ("refuse", "current"):
         raise CaseError(f"converters = {converters!r}, allowed: refuse, current")
-    if frequency_hz is not None and not frequency_hz > 0.0:
-        raise CaseError(f"frequency = {frequency_hz:g}, allowed: above 0 Hz")
-    for name, exponent in (("P_exponent", P_exponent), ("Q_exponent", Q_exponent)):
-        if exponent is not None and not exponent >= 0.0:
-            raise CaseError(f"{name} = {exponent:g}, allowed: 0 (constant power) or above")
+    _check_numbers(frequency_hz, P_exponent=P_exponent, Q_exponent=Q_exponent)
     suffix = (Path(file.stem) if file.suffix.lower() in _PACKED else file).suffix.lower()
     if suffix == ".m":
         if dyr is not None:
             raise CaseError(f"{dyr}: dynamic data goes with a RAW file, not with MATPOWER")
         if devices:
             raise CaseError(f"{devices[0]}: a device goes with a DYR file, which MATPOWER does not have")
-        return import_matpower(
-            file,
-            frequency_hz=frequency_hz,
-            P_exponent=P_exponent,
-            Q_exponent=Q_exponent,
-            strict=strict,
-            island=island,
-            coordinates=coordinates,
-        )
+        return import_matpower(file, **how)
     if suffix == ".raw":
-        imported = import_psse(
-            file,
-            dyr,
-            P_exponent=P_exponent,
-            Q_exponent=Q_exponent,
-            strict=strict,
-            island=island,
-            converters_as_current=converters == "current",
-            coordinates=coordinates,
-            frequency_hz=frequency_hz,
-            devices=devices,
-        )
+        current = converters == "current"
+        imported = import_psse(file, dyr, converters_as_current=current, devices=devices, **how)
         return imported if dyr is None else _started(imported, release=release_limits)
     raise CaseError(f"{file}: suffix {suffix!r}, allowed: {FORMATS}")
+
+
+def _import_published(name: str, dyr: str | Path | None, how: dict[str, Any]) -> Imported:
+    """The grid `name` of `PUBLISHED`, from the files that its authors give, with its source."""
+    if dyr is not None:
+        raise CaseError(f"{dyr}: {name} has its own dynamic data, allowed: no --dyr")
+    with published(name) as (raw, own):
+        found = import_grid(raw, dyr=own, **how)
+    source = PUBLISHED[name].source
+    found.report.lines.append(source)
+    return replace(found, case=found.case.model_copy(update={"source": source}))
+
+
+def _check_numbers(frequency_hz: float | None, **exponents: float | None) -> None:
+    if frequency_hz is not None and not frequency_hz > 0.0:
+        raise CaseError(f"frequency = {frequency_hz:g}, allowed: above 0 Hz")
+    for name, exponent in exponents.items():
+        if exponent is not None and not exponent >= 0.0:
+            raise CaseError(f"{name} = {exponent:g}, allowed: 0 (constant power) or above")
 
 
 def _started(imported: Imported, *, release: bool) -> Imported:

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from ..case.case import case_of
 from ..errors import CaseError
-from .document import document_of
+from .document import document_of, load_exponents
 from .imported import Imported
 from .places import read_places
 from .raw.text import read_lines
 from .report import Report
-from .static import StaticBranch, StaticBus, StaticGrid, StaticLoad, StaticShunt, StaticUnit
+from .static import USUAL_HZ, StaticBranch, StaticBus, StaticGrid, StaticLoad, StaticShunt, StaticUnit
 from .stored import solve_stored
 from .topology import settle, slack_of
 
@@ -26,7 +26,6 @@ _READ = {
     "branch": (0, 1, 2, 3, 4, 8, 9, 10),
     "dcline": (0, 1, 2, 3, 4, 5, 6),
 }
-_USUAL_HZ = 60.0
 _LEAST_PU = 1e-7  #: impedance below which a branch joins its ends
 
 
@@ -74,20 +73,11 @@ def import_matpower(
     path = Path(path)
     report = Report(strict)
     lines = [line.split("%")[0] for line in read_lines(path)]
-    version = re.search(r"mpc\.version\s*=\s*['\"]?([^'\";]+)", "\n".join(lines))
-    if version is None or version.group(1).strip() != "2":
-        got = version.group(1).strip() if version else "none"
-        raise CaseError(f"{path}: MATPOWER case version {got}, allowed: 2 (mpc.version = '2')")
-    base = re.search(r"mpc\.baseMVA\s*=\s*([^;\s]+)", "\n".join(lines))
-    if base is None:
-        raise CaseError(f"{path}: mpc.baseMVA is missing")
-    base_mva = _number(base.group(1), f"{path}: mpc.baseMVA")
-    if not base_mva > 0.0:
-        raise CaseError(f"{path}: mpc.baseMVA = {base_mva:g}, allowed: above 0")
+    base_mva = _base_mva(path, "\n".join(lines))
     tables = {table: _table(path, lines, table, needed=table != "dcline") for table in _COLUMNS}
     if frequency_hz is None:
-        report.assume(f"no frequency in the file: {_USUAL_HZ:g} Hz", str(path))
-    grid = StaticGrid(base_mva, frequency_hz or _USUAL_HZ, f"{path.name} (MATPOWER)")
+        report.assume(f"no frequency in the file: {USUAL_HZ:g} Hz", str(path))
+    grid = StaticGrid(base_mva, frequency_hz or USUAL_HZ, f"{path.name} (MATPOWER)")
     _buses(tables["bus"], grid)
     _units(tables["gen"], grid)
     _branches(tables["branch"], grid, report)
@@ -98,13 +88,24 @@ def import_matpower(
         read_places(Path(coordinates), grid)
     settle(grid, report, island)
     solution = solve_stored(grid, slack_of(grid, report).number, report)
-    if (P_exponent is None or Q_exponent is None) and grid.loads:
-        report.assume(
-            "loads follow the voltage as constant impedance unless the exponents say else", str(path)
-        )
-    exponents = (2.0 if P_exponent is None else P_exponent, 2.0 if Q_exponent is None else Q_exponent)
+    exponents = load_exponents(P_exponent, Q_exponent, grid, report, str(path))
     document = document_of(grid, solution, name=name or path.name.split(".")[0], exponents=exponents)
     return Imported(case_of(document, where=str(path)), report, solution)
+
+
+def _base_mva(path: Path, text: str) -> float:
+    """The base of a case file of version 2; other versions are refused."""
+    version = re.search(r"mpc\.version\s*=\s*['\"]?([^'\";]+)", text)
+    if version is None or version.group(1).strip() != "2":
+        got = version.group(1).strip() if version else "none"
+        raise CaseError(f"{path}: MATPOWER case version {got}, allowed: 2 (mpc.version = '2')")
+    base = re.search(r"mpc\.baseMVA\s*=\s*([^;\s]+)", text)
+    if base is None:
+        raise CaseError(f"{path}: mpc.baseMVA is missing")
+    base_mva = _number(base.group(1), f"{path}: mpc.baseMVA")
+    if not base_mva > 0.0:
+        raise CaseError(f"{path}: mpc.baseMVA = {base_mva:g}, allowed: above 0")
+    return base_mva
 
 
 def _table(path: Path, lines: list[str], table: str, *, needed: bool) -> list[_Row]:

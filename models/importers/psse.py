@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..case.case import case_of
+from ..case.case import Case, case_of
 from ..case.device_files import devices_of, with_device_texts
 from ..errors import CaseError
-from .document import document_of, unit_names
-from .dynamics import machine_dynamics
+from .document import document_of, load_exponents, unit_names
+from .dynamics import Dynamics, machine_dynamics
 from .imported import Imported
 from .places import read_places
 from .raw.converters import read_converters
@@ -22,12 +22,9 @@ from .raw.multi_terminal import read_multi_terminal
 from .raw.nodes import read_nodes
 from .raw.transformers import read_transformers
 from .report import Report
-from .static import StaticGrid
+from .static import USUAL_HZ, StaticGrid
 from .stored import solve_stored
 from .topology import settle, slack_of
-
-LOADS_FOLLOW = "loads follow the voltage as constant impedance unless the exponents say else"
-USUAL_HZ = 60.0  #: where the file has no frequency
 
 
 def import_psse(
@@ -71,41 +68,49 @@ def import_psse(
     out = {(unit.home, unit.identity) for unit in grid.units if not unit.on}
     settle(grid, report, island)
     solution = solve_stored(grid, slack_of(grid, report).number, report)
+    exponents = load_exponents(P_exponent, Q_exponent, grid, report, str(path))
     names = unit_names(grid)
-    if None in (P_exponent, Q_exponent) and any(load.follows is None for load in grid.loads):
-        report.assume(LOADS_FOLLOW, str(path))
-    exponents = (2.0 if P_exponent is None else P_exponent, 2.0 if Q_exponent is None else Q_exponent)
-    lines = {name: unit.where for name, unit in zip(names, grid.units, strict=True)}
-    rows: dict[str, dict[str, Any]] = {}
-    constant: dict[int, float] = {}
+    dynamics = Dynamics({}, {}, {})
     if dyr is not None:
         machine_of = {(u.home, u.identity): n for u, n in zip(grid.units, names, strict=True)}
         out |= {key for key in _all_units(file) if key not in machine_of}
         dynamics = machine_dynamics(
             Path(dyr), machine_of, out, report, converters_as_current=converters_as_current, own=own
         )
-        rows, lines = dynamics.rows, lines | dynamics.where
-        constant = {names.index(n): exponent for n, exponent in dynamics.constant.items()}
-        for unit, key in zip(grid.units, names, strict=True):
-            subtransient = rows.get(key, {}).get("Xd2")
-            if subtransient is not None and abs(subtransient - unit.x) > 1e-6:
-                report.assume("X''d of the DYR taken, ZX of the RAW is another", unit.where)
-        grid.source += f" and {Path(dyr).name}"
-        if len(constant) == len(names):
+        if len(dynamics.constant) == len(names):
             raise CaseError(f"{dyr}: no machine model for any unit of {path.name}, allowed: at least one")
+        _compare_reactances(grid, names, dynamics, report)
+        grid.source += f" and {Path(dyr).name}"
     document = document_of(
-        grid, solution, name=name or path.name.split(".")[0], exponents=exponents, constant=constant
+        grid,
+        solution,
+        name=name or path.name.split(".")[0],
+        exponents=exponents,
+        constant={names.index(n): exponent for n, exponent in dynamics.constant.items()},
     )
-    for key, row in rows.items():
+    for key, row in dynamics.rows.items():
         document["machines"][key] |= row
     document["devices"] = given["devices"]
+    lines = {name: unit.where for name, unit in zip(names, grid.units, strict=True)} | dynamics.where
+    return Imported(_case_with_lines(document, str(path), lines), report, solution)
+
+
+def _compare_reactances(grid: StaticGrid, names: Sequence[str], dynamics: Dynamics, report: Report) -> None:
+    """Say where the subtransient reactance of the DYR is not the ZX of the RAW."""
+    for unit, name in zip(grid.units, names, strict=True):
+        subtransient = dynamics.rows.get(name, {}).get("Xd2")
+        if subtransient is not None and abs(subtransient - unit.x) > 1e-6:
+            report.assume("X''d of the DYR taken, ZX of the RAW is another", unit.where)
+
+
+def _case_with_lines(document: dict[str, Any], where: str, lines: Mapping[str, str]) -> Case:
+    """The case of `document`; an error of a machine names its line, `lines`: machine -> file:line."""
     try:
-        case = case_of(document, where=str(path))
+        return case_of(document, where=where)
     except CaseError as error:
         machine = re.search(r"machines\.(\w+)", str(error))
-        where = lines.get(machine.group(1)) if machine else None
-        raise CaseError(f"{error} (given at {where})" if where else str(error)) from None
-    return Imported(case, report, solution)
+        line = lines.get(machine.group(1)) if machine else None
+        raise CaseError(f"{error} (given at {line})" if line else str(error)) from None
 
 
 def static_grid(file: RawFile, report: Report, frequency_hz: float | None = None) -> StaticGrid:

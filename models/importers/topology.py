@@ -115,17 +115,26 @@ def _keep_island(grid: StaticGrid, report: Report, island: int | None) -> None:
     sourced = {unit.bus for unit in grid.units}
     swings = {n for n, bus in grid.buses.items() if bus.kind == SLACK and n in sourced}
     if island is not None:
-        alive = [part for part in parts if grid.alias.get(island, island) in part]
+        wanted = [{grid.alias.get(island, island)}]
         missing = f"island = {island}, allowed: the number of a bus in service"
     else:
-        alive = [part for part in parts if swings & part] or [part for part in parts if sourced & part]
+        wanted = [swings, sourced]
         missing = "no unit in service, allowed: at least one, with a slack bus"
-    if not alive:
+    chosen = _largest_with(wanted, parts)
+    if not chosen:
         raise CaseError(f"{grid.source}: {missing}")
-    chosen = max(alive, key=len)
     _report_left_out(grid, report, [part for part in parts if part is not chosen], swings)
     if len(chosen) < len(grid.buses):
         _leave_only(grid, chosen)
+
+
+def _largest_with(wanted: list[set[int]], parts: list[set[int]]) -> set[int]:
+    """The largest part with a bus of the first set that any part has one of; none if there is no such set."""
+    for buses in wanted:
+        alive = [part for part in parts if buses & part]
+        if alive:
+            return max(alive, key=len)
+    return set()
 
 
 def _report_left_out(grid: StaticGrid, report: Report, parts: list[set[int]], swings: set[int]) -> None:

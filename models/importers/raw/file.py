@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
+from enum import Enum, auto
 from pathlib import Path
+from typing import NamedTuple
 
 from ...errors import CaseError
 from .layouts import fields, layout_of, sections
@@ -87,38 +90,51 @@ def read_raw(path: Path) -> RawFile:
     lines = [(number, text) for number, text in enumerate(read_lines(path), 1) if text.lstrip()[:2] != "@!"]
     if not any(text.strip() for _, text in lines):
         raise CaseError(f"{path}:1: the file is empty, allowed: a PSS/E RAW file")
-    first, raw_head = lines[0]
-    head = Record(
-        "header",
-        split_words(raw_head, f"{path}:{first}"),
-        f"{path}:{first}",
-        {"IC": 0, "SBASE": 1, "REV": 2, "XFRRAT": 3, "NXFRAT": 4, "BASFRQ": 5},
-    )
-    if head.whole("IC", 0) != 0:
-        raise head.wrong("IC", head.text("IC"), "0 (a change case holds changes only)")
-    base = head.number("SBASE", 100.0)
-    if not base > 0.0:
-        raise head.wrong("SBASE", f"{base:g}", "above 0 MVA")
-    revision = head.whole("REV") if head.has("REV") else None
-    frequency = head.number("BASFRQ") if head.has("BASFRQ") else None
-    if frequency is not None and not frequency >= 0.0:
-        raise head.wrong("BASFRQ", f"{frequency:g}", "above 0 Hz")
+    first, text = lines[0]
+    head = _Head.read(split_words(text, f"{path}:{first}"), f"{path}:{first}")
     body = lines[3:]
     named = "\n".join(text.upper() for _, text in body if text.lstrip()[:1] in "0'\"" and _ZERO.match(text))
-    bus_line = _first_bus(path, body)
-    where = f"{path}:{bus_line[0]}"
-    quoted = _SECOND_QUOTED.match(bus_line[1]) is not None
-    version, note = layout_of(revision, split_words(bus_line[1], where), quoted, named)
-    raw = RawFile(path, base, frequency or None, revision, version, {}, {})
+    number, text = _first_bus(path, body)
+    quoted = _SECOND_QUOTED.match(text) is not None
+    version, note = layout_of(head.revision, split_words(text, f"{path}:{number}"), quoted, named)
+    raw = RawFile(path, head.base_mva, head.frequency_hz, head.revision, version, {}, {})
     raw.notes += [f"{path}:{first}: {note}"] if note else []
     _cut(raw, body)
+    raw.system = _system_wide(raw)
+    return raw
+
+
+class _Head(NamedTuple):
+    """What the first line of a file says."""
+
+    base_mva: float
+    revision: int | None
+    frequency_hz: float | None
+
+    @classmethod
+    def read(cls, words: tuple[str, ...], where: str) -> _Head:
+        fields = {"IC": 0, "SBASE": 1, "REV": 2, "XFRRAT": 3, "NXFRAT": 4, "BASFRQ": 5}
+        head = Record("header", words, where, fields)
+        if head.whole("IC", 0) != 0:
+            raise head.wrong("IC", head.text("IC"), "0 (a change case holds changes only)")
+        base = head.number("SBASE", 100.0)
+        if not base > 0.0:
+            raise head.wrong("SBASE", f"{base:g}", "above 0 MVA")
+        revision = head.whole("REV") if head.has("REV") else None
+        frequency = head.number("BASFRQ", 0.0)
+        if not frequency >= 0.0:
+            raise head.wrong("BASFRQ", f"{frequency:g}", "above 0 Hz")
+        return cls(base, revision, frequency or None)
+
+
+def _system_wide(raw: RawFile) -> dict[str, float]:
+    """The numbers of the system-wide section, by upper-case name."""
+    found: dict[str, float] = {}
     for _, text in (line for group in raw.groups.get("system-wide", []) for line in group):
         for name, value in re.findall(r"(\w+)\s*=\s*([-+.\deEdD]+)", text):
-            try:
-                raw.system[name.upper()] = float(value)
-            except ValueError:
-                continue
-    return raw
+            with suppress(ValueError):
+                found[name.upper()] = float(value)
+    return found
 
 
 def _first_bus(path: Path, body: list[Line]) -> Line:
@@ -143,37 +159,51 @@ def _cut(raw: RawFile, body: list[Line]) -> None:
         order.pop(0)
     k = 0
     for section in order:
-        start, closed, groups = k, False, []
-        while k < len(body):
-            text = body[k][1]
-            stripped = text.strip()
-            if not stripped:
-                k += 1
-                continue
-            if _ZERO.match(text):
-                k, closed = k + 1, True
-                break
-            if stripped[0] in "Qq" and stripped[1:2] in ("", " ", ",", "/"):
-                k = len(body)
-                closed = True
-                break
+        start, groups = k, []
+        k, end = _next_text(body, k)
+        while end is _End.NONE:
             count = _span(raw, section, body, k)
             if section not in _IGNORED:
                 groups.append(_take(raw, section, body, k, count))
-            k += count
+            k, end = _next_text(body, k + count)
         if groups:
             raw.groups[section] = raw.groups.get(section, []) + groups
-        if not closed and k > start and section in _NEEDED:
+        if end is _End.FILE and k > start and section in _NEEDED:
             raise CaseError(
                 f"{raw.path}:{body[-1][0]}: the file ends inside the {section} data, allowed: a line with 0 "
                 "after its last record (cut off?)"
             )
+        k = {_End.SECTION: k + 1, _End.QUIT: len(body)}.get(end, k)
     rest = [line for line in body[k:] if line[1].strip() and line[1].strip()[:1] not in "Qq"]
     if rest:
         raw.notes.append(
             f"{raw.path}:{rest[0][0]}: {len(rest)} lines after the last section of version {raw.version} "
             "left aside"
         )
+
+
+class _End(Enum):
+    """What a line closes: nothing (it is a record), a section (0), all data (Q); or the file ends."""
+
+    NONE = auto()
+    SECTION = auto()
+    QUIT = auto()
+    FILE = auto()
+
+
+def _next_text(body: list[Line], k: int) -> tuple[int, _End]:
+    """The next line from `k` on that is not empty, and what it closes."""
+    while k < len(body):
+        text = body[k][1]
+        stripped = text.strip()
+        if _ZERO.match(text):
+            return k, _End.SECTION
+        if stripped[:1] in ("Q", "q") and stripped[1:2] in ("", " ", ",", "/"):
+            return k, _End.QUIT
+        if stripped:
+            return k, _End.NONE
+        k += 1
+    return k, _End.FILE
 
 
 def _has_system(body: list[Line]) -> bool:

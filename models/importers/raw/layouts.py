@@ -141,21 +141,23 @@ def layout_of(revision: int | None, bus: tuple[str, ...], quoted: bool, named: s
     whether its second one stands in quotes. named : what the ends of the sections call the next ones,
     upper case.
     """
-    shape, n = (23, 26) if len(bus) > 1 and not quoted and _is_number(bus[1]) else (31, 99), len(bus)
-    if shape[0] == 31 and n in (10, 11):
-        shape = (26, 31)
-    if shape == (23, 26):
-        version = 23
-    elif shape == (26, 31):
-        newest = revision if revision is not None and 24 <= revision <= 30 else None
-        version = 26 if "TRANSFORMER ADJUSTMENT" in named else 29
-        if newest is not None and not named:
-            version = 26 if newest <= 26 else 29
+    n = len(bus)
+    if n > 1 and not quoted and _is_number(bus[1]):
+        version = 23  # no name in the second field
+    elif n in (10, 11):
+        version = _middle(revision, named)
     else:
         version = _recent(revision, n, named)
     if revision is None or _layout(revision) == version or {_layout(revision), version} == {32, 33}:
         return version, ""
     return version, f"says version {revision} and is laid out as version {version}; read as {version}"
+
+
+def _middle(revision: int | None, named: str) -> int:
+    """26 or 29, whose buses look alike: their sections differ, or else the header says."""
+    if not named and revision is not None and 24 <= revision <= 30:
+        return 26 if revision <= 26 else 29
+    return 26 if "TRANSFORMER ADJUSTMENT" in named else 29
 
 
 def _recent(revision: int | None, n: int, named: str) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 
 from ...errors import CaseError
@@ -12,6 +14,7 @@ from .record import Record
 
 _ABSENT = 900.0  #: PSS/E writes 999 where there is no second cage
 _ELECTRIC, _SHAFT = 2, 1  #: codes PC of the power that PSET gives
+_IDLE = 1e-9  #: slip of a machine that gives no power
 
 
 def read_motors(raw: RawFile, grid: StaticGrid, report: Report) -> None:
@@ -36,49 +39,77 @@ def _drawn(record: Record, volts: float, kv: float, base_mva: float) -> complex:
         raise record.wrong("MBASE", f"{base:g}", "above 0")
     rated = record.number("RATEKV", 0.0) or kv
     volts *= kv / rated if rated > 0.0 and kv > 0.0 else 1.0
-    code = record.code("PC", 1, (_SHAFT, _ELECTRIC))
+    circuit = _Circuit.read(record, volts)
+    of_shaft = record.code("PC", 1, (_SHAFT, _ELECTRIC)) == _SHAFT
     target = record.number("PSET", 0.0) / base
-    stator = complex(record.number("RA", 0.0), record.number("XA", 0.0))
-    gap = 1j * record.number("XM", 2.5)
-    r1, x1 = record.number("R1", _ABSENT), record.number("X1", _ABSENT)
-    r2, x2, x3 = (record.number(k, d) for k, d in (("R2", _ABSENT), ("X2", _ABSENT), ("X3", 0.0)))
-    if not (0.0 < r1 < _ABSENT):
-        raise record.wrong("R1", f"{r1:g}", "above 0 (the resistance of the rotor)")
-
-    def power(slip: float) -> tuple[complex, float]:
-        rotor = complex(r1 / slip, x1)
-        if r2 < _ABSENT:
-            cage = complex(r2 / slip, x2)
-            rotor = rotor * cage / (rotor + cage) + 1j * x3
-        current = volts / (stator + gap * rotor / (gap + rotor))
-        in_rotor = current * gap / (gap + rotor)
-        return volts * current.conjugate(), abs(in_rotor) ** 2 * rotor.real * (1.0 - slip)
-
-    def wanted(slip: float) -> float:
-        electric, shaft = power(slip)
-        return electric.real if code == _ELECTRIC else shaft
-
-    idle = 1e-9
     if abs(target) < 1e-12:
-        return power(idle)[0] * base
+        return circuit.power(_IDLE)[0] * base
     sign = 1.0 if target > 0.0 else -1.0
-    slips = [sign * idle * 1.1**k for k in range(218)]  # to a slip of 1
-    for low, high in pairwise(slips):
-        if (wanted(high) - target) * sign >= 0.0:
-            break
-        if (wanted(high) - wanted(low)) * sign < 0.0 and abs(low) > 1e-6:
-            high = low
-            break
-    if (wanted(high) - target) * sign < 0.0:
+
+    def short(slip: float) -> float:
+        electric, shaft = circuit.power(slip)
+        return sign * (target - (shaft if of_shaft else electric.real))
+
+    high = _first_slip(short, sign)
+    if short(high) > 0.0:
+        most = (target - sign * short(high)) * base
         raise CaseError(
             f"{record.where}: induction machine record: PSET = {record.text('PSET')}, allowed: at most "
-            f"{wanted(high) * base:.4g} MW, its pull-out power at the stored voltage"
+            f"{most:.4g} MW, its pull-out power at the stored voltage"
         )
-    low = sign * idle
+    return circuit.power(_bisected(short, sign * _IDLE, high))[0] * base
+
+
+@dataclass(frozen=True)
+class _Circuit:
+    """The equivalent circuit of an induction machine at its terminal voltage, pu of its own base."""
+
+    volts: float
+    stator: complex
+    gap: complex
+    r1: float
+    x1: float
+    cage: tuple[float, float, float] | None  #: R2, X2, X3 of the second one
+
+    @classmethod
+    def read(cls, record: Record, volts: float) -> _Circuit:
+        stator = complex(record.number("RA", 0.0), record.number("XA", 0.0))
+        gap = 1j * record.number("XM", 2.5)
+        r1, x1 = record.number("R1", _ABSENT), record.number("X1", _ABSENT)
+        r2, x2, x3 = (record.number(k, d) for k, d in (("R2", _ABSENT), ("X2", _ABSENT), ("X3", 0.0)))
+        if not (0.0 < r1 < _ABSENT):
+            raise record.wrong("R1", f"{r1:g}", "above 0 (the resistance of the rotor)")
+        return cls(volts, stator, gap, r1, x1, (r2, x2, x3) if r2 < _ABSENT else None)
+
+    def power(self, slip: float) -> tuple[complex, float]:
+        """P + jQ that the machine takes, and the power at its shaft."""
+        rotor = complex(self.r1 / slip, self.x1)
+        if self.cage is not None:
+            r2, x2, x3 = self.cage
+            cage = complex(r2 / slip, x2)
+            rotor = rotor * cage / (rotor + cage) + 1j * x3
+        current = self.volts / (self.stator + self.gap * rotor / (self.gap + rotor))
+        in_rotor = current * self.gap / (self.gap + rotor)
+        return self.volts * current.conjugate(), abs(in_rotor) ** 2 * rotor.real * (1.0 - slip)
+
+
+def _first_slip(short: Callable[[float], float], sign: float) -> float:
+    """The first slip on the way to 1 with nothing short of the power wanted, else that of the pull-out."""
+    slips = [sign * _IDLE * 1.1**k for k in range(218)]
+    for low, high in pairwise(slips):
+        if short(high) <= 0.0:
+            return high
+        if short(high) > short(low) and abs(low) > 1e-6:
+            return low
+    return slips[-1]
+
+
+def _bisected(short: Callable[[float], float], low: float, high: float) -> float:
+    """The slip between `low`, where power is short, and `high`, where it is not, from which it is not."""
     for _ in range(200):
         middle = 0.5 * (low + high)
-        if (wanted(middle) - target) * sign >= 0.0:
+        if short(middle) <= 0.0:
             high = middle
         else:
             low = middle
-    return power(high)[0] * base
+    return high

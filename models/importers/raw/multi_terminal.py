@@ -51,31 +51,9 @@ def _at_rest(
     if not buses or len(at) < len(buses):
         raise record.refused("dc buses without numbers of their own, allowed: each number once")
     n, m = len(buses), len(converters)
-    Y = np.zeros((n, n))
-    for bus in buses:
-        ground = bus.number("RGRND", 0.0)
-        if ground > 0.0:
-            Y[at[bus.whole("IDC")], at[bus.whole("IDC")]] += 1.0 / ground
-    for link in links:
-        ends = [_dc_bus(link, name, at) for name in ("IDC", "JDC")]
-        resistance = link.number("RDC", 0.0)
-        if not resistance > 0.0:
-            raise link.wrong("RDC", f"{resistance:g}", "above 0 ohm")
-        Y[np.ix_(ends, ends)] += np.array([[1.0, -1.0], [-1.0, 1.0]]) / resistance
-    incidence = np.zeros((n, m))  # where a converter drives its current in and takes it out
-    holder = record.bus("VCONV")
-    source = None
-    for k, converter in enumerate(converters):
-        here = [bus for bus in buses if bus.bus("IB", 0) == converter.bus("IB")]
-        if not here:
-            raise converter.refused(f"no dc bus belongs to the converter at bus {converter.bus('IB')}")
-        incidence[_dc_bus(here[0], "IDC", at), k] += 1.0
-        if here[0].whole("IDC2", 0):
-            incidence[_dc_bus(here[0], "IDC2", at), k] -= 1.0
-        if converter.bus("IB") == holder:
-            source = k
-    if source is None:
-        raise record.wrong("VCONV", str(holder), "the bus of one of its converters")
+    Y = _dc_admittance(buses, links, at)
+    incidence = _dc_incidence(converters, buses, at)
+    source = _voltage_end(record, converters)
     setting = np.array([converter.number("SETVL") for converter in converters])
     if not setting[source] > 0.0:
         raise converters[source].wrong("SETVL", f"{setting[source]:g}", "above 0 kV at the voltage end")
@@ -98,6 +76,44 @@ def _at_rest(
         if np.allclose(current, last, rtol=1e-13, atol=1e-15):
             return volts, current
     raise record.refused(f"no dc voltages carry the powers of the converters from {setting[source]:g} kV")
+
+
+def _dc_admittance(buses: list[Record], links: list[Record], at: dict[int, int]) -> np.ndarray:
+    """Conductances of the links and to ground, 1/ohm (buses, buses)."""
+    Y = np.zeros((len(buses), len(buses)))
+    for bus in buses:
+        ground = bus.number("RGRND", 0.0)
+        if ground > 0.0:
+            Y[at[bus.whole("IDC")], at[bus.whole("IDC")]] += 1.0 / ground
+    for link in links:
+        ends = [_dc_bus(link, name, at) for name in ("IDC", "JDC")]
+        resistance = link.number("RDC", 0.0)
+        if not resistance > 0.0:
+            raise link.wrong("RDC", f"{resistance:g}", "above 0 ohm")
+        Y[np.ix_(ends, ends)] += np.array([[1.0, -1.0], [-1.0, 1.0]]) / resistance
+    return Y
+
+
+def _dc_incidence(converters: list[Record], buses: list[Record], at: dict[int, int]) -> np.ndarray:
+    """Where a converter drives its current in (1) and takes it out (-1), (buses, converters)."""
+    incidence = np.zeros((len(buses), len(converters)))
+    for k, converter in enumerate(converters):
+        here = next((bus for bus in buses if bus.bus("IB", 0) == converter.bus("IB")), None)
+        if here is None:
+            raise converter.refused(f"no dc bus belongs to the converter at bus {converter.bus('IB')}")
+        incidence[_dc_bus(here, "IDC", at), k] += 1.0
+        if here.whole("IDC2", 0):
+            incidence[_dc_bus(here, "IDC2", at), k] -= 1.0
+    return incidence
+
+
+def _voltage_end(record: Record, converters: list[Record]) -> int:
+    """The number of the converter that holds the dc voltage."""
+    holder = record.bus("VCONV")
+    at_holder = [k for k, converter in enumerate(converters) if converter.bus("IB") == holder]
+    if not at_holder:
+        raise record.wrong("VCONV", str(holder), "the bus of one of its converters")
+    return at_holder[-1]
 
 
 def _dc_bus(row: Record, name: str, at: dict[int, int]) -> int:
