@@ -60,11 +60,6 @@ MORE_WAYS = {
     "fmu_build/write": 17,
     "interarea": 19,
     "interarea/cli": 21,
-    "models/devices": 22,
-    "models/devices/language": 23,
-    "models/exporters": 23,
-    "models/importers": 24,
-    "models/importers/raw": 25,
 }
 MOST_MODULES = 16  # in a folder: what a person takes in at a glance
 

@@ -70,26 +70,28 @@ class ExpressionWriter:
             return f"(-{text})", is_num
         if node.op in ("+", "-", "*", "/"):
             return self.binary(node)
-        if node.op == "**":
-            power = int(node.args[1].value)
-            text = self.num(node.args[0])
-            square = f"element_square({text})"
-            return {2: square, 3: f"({square} * {text})", 4: f"element_square({square})"}[power], True
-        if node.op == "pick":
-            return self.pick(node), True
-        if node.op == "table":
-            return self.table(node), True
         if node.op == "per":
             return f"element_per({self.code_of(node.args[0])[0]})", False
         if node.op in ("vx_a", "vx_b"):
             return f"element_{node.op}({', '.join(self.code_of(a)[0] for a in node.args)})", False
-        args = [self.num(a) for a in node.args]
-        name, text = _FUNCTION[node.op], args[-1]
-        if node.op in ("min", "max"):
-            for other in reversed(args[:-1]):
-                text = f"{name}({other}, {text})"
-            return text, True
-        return f"{name}({', '.join(args)})", True
+        of_signals = {"**": self.power, "pick": self.pick, "table": self.table}
+        return of_signals.get(node.op, self.call)(node), True
+
+    def power(self, node: Node) -> str:
+        """C of a square, a cube or a fourth power."""
+        text = self.num(node.args[0])
+        square = f"element_square({text})"
+        return {2: square, 3: f"({square} * {text})", 4: f"element_square({square})"}[int(node.args[1].value)]
+
+    def call(self, node: Node) -> str:
+        """C of a function of signals; least and largest of several by pairs."""
+        *others, text = [self.num(a) for a in node.args]
+        name = _FUNCTION[node.op]
+        if node.op not in ("min", "max"):
+            return f"{name}({', '.join([*others, text])})"
+        for other in reversed(others):
+            text = f"{name}({other}, {text})"
+        return text
 
     def binary(self, node: Node) -> tuple[str, bool]:
         """C of + - * /."""

@@ -77,38 +77,35 @@ def device_for_dyr(record: DyrRecord, own: Iterable[Model] = ()) -> DyrDevice:
             f"{record.where}: {record.model} has {len(record.fields)} fields, allowed: {len(row.fields)}, "
             f"{' '.join(row.fields)}{hint}"
         )
+    values = _values(record, row)
+    values |= {name: float(evaluate(node, values)) for name, node in row.assigned}
+    parameters = {p.name: values[p.name] for p in model.device.parameters if p.name in values}
+    what = f"{record.where}: {record.model}"
+    for p in model.device.parameters:
+        value = parameters.get(p.name, p.default)
+        if value is None:
+            raise DeviceError(f"{what} gives no {p.name}, which {model.device.name} needs")
+        rule = model.device.computed.get(p.name)
+        if not (rule is not None and value == rule.when) and not p.holds(value):
+            allowed = f"above {p.low:g}" if p.open else f"{p.low:g} to {p.high:g}"
+            raise DeviceError(f"{what} {p.name} = {value:g}, allowed: {allowed}")
+    return DyrDevice(model, parameters)
+
+
+def _values(record: DyrRecord, row: DyrModel) -> dict[str, float]:
+    """The named fields of a record; the ones of functions that are not modelled must be 0."""
     values: dict[str, float] = {}
     for k, (name, text) in enumerate(zip(row.fields, record.fields, strict=True), start=1):
         if name == "-":
             continue
-        values_of = _number(text)
-        if values_of is None:
-            raise DeviceError(
-                f"{record.where}: {record.model} field {k} ({name}) = {str(text)[:40]!r}, allowed: a number"
-            )
-        if name == "0":
-            if values_of != 0.0:
-                raise DeviceError(
-                    f"{record.where}: {record.model} field {k} = {values_of:g}, allowed: 0 "
-                    "(what it asks for is not modelled)"
-                )
-            continue
-        values[name] = values_of
-    values |= {name: float(evaluate(node, values)) for name, node in row.assigned}
-    parameters = {p.name: values[p.name] for p in model.device.parameters if p.name in values}
-    for p in model.device.parameters:
-        value = parameters.get(p.name, p.default)
+        value, what = _number(text), f"{record.where}: {record.model} field {k}"
         if value is None:
-            raise DeviceError(
-                f"{record.where}: {record.model} gives no {p.name}, which {model.device.name} needs"
-            )
-        rule = model.device.computed.get(p.name)
-        if rule is not None and value == rule.when:
-            continue
-        if not (p.low <= value <= p.high) or (p.open and value == p.low):
-            allowed = f"above {p.low:g}" if p.open else f"{p.low:g} to {p.high:g}"
-            raise DeviceError(f"{record.where}: {record.model} {p.name} = {value:g}, allowed: {allowed}")
-    return DyrDevice(model, parameters)
+            raise DeviceError(f"{what} ({name}) = {str(text)[:40]!r}, allowed: a number")
+        if name != "0":
+            values[name] = value
+        elif value != 0.0:
+            raise DeviceError(f"{what} = {value:g}, allowed: 0 (what it asks for is not modelled)")
+    return values
 
 
 def dyr_fields(model: Model, values: Mapping[str, float]) -> tuple[str, tuple[float, ...]]:

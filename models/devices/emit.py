@@ -97,53 +97,57 @@ class Writer(ExpressionWriter):
 
     def code(self) -> list[str]:
         """Enumeration, what is prepared, the equations."""
-        device = self.device
-        states = self.model.states
         body = self.branch(self.model.order, {}, 2)
-        inputs = sorted({n for line in device.lines for n in names_of(line.node)} & set(device.inputs))
+        signature = f"static inline void equations_of_{self.prefix}("
         head = [
-            f"static inline void equations_of_{self.prefix}(const DeviceGroup *g, const DeviceSignals *in,",
-            f"{' ' * len(f'static inline void equations_of_{self.prefix}(')}const cell *x, cell *dx)",
+            f"{signature}const DeviceGroup *g, const DeviceSignals *in,",
+            f"{' ' * len(signature)}const cell *x, cell *dx)",
             "{",
             "    const size_t n = g->n;",
             *(["    const uint64_t has = g->has;"] if self.model.bits else []),
+            *self.places(),
         ]
-        at = "0"
-        for _, state in states:
-            head.append(f"    const size_t at_{state.name} = {at};")
+        signals = self.signals()
+        uses_table = any("AT(p, " in row for row in body + signals)
+        loop = [
+            "    EACH(k, 0, n) {",
+            *(["        const stored *p = g->table + k;"] if uses_table else []),
+            "        const where m = where_at(g->machine, k);",
+            *signals,
+        ]
+        prepare = self.prepare()
+        title = f"/* {self.device.name}: {_TEXT.sub(' ', self.device.title)} */"
+        return [title, *self.enumeration(), *prepare, *head, *loop, *body, "    }", "}"]
+
+    def enumeration(self) -> list[str]:
+        """The rows of the device's table by name."""
+        prepared = (f"_{k}" for k in range(len(self.prepared)))
+        rows = ", ".join(f"{self.big}__{name}" for name in (*self.given, *prepared))
+        last = f"       {self.big}___GIVEN = {len(self.given)} }};"
+        return _wrapped(f"enum {{ {rows}, {self.big}___ROWS,", last)
+
+    def places(self) -> list[str]:
+        """Where each state begins, one after the other as far as they are there."""
+        rows, at = [], "0"
+        for _, state in self.model.states:
+            rows.append(f"    const size_t at_{state.name} = {at};")
             there = "n" if state.present is True else f"({self.condition(state.present)} ? n : 0)"
             at = f"at_{state.name} + {there}"
-        if not states:
-            head += ["    (void)x;", "    (void)dx;"]
-        loop = ["    EACH(k, 0, n) {", "        const stored *p = g->table + k;"]
-        loop += ["        const where m = where_at(g->machine, k);"]
-        loop += [f"        const num s_{name} = OF(in->{name}, m);" for name in inputs]
+        return rows or ["    (void)x;", "    (void)dx;"]
+
+    def signals(self) -> list[str]:
+        """What the lines use: inputs, the set-point with its step, states."""
+        device = self.device
+        inputs = sorted({n for line in device.lines for n in names_of(line.node)} & set(device.inputs))
+        rows = [f"        const num s_{name} = OF(in->{name}, m);" for name in inputs]
         if "pref" in device.references:
-            loop.append(f"        const num s_pref = NUM({self.row('pref')} + OF(in->pref_step, m));")
-        for _, state in states:
+            rows.append(f"        const num s_pref = NUM({self.row('pref')} + OF(in->pref_step, m));")
+        for _, state in self.model.states:
             value = f"AT(x, at_{state.name} + k)"
             if state.present is not True:
                 value = f"{self.condition(state.present)} ? {value} : NUM(0.0)"
-            loop.append(f"        const num x_{state.name} = {value};")
-        if not any("AT(p, " in row for row in body + loop[2:]):
-            loop[1] = ""
-        rows = [
-            f"{self.big}__{name}" for name in (*self.given, *(f"_{k}" for k in range(len(self.prepared))))
-        ]
-        size = len(self.given)
-        enumeration = _wrapped(
-            f"enum {{ {', '.join(rows)}, {self.big}___ROWS,", f"       {self.big}___GIVEN = {size} }};"
-        )
-        return [
-            f"/* {device.name}: {_TEXT.sub(' ', device.title)} */",
-            *enumeration,
-            *self.prepare(),
-            *head,
-            *[row for row in loop if row],
-            *body,
-            "    }",
-            "}",
-        ]
+            rows.append(f"        const num x_{state.name} = {value};")
+        return rows
 
     def prepare(self) -> list[str]:
         """The rows computed once."""

@@ -76,27 +76,36 @@ def response_of(
     except DeviceError as error:
         raise DeviceError(f"{device.name}{error}") from None
     rest = rest_of(model, numbers_of(device, row, base_mva), inputs, output, device.name)
-    instance, x0 = rest.instance, np.array(rest.states)
-    n = len(x0)
+    times, stepped = _step_response(rest, inputs, stop_s)
+    return Response(rest, _poles(rest, inputs), STEPS[device.kind], times, stepped)
+
+
+def _poles(rest: RestPoint, inputs: Mapping[str, float]) -> npt.NDArray[np.complex128]:
+    """Eigenvalues of the rates at rest by their derivatives with a complex step, rightmost first."""
+    n = len(rest.states)
     A = np.empty((n, n))
     for k in range(n):
-        x = x0.astype(complex)
+        x = np.array(rest.states, dtype=complex)
         x[k] += 1e-30j
-        A[:, k] = np.array([complex(rate).imag for rate in instance.run(list(x), inputs)[1]]) / 1e-30
+        A[:, k] = np.array([complex(rate).imag for rate in rest.instance.run(list(x), inputs)[1]]) / 1e-30
+    poles = np.linalg.eigvals(A).astype(complex)
+    return poles[np.argsort(-poles.real)]
+
+
+def _step_response(rest: RestPoint, inputs: Mapping[str, float], stop_s: float) -> tuple[Array, Array]:
+    """Times and change of the output after the step of `STEPS`."""
+    model, x0 = rest.instance.model, np.array(rest.states)
+    device = model.device
+    stepped, changed = type(rest.instance)(model, rest.instance.values), dict(inputs)
     name, size = STEPS[device.kind]
-    stepped = type(instance)(model, instance.values)
-    changed = dict(inputs)
-    if name in inputs:
-        changed[name] += size
-    else:
-        stepped.values[name] += size
+    (changed if name in inputs else stepped.values)[name] += size
     times = np.linspace(0.0, stop_s, 201)
 
     def rates(_: float, x: Array) -> list[float]:
         return [float(rate) for rate in stepped.run(list(x), changed)[1]]
 
     states = np.tile(x0, (len(times), 1))
-    if n:
+    if len(x0):
         solved = scipy.integrate.solve_ivp(
             rates, (0.0, stop_s), x0, method="LSODA", t_eval=times, rtol=_RTOL, atol=_ATOL
         )
@@ -106,8 +115,7 @@ def response_of(
             )
         states = solved.y.T
     values = [float(stepped.run(list(x), changed)[0][device.output]) - rest.output for x in states]
-    poles = np.linalg.eigvals(A).astype(complex)
-    return Response(rest, poles[np.argsort(-poles.real)], (name, size), times, np.array(values))
+    return times, np.array(values)
 
 
 def missing(model: Model, given: Mapping[str, object]) -> list[str]:

@@ -225,43 +225,62 @@ def _turned(node: Node, name: str, value: float, known: Mapping[str, float]) -> 
     if node.op == "name":
         return value
     k = next(k for k, part in enumerate(node.args) if name in names_of(part))
-    part = node.args[k]
+    turn = _TURNED.get(node.op)
+    if turn is None:
+        raise _Stuck
+    inner = turn(value, k, lambda j: float(evaluate(node.args[j], known)))
+    return _turned(node.args[k], name, inner, known)
 
-    def other(j: int) -> float:
-        return float(evaluate(node.args[j], known))
 
-    match node.op:
-        case "+":
-            inner = value - other(1 - k)
-        case "-":
-            inner = value + other(1) if k == 0 else other(0) - value
-        case "*":
-            inner = _over(value, other(1 - k))
-        case "/":
-            inner = value * other(1) if k == 0 else _over(other(0), value)
-        case "neg":
-            inner = -value
-        case "min" | "max":
-            inner = value
-        case "clamp" if k == 0:
-            inner = value
-        case "deadband" if k == 0:
-            inner = value + math.copysign(other(1), value) if value else 0.0
-        case "pick" if k > 0:
-            if bool(evaluate(node.args[0], known)) != (k == 1):
-                raise _Stuck
-            inner = value
-        case "**":
-            if value < 0.0:
-                raise _Stuck
-            inner = value ** (1.0 / node.args[1].value)
-        case "exp" if value > 0.0:
-            inner = math.log(value)
-        case "sqrt":
-            inner = value * value
-        case _:
-            raise _Stuck
-    return _turned(part, name, inner, known)
+Other = Callable[[int], float]  #: values of the other arguments
+
+
+def _turned_deadband(value: float, k: int, other: Other) -> float:
+    if k != 0:
+        raise _Stuck
+    return value + math.copysign(other(1), value) if value else 0.0
+
+
+def _turned_clamp(value: float, k: int, _: Other) -> float:
+    if k != 0:
+        raise _Stuck
+    return value
+
+
+def _turned_pick(value: float, k: int, other: Other) -> float:
+    if k == 0 or bool(other(0)) != (k == 1):
+        raise _Stuck
+    return value
+
+
+def _turned_power(value: float, _: int, other: Other) -> float:
+    if value < 0.0:
+        raise _Stuck
+    return value ** (1.0 / other(1))
+
+
+def _turned_exp(value: float, _: int, __: Other) -> float:
+    if not value > 0.0:
+        raise _Stuck
+    return math.log(value)
+
+
+#: operation -> its argument k from its value and the other arguments
+_TURNED: dict[str, Callable[[float, int, Other], float]] = {
+    "+": lambda value, k, other: value - other(1 - k),
+    "-": lambda value, k, other: value + other(1) if k == 0 else other(0) - value,
+    "*": lambda value, k, other: _over(value, other(1 - k)),
+    "/": lambda value, k, other: value * other(1) if k == 0 else _over(other(0), value),
+    "neg": lambda value, k, other: -value,
+    "min": lambda value, k, other: value,
+    "max": lambda value, k, other: value,
+    "clamp": _turned_clamp,
+    "deadband": _turned_deadband,
+    "pick": _turned_pick,
+    "**": _turned_power,
+    "exp": _turned_exp,
+    "sqrt": lambda value, k, other: value * value,
+}
 
 
 def _over(a: float, b: float) -> float:

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..errors import nearest
 from .errors import DeviceError
-from .language.device import MBASE, NO_LIMIT, Device
+from .language.device import MBASE, NO_LIMIT, Device, Parameter
 from .language.expression import evaluate, names_of
 
 Given = float | str | None  #: None: an absent limit; a word: computed at rest
@@ -21,30 +21,32 @@ def row_of(device: Device, given: Mapping[str, Any]) -> dict[str, Given]:
     DeviceError : ".KEY = value, ..." for a key that does not exist, is missing, is no number, or is out of
         range; a check between parameters that fails.
     """
-    row: dict[str, Given] = {}
     known = device.by_name
     for key, value in given.items():
         if key not in known:
             raise DeviceError(f".{key} = {value!r}: no such key here; {nearest(key, known)}")
-    for p in device.parameters:
-        if p.name not in given:
-            if p.default is None:
-                raise DeviceError(f".{p.name} is missing: {p.text}")
-            row[p.name] = None if p.is_optional_limit else p.default
-            continue
-        value = given[p.name]
-        rule = device.computed.get(p.name)
-        if (value is None and p.is_optional_limit) or (rule is not None and value == rule.when):
-            row[p.name] = value
-            continue
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            more = f" or {rule.when!r}" if rule is not None and isinstance(rule.when, str) else ""
-            raise DeviceError(f".{p.name} = {value!r}, allowed: a number{more}")
-        if not (p.low <= value <= p.high) or (p.open and value == p.low):
-            raise DeviceError(f".{p.name} = {value!r}, allowed: {_range(p.low, p.high, open_=p.open)}")
-        row[p.name] = float(value)
+    row = {p.name: _given(device, p, given) for p in device.parameters}
     _check(device, row)
     return row
+
+
+def _given(device: Device, p: Parameter, given: Mapping[str, Any]) -> Given:
+    """One parameter of a row: what is given for it, if its range has that, or its default."""
+    if p.name not in given:
+        if p.default is None:
+            raise DeviceError(f".{p.name} is missing: {p.text}")
+        return None if p.is_optional_limit else p.default
+    value = given[p.name]
+    rule = device.computed.get(p.name)
+    if (value is None and p.is_optional_limit) or (rule is not None and value == rule.when):
+        kept: Given = value
+        return kept
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        more = f" or {rule.when!r}" if rule is not None and isinstance(rule.when, str) else ""
+        raise DeviceError(f".{p.name} = {value!r}, allowed: a number{more}")
+    if not p.holds(value):
+        raise DeviceError(f".{p.name} = {value!r}, allowed: {_range(p.low, p.high, open_=p.open)}")
+    return float(value)
 
 
 def numbers_of(device: Device, row: Mapping[str, Given], mbase: float) -> dict[str, float | str]:

@@ -103,6 +103,10 @@ class Parameter:
         """True for a limit that may be left away."""
         return self.default is not None and abs(self.default) >= NO_LIMIT
 
+    def holds(self, value: float) -> bool:
+        """Return whether `value` is within the range."""
+        return self.low <= value <= self.high and not (self.open and value == self.low)
+
 
 @dataclass(frozen=True)
 class Computed:

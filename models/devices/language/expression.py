@@ -69,6 +69,9 @@ def number(value: float) -> Node:
     return Node("number", value=float(value))
 
 
+_POWERS = (number(2.0), number(3.0), number(4.0))
+
+
 def parse(text: str, where: str, calls: Mapping[str, tuple[int, int]] = FUNCTIONS) -> Node:
     """Return the tree of `text`; `calls`: functions allowed, with least and most arguments.
 
@@ -94,30 +97,38 @@ def _node(tree: ast.AST, where: str, calls: Mapping[str, tuple[int, int]], depth
     def inner(part: ast.AST) -> Node:
         return _node(part, where, calls, depth + 1)
 
-    if isinstance(tree, ast.Constant):
-        value = tree.value
-        if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e30:
-            return number(value)
-    elif isinstance(tree, ast.Name):
+    match tree:
+        case ast.Constant() | ast.Name():
+            return _leaf(tree, where)
+        case ast.UnaryOp(op=ast.USub()):
+            part = inner(tree.operand)
+            return number(-part.value) if part.op == "number" else Node("neg", (part,))
+        case ast.BinOp() if type(tree.op) in _BINARY:
+            op, args = _BINARY[type(tree.op)], (inner(tree.left), inner(tree.right))
+            if op == "**" and args[1] not in _POWERS:
+                raise DeviceError(f"{where}: the power {args[1]}, allowed: 2, 3, 4")
+            return Node(op, args)
+        case ast.Compare(ops=[operator]) if type(operator) in _COMPARE:
+            return Node(_COMPARE[type(operator)], (inner(tree.left), inner(tree.comparators[0])))
+        case ast.Call(func=ast.Name(name)):
+            return _call(tree, name, where, calls, inner)
+    raise _not_allowed(where, f"{type(tree).__name__.lower()} in an expression")
+
+
+def _leaf(tree: ast.Constant | ast.Name, where: str) -> Node:
+    """A number or a name."""
+    if isinstance(tree, ast.Name):
         if NAME.fullmatch(tree.id):
             return Node("name", name=tree.id)
-    elif isinstance(tree, ast.UnaryOp) and isinstance(tree.op, ast.USub):
-        part = inner(tree.operand)
-        return number(-part.value) if part.op == "number" else Node("neg", (part,))
-    elif isinstance(tree, ast.BinOp) and type(tree.op) in _BINARY:
-        op = _BINARY[type(tree.op)]
-        args = (inner(tree.left), inner(tree.right))
-        if op == "**" and not (args[1].op == "number" and args[1].value in (2.0, 3.0, 4.0)):
-            raise DeviceError(f"{where}: the power {args[1]}, allowed: 2, 3, 4")
-        return Node(op, args)
-    elif isinstance(tree, ast.Compare) and len(tree.ops) == 1 and type(tree.ops[0]) in _COMPARE:
-        return Node(_COMPARE[type(tree.ops[0])], (inner(tree.left), inner(tree.comparators[0])))
-    elif isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name):
-        return _call(tree, tree.func.id, where, calls, inner)
-    what = {ast.Constant: "such a constant", ast.Name: "such a name"}.get(
-        type(tree), f"{type(tree).__name__.lower()} in an expression"
-    )
-    raise DeviceError(f"{where}: {what} is not allowed; allowed: numbers, names, + - * / **, <, calls")
+        raise _not_allowed(where, "such a name")
+    value = tree.value
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e30:
+        return number(value)
+    raise _not_allowed(where, "such a constant")
+
+
+def _not_allowed(where: str, what: str) -> DeviceError:
+    return DeviceError(f"{where}: {what} is not allowed; allowed: numbers, names, + - * / **, <, calls")
 
 
 def _call(
