@@ -25,7 +25,7 @@ from distributed import LocalCluster
 from study_loop import SCENARIO
 
 from interarea.cosim.sweep.front import Progress, run_sweep
-from interarea.cosim.sweep.store import read_rows
+from interarea.cosim.sweep.parts import read_rows
 
 SHORT = SCENARIO | {"stop_s": 1.5}
 WAYS = ("pool", "LocalCluster")

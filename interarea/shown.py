@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from interarea.cosim.sweep.store import read_plan, read_rows, read_trajectory, summary_of
+from interarea.cosim.sweep.parts import read_plan, read_rows, read_trajectory, summary_of
 from interarea.design.modes.loop_selection import Loops
 from interarea.design.modes.modes import Modes
 

@@ -153,7 +153,7 @@ def read_sweep(folder: str | Path) -> SweepResults:
     >>> len(read_sweep("sweep").to_frame())  # the one made by `sweep`
     2
     """
-    from interarea.cosim.sweep.store import read_plan
+    from interarea.cosim.sweep.parts import read_plan
 
     if not Path(folder).is_dir():
         raise SweepError(f"{folder}: no such folder, allowed: the folder of a sweep's results")

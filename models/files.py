@@ -2,7 +2,8 @@
 
 Temporary files lie in one folder per process, ``interarea-PID-XXXXXXXX``, with a lock that the operating
 system frees when the process ends, however it ends. Whoever needs a temporary folder first removes those
-whose lock is free.
+whose lock is free. A file that has no name of its own yet, ``.NAME-PID-XXXXXXXX.partial``, has such a lock
+too; whoever writes beside it first removes it if that is free.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ except ImportError:  # Windows, where a file that a process holds open cannot be
 
 _PREFIX = "interarea-"
 _LOCK = ".lock"
+_PARTIAL = ".partial"
 _LAST = -100  #: at a process's end: after its own children, and what holds files open
 _YOUNG_S = 60.0
 
@@ -37,17 +39,66 @@ def write_whole(path: Path | str, content: bytes | str) -> Path:
         path.write_bytes(raw)
         return path
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}-", suffix=".partial")
-    partial = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(raw)
-        partial.chmod(0o644)
-        return settle(partial, path)
-    except BaseException:
+    with Partial(path) as partial:
+        partial.file.write(raw)
+        return partial.settle()
+
+
+class Partial:
+    """A hidden file beside `path`, open as `file` and locked; a context manager that ends without it.
+
+    The first of a process in a folder removes what killed processes have left there.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if path.parent not in _looked:
+            _looked.add(path.parent)
+            remove_left(path.parent)
+        file = None
+        while file is None:  # another process may take it for a left one before it is locked
+            prefix = f".{path.name[:40]}-{os.getpid()}-"
+            handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=_PARTIAL)
+            os.close(handle)
+            try:
+                file = _locked(Path(name), make=True)
+            except OSError:
+                Path(name).unlink()
+                raise
+        self.file: IO[bytes] = file
+        self._partial, self._path = Path(name), path
+
+    def settle(self) -> Path:
+        """Give the file its name (`settle`); return `path`."""
+        self.file.flush()
+        if fcntl is None:  # such a system renames no open file
+            self.file.close()
+        self._partial.chmod(0o644)
+        return settle(self._partial, self._path)
+
+    def close(self) -> None:
+        """Close the file, and remove it if it has not been given its name."""
+        with contextlib.suppress(OSError, ValueError):  # a full disk; a file that others closed
+            self.file.close()
         with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise
+            self._partial.unlink(missing_ok=True)
+
+    def __enter__(self) -> Partial:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def remove_left(folder: Path) -> None:
+    """Remove the files in `folder` that processes which have ended have left without a name of their own."""
+    with contextlib.suppress(OSError):
+        for partial in list(folder.glob(f".*-[0-9]*-*{_PARTIAL}")):
+            with contextlib.suppress(OSError):
+                if fcntl is None:  # such a system removes no open file
+                    partial.unlink()
+                elif (file := _locked(partial)) is not None:
+                    with file:
+                        partial.unlink()
 
 
 def settle(partial: Path, path: Path) -> Path:
@@ -103,7 +154,7 @@ class _Own:
         lock = None
         while lock is None:  # a sweep may take a folder for a left one before it is locked
             self.folder = Path(tempfile.mkdtemp(dir=root, prefix=f"{_PREFIX}{os.getpid()}-"))
-            lock = _locked(self.folder / _LOCK)
+            lock = _locked(self.folder / _LOCK, make=True)
         self._lock: IO[bytes] = lock
         # children of multiprocessing end without atexit, but not without this
         Finalize(None, self.close, exitpriority=_LAST)
@@ -115,17 +166,25 @@ class _Own:
 
 
 _own: dict[tuple[int, Path], _Own] = {}
+_looked: set[Path] = set()  #: folders in which this process has removed what was left
 
 
-def _locked(path: Path) -> IO[bytes] | None:
-    """Return the file opened and locked; None when another process has it or has removed it."""
+def _locked(path: Path, *, make: bool = False) -> IO[bytes] | None:
+    """Return the file opened and locked; None when another process has it or has removed it.
+
+    On a file system without locks nothing is taken for left: OSError, or with `make` the file without one.
+    """
     file = path.open("a+b")
     if fcntl is not None:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             file.close()
             return None
+        except OSError:
+            if not make:
+                file.close()
+                raise
         if not path.exists():
             file.close()
             return None

@@ -7,10 +7,11 @@ from typing import Any
 
 import pyarrow as pa
 
+from interarea.cosim.sweep.parts import read_rows, read_trajectory, summary_of
 from interarea.cosim.sweep.plan import SweepPlan
 from interarea.cosim.sweep.rows import Outcome, failed_row, start_row
 from interarea.cosim.sweep.spec import load_sweep
-from interarea.cosim.sweep.store import SweepStore, read_rows, read_trajectory, summary_of
+from interarea.cosim.sweep.store import SweepStore
 
 RUNS = 12
 

@@ -18,11 +18,11 @@ from interarea.models.files import temporary_folder, write_whole
 
 from ..errors import SweepError
 from ..plots.html import page_environment, page_figure
+from ..sweep.parts import read_plan, read_rows
 from ..sweep.plan import SweepPlan, code_version
 from ..sweep.rows import FAILURES
 from ..sweep.runner import Runner
 from ..sweep.spec import Sweep
-from ..sweep.store import read_plan, read_rows
 from . import page_figures as figures
 from .links import Explorer, write_runs
 from .page_data import (

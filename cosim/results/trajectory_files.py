@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
-import tempfile
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from types import TracebackType
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
-from interarea.models.files import settle
+from interarea.models.files import Partial
 
 from ..errors import DestinationError, ScenarioError, nearest
 from ..trajectory import TIME, Trajectory
@@ -33,13 +33,6 @@ def chosen(columns: Sequence[str], record: Sequence[str]) -> list[str]:
     return [n for n in columns if n == TIME or not record or any(fnmatchcase(n, p) for p in record)]
 
 
-def remove_partial(folder: Path, process: int) -> None:
-    """Remove what a process that something ended has left in `folder` of the files it was writing."""
-    for partial in folder.glob(f".trajectory.*-{process}-*.partial"):
-        with contextlib.suppress(OSError):
-            partial.unlink()
-
-
 class TrajectoryFiles:
     """Both files of a run in `folder`; a context manager that ends with both, or with what was there before.
 
@@ -55,8 +48,8 @@ class TrajectoryFiles:
         self._record, self._every = record, every
         self._points = 0
         self.last: Trajectory | None = None  #: part that was taken last
-        self._partial: list[Path] = []
-        self._csv: IO[str] | None = None
+        self._partial: list[Partial] = []
+        self._csv: io.TextIOWrapper | None = None
         self._parquet: pq.ParquetWriter | None = None
 
     def __enter__(self) -> TrajectoryFiles:
@@ -73,13 +66,9 @@ class TrajectoryFiles:
             self.files[0].parent.mkdir(parents=True, exist_ok=True)
         for file in self.files:
             with self._named(file):
-                prefix = f".{file.name}-{os.getpid()}-"
-                handle, name = tempfile.mkstemp(dir=file.parent, prefix=prefix, suffix=".partial")
-                self._partial.append(Path(name))
-                if self._csv is None:
-                    self._csv = os.fdopen(handle, "w", encoding="utf-8", newline="")
-                else:
-                    os.close(handle)
+                self._partial.append(Partial(file))
+        raw = cast("io.BufferedRandom", self._partial[0].file)
+        self._csv = io.TextIOWrapper(raw, encoding="utf-8", newline="")
 
     def add(self, part: Trajectory) -> None:
         """Write the points of a part."""
@@ -98,7 +87,7 @@ class TrajectoryFiles:
             if self._parquet is None:
                 import pyarrow.parquet as pq
 
-                self._parquet = pq.ParquetWriter(self._partial[1], table.schema)
+                self._parquet = pq.ParquetWriter(self._partial[1].file, table.schema)
             self._parquet.write_table(table)
 
     def __exit__(
@@ -114,22 +103,22 @@ class TrajectoryFiles:
         """Write the last point if it is still missing, and give both files their names."""
         if self.last is not None and (self._points - 1) % self._every:
             self._write(self.last.thinned(chosen(list(self.last.units), self._record), -1, 1))
-        for closed, partial, file in zip((self._csv, self._parquet), self._partial, self.files, strict=True):
+        for ended, partial, file in zip((self._csv, self._parquet), self._partial, self.files, strict=True):
             with self._named(file):
-                if closed is not None:
-                    closed.close()
-                partial.chmod(0o644)
-                settle(partial, file)
+                if isinstance(ended, io.TextIOWrapper):
+                    ended.detach()  # closed, it would close what is yet to be named
+                elif ended is not None:
+                    ended.close()
+                partial.settle()
 
     def _discard(self) -> None:
         """Close what is open and remove what has no name of its own yet."""
         open_: tuple[Any, ...] = (self._csv, self._parquet)
         for file in (f for f in open_ if f is not None):
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError, ValueError):  # detached
                 file.close()
         for partial in self._partial:
-            with contextlib.suppress(OSError):
-                partial.unlink(missing_ok=True)
+            partial.close()
 
     @staticmethod
     @contextlib.contextmanager

@@ -15,8 +15,8 @@ from interarea.models.case.case import Case, load_case
 from ..errors import SweepError, nearest
 from ..scenario.scenario import load_scenario
 from ..sweep.front import Progress, run_sweep
+from ..sweep.parts import read_rows
 from ..sweep.spec import Sweep, sweep_of
-from ..sweep.store import read_rows
 
 START_S = 0.1  #: of the disturbance; before it the grid is at rest
 LONG_STEP_S = 0.04  #: between points at which a grid without controller is looked at

@@ -1,4 +1,4 @@
-"""Results on disk: Parquet parts that appear whole or not at all, a manifest of what they belong to.
+"""The folder of a sweep, open for writing: parts of its results, a manifest of what they belong to.
 
     DIR/manifest.json         specification and version
     DIR/sweep.json            the plan: scenario, cases, controllers; enough to repeat any run
@@ -16,21 +16,20 @@ from __future__ import annotations
 import errno
 import json
 import shutil
-import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from interarea.models.files import settle, write_whole
+from interarea.models.files import write_whole
 
 from ..errors import SweepError
-from .plan import FORMAT, SweepPlan, plan_of_document
+from .parts import CURVES, FORKED, ROWS, check_part, curves_of, number_of, parts_of, summary_of, write_part
+from .plan import FORMAT, SweepPlan
 from .rows import Outcome, schema_of
 
 try:
@@ -39,8 +38,7 @@ except ImportError:  # no such locks on this system: two sweeps in one folder go
     fcntl = None  # type: ignore[assignment]
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
-_ROWS, _CURVES, _WORK, _LOCK = "runs", "trajectories", ".work", ".lock"
-_FORKED = b"forked"  # in the metadata of a part: how many of its runs started from a saved state
+_WORK, _LOCK = ".work", ".lock"
 _Kinds = list[tuple[str, type[str] | type[float] | None]]  # a column, and what makes its values fit
 
 
@@ -107,14 +105,14 @@ class SweepStore:
             return 0
         chosen = [fresh[run] for run in sorted(fresh)]
         table = pa.Table.from_pylist([_fitted(o.row, self._kinds) for o in chosen], schema=self.schema)
-        notes = {**(self.schema.metadata or {}), _FORKED: str(sum(o.forked for o in chosen)).encode()}
+        notes = {**(self.schema.metadata or {}), FORKED: str(sum(o.forked for o in chosen)).encode()}
         table = table.replace_schema_metadata(notes)
         curves = [o.trajectory for o in chosen if o.trajectory is not None]
         number = self._next
         try:
             if curves:
-                self._place(pa.concat_tables(curves, promote_options="default"), _CURVES, number)
-            self._place(table, _ROWS, number)
+                write_part(self.folder, CURVES, number, pa.concat_tables(curves, promote_options="default"))
+            write_part(self.folder, ROWS, number, table)
         except OSError as error:
             self._explain(error)
         self._next += 1
@@ -133,17 +131,19 @@ class SweepStore:
                 failed = np.array([status == "failed" for status in table.column("status").to_pylist()])
                 if not failed.any():
                     continue
-                number, runs = _number(part), table.column("run").to_numpy()
-                curves = [(p, pq.read_table(p)) for p in _curves_of(self.folder, number)]
-                for old in (part, *(p for p, _ in curves)):
-                    old.unlink()
+                number, runs = number_of(part), table.column("run").to_numpy()
+                curves = curves_of(self.folder).get(number)
+                curve = None if curves is None else pq.read_table(curves)
+                part.unlink()
+                if curves is not None:
+                    curves.unlink()
                 self.done[runs] = False
                 rest, gone = table.filter(pa.array(~failed)), pa.array(runs[failed])
-                for _, curve in curves:
+                if curve is not None:
                     keep = pc.invert(pc.is_in(curve.column("run"), value_set=gone))
-                    self._place(curve.filter(keep), _CURVES, number)
+                    write_part(self.folder, CURVES, number, curve.filter(keep))
                 if rest.num_rows:
-                    self._place(rest, _ROWS, number)
+                    write_part(self.folder, ROWS, number, rest)
                     self.done[runs[~failed]] = True
                 forgotten += int(failed.sum())
         except OSError as error:
@@ -167,7 +167,7 @@ class SweepStore:
 
     def _open(self) -> None:
         shutil.rmtree(self.work, ignore_errors=True)
-        for folder in (self.folder, self.folder / _ROWS, self.folder / _CURVES):
+        for folder in (self.folder, self.folder / ROWS, self.folder / CURVES):
             for partial in folder.glob(".*.partial") if folder.is_dir() else ():
                 partial.unlink()
         manifest = self.folder / "manifest.json"
@@ -178,23 +178,23 @@ class SweepStore:
                 f"{self.folder}: holds other files and no manifest.json, allowed: an empty folder, "
                 "or that of the same sweep"
             )
-        for folder in (self.work, self.folder / _ROWS):
+        for folder in (self.work, self.folder / ROWS):
             folder.mkdir(exist_ok=True)
         if self.plan.sweep.trajectories.keep != "none":
-            (self.folder / _CURVES).mkdir(exist_ok=True)
+            (self.folder / CURVES).mkdir(exist_ok=True)
         if not manifest.exists():
             self._write("sweep.json", self.plan.document())
             self._write("manifest.json", _manifest(self.plan))
         self._next = 0
-        curves = {_number(p): p for p in (self.folder / _CURVES).glob("part-*.parquet")}
+        curves = curves_of(self.folder)
         kept = set()
         for part in parts_of(self.folder):
-            number = _number(part)
+            number = number_of(part)
             self._next = max(self._next, number + 1)
             try:
-                _check_part(part)
+                check_part(part)
                 if number in curves:
-                    _check_part(curves[number])
+                    check_part(curves[number])
                 runs = pq.read_table(part, columns=["run"]).column("run").to_numpy()
             except (OSError, pa.ArrowException, SweepError) as error:
                 self.dropped.append(f"{part.name}: {error}")
@@ -208,15 +208,6 @@ class SweepStore:
             if number not in kept:
                 part.unlink()  # its rows never came, or are gone: those runs are done again
 
-    def _place(self, table: pa.Table, kind: str, number: int) -> None:
-        partial = self.folder / kind / f".part-{number:06d}.parquet.partial"
-        try:
-            pq.write_table(table, partial, compression="zstd")
-            settle(partial, partial.with_name(f"part-{number:06d}-{_checksum(partial)}.parquet"))
-        except OSError:
-            partial.unlink(missing_ok=True)
-            raise
-
     def _write(self, name: str, value: Any) -> None:
         try:
             write_whole(self.folder / name, json.dumps(value, indent=1, allow_nan=False) + "\n")
@@ -227,11 +218,6 @@ class SweepStore:
         raise explained(error, self.folder, self.count, len(self.done)) from error
 
 
-def _curves_of(folder: Path, number: int) -> list[Path]:
-    """Return the trajectories of part `number`: one file, or none."""
-    return [p for p in (folder / _CURVES).glob("part-*.parquet") if _number(p) == number]
-
-
 def explained(error: OSError, folder: Path, count: int, size: int) -> SweepError:
     """Return what to tell the user when writing results failed."""
     what = "the disk is full" if error.errno in FULL else (error.strerror or str(error))
@@ -239,96 +225,6 @@ def explained(error: OSError, folder: Path, count: int, size: int) -> SweepError
         f"{error.filename or folder}: {what}; {count} of {size} runs are safe in {folder}: "
         "make room and give the same command again"
     )
-
-
-def read_plan(folder: Path) -> SweepPlan:
-    """Return the plan of a result folder.
-
-    Raises
-    ------
-    SweepError : no results there, or of another format.
-    """
-    try:
-        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-        if manifest.get("format") != FORMAT:
-            raise SweepError(f"{folder}: results of format {manifest.get('format')!r}, allowed: {FORMAT}")
-        return plan_of_document(json.loads((folder / "sweep.json").read_text(encoding="utf-8")))
-    except FileNotFoundError as error:
-        name = Path(str(error.filename)).name
-        raise SweepError(f"{folder}: no results of a sweep here ({name} is missing)") from None
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
-        raise SweepError(f"{folder}: manifest.json or sweep.json is damaged ({error})") from None
-
-
-#: columns as version 0.1 wrote them -> with their units
-_NAMES_BEFORE_0_2 = {"peak": "peak_pu", "energy": "energy_pu2s", "effort": "effort_pu2s"}
-
-
-def read_rows(folder: Path) -> pd.DataFrame:
-    """Return the rows of a result folder, in the order of the runs.
-
-    Raises
-    ------
-    SweepError : no results there, or damaged ones.
-    """
-    parts = parts_of(folder)
-    if not parts:
-        raise SweepError(f"{folder}: no finished runs here")
-    try:
-        for part in parts:
-            _check_part(part)
-        table = pa.concat_tables([pq.read_table(p) for p in parts])
-    except (OSError, pa.ArrowException) as error:
-        raise SweepError(f"{folder / _ROWS}: cannot be read: {error}") from None
-    rows: pd.DataFrame = table.sort_by("run").to_pandas()
-    return rows.rename(columns=_NAMES_BEFORE_0_2)
-
-
-def read_trajectory(folder: Path, run: int) -> pd.DataFrame | None:
-    """Return the stored trajectory of a run, or None when it was not kept.
-
-    Raises
-    ------
-    SweepError : a part that cannot be read.
-    """
-    for part in sorted((folder / _CURVES).glob("part-*.parquet")):
-        try:
-            table = pq.read_table(part, filters=[("run", "=", run)])
-        except (OSError, pa.ArrowException) as error:
-            raise SweepError(f"{part}: cannot be read: {error}") from None
-        if table.num_rows:
-            curves: pd.DataFrame = table.drop_columns(["run"]).to_pandas()
-            return curves
-    return None
-
-
-def summary_of(folder: Path) -> dict[str, Any]:
-    """Return counts over the finished runs: ok, failed by kind, stable, started from a saved state."""
-    failures: dict[str, int] = {}
-    rows = stable = unstable = forked = 0
-    for part in parts_of(folder):
-        schema = pq.read_schema(part)
-        names = schema.names
-        forked += int((schema.metadata or {}).get(_FORKED, b"0"))
-        table = pq.read_table(part, columns=[c for c in ("failure", "stable") if c in names])
-        rows += table.num_rows
-        for kind in table.column("failure").to_pylist():
-            if kind is not None:
-                failures[kind] = failures.get(kind, 0) + 1
-        if "stable" in table.column_names:
-            flags = table.column("stable").to_pylist()
-            stable += sum(f is True for f in flags)
-            unstable += sum(f is False for f in flags)
-    failed = sum(failures.values())
-    return {
-        "runs": rows,
-        "ok": rows - failed,
-        "failed": failed,
-        "failures": dict(sorted(failures.items())),
-        "stable": stable,
-        "unstable": unstable,
-        "forked": forked,
-    }
 
 
 def _fitted(row: dict[str, Any], kinds: _Kinds) -> dict[str, Any]:
@@ -397,7 +293,7 @@ def _short(value: Any) -> str:
 
 def _anything(folder: Path) -> bool:
     """Whether a folder without a manifest holds anything but what a sweep leaves that was killed at once."""
-    ours = (_LOCK, _WORK, _ROWS, _CURVES, "sweep.json")
+    ours = (_LOCK, _WORK, ROWS, CURVES, "sweep.json")
     return any(p.name not in ours for p in folder.iterdir()) or bool(parts_of(folder))
 
 
@@ -412,29 +308,3 @@ def _locked(path: Path) -> Any:
                 f"{path.parent}: another process is writing to this folder; wait for it"
             ) from None
     return file
-
-
-def parts_of(folder: Path) -> Sequence[Path]:
-    """Return the parts of rows that are there."""
-    return sorted((folder / _ROWS).glob("part-*.parquet"))
-
-
-def _number(part: Path) -> int:
-    return int(part.stem.split("-")[1])
-
-
-def _checksum(path: Path) -> str:
-    """Return the CRC-32 of a file: what a disk or a copy spoils does not keep it."""
-    value = 0
-    with path.open("rb") as file:
-        while piece := file.read(1 << 20):
-            value = zlib.crc32(piece, value)
-    return f"{value:08x}"
-
-
-def _check_part(path: Path) -> None:
-    """Raise SweepError when a part is not what its name says was written."""
-    if path.stem.split("-")[2:] != [_checksum(path)]:
-        raise SweepError(
-            f"{path}: is damaged; give the command of the sweep again, which does its runs again"
-        )

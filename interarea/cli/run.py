@@ -172,9 +172,9 @@ def _run_beside(foreign: list[str], out: Path | None) -> int:
     if 0 <= code < 256:
         return code
     if out is not None:
-        from interarea.cosim.results.trajectory_files import remove_partial
+        from interarea.models.files import remove_left
 
-        remove_partial(out, child.pid)
+        remove_left(out)
     try:
         what = signal.Signals(-code).name
     except ValueError:  # Windows: a number such as 0xC0000005

@@ -93,7 +93,7 @@ def check_workers(workers: int | None, scheduler: str | None) -> None:
 
 def _commonest(out: Path) -> str:
     """Return why most of the runs that failed did."""
-    from interarea.cosim.sweep.store import read_rows
+    from interarea.cosim.sweep.parts import read_rows
 
     rows = read_rows(out)
     reasons = rows.loc[rows.status == "failed", "reason"].value_counts()

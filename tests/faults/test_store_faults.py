@@ -13,8 +13,9 @@ from file_faults import Fault
 from stored_runs import PLAN, RUNS, finished, outcome, session
 
 from interarea.cosim.errors import SweepError
+from interarea.cosim.sweep.parts import read_rows
 from interarea.cosim.sweep.rows import Outcome, start_row
-from interarea.cosim.sweep.store import SweepStore, read_rows
+from interarea.cosim.sweep.store import SweepStore
 
 WORK = [[0, 1, 2, 3], [4, 5, 6, 7, 8]]
 FAULTS = {"ENOSPC": "the disk is full", "EDQUOT": "the disk is full", "EFBIG": "too large", "EIO": "error"}

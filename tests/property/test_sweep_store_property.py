@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 from stored_runs import PLAN, RUNS, finished, plan_for, session
 
 from interarea.cosim.errors import SweepError
-from interarea.cosim.sweep.store import SweepStore, read_rows
+from interarea.cosim.sweep.parts import read_rows
+from interarea.cosim.sweep.store import SweepStore
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ from interarea.cosim.run.artefacts import linear_plant
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.run.swing_signal import swing_of
 from interarea.cosim.sweep.front import run_sweep
-from interarea.cosim.sweep.store import read_rows
+from interarea.cosim.sweep.parts import read_rows
 from interarea.design.linear.linearise import remove_reference
 from interarea.models.case.case import load_case
 from interarea.models.case.write_toml import export_toml

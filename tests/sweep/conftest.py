@@ -56,6 +56,6 @@ def finished(
     """Return the folder of the small sweep, run by one process without being disturbed, and its rows."""
     folder = tmp_path_factory.mktemp("sweeps") / "undisturbed"
     run_sweep(document(), folder, workers=1, cache=cache)
-    from interarea.cosim.sweep.store import read_rows
+    from interarea.cosim.sweep.parts import read_rows
 
     return folder, read_rows(folder)

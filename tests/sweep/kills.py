@@ -26,11 +26,11 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from interarea.cosim.sweep.parts import read_rows
 from interarea.cosim.sweep.plan import plan_sweep
 from interarea.cosim.sweep.rows import schema_of
 from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.spec import load_sweep
-from interarea.cosim.sweep.store import read_rows
 from interarea.fmu_build.write.cache import default_cache
 
 SWEEP = """

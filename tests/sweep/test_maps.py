@@ -23,11 +23,11 @@ from interarea.cosim.maps.page import write_maps
 from interarea.cosim.maps.page_data import certified_margin, is_grid, map_of, margins_of, pairs_of, worst_runs
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.sweep.front import run_sweep
+from interarea.cosim.sweep.parts import read_plan
 from interarea.cosim.sweep.plan import plan_sweep
 from interarea.cosim.sweep.point import point_of
 from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.spec import load_sweep
-from interarea.cosim.sweep.store import read_plan
 from interarea.cosim.sweep.values import Search
 
 
@@ -167,7 +167,7 @@ def test_margins_follow_case_and_controller(document: Any, cache: Path, tmp_path
         "controller": {"values": ["ftc", "wdc"]},
     }
     run_sweep(document({"stop_s": 8.0}, parameters=parameters), tmp_path / "s", workers=1, cache=cache)
-    from interarea.cosim.sweep.store import read_plan, read_rows
+    from interarea.cosim.sweep.parts import read_plan, read_rows
 
     plan, rows = read_plan(tmp_path / "s"), read_rows(tmp_path / "s")
     with Runner(plan, cache, tmp_path) as runner:

@@ -16,10 +16,10 @@ import pytest
 
 from interarea.cosim.errors import SweepError
 from interarea.cosim.sweep.front import Progress, run_sweep
+from interarea.cosim.sweep.parts import read_rows
 from interarea.cosim.sweep.plan import plan_sweep
 from interarea.cosim.sweep.prepare import prepare
 from interarea.cosim.sweep.spec import load_sweep
-from interarea.cosim.sweep.store import read_rows
 from interarea.cosim.sweep.workers import dask_cluster as sweep_cluster
 from interarea.cosim.sweep.workers.dask_cluster import cluster_outcomes
 

@@ -15,11 +15,11 @@ import pytest
 from interarea.cosim.errors import SweepError
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.sweep.front import Progress, run_sweep, task_size
+from interarea.cosim.sweep.parts import read_plan, read_rows, read_trajectory
 from interarea.cosim.sweep.plan import plan_sweep
 from interarea.cosim.sweep.point import point_of
 from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.spec import load_sweep
-from interarea.cosim.sweep.store import read_plan, read_rows, read_trajectory
 
 
 def test_a_row_has_the_numbers_of_a_single_run(document: Any, finished: Any, cache: Path) -> None:

@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from interarea.cosim.sweep.front import run_sweep
+from interarea.cosim.sweep.parts import read_rows, summary_of
 from interarea.cosim.sweep.plan import plan_sweep
 from interarea.cosim.sweep.point import Point, point_of
 from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.shared_start import Job, alike_until_s, in_order, late_parameters
 from interarea.cosim.sweep.spec import load_sweep
-from interarea.cosim.sweep.store import read_rows, summary_of
 
 FAULT = {"kind": "bus_fault", "bus": 8, "start_s": 0.2, "end_s": 0.25, "x_pu": 0.01}
 PULSE = {"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 2.5, "end_s": 2.7}

@@ -17,7 +17,7 @@ import pytest
 from interarea.cosim.errors import SweepError
 from interarea.cosim.sweep import front as sweep_engine
 from interarea.cosim.sweep.front import Progress, run_sweep
-from interarea.cosim.sweep.store import read_rows
+from interarea.cosim.sweep.parts import read_rows
 
 SIZE_MB = 48
 

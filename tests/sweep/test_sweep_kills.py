@@ -16,12 +16,13 @@ import pytest
 import stand_ins
 
 from interarea.cosim.errors import SweepError
-from interarea.cosim.sweep import store as sweep_store
+from interarea.cosim.sweep import parts
 from interarea.cosim.sweep.front import Progress, run_sweep
+from interarea.cosim.sweep.parts import read_rows
 from interarea.cosim.sweep.plan import plan_sweep
 from interarea.cosim.sweep.rows import Outcome, start_row
 from interarea.cosim.sweep.spec import load_sweep
-from interarea.cosim.sweep.store import SweepStore, read_rows
+from interarea.cosim.sweep.store import SweepStore
 from interarea.cosim.sweep.workers import pool as sweep_local
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
@@ -161,7 +162,7 @@ def test_a_full_disk_is_an_error_and_what_was_written_stays_valid(
             raise OSError(errno.ENOSPC, "No space left on device", str(partial))
 
         with monkeypatch.context() as m:
-            m.setattr(sweep_store, "settle", full)
+            m.setattr(parts, "settle", full)
             with pytest.raises(
                 SweepError, match=r"the disk is full; 2 of 12 runs are safe in .*same command again"
             ):

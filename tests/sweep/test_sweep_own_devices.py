@@ -13,10 +13,10 @@ import pytest
 
 from interarea.cosim.run.artefacts import sparse_linear_plant
 from interarea.cosim.sweep.front import run_sweep
+from interarea.cosim.sweep.parts import read_rows
 from interarea.cosim.sweep.plan import plan_of_document, plan_sweep
 from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.spec import load_sweep
-from interarea.cosim.sweep.store import read_rows
 from interarea.models.case.case import load_case
 from interarea.models.devices.library import library
 

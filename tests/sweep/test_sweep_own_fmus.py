@@ -13,10 +13,10 @@ from whims import whims_fmu
 from interarea.cosim.errors import SweepError
 from interarea.cosim.master.isolated import WorkerParticipant
 from interarea.cosim.sweep.front import run_sweep
+from interarea.cosim.sweep.parts import read_rows
 from interarea.cosim.sweep.plan import own_fmu, plan_of_document, plan_sweep
 from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.spec import load_sweep
-from interarea.cosim.sweep.store import read_rows
 from interarea.fmu_build.errors import FmuFileError
 from interarea.fmu_build.write.cache import keep
 

@@ -22,7 +22,7 @@ from interarea.cosim.run.system import System
 from interarea.cosim.scenario.names import NAMED_CONTROLLERS
 from interarea.cosim.scenario.scenario import scenario_names
 from interarea.cosim.study.report import _number, _percent
-from interarea.cosim.sweep.store import read_rows
+from interarea.cosim.sweep.parts import read_rows
 from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import case_names, load_case

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
 import os
 import signal
@@ -13,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from interarea.models import files
-from interarea.models.files import new_folder, sweep, temporary_folder, write_whole
+from interarea.models.files import new_folder, remove_left, sweep, temporary_folder, write_whole
 
 MAKES_ONE = """
 import sys, time
@@ -99,6 +100,52 @@ def test_a_file_is_the_old_or_the_new_one(tmp_path: Path, monkeypatch: pytest.Mo
     with pytest.raises(OSError, match="No space"):
         write_whole(path, "half")
     assert path.read_text() == "new" and list(path.parent.iterdir()) == [path]
+
+
+WRITES_ONE = """
+import sys, time
+from pathlib import Path
+from interarea.models.files import Partial
+partial = Partial(Path(sys.argv[1]))
+partial.file.write(b"half")
+partial.file.flush()
+print("there", flush=True)
+time.sleep(60)
+"""
+
+
+def test_what_a_killed_process_was_writing_goes_at_the_next_start(tmp_path: Path) -> None:
+    """Not while it lives, and nothing that only looks like it."""
+    letter = tmp_path / ".letter.partial"
+    letter.write_text("dear")
+    command = [sys.executable, "-c", WRITES_ONE, str(tmp_path / "a.txt")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "there\n"
+    (left,) = tmp_path.glob(".a.txt-*.partial")
+    assert f"-{process.pid}-" in left.name and left.read_bytes() == b"half"
+    remove_left(tmp_path)
+    assert left.exists()
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    path = write_whole(tmp_path / "b.txt", "new")
+    assert sorted(tmp_path.iterdir()) == [letter, path]
+
+
+def test_a_disk_without_locks_is_written_to_and_nothing_there_is_taken_for_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fcntl = pytest.importorskip("fcntl")
+
+    def none(*_: object) -> None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+
+    monkeypatch.setattr(fcntl, "flock", none)
+    other = tmp_path / ".c.txt-1-abcdefgh.partial"
+    other.write_text("of a process that may live elsewhere")
+    path = write_whole(tmp_path / "b.txt", "new")
+    assert sorted(tmp_path.iterdir()) == [other, path] and path.read_text() == "new"
+    assert new_folder(tmp_path).is_dir()
 
 
 def test_what_is_no_file_is_written_to() -> None:

@@ -16,7 +16,7 @@ from interarea.cosim.run.run import run_scenario, system_of
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.study.delay import least_damping
 from interarea.cosim.sweep.front import run_sweep
-from interarea.cosim.sweep.store import read_rows
+from interarea.cosim.sweep.parts import read_rows
 from interarea.design.controllers.controller import Controller
 from interarea.design.delay.loop_modes import LoopModes
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad

@@ -18,7 +18,7 @@ from interarea.cosim.run.system import System
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.stepping_words import INPUTS
 from interarea.cosim.sweep.front import run_sweep
-from interarea.cosim.sweep.store import read_rows
+from interarea.cosim.sweep.parts import read_rows
 from interarea.design.controllers.controller import Controller
 
 WAYS = [{"latency_s": 0.03}, {"latency_s": 0.08}]
