@@ -13,7 +13,6 @@ from interarea.models.blocks.plant_variables import EVENT_CODES
 from interarea.models.case.case import Case
 from interarea.models.case.events import event_of
 from interarea.models.errors import CaseError
-from interarea.models.grid.equilibrium import operating_point
 from interarea.models.grid.network import load_power
 
 from ..run.swing_signal import swing_of
@@ -52,7 +51,7 @@ def content_of(subject: Subject) -> dict[str, Any]:
     ScenarioError : more events than a page can set.
     """
     scenario, case = subject.scenario, subject.case
-    shortest = shortest_time_s(operating_point(case))
+    shortest = shortest_time_s(subject.point)
     exact = case.solver_step_s or max(min(0.001, shortest), 1e-6)
     return {
         "version": VERSION,
@@ -226,8 +225,7 @@ def _ceilings(subject: Subject) -> dict[str, Any] | None:
     free = [m.name for m in machines if getattr(m.exciter, "Efd_max", None) is None]
     if not free or len(free) != len(machines) or any("Efd_" in name for name in subject.scenario.plant):
         return None
-    point = operating_point(subject.case)
-    voltages = [s.start for s in point.states if s.name.endswith(".Efd")]
+    voltages = [s.start for s in subject.point.states if s.name.endswith(".Efd")]
     return {"machines": free, "least": float(np.ceil(max(voltages, default=3.0) + 1.0))}
 
 

@@ -10,6 +10,7 @@ from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.variables import Block
 
 from ..export.container import container_block
+from ..run.instance import Fmus
 from ..scenario.scenario import ChannelTable, OperatingPointTable, Scenario
 from .records import delta
 from .subject import Point, Subject
@@ -36,10 +37,15 @@ def models_of(subject: Subject) -> tuple[list[dict[str, Any]], list[bytes]]:
     models: list[dict[str, Any]] = []
     parts: list[bytes] = []
     records: list[bytes] = []
+    fmus = Fmus(subject.cache)
     for name in ("none", *subject.controllers):
         for number, point in enumerate(subject.points):
             block = container_block(
-                _scenario(subject, name, point), cache=subject.cache, controller=subject.own.get(name)
+                _scenario(subject, name, point),
+                cache=subject.cache,
+                controller=subject.own.get(name),
+                case=point.case,
+                fmus=fmus,
             )
             record = pack_record({"guid": GUID.encode() + b"\0", **record_entries(block)})
             part, reference = _least(record, records)
@@ -52,6 +58,7 @@ def models_of(subject: Subject) -> tuple[list[dict[str, Any]], list[bytes]]:
             models.append(model if number else model | _references(block))
             parts.append(part)
             records.append(record)
+    fmus.close()
     return models, parts
 
 

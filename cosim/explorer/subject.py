@@ -19,7 +19,7 @@ from interarea.design.modes.modes import ModeError
 from interarea.models.case.case import Case, case_names, load_case
 from interarea.models.documents import DocumentError, parse_toml
 from interarea.models.errors import CaseError
-from interarea.models.grid.equilibrium import operating_point
+from interarea.models.grid.equilibrium import OperatingPoint, operating_point
 
 from ..errors import ScenarioError
 from ..run.artefacts import linear_plant
@@ -87,7 +87,7 @@ class Subject:
         designed_for = specification.get("case") if isinstance(specification, Mapping) else None
         if designed_for is not None and designed_for != self.case.name:
             return False
-        point = operating_point(self.case)
+        point = self.point
         known = {f"{m.name}_{what}" for m in self.case.machines for what in ("dw", "delta", "pe", "vt")}
         return set(made.outputs) <= set(point.input_names) and set(made.inputs) <= known | {"tie_p"}
 
@@ -95,6 +95,11 @@ class Subject:
         """Return the scenario with another controller as it is, and no channels."""
         changes = {"controller": name, "controller_gain": 1.0, "controller_limit_pu": None, "channels": {}}
         return self.scenario.model_copy(update=changes)
+
+    @cached_property
+    def point(self) -> OperatingPoint:
+        """The operating point of the case as the file has it."""
+        return operating_point(self.case)
 
     @cached_property
     def channels(self) -> dict[str, tuple[str, Mapping[str, Any]]]:

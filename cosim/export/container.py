@@ -12,9 +12,11 @@ from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.container import LoopMember, loop_block
 from interarea.models.blocks.variables import Block
+from interarea.models.case.case import Case
 
 from ..errors import ScenarioError
 from ..run.controllers import ControllerLike
+from ..run.instance import Fmus
 from ..scenario.scenario import Scenario
 from .instances import members_of
 
@@ -44,14 +46,23 @@ def write_container(
     )
 
 
-def container_block(scenario: Scenario, *, cache: Path, controller: ControllerLike | None = None) -> Block:
+def container_block(
+    scenario: Scenario,
+    *,
+    cache: Path,
+    controller: ControllerLike | None = None,
+    case: Case | None = None,
+    fmus: Fmus | None = None,
+) -> Block:
     """Return the block that `write_container` builds.
+
+    case, fmus : see `members_of`.
 
     Raises
     ------
     ScenarioError : a loop that one block cannot hold.
     """
-    loop = members_of(scenario, cache=cache, controller=controller)
+    loop = members_of(scenario, cache=cache, controller=controller, case=case, fmus=fmus)
     foreign = [m.name for m in loop.all if m.block is None]
     if foreign:
         raise ScenarioError(

@@ -9,10 +9,12 @@ from typing import Any
 
 from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.models.blocks.variables import Block, VariableTable
+from interarea.models.case.case import Case
 
 from ..master.instances import Value
 from ..master.step_choice import choose_step
 from ..run.controllers import ControllerLike
+from ..run.instance import Fmus
 from ..run.run import system_of
 from ..scenario.scenario import Scenario
 
@@ -53,16 +55,24 @@ class Members:
     step_s: float
 
 
-def members_of(scenario: Scenario, *, cache: Path, controller: ControllerLike | None = None) -> Members:
+def members_of(
+    scenario: Scenario,
+    *,
+    cache: Path,
+    controller: ControllerLike | None = None,
+    case: Case | None = None,
+    fmus: Fmus | None = None,
+) -> Members:
     """Return the FMUs of a scenario's instances, what ours are made of, and how they are connected.
 
-    cache : folder of FMUs and designs. controller : see `run_scenario`.
+    cache : folder of FMUs and designs. controller : see `run_scenario`. case : what `scenario.load_case()`
+        gives, where it is known. fmus : those that other scenarios have opened.
 
     Raises
     ------
     ScenarioError, CaseError, GraphError : as `system_of`.
     """
-    system = system_of(scenario, cache=cache, controller=controller).warned()
+    system = system_of(scenario, cache=cache, controller=controller, case=case, fmus=fmus).warned()
     members = tuple(
         Member(i.name, i.file, None if i.block is None else i.block(), i.start)
         for i in system.instances.values()

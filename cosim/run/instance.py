@@ -10,6 +10,7 @@ from typing import Any
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.open.fmu_file import FmuFile
+from interarea.models.blocks.plant import plant_block
 from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case
 
@@ -41,10 +42,18 @@ class Fmus:
         self._files: dict[Path, FmuFile] = {}
         self._controllers: dict[int, tuple[Controller | ControllerBank, FmuFile]] = {}
         self._scaled: dict[tuple[int, float, float | None], tuple[Controller, Controller]] = {}
+        self._plants: dict[tuple[str, int], Block] = {}
 
     def plant(self, case: Case, event_slots: int) -> FmuFile:
         """Return the plant of a case."""
         return self.open(plant_fmu(case, self.cache, event_slots=event_slots))
+
+    def plant_block(self, case: Case, event_slots: int) -> Block:
+        """Return what the plant of a case is made of, the same object for the same."""
+        key = (case.hash, event_slots)
+        if key not in self._plants:
+            self._plants[key] = plant_block(case, event_slots=event_slots)
+        return self._plants[key]
 
     def channel(self) -> FmuFile:
         """Return the channel."""

@@ -29,7 +29,7 @@ from interarea.design.delay.loop_modes import LoopModes
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.concentrator import concentrator_block
-from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.blocks.plant import event_parameters
 from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import event_of
@@ -438,7 +438,7 @@ class System:
         slots = self._slots(instance.name)
         start = {**instance.start, **event_parameters(case, self.events.get(instance.name, ()))}
         file = instance.file if slots == EVENT_SLOTS else self.fmus.plant(case, slots)
-        return Instance(instance.name, file, start, lambda: plant_block(case, event_slots=slots))
+        return Instance(instance.name, file, start, lambda: self.fmus.plant_block(case, slots))
 
 
 def points_of(channels: Iterable[Line], arrivals: str, start_s: float, stop_s: float) -> tuple[int, ...]:
