@@ -1,15 +1,17 @@
 """Every published grid of a folder: which RAW files are read, which RAW + DYR pairs import and stand still.
 
-    python benchmarks/read_grids.py FOLDER [--still] [--stop 20] [--converters current] [--release-limits]
-        [--json FILE]
+    python benchmarks/read_grids.py FOLDER [--still] [--fault] [--stop 20] [--converters current]
+        [--release-limits] [--json FILE]
 
 FOLDER is searched for .raw and .m files, plain or packed. Each RAW is read, its stored voltages compared with
 the network (largest mismatch) and polished by Newton's method; the power flow of the case must then find the
 same voltages. In each folder the first RAW goes with the first DYR; with --still the plant FMU of that pair
-runs without any event and the largest |dw| is shown (expected: below 1e-6 pu). With --release-limits limits
-beyond which controls would start are widened, and counted. Time and memory are of this
-process; a fresh one for each file would not change the times. Exit code 1 when a RAW is not read, or a pair
-that imports does not stand still.
+runs without any event and the largest |dw| is shown (expected: below 1e-6 pu). With --fault it also runs with
+the bus of most branches at earth through j0.01 pu from 1 s for 50 ms: shown are the peak of |dw| and how far
+the rotor angles go from where they rest (about the centre of inertia; below 180 degrees nobody slips a pole).
+With --release-limits limits beyond which controls would start are widened, and counted. Time is of reading
+the pair, memory of this process. Exit code 1 when a RAW is not read, or a pair that imports does not stand
+still or does not ride its fault.
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ import json
 import resource
 import sys
 import time
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +31,8 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
+from interarea.models.case.case import Case
+from interarea.models.case.events import events_of
 from interarea.models.errors import CaseError
 from interarea.models.grid.powerflow import solve_powerflow
 from interarea.models.grid.start import release_limits
@@ -37,6 +43,9 @@ from interarea.models.importers.raw.text import read_lines
 
 STILL_PU = 1e-6
 SAME_PU = 1e-9
+FAULT_S = (1.0, 1.05)
+FAULT_PU = 0.01
+SLIPS_DEG = 180.0
 
 
 def grids(folder: Path, kind: str) -> list[Path]:
@@ -67,34 +76,51 @@ def difference(imported: Imported) -> float:
     return float(max(abs(v - known[bus.number]) for bus, v in ours if bus.number in known))
 
 
-def pair(
-    raw: Path, dyr: Path, stop_s: float | None, *, currents: bool, release: bool = False
-) -> dict[str, Any]:
-    """Return what importing a pair gives; with `stop_s` its plant runs that long without an event."""
+def pair(raw: Path, dyr: Path, options: argparse.Namespace) -> dict[str, Any]:
+    """Return what importing a pair gives, and how its plant runs without an event and with a fault."""
     start = time.perf_counter()
     row: dict[str, Any] = {"folder": raw.parent.name, "raw": str(raw), "dyr": str(dyr)}
     try:
-        imported = import_psse(raw, dyr, converters_as_current=currents)
+        imported = import_psse(raw, dyr, converters_as_current=options.converters == "current")
         row |= {"s": time.perf_counter() - start, "machines": len(imported.case.machines)}
-        if release:
+        if options.release_limits:
             case, changed = release_limits(imported.case)
             imported, row["released"] = replace(imported, case=case), len(changed)
-        if stop_s is not None:
-            row["dw"] = largest_slip(imported, stop_s)
+        if options.still:
+            row["dw"] = largest_slip(imported.case, options.stop)
+        if options.fault:
+            row |= ride(imported.case, options.stop)
     except (CaseError, RuntimeError) as error:
         row["refused"] = str(error)
     return row
 
 
-def largest_slip(imported: Imported, stop_s: float) -> float:
-    """Return the largest |dw| of a run without events, pu."""
+def recorded(case: Case, stop_s: float, events: Sequence[Any] = ()) -> tuple[np.ndarray, np.ndarray]:
+    """Return |dw| (pu) and rotor angles (rad) of the machines over a run of the plant FMU."""
     from fmu_run import PlantSlave
 
-    plant = PlantSlave(imported.case)
-    names = [f"{m.name}_dw" for m in imported.case.machines]
+    plant = PlantSlave(case, events)
+    names = [f"{m.name}_{key}" for key in ("dw", "delta") for m in case.machines]
     found = plant.record(np.arange(0.0, stop_s + 0.05, 0.1).tolist(), names)
     plant.close()
-    return float(np.abs(found).max())
+    speeds, angles = np.split(found, 2, axis=1)
+    return np.abs(speeds), angles
+
+
+def largest_slip(case: Case, stop_s: float) -> float:
+    """Return the largest |dw| of a run without events, pu."""
+    return float(recorded(case, stop_s)[0].max())
+
+
+def ride(case: Case, stop_s: float) -> dict[str, Any]:
+    """Return the bus of the fault, the peak of |dw| after it (pu) and how far the angles go (degrees)."""
+    branches = Counter(bus for b in case.branches if b.in_service for bus in (b.from_bus, b.to_bus))
+    bus = branches.most_common(1)[0][0]
+    start, end = FAULT_S
+    fault = {"kind": "bus_fault", "bus": bus, "start_s": start, "end_s": end, "x_pu": FAULT_PU}
+    speeds, angles = recorded(case, stop_s, events_of([fault], where=case.name))
+    swing = np.degrees(np.abs(angles - angles[0]).max())
+    return {"fault_bus": bus, "peak_dw": float(speeds.max()), "swing_deg": float(swing)}
 
 
 def main() -> int:
@@ -104,6 +130,7 @@ def main() -> int:
     )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--still", action="store_true", help="run the plant of each pair")
+    parser.add_argument("--fault", action="store_true", help="run it with a fault as well")
     parser.add_argument("--stop", type=float, default=20.0, metavar="S")
     parser.add_argument("--converters", choices=("refuse", "current"), default="refuse")
     parser.add_argument("--release-limits", action="store_true")
@@ -129,10 +156,9 @@ def main() -> int:
     print(f"MATPOWER files read: {len(good) - count} of {len(files)}")
     first = {p.parent: p for p in reversed(raws)}
     with_dyr = {folder: p for folder in first for p in reversed(grids(folder, ".dyr")) if p.parent == folder}
-    pairs, currents = [], options.converters == "current"
+    pairs = []
     for folder, dyr in sorted(with_dyr.items()):
-        stop = options.stop if options.still else None
-        row = pair(first[folder], dyr, stop, currents=currents, release=options.release_limits)
+        row = pair(first[folder], dyr, options)
         what = (
             f"refused: {row['refused']}"
             if "refused" in row
@@ -140,18 +166,24 @@ def main() -> int:
         )
         if row.get("released"):
             what += f", {row['released']} limits widened"
-        still = f", |dw| <= {row['dw']:.1e}" if "dw" in row else ""
-        print(f"pair {folder.relative_to(options.folder)}: {what}{still}", flush=True)
+        if "dw" in row:
+            what += f", |dw| <= {row['dw']:.1e}"
+        if "swing_deg" in row:
+            fault = f"fault at {row['fault_bus']}: |dw| <= {row['peak_dw']:.2g}"
+            what += f", {fault}, angles move {row['swing_deg']:.0f} deg"
+        print(f"pair {folder.relative_to(options.folder)}: {what}", flush=True)
         pairs.append(row)
     imported = [row for row in pairs if "refused" not in row]
     moving = [row for row in imported if not row.get("dw", 0.0) <= STILL_PU]
+    slipping = [row for row in imported if not row.get("swing_deg", 0.0) < SLIPS_DEG]
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
     print(
-        f"pairs imported: {len(imported)} of {len(pairs)}, of these moving: {len(moving)}; memory {memory} MB"
+        f"pairs imported: {len(imported)} of {len(pairs)}, of these moving: {len(moving)}, slipping a pole: "
+        f"{len(slipping)}; memory {memory} MB"
     )
     if options.json:
         options.json.write_text(json.dumps({"read": rows, "pairs": pairs}, indent=1))
-    return int(len(good) < len(rows) or bool(moving))
+    return int(len(good) < len(rows) or bool(moving) or bool(slipping))
 
 
 if __name__ == "__main__":

@@ -200,7 +200,9 @@ class Machine(Row):
     """A synchronous machine, its dispatch and its controls; per unit on `base_mva` of its own.
 
     round_rotor: sixth order, needs Xd, Xq, Xl, Xd1, Xq1, Xd2, Xq2, Td01, Tq01, Td02, Tq02 with
-    Xd > Xd1 >= Xd2 >= Xl >= 0, Xq >= Xq1 >= Xq2 >= Xl, Xd1 > Xl and Xq1 > Xl.
+    Xd > Xd1 >= Xd2 > 0, Xq >= Xq1 >= Xq2 > 0, Xd1 > Xl and Xq1 > Xl. Where the air gap counts (saturation of
+    it, or Xd2 not Xq2), Xd2 >= Xl and Xq2 >= Xl as well. Elsewhere the stored energy is positive without
+    them, only the damper's leakage reactance is not: published data have such machines.
     classical: H and a constant EMF behind Ra + j Xd1.
     infinite_bus: that EMF turns at nominal frequency whatever happens (a classical machine of infinite H).
     power_flow: a dispatch without dynamic data, good for the power flow only.
@@ -260,18 +262,25 @@ class Machine(Row):
         return self
 
     def _check_round_rotor(self) -> None:
-        """Raise ValueError for saturation or controls given twice, and reactances that no machine has."""
+        """Raise ValueError for saturation or controls given twice, and for reactances that no machine has."""
         if self.saturation is not None and self.flux_saturation is not None:
             raise ValueError("saturation and flux_saturation are both given, allowed: one of them")
         if self.exciter.kind == "constant" and (self.stabilizer or self.compensator):
             what = "stabilizer" if self.stabilizer else "compensator"
             raise ValueError(f"a {what} but constant excitation; give it an exciter")
-        for chain in (
-            ("Xl", "<=", "Xd2", "<=", "Xd1", "<", "Xd"),
-            ("Xl", "<=", "Xq2", "<=", "Xq1", "<=", "Xq"),
+        self._check_reactances()
+
+    def _check_reactances(self) -> None:
+        """Raise ValueError for an order of reactances that leaves no sound equations."""
+        chains: list[tuple[str, ...]] = [
+            ("Xd2", "<=", "Xd1", "<", "Xd"),
+            ("Xq2", "<=", "Xq1", "<=", "Xq"),
             ("Xl", "<", "Xd1"),
             ("Xl", "<", "Xq1"),
-        ):
+        ]
+        if self.saturation is not None or self.Xd2 != self.Xq2:
+            chains += [("Xl", "<=", "Xd2"), ("Xl", "<=", "Xq2")]
+        for chain in chains:
             for low, sign, high in zip(chain[0:-2:2], chain[1:-1:2], chain[2::2], strict=True):
                 a, b = getattr(self, low), getattr(self, high)
                 if not (a < b or (sign == "<=" and a == b)):

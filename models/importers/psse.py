@@ -96,11 +96,15 @@ def import_psse(
 
 
 def _compare_reactances(grid: StaticGrid, names: Sequence[str], dynamics: Dynamics, report: Report) -> None:
-    """Say where the subtransient reactance of the DYR is not the ZX of the RAW."""
+    """Note an X''d of the DYR that is not the RAW's, or is below the leakage reactance."""
     for unit, name in zip(grid.units, names, strict=True):
-        subtransient = dynamics.rows.get(name, {}).get("Xd2")
-        if subtransient is not None and abs(subtransient - unit.x) > 1e-6:
+        row = dynamics.rows.get(name, {})
+        if "Xd2" not in row:
+            continue
+        if abs(row["Xd2"] - unit.x) > 1e-6:
             report.assume("X''d of the DYR taken, ZX of the RAW is another", unit.where)
+        if row["Xd2"] < row["Xl"]:
+            report.assume("X''d below the leakage reactance Xl: taken as it is", dynamics.where[name])
 
 
 def _case_with_lines(document: dict[str, Any], where: str, lines: Mapping[str, str]) -> Case:

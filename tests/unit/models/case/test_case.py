@@ -57,7 +57,7 @@ REFUSED = [
     ({"machines": {"G1": {"slack": True}}}, r"slack = true at 2 \(G1, G3\)"),
     ({"machines": {"G3": {"slack": False, "angle_deg": 0.0}}}, "slack = true at none"),
     ({"machines": {"G1": {"Xd1": 1.8}}}, r"machines\.G1: Xd = 1.8 with Xd1 = 1.8"),
-    ({"machines": {"G1": {"Xl": 0.26}}}, r"Xd2 = 0.25 with Xl = 0.26, allowed: Xl <= Xd2 <= Xd1 < Xd"),
+    ({"machines": {"G1": {"Xl": 0.31}}}, r"Xd1 = 0.3 with Xl = 0.31, allowed: Xl < Xd1"),
     ({"machines": {"G1": {"Td02": -1.0}}}, r"machines\.G1\.Td02 = -1.0, allowed: greater than 0"),
     ({"machines": {"G1": {"exciter": {"TA": -0.01}}}}, r"machines\.G1\.exciter\.TA = -0.01"),
     ({"machines": {"G1": {"exciter": {"KA": "200"}}}}, r"exciter\.KA = '200', allowed: a number"),

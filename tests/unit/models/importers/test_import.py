@@ -219,6 +219,16 @@ def test_a_salient_pole_machine_is_the_round_rotor_one_without_transient_in_q(wr
         import_psse(write("grid.raw", raw_text(case)), write("bad.dyr", text + "\n"))
 
 
+def test_a_subtransient_reactance_below_the_leakage_is_taken_and_told(write: Write) -> None:
+    """New England as GridDyn has it, and others: the equations are sound (test_leakage.py)."""
+    case = load_case("kundur-manual").with_changes(
+        {"machines": {"defaults": {"saturation": "none", "Xd2": 0.15, "Xq2": 0.15}}}
+    )
+    imported = import_psse(write("grid.raw", raw_text(case)), write("grid.dyr", dyr_text(case)))
+    assert {m.Xd2 for m in imported.case.machines} == {0.15}
+    assert imported.report.assumed["X''d below the leakage reactance Xl: taken as it is"] == 4
+
+
 RAW_REFUSED = [
     (
         "7,'1 ',1,1,1,967.0",
