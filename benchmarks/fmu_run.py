@@ -22,7 +22,10 @@ from interarea.models.case.case import Case
 
 
 class PlantSlave:
-    """The plant FMU of `case` with its events; substeps of `substep_s` at most, None: the FMU's default."""
+    """The plant FMU of `case` with its events; substeps of `substep_s` at most, None: the FMU's default.
+
+    show : patterns of its outputs, as `plant_block` takes them.
+    """
 
     def __init__(
         self,
@@ -30,8 +33,9 @@ class PlantSlave:
         events: Iterable[Any] = (),
         substep_s: float | None = None,
         parameters: Mapping[str, float] | None = None,
+        show: Sequence[str] | None = None,
     ) -> None:
-        block = plant_block(case)
+        block = plant_block(case, show=show)
         self.folder = Path(tempfile.mkdtemp(prefix="plant-slave-"))
         path = build_fmu(block, self.folder / "plant.fmu", cache=default_cache())
         description = fmpy.read_model_description(str(path))

@@ -99,7 +99,7 @@ def recorded(case: Case, stop_s: float, events: Sequence[Any] = ()) -> tuple[np.
     """Return |dw| (pu) and rotor angles (rad) of the machines over a run of the plant FMU."""
     from fmu_run import PlantSlave
 
-    plant = PlantSlave(case, events)
+    plant = PlantSlave(case, events, show=["*_dw", "*_delta"])
     names = [f"{m.name}_{key}" for key in ("dw", "delta") for m in case.machines]
     found = plant.record(np.arange(0.0, stop_s + 0.05, 0.1).tolist(), names)
     plant.close()
