@@ -67,14 +67,7 @@ def solve_clarabel(
         The multipliers of complex blocks are folded back to n x n Hermitian.
     """
     started = time.perf_counter()
-    unknowns: dict[str, cp.Variable] = {
-        v.name: cp.Variable((v.rows, v.cols), symmetric=v.symmetric) for v in problem.variables
-    }
-    scalars: dict[str, cp.Variable] = {g: cp.Variable() for g in problem.scalars}
-    constraints = [_expression(real_form(b), unknowns, scalars) >> 0 for b in problem.blocks]
-    objective = sum((cp.sum(cp.multiply(G, unknowns[k])) for k, G in problem.objective_matrices.items()), 0.0)
-    objective = objective + sum(c * scalars[g] for g, c in problem.objective_scalars.items())
-    program = cp.Problem(cp.Minimize(objective), constraints)
+    program, unknowns, scalars = _program(problem)
     options = {
         "direct_solve_method": method,
         "max_iter": iterations,
@@ -84,29 +77,25 @@ def solve_clarabel(
     }
     if time_limit_s is not None:
         options["time_limit"] = time_limit_s
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            program.solve(solver=cp.CLARABEL, **options)
-        message = str(program.status)
-    except cp.error.SolverError as error:
-        message = f"failed: {error}"
+    message = _run(program, options)
     status = _STATUS.get(str(program.status), "failed")
     count = program.solver_stats.num_iters if program.solver_stats is not None else 0
-    known = status in ("optimal", "almost optimal") and all(
-        v.value is not None for v in (*unknowns.values(), *scalars.values())
-    )
-    values: Mapping[str, Matrix] = (
-        {k: np.asarray(v.value, dtype=float) for k, v in unknowns.items()} if known else {}
-    )
-    numbers = {g: float(v.value) for g, v in scalars.items()} if known else {}
-    value = problem.objective(values, numbers) if known else float("nan")
-    multipliers = _multipliers(constraints, problem) if known else None
-    gap = float("nan")
+    values: Mapping[str, Matrix] = {}
+    numbers: Mapping[str, float] = {}
+    value = gap = float("nan")
+    multipliers = None
+    if status in ("optimal", "almost optimal"):
+        if all(v.value is not None for v in program.variables()):
+            values = {k: np.asarray(v.value, dtype=float) for k, v in unknowns.items()}
+            numbers = {g: float(v.value) for g, v in scalars.items()}
+            value = problem.objective(values, numbers)
+            multipliers = _multipliers(program.constraints, problem)
+        else:
+            status = "failed"
     if multipliers is not None:
         gap = _complementarity(multipliers, problem, values, numbers) / (1.0 + abs(value))
     return Solution(
-        status=status if known or status == "infeasible" else "failed",
+        status=status,
         values=values,
         scalars=numbers,
         objective=value,
@@ -117,6 +106,27 @@ def solve_clarabel(
         multipliers=multipliers,
         message=message,
     )
+
+
+def _program(problem: Problem) -> tuple[cp.Problem, dict[str, cp.Variable], dict[str, cp.Variable]]:
+    """The problem for cvxpy, one constraint for each block, with its matrices and its numbers by name."""
+    unknowns = {v.name: cp.Variable((v.rows, v.cols), symmetric=v.symmetric) for v in problem.variables}
+    scalars = {g: cp.Variable() for g in problem.scalars}
+    constraints = [_expression(real_form(b), unknowns, scalars) >> 0 for b in problem.blocks]
+    objective = sum((cp.sum(cp.multiply(G, unknowns[k])) for k, G in problem.objective_matrices.items()), 0.0)
+    objective = objective + sum(c * scalars[g] for g, c in problem.objective_scalars.items())
+    return cp.Problem(cp.Minimize(objective), constraints), unknowns, scalars
+
+
+def _run(program: cp.Problem, options: Mapping[str, Any]) -> str:
+    """Let Clarabel solve; return what cvxpy says of it."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            program.solve(solver=cp.CLARABEL, **options)
+    except cp.error.SolverError as error:
+        return f"failed: {error}"
+    return str(program.status)
 
 
 def _expression(

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from ..linear.sparse_plant import SparsePlant
 from .mode_count import Count, OnTheLine, Region, count_modes
 from .mode_search import Pair, Search
-from .modes import Mode, ModeError, pattern_parts
+from .modes import Mode, ModeError
+from .patterns import pattern_parts
 
 RESIDUAL = 1e-9  #: largest |A v - lambda v| / (|lambda| |v|)
 COMMON = "common frequency"  #: all machines together, what governors hold

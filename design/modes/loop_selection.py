@@ -127,24 +127,12 @@ def rank_loops(
     ModeError : the mode is not of this system, or no candidate reaches and sees it.
     ValueError : unknown signals or actuators.
     """
-    if signals is None:
-        if areas is None:
-            raise ValueError("give `signals`, or `areas` to form the speed differences between them")
-        signals = difference_signals(areas)
-    if not signals:
-        raise ValueError("no candidate signals: all machines lie in one area")
+    signals = _candidate_signals(signals, areas)
     wanted = [n for n in system.input_labels if n.endswith("_vs")] if actuators is None else actuators
     require_actuator(wanted)
     picked = select(system, wanted, {name: dict(weights) for name, weights in signals.items()})
     A, B, C = (np.asarray(M, dtype=float) for M in (picked.A, picked.B, picked.C))
-    if mode.right.size != A.shape[0] or not np.allclose(
-        A @ mode.right,
-        mode.eigenvalue * mode.right,
-        atol=1e-6 * np.linalg.norm(A) * np.linalg.norm(mode.right),
-    ):
-        raise ModeError(
-            f"mode {mode.name!r} is not a mode of this system; take it from modes_of(system, ...)"
-        )
+    _require_mode_of(A, mode)
     reach, see = mode.left @ B, C @ mode.right
     gain = np.max(np.abs(frequency_response(A, B, C, picked.D, [abs(mode.eigenvalue) + 1e-9])))
     if not np.max(np.abs(reach)) * np.max(np.abs(see)) > least * gain * abs(mode.eigenvalue):
@@ -156,24 +144,22 @@ def rank_loops(
     controllability = np.abs(reach) / np.linalg.norm(reach)
     observability = np.abs(see) / np.linalg.norm(see)
     geometric, used = _geometric_indices(picked, mode.eigenvalue, order)
-    loops = []
-    for i, (signal, weights) in enumerate(signals.items()):
-        own = {output.removesuffix("_dw") for output in weights}
-        for j, actuator in enumerate(wanted):
-            if own_machine and actuator.removesuffix("_vs") not in own:
-                continue
-            loops.append(
-                Loop(
-                    actuator=actuator,
-                    signal=signal,
-                    index=float(controllability[j] * observability[i]),
-                    controllability=float(controllability[j]),
-                    observability=float(observability[i]),
-                    residue=complex(see[i] * reach[j]),
-                    geometric=float(geometric[i, j]),
-                    outputs=dict(weights),
-                )
-            )
+    own = {name: {output.removesuffix("_dw") for output in signals[name]} for name in signals}
+    loops = [
+        Loop(
+            actuator=actuator,
+            signal=signal,
+            index=float(controllability[j] * observability[i]),
+            controllability=float(controllability[j]),
+            observability=float(observability[i]),
+            residue=complex(see[i] * reach[j]),
+            geometric=float(geometric[i, j]),
+            outputs=dict(weights),
+        )
+        for i, (signal, weights) in enumerate(signals.items())
+        for j, actuator in enumerate(wanted)
+        if not own_machine or actuator.removesuffix("_vs") in own[signal]
+    ]
     if not loops:
         raise ValueError(
             f"none of the signals {', '.join(signals)} belongs to a machine of {', '.join(wanted)}; "
@@ -189,6 +175,28 @@ def rank_loops(
             f"inputs {', '.join(wanted)}, outputs {', '.join(signals)}"
         ),
     )
+
+
+def _candidate_signals(
+    signals: Mapping[str, Mapping[str, float]] | None, areas: Mapping[str, int] | None
+) -> Mapping[str, Mapping[str, float]]:
+    """The signals given, or else the speed differences between the areas."""
+    if signals is None:
+        if areas is None:
+            raise ValueError("give `signals`, or `areas` to form the speed differences between them")
+        signals = difference_signals(areas)
+    if not signals:
+        raise ValueError("no candidate signals: all machines lie in one area")
+    return signals
+
+
+def _require_mode_of(A: Matrix, mode: Mode) -> None:
+    v = mode.right
+    if v.size == A.shape[0]:
+        near = 1e-6 * np.linalg.norm(A) * np.linalg.norm(v)
+        if np.allclose(A @ v, mode.eigenvalue * v, atol=near):
+            return
+    raise ModeError(f"mode {mode.name!r} is not a mode of this system; take it from modes_of(system, ...)")
 
 
 def lead_by_coordinates(

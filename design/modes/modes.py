@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eig
-from scipy.optimize import linear_sum_assignment
 
 from interarea.models.errors import UserError
+
+from .patterns import assigned_names, pattern_energies, pattern_parts
 
 if TYPE_CHECKING:
     import control
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 
 Matrix = NDArray[np.float64]
 ComplexMatrix = NDArray[np.complex128]
-_AS_WELL = 0.8  #: a fit this near to the best one is as good
 
 
 class ModeError(UserError):
@@ -158,56 +158,36 @@ def modes_of(
     if len(machines) < 2:
         raise ModeError(f"{len(machines)} machine(s) in `areas`: a swing mode needs at least two")
     C = _speed_rows(system, machines)
-    A = np.asarray(system.A, dtype=float)
-    values, left, right = eig(A, left=True, right=True)
-    scale = np.sum(left.conj() * right, axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        left = left.conj() / scale
-    weight = np.abs(left * right)
-    total = np.sum(weight, axis=0)
-    usable = np.isfinite(total) & (total > 0.0)
-    participation = np.where(usable, weight / np.where(usable, total, 1.0), 0.0)
-
-    low, high = (2.0 * np.pi * f for f in band_hz)
-    share = _mechanical_share(system, C, participation, values, right)
-    inside = [i for i in np.flatnonzero(usable) if low <= values[i].imag <= high]
-    swinging = sorted((i for i in inside if share[i] > 0.05), key=lambda i: -share[i])
-    count = len(machines) - 1
-    if len(swinging) < count:
-        listed = ", ".join(f"{values[i].real:.4g}{values[i].imag:+.4g}j" for i in swinging) or "none"
+    spectrum = _Spectrum.of(np.asarray(system.A, dtype=float))
+    swinging = spectrum.swinging(system, C, band_hz)
+    if len(swinging) < len(machines) - 1:
+        found = (spectrum.values[i] for i in swinging)
+        listed = ", ".join(f"{z.real:.4g}{z.imag:+.4g}j" for z in found) or "none"
         raise ModeError(
-            f"{len(machines)} machines have {count} swing modes, but {len(swinging)} were found "
+            f"{len(machines)} machines have {len(machines) - 1} swing modes, but {len(swinging)} were found "
             f"between {band_hz[0]:g} and {band_hz[1]:g} Hz ({listed}); a machine missing from `areas`, "
             "an overdamped mode, or another band"
         )
     area_of = [areas[m] for m in machines]
     states = _speed_states(system, C)
     if states is None:
-        candidates = sorted(swinging[:count], key=lambda i: values[i].imag)
-        fits = [pattern_energies(C @ right[:, i], area_of) for i in candidates]
-    else:
-        candidates = sorted(swinging, key=lambda i: values[i].imag)
-        coordinate = left[states] / C[np.arange(len(states)), states][:, None]
-        fits = [
-            {k: x / total[i] for k, x in pattern_parts(coordinate[:, i], C @ right[:, i], area_of).items()}
-            for i in candidates
-        ]
-    named = _names_of(fits, area_of, least_share)
-    labels = list(system.state_labels)
+        swinging = swinging[: len(machines) - 1]
+    candidates = sorted(swinging, key=lambda i: spectrum.values[i].imag)
+    fits = [spectrum.fit(i, C, states, area_of) for i in candidates]
     found_modes = {}
-    for r, (name, part, rivals) in named.items():
+    for r, (name, part, rivals) in assigned_names(fits, area_of, least_share).items():
         i = candidates[r]
-        shape = C @ right[:, i]
+        shape = C @ spectrum.right[:, i]
         shape = shape / shape[np.argmax(np.abs(shape))]
         found_modes[name] = Mode(
             name=name,
-            eigenvalue=complex(values[i]),
-            shape=dict(zip(machines, (complex(z) for z in shape), strict=True)),
-            participation=dict(zip(labels, participation[:, i].tolist(), strict=True)),
+            eigenvalue=complex(spectrum.values[i]),
+            shape=dict(zip(machines, shape.tolist(), strict=True)),
+            participation=dict(zip(system.state_labels, spectrum.participation[:, i].tolist(), strict=True)),
             share=part,
-            right=right[:, i],
-            left=left[:, i],
-            rivals=tuple(complex(values[candidates[k]]) for k in rivals),
+            right=spectrum.right[:, i],
+            left=spectrum.left[:, i],
+            rivals=tuple(spectrum.values[[candidates[k] for k in rivals]].tolist()),
         )
     if len(set(areas.values())) > 1 and not any(n.startswith("inter-area") for n in found_modes):
         raise ModeError(
@@ -215,7 +195,52 @@ def modes_of(
             f"{', '.join(found_modes)}: are the machines assigned to the right areas?"
         )
     order = sorted(found_modes, key=_name_key)
-    return Modes({name: found_modes[name] for name in order}, np.asarray(values, dtype=complex))
+    return Modes({name: found_modes[name] for name in order}, spectrum.values)
+
+
+@dataclass(frozen=True)
+class _Spectrum:
+    """Eigenvalues (n,), left and right eigenvectors with w^T v = 1 and participations (states, modes).
+
+    weight : sum of |w_i v_i| over the states of each mode; not finite or 0 where the mode is defective.
+    """
+
+    values: ComplexMatrix
+    left: ComplexMatrix
+    right: ComplexMatrix
+    participation: Matrix
+    weight: Matrix
+
+    @classmethod
+    def of(cls, A: Matrix) -> _Spectrum:
+        values, left, right = eig(A, left=True, right=True)
+        scale = np.sum(left.conj() * right, axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            left = left.conj() / scale
+        each = np.abs(left * right)
+        weight = np.sum(each, axis=0)
+        usable = np.isfinite(weight) & (weight > 0.0)
+        participation = np.where(usable, each / np.where(usable, weight, 1.0), 0.0)
+        return cls(np.asarray(values, dtype=complex), left, right, participation, weight)
+
+    def swinging(self, system: Linear, C: Matrix, band_hz: tuple[float, float]) -> list[int]:
+        """The modes of the band in which angles and speeds take part, most first."""
+        low, high = (2.0 * np.pi * f for f in band_hz)
+        share = _mechanical_share(system, C, self.participation, self.values, self.right)
+        usable = np.flatnonzero(np.isfinite(self.weight) & (self.weight > 0.0))
+        inside = [int(i) for i in usable if low <= self.values[i].imag <= high]
+        return sorted((i for i in inside if share[i] > 0.05), key=lambda i: -share[i])
+
+    def fit(self, i: int, C: Matrix, states: list[int] | None, area_of: list[int]) -> dict[str, float]:
+        """How much of each pattern mode i has: of the participation of all states, or of its shape.
+
+        states : those that are speeds; None in a reduced model.
+        """
+        if states is None:
+            return pattern_energies(C @ self.right[:, i], area_of)
+        coordinate = self.left[states, i] / C[np.arange(len(states)), states]
+        parts = pattern_parts(coordinate, C @ self.right[:, i], area_of)
+        return {name: part / self.weight[i] for name, part in parts.items()}
 
 
 def _speed_rows(system: Linear, machines: list[str]) -> Matrix:
@@ -249,77 +274,12 @@ def _mechanical_share(
     return np.asarray(ring / max(float(np.max(ring)), 1e-300) * 0.9 + 0.1)
 
 
-def pattern_energies(shape: ComplexMatrix, area_of: list[int]) -> dict[str, float]:
-    """Split the energy of a mode shape (machines,) into between areas and inside each area; sums to 1."""
-    s = np.asarray(shape, dtype=complex)
-    a = np.asarray(area_of)
-    mean = s.mean()
-    energies = {"inter-area": 0.0}
-    for k in sorted(set(area_of)):
-        inside = s[a == k]
-        energies["inter-area"] += inside.size * abs(inside.mean() - mean) ** 2
-        energies[f"local area {k}"] = float(np.sum(np.abs(inside - inside.mean()) ** 2))
-    total = sum(energies.values())
-    return {name: float(e / total) if total > 0.0 else 0.0 for name, e in energies.items()}
-
-
 def _speed_states(system: Linear, C: Matrix) -> list[int] | None:
     """The state that is each machine's speed; None for a reduced model, where no state is."""
     if not any(".delta" in name for name in system.state_labels):
         return None
     read = [np.flatnonzero(np.abs(row) > 1e-9 * np.max(np.abs(row))) for row in C]
     return [int(r[0]) for r in read] if all(r.size == 1 for r in read) else None
-
-
-def pattern_parts(left: ComplexMatrix, right: ComplexMatrix, area_of: list[int]) -> dict[str, float]:
-    """Participation of each pattern in a mode, from its speeds (machines,) left and right.
-
-    As a state's is |w_i v_i|, that of a pattern is |w^T P v| with the projector P on it: between areas, or
-    inside area k. What a controller drives along swings in v alone, what only acts on it is in w alone.
-    """
-    a = np.asarray(area_of)
-    mean_left, mean_right = left.mean(), right.mean()
-    parts: dict[str, complex] = {"inter-area": 0.0}
-    for k in sorted(set(area_of)):
-        w, v = left[a == k], right[a == k]
-        parts["inter-area"] += w.size * (w.mean() - mean_left) * (v.mean() - mean_right)
-        parts[f"local area {k}"] = np.sum((w - w.mean()) * (v - v.mean()))
-    return {name: float(abs(x)) for name, x in parts.items()}
-
-
-def _names_of(
-    fits: list[dict[str, float]], area_of: list[int], least_share: float
-) -> dict[int, tuple[str, float, list[int]]]:
-    """Give out the names so that they fit best together.
-
-    fits : of each mode, by frequency, how much of each pattern it has. Returns, for the modes that are
-    named: name, share of the named pattern among all, and the modes that the name would fit as well.
-    """
-    kinds = ["inter-area"] * (len(set(area_of)) - 1)
-    for k in sorted(set(area_of)):
-        kinds += [f"local area {k}"] * (area_of.count(k) - 1)
-    gain = np.array([[fit[kind] for kind in kinds] for fit in fits])
-    rows, cols = linear_sum_assignment(-gain)
-    kind_of = {int(r): kinds[c] for r, c in zip(rows, cols, strict=True)}
-    share = {r: fits[r][kind] / max(sum(fits[r].values()), 1e-300) for r, kind in kind_of.items()}
-    final = {r: kind if share[r] >= least_share else "mixed" for r, kind in kind_of.items()}
-    found = {}
-    for r, kind in final.items():
-        same = [other for other in final if final[other] == kind]
-        separator = " " if kind in ("inter-area", "mixed") else "."
-        name = kind if len(same) == 1 else f"{kind}{separator}{same.index(r) + 1}"
-        found[r] = (name, share[r], [k for k in range(len(fits)) if _fits_as_well(k, r, kind_of, fits)])
-    return found
-
-
-def _fits_as_well(k: int, r: int, kind_of: Mapping[int, str], fits: list[dict[str, float]]) -> bool:
-    """Whether mode k could have the name that mode r has: without one of its own, or by an exchange."""
-    kind, other = kind_of[r], kind_of.get(k)
-    if other == kind:
-        return False
-    if other is None:
-        return fits[k][kind] >= _AS_WELL * fits[r][kind]
-    return fits[k][kind] + fits[r][other] >= _AS_WELL * (fits[r][kind] + fits[k][other])
 
 
 def _name_key(name: str) -> tuple[int, str]:

@@ -105,25 +105,24 @@ def judge_family(
     # a common speed that stays where it is has no gain at rest; K, which lets no constant pass, leaves it
     moving = {name: without_common_speed(plant, AT_REST) for name, plant in plants.items()}
     largest = max((effort(moving[p], K) for p in steady), default=float("nan"))
-    poles = np.linalg.eigvals(np.asarray(K.A))
-    fastest = float(np.abs(poles).max()) if poles.size else 0.0
-    violations = [f"{row.point}, {row.condition}: unstable" for row in rows if not row.stable]
+    fastest = float(np.abs(np.linalg.eigvals(np.asarray(K.A))).max(initial=0.0))
     asked = (
         ("worst swing damping", worst, worst >= worst_swing, f">= {worst_swing:g}"),
         ("inter-area damping", inter, inter >= inter_area, f">= {inter_area:g}"),
         ("effort", largest, largest <= effort_cap, f"<= {effort_cap:g}"),
         ("fastest pole", fastest, fastest <= fastest_pole, f"<= {fastest_pole:g} rad/s"),
     )
-    violations += [
-        f"{name} is {value:.4g}, asked {wanted}" for name, value, held, wanted in asked if not held
-    ]
+    violations = (
+        *(f"{row.point}, {row.condition}: unstable" for row in rows if not row.stable),
+        *(f"{name} is {value:.4g}, asked {wanted}" for name, value, held, wanted in asked if not held),
+    )
     return FamilyCertificate(
         rows,
         worst,
         inter,
         largest,
         fastest,
-        tuple(violations),
+        violations,
         int(K.nstates),
         _loss_criteria(moving, K, conditions),
     )

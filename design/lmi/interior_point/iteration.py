@@ -29,6 +29,22 @@ class Progress:
     step: tuple[float, float]  #: primal and dual step lengths
 
 
+@dataclass(frozen=True)
+class _Point:
+    """Where an iteration begins."""
+
+    Z: list[Matrix]
+    gradient: Vector  #: F*(Z)
+    rp: Vector  #: c - F*(Z)
+    Rd: list[Matrix]  #: C + F(y) - S
+    objective: float  #: c'y
+    complementarity: float  #: <S, Z>
+
+    @property
+    def scale(self) -> float:
+        return 1.0 + abs(self.objective)
+
+
 class Iteration:
     """The interior-point iteration on one problem, from y = 0 or from a strictly feasible `start`."""
 
@@ -102,47 +118,72 @@ class Iteration:
             return self._finish(
                 "failed", 0, "the objective is unbounded: it moves coordinates that no block contains"
             )
-        start_residual = 1.0 + sum(float(np.linalg.norm(R)) for R in self._primal_residual())
+        self.start_residual = 1.0 + self._residual_norm()
         expected = self.c
         for iteration in range(1, self.max_iterations + 1):
-            Z = [F @ F.conj().T for F in self.Fz]
-            gradient = self.affine.adjoint(Z)
-            rp = self.c - gradient
-            Rd = self._primal_residual()
-            objective = float(self.c @ self.y)
-            scale = 1.0 + abs(objective)
-            complementarity = sum(inner(S, W) for S, W in zip(self.S, Z, strict=True))
-            if not 0.0 < complementarity < np.inf:
+            at = self._point()
+            if not 0.0 < at.complementarity < np.inf:
                 break
-            self.gap = complementarity / scale
-            self.doubt = float(np.abs(rp) @ np.abs(self.y)) / scale
-            if float(np.abs(rp - expected) @ np.abs(self.y)) > self.tolerance * scale and iteration > 1:
-                self.normal.careful = True
-            if self.exact:
-                if self._is_optimal(objective, scale):
-                    return self._finish("optimal", iteration - 1, "", Z)
-                if self.gap < self.tolerance and self.stale >= 3:
-                    break
-            scalings = [Scaling(Ls, Fz) for Ls, Fz in zip(self.Ls, self.Fz, strict=True)]
-            if not self.normal.factor([s.Ri for s in scalings], [s.G for s in scalings]):
+            self._measure(at, expected if iteration > 1 else None)
+            if self.exact and self._is_optimal(at):
+                return self._finish("optimal", iteration - 1, "", at.Z)
+            if self._has_stalled():
                 break
-            if not self.exact:
-                self.radius = max(self.radius, self.excluded_radius(Z))
-                certificate = self.farkas(Z) or self._certificate(scalings, Z, gradient)
-                if certificate is not None:
-                    return self._finish("infeasible", iteration, self.verdict, certificate)
-            step = self._step(scalings, rp, Rd, complementarity / self.degree)
+            scalings = self._scalings()
+            if scalings is None:
+                break
+            certificate = None if self.exact else self._infeasible(at, scalings)
+            if certificate is not None:
+                return self._finish("infeasible", iteration, self.verdict, certificate)
+            step = self._step(scalings, at)
             if step is None:
                 break
-            expected = (1.0 - step[1]) * rp
-            if self._stands_still(iteration, step) or self._is_stopped(
-                iteration, objective, start_residual, step
-            ):
+            expected = (1.0 - step[1]) * at.rp
+            if self._stands_still(iteration, step) or self._is_stopped(iteration, at.objective, step):
                 break
         return self._give_up(iteration)
 
-    def _is_optimal(self, objective: float, scale: float) -> bool:
+    def _scalings(self) -> list[Scaling] | None:
+        """Scale to S and Z and factor the normal equations; None where they have no factor."""
+        scalings = [Scaling(Ls, Fz) for Ls, Fz in zip(self.Ls, self.Fz, strict=True)]
+        found = self.normal.factor([s.Ri for s in scalings], [s.G for s in scalings])
+        return scalings if found else None
+
+    def _point(self) -> _Point:
+        Z = [F @ F.conj().T for F in self.Fz]
+        gradient = self.affine.adjoint(Z)
+        return _Point(
+            Z,
+            gradient,
+            rp=self.c - gradient,
+            Rd=self._primal_residual(),
+            objective=float(self.c @ self.y),
+            complementarity=sum(inner(S, W) for S, W in zip(self.S, Z, strict=True)),
+        )
+
+    def _measure(self, at: _Point, expected: Vector | None) -> None:
+        """Set gap and doubt; be careful from now on where the last step left another residual of F*(Z) = c.
+
+        expected : what it should have left; None before the first step.
+        """
+        size = np.abs(self.y)
+        self.gap = at.complementarity / at.scale
+        self.doubt = float(np.abs(at.rp) @ size) / at.scale
+        if expected is not None and float(np.abs(at.rp - expected) @ size) > self.tolerance * at.scale:
+            self.normal.careful = True
+
+    def _infeasible(self, at: _Point, scalings: list[Scaling]) -> list[Matrix] | None:
+        """Return multipliers that prove that no y is feasible, if there are any by now."""
+        self.radius = max(self.radius, self.excluded_radius(at.Z))
+        return self.farkas(at.Z) or self._certificate(scalings, at.Z, at.gradient)
+
+    def _has_stalled(self) -> bool:
+        """Return whether the gap is small and the lower bound has ceased to rise."""
+        return self.exact and self.gap < self.tolerance and self.stale >= 3
+
+    def _is_optimal(self, at: _Point) -> bool:
         """Raise the lower bound; return whether gap and multipliers are within the tolerance."""
+        objective, scale = at.objective, at.scale
         # <C, Z> < 0 here; the bound holds in as far as the optimal |y| is not beyond this one
         bound = objective - (self.gap + self.doubt) * scale
         self.stale = 0 if bound > self.bound + 0.1 * self.tolerance * scale else self.stale + 1
@@ -157,14 +198,12 @@ class Iteration:
         self.stuck = self.stuck + 1 if not self.exact and step[0] < 2e-3 else 0
         return (self.short >= 3 and iteration >= 12) or self.stuck >= 8
 
-    def _is_stopped(
-        self, iteration: int, objective: float, start_residual: float, step: tuple[float, float]
-    ) -> bool:
+    def _is_stopped(self, iteration: int, objective: float, step: tuple[float, float]) -> bool:
         """Tell the callback; return whether it wants no more."""
         if self.callback is None:
             return False
-        residual = 0.0 if self.exact else sum(float(np.linalg.norm(R)) for R in self._primal_residual())
-        report = Progress(iteration, objective, self.gap, residual / start_residual, self.doubt, step)
+        residual = self._residual_norm() / self.start_residual
+        report = Progress(iteration, objective, self.gap, residual, self.doubt, step)
         self.stopped = bool(self.callback(report))
         return self.stopped
 
@@ -175,10 +214,12 @@ class Iteration:
         moved = self.affine.apply(self.y)
         return [C + F - S for C, F, S in zip(self.C, moved, self.S, strict=True)]
 
-    def _step(
-        self, scalings: list[Scaling], rp: Vector, Rd: list[Matrix], mu: float
-    ) -> tuple[float, float] | None:
+    def _residual_norm(self) -> float:
+        return 0.0 if self.exact else sum(float(np.linalg.norm(R)) for R in self._primal_residual())
+
+    def _step(self, scalings: list[Scaling], at: _Point) -> tuple[float, float] | None:
         """Take a predictor-corrector step; None where the linear algebra has come to its end."""
+        rp, Rd, mu = at.rp, at.Rd, at.complementarity / self.degree
         residual = (
             None
             if self.exact

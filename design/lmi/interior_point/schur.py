@@ -15,6 +15,8 @@ variable's indices, as H is folded over them anyway.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +32,7 @@ class _Columns:
 
     def __init__(self, block_size: int, kind: type) -> None:
         self.kind = kind
+        self.parts = 2 if kind is np.complex128 else 1  #: real ones of a number
         self.width = 0
         self._parts: list[Matrix] = []
         self._found: dict[tuple[int, bytes], int] = {}
@@ -50,11 +53,42 @@ class _Columns:
             self.width += factor.shape[1]
         return self._found[key], scale
 
+    @property
+    def reals(self) -> int:
+        """Number of real numbers of the products of all columns."""
+        return self.parts * self.width**2
+
+    def corner(self, row: int, rows: int, col: int, cols: int, part: int) -> Index:
+        """Return where the products of some columns with others stand; part : 0 real, 1 imaginary."""
+        inside = (row + np.arange(rows))[:, None] * self.width + (col + np.arange(cols))[None, :]
+        return np.asarray(self.parts * inside + part)
+
     def matrix(self) -> Matrix:
         """Return all columns (d, width)."""
         if not self._parts:
             return np.zeros((self._block_size, 0), dtype=self.kind)
         return np.ascontiguousarray(np.hstack(self._parts))
+
+
+class _Term(NamedTuple):
+    """A term by its block, its variable, the first columns of its factors and its weight."""
+
+    block: int
+    variable: int
+    left: int
+    right: int
+    weight: float
+
+
+def _placed_terms(problem: Problem, names: list[str], columns: list[_Columns]) -> list[_Term]:
+    """The terms of all blocks, their factors among the columns of each."""
+    terms = []
+    for k, block in enumerate(problem.blocks):
+        for term in block.terms:
+            left, a = columns[k].place(term.left)
+            right, b = columns[k].place(term.right.conj().T)
+            terms.append(_Term(k, names.index(term.variable), left, right, a * b))
+    return terms
 
 
 class _Products:
@@ -118,6 +152,24 @@ class _Pair:
         self._cols = second.upper[0] * s + second.upper[1]
         self._cols_mirrored = second.upper[1] * s + second.upper[0] if self.fold_cols else self._cols
 
+    def add_terms(self, columns: _Columns, start: int, one: _Term, other: _Term) -> None:
+        """Add both kinds of products of two terms of a block, whose columns begin at `start`."""
+        p, q, r, s = self.shape
+        weight = 2 * one.weight * other.weight
+        for half in range(columns.parts):
+
+            def at(row: int, rows: int, col: int, cols: int, half: int = half) -> Index:
+                return start + columns.corner(row, rows, col, cols, half)
+
+            self.direct.add(at(one.left, p, other.left, r), at(one.right, q, other.right, s), weight)
+            self.add_crossed(at(one.left, p, other.right, s), at(one.right, q, other.left, r), weight)
+
+    def close(self) -> int:
+        """Freeze both kinds of products; return the number of entries."""
+        self.direct.close()
+        self.crossed.close()
+        return int(np.prod(self.shape))
+
     def add_crossed(self, u: Index, w: Index, weight: float) -> None:
         """Add a product of the second kind, u over (p, s) and w over (q, r)."""
         if self.second.variable.symmetric:
@@ -158,43 +210,23 @@ class SchurComplement:
     def __init__(self, problem: Problem, affine: AffineMap) -> None:
         self._affine = affine
         names = [v.name for v in problem.variables]
-        self._pairs: dict[tuple[int, int], _Pair] = {}
-        self._columns: list[Matrix] = []
-        self._grams: list[Matrix] = []
         columns = [_Columns(d, kind) for d, kind in zip(affine.sizes, affine.dtypes, strict=True)]
-        terms = []
-        for k, block in enumerate(problem.blocks):
-            for term in block.terms:
-                left, a = columns[k].place(term.left)
-                right, b = columns[k].place(term.right.conj().T)
-                terms.append((k, names.index(term.variable), left, right, a * b))
-        starts = np.cumsum([0] + [c.width**2 * (2 if c.kind is np.complex128 else 1) for c in columns])
+        terms = _placed_terms(problem, names, columns)
+        starts = np.cumsum([0] + [c.reals for c in columns])
         self._gram = np.zeros(int(starts[-1]))
-        for k, c in enumerate(columns):
-            self._columns.append(c.matrix())
-            part = self._gram[starts[k] : starts[k + 1]]
-            self._grams.append(part.view(c.kind).reshape(c.width, c.width))
-
-        def corner(k: int, row: int, rows: int, col: int, cols: int, part: int) -> Index:
-            width, step = columns[k].width, 2 if columns[k].kind is np.complex128 else 1
-            inside = (row + np.arange(rows))[:, None] * width + (col + np.arange(cols))[None, :]
-            return np.asarray(starts[k] + step * inside + part)
-
+        self._columns = [c.matrix() for c in columns]
+        self._grams: list[Matrix] = [
+            self._gram[start : start + c.reals].view(c.kind).reshape(c.width, c.width)
+            for start, c in zip(starts, columns, strict=False)
+        ]
         place = [affine.coordinates[name] for name in names]
-        for k, i, l1, r1, a in terms:
-            for other, j, l2, r2, b in terms:
-                if other != k or j < i:
-                    continue
+        self._pairs: dict[tuple[int, int], _Pair] = {}
+        for one, other in product(terms, terms):
+            i, j, k = one.variable, other.variable, one.block
+            if other.block == k and j >= i:
                 pair = self._pairs.setdefault((i, j), _Pair(place[i], place[j]))
-                p, q, r, s = pair.shape
-                for half in range(2 if affine.is_complex[k] else 1):
-                    pair.direct.add(corner(k, l1, p, l2, r, half), corner(k, r1, q, r2, s, half), 2 * a * b)
-                    pair.add_crossed(corner(k, l1, p, r2, s, half), corner(k, r1, q, l2, r, half), 2 * a * b)
-        most = 1
-        for pair in self._pairs.values():
-            pair.direct.close()
-            pair.crossed.close()
-            most = max(most, int(np.prod(pair.shape)))
+                pair.add_terms(columns[k], int(starts[k]), one, other)
+        most = max((pair.close() for pair in self._pairs.values()), default=1)
         self._work = (np.empty(most), np.empty(most))
         self._scalars = [
             (

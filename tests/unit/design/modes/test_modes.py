@@ -10,7 +10,8 @@ from independent.two_area import AREAS, OMEGA_B, linear_plant
 from interarea.design.certificates.closed_loop import closed_loop_matrix, swing_poles
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
-from interarea.design.modes.modes import ModeError, modes_of, pattern_energies
+from interarea.design.modes.modes import ModeError, modes_of
+from interarea.design.modes.patterns import pattern_energies
 
 
 def plant(name: str = "two-area-thesis") -> control.StateSpace:

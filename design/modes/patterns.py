@@ -1,0 +1,80 @@
+"""Who swings against whom: how much of each pattern a mode has, and which name fits which mode.
+
+The patterns are the areas against each other and, inside area k, its machines against each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+ComplexMatrix = NDArray[np.complex128]
+_AS_WELL = 0.8  #: a fit this near to the best one is as good
+
+
+def pattern_energies(shape: ComplexMatrix, area_of: list[int]) -> dict[str, float]:
+    """Split the energy of a mode shape (machines,) into between areas and inside each area; sums to 1."""
+    s = np.asarray(shape, dtype=complex)
+    a = np.asarray(area_of)
+    mean = s.mean()
+    energies = {"inter-area": 0.0}
+    for k in sorted(set(area_of)):
+        inside = s[a == k]
+        energies["inter-area"] += inside.size * abs(inside.mean() - mean) ** 2
+        energies[f"local area {k}"] = float(np.sum(np.abs(inside - inside.mean()) ** 2))
+    total = sum(energies.values())
+    return {name: float(e / total) if total > 0.0 else 0.0 for name, e in energies.items()}
+
+
+def pattern_parts(left: ComplexMatrix, right: ComplexMatrix, area_of: list[int]) -> dict[str, float]:
+    """Participation of each pattern in a mode, from its speeds (machines,) left and right.
+
+    As a state's is |w_i v_i|, that of a pattern is |w^T P v| with the projector P on it: between areas, or
+    inside area k. What a controller drives along swings in v alone, what only acts on it is in w alone.
+    """
+    a = np.asarray(area_of)
+    mean_left, mean_right = left.mean(), right.mean()
+    parts: dict[str, complex] = {"inter-area": 0.0}
+    for k in sorted(set(area_of)):
+        w, v = left[a == k], right[a == k]
+        parts["inter-area"] += w.size * (w.mean() - mean_left) * (v.mean() - mean_right)
+        parts[f"local area {k}"] = np.sum((w - w.mean()) * (v - v.mean()))
+    return {name: float(abs(x)) for name, x in parts.items()}
+
+
+def assigned_names(
+    fits: list[dict[str, float]], area_of: list[int], least_share: float
+) -> dict[int, tuple[str, float, list[int]]]:
+    """Give out the names so that they fit best together.
+
+    fits : of each mode, by frequency, how much of each pattern it has. Returns, for the modes that are
+    named: name, share of the named pattern among all, and the modes that the name would fit as well.
+    """
+    kinds = ["inter-area"] * (len(set(area_of)) - 1)
+    for k in sorted(set(area_of)):
+        kinds += [f"local area {k}"] * (area_of.count(k) - 1)
+    gain = np.array([[fit[kind] for kind in kinds] for fit in fits])
+    rows, cols = linear_sum_assignment(-gain)
+    kind_of = {int(r): kinds[c] for r, c in zip(rows, cols, strict=True)}
+    share = {r: fits[r][kind] / max(sum(fits[r].values()), 1e-300) for r, kind in kind_of.items()}
+    final = {r: kind if share[r] >= least_share else "mixed" for r, kind in kind_of.items()}
+    found = {}
+    for r, kind in final.items():
+        same = [other for other in final if final[other] == kind]
+        separator = " " if kind in ("inter-area", "mixed") else "."
+        name = kind if len(same) == 1 else f"{kind}{separator}{same.index(r) + 1}"
+        found[r] = (name, share[r], [k for k in range(len(fits)) if _fits_as_well(k, r, kind_of, fits)])
+    return found
+
+
+def _fits_as_well(k: int, r: int, kind_of: Mapping[int, str], fits: list[dict[str, float]]) -> bool:
+    """Whether mode k could have the name that mode r has: without one of its own, or by an exchange."""
+    kind, other = kind_of[r], kind_of.get(k)
+    if other == kind:
+        return False
+    if other is None:
+        return fits[k][kind] >= _AS_WELL * fits[r][kind]
+    return fits[k][kind] + fits[r][other] >= _AS_WELL * (fits[r][kind] + fits[k][other])
