@@ -51,9 +51,6 @@ MORE_WAYS = {
     "cosim/maps": 23,
     "cosim/study": 21,
     "cosim/sweep": 22,
-    "fmu_build/check": 19,
-    "fmu_build/open": 19,
-    "fmu_build/write": 17,
     "interarea": 19,
     "interarea/cli": 21,
 }

@@ -75,32 +75,42 @@ def check_binaries(d: ModelDescription, folder: Path, report: Report) -> None:
             continue
         for interface, attributes in d.interfaces.items():
             name = attributes.get("modelIdentifier", "") + known[2]
-            file = platform / name
-            where = f"binaries/{platform.name}/{name}"
-            if "/" in name or not file.is_file():
-                there = ", ".join(sorted(p.name for p in platform.iterdir())) or "nothing"
-                report.add(
-                    "FMI2 2.1 modelIdentifier",
-                    where,
-                    f"is not there for {interface}; the folder has {there}",
-                    "name the library as modelIdentifier says",
-                )
-                continue
-            try:
-                image = read_image(file.read_bytes())
-            except ImageError as error:
-                report.add("binary format", where, str(error), "compile the library again")
-                continue
-            facts[where] = {
-                "format": image.format,
-                "machine": image.machine,
-                "needed": list(image.needed),
-                "glibc": None if image.glibc is None else ".".join(map(str, image.glibc)),
-                "exports": len(image.exports),
-            }
-            _platform(image, known, where, report)
-            _functions(image, interface, where, report)
-            _needs(image, platform, where, report)
+            image = _image(platform, name, interface, report)
+            if image is not None:
+                where = f"binaries/{platform.name}/{name}"
+                facts[where] = _facts(image)
+                _platform(image, known, where, report)
+                _functions(image, interface, where, report)
+                _needs(image, platform, where, report)
+
+
+def _image(platform: Path, name: str, interface: str, report: Report) -> Image | None:
+    """Read the library of an interface; None, with a finding, where there is none."""
+    where = f"binaries/{platform.name}/{name}"
+    if "/" in name or not (platform / name).is_file():
+        there = ", ".join(sorted(p.name for p in platform.iterdir())) or "nothing"
+        report.add(
+            "FMI2 2.1 modelIdentifier",
+            where,
+            f"is not there for {interface}; the folder has {there}",
+            "name the library as modelIdentifier says",
+        )
+        return None
+    try:
+        return read_image((platform / name).read_bytes())
+    except ImageError as error:
+        report.add("binary format", where, str(error), "compile the library again")
+        return None
+
+
+def _facts(image: Image) -> dict[str, object]:
+    return {
+        "format": image.format,
+        "machine": image.machine,
+        "needed": list(image.needed),
+        "glibc": None if image.glibc is None else ".".join(map(str, image.glibc)),
+        "exports": len(image.exports),
+    }
 
 
 def _platform(image: Image, known: tuple[str, str, str], where: str, report: Report) -> None:

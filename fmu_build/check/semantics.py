@@ -5,11 +5,12 @@ from __future__ import annotations
 import itertools
 import math
 import re
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 from ..finding import Report
-from ..open.description import ModelDescription, ScalarVariable
+from ..open.description import ModelDescription, ScalarVariable, Unknown
 
 _WHERE = "modelDescription.xml"
 _RANGES = {"Integer": (-(2**31), 2**31 - 1), "Enumeration": (-(2**31), 2**31 - 1)}
@@ -89,18 +90,7 @@ def _values(d: ModelDescription, v: ScalarVariable, report: Report) -> None:
     if low is not None and high is not None and low > high:
         report.add("FMI2 2.2.7 min, max", where, f"min {low:g} is above max {high:g}", "exchange them")
     if v.type in ("Real", "Integer", "Enumeration") and start is not None:
-        if (low is not None and start < low) or (high is not None and start > high):
-            report.add(
-                "FMI2 2.2.7 min, max",
-                where,
-                f"start {start:g} lies outside min {low}, max {high}",
-                "correct the start value or the range",
-            )
-        bounds = _RANGES.get(v.type)
-        if bounds and not bounds[0] <= start <= bounds[1]:
-            report.add(
-                "FMI2 2.2.7 start", where, f"start {start:g} is no 32-bit integer", "use a smaller value"
-            )
+        _start(v, start, low, high, report)
     if nominal is not None and nominal <= 0.0:
         report.add(
             "FMI2 2.2.7 nominal",
@@ -108,6 +98,20 @@ def _values(d: ModelDescription, v: ScalarVariable, report: Report) -> None:
             f"nominal is {nominal:g}, it must be positive",
             "write the usual size",
         )
+
+
+def _start(v: ScalarVariable, start: float, low: float | None, high: float | None, report: Report) -> None:
+    where = f"{_WHERE}:{v.line} {v.name}"
+    if (low is not None and start < low) or (high is not None and start > high):
+        report.add(
+            "FMI2 2.2.7 min, max",
+            where,
+            f"start {start:g} lies outside min {low}, max {high}",
+            "correct the start value or the range",
+        )
+    bounds = _RANGES.get(v.type)
+    if bounds and not bounds[0] <= start <= bounds[1]:
+        report.add("FMI2 2.2.7 start", where, f"start {start:g} is no 32-bit integer", "use a smaller value")
 
 
 def _type(d: ModelDescription, v: ScalarVariable, report: Report) -> None:
@@ -187,23 +191,10 @@ def _structure(d: ModelDescription, report: Report) -> None:
     for section, unknowns in sections.items():
         where = f"{_WHERE} ModelStructure/{section}"
         indices = [u.index for u in unknowns]
-        for index in sorted({i for i in indices if indices.count(i) > 1}):
+        times = Counter(indices)
+        for index in sorted(index for index in times if times[index] > 1):
             report.add("FMI2 2.2.8 " + section, where, f"index {index} is listed twice", "list it once")
-        for index in [i for i in indices if not 1 <= i <= count]:
-            report.add(
-                "FMI2 2.2.8 indices",
-                where,
-                f"index {index}; there are {count} variables",
-                "indices run from 1 to the number of variables",
-            )
-        wrong = sorted({k for u in unknowns for k in u.dependencies or () if not 1 <= k <= count})
-        if wrong:
-            report.add(
-                "FMI2 2.2.8 indices",
-                where,
-                f"dependencies name {wrong[:5]}; there are {count} variables",
-                "indices run from 1 to the number of variables",
-            )
+        _indices(unknowns, count, where, report)
         if section != "Derivatives" and indices != sorted(indices):
             report.add(
                 "FMI2 2.2.8 " + section,
@@ -211,6 +202,17 @@ def _structure(d: ModelDescription, report: Report) -> None:
                 "the entries are not in the order of their indices",
                 "sort them",
             )
+
+
+def _indices(unknowns: tuple[Unknown, ...], count: int, where: str, report: Report) -> None:
+    """Entries and what they depend on are variables, of which there are `count`."""
+    rule, remedy = "FMI2 2.2.8 indices", "indices run from 1 to the number of variables"
+    for unknown in unknowns:
+        if not 1 <= unknown.index <= count:
+            report.add(rule, where, f"index {unknown.index}; there are {count} variables", remedy)
+    wrong = sorted({k for u in unknowns for k in u.dependencies or () if not 1 <= k <= count})
+    if wrong:
+        report.add(rule, where, f"dependencies name {wrong[:5]}; there are {count} variables", remedy)
 
 
 def _experiment(d: ModelDescription, report: Report) -> None:

@@ -67,26 +67,31 @@ def _point(library: Library, steps: int) -> _Point:
     drive.start(instance)
     if steps:
         drive.run(instance, 0, steps)
-    by_index = {v.index: v for v in d.variables}
-    declared = [u for u in d.outputs if u.index in by_index and by_index[u.index].type == "Real"]
-    states: list[ScalarVariable] = []
-    x = np.empty(0)
-    if library.interface == "ModelExchange":
-        declared = [*(u for u in d.derivatives if u.index in by_index), *declared]
-        states = state_variables(d)
-        x = instance.states(len(d.derivatives))
-        if len(states) != len(d.derivatives):
-            states, x = [], np.empty(0)
-    inputs = [
-        v
-        for v in d.variables
-        if v.causality == "input" and v.type == "Real" and v.variability == "continuous"
-    ]
+    exchange = library.interface == "ModelExchange"
+    declared = _declared(d, exchange=exchange)
+    states = state_variables(d) if exchange else []
+    x = instance.states(len(d.derivatives)) if exchange else np.empty(0)
+    if len(states) != len(x):
+        states, x = [], np.empty(0)
+    inputs = _continuous_inputs(d)
     knowns = [*states, *inputs]
     if len(knowns) > _MOST_KNOWNS:
         knowns = [knowns[round(k)] for k in np.linspace(0, len(knowns) - 1, _MOST_KNOWNS)]
     u = dict(zip([v.index for v in inputs], instance.get(inputs), strict=True)) if inputs else {}
+    by_index = {v.index: v for v in d.variables}
     return _Point(instance, [by_index[k.index] for k in declared], declared, knowns, states, x, u)
+
+
+def _declared(d: ModelDescription, *, exchange: bool) -> list[Unknown]:
+    """The unknowns that are real variables: derivatives, in model exchange only, and outputs."""
+    types = {v.index: v.type for v in d.variables}
+    derivatives = [u for u in d.derivatives if exchange and u.index in types]
+    return [*derivatives, *(u for u in d.outputs if types.get(u.index) == "Real")]
+
+
+def _continuous_inputs(d: ModelDescription) -> list[ScalarVariable]:
+    kind = ("input", "Real", "continuous")
+    return [v for v in d.variables if (v.causality, v.type, v.variability) == kind]
 
 
 def state_variables(d: ModelDescription) -> list[ScalarVariable]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -302,15 +302,14 @@ class _Check:
         for c in system.findall(f"{SSD}Connections/{SSD}Connection"):
             ends = [(c.get(f"{side}Element"), c.get(f"{side}Connector", "")) for side in ("start", "end")]
             text = " -> ".join(f"{element or where}.{name}" for element, name in ends)
-            connectors = [
-                (own if element is None else elements.get(element, {})).get(name) for element, name in ends
-            ]
-            for (element, name), connector in zip(ends, connectors, strict=True):
-                if connector is None:
+            found = []
+            for element, name in ends:
+                found.append((own if element is None else elements.get(element, {})).get(name))
+                if found[-1] is None:
                     self.report.add(
                         "SSP connections", text, f"there is no {element or where}.{name}", "correct the names"
                     )
-            start, end = connectors
+            start, end = found
             if start is None or end is None:
                 continue
             self.connection(text, start, end, from_element=bool(ends[0][0]), to_element=bool(ends[1][0]))
@@ -319,10 +318,15 @@ class _Check:
                     "SSP connections", text, f"the target is also fed by {fed[ends[1]]}", "keep one of them"
                 )
             fed[ends[1]] = text.split(" -> ")[0]
-        for element, connectors_of in elements.items():
-            open_ends = [
-                c.name for c in connectors_of.values() if c.kind == "input" and (element, c.name) not in fed
-            ]
+        self.note_open(where, elements, fed.keys())
+
+    def note_open(
+        self, where: str, elements: dict[str, dict[str, Connector]], fed: Collection[tuple[str | None, str]]
+    ) -> None:
+        """Note the inputs of elements that nothing feeds."""
+        for element, connectors in elements.items():
+            inputs = [c.name for c in connectors.values() if c.kind == "input"]
+            open_ends = [name for name in inputs if (element, name) not in fed]
             if open_ends:
                 self.report.notes.append(f"{where}.{element}: nothing feeds {', '.join(open_ends[:6])}")
 

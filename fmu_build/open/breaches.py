@@ -72,7 +72,7 @@ def _usable(
 ) -> ScalarVariable:
     """Return a variable with what stands against the standard replaced by what it can only mean."""
     if v.variability not in VARIABILITY or (v.variability == "constant" and v.causality in _SET):
-        default = "fixed" if v.causality == "parameter" else "continuous" if v.type == "Real" else "discrete"
+        default = _default_variability(v)
         tell(f'{_where(v)} has variability "{v.variability[:40]}", taken as {default}')
         v = replace(v, variability=default)
     if not v.type or v.reference < 0 or not v.name:
@@ -83,6 +83,12 @@ def _usable(
         tell(f"{_where(v)} has the start value {v.start[:40]!r}, left out")
         v = replace(v, typed={k: text for k, text in v.typed.items() if k != "start"})
     return v
+
+
+def _default_variability(v: ScalarVariable) -> str:
+    if v.causality == "parameter":
+        return "fixed"
+    return "continuous" if v.type == "Real" else "discrete"
 
 
 def _placed(unknowns: tuple[Unknown, ...], count: int, tell: Tell) -> Iterator[Unknown]:

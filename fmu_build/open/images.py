@@ -75,24 +75,7 @@ def _elf(c: bytes) -> Image:
     wide = c[4] == 2
     order = "<" if c[5] == 1 else ">"
     machine = struct.unpack_from(order + "H", c, 18)[0]
-    if wide:
-        table, (size, count) = (
-            struct.unpack_from(order + "Q", c, 32)[0],
-            struct.unpack_from(order + "HH", c, 54),
-        )
-    else:
-        table, (size, count) = (
-            struct.unpack_from(order + "I", c, 28)[0],
-            struct.unpack_from(order + "HH", c, 42),
-        )
-    segments = []
-    for k in range(count):
-        at = table + k * size
-        if wide:
-            kind, _, offset, address, _, in_file = struct.unpack_from(order + "IIQQQQ", c, at)
-        else:
-            kind, offset, address, _, in_file = struct.unpack_from(order + "IIIII", c, at)
-        segments.append((kind, offset, address, in_file))
+    segments = _elf_segments(c, order, wide)
 
     def offset_of(address: int) -> int:
         for kind, offset, start, length in segments:
@@ -100,18 +83,7 @@ def _elf(c: bytes) -> Image:
                 return int(offset + address - start)
         raise ImageError(f"address {address:#x} lies in no segment")
 
-    dynamic = next((s for s in segments if s[0] == 2), None)
-    if dynamic is None:
-        raise ImageError("the ELF file has no dynamic section: it is no shared library")
-    step, form = (16, order + "qQ") if wide else (8, order + "iI")
-    entries: dict[int, list[int]] = {}
-    for at in range(dynamic[1], dynamic[1] + dynamic[3], step):
-        tag, value = struct.unpack_from(form, c, at)
-        if tag == 0:
-            break
-        entries.setdefault(tag, []).append(value)
-    if 5 not in entries or 6 not in entries:
-        raise ImageError("the ELF file has no table of dynamic symbols")
+    entries = _elf_dynamic(c, order, wide, segments)
     strings = offset_of(entries[5][0])
     needed = tuple(_text(c, strings + v) for v in entries.get(1, []))
     path = ":".join(_text(c, strings + v) for tag in (15, 29) for v in entries.get(tag, []))
@@ -125,6 +97,40 @@ def _elf(c: bytes) -> Image:
         _glibc(c, order, offset_of, entries, strings),
         path,
     )
+
+
+def _elf_segments(c: bytes, order: str, wide: bool) -> list[tuple[int, int, int, int]]:
+    """Kind, offset, address and length in the file of each segment."""
+    table = struct.unpack_from(order + ("Q" if wide else "I"), c, 32 if wide else 28)[0]
+    size, count = struct.unpack_from(order + "HH", c, 54 if wide else 42)
+    segments = []
+    for k in range(count):
+        at = table + k * size
+        if wide:
+            kind, _, offset, address, _, in_file = struct.unpack_from(order + "IIQQQQ", c, at)
+        else:
+            kind, offset, address, _, in_file = struct.unpack_from(order + "IIIII", c, at)
+        segments.append((kind, offset, address, in_file))
+    return segments
+
+
+def _elf_dynamic(
+    c: bytes, order: str, wide: bool, segments: list[tuple[int, int, int, int]]
+) -> dict[int, list[int]]:
+    """The entries of the dynamic section by tag."""
+    dynamic = next((s for s in segments if s[0] == 2), None)
+    if dynamic is None:
+        raise ImageError("the ELF file has no dynamic section: it is no shared library")
+    step, form = (16, order + "qQ") if wide else (8, order + "iI")
+    entries: dict[int, list[int]] = {}
+    for at in range(dynamic[1], dynamic[1] + dynamic[3], step):
+        tag, value = struct.unpack_from(form, c, at)
+        if tag == 0:
+            break
+        entries.setdefault(tag, []).append(value)
+    if 5 not in entries or 6 not in entries:
+        raise ImageError("the ELF file has no table of dynamic symbols")
+    return entries
 
 
 def _elf_exports(c: bytes, order: str, wide: bool, table: int, strings: int, count: int) -> tuple[str, ...]:

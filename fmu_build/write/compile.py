@@ -17,6 +17,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -181,13 +182,7 @@ def _read_sources(c_files: tuple[Path, ...]) -> tuple[dict[str, bytes], list[Pat
         for line in text.splitlines():
             words = line.split('"')
             if line.startswith("#include") and len(words) >= 3:
-                found = [f / words[1] for f in (path.parent, *folders) if (f / words[1]).is_file()]
-                found += [given[words[1]]] if words[1] in given else []
-                if not found:
-                    raise BuildError(
-                        f'{path}: #include "{words[1]}" is neither beside it nor among the headers'
-                    )
-                included = found[0].resolve()
+                included = _included(path, words[1], folders, given)
                 to_do.append(included)
                 if included.suffix == ".c":  # part of this file, not one to compile by itself
                     parts.add(included)
@@ -195,6 +190,16 @@ def _read_sources(c_files: tuple[Path, ...]) -> tuple[dict[str, bytes], list[Pat
             lines.append(line)
         files[name] = ("\n".join(lines) + "\n").encode("utf-8")
     return dict(sorted(files.items())), list(origin.values())
+
+
+def _included(path: Path, name: str, folders: tuple[Path, ...], given: Mapping[str, Path]) -> Path:
+    """The file that `path` includes: beside it, in one of the folders, or a generated header."""
+    for folder in (path.parent, *folders):
+        if (folder / name).is_file():
+            return (folder / name).resolve()
+    if name in given:
+        return given[name].resolve()
+    raise BuildError(f'{path}: #include "{name}" is neither beside it nor among the headers')
 
 
 def _flat_name(path: Path, parts: set[Path]) -> str:

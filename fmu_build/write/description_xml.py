@@ -251,20 +251,7 @@ def _variables(block: Block) -> list[str]:
         }
         if v.role != "input":
             scalar["initial"] = "exact" if v.role in ("state", "parameter") else "calculated"
-        typed: dict[str, object] = {}
-        if v.enumeration is not None:
-            typed["declaredType"] = v.enumeration.name
-        if v.type == "Real":
-            typed["unit"] = v.unit
-            typed["displayUnit"] = v.display_unit
-        if v.type in ("Real", "Integer"):
-            number = float if v.type == "Real" else int
-            typed["min"] = None if v.min is None else number(v.min)
-            typed["max"] = None if v.max is None else number(v.max)
-        if v.type == "Real":
-            typed["nominal"] = None if v.nominal is None else float(v.nominal)
-        if v.role in ("state", "parameter", "input"):
-            typed["start"] = _start(v)
+        typed = _typed(v)
         if v.derivative_of is not None:
             typed["derivative"] = index[v.derivative_of]
         lines.append(f"    <!-- {k} -->")
@@ -272,6 +259,24 @@ def _variables(block: Block) -> list[str]:
         lines.append(f"      <{v.type}{_attributes(typed)}/>")
         lines.append("    </ScalarVariable>")
     return [*lines, "  </ModelVariables>"]
+
+
+def _typed(v: Variable) -> dict[str, object]:
+    """What the element of a variable's type says: unit, range and start."""
+    typed: dict[str, object] = {}
+    if v.enumeration is not None:
+        typed["declaredType"] = v.enumeration.name
+    if v.type == "Real":
+        typed |= {"unit": v.unit, "displayUnit": v.display_unit}
+    if v.type in ("Real", "Integer"):
+        number = float if v.type == "Real" else int
+        typed["min"] = None if v.min is None else number(v.min)
+        typed["max"] = None if v.max is None else number(v.max)
+    if v.type == "Real":
+        typed["nominal"] = None if v.nominal is None else float(v.nominal)
+    if v.role in ("state", "parameter", "input"):
+        typed["start"] = _start(v)
+    return typed
 
 
 def _variability(v: Variable) -> str:
