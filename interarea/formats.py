@@ -7,6 +7,7 @@ import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any, get_args
 
@@ -30,7 +31,7 @@ _TABLES_OF_ROWS = ("buses", "branches", "shunts", "loads", "machines")
 #: row of a table -> the field that the key of the row gives
 _ROW_IDS = {"Bus": "number", "Branch": "name", "Shunt": "name", "Load": "name", "Machine": "name"}
 #: fields that are no keys of the file
-_INNER = {"scenario": ("folder", "rounded"), "sweep": (), "design": (), "case": ("sources",)}
+_INNER = {"scenario": ("folder", "rounded"), "case": ("sources",)}
 
 
 def kinds() -> dict[str, str]:
@@ -43,6 +44,8 @@ def kinds() -> dict[str, str]:
         "controller": "a controller as it is stored, u = +K y (JSON)",
         "device": "an exciter, stabilizer, governor or compensator of one's own (TOML), named in a case",
         "sweep": "one scenario, many values (TOML)",
+        "study": "one case through designs, runs, figures and a report (TOML)",
+        "claims": "what a publication prints, to be judged by a study's numbers (TOML)",
     }
 
 
@@ -129,7 +132,7 @@ def _raw(kind: str) -> dict[str, Any]:
         return device_schema()
     else:
         made = _model(kind).model_json_schema(by_alias=True)
-    if kind in ("scenario", "events"):
+    if kind in ("scenario", "events", "study"):
         _allow_cycles(made)
     return made
 
@@ -147,6 +150,10 @@ def _model(kind: str) -> type[BaseModel]:
         from interarea.cosim.designs.design_file import DesignTable
 
         return DesignTable
+    if kind in ("study", "claims"):
+        from interarea.cosim.study.tables import ClaimsTable, StudyTable
+
+        return StudyTable if kind == "study" else ClaimsTable
     from interarea.cosim.sweep.spec import Sweep
 
     return Sweep
@@ -185,7 +192,7 @@ def page(kind: str) -> str:
         "default and an example; made by `docs/formats/make.py` from the models that check the files.",
         "",
     ]
-    if kind in ("scenario", "events"):
+    if kind in ("scenario", "events", "study"):
         lines += [
             'A time may be in seconds or words: `"8 cycles"` of the case\'s frequency, `"1.0 s + 8 cycles"`, '
             'and in an event `"start + 8 cycles"`.',
@@ -193,7 +200,7 @@ def page(kind: str) -> str:
         ]
     if "properties" in made:
         lines += _table("top level", made, comments, examples)
-    elsewhere = _raw("events")["$defs"] if kind in ("scenario", "case") else {}
+    elsewhere = _raw("events")["$defs"] if kind in ("scenario", "case", "study") else {}
     for name, part in sorted(made.get("$defs", {}).items()):
         if "properties" in part and name not in elsewhere:
             lines += _table(name, part, comments, examples)
@@ -276,6 +283,7 @@ def _example_files(kind: str) -> list[Mapping[str, Any]]:
     """Return the contents of the files of a kind that come along, the template first."""
     from interarea.cosim.designs import design_file
     from interarea.cosim.scenario.scenario import BUNDLED as scenarios
+    from interarea.cosim.study.spec import SPECIFICATIONS
     from interarea.models import devices
     from interarea.models.case.case import BUNDLED as cases
 
@@ -283,6 +291,7 @@ def _example_files(kind: str) -> list[Mapping[str, Any]]:
     if kind == "controller":
         return [json.loads((TEMPLATES / "controller.json").read_text(encoding="utf-8"))]
     folders = {"scenario": scenarios, "events": scenarios, "case": cases, "design": designs}
+    folders |= {"study": SPECIFICATIONS, "claims": SPECIFICATIONS}
     folders["device"] = Path(devices.__file__).parent
     name = "scenario" if kind == "events" else kind
     found = [TEMPLATES / f"{name}.toml", *(sorted(folders[kind].rglob("*.toml")) if kind in folders else ())]
@@ -334,7 +343,7 @@ def _comments(kind: str) -> dict[str, str]:
         return {}
     found: dict[str, str] = {}
     for model in _models(kind):
-        inherited = [c for c in model.__mro__ if issubclass(c, BaseModel) and c is not BaseModel]
+        inherited = [c for c in model.__mro__ if c not in (BaseModel, object)]
         for owner in reversed(inherited):
             before = ""
             for line in inspect.getsource(owner).splitlines():
@@ -344,7 +353,7 @@ def _comments(kind: str) -> dict[str, str]:
                     before = f"{before} {comment[1]}".strip()
                 elif field:
                     words = field[2] or before
-                    alias = model.model_fields[field[1]].alias if field[1] in model.model_fields else None
+                    alias = getattr(getattr(model, "model_fields", {}).get(field[1]), "alias", None)
                     if words:
                         found[f"{model.__name__}.{alias or field[1]}"] = words
                         if kind != "events" and model is _model(kind):
@@ -353,18 +362,18 @@ def _comments(kind: str) -> dict[str, str]:
     return found
 
 
-def _models(kind: str) -> list[type[BaseModel]]:
-    """Return the models that a kind of file is checked by, the whole first."""
+def _models(kind: str) -> list[type]:
+    """Return the models that a kind of file is checked by, the whole first; dataclasses are some, too."""
     from interarea.models.case.events import Event
 
     todo: list[Any] = [*([] if kind == "events" else [_model(kind)]), *get_args(Event)]
-    found: list[type[BaseModel]] = []
+    found: list[type] = []
     while todo:
         one = todo.pop(0)
-        if isinstance(one, type) and issubclass(one, BaseModel):
+        if isinstance(one, type) and (issubclass(one, BaseModel) or is_dataclass(one)):
             if one not in found:
                 found.append(one)
-                todo += [f.annotation for f in one.model_fields.values()]
+                todo += [f.annotation for f in getattr(one, "model_fields", {}).values()]
         else:
             todo += [a for a in get_args(one) if not isinstance(a, str)]
     return found

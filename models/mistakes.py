@@ -6,6 +6,7 @@ import difflib
 import re
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
@@ -64,7 +65,7 @@ def _told(key: str, row: Any, known: Sequence[str]) -> list[str]:
             return [f"{key}{message}"]
         case "missing":
             return [f"{key} is missing"]
-        case "extra_forbidden":
+        case "extra_forbidden" | "unexpected_keyword_argument":  # of a table, of a dataclass
             return [f"{key} = {given!r}: no such key; {meant(own, known)}"]
         case "union_tag_not_found":
             return [f"{key}.kind is missing"]
@@ -126,7 +127,8 @@ def _is_table(kind: Any) -> bool:
 
 
 def _keys(here: Sequence[Any]) -> list[str]:
-    return [f.alias or name for t in here if _is_table(t) for name, f in t.model_fields.items()]
+    found = [f.alias or name for t in here if _is_table(t) for name, f in t.model_fields.items()]
+    return found + [f.name for t in here if is_dataclass(t) and isinstance(t, type) for f in fields(t)]
 
 
 def _is_form(part: int | str) -> bool:

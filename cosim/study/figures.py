@@ -36,7 +36,7 @@ from ..plots.curves import (
 )
 from ..plots.diagrams import generalised_plant_diagram, one_line_diagram
 from .runs import WIRINGS, StudyRun
-from .spec import latency_name
+from .tables import latency_name
 
 Array = npt.NDArray[np.float64]
 #: frequencies of the design figures, rad/s
@@ -95,7 +95,7 @@ def can_be_drawn(row: Mapping[str, Any], p: StudyParts) -> bool:
 
 
 def _draw(row: Mapping[str, Any], p: StudyParts) -> Figure:
-    """Draw one figure of the specification (`spec.FIGURE_KINDS`)."""
+    """Draw one figure of the specification (`tables.Figure`)."""
     match row["kind"]:
         case "one_line":
             return one_line_diagram(p.flow, {int(bus): place for bus, place in p.spec["diagram"].items()})

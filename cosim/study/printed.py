@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from tomllib import TOMLDecodeError, loads
 from typing import Any, Literal
 
-from ..errors import ScenarioError
+from .spec import read_claims
 from .verdicts import judge
 
 Study = Mapping[str, Any]
@@ -54,11 +53,7 @@ def printed_rows(claims: Path, study: Study) -> dict[str, Any]:
     ------
     ScenarioError : no such file, or evidence that the study does not hold.
     """
-    try:
-        found = loads(claims.read_text(encoding="utf-8"))
-    except (OSError, TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{claims}: claims cannot be read: {error}; name a TOML file or none") from None
-    printed = {"modes": [], "loops": [], "statement": [], "correction": []} | found
+    printed = {"modes": [], "loops": [], "statement": [], "correction": []} | read_claims(claims)
     return {
         "verdicts": [asdict(judge(row, study)) for row in printed["statement"]],
         "modes": beside_modes(printed, study),

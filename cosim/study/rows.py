@@ -16,7 +16,7 @@ from interarea.design.modes.modes import Modes
 from .figures import OMEGA, StudyParts, loop_functions, weight_gains
 from .methods import hankel_row
 from .runs import WIRINGS, StudyRun
-from .spec import latency_name
+from .tables import latency_name
 
 SCHEMA = 1
 

@@ -49,23 +49,24 @@ class WdcSpec:
     and loses 0.17 s of delay margin, because a faster controller mode then crosses first.
     """
 
-    actuator: str = "G4_vs"
-    remote: str = "G2_dw"
-    local: str = "G4_dw"
-    plant_order: int = 6
-    order: int = 4
-    damping_ratio: float = 0.28
-    decay_rate: float | None = None  #: 1/s
-    radius: float | None = 300.0  #: rad/s
+    actuator: str = "G4_vs"  #: input of the plant that is driven
+    remote: str = "G2_dw"  #: the signal that comes from afar
+    local: str = "G4_dw"  #: the signal measured at the actuator
+    plant_order: int = 6  #: states of the reduced plant that the design sees
+    order: int = 4  #: states of the controller once it is reduced
+    damping_ratio: float = 0.28  #: least damping of the poles that the LMIs place
+    decay_rate: float | None = None  #: slowest decay of those poles, 1/s; none: not asked
+    radius: float | None = 300.0  #: largest magnitude of those poles, rad/s; none: not asked
     low_pass: float = 30.0  #: W1 = low_pass / (s + low_pass), rad/s
     high_pass: tuple[float, float] = (10.0, 100.0)  #: W2 = gain s / (s + corner), corner in rad/s
-    gamma_cap: float = 10.0
-    trace_weight: float = 1e-3
-    limit_pu: float = 0.15
-    price_cap: float = PRICE_CAP
-    latency_s: float = 0.0  #: as a Padé model in the design plant
-    latency_on: Literal["both", "remote"] = "both"  #: synchronous feedback, or non-synchronous
-    pade_order: int = 2  #: the study's
+    gamma_cap: float = 10.0  #: bound of the weighted norm
+    trace_weight: float = 1e-3  #: weight of the traces that keep the LMIs well conditioned
+    limit_pu: float = 0.15  #: bound of the magnitude of the output
+    price_cap: float = PRICE_CAP  #: by how much reducing the order may raise norm and effort
+    latency_s: float = 0.0  #: latency that the design plant has, as a Padé model
+    #: which signals have it: both (synchronous feedback), or the remote one
+    latency_on: Literal["both", "remote"] = "both"
+    pade_order: int = 2  #: order of that model; the study's
 
     def weights(self) -> tuple[control.StateSpace, control.StateSpace]:
         """Return W1 and W2. [Sundaria2016], section 5.1.5"""
@@ -83,18 +84,18 @@ class CcSpec:
     For the fair comparison with a fault-tolerant controller see `design_cc_like`.
     """
 
-    actuator: str = "G4_vs"
-    remote: str = "G2_dw"
-    local: str = "G4_dw"
-    plant_order: int = 8
-    order: int = 8
-    damping_ratio: float = 0.36
-    decay_rate: float | None = None
-    radius: float | None = 300.0
-    effort_cap: float | None = None
-    trace_weight: float = 1e-3
-    limit_pu: float = 0.15
-    price_cap: float = PRICE_CAP
+    actuator: str = "G4_vs"  #: input of the plant that is driven
+    remote: str = "G2_dw"  #: the signal that comes from afar
+    local: str = "G4_dw"  #: the signal measured at the actuator
+    plant_order: int = 8  #: states of the reduced plant that the design sees
+    order: int = 8  #: states of the controller once it is reduced
+    damping_ratio: float = 0.36  #: least damping of the poles that the LMIs place
+    decay_rate: float | None = None  #: slowest decay of those poles, 1/s; none: not asked
+    radius: float | None = 300.0  #: largest magnitude of those poles, rad/s; none: not asked
+    effort_cap: float | None = None  #: largest acceptable effort, pu per rad/s; none: any
+    trace_weight: float = 1e-3  #: weight of the traces that keep the LMIs well conditioned
+    limit_pu: float = 0.15  #: bound of the magnitude of the output
+    price_cap: float = PRICE_CAP  #: by how much reducing the order may raise norm and effort
 
 
 @dataclass(frozen=True)
@@ -105,19 +106,21 @@ class FtcSpec:
     there makes it use the remote one.
     """
 
-    actuator: str = "G4_vs"
-    signals: tuple[str, ...] = ("G2_dw", "G4_dw")
+    actuator: str = "G4_vs"  #: input of the plant that is driven
+    signals: tuple[str, ...] = ("G2_dw", "G4_dw")  #: the signals, the remote one first
+    #: least damping for each pattern of loss, `normal` and those of `loss_of`
     damping_ratio_of: Mapping[str, float] = field(
         default_factory=lambda: {"normal": 0.36, "remote_lost": 0.30}
     )
+    #: pattern of loss -> the signals that are lost in it
     loss_of: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"remote_lost": ("G2_dw",)})
-    plant_order: int = 8
-    order: int = 5
-    decay_rate: float | None = None
-    radius: float = 100.0
-    effort_cap: float | None = None
-    limit_pu: float = 0.15
-    price_cap: float = PRICE_CAP
+    plant_order: int = 8  #: states of the reduced plant that the design sees
+    order: int = 5  #: states of the controller once it is reduced
+    decay_rate: float | None = None  #: slowest decay of those poles, 1/s; none: not asked
+    radius: float = 100.0  #: largest magnitude of those poles, rad/s
+    effort_cap: float | None = None  #: largest acceptable effort, pu per rad/s; none: any
+    limit_pu: float = 0.15  #: bound of the magnitude of the output
+    price_cap: float = PRICE_CAP  #: by how much reducing the order may raise norm and effort
 
 
 StudySpec: TypeAlias = WdcSpec | CcSpec | FtcSpec

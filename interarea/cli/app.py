@@ -35,7 +35,7 @@ COMMANDS = {
     ),
     "new": (
         "new:new",
-        "Write a commented file that runs: scenario, case, device, controller, design, sweep or test.",
+        "Write a commented file to start from: scenario, case, device, controller, design, sweep, study, ...",
     ),
     "device": (
         "new:device",

@@ -21,11 +21,15 @@ SCHEMAS = TEMPLATES.with_name("schemas")
 
 def new(
     kind: Annotated[
-        str, typer.Argument(metavar="KIND", help="scenario, case, device, controller, design, sweep or test")
+        str,
+        typer.Argument(
+            metavar="KIND",
+            help="scenario, case, device, controller, design, sweep, study, claims or test",
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="file to write", show_default=False)],
 ) -> None:
-    """Write a commented file that runs: scenario, case, device, controller, design, sweep or test."""
+    """Write a commented file to start from: scenario, case, device, controller, design, sweep, study, ..."""
     there = {file.name.partition(".")[0]: file for file in TEMPLATES.iterdir()}
     if kind not in there:
         raise UserError(f"new {kind}: no such kind of file; {nearest(kind, sorted(there))}")

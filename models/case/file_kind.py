@@ -8,6 +8,7 @@ from typing import Any
 #: kind -> (keys of which one is in every file of it and in no other kind, the command that takes it)
 KINDS: Mapping[str, tuple[frozenset[str], str]] = {
     "study": (frozenset({"published", "disturbance"}), "interarea study"),
+    "claims": (frozenset({"statement", "correction"}), "interarea study, as `claims` in its file"),
     "sweep": (frozenset({"parameters"}), "interarea sweep"),
     "design": (frozenset({"conditions", "ask"}), "interarea design"),
     "case": (frozenset({"machines", "buses", "branches", "base", "change"}), "interarea modes"),

@@ -14,7 +14,9 @@ from interarea import formats
 from interarea.cli.listing import bundled_files
 from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.cosim.study.spec import design_specs, load_study, read_claims
 from interarea.cosim.sweep.spec import load_sweep
+from interarea.design.synthesis.study_designs import WdcSpec
 from interarea.models.devices.library import own_model
 
 PAGES = Path(__file__).resolve().parents[3] / "docs" / "formats"
@@ -28,10 +30,12 @@ def test_page_and_schema_are_those_of_the_models(kind: str) -> None:
     assert shipped == json.loads(json.dumps(formats.schema(kind))), again
 
 
-@pytest.mark.parametrize("kind", ["scenario", "case", "design", "sweep"])
+@pytest.mark.parametrize("kind", ["scenario", "case", "design", "study"])
 def test_every_key_of_a_bundled_file_is_in_the_schema(kind: str) -> None:
     known = set(formats.schema(kind)["properties"])
-    for file in bundled_files().get(f"{kind}s", {}).values():
+    files = bundled_files()[{"study": "studies"}.get(kind, f"{kind}s")].values()
+    assert files
+    for file in files:
         assert set(tomllib.loads(file.read_text(encoding="utf-8"))) <= known, file
 
 
@@ -50,9 +54,10 @@ def test_the_files_that_show_every_key_are_valid() -> None:
     assert ia.load_case(formats.TEMPLATES / "all_case.toml").machine("south").slack
     assert load_design(formats.TEMPLATES / "all_design.toml").washout_s == 5.0
     assert load_sweep(formats.TEMPLATES / "all_sweep.toml").samples == 20
+    assert design_specs(load_study(str(formats.TEMPLATES / "all_study.toml")))["ftc"].decay_rate == 0.1
 
 
-@pytest.mark.parametrize("kind", ["scenario", "case", "device", "controller", "design", "sweep", "test"])
+@pytest.mark.parametrize("kind", [*(k for k in formats.kinds() if k != "events"), "test"])
 def test_what_new_writes_runs(kind: str, interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     file = tmp_path / f"mine.{ {'controller': 'json', 'test': 'py'}.get(kind, 'toml') }"
     code, out, _ = interarea("new", kind, "--out", file)
@@ -72,6 +77,10 @@ def test_what_new_writes_runs(kind: str, interarea, tmp_path: Path) -> None:  # 
         assert load_design(file).actuators == ("G4_vs",)
     elif kind == "sweep":
         assert load_sweep(file).size == 6
+    elif kind == "study":
+        assert design_specs(load_study(str(file)))["wdc"] == WdcSpec(low_pass=20.0)
+    elif kind == "claims":
+        assert read_claims(file)["statement"][0]["parts"] == ["inter < local"]
     else:
         compile(file.read_text(encoding="utf-8"), str(file), "exec")
     assert interarea("new", kind, "--out", file)[0] == 2  # it is there already

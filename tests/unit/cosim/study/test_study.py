@@ -88,27 +88,82 @@ def test_unknown_and_incomplete_studies_are_refused(tmp_path: Path) -> None:
         load_study("thesys")
     short = tmp_path / "short.toml"
     short.write_text('title = "x"\n')
-    with pytest.raises(ScenarioError, match=r"short\.toml: case, "):
+    with pytest.raises(ScenarioError, match=r"short\.toml: case is missing") as caught:
         load_study(str(short))
+    assert len(caught.value.args) == 14  # all that is missing, at once
 
 
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('kind = "hankel_values"', 'kind = "hankel"', "kind = 'hankel'.*hankel_values"),
+        ('kind = "hankel_values"', 'kind = "hankel"', "figure hankel: kind = 'hankel'.*'hankel_values'"),
         ('"with WDC" = "wdc-pulse"', '"with WDC" = "wdc-puls"', r"figure 5\.10: run = 'wdc-puls'.*wdc-pulse"),
-        ('mode = "inter-area"', "", r"figure 5\.2: mode missing"),
+        ('mode = "inter-area"', "", r"figure 5\.2: mode is missing"),
         ('6 = "difference"', '6 = "diff"', "reduction.6 = 'diff'"),
-        ('sensitivity = "wdc"', 'sensitivity = "wdd"', "'wdd'"),
-        ("wiring = ", "wirin = ", "wiring missing"),
+        ('sensitivity = "wdc"', 'sensitivity = "wdd"', "sensitivity = 'wdd'.*did you mean 'wdc'"),
+        ('sensitivity = "wdc"', 'sensitivity = "robust"', "sensitivity = 'robust'"),
+        ("wiring = ", "wirin = ", r"figure 5\.13: wirin = .*did you mean 'wiring'"),
+        ('key = "5.3"', 'key = "5.2"', "figure: '5.2' is there twice"),
+        ('section = "faults"', 'section = "fault"', "figure fault: section = 'fault'.*did you mean 'faults'"),
+        (
+            'disturbance = "early-pulse"',
+            'disturbance = "erly"',
+            "lost-1s: disturbance = 'erly'.*early",
+        ),
+        ('controller = "cc"', 'controller = "cd"', "cc-pulse: controller = 'cd'.*did you mean"),
+        ('machine = "G1"', 'machine = "G9"', "disturbance.pulse 1: .*'G9'"),
+        ('remote = "G2_dw"', 'remote = "G2_dv"', "remote = 'G2_dv'.*did you mean.*'G2_dw'"),
+        ("distance = 0.05", "distance = 5.0", r"margin\.distance = 5\.0, allowed: less than 1"),
+        (
+            'disturbance = "fault"\nlost_at_s = 1.0 ',
+            'disturbance = "pulse"\nlost_at_s = 1.0 ',
+            "no bus_fault",
+        ),
+        ("watch_s = 9.0", 'watch_s = "long"', r"survival\.watch_s = 'long', allowed: seconds"),
+        ('"published.toml"', '"nothing.toml"', r"nothing\.toml: no such file of claims"),
     ],
 )
-def test_a_figure_of_what_is_not_there_is_refused_before_anything_runs(
+def test_a_study_of_what_is_not_there_is_refused_before_anything_runs(
     tmp_path: Path, old: str, new: str, said: str
 ) -> None:
     text = (SPECIFICATIONS / "study_thesis.toml").read_text(encoding="utf-8")
     path = tmp_path / "mine.toml"
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=said):
+        load_study(str(path))
+
+
+def test_times_of_a_study_may_be_in_cycles_and_its_case_lie_beside_it(tmp_path: Path) -> None:
+    text = (SPECIFICATIONS / "study_thesis.toml").read_text(encoding="utf-8")
+    (tmp_path / "published.toml").write_text('source = "mine"\n', encoding="utf-8")
+    (tmp_path / "grid.toml").write_text(
+        'base = "two-area-thesis"\nname = "mine"\n[change]\n', encoding="utf-8"
+    )
+    changed = text.replace("end_s = 1.1333333,", 'end_s = "start + 8 cycles",')
+    path = tmp_path / "mine.toml"
+    path.write_text(changed.replace('"two-area-thesis"', '"grid.toml"', 1), encoding="utf-8")
+    spec = load_study(str(path))
+    assert spec["disturbance"]["fault"][0]["end_s"] == pytest.approx(1.0 + 8.0 / 60.0, abs=1e-12)
+    assert spec["case"] == str(tmp_path / "grid.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('[[statement]]\nwhere = "1"\ncheck = "a"\nsays = "b"\nours = "c"\nparts = ["1 < 2"]\n',
+         "statement.0.evidence is missing"),
+        ('[[modes]]\nprinted_as = "M1"\nmode = "inter-area"\nfrequency_hz = 0.6\ndamping_ratio = "0.1"\n',
+         "modes.0.frequency_hz = 0.6, allowed: a valid string"),
+        ('[[corection]]\nwhere = "1"\n', "corection.*no such key; did you mean 'correction'"),
+        ('title = "x"\nstop_s = 1.0\n', "is a scenario .*wanted: a claims"),
+    ],
+)  # fmt: skip
+def test_mistakes_in_what_is_printed_are_told_before_anything_runs(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    (tmp_path / "published.toml").write_text(text, encoding="utf-8")
+    path = tmp_path / "mine.toml"
+    path.write_text((SPECIFICATIONS / "study_thesis.toml").read_text(encoding="utf-8"), encoding="utf-8")
     with pytest.raises(ScenarioError, match=said):
         load_study(str(path))
 
@@ -153,8 +208,11 @@ def test_another_weight_changes_what_is_designed_drawn_judged_and_run(
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ("[design.wdc]\nlow_pas = 12.0\n", "'low_pas'.*low_pass"),
-        ("[design.wdd]\n", "'wdd'.*wdc"),
+        (
+            "[design.wdc]\nlow_pas = 12.0\n",
+            r"design\.wdc\.low_pas = 12\.0: no such key; did you mean 'low_pass'",
+        ),
+        ("[design.wdd]\n", r"design\.wdd = .*did you mean 'wdc'"),
         ('[design.wdc]\nlow_pass = "x"\n', r"design\.wdc\.low_pass = 'x'"),
     ],
 )

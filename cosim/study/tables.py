@@ -1,0 +1,419 @@
+"""The tables of a study's file, and of the file of what a publication prints, as pydantic checks them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from interarea.design.synthesis.study_designs import CcSpec, FtcSpec, WdcSpec
+from interarea.models.case.events import Event
+from interarea.models.table import Table
+
+from ..errors import nearest
+from ..scenario.channels import Probability, Seconds
+from ..scenario.names import NAMED_CONTROLLERS
+
+Positive = Annotated[float, Field(gt=0.0)]
+Word = Annotated[str, Field(min_length=1)]
+Designed = Literal["wdc", "cc", "ftc"]
+Wiring = Literal["synchronous", "non-synchronous"]
+Outputs = Literal["difference", "signals"]
+#: places of the report at which figures stand
+Section = Literal[
+    "system",
+    "participation",
+    "shapes",
+    "reduction",
+    "wdc",
+    "delay",
+    "delay_runs",
+    "loss",
+    "faults",
+]
+
+
+def latency_name(controller: str, wiring: str, value_s: float) -> str:
+    """Return the name of one run with latency, such as wdc-synchronous-100ms."""
+    return f"{controller}-{wiring}-{round(1e3 * value_s)}ms"
+
+
+class DesignsTable(Table):
+    """What a controller is specified by, where it is not what the study of the thesis has."""
+
+    wdc: WdcSpec | None = None  #: keys of the wide-area damping controller that differ
+    cc: CcSpec | None = None  #: keys of the conventional controller that differ
+    ftc: FtcSpec | None = None  #: keys of the fault-tolerant controller that differ
+
+
+class RedesignTable(Table):
+    """The WDC designed again with a latency as a Padé model in its design plant."""
+
+    latency_s: Positive  #: the latency of the model
+    on: Literal["both", "remote"]  #: on both signals (synchronous feedback), or on the remote one
+    order: Annotated[int, Field(ge=1)]  #: states of the reduced controller
+    plant_order: Annotated[int, Field(ge=1)] | None = None  #: states of the reduced plant; none: the design's
+
+
+class LatencyTable(Table):
+    """One controller under latency: the exact curve over it, and a run for each value and wiring."""
+
+    controller: Designed  #: which
+    disturbance: Word  #: of its runs: a name under `disturbance`
+    values_s: Annotated[tuple[Positive, ...], Field(min_length=1)]  #: latencies, the curve's largest
+    redesign: tuple[RedesignTable, ...] = ()  #: designs that know the latency, a table each
+
+
+class MarginTable(Table):
+    """Two runs on either side of the exact synchronous margin of a controller."""
+
+    controller: Designed  #: which: that of `latency`
+    distance: Annotated[float, Field(gt=0.0, lt=1.0)]  #: of both runs from the margin, share of it
+    stop_s: Positive  #: their end
+    events: Annotated[tuple[Event, ...], Field(min_length=1)]  #: as small as no limit is reached
+
+
+class BurstsTable(Table):
+    """Loss on the remote signal in bursts: a good and a bad state, one change at most a packet."""
+
+    loss_good: Probability = 0.0  #: chance of losing a packet in the good state
+    loss_bad: Probability = 0.0  #: chance of losing a packet in the bad state
+    good_to_bad: Probability = 0.0  #: chance of a change to the bad state
+    bad_to_good: Probability = 0.0  #: chance of a change to the good state
+
+
+class JitterTable(Table):
+    """Random latency together with loss, by Monte Carlo on the co-simulation."""
+
+    least_s: Seconds  #: the least latency
+    shape: Positive  #: of the gamma distribution on top of it
+    scale_s: Positive  #: of the same; the mean is shape times scale
+    loss_rate: Probability  #: chance of losing a packet
+    on_loss: Literal["zero", "hold"]  #: what a controller sees in place of a lost packet
+    disturbance: Word  #: of the runs: a name under `disturbance`
+    seeds: Annotated[int, Field(ge=1)]  #: runs of each controller
+
+
+class PacketsTable(Table):
+    """Packets on both signals: what losses leave of the mean square, what jitter does to runs."""
+
+    interval_s: Positive  #: between two packets
+    latency_s: Seconds  #: of every packet
+    loss_rates: Annotated[tuple[Probability, ...], Field(min_length=1)]  #: for which the decay is given
+    bursts: BurstsTable  #: the same share of loss in bursts
+    jitter: JitterTable  #: random latency with loss
+
+
+class CyclesTable(Table):
+    """The clearing times that are tried, in cycles of the case's frequency."""
+
+    shortest: Annotated[float, Field(gt=0.0, alias="from")]  #: the shortest
+    longest: Annotated[float, Field(gt=0.0, alias="to")]  #: the longest
+    tolerance: Positive  #: of the bisection
+
+
+class CeilingTable(Table):
+    """A change to the case at every operating point, such as ceilings of the exciters."""
+
+    key: Word  #: short, for the name of the changed case
+    name: Word  #: in the table of the report
+    change: Mapping[str, object] = {}  #: as `change` of a case file; empty: the case as it is
+
+
+class SurvivalPointTable(Table):
+    """An operating point at which the fault is tried."""
+
+    name: Word  #: in the table of the report
+    tie_flow_mw: float = 0.0  #: change of the flow between the areas
+    out: tuple[str, ...] = ()  #: branches out of service
+
+
+class SurvivalTable(Table):
+    """What the controllers do not survive: a fault at every operating point, its clearing time bisected."""
+
+    disturbance: Word  #: a name under `disturbance`, with a bus fault in it
+    lost_at_s: Seconds  #: when the remote signal is lost, in the runs that lose it
+    watch_s: Positive  #: how long synchronism is watched after the fault
+    cycles: CyclesTable  #: the clearing times that are tried
+    controllers: Annotated[tuple[Word, ...], Field(min_length=1)]  #: wdc, cc, ftc or any bundled one
+    ceiling: Annotated[tuple[CeilingTable, ...], Field(min_length=1)]  #: changes to the case, a table each
+    point: Annotated[tuple[SurvivalPointTable, ...], Field(min_length=1)]  #: operating points, a table each
+
+
+class RunTable(Table):
+    """A co-simulation of the study."""
+
+    name: Word  #: by which figures and statements name it
+    title: Word  #: in the report
+    controller: Word  #: none, wdc, cc, ftc or any bundled one
+    disturbance: Word  #: a name under `disturbance`
+    lost_at_s: Seconds | None = None  #: when the remote signal is lost for good; none: never
+
+
+class _Figure(Table):
+    key: Word  #: short and unique: name of the file
+    section: Section  #: where in the report it stands
+    title: Word  #: above it
+
+
+class OneLineFigure(_Figure):
+    """The one-line diagram with its power flow; needs every bus in `diagram`."""
+
+    kind: Literal["one_line"]
+
+
+class ParticipationFigure(_Figure):
+    """Participation factors of a mode; left out where the case has no mode of that name."""
+
+    kind: Literal["participation"]
+    mode: Word  #: name of the mode, such as `inter-area`
+
+
+class ModeShapeFigure(_Figure):
+    """The shape of a mode; left out where the case has no mode of that name."""
+
+    kind: Literal["mode_shape"]
+    mode: Word  #: name of the mode, such as `inter-area`
+
+
+class SingularValuesFigure(_Figure):
+    """Singular values of the full and of a reduced plant."""
+
+    kind: Literal["singular_values"]
+    reduction: Word  #: which: a key of `reduction`
+
+
+class HankelFigure(_Figure):
+    """Hankel singular values of every reduction."""
+
+    kind: Literal["hankel_values"]
+
+
+class GeneralisedPlantFigure(_Figure):
+    """The generalised plant of the designs, as a diagram."""
+
+    kind: Literal["generalised_plant"]
+
+
+class BodeFigure(_Figure):
+    """A controller as designed and as shipped, over frequency."""
+
+    kind: Literal["bode"]
+    controller: Designed  #: which
+
+
+class SensitivityFigure(_Figure):
+    """S or KS of the loop of the controller `sensitivity`, and what its weight would ask for."""
+
+    kind: Literal["sensitivity"]
+    function: Literal["S", "KS"]  #: which
+
+
+class SwingFigure(_Figure):
+    """The difference of the speeds, remote less local, of some runs."""
+
+    kind: Literal["swing"]
+    runs: Mapping[str, Word]  #: words of the legend -> name of the run
+    marks: Mapping[str, Seconds] = {}  #: words -> instant at which a line stands
+    span_s: tuple[Seconds, Seconds] | None = None  #: part of the run that is shown; none: all
+    micro: bool = False  #: whether the axis is in millionths, for small swings
+
+
+class ControlFigure(_Figure):
+    """The controller's output of some runs."""
+
+    kind: Literal["control"]
+    runs: Mapping[str, Word]  #: words of the legend -> name of the run
+
+
+class LatenciesFigure(_Figure):
+    """The runs over latency of one wiring, a panel each."""
+
+    kind: Literal["latencies"]
+    wiring: Wiring  #: both signals late, or the remote one
+    reference: Word  #: the run without latency
+
+
+class LatencyDampingFigure(_Figure):
+    """Damping against latency: exact, and measured in the runs."""
+
+    kind: Literal["latency_damping"]
+
+
+Figure = Annotated[
+    OneLineFigure
+    | ParticipationFigure
+    | ModeShapeFigure
+    | SingularValuesFigure
+    | HankelFigure
+    | GeneralisedPlantFigure
+    | BodeFigure
+    | SensitivityFigure
+    | SwingFigure
+    | ControlFigure
+    | LatenciesFigure
+    | LatencyDampingFigure,
+    Field(discriminator="kind"),
+]
+
+
+class StudyTable(Table):
+    """A study: one case, its controllers by the methods of the thesis, what is run, drawn and judged."""
+
+    title: Word  #: of the report
+    case: Word  #: bundled name, or a case file beside this one
+    published: str  #: where what is compared with is printed: key of a source, place
+    stop_s: Positive  #: end of the runs
+    step_s: Positive  #: communication step of the runs
+    remote: Word  #: the signal that comes from afar
+    local: Word  #: the signal measured at the actuator
+    swing: Word  #: name of the difference remote less local
+    controllers: Annotated[tuple[Designed, ...], Field(min_length=1)]  #: that are designed
+    sensitivity: Designed  #: the controller whose S, KS and weighted norms are given
+    claims: str | None = None  #: file of what is printed, beside this one; none: nothing is judged
+    design: DesignsTable = DesignsTable()  #: what differs from the specifications of the thesis
+    #: order of a reduced plant -> its outputs: their `difference`, or both `signals`
+    reduction: Mapping[str, Outputs]
+    disturbance: Mapping[str, tuple[Event, ...]]  #: name -> events, as in a scenario
+    latency: LatencyTable  #: a controller under latency
+    margin: MarginTable  #: runs on either side of the latency margin
+    packets: PacketsTable | None = None  #: loss and jitter; none: left out
+    survival: SurvivalTable | None = None  #: faults at every operating point; none: left out
+    scenario: Annotated[tuple[RunTable, ...], Field(min_length=1)]  #: what is run, a table each
+    figure: tuple[Figure, ...] = ()  #: what is drawn, a table each
+    diagram: Mapping[str, tuple[float, float]] = {}  #: bus number -> [x, y] in the one-line diagram
+
+    @property
+    def runs(self) -> list[str]:
+        """Names of the scenarios and of the runs with latency."""
+        late = self.latency
+        return [row.name for row in self.scenario] + [
+            latency_name(late.controller, wiring, value)
+            for wiring in ("synchronous", "non-synchronous")
+            for value in late.values_s
+        ]
+
+    @model_validator(mode="after")
+    def _names_what_is_there(self) -> Self:
+        wrong = [
+            *_strange("sensitivity", [self.sensitivity], self.controllers),
+            *_strange("latency.controller", [self.latency.controller], self.controllers),
+            *self._of_margin(),
+            *self._disturbances(),
+            *self._runners(),
+            *(line for k, row in enumerate(self.figure) for line in self._of_figure(k, row)),
+        ]
+        for key, names in (
+            ("scenario", [row.name for row in self.scenario]),
+            ("figure", [row.key for row in self.figure]),
+        ):
+            wrong += [f"{key}: {name!r} is there twice, allowed: once" for name in _twice(names)]
+        if wrong:
+            raise ValueError("\n".join(wrong))
+        return self
+
+    def _of_margin(self) -> Iterator[str]:
+        if self.margin.controller != self.latency.controller:
+            yield (
+                f"margin.controller = {self.margin.controller!r}, allowed: {self.latency.controller!r}, "
+                "whose margin `latency` looks for"
+            )
+
+    def _disturbances(self) -> Iterator[str]:
+        """Yield each disturbance that is not there; that of `survival` has a bus fault."""
+        named = {f"scenario.{k}": row.disturbance for k, row in enumerate(self.scenario)}
+        named["latency"] = self.latency.disturbance
+        if self.packets is not None:
+            named["packets.jitter"] = self.packets.jitter.disturbance
+        if self.survival is not None:
+            named["survival"] = self.survival.disturbance
+        for where, name in named.items():
+            yield from _strange(f"{where}.disturbance", [name], self.disturbance)
+        events = self.disturbance.get(named.get("survival", ""), ())
+        if events and not any(event.kind == "bus_fault" for event in events):
+            yield f"survival.disturbance = {named['survival']!r} has no bus_fault whose clearing can be moved"
+
+    def _runners(self) -> Iterator[str]:
+        """Yield each controller of a run that is not bundled."""
+        for k, row in enumerate(self.scenario):
+            yield from _strange(f"scenario.{k}.controller", [row.controller], NAMED_CONTROLLERS)
+        if self.survival is not None:
+            known = [name for name in NAMED_CONTROLLERS if name not in ("none", "active")]
+            yield from _strange("survival.controllers", self.survival.controllers, known)
+
+    def _of_figure(self, k: int, row: Figure) -> Iterator[str]:
+        """Yield what a figure shows that is not there."""
+        runs = [*getattr(row, "runs", {}).values(), *filter(None, [getattr(row, "reference", None)])]
+        yield from _strange(f"figure.{k}: run", runs, self.runs)
+        if isinstance(row, BodeFigure):
+            yield from _strange(f"figure.{k}: controller", [row.controller], self.controllers)
+        if isinstance(row, SingularValuesFigure):
+            yield from _strange(f"figure.{k}: reduction", [row.reduction], self.reduction)
+
+
+def _strange(what: str, names: Iterable[str], known: Iterable[str]) -> Iterator[str]:
+    there = list(known)
+    for name in names:
+        if name not in there:
+            yield f"{what} = {name!r}; {nearest(name, there)}"
+
+
+def _twice(names: list[str]) -> list[str]:
+    return sorted({name for name in names if names.count(name) > 1})
+
+
+#: a number with the digits of its print: half a unit of the last one is its tolerance
+Printed = Annotated[str, Field(pattern=r"^[-+]?\d*\.?\d+$")]
+
+
+class PrintedModeTable(Table):
+    """A mode as it is printed."""
+
+    printed_as: Word  #: words of the print
+    mode: Word  #: our name of it, such as `inter-area`
+    exchanged: str | None = None  #: our name of it by a second reading, with two rows exchanged
+    frequency_hz: Printed  #: in quotes, with the digits of the print
+    damping_ratio: Printed  #: in quotes, with the digits of the print
+
+
+class PrintedLoopTable(Table):
+    """A loop as it is printed, with its selection index."""
+
+    actuator: Word  #: machine
+    signal: Word  #: such as `dw24`
+    index: Printed  #: in quotes, with the digits of the print
+    meant: Printed | None = None  #: what must be meant, where the print cannot be right
+    note: str = ""  #: why, beside the number
+
+
+class StatementTable(Table):
+    """A printed statement: it agrees where every part holds, in part where some do, else differs."""
+
+    where: Word  #: in the publication
+    check: Word  #: short and unique: by which pages name it
+    says: Word  #: what it says, in one's own words
+    #: name -> path into study.json: keys and positions between slashes, `key=value` a row, `@x` the nearest
+    evidence: Mapping[str, Word]
+    parts: Annotated[tuple[Word, ...], Field(min_length=1)]  #: comparisons of the evidence
+    ours: Word  #: what is found; `{name:.3f}` puts evidence in
+    why: str = ""  #: why it differs
+    always: bool = False  #: whether `why` is told where it agrees, too
+
+
+class CorrectionTable(Table):
+    """Where the printed text does not hold."""
+
+    where: Word  #: in the publication
+    holds: Word  #: what holds instead
+
+
+class ClaimsTable(Table):
+    """What a publication prints, to be judged by what a study finds."""
+
+    source: str = ""  #: key of the source
+    where: str = ""  #: the part that is looked at
+    modes: tuple[PrintedModeTable, ...] = ()  #: the table of modes, a row each
+    loops: tuple[PrintedLoopTable, ...] = ()  #: the table of loops, a row each
+    statement: tuple[StatementTable, ...] = ()  #: statements, a table each
+    correction: tuple[CorrectionTable, ...] = ()  #: where the text does not hold, a table each
