@@ -59,7 +59,7 @@ def import_case(
     P_exponent, Q_exponent : of RAW loads against voltage; constant impedance (2) when not given.
     strict : an assumption is an error.
     island : a bus of the island to keep; the largest with a slack bus when not given.
-    converters : "refuse", or "current" for inverters as constant currents.
+    converters : "refuse", or "current" for inverters and units without dynamic data as constant currents.
     coordinates : CSV with the columns bus, latitude, longitude.
     release_limits : widen the limits beyond which controls would start; what was changed is in the report.
     devices : files of devices of one's own; records of their names (USRMDL or not) become these.

@@ -36,7 +36,10 @@ def import_grid(
         int | None, typer.Option("--island", metavar="BUS", help="island to keep (else the largest)")
     ] = None,
     converters: Annotated[
-        str, typer.Option("--converters", metavar="refuse|current", help="converters as constant currents")
+        str,
+        typer.Option(
+            "--converters", metavar="refuse|current", help="converters, units without data as currents"
+        ),
     ] = "refuse",
     coordinates: Annotated[
         Path | None, typer.Option("--coordinates", metavar="CSV", help="bus, latitude, longitude")

@@ -76,9 +76,9 @@ def machine_dynamics(
     """Return the dynamic data of the DYR file `path`.
 
     machine_of : (bus, id) -> name of a unit in service. out : units out of service, whose records are
-    counted and passed over. A unit without a machine model is constant P and Q; a converter is refused, or a
-    constant current if `converters_as_current`. own : devices of the user's own, whose records come before
-    those of the package's.
+    counted and passed over. A unit without a machine model is constant P and Q and a converter is refused,
+    or, if `converters_as_current`, both are constant currents. own : devices of the user's own, whose records
+    come before those of the package's.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def machine_dynamics(
         name = units.concerned(record, out, records)
         if name is not None:
             units.take(name, record, *_row(record, own, records))
-    units.take_the_rest()
+    units.take_the_rest(1.0 if converters_as_current else 0.0)
     rows = {name: row for name, row in units.rows.items() if name not in units.constant}
     return Dynamics(rows, units.where, units.constant)
 
@@ -154,8 +154,9 @@ class _Units:
             self.rows[name][kind] = {"source": f"{self.path.name}, {record.model}", **row}
         self.report.read[record.model] += 1
 
-    def take_the_rest(self) -> None:
-        """Make the units without any record constant P and Q."""
+    def take_the_rest(self, exponent: float) -> None:
+        """Make the units without any record constant P and Q (exponent 0) or currents (1)."""
+        kind = "a constant current" if exponent else "constant P and Q"
         for (bus, identity), name in self.machine_of.items():
             if name in self.where or name in self.constant:
                 continue
@@ -164,9 +165,9 @@ class _Units:
                 raise CaseError(
                     f"{other}: machine {name} has controls but no machine model in {self.path.name}"
                 )
-            self.constant[name] = 0.0
+            self.constant[name] = exponent
             place = f"{self.path}: bus {bus}, {identity!r}"
-            self.report.assume("unit without DYR record taken as constant P and Q", place)
+            self.report.assume(f"unit without DYR record taken as {kind}", place)
 
 
 def _row(record: DyrRecord, own: Mapping[str, Model], records: Collection[str]) -> tuple[str, dict[str, Any]]:

@@ -229,6 +229,24 @@ def test_a_subtransient_reactance_below_the_leakage_is_taken_and_told(write: Wri
     assert imported.report.assumed["X''d below the leakage reactance Xl: taken as it is"] == 4
 
 
+@pytest.mark.parametrize(("converters_as_current", "exponent"), [(False, 0.0), (True, 1.0)])
+def test_a_unit_without_dynamic_data_is_an_injection_which_is_said(
+    write: Write, converters_as_current: bool, exponent: float
+) -> None:
+    case = load_case("kundur-manual")
+    records = dyr_text(case.with_changes({"machines": {"G4": "none"}, "swing": ["G1", "G3"]}))
+    imported = import_psse(
+        write("grid.raw", raw_text(case)),
+        write("grid.dyr", records),
+        converters_as_current=converters_as_current,
+    )
+    injection = next(load for load in imported.case.loads if load.name == "G4")
+    assert (injection.P_exponent, injection.Q_exponent) == (exponent, exponent)
+    assert injection.P_mw == pytest.approx(-case.machine("G4").P_mw)
+    said = {0.0: "constant P and Q", 1.0: "a constant current"}[exponent]
+    assert imported.report.assumed[f"unit without DYR record taken as {said}"] == 1
+
+
 RAW_REFUSED = [
     (
         "7,'1 ',1,1,1,967.0",
