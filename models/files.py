@@ -9,6 +9,7 @@ too; whoever writes beside it first removes it if that is free.
 from __future__ import annotations
 
 import contextlib
+import lzma
 import os
 import shutil
 import tempfile
@@ -27,6 +28,19 @@ _LOCK = ".lock"
 _PARTIAL = ".partial"
 _LAST = -100  #: at a process's end: after its own children, and what holds files open
 _YOUNG_S = 60.0
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file in UTF-8, unpacked if its name ends in .xz."""
+    if path.suffix == ".xz":
+        with lzma.open(path, "rt", encoding="utf-8") as packed:
+            return packed.read()
+    return path.read_text(encoding="utf-8")
+
+
+def toml_files(folder: Path) -> dict[str, Path]:
+    """Return name -> file of the files NAME.toml and NAME.toml.xz in `folder`, sorted by name."""
+    return dict(sorted((path.name.partition(".toml")[0], path) for path in folder.glob("*.toml*")))
 
 
 def write_whole(path: Path | str, content: bytes | str) -> Path:

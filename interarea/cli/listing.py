@@ -13,6 +13,7 @@ import typer
 import interarea.cosim
 import interarea.design
 import interarea.models
+from interarea.models.files import read_text, toml_files
 
 from .terminal import print_table
 
@@ -65,13 +66,12 @@ def bundled_files() -> dict[str, dict[str, Path]]:
         Path(str(room.__file__)).parent for room in (interarea.models, interarea.design, interarea.cosim)
     )
     files = {
-        "cases": (models / "cases").glob("*.toml"),
         "scenarios": (cosim / "scenario" / "bundled").glob("*.toml"),
         "controllers": (design / "controllers").glob("*.json"),
         "designs": (cosim / "designs").glob("design_*.toml"),
         "studies": (cosim / "study").rglob("study_*.toml"),
     }
-    return {
+    return {"cases": toml_files(models / "cases")} | {
         kind: {p.stem.removeprefix("design_").removeprefix("study_"): p for p in sorted(paths)}
         for kind, paths in files.items()
     }
@@ -96,7 +96,7 @@ def _order(file: Path) -> str:
 
 def _title(file: Path) -> str:
     """Return the title of a TOML file: it stands before the first table."""
-    head = re.split(r"^\[", file.read_text(encoding="utf-8"), maxsplit=1, flags=re.MULTILINE)[0]
+    head = re.split(r"^\[", read_text(file), maxsplit=1, flags=re.MULTILINE)[0]
     return str(tomllib.loads(head).get("title", ""))
 
 

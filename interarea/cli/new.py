@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from interarea.models.errors import UserError, nearest
+from interarea.models.files import read_text
 
 from .destination import file_for
 from .listing import DESIGNED, bundled_files
@@ -63,7 +64,7 @@ def show(
     if not found:
         known = [*DESIGNED, *(n for rows in files.values() for n in rows)]
         raise UserError(f"show {name}: nothing bundled has this name; {nearest(name, known)}")
-    texts = [{"kind": k, "file": str(file), "text": file.read_text(encoding="utf-8")} for k, file in found]
+    texts = [{"kind": k, "file": str(file), "text": read_text(file)} for k, file in found]
     if json_:
         typer.echo(json.dumps(texts, indent=2))
         return

@@ -35,6 +35,7 @@ from pydantic import ValidationError, model_validator
 
 from ..documents import DocumentError, parse_toml
 from ..errors import CaseError, Collected, nearest, reason
+from ..files import read_text, toml_files
 from ..mistakes import mistakes
 from .checks import check_whole
 from .cycles import in_seconds
@@ -122,7 +123,7 @@ class Case(CaseTables):
 
 def case_names() -> list[str]:
     """Return the names of the bundled cases, sorted."""
-    return sorted(file.stem for file in BUNDLED.glob("*.toml"))
+    return list(toml_files(BUNDLED))
 
 
 def load_case(name_or_path: str | Path) -> Case:
@@ -245,7 +246,7 @@ def _text(name_or_path: str | Path, beside: Path | None) -> tuple[str, str, Path
         there = Path(name).exists()
         what = f"{name}: is no .toml file, so no case" if there else f"case {name!r} does not exist"
         raise CaseError(f"{what}; {nearest(name, known)} {hint}")
-    return (BUNDLED / f"{name}.toml").read_text(encoding="utf-8"), name, None
+    return read_text(toml_files(BUNDLED)[name]), name, None
 
 
 def _rows(table: Any, name: str, key: str, where: str) -> tuple[list[dict[str, Any]], str]:

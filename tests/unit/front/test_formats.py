@@ -18,6 +18,7 @@ from interarea.cosim.study.spec import design_specs, load_study, read_claims
 from interarea.cosim.sweep.spec import load_sweep
 from interarea.design.synthesis.study_designs import WdcSpec
 from interarea.models.devices.library import own_model
+from interarea.models.files import read_text
 
 PAGES = Path(__file__).resolve().parents[3] / "docs" / "formats"
 
@@ -36,7 +37,7 @@ def test_every_key_of_a_bundled_file_is_in_the_schema(kind: str) -> None:
     files = bundled_files()[{"study": "studies"}.get(kind, f"{kind}s")].values()
     assert files
     for file in files:
-        assert set(tomllib.loads(file.read_text(encoding="utf-8"))) <= known, file
+        assert set(tomllib.loads(read_text(file))) <= known, file
 
 
 @pytest.mark.parametrize("kind", formats.kinds())

