@@ -51,7 +51,9 @@ def main() -> int:
         seeds |= json.loads(chosen.seeds.read_text(encoding="utf-8"))
     total = 0
     with tempfile.TemporaryDirectory() as folder:
-        drivers = {k: build_driver(fuzz_block(k), SOURCES, compiler, Path(folder) / k) for k in kinds}
+        drivers = {
+            k: build_driver(fuzz_block(k), SOURCES, compiler, Path(folder) / k, optimised=True) for k in kinds
+        }
         end = time.monotonic() + 60.0 * chosen.minutes
         while total < chosen.calls and time.monotonic() < end:
             for kind, driver in drivers.items():
