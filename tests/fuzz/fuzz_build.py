@@ -103,7 +103,7 @@ class Driver:
 
 
 def _object(name: str, folder: Path, compiler: Compiler, level: str) -> Path:
-    """Return the object of a C file; the drivers of one run share those whose preprocessed text is the same."""
+    """Return the object of a C file, one for all drivers in which its preprocessed text is the same."""
     command = [*compiler.command, "-std=gnu99", "-g", level, "-ffp-contract=off", *compiler.flags, "-I."]
     text = _compiled([*command, "-E", name], folder)
     assert text.returncode == 0, text.stderr[-4000:]

@@ -217,10 +217,13 @@ def test_random_plants_reach_the_riccati_level_and_never_less(seed: int) -> None
 
 
 @pytest.mark.slow
-def test_three_hundred_random_plants() -> None:
-    """Pure H-infinity levels: approached only by growing X, Y, hence the share that is close to 1e-4."""
+def test_a_hundred_random_plants() -> None:
+    """Pure H-infinity levels: approached only by growing X, Y, hence the share that is close to 1e-4.
+
+    Whole designs on three hundred more: tests/property/test_synthesis_random.py.
+    """
     solved = close = near = 0
-    for seed in range(300):
+    for seed in range(100):
         plant = osborne(random_plant(seed))
         problem = output_feedback_problem(plant, damping_ratio=None, radius=None, weight=0.0)
         found = solve_structured(problem)
@@ -232,9 +235,9 @@ def test_three_hundred_random_plants() -> None:
         assert above > -1e-6
         close += above < 1e-4
         near += above < 1e-2
-    assert solved >= 294
-    assert near >= 294
-    assert close >= 240
+    assert solved >= 98
+    assert near >= 98
+    assert close >= 80
 
 
 def unstable_lyapunov() -> Problem:
