@@ -12,6 +12,7 @@ from interarea.models.blocks.plant import event_parameters, shortest_time_s
 from interarea.models.blocks.plant_variables import EVENT_CODES
 from interarea.models.case.case import Case
 from interarea.models.case.events import event_of
+from interarea.models.devices.language.device import NO_LIMIT
 from interarea.models.errors import CaseError
 from interarea.models.grid.network import load_power
 
@@ -24,9 +25,9 @@ from .models import SLOTS, step_s
 from .subject import Subject
 
 VERSION = 1  #: of the address that a page understands
-#: Longest Runge-Kutta step while a slider moves, in shortest time constants of the grid: stable up to 2.4,
-#: and where limits act the error comes first.
-_COARSE, _COARSE_AT_LIMITS, _COARSEST_S = 2.0, 1.25, 0.005
+#: Longest Runge-Kutta step while a slider moves: over the fastest pole (stable up to 2.78); where limits of
+#: the field act the error comes first, in shortest time constants of the grid; s.
+_COARSE, _COARSE_AT_LIMITS, _COARSEST_S = 2.55, 1.25, 0.005
 PULSES = {"vref_pulse", "pm_pulse"}
 #: what an address may set beside the start value, in the units of the labels; of a channel by the key's end
 RANGES: dict[str, tuple[float, float]] = {
@@ -51,8 +52,6 @@ def content_of(subject: Subject) -> dict[str, Any]:
     ScenarioError : more events than a page can set.
     """
     scenario, case = subject.scenario, subject.case
-    shortest = shortest_time_s(subject.point)
-    exact = case.solver_step_s or max(min(0.001, shortest), 1e-6)
     return {
         "version": VERSION,
         "name": scenario.name,
@@ -66,11 +65,7 @@ def content_of(subject: Subject) -> dict[str, Any]:
         },
         "stop": scenario.stop_s,
         "step": step_s(scenario),
-        "solver": {
-            "exact": exact,
-            "fast": max(exact, min(_COARSE * shortest, _COARSEST_S)),
-            "limits": max(exact, min(_COARSE_AT_LIMITS * shortest, _COARSEST_S)),
-        },
+        "solver": _solver(subject),
         "machines": [{"name": m.name, "area": m.area, "bus": m.bus} for m in case.machines],
         "buses": _buses(case),
         "branches": [
@@ -91,6 +86,21 @@ def content_of(subject: Subject) -> dict[str, Any]:
         "start": state_of(subject),
         "ranges": {**RANGES, "lost": (0.0, scenario.stop_s), "back": (0.0, scenario.stop_s)},
     }
+
+
+def _solver(subject: Subject) -> dict[str, float]:
+    """Steps, s: of an exact run, of one while a slider moves, of the latter where the field has limits."""
+    shortest = shortest_time_s(subject.point)
+    exact = subject.case.solver_step_s or max(min(0.001, shortest), 1e-6)
+    poles = np.linalg.eigvals(subject.linear(subject.points[0]).A)
+    limits = max(exact, min(_COARSE_AT_LIMITS * shortest, _COARSEST_S))
+    fast = max(exact, min(_COARSE / float(np.max(np.abs(poles), initial=1e-3)), _COARSEST_S))
+    return {"exact": exact, "fast": limits if _field_is_limited(subject) else fast, "limits": limits}
+
+
+def _field_is_limited(subject: Subject) -> bool:
+    exciters = [d for d in subject.point.controls.devices if d.word == "exciter"]
+    return any(min(m.high, -m.low) < NO_LIMIT for d in exciters for m in d.rest.margins)
 
 
 def _buses(case: Case) -> list[dict[str, Any]]:

@@ -63,9 +63,7 @@ def explorer_page(
     if data is None or parts is None:
         data, parts = page_data(subject)
     worker = "\n".join(_compact(_read(name)) for name in _WORKER)
-    blob = base64.b64encode(
-        packed(data, [worker.encode(), container_wasm(subject.cache, case=subject.case), *parts])
-    ).decode("ascii")
+    blob = as_text(packed(data, [worker.encode(), container_wasm(subject.cache, case=subject.case), *parts]))
     name = subject.scenario.title or subject.case.title or subject.case.name
     text = _read("page.html")
     fields = {
@@ -97,6 +95,11 @@ def packed(data: dict[str, Any], parts: list[bytes]) -> bytes:
     pieces = [json.dumps(data, separators=(",", ":"), allow_nan=False).encode("utf-8"), *parts]
     lengths = b"".join(len(p).to_bytes(4, "little") for p in pieces)
     return gzip.compress(len(pieces).to_bytes(4, "little") + lengths + b"".join(pieces), 9, mtime=0)
+
+
+def as_text(data: bytes) -> str:
+    """Return bytes as digits of base 85 that mean nothing in HTML; `bytesOf` of page.js reads them."""
+    return base64.b85encode(data).decode("ascii").translate(str.maketrans("<&", ",."))
 
 
 def _read(name: str) -> str:

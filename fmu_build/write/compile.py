@@ -65,7 +65,7 @@ WEB_PAGE = Platform(
     "",
     ("wasm32-wasi",),
     ".wasm",
-    ("-Oz",),
+    ("-Oz", "-msimd128"),
     ("-s", "-Wl,-z,stack-size=262144"),
     "-mexec-model=reactor",
 )

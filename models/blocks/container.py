@@ -69,7 +69,9 @@ def loop_block(
 
     Outputs keep their names (`G1_dw`, `G4_vs`), those of a channel go behind its
     name (`remote_y`); parameters are `MEMBER.NAME`. Plant and controller are
-    integrated as one system; a channel delays by its latency, no more and no less.
+    integrated as one system; a channel delays by its latency, no more and no less. Who sets the plant's
+    `solver.step` longer than it starts makes the controllers' longest step so many times longer too, at most
+    five times: half of their fastest time constant.
 
     Parameters
     ----------

@@ -6,7 +6,12 @@ const fs = require('fs'), vm = require('vm'), zlib = require('zlib'), crypto = r
 
 const page = fs.readFileSync(process.argv[2], 'utf8');
 const script = (pattern) => page.match(pattern)[1];
-const bytes = zlib.gunzipSync(Buffer.from(script(/<script[^>]* id="blob">([^<]*)</).trim(), 'base64'));
+const scope = vm.createContext({ performance, WebAssembly, TextDecoder, TextEncoder, MessageChannel, URLSearchParams,
+  document: { body: {} }, window: {} });
+vm.runInContext(script(/<script id="shared">([^]*?)<\/script>/), scope);
+vm.runInContext(script(/<script>([^]*?)<\/script>/), scope);
+scope.text = script(/<script[^>]* id="blob">([^<]*)</).trim();
+const bytes = zlib.gunzipSync(vm.runInContext('bytesOf(text)', scope));
 const pieces = [];
 let at = 4 + 4 * bytes.readUInt32LE(0);
 for (let k = 0; k < bytes.readUInt32LE(0); ++k) {
@@ -14,11 +19,7 @@ for (let k = 0; k < bytes.readUInt32LE(0); ++k) {
   pieces.push(new Uint8Array(bytes.subarray(at, at + length)));
   at += length;
 }
-const scope = vm.createContext({ performance, WebAssembly, TextDecoder, TextEncoder, MessageChannel, URLSearchParams,
-  document: { body: {} }, window: {} });
-vm.runInContext(script(/<script id="shared">([^]*?)<\/script>/), scope);
 vm.runInContext(new TextDecoder().decode(pieces[1]), scope);
-vm.runInContext(script(/<script>([^]*?)<\/script>/), scope);
 vm.runInContext('this.api = { Container, Eigenvalues, simulate, settingsOf, coarseStep, tomlOf, toLink, fromLink, keysOf, judge, value };', scope);
 
 (async () => {

@@ -5,10 +5,23 @@ const $ = (id) => document.getElementById(id);
 const SECTOR = 0.1;          /* the damping ratio that the plane shows */
 const EXACT_AFTER = 180;     /* ms after the last input */
 
+const DIGITS = '0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz!#$%.()*+-;,=>?@^_`{|}~';
+
+/* Bytes from page.py's `as_text`: five digits of base 85 for four bytes. */
+function bytesOf(text) {
+  const codes = new Uint8Array(128), cut = (5 - text.length % 5) % 5, out = new DataView(new ArrayBuffer(4 * (text.length + cut) / 5));
+  for (let k = 0; k < 85; ++k) codes[DIGITS.charCodeAt(k)] = k;
+  for (let at = 0, to = 0; at < text.length; to += 4) {
+    let word = 0;
+    for (const end = at + 5; at < end; ++at) word = 85 * word + (at < text.length ? codes[text.charCodeAt(at)] : 84);
+    out.setUint32(to, word);
+  }
+  return new Uint8Array(out.buffer, 0, out.byteLength - cut);
+}
+
 /* The gzip stream of page.py: data, the worker's source, the WebAssembly module, the records. */
 async function unpack(text) {
-  const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream('gzip'));
+  const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream('gzip'));
   const bytes = new Uint8Array(await new Response(stream).arrayBuffer()), view = new DataView(bytes.buffer);
   const pieces = [];
   let at = 4 + 4 * view.getUint32(0, true);
@@ -160,7 +173,8 @@ class Explorer {
   update(settled) {
     this.later('state');
     if (!settled) $('words').setAttribute('aria-live', 'off');
-    this.ask(settled ? { coarse: false } : { coarse: true });
+    this.ask({ coarse: true, alone: settled });   /* a first picture at once, and what it is compared with later */
+    if (settled) this.ask({ coarse: false });
     clearTimeout(this.timer);
     if (!settled) this.timer = setTimeout(() => this.ask({ coarse: false }), EXACT_AFTER);
     clearTimeout(this.addressTimer);
@@ -180,10 +194,10 @@ class Explorer {
   /* Two runs in flight: one waits in the worker, so that it never waits for drawing. */
   send() {
     if (!this.asked || this.flying >= 2) return;
-    const { coarse } = this.asked, state = { ...this.state };
+    const { coarse, alone } = this.asked, state = { ...this.state };
     this.asked = null;
     const baseKey = JSON.stringify([eventTables(this.data, state), value(this.data, state, 'cl'), value(this.data, state, 'op'), coarse]);
-    const base = controllerOf(this.data, state) !== null && baseKey !== this.baseKey;
+    const base = !alone && controllerOf(this.data, state) !== null && baseKey !== this.baseKey;
     this.flying += 1;
     this.waiters.set(++this.runs, { state, baseKey, coarse });
     this.worker.postMessage({ run: this.runs, state, coarse, every: coarse ? 2 : 1, base, roots: true, track: !coarse });

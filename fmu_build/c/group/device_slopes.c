@@ -79,14 +79,11 @@ int interarea_devices_open(void *work, const void *record, size_t bytes, const B
     return block_start(b, 0.0, message) == BLOCK_OK ? 0 : 1;
 }
 
-static Plan plan_in(const Devices *d)
+size_t interarea_devices_sources(const void *work)
 {
-    Plan plan;
-    plan_of(d->block.memory, &plan);
-    return plan;
+    Plan own;
+    return plan_in(((const Devices *)work)->block.memory, &own)->n_source;
 }
-
-size_t interarea_devices_sources(const void *work) { return plan_in(work).n_source; }
 
 int interarea_devices_slopes(void *work, const double *vx, const double *vu, const double *vv, double *vdx, double *vi)
 {

@@ -24,12 +24,37 @@
 enum { LOOP_MEMBERS = 24, LOOP_MARKS = 4096, LOOP_EVENTS = 256, LOOP_SWEEPS = 50 };
 enum { KIND_PLANT = 0, KIND_CONTROLLER = 1, KIND_CHANNEL = 2, KIND_SUPERVISOR = 3, KIND_COUNT = 4 };
 
-/* Head of `memory`. */
+/* Head of `memory`; then what the record says of the loop, read once. */
 enum { M_ORIGIN, M_LAST_EVENT, M_LAST_LENGTH, M_MARK_COUNT, M_MARKS };
+
+typedef struct {
+    int kind;
+    int direct;                             /* whether its outputs reach another member within a step */
+    BlockLayout layout;
+    size_t record, size, entries;           /* its record: where in the outer one, bytes, how many entries */
+    size_t n_memory;
+} LoopMemberPlan;
+
+typedef struct {
+    size_t count;                           /* 0: not read yet */
+    size_t n_scratch;                       /* of the member that needs most */
+    size_t wire, flag;                      /* where in the record */
+    size_t solver;                          /* parameter that holds the plant's longest step */
+    int64_t step;                           /* ns */
+    double internal_step;                   /* the controllers' longest Runge-Kutta step, s */
+    double plants_step;                     /* the plant's as the record has it */
+    LoopMemberPlan member[LOOP_MEMBERS];
+} LoopPlan;
+
+enum {
+    LOOP_PLAN = M_MARKS + LOOP_MARKS,
+    LOOP_SAVED = LOOP_PLAN + (sizeof(LoopPlan) + sizeof(double) - 1) / sizeof(double)
+};
 
 /* The block of this binary taken apart; lives for one call. */
 typedef struct {
     Block *outer;
+    const LoopPlan *plan;
     size_t count;
     int kind[LOOP_MEMBERS];
     const MemberKind *member[LOOP_MEMBERS];
@@ -42,10 +67,8 @@ typedef struct {
     size_t n_memory, n_scratch;             /* what the outer block needs                */
     const int32_t *wire;                    /* per input: the output that feeds it, or -1 */
     const int32_t *flag;                    /* the same of integer inputs and outputs    */
-    int direct[LOOP_MEMBERS];               /* whether its outputs reach another member within a step */
     int64_t step;                           /* ns                                        */
-    double internal_step;                   /* longest Runge-Kutta step, s: the controllers' or the plant's own */
-    size_t solver;                          /* parameter that holds the plant's          */
+    double internal_step;                   /* longest Runge-Kutta step, s (longest_step) */
     double *slope, *bend;                   /* SAVED per output: 1st; 2nd and 3rd derivative */
     double *state;                          /* SAVED x of all members, one after the other */
     double *members;                        /* SAVED u, integer inputs, memory of each member */

@@ -44,7 +44,7 @@ static BlockStatus signals(ClosedLoop *l, double t, int all, const double *x, do
         for (size_t k = 0; k < l->count; ++k) {
             BlockStatus status;
 
-            if (!loop_is(l, k, plant) || !(all || l->direct[k])) continue;
+            if (!loop_is(l, k, plant) || !(all || l->plan->member[k].direct)) continue;
             for (size_t i = 0; i < l->block[k].layout.n_u; ++i) {
                 const int32_t from = l->wire[l->first_u[k] + i];
                 u[l->first_u[k] + i] = from < 0 || plant ? 0.0 : y[from];

@@ -9,6 +9,8 @@
 
 enum { WORK_VECTORS = 5 };
 
+static const double MOST_COARSE = 5.0;   /* times a tenth of the controllers' fastest time constant: stable, and exact to 1e-4 */
+
 static const MemberKind *const KINDS[KIND_COUNT] = {&plant_member, &controller_member, &channel_member,
                                                    &supervisor_member};
 
@@ -18,24 +20,26 @@ static BlockStatus unfit(BlockMessage *message, const char *what)
     return BLOCK_ERROR;
 }
 
-/* A member's record lies in the outer one, which has been checked by its hash;
- * `check` also walks the inner one. */
-static int open_inner(Record *inner, const Record *outer, size_t k, int check)
+/* A member's record lies in the outer one, which has been checked by its hash; `check` also walks the inner one. */
+static int find_inner(LoopMemberPlan *m, const Record *outer, size_t k, int check)
 {
     char name[24];
-    size_t size;
     const char *bytes, *why;
     uint64_t entries;
+    Record inner;
 
     snprintf(name, sizeof name, "member.%u.record", (unsigned)k);
-    bytes = record_text(outer, name, &size);
-    if (bytes == NULL || size < 32) return 1;
-    if (check) return record_open(inner, bytes, size, &why);
+    bytes = record_text(outer, name, &m->size);
+    if (bytes == NULL || m->size < 32) return 1;
     memcpy(&entries, bytes + 24, sizeof entries);
-    inner->bytes = (const unsigned char *)bytes;
-    inner->size = size;
-    inner->n_entries = (size_t)entries;
-    return 0;
+    m->record = (size_t)((const unsigned char *)bytes - outer->bytes);
+    m->entries = (size_t)entries;
+    return check ? record_open(&inner, bytes, m->size, &why) : 0;
+}
+
+static Record inner_record(const LoopMemberPlan *m, const Record *outer)
+{
+    return (Record){outer->bytes + m->record, m->size, m->entries};
 }
 
 static int layout_of(const Record *record, BlockLayout *n)
@@ -52,63 +56,64 @@ static int layout_of(const Record *record, BlockLayout *n)
     return 0;
 }
 
-/* One member: its kind, its record, its layout and needs; its place after those before it. */
-static BlockStatus read_member(ClosedLoop *l, const Record *record, size_t k, int kind, int check, BlockNeeds *needs,
+/* One member: its kind, its record, its layout and needs. */
+static BlockStatus read_member(LoopMemberPlan *m, const Record *record, size_t k, int kind, int check, size_t *n_scratch,
                                BlockMessage *message)
 {
-    BlockLayout *n = &l->block[k].layout;
+    BlockNeeds needs;
     BlockStatus status;
 
     if (kind < 0 || kind >= KIND_COUNT) return unfit(message, "`loop.kinds`");
-    l->kind[k] = kind;
-    l->member[k] = KINDS[kind];
-    if (open_inner(&l->record[k], record, k, check) != 0 || layout_of(&l->record[k], n) != 0)
-        return unfit(message, "a member");
-    if (kind == KIND_CHANNEL && (n->n_u != 1 || n->n_x != 0)) return unfit(message, "a channel");
-    if ((status = l->member[k]->needs(&l->record[k], n, needs, message)) != BLOCK_OK) return status;
-    if (needs->n_memory > 1u << 24 || needs->n_scratch > 1u << 24) return unfit(message, "a member");
-    l->first_x[k] = l->n_x;
-    l->first_u[k] = l->n_u;
-    l->first_y[k] = l->n_y;
-    l->first_iu[k] = l->n_iu;
+    m->kind = kind;
+    if (find_inner(m, record, k, check) != 0) return unfit(message, "a member");
+    const Record inner = inner_record(m, record);
+    if (layout_of(&inner, &m->layout) != 0) return unfit(message, "a member");
+    if (kind == KIND_CHANNEL && (m->layout.n_u != 1 || m->layout.n_x != 0)) return unfit(message, "a channel");
+    if ((status = KINDS[kind]->needs(&inner, &m->layout, &needs, message)) != BLOCK_OK) return status;
+    if (needs.n_memory > 1u << 24 || needs.n_scratch > 1u << 24) return unfit(message, "a member");
+    m->n_memory = needs.n_memory;
+    if (needs.n_scratch > *n_scratch) *n_scratch = needs.n_scratch;
     return BLOCK_OK;
 }
 
-/* What the members have together must be the outer layout. */
-static int outer_fits(const ClosedLoop *l, const BlockLayout *outer, size_t n_p, size_t n_ip)
+/* Places of the members, one after the other. */
+static void lay_out(ClosedLoop *l, const LoopPlan *plan)
 {
-    return outer->n_x == 0 && outer->n_u == 0 && outer->n_y == l->n_y && outer->n_w == 0 && outer->n_p == n_p
-           && outer->n_iu == 0 && outer->n_iy == l->n_iy && outer->n_iw == 0 && outer->n_ip == n_ip;
+    l->plan = plan;
+    l->count = plan->count;
+    l->n_x = l->n_u = l->n_y = l->n_iu = l->n_iy = l->n_members = 0;
+    for (size_t k = 0; k < plan->count; ++k) {
+        const LoopMemberPlan *m = &plan->member[k];
+
+        l->kind[k] = m->kind;
+        l->member[k] = KINDS[m->kind];
+        l->block[k].layout = m->layout;
+        l->first_x[k] = l->n_x;
+        l->first_u[k] = l->n_u;
+        l->first_y[k] = l->n_y;
+        l->first_iu[k] = l->n_iu;
+        l->n_x += m->layout.n_x;
+        l->n_u += m->layout.n_u;
+        l->n_y += m->layout.n_y;
+        l->n_iu += m->layout.n_iu;
+        l->n_iy += m->layout.n_iy;
+        l->n_members += m->layout.n_u + m->layout.n_iu + m->n_memory;
+    }
+    l->n_memory = LOOP_SAVED + 3 * l->n_y + l->n_x + l->n_members;
+    l->n_scratch = l->n_members + l->n_x + l->n_iy + 6 * l->n_y + WORK_VECTORS * l->n_x + l->n_u + l->n_y + plan->n_scratch;
 }
 
-/* Layouts and needs of the members. */
-static BlockStatus read_members(ClosedLoop *l, const Record *record, const BlockLayout *outer, int check,
-                                size_t *inner_scratch, size_t memory[], BlockMessage *message)
+/* What the members have together must be the outer layout. */
+static int outer_fits(const ClosedLoop *l, const BlockLayout *outer)
 {
-    size_t count, n_p = 0, n_ip = 0;
-    const int32_t *kinds = record_i32(record, "loop.kinds", &count);
+    size_t n_p = 0, n_ip = 0;
 
-    if (kinds == NULL || count == 0 || count > LOOP_MEMBERS) return unfit(message, "`loop.kinds`");
-    l->count = count;
-    l->n_x = l->n_u = l->n_y = l->n_iu = l->n_iy = l->n_members = *inner_scratch = 0;
-    for (size_t k = 0; k < count; ++k) {
-        const BlockLayout *n = &l->block[k].layout;
-        BlockNeeds needs;
-        const BlockStatus status = read_member(l, record, k, kinds[k], check, &needs, message);
-
-        if (status != BLOCK_OK) return status;
-        l->n_x += n->n_x;
-        l->n_u += n->n_u;
-        l->n_y += n->n_y;
-        n_p += n->n_p;
-        l->n_iu += n->n_iu;
-        l->n_iy += n->n_iy;
-        n_ip += n->n_ip;
-        memory[k] = needs.n_memory;
-        l->n_members += n->n_u + n->n_iu + needs.n_memory;
-        if (needs.n_scratch > *inner_scratch) *inner_scratch = needs.n_scratch;
+    for (size_t k = 0; k < l->count; ++k) {
+        n_p += l->block[k].layout.n_p;
+        n_ip += l->block[k].layout.n_ip;
     }
-    return outer_fits(l, outer, n_p, n_ip) ? BLOCK_OK : unfit(message, "`layout`");
+    return outer->n_x == 0 && outer->n_u == 0 && outer->n_y == l->n_y && outer->n_w == 0 && outer->n_p == n_p
+           && outer->n_iu == 0 && outer->n_iy == l->n_iy && outer->n_iw == 0 && outer->n_ip == n_ip;
 }
 
 /* Whether a list of `count` outputs is there, each one of `outputs` or -1 for none. */
@@ -121,57 +126,90 @@ static int wires_fit(const int32_t *wire, size_t found, size_t count, size_t out
 }
 
 /* A channel hears its source at communication points only. */
-static void find_direct(ClosedLoop *l)
+static void find_direct(LoopPlan *plan, const ClosedLoop *l, const int32_t *wires)
 {
-    for (size_t k = 0; k < l->count; ++k) l->direct[k] = 0;
-    for (size_t k = 0; k < l->count; ++k)
+    for (size_t k = 0; k < plan->count; ++k) plan->member[k].direct = 0;
+    for (size_t k = 0; k < plan->count; ++k)
         for (size_t i = 0; l->kind[k] != KIND_CHANNEL && i < l->block[k].layout.n_u; ++i)
-            for (size_t from = 0; from < l->count; ++from) {
-                const int32_t wire = l->wire[l->first_u[k] + i];
+            for (size_t from = 0; from < plan->count; ++from) {
+                const int32_t wire = wires[l->first_u[k] + i];
                 if (wire >= (int32_t)l->first_y[from]
-                    && (size_t)wire < l->first_y[from] + l->block[from].layout.n_y) l->direct[from] = 1;
+                    && (size_t)wire < l->first_y[from] + l->block[from].layout.n_y) plan->member[from].direct = 1;
             }
 }
 
-static BlockStatus read_wiring(ClosedLoop *l, const Record *record, size_t n_p, BlockMessage *message)
+static BlockStatus read_wiring(LoopPlan *plan, const ClosedLoop *l, const Record *record, size_t n_p,
+                               BlockMessage *message)
 {
-    size_t count[4], n_solver;
+    size_t count[4], n_solver, n_start;
     const double *step = record_f64(record, "loop.step", &count[0]);
     const double *internal = record_f64(record, "loop.internal", &count[1]);
     const int32_t *solver = record_i32(record, "loop.solver", &n_solver);
+    const int32_t *wire = record_i32(record, "loop.wire", &count[2]), *flag = record_i32(record, "loop.flag", &count[3]);
+    const double *start = record_f64(record, "start.real", &n_start);
 
     if (solver == NULL || n_solver != 1 || solver[0] < 0 || (size_t)solver[0] >= n_p)
         return unfit(message, "`loop.solver`");
-    l->solver = (size_t)solver[0];
-    l->wire = record_i32(record, "loop.wire", &count[2]);
-    l->flag = record_i32(record, "loop.flag", &count[3]);
+    plan->solver = (size_t)solver[0];
+    if (start == NULL || n_start != l->n_y + n_p || !(start[l->n_y + plan->solver] >= 1e-7))
+        return unfit(message, "`start.real`");
+    plan->plants_step = start[l->n_y + plan->solver];
     if (step == NULL || count[0] != 1 || !(step[0] >= 1e-6 && step[0] <= 1e3)) return unfit(message, "`loop.step`");
     if (internal == NULL || count[1] != 1 || !(internal[0] >= 1e-7)) return unfit(message, "`loop.internal`");
-    if (!wires_fit(l->wire, count[2], l->n_u, l->n_y)) return unfit(message, "`loop.wire`");
-    if (!wires_fit(l->flag, count[3], l->n_iu, l->n_iy)) return unfit(message, "`loop.flag`");
-    find_direct(l);
-    l->step = (int64_t)floor(step[0] * 1e9 + 0.5);
-    l->internal_step = internal[0];
+    if (!wires_fit(wire, count[2], l->n_u, l->n_y)) return unfit(message, "`loop.wire`");
+    if (!wires_fit(flag, count[3], l->n_iu, l->n_iy)) return unfit(message, "`loop.flag`");
+    plan->wire = wire == NULL ? 0 : (size_t)((const unsigned char *)wire - record->bytes);
+    plan->flag = flag == NULL ? 0 : (size_t)((const unsigned char *)flag - record->bytes);
+    if (wire != NULL) find_direct(plan, l, wire);
+    plan->step = (int64_t)floor(step[0] * 1e9 + 0.5);
+    plan->internal_step = internal[0];
     return BLOCK_OK;
 }
 
-static BlockStatus open_loop(ClosedLoop *l, Block *b, const Record *record, const BlockLayout *n, BlockMessage *message)
+/* Reads the record; `l` then knows where everything is to lie. */
+static BlockStatus read_loop(LoopPlan *plan, ClosedLoop *l, const Record *record, const BlockLayout *n, int check,
+                             BlockMessage *message)
 {
-    size_t scratch, memory[LOOP_MEMBERS];
+    size_t count;
+    const int32_t *kinds = record_i32(record, "loop.kinds", &count);
+
+    if (kinds == NULL || count == 0 || count > LOOP_MEMBERS) return unfit(message, "`loop.kinds`");
+    memset(plan, 0, sizeof *plan);
+    for (size_t k = 0; k < count; ++k) {
+        const BlockStatus status = read_member(&plan->member[k], record, k, kinds[k], check, &plan->n_scratch, message);
+        if (status != BLOCK_OK) return status;
+    }
+    plan->count = count;
+    lay_out(l, plan);
+    return outer_fits(l, n) ? read_wiring(plan, l, record, n->n_p, message) : unfit(message, "`layout`");
+}
+
+static LoopPlan *plan_in(const Block *b) { return (LoopPlan *)(void *)(b->memory + LOOP_PLAN); }
+
+/* The shortest of the members' longest steps. Who sets the plant's longer than the record has it wants speed
+ * for accuracy: the controllers' grows in the same proportion. */
+static double longest_step(const LoopPlan *plan, double plants)
+{
+    const double coarse = fmin(fmax(plants / plan->plants_step, 1.0), MOST_COARSE);
+    return fmin(plants, coarse * plan->internal_step);
+}
+
+/* Takes a block apart whose memory holds the plan. */
+static BlockStatus open_loop(ClosedLoop *l, Block *b, BlockMessage *message)
+{
+    const LoopPlan *plan = plan_in(b);
     double *next;
     size_t p = 0, iy = 0, ip = 0;
-    BlockStatus status = read_members(l, record, n, b == NULL, &scratch, memory, message);
 
-    if (status == BLOCK_OK) status = read_wiring(l, record, n->n_p, message);
-    if (status != BLOCK_OK) return status;
-    l->n_memory = M_MARKS + LOOP_MARKS + 3 * l->n_y + l->n_x + l->n_members;
-    l->n_scratch = l->n_members + l->n_x + l->n_iy + 6 * l->n_y + WORK_VECTORS * l->n_x + l->n_u + l->n_y + scratch;
+    if (plan->count == 0) return unfit(message, "used before block_start; the plan");
+    if (!(b->p[plan->solver] >= 1e-7)) return unfit(message, "the plant's longest step");
+    lay_out(l, plan);
     l->outer = b;
-    if (b == NULL) return BLOCK_OK;
-
-    if (!(b->p[l->solver] >= 1e-7)) return unfit(message, "the plant's longest step");
-    if (b->p[l->solver] < l->internal_step) l->internal_step = b->p[l->solver];
-    l->slope = b->memory + M_MARKS + LOOP_MARKS;
+    l->wire = (const int32_t *)(const void *)(b->record->bytes + plan->wire);
+    l->flag = (const int32_t *)(const void *)(b->record->bytes + plan->flag);
+    l->step = plan->step;
+    l->internal_step = longest_step(plan, b->p[plan->solver]);
+    l->slope = b->memory + LOOP_SAVED;
     l->bend = l->slope + l->n_y;
     l->state = l->bend + 2 * l->n_y;
     l->members = l->state + l->n_x;
@@ -186,6 +224,7 @@ static BlockStatus open_loop(ClosedLoop *l, Block *b, const Record *record, cons
     for (size_t k = 0; k < l->count; ++k) {
         Block *inner = &l->block[k];
 
+        l->record[k] = inner_record(&plan->member[k], b->record);
         inner->record = &l->record[k];
         inner->lanes = b->lanes;
         inner->x = l->state + l->first_x[k];
@@ -195,7 +234,7 @@ static BlockStatus open_loop(ClosedLoop *l, Block *b, const Record *record, cons
         inner->u = next;
         inner->iu = (int *)(next + inner->layout.n_u);  /* a double's room each */
         inner->memory = next + inner->layout.n_u + inner->layout.n_iu;
-        next = inner->memory + memory[k];
+        next = inner->memory + plan->member[k].n_memory;
         inner->y = b->y + l->first_y[k];
         inner->p = b->p + p;
         inner->iy = b->iy + iy;
@@ -214,7 +253,8 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
                         BlockMessage *message)
 {
     ClosedLoop l;
-    const BlockStatus status = open_loop(&l, NULL, record, layout, message);
+    LoopPlan plan;
+    const BlockStatus status = read_loop(&plan, &l, record, layout, 1, message);
 
     if (status != BLOCK_OK) return status;
     needs->n_memory = l.n_memory;
@@ -272,7 +312,8 @@ static BlockStatus collect_marks(const ClosedLoop *l, double t, BlockMessage *me
 BlockStatus block_start(Block *b, double t, BlockMessage *message)
 {
     ClosedLoop l;
-    BlockStatus status = open_loop(&l, b, b->record, &b->layout, message);
+    LoopPlan plan;
+    BlockStatus status = read_loop(&plan, &l, b->record, &b->layout, 0, message);
     size_t count;
 
     if (status != BLOCK_OK) return status;
@@ -281,6 +322,8 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
         return BLOCK_ERROR;
     }
     memset(b->memory, 0, l.n_memory * sizeof(double));
+    memcpy(plan_in(b), &plan, sizeof plan);
+    if ((status = open_loop(&l, b, message)) != BLOCK_OK) return status;
     b->memory[M_ORIGIN] = b->memory[M_LAST_EVENT] = t;
     for (size_t k = 0; k < l.count; ++k) {
         const double *start = record_f64(&l.record[k], "start.real", &count);
@@ -300,7 +343,7 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
 BlockStatus block_step(Block *b, double t, double h, const double *u_poly, double *dy, BlockMessage *message)
 {
     ClosedLoop l;
-    BlockStatus status = open_loop(&l, b, b->record, &b->layout, message);
+    BlockStatus status = open_loop(&l, b, message);
 
     (void)u_poly;
     if (status != BLOCK_OK) return status;

@@ -23,6 +23,8 @@
 
 const int block_is_sampled = 0;
 
+enum { M_GUARDS, M_WATCHED, M_COUNT };   /* outputs with a guard; where in the record they are named */
+
 typedef struct {
     const double *A, *B, *C, *D;
     double limit;
@@ -50,7 +52,8 @@ static Gains gains_of(const Block *b)
     const size_t m = b->layout.n_u, p = b->layout.n_y;
     Gains g;
 
-    g.guards = guards_of(b->record, p, &g.watched);
+    g.guards = (size_t)b->memory[M_GUARDS];
+    g.watched = g.guards == 0 ? NULL : (const int32_t *)(const void *)(b->record->bytes + (size_t)b->memory[M_WATCHED]);
     g.n = b->layout.n_x - 2 * g.guards;
     g.A = b->p;
     g.B = g.A + g.n * g.n;
@@ -103,16 +106,19 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
                  layout->n_x, m, p, guards, layout->n_p);
         return BLOCK_ERROR;
     }
-    needs->n_memory = 0;
+    needs->n_memory = M_COUNT;
     needs->n_scratch = p;
     return BLOCK_OK;
 }
 
 BlockStatus block_start(Block *b, double t, BlockMessage *message)
 {
-    const Gains g = gains_of(b);
+    const int32_t *watched;
 
     (void)t;
+    b->memory[M_GUARDS] = (double)guards_of(b->record, b->layout.n_y, &watched);
+    b->memory[M_WATCHED] = watched == NULL ? 0.0 : (double)((const unsigned char *)watched - b->record->bytes);
+    const Gains g = gains_of(b);
     if (!(g.limit > 0.0)) {
         snprintf(message->text, sizeof message->text, "controller: limit is %g, it must be positive", g.limit);
         return BLOCK_ERROR;

@@ -223,14 +223,14 @@ static void solve_rates(const real *memory, const Plan *plan, const num *x, cons
 size_t NAME(plant_flow)(real *memory, const int32_t *places, size_t lanes, const num *x, const num *u, num *dx,
                         num *scratch)
 {
-    Plan plan;
-    plan_of(memory, &plan);
-    const Pattern pattern = pattern_of(places, &plan);
-    Work w = work_arrays(scratch, &plan, lanes);
+    Plan own;
+    const Plan *plan = plan_in(memory, &own);
+    const Pattern pattern = pattern_of(places, plan);
+    Work w = work_arrays(scratch, plan, lanes);
 
-    const size_t stuck = solve_network(memory, &plan, &pattern, x, &w);
+    const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
-    solve_rates(memory, &plan, x, u, dx, &w);
+    solve_rates(memory, plan, x, u, dx, &w);
     return 0;
 }
 
@@ -299,14 +299,14 @@ static void show(const real *memory, const Plan *plan, const Pattern *pattern, s
 /* y: what the record says, in its order. */
 size_t NAME(plant_outputs)(real *memory, const int32_t *places, size_t lanes, const num *x, num *y, num *scratch)
 {
-    Plan plan;
-    plan_of(memory, &plan);
-    const Pattern pattern = pattern_of(places, &plan);
-    Work w = work_arrays(scratch, &plan, lanes);
+    Plan own;
+    const Plan *plan = plan_in(memory, &own);
+    const Pattern pattern = pattern_of(places, plan);
+    Work w = work_arrays(scratch, plan, lanes);
 
-    const size_t stuck = solve_network(memory, &plan, &pattern, x, &w);
+    const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
-    show(memory, &plan, &pattern, 0, plan.n_y, machine_states(x, plan.n_machine, plan.n_sixth), &w, y);
+    show(memory, plan, &pattern, 0, plan->n_y, machine_states(x, plan->n_machine, plan->n_sixth), &w, y);
     return 0;
 }
 
@@ -315,16 +315,16 @@ size_t NAME(plant_outputs)(real *memory, const int32_t *places, size_t lanes, co
 size_t plant_locals(double *memory, const int32_t *places, size_t lanes, const double *x, const double *u,
                     double *locals, double *scratch, double *dx)
 {
-    Plan plan;
-    plan_of(memory, &plan);
-    const Pattern pattern = pattern_of(places, &plan);
-    Work w = work_arrays(scratch, &plan, lanes);
+    Plan own;
+    const Plan *plan = plan_in(memory, &own);
+    const Pattern pattern = pattern_of(places, plan);
+    Work w = work_arrays(scratch, plan, lanes);
 
-    if (plan.n_w == 0) return 0;
-    const size_t stuck = solve_network(memory, &plan, &pattern, x, &w);
+    if (plan->n_w == 0) return 0;
+    const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
-    solve_devices(memory, &plan, x, u, dx, &w);
-    show(memory, &plan, &pattern, plan.n_y, plan.n_y + plan.n_w, machine_states(x, plan.n_machine, plan.n_sixth), &w,
+    solve_devices(memory, plan, x, u, dx, &w);
+    show(memory, plan, &pattern, plan->n_y, plan->n_y + plan->n_w, machine_states(x, plan->n_machine, plan->n_sixth), &w,
          locals);
     return 0;
 }
@@ -332,12 +332,12 @@ size_t plant_locals(double *memory, const int32_t *places, size_t lanes, const d
 /* Solves the ports at x, so that memory holds their voltages there, and their slopes if the network is sparse. */
 size_t plant_settle(double *memory, const int32_t *places, size_t lanes, const double *x, double *scratch)
 {
-    Plan plan;
-    plan_of(memory, &plan);
-    const Pattern pattern = pattern_of(places, &plan);
-    Work w = work_arrays(scratch, &plan, lanes);
+    Plan own;
+    const Plan *plan = plan_in(memory, &own);
+    const Pattern pattern = pattern_of(places, plan);
+    Work w = work_arrays(scratch, plan, lanes);
     w.exact = 1;
-    return plan.n_port > 0 ? solve_network(memory, &plan, &pattern, x, &w) : 0;
+    return plan->n_port > 0 ? solve_network(memory, plan, &pattern, x, &w) : 0;
 }
 #endif
 #endif

@@ -76,18 +76,15 @@ enum {  /* tie branch: buses of its measured and its other end, admittances seen
     T_BRANCH, T_OWN, T_OTHER, T_OWN_RE, T_OWN_IM, T_MUTUAL_RE, T_MUTUAL_IM, T_ROWS
 };
 
-/* Header of memory. */
+/* Header of memory; then the plan itself. */
 enum {
-    H_READY, H_OMEGA_B, H_N_MACHINE, H_N_SIXTH, H_N_BUS, H_N_BRANCH, H_N_LOAD,
-    H_N_GROUP, H_N_DEVICE, H_N_TABLE, H_N_INPUT, H_N_TIE, H_N_SLOT, H_N_PORT, H_N_STATE,
-    H_EXCITERS,         /* first group of exciters                      */
+    H_READY, H_OMEGA_B,
     H_TRIPPED,          /* machines that are tripped                    */
     H_PORT_READY,       /* 1: port_b and port_z are good for this stage */
     H_IDLE,             /* 1: a lane of a batch that has nothing to do  */
-    H_N_LINE, H_N_Y, H_N_W,
-    H_N_NODE, H_N_FILL, H_FIRST, H_PATTERN,  /* sparse network: sizes, where its pattern begins in the record */
-    H_PARTS, H_DEAD,         /* parts of the network with a machine; buses in parts without one */
-    H_SIZE = 32
+    H_PATTERN,          /* sparse network: where its pattern begins in the record */
+    H_PARTS, H_DEAD,    /* parts of the network with a machine; buses in parts without one */
+    H_PLAN = 8
 };
 
 /* FMI parameters of a slot: Reals start, end, size, size_q, r, x; integers kind, target. */
@@ -136,11 +133,12 @@ typedef struct {
     size_t port_z;        /* 2 n_port columns of 2 n_port: from what slopes leave  */
     size_t total;
 } Plan;
+enum { PLAN_ROOM = (sizeof(Plan) + sizeof(double) - 1) / sizeof(double) };   /* of it in memory */
 
 /* Offsets from the counts. */
 static inline void plan_offsets(Plan *p)
 {
-    size_t at = H_SIZE;
+    size_t at = H_PLAN + PLAN_ROOM;
     const size_t n = p->n_machine, ports = p->n_port, sources = n + ports;
     const size_t sparse = p->n_node > 0 ? 1 : 0, dense = 1 - sparse;
     p->n_source = sources;
@@ -184,28 +182,24 @@ static inline void plan_offsets(Plan *p)
 
 static inline int port_is_load(const stored *row) { return index_at(row, P_KIND) == PORT_LOAD; }
 
+static inline void plan_keep(double *memory, const Plan *p) { memcpy(memory + H_PLAN, p, sizeof *p); }
+
 static inline void plan_of(const stored *memory, Plan *p)
 {
-    p->n_machine = index_at(memory, H_N_MACHINE);
-    p->n_sixth = index_at(memory, H_N_SIXTH);
-    p->n_bus = index_at(memory, H_N_BUS);
-    p->n_branch = index_at(memory, H_N_BRANCH);
-    p->n_load = index_at(memory, H_N_LOAD);
-    p->n_group = index_at(memory, H_N_GROUP);
-    p->n_device = index_at(memory, H_N_DEVICE);
-    p->n_table = index_at(memory, H_N_TABLE);
-    p->n_input = index_at(memory, H_N_INPUT);
-    p->exciters = index_at(memory, H_EXCITERS);
-    p->n_tie = index_at(memory, H_N_TIE);
-    p->n_slot = index_at(memory, H_N_SLOT);
-    p->n_port = index_at(memory, H_N_PORT);
-    p->n_state = index_at(memory, H_N_STATE);
-    p->n_line = index_at(memory, H_N_LINE);
-    p->n_y = index_at(memory, H_N_Y);
-    p->n_w = index_at(memory, H_N_W);
-    p->n_node = index_at(memory, H_N_NODE);
-    p->n_fill = index_at(memory, H_N_FILL);
-    p->first = index_at(memory, H_FIRST);
-    plan_offsets(p);
+    double words[PLAN_ROOM];
+    for (size_t k = 0; k < PLAN_ROOM; ++k) words[k] = first_at(memory, H_PLAN + k);
+    memcpy(p, words, sizeof *p);
+}
+
+/* The plan in memory; of several scenarios it lies scattered there and is put together in `own`. */
+static inline const Plan *plan_in(const stored *memory, Plan *own)
+{
+#ifdef PLANT_LANES
+    plan_of(memory, own);
+    return own;
+#else
+    (void)own;
+    return (const Plan *)(const void *)(memory + H_PLAN);
+#endif
 }
 #endif

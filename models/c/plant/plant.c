@@ -56,26 +56,7 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     double *memory = b->memory;
     for (size_t k = 0; k < plan.total; ++k) memory[k] = 0.0;
     memory[H_OMEGA_B] = record_f64(b->record, "plant.base", &count)[0];
-    memory[H_N_MACHINE] = (double)plan.n_machine;
-    memory[H_N_SIXTH] = (double)plan.n_sixth;
-    memory[H_N_BUS] = (double)plan.n_bus;
-    memory[H_N_BRANCH] = (double)plan.n_branch;
-    memory[H_N_LOAD] = (double)plan.n_load;
-    memory[H_N_GROUP] = (double)plan.n_group;
-    memory[H_N_DEVICE] = (double)plan.n_device;
-    memory[H_N_TABLE] = (double)plan.n_table;
-    memory[H_N_INPUT] = (double)plan.n_input;
-    memory[H_EXCITERS] = (double)plan.exciters;
-    memory[H_N_TIE] = (double)plan.n_tie;
-    memory[H_N_SLOT] = (double)plan.n_slot;
-    memory[H_N_PORT] = (double)plan.n_port;
-    memory[H_N_STATE] = (double)plan.n_state;
-    memory[H_N_LINE] = (double)plan.n_line;
-    memory[H_N_Y] = (double)plan.n_y;
-    memory[H_N_W] = (double)plan.n_w;
-    memory[H_N_NODE] = (double)plan.n_node;
-    memory[H_N_FILL] = (double)plan.n_fill;
-    memory[H_FIRST] = (double)plan.first;
+    plan_keep(memory, &plan);
     memory[H_PATTERN] = plan.n_node > 0 ? (double)((const unsigned char *)net.places - b->record->bytes) : 0.0;
     status = plant_tables(b, &plan, &net, message);
     if (status == BLOCK_OK) rest_prepare(memory, &plan);
@@ -124,13 +105,13 @@ BlockStatus block_derivatives(Block *b, double t, const double *x, const double 
 BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, double *y,
                           BlockMessage *message)
 {
-    Plan plan;
+    Plan own;
 
     if (!(b->memory[H_READY] == READY)) return not_started(message);
-    plan_of(b->memory, &plan);
     size_t stuck = plant_outputs(b->memory, places_of(b), b->lanes, x, y, b->scratch);
     if (b->w != NULL && stuck == 0)
-        stuck = plant_locals(b->memory, places_of(b), b->lanes, x, u, b->w, b->scratch, b->scratch + flow_work(&plan));
+        stuck = plant_locals(b->memory, places_of(b), b->lanes, x, u, b->w, b->scratch,
+                             b->scratch + flow_work(plan_in(b->memory, &own)));
     return stuck == 0 ? BLOCK_OK : unsolved(b, stuck, t, message);
 }
 
@@ -144,10 +125,9 @@ BlockStatus block_directional(Block *b, double t, const double *x, const double 
 
 double block_next_event(const Block *b, double t)
 {
-    Plan plan;
+    Plan own;
     if (!(b->memory[H_READY] == READY)) return INFINITY;
-    plan_of(b->memory, &plan);
-    return event_next(b, &plan, t);
+    return event_next(b, plan_in(b->memory, &own), t);
 }
 
 BlockStatus block_event(Block *b, double t, double *x, BlockMessage *message)

@@ -7,7 +7,9 @@ size_t block_group_lanes(void) { return processor_lanes(); }
 /* Ports iterate: how often depends on what they start from, which stays in memory. */
 int block_group_fits(const Block *b)
 {
-    return b->memory[H_N_MACHINE] > 0.0 && b->memory[H_N_PORT] == 0.0;
+    Plan own;
+    const Plan *plan = plan_in(b->memory, &own);
+    return plan->n_machine > 0 && plan->n_port == 0;
 }
 
 void block_group_step(const BlockGroup *g, size_t lanes)

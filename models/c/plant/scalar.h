@@ -120,15 +120,17 @@ static inline num num_ratio(num a, num b) { return a / b; }
 #endif
 #endif
 
-/* A whole number that a table holds. */
-static inline size_t index_at(const stored *memory, size_t at)
+/* What a table holds, the same in every scenario. */
+static inline double first_at(const stored *memory, size_t at)
 {
 #ifdef PLANT_TILE
-    return (size_t)(ptrdiff_t)memory[at];
+    return memory[at];
 #else
-    return (size_t)(ptrdiff_t)FIRST(memory[at]);
+    return FIRST(memory[at]);
 #endif
 }
+
+static inline size_t index_at(const stored *memory, size_t at) { return (size_t)(ptrdiff_t)first_at(memory, at); }
 
 /* Entry k of an array (AT, PUT) and that of an index which a table holds (OF, TO): of a tile the entries
  * from k on. EACH goes through first .. last - 1, of which a tile needs as many as it is wide: the last

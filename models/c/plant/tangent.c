@@ -163,43 +163,43 @@ size_t plant_device_slopes(double *memory, const int32_t *places, const BlockLay
                            const double *u, const double *vx, const double *vu, const double *vv, double *vdx,
                            double *vi, double *scratch)
 {
-    Plan plan;
-    plan_of(memory, &plan);
-    const Pattern pattern = pattern_of(places, &plan);
-    const size_t n = plan.n_machine, sources = plan.n_source;
+    Plan own;
+    const Plan *plan = plan_in(memory, &own);
+    const Pattern pattern = pattern_of(places, plan);
+    const size_t n = plan->n_machine, sources = plan->n_source;
     num *z = (num *)(void *)scratch;
     num *input = z + layout->n_x, *rates = input + layout->n_u, *volts = rates + layout->n_x;
     num *work = volts + 2 * sources;
-    Work w = work_arrays(work, &plan, 0);
-    const Machines machines = machines_of(memory, &plan, z, &w);
+    Work w = work_arrays(work, plan, 0);
+    const Machines machines = machines_of(memory, plan, z, &w);
     size_t stuck = plant_settle(memory, places, 0, x, scratch);
 
     if (stuck > 0) return stuck;
     for (size_t k = 0; k < layout->n_x; ++k) z[k] = with_slope(x[k], 0.0);
-    stuck = solve_network(memory, &plan, &pattern, z, &w);
+    stuck = solve_network(memory, plan, &pattern, z, &w);
     if (stuck > 0) return stuck;
-    if (plan.n_node > 0) sparse_backward(memory, &plan, &pattern, 0, plan.first, w.v);
+    if (plan->n_node > 0) sparse_backward(memory, plan, &pattern, 0, plan->first, w.v);
     for (size_t k = 0; k < n; ++k)
-        network_voltage(memory, &plan, &pattern, index_at(memory + plan.machine_bus, k), w.e_re, w.e_im, w.v,
+        network_voltage(memory, plan, &pattern, index_at(memory + plan->machine_bus, k), w.e_re, w.e_im, w.v,
                         &volts[k], &volts[sources + k]);
-    for (size_t p = 0; p < plan.n_port; ++p) {
+    for (size_t p = 0; p < plan->n_port; ++p) {
         volts[n + p] = w.port.v_re[p];
         volts[sources + n + p] = w.port.v_im[p];
     }
     for (size_t k = 0; k < 2 * sources; ++k) volts[k] = with_slope(creal(volts[k]), H * vv[k]);
     for (size_t k = 0; k < layout->n_x; ++k) z[k] = with_slope(x[k], H * vx[k]);
     for (size_t k = 0; k < layout->n_u; ++k) input[k] = with_slope(u[k], H * vu[k]);
-    EVERY_MACHINE(machine_emf, &plan, &w, &machines);
-    inject_apart(memory, &plan, machines.x.ed2, volts, volts + sources, &w);
-    solve_terminals(memory, &plan, &machines, &w);
-    solve_rates(memory, &plan, z, input, rates, &w);
+    EVERY_MACHINE(machine_emf, plan, &w, &machines);
+    inject_apart(memory, plan, machines.x.ed2, volts, volts + sources, &w);
+    solve_terminals(memory, plan, &machines, &w);
+    solve_rates(memory, plan, z, input, rates, &w);
     for (size_t k = 0; k < layout->n_x; ++k) vdx[k] = cimag(rates[k]) / H;
     for (size_t k = 0; k < n; ++k) {
         vi[k] = cimag(w.i_re[k]) / H;
         vi[sources + k] = cimag(w.i_im[k]) / H;
     }
-    for (size_t p = 0; p < plan.n_port; ++p) {
-        const int load = port_is_load(memory + plan.port + P_ROWS * p);
+    for (size_t p = 0; p < plan->n_port; ++p) {
+        const int load = port_is_load(memory + plan->port + P_ROWS * p);
         vi[n + p] = load ? cimag(w.e_re[n + p]) / H : 0.0;
         vi[sources + n + p] = load ? cimag(w.e_im[n + p]) / H : 0.0;
     }

@@ -1,7 +1,7 @@
 #ifndef INTERAREA_TILES_H
 #define INTERAREA_TILES_H
-/* The equations of one plant's machines and devices, 4 (AVX2) or 8 (AVX-512) of them in one operation,
- * where the processor can and there are as many: the same operations in the same order as one at a time,
+/* The equations of one plant's machines and devices, 4 (AVX2; WebAssembly's two pairs) or 8 (AVX-512) of them in
+ * one operation, where the processor can and there are as many: the same operations in the same order as one at a time,
  * hence the same bits. */
 #include "elements.h"
 #include "machine.h"
@@ -20,6 +20,9 @@ DeviceRun device_run_4, device_run_8;
 #define TILED(f, lanes, count, ...) \
     ((lanes) >= 8 && (count) >= 8 ? f##_8(__VA_ARGS__) \
      : (lanes) >= 4 && (count) >= 4 ? f##_4(__VA_ARGS__) : f(__VA_ARGS__))
+#elif defined __wasm_simd128__ && !defined PLANT_TANGENT && !defined PLANT_LANES
+#define TILED(f, lanes, count, ...) \
+    ((lanes) >= 4 && (count) >= 4 ? f##_4(__VA_ARGS__) : f(__VA_ARGS__))
 #else
 #define TILED(f, lanes, count, ...) ((void)(lanes), f(__VA_ARGS__))
 #endif
