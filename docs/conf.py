@@ -63,5 +63,6 @@ html_theme_options = {
 }
 html_context = {"default_mode": "auto"}
 html_show_sourcelink = False
+html_show_search_summary = False  # a page from disk may not fetch another one
 html_copy_source = False
 copyright = "the interarea developers, BSD-3-Clause"

@@ -37,14 +37,14 @@ _INNER = {"scenario": ("folder", "rounded"), "case": ("sources",)}
 def kinds() -> dict[str, str]:
     """Return the kinds of files with what each is."""
     return {
-        "scenario": "what is run, through which channels, and what happens when (TOML)",
-        "case": "a grid with its machines, controls and loads (TOML); tables of rows are keyed by id",
-        "events": "the `[[event]]` tables of a scenario or case",
-        "design": "a controller to be designed: operating points, losses, latencies, what is asked (TOML)",
+        "scenario": "a scenario: what is run, through which channels, and what happens when (TOML)",
+        "case": "a case: a grid with its machines, controls and loads (TOML); tables of rows are keyed by id",
+        "events": "events: the `[[event]]` tables of a scenario or case",
+        "design": "a design: operating points, losses, latencies and what a controller is asked for (TOML)",
         "controller": "a controller as it is stored, u = +K y (JSON)",
-        "device": "an exciter, stabilizer, governor or compensator of one's own (TOML), named in a case",
-        "sweep": "one scenario, many values (TOML)",
-        "study": "one case through designs, runs, figures and a report (TOML)",
+        "device": "a device: an exciter, stabilizer, governor or compensator (TOML) that a case names",
+        "sweep": "a sweep: one scenario, many values (TOML)",
+        "study": "a study: one case through designs, runs, figures and a report (TOML)",
         "claims": "what a publication prints, to be judged by a study's numbers (TOML)",
     }
 
@@ -186,10 +186,10 @@ def page(kind: str) -> str:
     made = schema(kind)
     comments, examples = _comments(kind), _examples(kind, made)
     lines = [
-        f"# {kind}",
+        f"# Every key of {'events' if kind == 'events' else f'a {kind}'}",
         "",
-        f"For those who write a file of kind `{kind}`: {kinds()[kind]}. Every key with its unit, range, "
-        "default and an example; made by `docs/formats/make.py` from the models that check the files.",
+        f"For those who write {kinds()[kind]}. After this page you know every key with its unit, range, default "
+        "and an example; it is made by `docs/formats/make.py` from the models that check the files.",
         "",
     ]
     if kind in ("scenario", "events", "study"):

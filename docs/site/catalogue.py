@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import typer
+from written import written_page
 
 import interarea as ia
 from interarea.cli.app import COMMANDS, load
@@ -68,8 +69,8 @@ def python_page() -> Iterator[str]:
     yield "# Python"
     yield ""
     yield (
-        "For those who write scripts: every public name of `import interarea as ia`, with shapes, "
-        "units, errors and an example. What is not here may change without notice."
+        "For those who write scripts. After this page you know every public name of `import interarea as ia`, "
+        "with shapes, units, errors and an example. What is not here may change without notice."
     )
     places = ia._PLACE  # module of each public name
     for module, title in (*_KINDS.items(), ("", "Objects and errors")):
@@ -79,6 +80,7 @@ def python_page() -> Iterator[str]:
                 kind = "autoclass" if isinstance(getattr(ia, name), type) else "autofunction"
                 options = "   :members:\n   :no-index-entry:\n" if kind == "autoclass" else ""
                 yield f"```{{eval-rst}}\n.. {kind}:: interarea.{name}\n{options}```\n"
+    yield "Next: [the same on the command line](commands.md)."
 
 
 def commands_page() -> Iterator[str]:
@@ -86,7 +88,7 @@ def commands_page() -> Iterator[str]:
     yield "# Commands"
     yield ""
     yield (
-        "For those who type: every command of `interarea` with its options. Exit code 0: done; 1: "
+        "For those who type. After this page you know every command of `interarea` with its options. Exit code 0: done; 1: "
         "what was asked is not reached (a certificate, a check, not a single good run of a sweep); 2: "
         "a mistake, told in one line."
     )
@@ -117,6 +119,7 @@ def commands_page() -> Iterator[str]:
                 yield f"| `{shown}` | {words}{default} |".replace("\n", " ")
     yield from ("", "## Environment", "", "| variable | what it does |", "|---|---|")
     yield from (f"| `{name}` | {words} |" for name, words in ENVIRONMENT.items())
+    yield from ("", "Next: [a scenario's keys](../formats/scenario.md), or [what is written](written.md).")
 
 
 #: variables of the environment that the package looks at
@@ -154,6 +157,7 @@ def devices_page() -> Iterator[str]:
             cells = (f"`{p.name}`", p.unit, range_text(p), p.text)
             yield "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
         yield from ("", f"Source: {'; '.join(device.sources)}. Held against: {device.oracle or 'nothing'}.")
+    yield from ("", "Next: [a device of your own](../own_device.md).")
 
 
 def blocks() -> Iterator[tuple[str, Block]]:
@@ -175,7 +179,7 @@ def variables_page() -> Iterator[str]:
     yield "# Variables of the FMUs"
     yield ""
     yield (
-        "For those who load an FMU in another tool: the name, role and unit of every variable. The "
+        "For those who load an FMU in another tool. After this page you know name, role and unit of every variable. The "
         "plant's names carry the ids of the case; here those of `two-area-thesis`, where `G1` stands "
         "for any machine. A controller's FMU has its signals as inputs and its actuators as outputs; here "
         "`G2_dw`, `G4_dw` and `G4_vs`. A closed loop in one FMU has the parameters of all as `MEMBER.NAME`."
@@ -183,6 +187,7 @@ def variables_page() -> Iterator[str]:
     for title, block in blocks():
         yield from ("", f"## {title}", "", "| variable | role | unit | what it is |", "|---|---|---|---|")
         yield from _rows(block)
+    yield from ("", "Next: [the loop in another tool](../other_tools.md).")
 
 
 def _rows(block: Block) -> Iterator[str]:
@@ -213,6 +218,7 @@ def _write_all(*_: object) -> None:
             "commands": commands_page(),
             "devices": devices_page(),
             "variables": variables_page(),
+            "written": written_page(),
         }
     )
     (HERE / "static").mkdir(exist_ok=True)

@@ -18,28 +18,89 @@ from interarea.models.devices.library import library
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(p for p in DOCS.rglob("*.md") if "generated" not in p.parts and p.name != "index.md")
+sys.path.insert(0, str(DOCS / "site"))
+import written  # noqa: E402  of the site, no package
+
 FLOORS = ("models", "fmu_build", "design", "cosim", "interarea")
-GENERATED = ("python", "commands", "devices", "variables")
+QUICK = ("python", "commands", "devices", "variables")
+GENERATED = (*QUICK, "written")  # that one runs commands for its examples
 
 
 @pytest.fixture(scope="module")
 def made() -> dict[str, str]:
-    """Return the generated pages by name."""
+    """Return the generated pages that run nothing, by name."""
     sys.path.insert(0, str(DOCS / "site"))
     try:
         import catalogue
     finally:
         sys.path.remove(str(DOCS / "site"))
-    return {name: "\n".join(getattr(catalogue, f"{name}_page")()) for name in GENERATED}
+    return {name: "\n".join(getattr(catalogue, f"{name}_page")()) for name in QUICK}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
 def test_first_line_says_for_whom_and_the_last_what_is_next(page: Path) -> None:
     text = re.sub(r"\A---\n.*?\n---\n+", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    check_first_and_last(text)
+
+
+def check_first_and_last(text: str) -> None:
     title, first = [part for part in text.split("\n\n") if part.strip()][:2]
     assert title.startswith("# ")
-    assert first.startswith("For those who")
-    assert text.rstrip().split("\n\n")[-1].startswith("Next: ["), "the next step stands at the end"
+    assert re.match(r"For those who .*?\.\s+After th(is|ese)\s+pages?\s", first, re.DOTALL), first
+    assert re.search(r"^Next: \[", text.rstrip().split("\n\n")[-1], re.MULTILINE), "no next step at the end"
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_generated_pages_say_so_too(name: str, made: dict[str, str]) -> None:
+    check_first_and_last(made[name])
+
+
+def test_the_front_page_says_so_too() -> None:
+    text = (DOCS / "index.md").read_text(encoding="utf-8")
+    check_first_and_last(text.partition("```{toctree}")[0])
+
+
+def test_every_command_that_writes_has_its_files_told() -> None:
+    """A command with `--out` writes what `written.toml` tells, or a file that has a page of its own."""
+    told = {command["name"] for command in written.WRITTEN["command"]}
+    other = {
+        "explore",
+        "ssp",
+        "container",
+        "import",
+        "export",
+        "new",
+    }  # a page, standards, a case, a template
+    writing = {name for name in COMMANDS if any("--out" in p.opts for p in load(name).params)}
+    assert writing - other <= told and told | other <= set(COMMANDS)
+
+
+def test_every_kind_of_what_is_cached_is_told() -> None:
+    code = "".join(p.read_text(encoding="utf-8") for f in FLOORS for p in (ROOT / f).rglob("*.py"))
+    named = set(re.findall(r"(?:artefact|cached_json)\(\s*cache,\s*\"([\w-]+)\"", code))
+    assert len(named) >= 12
+    assert named | {block.kind for block in blocks().values()} - {"loop", "decay"} <= set(
+        written.WRITTEN["cache"]
+    )
+
+
+@pytest.mark.slow
+def test_every_file_and_key_that_is_written_is_told(tmp_path: Path) -> None:
+    for name, folder in written.write_samples(tmp_path).items():
+        command = next(c for c in written.WRITTEN["command"] if c["name"] == name)
+        files = {str(p.relative_to(folder)): p for p in folder.rglob("*") if p.is_file()}
+        assert files
+        used: set[str] = set()
+        for path, file in files.items():
+            entry = written.entry_of(path, command)
+            assert entry is not None, f"{name}: {path} is not told"
+            if "keys" in entry:
+                for key in written.keys_of(file):
+                    told = written.told_by(key, entry["keys"])
+                    assert told is not None, f"{name}: {path}: {key} is not told"
+                    used.add(f"{entry['path']} {told}")
+        all_told = {f"{file['path']} {key}" for file in command["file"] for key in file.get("keys", {})}
+        assert all_told == used, f"{name}: told and not there: {all_told - used}"
 
 
 def test_no_table_has_an_empty_heading(made: dict[str, str]) -> None:

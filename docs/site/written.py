@@ -1,0 +1,129 @@
+"""The page on what the commands write: `written.toml` says what each file and key is, a run of each shows it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator, Mapping
+from fnmatch import fnmatchcase
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pyarrow.parquet as pq
+
+from interarea.design.controllers import bundled
+
+WRITTEN = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+SHORT = 60  #: characters of an example
+
+
+def keys_of(file: Path) -> dict[str, Any]:
+    """Return key -> first value of a written file: keys of JSON and columns of tables."""
+    if file.suffix == ".json":
+        return dict(_flat(json.loads(file.read_text(encoding="utf-8"))))
+    if file.suffix == ".csv":
+        with file.open(encoding="utf-8", newline="") as lines:
+            head, first = list(csv.reader(lines))[:2]
+        return dict(zip(head, first, strict=True))
+    table = pq.read_table(file).slice(0, 1).to_pydict()
+    return {name: values[0] for name, values in table.items()}
+
+
+def _flat(value: Any, before: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        value = value[0]
+    if isinstance(value, Mapping) and value:
+        for key, part in value.items():
+            yield from _flat(part, f"{before}.{key}" if before else str(key))
+    else:
+        yield before, value
+
+
+def told_by(key: str, told: Mapping[str, str]) -> str | None:
+    """Return the entry that tells a key: its own, a pattern, or that of what it lies in."""
+    for name in told:
+        parts = name.split(".")
+        words = key.split(".")[: len(parts)]
+        if len(words) == len(parts) and all(map(fnmatchcase, words, parts)):
+            return name
+    return None
+
+
+def entry_of(path: str, command: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the entry of a file that a command wrote, by its path in the folder."""
+    return next((file for file in command["file"] if fnmatchcase(path, file["path"])), None)
+
+
+#: commands that take seconds, with the files of which the page has its examples
+SAMPLES = {
+    "run": ["run", "lost-signal"],
+    "compare": ["compare", "none", "--scenario", "wide-area-damping"],
+    "sweep": ["sweep", "{folder}/sweep.toml"],
+    "screen": ["screen", "two-area-thesis", "--bus", "8"],
+}
+SWEEP = """scenario = "wide-area-damping"
+parameters.latency = { path = "channels.*.latency_s", values = [0.1] }
+trajectories.keep = "all"
+"""
+
+
+def write_samples(folder: Path) -> dict[str, Path]:
+    """Run the commands of `SAMPLES`; return the folder of each, and that of a bundled controller's certificate."""
+    (folder / "sweep.toml").write_text(SWEEP, encoding="utf-8")
+    for name, words in SAMPLES.items():
+        given = [word.format(folder=folder) for word in words]
+        command = [sys.executable, "-m", "interarea", *given, "--out", str(folder / name)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError(f"{' '.join(given)}: {done.stderr}")
+    record = json.loads(Path(bundled.__file__).with_name("robust.json").read_text(encoding="utf-8"))
+    (folder / "design").mkdir()
+    text = json.dumps(record["certificate"])
+    (folder / "design" / "certificate.json").write_text(text, encoding="utf-8")
+    return {name: folder / name for name in (*SAMPLES, "design")}
+
+
+def written_page() -> Iterator[str]:
+    """Every file that a command writes, with its keys and an example of each."""
+    yield "# What is written"
+    yield ""
+    yield (
+        "For those who read results by a program. After this page you know every file that a command writes, with "
+        "every key and column. A file is whole or not there; numbers have all their digits. The examples are those "
+        "of a run of each command, made with this page. In names `*` stands for any."
+    )
+    with TemporaryDirectory() as place:
+        samples = write_samples(Path(place))
+        for command in WRITTEN["command"]:
+            folder = samples.get(command["name"])
+            yield from ("", f"## interarea {command['name']}", "")
+            yield from ("| file | what it holds |", "|---|---|")
+            yield from (f"| `{file['path']}` | {file['what']} |" for file in command["file"])
+            for file in command["file"]:
+                if "keys" in file:
+                    yield from _key_table(file, folder)
+    yield from ("", "## The cache", "")
+    yield (
+        "What is made once lies in the user's cache folder (`INTERAREA_CACHE` names another), each file named by a "
+        "hash of what it is made from, its SHA-256 beside it. Anything may be deleted at any time; "
+        "`interarea cache` shows and trims it."
+    )
+    yield from ("", "| folder | what it holds |", "|---|---|")
+    yield from (f"| `{name}` | {words} |" for name, words in WRITTEN["cache"].items())
+    yield from ("", "Next: [what holds when a disk is full or a process dies](../promises.md).")
+
+
+def _key_table(file: Mapping[str, Any], folder: Path | None) -> Iterator[str]:
+    found = {} if folder is None else keys_of(next(iter(sorted(folder.glob(file["path"])))))
+    examples: dict[str, str] = {}
+    for key, value in found.items():
+        name = told_by(key, file["keys"])
+        text = value if isinstance(value, str) else json.dumps(value, default=str)
+        if name is not None and text and len(text) <= SHORT:
+            examples.setdefault(name, f"`{text}`".replace("|", "\\|"))
+    yield from ("", f"### {file['path']}", "", "| key | example | what it is |", "|---|---|---|")
+    yield from (f"| `{name}` | {examples.get(name, '')} | {words} |" for name, words in file["keys"].items())
