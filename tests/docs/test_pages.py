@@ -70,7 +70,7 @@ def test_every_command_that_writes_has_its_files_told() -> None:
         "import",
         "export",
         "new",
-    }  # a page, standards, a case, a template
+    }  # a page, by standards, a case
     writing = {name for name in COMMANDS if any("--out" in p.opts for p in load(name).params)}
     assert writing - other <= told and told | other <= set(COMMANDS)
 
