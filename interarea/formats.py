@@ -188,8 +188,8 @@ def page(kind: str) -> str:
     lines = [
         f"# Every key of {'events' if kind == 'events' else f'a {kind}'}",
         "",
-        f"For those who write {kinds()[kind]}. After this page you know every key with its unit, range, default "
-        "and an example; it is made by `docs/formats/make.py` from the models that check the files.",
+        f"For those who write {kinds()[kind]}. After this page you know every key with its unit, range, "
+        "default and an example; it is made by `docs/formats/make.py` from the models that check the files.",
         "",
     ]
     if kind in ("scenario", "events", "study"):

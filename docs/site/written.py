@@ -1,4 +1,4 @@
-"""The page on what the commands write: `written.toml` says what each file and key is, a run of each shows it."""
+"""The page on what the commands write: `written.toml` says what each file and key is, runs show it."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ trajectories.keep = "all"
 
 
 def write_samples(folder: Path) -> dict[str, Path]:
-    """Run the commands of `SAMPLES`; return the folder of each, and that of a bundled controller's certificate."""
+    """Run the commands of `SAMPLES`; return the folder of each, and that of a bundled certificate."""
     (folder / "sweep.toml").write_text(SWEEP, encoding="utf-8")
     for name, words in SAMPLES.items():
         given = [word.format(folder=folder) for word in words]
@@ -92,9 +92,9 @@ def written_page() -> Iterator[str]:
     yield "# What is written"
     yield ""
     yield (
-        "For those who read results by a program. After this page you know every file that a command writes, with "
-        "every key and column. A file is whole or not there; numbers have all their digits. The examples are those "
-        "of a run of each command, made with this page. In names `*` stands for any."
+        "For those who read results by a program. After this page you know every file that a command "
+        "writes, with every key and column. A file is whole or not there; numbers have all their digits. "
+        "The examples are those of a run of each command, made with this page; in names `*` stands for any."
     )
     with TemporaryDirectory() as place:
         samples = write_samples(Path(place))
@@ -108,8 +108,8 @@ def written_page() -> Iterator[str]:
                     yield from _key_table(file, folder)
     yield from ("", "## The cache", "")
     yield (
-        "What is made once lies in the user's cache folder (`INTERAREA_CACHE` names another), each file named by a "
-        "hash of what it is made from, its SHA-256 beside it. Anything may be deleted at any time; "
+        "What is made once lies in the user's cache folder (`INTERAREA_CACHE` names another), each file "
+        "named by a hash of what it is made from, its SHA-256 beside it. Anything may be deleted at any time; "
         "`interarea cache` shows and trims it."
     )
     yield from ("", "| folder | what it holds |", "|---|---|")
