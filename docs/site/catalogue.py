@@ -70,7 +70,8 @@ def python_page() -> Iterator[str]:
     yield ""
     yield (
         "For those who write scripts. After this page you know every public name of "
-        "`import interarea as ia`, with shapes, units, errors and an example. What is not here may change without notice."
+        "`import interarea as ia`, with shapes, units, errors and an example. What is not here may "
+        "change without notice."
     )
     places = ia._PLACE  # module of each public name
     for module, title in (*_KINDS.items(), ("", "Objects and errors")):
@@ -89,7 +90,8 @@ def commands_page() -> Iterator[str]:
     yield ""
     yield (
         "For those who type. After this page you know every command of `interarea` with its "
-        "options. Exit code 0: done; 1: what was asked is not reached (a certificate, a check, not a single good run of a sweep); 2: "
+        "options. Exit code 0: done; 1: what was asked is not reached (a certificate, a check, not a "
+        "single good run of a sweep); 2: "
         "a mistake, told in one line."
     )
     for name, (_, line) in COMMANDS.items():
@@ -180,7 +182,8 @@ def variables_page() -> Iterator[str]:
     yield ""
     yield (
         "For those who load an FMU in another tool. After this page you know name, role and unit of "
-        "every variable. The plant's names carry the ids of the case; here those of `two-area-thesis`, where `G1` stands "
+        "every variable. The plant's names carry the ids of the case; here those of `two-area-thesis`, "
+        "where `G1` stands "
         "for any machine. A controller's FMU has its signals as inputs and its actuators as outputs; here "
         "`G2_dw`, `G4_dw` and `G4_vs`. A closed loop in one FMU has the parameters of all as `MEMBER.NAME`."
     )

@@ -109,7 +109,8 @@ def written_page() -> Iterator[str]:
     yield from ("", "## The cache", "")
     yield (
         "What is made once lies in the user's cache folder (`INTERAREA_CACHE` names another), each file "
-        "named by a hash of what it is made from, its SHA-256 beside it. Anything may be deleted at any time; "
+        "named by a hash of what it is made from, its SHA-256 beside it. Anything may be deleted at any "
+        "time; "
         "`interarea cache` shows and trims it."
     )
     yield from ("", "| folder | what it holds |", "|---|---|")
