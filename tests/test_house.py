@@ -41,7 +41,13 @@ SOURCES = PYTHON + [p for floor in FLOORS for p in sorted((ROOT / floor).rglob("
 #: C has its order of folders too: each includes from those before it.
 C_ORDER = [
     *(f"models/c/{k}" for k in ("block", "channel", "concentrator", "controller", "plant", "container")),
-    *("fmu_build/c", "fmu_build/c/group", "cosim/master/kernel", "cosim/explorer/web"),
+    *(
+        "fmu_build/c",
+        "fmu_build/c/group",
+        "cosim/master/kernel",
+        "cosim/explorer/web/libc",
+        "cosim/explorer/web",
+    ),
 ]
 C_FILES = {p for p in SOURCES if p.suffix in {".c", ".h"}}
 LONGEST_FILE = 450  # lines: what a person reads in one sitting

@@ -59,15 +59,16 @@ PLATFORMS: dict[str, Platform] = {
     )
 }
 
-#: What a web page runs; no FMU holds it. 256 KiB of stack: zig's own 16 MiB would be memory of every page.
+#: What a web page runs; no FMU holds it. It has no system below it: the sources bring what they need of a C
+#: library. 256 KiB of stack: zig's own 16 MiB would be memory of every page.
 WEB_PAGE = Platform(
     "wasm32",
     "",
     ("wasm32-wasi",),
     ".wasm",
     ("-Oz", "-msimd128"),
-    ("-s", "-Wl,-z,stack-size=262144"),
-    "-mexec-model=reactor",
+    ("-s", "-Wl,-z,stack-size=262144", "-Wl,--no-entry"),
+    "-nostdlib",
 )
 
 #: of the compiler's own folder: what it made of libc and the like, apart from what it made of our files

@@ -198,9 +198,9 @@ def test_a_study_hands_its_own_controllers_over(
     assert all(subject.controllers[name] is hand_controller for name in own)
     made_of = {}
 
-    def block(scenario: Scenario, *, cache: Path, controller: Controller | None) -> Block:
+    def block(scenario: Scenario, *, controller: Controller | None, **known: Any) -> Block:
         made_of[scenario.controller] = controller
-        return container_block(scenario, cache=cache, controller=controller)
+        return container_block(scenario, controller=controller, **known)
 
     monkeypatch.setattr("interarea.cosim.explorer.models.container_block", block)
     models_of(subject)

@@ -42,7 +42,10 @@ static void keep_first(fmi2ComponentEnvironment environment, fmi2String instance
 unsigned char *resource_read(const char *location, const fmi2CallbackFunctions *callbacks, size_t *size,
                              char *why, size_t why_size)
 {
-    const Session *s = (const Session *)strtoul(location, NULL, 16);
+    uintptr_t address = 0;
+
+    for (; *location != 0; ++location) address = 10 * address + (uintptr_t)(*location - '0');
+    const Session *s = (const Session *)address;
     unsigned char *bytes = instance_allocate(callbacks, s->record_size);
 
     *size = s->record_size;
@@ -68,13 +71,13 @@ Session *page_open(const unsigned char *record, size_t size, const char *guid);
 EXPORT(open) Session *page_open(const unsigned char *record, size_t size, const char *guid)
 {
     Session *s = calloc(1, sizeof *s);
-    char location[2 * sizeof s + 1];
+    char location[3 * sizeof s + 1];
 
     if (s == NULL) return NULL;
     const fmi2CallbackFunctions callbacks = {keep_first, NULL, NULL, NULL, s};
     s->record = record;
     s->record_size = size;
-    snprintf(location, sizeof location, "%lx", (unsigned long)(uintptr_t)s);
+    snprintf(location, sizeof location, "%zu", (size_t)(uintptr_t)s);
     s->component = fmi2Instantiate("page", fmi2CoSimulation, guid, location, &callbacks, fmi2False, fmi2False);
     s->record = NULL;
     return s;

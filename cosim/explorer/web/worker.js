@@ -29,7 +29,6 @@ function undelta(reference, changes) {
 class Container {
   constructor(module, data, parts) {
     this.exports = new WebAssembly.Instance(module, {}).exports;
-    if (this.exports._initialize) this.exports._initialize();
     this.data = data;
     this.parts = parts;
     this.records = [];
