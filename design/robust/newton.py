@@ -99,7 +99,8 @@ def _scale(objective: Objective, theta: Array) -> Array:
 
 def _trusted(slope: Array, curvature: Array, radius: float) -> tuple[Array, float]:
     """Return the step of least model value within `radius`, in the Hessian's axes, and what it predicts."""
-    low = max(0.0, -float(curvature.min())) + 1e-12
+    # beyond its last digit, so that no curvature is left at zero
+    low = max(0.0, -float(curvature.min()) * (1.0 + 1e-12)) + 1e-12
     shift = low
     if np.linalg.norm(slope / (curvature + low)) > radius:
         high = low + float(np.linalg.norm(slope)) / radius

@@ -116,6 +116,14 @@ def _staged(objective: Objective, stages: tuple[Stage, ...]) -> tuple[np.ndarray
     return theta, count
 
 
+def test_a_trusted_step_is_finite_where_a_large_negative_curvature_swallows_small_numbers() -> None:
+    slope, curvature = np.array([1.0, 1.0]), np.array([-1e7, 3.0])
+    with np.errstate(all="raise"):
+        move, predicted = _trusted(slope, curvature, 0.5)
+    assert np.linalg.norm(move) == pytest.approx(0.5)
+    assert predicted > 0.0
+
+
 def test_rounds_of_lbfgs_between_go_on_where_newton_steps_end(objective: Objective) -> None:
     start = first_guess(objective, np.random.default_rng(1), 0.2)
     alone, _ = newton_descent(objective, start, 60, balanced=balanced_parameters)
