@@ -68,7 +68,7 @@ def rows_of(case: Case, events: Iterable[Any] = ()) -> list[Row]:
         case.machines, flow.generation, operating_point(case, flow).machines, strict=True
     ):
         rows += _machine(case, m, power, point.efd)
-    return rows + [row for event in events for row in _event(event)]
+    return rows + [row for event in events for row in rows_of_event(event)]
 
 
 def load_mix(case: Case) -> dict[str, float]:
@@ -176,7 +176,7 @@ def _stabilizer(m: Machine) -> Row:
     }
 
 
-def _event(event: Any) -> list[Row]:
+def rows_of_event(event: Any) -> list[Row]:
     if event.kind == "bus_fault":
         fault = {"bus": event.bus, "tf": event.start_s, "tc": event.end_s, "xf": event.x_pu, "rf": event.r_pu}
         return [("Fault", fault)]

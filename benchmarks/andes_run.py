@@ -2,7 +2,7 @@
 
 Input, JSON: {"rows": [[model, {...}], ...], "frequency_hz": f, "base_mva": S, "loads": {...},
 "stop_s": T or null, "step_s": h, "tolerance": newton, "every": n, "repeat": times}, or
-{"files": [RAW, DYR]} for a grid that comes with ANDES.
+{"files": [RAW, DYR]} for a grid that comes with ANDES or lies on disk, with rows of events beside.
 Output, JSON: power flow, eigenvalues, time and speed of each machine, CPU seconds of the time-domain runs.
 """
 
@@ -24,7 +24,10 @@ def system_of(problem: dict[str, Any]) -> Any:
 
     if "files" in problem:  # a grid of ANDES's own: what it reads from the same files
         raw, dyr = (andes.get_case(name) for name in problem["files"])
-        system = andes.load(raw, addfile=dyr, no_output=True, default_config=True)
+        system = andes.load(raw, addfile=dyr, no_output=True, default_config=True, setup=False)
+        for model, parameters in problem.get("rows", ()):
+            system.add(model, {"u": 1} | parameters)
+        system.setup()
         system.files_read = [raw, dyr]
         system.PFlow.config.tol = 1e-10
         if not system.PFlow.run():
@@ -52,6 +55,7 @@ def run(problem: dict[str, Any]) -> dict[str, Any]:
         "v": system.Bus.v.v.tolist(),
         "a": system.Bus.a.v.tolist(),
         "machines": list(system.GENROU.gen.v),
+        "machine_buses": [int(bus) for bus in system.GENROU.bus.v],
         "version": importlib.metadata.version("andes"),
         "files": [str(name) for name in getattr(system, "files_read", ())],
     }

@@ -129,3 +129,13 @@ def test_the_fmu_gives_the_bits_of_the_plain_loop():
     plant.advance(2.0)
     np.testing.assert_array_equal(loop.states(), plant.outputs(loop.state_names))
     plant.close()
+
+
+def test_records_for_both_tools_have_no_saturation_and_no_stabilizer_without_an_exciter():
+    text = """
+    1 'GENROU' 1 8 0.03 0.4 0.05 6 0 1.8 1.7 0.3 0.5 0.25 0.2 0.1 0.4 /
+    1, 'EXST1', 1, 0, 9, -9, 0, 0, 200, 0.02, 5, -5, 0, 0, 1 /  1 'ST2CUT' 1 1 0 0 0 9 /
+    2 'ESDC2A' 1 0 1 / 2 'ST2CUT' 1 1 0 0 0 9 /"""
+    kept = compare_andes.reduced_records(text, compare_andes.FILES["wecc"][1]).splitlines()
+    assert [line.split()[:2] for line in kept] == [["1", "'GENROU'"], ["1", "'EXST1'"], ["1", "'ST2CUT'"]]
+    assert kept[0].endswith("0.25 0.2 0 0 /") and kept[1].endswith("0 0 1 /")
