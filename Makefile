@@ -25,11 +25,12 @@ test-fast: $(VENV)/installed-test
 test-slow: $(VENV)/installed-test
 	$(BIN)/python -m pytest -q -m slow -n $(WORKERS) --dist loadfile --durations=15
 
-# An hour of random FMI calls under sanitizers, then foreign FMUs and every injected fault; seeds go on from hour to hour.
+# An hour of random FMI calls under sanitizers, then foreign FMUs, every injected fault, 500 kills of sweeps; seeds go on from hour to hour.
 fuzz: $(VENV)/installed-test
 	$(BIN)/python tests/fuzz/run_fuzz.py --minutes 60 --calls 100000000 --seeds out/fuzz/seeds.json
 	-$(BIN)/python tests/foreign/fetch.py
 	$(BIN)/python -m pytest -q -m "" tests/foreign tests/faults tests/hostile tests/sweep/test_sweep_kills.py
+	$(BIN)/python tests/sweep/kills.py --kills 500
 
 lint: $(VENV)/installed-test
 	$(BIN)/ruff check .

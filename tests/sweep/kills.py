@@ -1,9 +1,10 @@
 """Kill a sweep at random times, start it again, and compare what it leaves with an undisturbed run.
 
-    python tests/sweep/kills.py --kills 100
+    python tests/sweep/kills.py --kills 500
 
-Half of the kills (SIGKILL) hit a worker or the server that forks
-them, half the main process with everything it is doing at that moment.
+Kills (SIGKILL) of four kinds, in turn: of a worker or the server that forks them; of the main process with
+everything it is doing at that moment; of the whole tree at once; of the tree by a power cut, after which the
+folder holds what was forced to disk, and of the rest what chance leaves (`power_cut`).
 """
 
 from __future__ import annotations
@@ -18,7 +19,10 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +31,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from interarea.cosim.sweep.parts import read_rows
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+import power_cut
+
 from interarea.cosim.sweep.plan import plan_sweep
 from interarea.cosim.sweep.rows import schema_of
 from interarea.cosim.sweep.runner import Runner
 from interarea.cosim.sweep.spec import load_sweep
 from interarea.fmu_build.write.cache import default_cache
+
+KINDS = ("worker", "main", "tree", "power")
 
 SWEEP = """
 seed = 1
@@ -82,44 +92,65 @@ def children(pid: int) -> list[int]:
 
 
 def disturb(
-    file: Path, folder: Path, kills: int, chance: random.Random, *, longest_s: float
-) -> dict[str, int]:
-    """Run the sweep into `folder`, killing it up to `kills` times; return how many of which."""
-    done = {"worker": 0, "main": 0, "starts": 0}
-    command = [
-        sys.executable,
-        "-m",
-        "interarea.cli.app",
-        "sweep",
-        str(file),
-        "--out",
-        str(folder),
-        "--workers",
-        "2",
-    ]
+    file: Path,
+    folder: Path,
+    kills: int,
+    chance: random.Random,
+    *,
+    longest_s: float,
+    kinds: Sequence[str] = KINDS,
+) -> Counter[str]:
+    """Run the sweep into `folder`, kill it up to `kills` times by `kinds` in turn; return how many of which.
+
+    Under `lost` it counts what power cuts left otherwise than it was written.
+    """
+    done: Counter[str] = Counter()
+    turn = cycle(kinds)
     while True:
-        done["starts"] += 1
+        kind, done["starts"] = next(turn), done["starts"] + 1
+        disk = folder.with_name(f"{folder.name}-disk")
+        begin = ["-m", "interarea.cli.app"]
+        if kind == "power" and sum(done[k] for k in KINDS) < kills:
+            begin = [power_cut.__file__, str(disk), str(chance.randint(1, 30))]
+        words = ["sweep", str(file), "--out", str(folder), "--workers", "2"]
         with tempfile.TemporaryFile() as errors:
-            main = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=errors)
-            while done["worker"] + done["main"] < kills:
+            main = subprocess.Popen(
+                [sys.executable, *begin, *words],
+                stdout=subprocess.DEVNULL,
+                stderr=errors,
+                start_new_session=True,
+            )
+            while kind != "power" and sum(done[k] for k in KINDS) < kills:
                 try:
                     main.wait(timeout=chance.uniform(0.0, longest_s))
                     break
                 except subprocess.TimeoutExpired:
                     workers = children(main.pid)
-                if chance.random() < 0.5 and workers:
-                    os.kill(chance.choice(workers), signal.SIGKILL)
-                    done["worker"] += 1
+                if kind == "worker" and not workers:
                     continue
-                main.kill()
-                done["main"] += 1
+                done[kind] += 1
+                if kind == "worker":
+                    with suppress(ProcessLookupError):  # ended in between
+                        os.kill(chance.choice(workers), signal.SIGKILL)
+                    kind = next(other for other in turn if other != "power")
+                    continue
+                main.kill() if kind == "main" else os.killpg(main.pid, signal.SIGKILL)
                 break
             code = main.wait()
-            if code == 0:
-                return done
-            if code != -signal.SIGKILL:
+            if code not in (0, -signal.SIGKILL):
                 errors.seek(0)
                 raise RuntimeError(f"the sweep ended with {code}: {errors.read().decode()}")
+        if disk.exists():
+            if code:
+                with suppress(ProcessLookupError):  # workers, which lost their main process
+                    os.killpg(main.pid, signal.SIGKILL)
+                done["power"], done["lost"] = (
+                    done["power"] + 1,
+                    done["lost"] + power_cut.cut(folder, disk, chance),
+                )
+            shutil.rmtree(disk, ignore_errors=True)
+        if code == 0:
+            return done
 
 
 def check(folder: Path, expected: pd.DataFrame) -> None:
@@ -136,7 +167,7 @@ def check(folder: Path, expected: pd.DataFrame) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--kills", type=int, default=100)
+    parser.add_argument("--kills", type=int, default=500)
     parser.add_argument("--losses", type=int, default=50, help="20 times as many runs in each sweep")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--longest", type=float, default=8.0, help="longest time between kills, s")
@@ -148,18 +179,16 @@ def main() -> None:
         file.write_text(SWEEP.format(losses=options.losses), encoding="utf-8")
         expected = undisturbed(file)
         print(f"undisturbed: {len(expected)} runs", flush=True)
-        total = {"worker": 0, "main": 0, "starts": 0}
-        begin = time.monotonic()
-        sweeps = 0
-        while total["worker"] + total["main"] < options.kills:
+        total: Counter[str] = Counter()
+        begin, sweeps = time.monotonic(), 0
+        while (made := sum(total[kind] for kind in KINDS)) < options.kills:
             folder = root / f"out-{sweeps}"
-            left = options.kills - total["worker"] - total["main"]
-            for key, count in disturb(file, folder, left, chance, longest_s=options.longest).items():
-                total[key] += count
+            total += disturb(file, folder, options.kills - made, chance, longest_s=options.longest)
             check(folder, expected)
             shutil.rmtree(folder)
             sweeps += 1
-            print(f"{sweeps} sweeps, {total}, {time.monotonic() - begin:.0f} s: all rows equal", flush=True)
+            told = f"{sweeps} sweeps, {dict(total)}, {time.monotonic() - begin:.0f} s"
+            print(f"{told}: every row once, same bits", flush=True)
 
 
 if __name__ == "__main__":

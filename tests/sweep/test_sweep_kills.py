@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import random
 import signal
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -50,15 +51,15 @@ def test_kills_at_random_times_leave_every_row_once(tmp_path: Path) -> None:
     file = tmp_path / "sweep.toml"
     file.write_text(kills.SWEEP.format(losses=20), encoding="utf-8")
     expected = kills.undisturbed(file)
-    chance, made, longest_s = random.Random(2), 0, 4.0
+    chance, made, longest_s = random.Random(2), Counter[str](), 4.0
     for k in range(12):  # however quick the machine is: kills come sooner until there are enough
-        done = kills.disturb(file, tmp_path / str(k), 6, chance, longest_s=longest_s)
-        kills.check(tmp_path / str(k), expected)
-        made += done["worker"] + done["main"]
-        if made >= 3:
+        left = 10 - sum(made[kind] for kind in kills.KINDS)
+        if not left:
             break
+        made += kills.disturb(file, tmp_path / str(k), left, chance, longest_s=longest_s)
+        kills.check(tmp_path / str(k), expected)
         longest_s /= 2.0
-    assert made >= 3
+    assert sum(made[kind] for kind in kills.KINDS) >= 10 and all(made[kind] for kind in kills.KINDS)
 
 
 def test_a_run_that_kills_its_worker_or_hangs_is_a_row(
