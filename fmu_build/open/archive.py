@@ -76,6 +76,7 @@ def read_checked(path: Path, name: str, most: int, report: Report) -> tuple[list
         report.add(_HOSTILE, name, "is not in the archive", "pack it at the root")
         return None
     except Exception as error:  # zlib.error, struct.error, ... of damaged data
+        _raise_of_the_machine(error)
         report.add(_HOSTILE, path.name, f"not a readable zip archive: {error}", "make the archive again")
         return None
     if len(content) > most:
@@ -192,14 +193,20 @@ def _unpack(archive: zipfile.ZipFile, entries: list[zipfile.ZipInfo], folder: Pa
                     file.write(piece)
             budget -= entry.file_size
         except (zipfile.BadZipFile, EOFError, RuntimeError, OSError) as error:
-            if isinstance(error, OSError) and error.errno not in _OF_NAMES:
-                raise  # of the machine: nothing is known of the archive
+            _raise_of_the_machine(error)
             report.add(_HOSTILE, entry.filename, f"cannot be unpacked: {error}", "pack it again")
             return False
         except Exception as error:  # zlib.error, lzma.LZMAError, ... of damaged data
+            _raise_of_the_machine(error)
             report.add(_HOSTILE, entry.filename, f"is damaged: {error}", "pack it again")
             return False
     return True
+
+
+def _raise_of_the_machine(error: Exception) -> None:
+    """Raise what no archive causes: nothing is known of it then."""
+    if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno not in _OF_NAMES):
+        raise error
 
 
 def _printable(name: str) -> str:

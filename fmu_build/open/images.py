@@ -59,7 +59,7 @@ def read_image(content: bytes) -> Image:
             return _mach_o(content)
         if content[:4] == b"\xca\xfe\xba\xbe":
             return _fat(content)
-    except (struct.error, IndexError, UnicodeDecodeError, OverflowError, MemoryError) as error:
+    except (struct.error, IndexError, UnicodeDecodeError, OverflowError) as error:
         raise ImageError(f"a table of the library does not lie in the file ({error})") from error
     raise ImageError("the file is no ELF, PE or Mach-O library")
 

@@ -40,6 +40,8 @@ def parse_xml(content: bytes, where: str, report: Report) -> Any | None:
         report.add("XML", where, "has a DOCTYPE (entities could expand without bound)", "remove the DOCTYPE")
         return None
     except expat.ExpatError as error:
+        if error.code == expat.errors.codes[expat.errors.XML_ERROR_NO_MEMORY]:
+            raise MemoryError from error
         report.add("XML", where, f"is not well-formed: {error}", "correct the XML")
         return None
     parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)

@@ -188,6 +188,9 @@ def complain(error: BaseException) -> int:
         where = f"{error.filename}: " if error.filename else ""
         print(f"interarea: {where}{reason}{_of_the_cache(error)}", file=sys.stderr)
         return 2
+    if isinstance(error, MemoryError):
+        print(f"interarea: not enough memory{line and f': {line}'}", file=sys.stderr)
+        return 2
     kind = type(error).__name__
     print(
         f"interarea: internal error, please report it: {kind}: {line} "
