@@ -8,6 +8,7 @@ import os
 import random
 import signal
 from collections import Counter
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,30 @@ def test_workers_that_cannot_start_end_the_sweep(
     plan = plan_sweep(load_sweep(document()), cache)
     with pytest.raises(SweepError, match="worker processes end before any run: exit code 0"):
         list(sweep_local.local_outcomes(plan, range(6), cache=cache, scratch=tmp_path, workers=1, task=6))
+
+
+def test_a_server_that_is_just_being_killed_is_waited_for(
+    document: Any, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It takes calls and ends in the midst of them until it has its turn to end: 106 in a row were seen."""
+    waited: list[float] = []
+    began = BaseProcess.start
+
+    def start(process: BaseProcess) -> None:
+        if sum(waited) < 1.0:
+            raise EOFError
+        began(process)
+
+    monkeypatch.setattr(BaseProcess, "start", start)
+    monkeypatch.setattr(sweep_local.time, "sleep", waited.append)
+    monkeypatch.setattr(sweep_local, "work", stand_ins.together_work)
+    plan = plan_sweep(load_sweep(document()), cache)
+    given = {"cache": cache, "scratch": tmp_path, "workers": 1, "task": 6}
+    found = sweep_local.local_outcomes(plan, range(3), **given)
+    assert [o.row["run"] for some in found for o in some] == [0, 1, 2]
+    waited[:] = [-1e9]
+    with pytest.raises(SweepError, match="its server ends each time"):
+        list(sweep_local.local_outcomes(plan, range(3), **given))
 
 
 # -- the store ----------------------------------------------------------------------------

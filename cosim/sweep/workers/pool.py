@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import threading
+import time
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -23,6 +24,7 @@ from .worker import STATUS_SIZE, UnderWay, work
 
 _KILLED, _CRASHED = 5, 2  # deaths with the same run under way before it counts as the cause
 _USELESS = 3  # workers that end before their first run
+_PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6)  # a process that is killed takes calls until it has its turn to end
 _GRACE_S = 5.0  # beyond the time limit, for an FMU that does not come back from a call
 
 
@@ -32,7 +34,7 @@ class _Worker:
     def __init__(self, number: int, plan: dict[str, Any], cache: Path, scratch: Path) -> None:
         self.scratch = scratch / f"worker-{number}"
         context = _context()
-        for attempt in range(_USELESS):
+        for pause_s in (*_PAUSES_S, None):
             self.pipe, theirs = context.Pipe()
             shared = context.RawArray("d", STATUS_SIZE)
             their_end, self._lifeline = context.Pipe(duplex=False)
@@ -43,8 +45,9 @@ class _Worker:
                 self.process.start()
                 break
             except (EOFError, ConnectionError):  # the server that forks was killed: there will be another
-                if attempt + 1 == _USELESS:
+                if pause_s is None:
                     raise SweepError("no worker process can be started: its server ends each time") from None
+                time.sleep(pause_s)
             finally:
                 theirs.close()
                 their_end.close()
