@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from interarea.design.linear.norms import response
 from interarea.design.modes.modes import Modes
 from interarea.design.reduction.balanced import Reduction
 from interarea.design.synthesis.study_designs import WdcSpec
+from interarea.fmu_build.write.cache import artefact
 from interarea.models.case.case import Case
 from interarea.models.grid.powerflow import PowerFlow
 
@@ -74,17 +76,23 @@ def difference_of(spec: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     return {spec["swing"]: {spec["remote"]: 1.0, spec["local"]: -1.0}}
 
 
-def save_figures(parts: StudyParts, folder: Path, progress: Callable[[float], None]) -> dict[str, Path]:
-    """Draw every figure into `folder` as SVG that is not there yet; return key -> file."""
+def save_figures(
+    parts: StudyParts, cache: Path, kind: str, progress: Callable[[float], None]
+) -> dict[str, Path]:
+    """Draw every figure as SVG that is not in the cache yet, below `kind` there; return key -> file."""
     files = {}
     rows = [row for row in parts.spec["figure"] if can_be_drawn(row, parts)]
     for k, row in enumerate(rows):
         key = row["key"]
         prefix = "figure-" if key[0].isdigit() else ""
-        path = folder / f"{prefix}{key.replace('.', '-')}.svg"
-        files[key] = path if path.exists() else save_figure(_draw(row, parts), path, transparent=True)
+        draw = partial(_save, row, parts)
+        files[key] = artefact(cache, kind, f"{prefix}{key.replace('.', '-')}", ".svg", draw)
         progress((k + 1) / len(rows))
     return files
+
+
+def _save(row: Mapping[str, Any], parts: StudyParts, path: Path) -> None:
+    save_figure(_draw(row, parts), path, transparent=True)
 
 
 def can_be_drawn(row: Mapping[str, Any], p: StudyParts) -> bool:

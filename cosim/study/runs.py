@@ -14,7 +14,14 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from interarea.design.controllers.controller import Controller
-from interarea.fmu_build.write.cache import artefact, code_hash, content_hash, file_hash, source_hash
+from interarea.fmu_build.write.cache import (
+    artefact,
+    code_hash,
+    content_hash,
+    file_hash,
+    is_whole,
+    source_hash,
+)
 from interarea.models.case.case import load_case
 from interarea.models.files import temporary_folder
 
@@ -34,6 +41,7 @@ Document = dict[str, Any]
 
 #: study.json's names of the two wirings -> how scenario names spell them.
 WIRINGS = {"synchronous": "synchronous", "non_synchronous": "non-synchronous"}
+_KEPT = ("trajectory.parquet", "metrics.json")  # of a run, in its folder in the cache
 LATE_S = 4.0  #: after the last disturbance, when only what swings longest is left
 DEFAULT_LIMIT = 0.15  #: of the controllers' output, pu
 MARGIN_GRID_S = 1e-4  #: latencies beside the margin are rounded to this
@@ -135,7 +143,7 @@ def run_all(
     controllers : those that the scenarios name, as this study designed them.
     """
     folders = {name: run_folder(document, controllers, cache) for name, document in documents.items()}
-    missing = [name for name, folder in folders.items() if not (folder / "metrics.json").exists()]
+    missing = [name for name, folder in folders.items() if not all(is_whole(folder / f) for f in _KEPT)]
     done = len(documents) - len(missing)
     progress(done / len(documents))
     with temporary_folder() as own:
@@ -159,8 +167,8 @@ def run_all(
             name,
             documents[name]["title"],
             documents[name],
-            json.loads((folder / "metrics.json").read_text(encoding="utf-8")),
-            folder / "trajectory.parquet",
+            json.loads((folder / _KEPT[1]).read_text(encoding="utf-8")),
+            folder / _KEPT[0],
         )
         for name, folder in folders.items()
     }

@@ -203,7 +203,7 @@ def run_study(
             delay,
             runs,
         )
-        drawn = save_figures(parts, cache / "figures" / _figure_key(parts), done)
+        drawn = save_figures(parts, cache, f"figures/{_figure_key(parts)}", done)
         figures = {key: place(path, out / "figures" / path.name) for key, path in drawn.items()}
 
         done = stage("second solver")

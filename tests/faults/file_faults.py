@@ -1,4 +1,7 @@
-"""Errors of the machine at one file operation of many, counted as they come."""
+"""Errors of the machine at one operation of many: on a file, counted as they come, or at an allocation.
+
+`make fuzz` sets `INTERAREA_EVERY_FAULT`: then every one of them is tried, else those of a stated grid.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,16 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
+EVERY = bool(os.environ.get("INTERAREA_EVERY_FAULT"))
+
+
+def grid(ratio: float = 1.0, step: int = 1) -> Iterator[int]:
+    """Yield 1, 2 .. without end, each at least `step` and `ratio` times the one before; with `EVERY` all."""
+    n = 1
+    while True:
+        yield n
+        n = n + 1 if EVERY else max(n + step, int(n * ratio))
+
 
 class Fault:
     """An error of the machine at operation number `at` on a file, and at no other; `count` of all of them."""
@@ -24,7 +37,7 @@ class Fault:
         with pytest.MonkeyPatch.context() as patch:
             for owner, name in (
                 (pq, "write_table"), (pq.ParquetWriter, "write_table"), (pq.ParquetWriter, "close"),
-                (tempfile, "mkstemp"), (os, "fsync"), (os, "fdopen"),
+                (tempfile, "mkstemp"), (tempfile, "mkdtemp"), (os, "fsync"), (os, "fdopen"),
                 (Path, "open"), (Path, "replace"), (Path, "unlink"), (Path, "mkdir"), (Path, "chmod"),
             ):  # fmt: skip
                 patch.setattr(owner, name, self._failing(getattr(owner, name)))
@@ -38,3 +51,14 @@ class Fault:
             return real(*arguments, **options)
 
         return call
+
+
+@contextlib.contextmanager
+def no_memory(at: int) -> Iterator[None]:
+    """Let allocation number `at` of the interpreter fail, and no other; numpy's arrays are not its."""
+    memory = pytest.importorskip("_testcapi", reason="this Python comes without what lets allocations fail")
+    try:
+        memory.set_nomemory(at, at + 1)
+        yield
+    finally:
+        memory.remove_mem_hooks()
