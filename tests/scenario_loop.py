@@ -8,7 +8,6 @@ from interarea.cosim.results.latency_test import SelfTest
 from interarea.cosim.results.run import Run
 from interarea.cosim.run.run import system_of
 from interarea.cosim.scenario.scenario import Scenario
-from interarea.cosim.trajectory import Trajectory
 
 
 class Loop:
@@ -24,9 +23,9 @@ class Loop:
     def __exit__(self, *_: object) -> None:
         self.master.close()
 
-    def result(self, trajectory: Trajectory | None = None) -> Run:
+    def result(self) -> Run:
         """Return the run so far."""
-        return self.system.result(self.master, trajectory)
+        return self.system.result(self.master)
 
     def self_test(self) -> SelfTest:
         """Measure every connection's latency."""

@@ -16,8 +16,8 @@ from ..master.graph import Connection, End
 from ..master.isolated import participant_of
 from ..master.master import Master
 from ..results.delay_ledger import DelayLedger, LedgerRow, packet_ledger
+from ..results.judge import Judge
 from ..results.metrics import METRICS, RING_DOWN
-from ..results.ringdown import run_metrics
 from ..results.run import Run
 from ..results.tally import Tally
 from ..run.controllers import ControllerLike
@@ -63,6 +63,9 @@ def run_joint(
     case = loaded.load_case()
     swing = swing_of(case, folder, loaded.swing)
     wanted = (*METRICS, RING_DOWN)
+    given = {"step_s": members.step_s, "stop_s": float(trajectory.time_s[-1]), "wanted": wanted}
+    judge = Judge(case, swing, loaded, **given)
+    judge.add(trajectory)
     system = system_of(loaded, cache=folder, controller=controller)
     roots = system.linear_swings()
     limits = [float(m.start.get("limit", _limit(m))) for m in members.all if m.name == "controller"]
@@ -75,9 +78,7 @@ def run_joint(
         scenario=loaded,
         case=case,
         swing=swing,
-        metrics=run_metrics(
-            trajectory, case, swing, loaded, members.step_s, next(iter(limits), None), wanted, roots
-        ),
+        metrics=judge.metrics(next(iter(limits), None), roots),
     )
 
 

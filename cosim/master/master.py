@@ -144,8 +144,8 @@ class Master:
         self.stepping = Stepping(descriptions, self.graph, self.signals, inputs, loops, tolerance)
         self._plan = [self._planned(group) for group in self.stepping.groups]
         self._index = -1
-        recorded = 1 + int(np.count_nonzero(self.clock.steps.recorded))
-        self._records = Records(self.participants.values(), recorded, sink)
+        self.recorded = 1 + int(np.count_nonzero(self.clock.steps.recorded))  #: points from start to end
+        self._records = Records(self.participants.values(), self.recorded, sink)
         self.engine = engine
         self.ran = ""  #: who did the steps since the start: kernel | python | python (why not the kernel)
         self.early = early

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import matrix_pencil as pencil
+from .tally import Quarters, Samples, Settling, Squares
 from .variable_projection import refined
 
 Array = npt.NDArray[np.float64]
@@ -107,12 +108,9 @@ def uniform(
     Grid points of a run are on the grid already; extra points at events are left out, and only where a grid
     point is missing is it interpolated (straight line).
     """
-    n = int(np.floor((stop_s - start_s) / step_s + 1e-9)) + 1
-    grid: Array = start_s + step_s * np.arange(n, dtype=np.float64)
-    window = np.empty((n, len(signals)))
-    for k, signal in enumerate(signals):
-        window[:, k] = np.interp(grid, time_s, signal)
-    return grid, window
+    samples = Samples(len(signals), start_s, stop_s, step_s)
+    samples.add(time_s, signals)
+    return samples.time_s, samples.values
 
 
 def ring_down(
@@ -207,23 +205,16 @@ def settling_time_s(time_s: Array, signal: Array, start_s: float, *, band: float
 
     The last crossing is found on the straight line between samples.
     """
-    after = time_s >= start_s
-    t, x = time_s[after], np.abs(signal[after])
-    limit = band * float(np.max(np.abs(signal)))
-    outside = np.flatnonzero(x > limit)
-    if len(outside) == 0:
-        return 0.0
-    k = int(outside[-1])
-    if k + 1 >= len(t):
-        return None
-    crossing = t[k] + (t[k + 1] - t[k]) * (x[k] - limit) / (x[k] - x[k + 1])
-    return float(crossing - start_s)
+    settling = Settling(start_s, band)
+    settling.add(time_s, signal)
+    return settling.time_s
 
 
 def energy(time_s: Array, signal: Array, start_s: float = 0.0) -> float:
     """Return the integral of signal^2 from `start_s` to the end (trapezoids)."""
-    after = time_s >= start_s
-    return float(np.trapezoid(signal[after] ** 2, time_s[after]))
+    squares = Squares(start_s)
+    squares.add(time_s, signal)
+    return squares.total
 
 
 def is_stable(
@@ -245,15 +236,20 @@ def is_stable(
     ----------
     controls : control signals, pu, on the same points. limit_pu : of their magnitude; None: they have none.
     """
-    span = time_s[-1] - start_s
-    last = time_s >= start_s + 0.75 * span
-    third = (time_s >= start_s + 0.5 * span) & ~last
-    second = (time_s >= start_s + 0.25 * span) & (time_s < start_s + 0.5 * span)
-    if not (np.any(second) and np.any(third) and np.any(last)):
+    swing, control = Quarters(start_s, time_s[-1]), Quarters(start_s, time_s[-1])
+    swing.add(time_s, signal)
+    for u in controls:
+        control.add(time_s, u)
+    return decays(swing, control, float(np.max(np.abs(signal))), limit_pu)
+
+
+def decays(swing: Quarters, controls: Quarters, peak: float, limit_pu: float | None) -> bool:
+    """Judge as `is_stable` does by the largest values in the quarters, and in the whole run."""
+    a2, a3, a4 = swing.largest
+    if a2 is None or a3 is None or a4 is None:
         return True
-    reached = np.inf if limit_pu is None else (1.0 - _AT_LIMIT) * limit_pu
-    if any(np.max(np.abs(u[last])) >= reached for u in controls):
+    used = controls.largest[2]
+    if limit_pu is not None and used is not None and used >= (1.0 - _AT_LIMIT) * limit_pu:
         return False
-    a2, a3, a4 = (float(np.max(np.abs(signal[part]))) for part in (second, third, last))
-    settled = _SETTLED * float(np.max(np.abs(signal)))
+    settled = _SETTLED * peak
     return bool(a4 < 1e-9 or (a4 < a2 and (a4 <= settled or a4 <= (1.0 - _SUSTAINED) * a3)))

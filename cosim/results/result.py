@@ -70,10 +70,10 @@ class Result:
         """
         with TrajectoryFiles(Path(folder), record, every) as files:
             files.add(self.trajectory)
-        return [*files.files, *self.save_ledger(Path(folder))]
+        return [*files.files, *self.save_beside(Path(folder))]
 
-    def save_ledger(self, folder: Path) -> list[Path]:
-        """Write what `save` does beside the trajectory."""
+    def save_beside(self, folder: Path, explorer: str = "") -> list[Path]:
+        """Write what `save` does beside the trajectory; `explorer` as `Run.save`."""
         ledgers = {
             "step_s": self.ledger.step_s,
             "inputs": self.ledger.inputs,

@@ -1,16 +1,15 @@
-"""Metrics of a run of a power system: which signal, which window, which mode is which."""
+"""What a run of a power system is judged by: which signal, which window, which mode is which."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from interarea.design.delay.loop_modes import LoopModes
-from interarea.design.modes.modes import damping_ratio
 from interarea.models.case.tables import swing_name
 
 from ..master.instances import FmuParticipant
@@ -18,6 +17,7 @@ from ..master.master import Master
 from ..scenario.scenario import Scenario
 from ..trajectory import Trajectory
 from . import metrics as m
+from .tally import Samples
 
 if TYPE_CHECKING:
     from interarea.models.case.case import Case
@@ -103,12 +103,28 @@ def ring_down_of(
     means of the areas is ``inter-area``, one mostly inside area k is ``local area k``; of each the
     strongest. Mixtures have no name, and nothing has where the fit is poor.
     """
-    columns = [f"plant.{g.name}_dw" for g in case.machines]
+    samples = samples_of(case, window_s, step_s)
+    samples.add(trajectory.time_s, [trajectory[c] for c in speeds_of(case)])
+    return fitted_modes(samples, case, window_s, roots, robust)
+
+
+def speeds_of(case: Case) -> list[str]:
+    """Return the columns of the machines' speeds."""
+    return [f"plant.{g.name}_dw" for g in case.machines]
+
+
+def samples_of(case: Case, window_s: tuple[float, float], step_s: float) -> Samples:
+    """Return what takes the samples of the machines' speeds that a ring-down is fitted to."""
     spacing = max(1, round(_SAMPLE_S / step_s)) * step_s
-    start = np.ceil(window_s[0] / step_s - 1e-9) * step_s
-    time, values = m.uniform(
-        trajectory.time_s, [trajectory[c] for c in columns], float(start), window_s[1], spacing
-    )
+    start = float(np.ceil(window_s[0] / step_s - 1e-9) * step_s)
+    return Samples(len(case.machines), start, window_s[1], spacing)
+
+
+def fitted_modes(
+    samples: Samples, case: Case, window_s: tuple[float, float], roots: LoopModes | None, robust: bool
+) -> tuple[dict[str, m.RingDownMode], m.RingDown]:
+    """Return what `ring_down_of` does, of the samples of the speeds."""
+    time, values = samples.time_s, samples.values
     if len(time) < 10:
         return {}, m.RingDown((), window_s, 0.0)
     values = values - values.mean(axis=1, keepdims=True)
@@ -200,122 +216,16 @@ def control_limit_pu(master: Master) -> float | None:
     return controller.value_of("limit")
 
 
-def run_metrics(
-    trajectory: Trajectory,
-    case: Case,
-    swing: Swing,
-    scenario: Scenario,
-    step_s: float,
-    limit_pu: float | None = None,
-    wanted: Collection[str] = m.METRICS,
-    roots: LoopModes | str = "its linear loop was not looked at",
-) -> m.Metrics:
-    """Return the metrics of a run.
-
-    limit_pu : of the control signals, None where they have none. wanted : names of `METRICS`; the others
-        stay None. roots : of the linear loop, or why there are none.
-    """
-    time = trajectory.time_s
-    name, signal = swing.name, swing.of(trajectory)
-    end = disturbance_end_s(scenario)
-    controls = [trajectory[c] for c in trajectory.reals_of("controller")]
-    window = fit_window(scenario)
-    window = (window[0], min(window[1], float(time[-1])))
-    swings = _swings(trajectory, case, window, step_s, wanted, roots)
-
-    def asked(metric: str, value: Callable[[], Any]) -> Any:
-        return value() if metric in wanted else None
-
-    return m.Metrics(
-        signal=name,
-        least_damping_ratio=swings.least[0],
-        least_frequency_hz=swings.least[1],
-        least_mode=swings.least[2],
-        stable=asked("stable", lambda: m.is_stable(time, signal, end, controls=controls, limit_pu=limit_pu)),
-        damping_ratio={n: damping_ratio(z) for n, z in swings.named.items()},
-        frequency_hz={n: hertz(z) for n, z in swings.named.items()},
-        ring_down={n: mode.damping_ratio for n, mode in swings.fitted.items()},
-        settling_time_s=asked("settling_time", lambda: m.settling_time_s(time, signal, end)),
-        peak_pu=asked("peak", lambda: float(np.max(np.abs(signal)))),
-        energy_pu2s=asked("energy", lambda: m.energy(time, signal)),
-        effort_pu2s=asked("effort", lambda: float(sum(m.energy(time, u) for u in controls))),
-        fit_error=swings.error,
-        methods={
-            "signal": swing.text,
-            "least_damping_ratio": swings.how,
-            "damping_ratio": swings.how,
-            "frequency_hz": swings.how,
-            "ring_down": swings.fit,
-            "stable": f"largest |{name}| in quarters of the time after {end:g} s: the last below the second, "
-            "and 0.5 % below the third or within 2 % of the peak; no control at its limit in the last",
-            "settling_time_s": f"from {end:g} s to the last time |{name}| exceeds 2 % of its peak",
-            "peak_pu": f"largest |{name}| of the run",
-            "energy_pu2s": f"integral of {name}^2 over the run, trapezoids",
-            "effort_pu2s": "sum over controller outputs of the integral of their square, trapezoids",
-        },
-    )
-
-
-@dataclass(frozen=True)
-class _Swings:
-    """What swings in a run: named poles, the least damped one (ratio, Hz, name), the fit, and how."""
-
-    named: Mapping[str, complex]
-    least: tuple[float | None, float | None, str]
-    fitted: Mapping[str, m.RingDownMode]
-    error: float
-    how: str
-    fit: str
-
-
-def _swings(
-    trajectory: Trajectory,
-    case: Case,
-    window: tuple[float, float],
-    step_s: float,
-    wanted: Collection[str],
-    roots: LoopModes | str,
-) -> _Swings:
-    known = None if isinstance(roots, str) else roots
-    numbers = bool({"least", "damping", "frequency"} & set(wanted))
-    fitted: dict[str, m.RingDownMode] = {}
-    fit = m.RingDown((), window, 0.0)
-    if window[1] > window[0] and ("fit_error" in wanted or (numbers and known is None)):
-        robust = known is None or m.RING_DOWN in wanted
-        fitted, fit = ring_down_of(trajectory, case, window, step_s, known, robust)
-    text = (
-        f"{fit.method} on the speeds less their mean, {window[0]:g} to {window[1]:g} s, "
-        f"largest misfit {fit.error:.1e} of the largest signal"
-        + ("" if fit.good else f": poor, above {m.GOOD_FIT:g}, so that no mode has a name")
-    )
-    if not numbers:
-        return _Swings({}, _NOTHING, fitted, fit.error, "", text)
-    if known is None:
-        poles = {n: one.pole for n, one in fitted.items()}
-        how = f"{text} (no linear loop: {roots})"
-        return _Swings(poles, _least_of_fit(fit, fitted), fitted, fit.error, how, text)
-    least = known.least
-    told = (damping_ratio(least), hertz(least), known.name_of(least)) if least is not None else _NOTHING
-    return _Swings(known.named, told, fitted, fit.error, _ROOTS, text)
-
-
-def _least_of_fit(
+def least_of_fit(
     fit: m.RingDown, named: Mapping[str, m.RingDownMode]
 ) -> tuple[float | None, float | None, str]:
-    """The least damped of the modes of a fit: damping ratio, Hz, name."""
+    """Return the least damped of the modes of a fit: damping ratio, Hz, name; Nones where there is none."""
     strong = _within_band(fit)
     own = [one for k, one in enumerate(strong) if one in named.values() or not _is_harmonic(one, strong[:k])]
     if not own:
-        return _NOTHING
+        return None, None, ""
     mode = min(own, key=lambda mode: mode.damping_ratio)
     return mode.damping_ratio, mode.frequency_hz, next((n for n, one in named.items() if one is mode), "")
-
-
-_NOTHING = (None, None, "")
-_ROOTS = (
-    "roots of the linear loop at the operating point with exact delay, packets and losses in the mean; names "
-    "followed from the open loop"
-)
 
 
 def hertz(pole: complex) -> float:

@@ -15,6 +15,7 @@ from .metrics import GOOD_FIT, Metrics
 from .record import write_json
 from .result import Result
 from .ringdown import Swing, fit_window, ring_down_of
+from .trajectory_files import TrajectoryFiles
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -89,11 +90,17 @@ class Run(Result):
         record, every : see `Result.save`; default as the scenario says.
         explorer : address of the explorer's page of this run, for the page to link.
         """
+        record = self.scenario.record if record is None else record
+        with TrajectoryFiles(Path(folder), record, every or self.scenario.every) as files:
+            files.add(self.trajectory)
+        return [*files.files, *self.save_beside(Path(folder), explorer)]
+
+    def save_beside(self, folder: Path, explorer: str = "") -> list[Path]:
+        """Write what `save` does beside the trajectory."""
         from ..plots.curves import save_figure
         from .run_page import run_page
 
-        record, folder = self.scenario.record if record is None else record, Path(folder)
-        files = super().save(folder, record=record, every=every or self.scenario.every)
+        files = super().save_beside(folder)
         metrics, figure, page = (folder / n for n in ("metrics.json", "run.svg", "report.html"))
         write_json(self.metrics.as_dict(), metrics)
         save_figure(self.plot(), figure)

@@ -1,13 +1,22 @@
-"""What is counted over all points of a run, however many parts they come in."""
+"""What is gathered over all points of a run, however many parts they come in.
+
+Those that look at neighbours (`Squares`, `Settling`, `Samples`) are given each part with the last point of
+the one before at its head. In one part each has the bits of the whole at once; in several a sum may
+differ in its last bit.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
-from ..trajectory import Trajectory
+from ..trajectory import TIME, Trajectory
+
+Array = npt.NDArray[np.float64]
+DRAWN = 32_768  #: points up to which `Curves` keeps every one
 
 
 @dataclass
@@ -62,3 +71,124 @@ class Tally:
             "connected to it"
             for name, (value, time_s, count) in self.not_finite.items()
         ]
+
+
+class Squares:
+    """Integral of the square of a signal from `start_s` on (trapezoids)."""
+
+    def __init__(self, start_s: float = 0.0) -> None:
+        self.start_s, self.total = start_s, 0.0
+
+    def add(self, time_s: Array, signal: Array) -> None:
+        after = time_s >= self.start_s
+        self.total += float(np.trapezoid(signal[after] ** 2, time_s[after]))
+
+
+class Settling:
+    """When |signal| was last above a share of its peak, which is known at the end only.
+
+    Kept are the points after which it is never as large again: whatever the share, the last point above it
+    is one of them.
+    """
+
+    def __init__(self, start_s: float, band: float) -> None:
+        self.start_s, self.band = start_s, band
+        self.peak = self._last = 0.0
+        self._kept = np.empty((4, 0))  # time and value of a point, and of the one after it
+
+    def add(self, time_s: Array, signal: Array) -> None:
+        size = np.abs(signal)
+        self.peak = float(np.maximum(self.peak, np.max(size)))
+        after = time_s >= self.start_s
+        t, x = time_s[after], size[after]
+        if not len(t):
+            return
+        later = np.maximum.accumulate(x[::-1])[::-1]  # the largest from here on
+        new = np.flatnonzero((x[:-1] > later[1:]) & (x[:-1] > self.band * self.peak))
+        kept = self._kept[:, self._kept[1] > max(later[0], self.band * self.peak)]
+        self._kept = np.hstack([kept, [t[new], x[new], t[new + 1], x[new + 1]]])
+        self._last = float(x[-1])
+
+    @property
+    def time_s(self) -> float | None:
+        """From `start_s` to the last crossing, on the straight line between points; None: still above."""
+        limit = self.band * self.peak
+        if self._last > limit:
+            return None
+        outside = self._kept[:, self._kept[1] > limit]
+        if not outside.size:
+            return 0.0
+        t, x, t_next, x_next = outside[:, -1]
+        return float(t + (t_next - t) * (x - limit) / (x - x_next) - self.start_s)
+
+
+class Quarters:
+    """Largest |value| in the second, third and last quarter of the time from `start_s` to `stop_s`."""
+
+    def __init__(self, start_s: float, stop_s: float) -> None:
+        self._edges = [start_s + k * (stop_s - start_s) for k in (0.25, 0.5, 0.75)]
+        self.largest: list[float | None] = [None, None, None]
+
+    def add(self, time_s: Array, values: Array) -> None:
+        second, third, last = (time_s >= edge for edge in self._edges)
+        for k, part in enumerate((second & ~third, third & ~last, last)):
+            if np.any(part):
+                largest = float(np.max(np.abs(values[part])))
+                self.largest[k] = max(largest, -np.inf if (old := self.largest[k]) is None else old)
+
+
+class Samples:
+    """Signals on a uniform grid from `start_s` to `stop_s`, on straight lines between their points."""
+
+    def __init__(self, signals: int, start_s: float, stop_s: float, step_s: float) -> None:
+        n = max(0, int(np.floor((stop_s - start_s) / step_s + 1e-9)) + 1)
+        self.time_s: Array = start_s + step_s * np.arange(n, dtype=np.float64)
+        self.values = np.empty((n, signals))  #: (times, signals)
+        self._done = 0
+
+    def add(self, time_s: Array, signals: Sequence[Array]) -> None:
+        there = slice(self._done, int(np.searchsorted(self.time_s, time_s[-1], side="right")))
+        for k, signal in enumerate(signals):
+            self.values[there, k] = np.interp(self.time_s[there], time_s, signal)
+            self.values[there.stop :, k] = signal[-1]  # the grid's last point may lie past it by a rounding
+        self._done = max(self._done, there.stop)
+
+
+class Curves:
+    """A trajectory to be drawn: every point of a short run, least and largest of each stretch of a long one.
+
+    points : that are to come. The first and the last are exact.
+    """
+
+    def __init__(self, points: int) -> None:
+        self._width = 1 if points <= DRAWN else -(-points // (DRAWN // 4))
+        self._parts: list[Trajectory] = []
+
+    def add(self, part: Trajectory, names: Iterable[str]) -> None:
+        """Take a part, of which `names` are kept."""
+        columns = {name: part[name] for name in dict.fromkeys([TIME, *names])}
+        if self._width > 1:
+            begin = np.arange(0, len(part.time_s), self._width)
+            columns = {name: _envelope(values, begin) for name, values in columns.items()}
+        units = {name: part.units[name] for name in columns}
+        self._parts.append(Trajectory(columns, units, part.descriptions, part.engine))
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """What was taken, in one."""
+        last = self._parts[-1]
+        columns = {name: np.concatenate([p[name] for p in self._parts]) for name in last.units}
+        return Trajectory(columns, last.units, last.descriptions, last.engine)
+
+
+def _envelope(values: Array, begin: npt.NDArray[np.intp]) -> Array:
+    """Return two values for each stretch: its least and largest, in the order that its ends have.
+
+    Of all the last two are as they are.
+    """
+    end = np.append(begin[1:], len(values)) - 1
+    least, largest = np.minimum.reduceat(values, begin), np.maximum.reduceat(values, begin)
+    rises = values[end] >= values[begin]
+    drawn = np.column_stack([np.where(rises, least, largest), np.where(rises, largest, least)]).ravel()
+    drawn[[0, -1]] = values[[0, -1]]
+    return drawn

@@ -17,7 +17,6 @@ from ..errors import ScenarioError, nearest
 from ..results.result import Result
 from ..results.ringdown import Swing
 from ..results.run import Run
-from ..results.tally import Tally
 from ..results.trajectory_files import TrajectoryFiles, chosen
 from ..scenario.names import wrong_targets
 from ..scenario.scenario import Scenario, load_scenario
@@ -68,11 +67,7 @@ def run_system(
 ) -> Result:
     """Run any scenario: a `Run` when it has a case, else a plain `Result`. Parameters as `run_scenario`."""
     loaded = load_scenario(scenario)
-    if loaded.master.joint:
-        raise ScenarioError(
-            f"{loaded.name}: master.joint = true asks for one block and no master; run it by "
-            "`interarea run` or cosim.export.joint.run_joint, or take it out"
-        )
+    _refuse_joint(loaded)
     system = system_of(loaded, case=case, controller=controller, cache=cache).warned()
     if controller is not None and system.swing is not None:
         name = system.parts[CONTROLLER].file.description.title if CONTROLLER in system.parts else "none"
@@ -87,30 +82,35 @@ def write_run(
     cache: Path | None = None,
     progress: Callable[[float, float], object] | None = None,
 ) -> tuple[Result, list[Path]]:
-    """Run any scenario and write its files; without a case while it runs, so that any length fits in memory.
+    """Run any scenario and write its files, the trajectory while it runs: any length fits in memory.
 
-    The trajectory of a result without a case is the last part of it then; the whole is in the files.
+    The result's trajectory is what its figure needs: the whole is in the files.
 
     Raises
     ------
     As `run_system`; DestinationError : a file that cannot be written.
     """
     loaded = load_scenario(scenario)
-    if loaded.case:
-        done = run_system(loaded, cache=cache, progress=progress)
-        return done, done.save(folder)
+    _refuse_joint(loaded)
     system = system_of(loaded, cache=cache).warned()
-    tally = Tally(tuple(system.channels))
-    with TrajectoryFiles(folder, loaded.record, loaded.every) as files:
 
-        def take(part: Trajectory) -> None:
-            files.add(part)
-            tally.add(part)
+    def take(part: Trajectory) -> None:
+        files.add(part)
+        gathered.add(part)
 
-        with system.master(sink=take) as master:
-            master.advance(progress=progress)
-            result = system.result(master, files.last, tally)
-    return result, [*files.files, *result.save_ledger(folder)]
+    with TrajectoryFiles(folder, loaded.record, loaded.every) as files, system.master(sink=take) as master:
+        gathered = system.gathered(master)
+        master.advance(progress=progress)
+        result = system.result(master, gathered)
+    return result, [*files.files, *result.save_beside(folder)]
+
+
+def _refuse_joint(scenario: Scenario) -> None:
+    if scenario.master.joint:
+        raise ScenarioError(
+            f"{scenario.name}: master.joint = true asks for one block and no master; run it by "
+            "`interarea run` or cosim.export.joint.run_joint, or take it out"
+        )
 
 
 def system_of(

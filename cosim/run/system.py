@@ -17,7 +17,7 @@ becomes a system too (`run.system_of`): for a run, for the many of a sweep, for 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 from warnings import warn
@@ -45,17 +45,17 @@ from ..master.master import Master
 from ..master.records import Sink
 from ..participant import Participant
 from ..results.delay_ledger import delay_ledger, explain, packet_ledger
+from ..results.judge import Gathered, Judge
 from ..results.latency_test import SelfTest, self_test
-from ..results.metrics import METRICS, RING_DOWN, Metrics
+from ..results.metrics import METRICS, RING_DOWN
 from ..results.result import Result
-from ..results.ringdown import Swing, control_limit_pu, run_metrics
+from ..results.ringdown import Swing, control_limit_pu
 from ..results.run import Run
-from ..results.tally import Tally
-from ..scenario.channels import ChannelLine, hold_packets
+from ..results.tally import Curves, Tally
+from ..scenario.channels import ChannelLine, hold_packets, points_of
 from ..scenario.concentrators import ConcentratorLine
 from ..scenario.rounding import event_on_ticks, roundings
 from ..scenario.scenario import Scenario
-from ..trajectory import Trajectory
 from .artefacts import EVENT_SLOTS
 from .controllers import ControllerLike, controller_of
 from .instance import Fmus, Instance
@@ -372,24 +372,38 @@ class System:
         GraphError, ScenarioError; StepError : an FMU failed; it has the results so far.
         """
         with self.master() as master:
-            return self.result(master, master.run(progress=progress))
+            master.advance(progress=progress)
+            return self.result(master)
 
-    def result(self, master: Master, last: Trajectory | None = None, tally: Tally | None = None) -> Result:
-        """Return what a master has done so far: its `last` part, the tally of all; with a case a `Run`."""
-        done = master.trajectory if last is None else last
+    def gathered(
+        self, master: Master, stop_s: float | None = None, wanted: Collection[str] = (*METRICS, RING_DOWN)
+    ) -> Gathered:
+        """Return what takes a run's points, as they come or at once; `stop_s` of the last, if not the end."""
+        judge = None
+        if self.scenario is not None and self.swing is not None:
+            until = {"step_s": master.step_s, "stop_s": self.stop_s if stop_s is None else stop_s}
+            judge = Judge(self.case, self.swing, self.scenario, **until, wanted=wanted)
+        return Gathered(Tally(tuple(self.channels)), judge, Curves(master.recorded))
+
+    def result(self, master: Master, gathered: Gathered | None = None) -> Result:
+        """Return what a master has done so far, or gave to `gathered` as it ran; with a case a `Run`."""
+        done = master.trajectory if gathered is None else gathered.curves.trajectory
+        if gathered is None:
+            gathered = self.gathered(master, float(done.time_s[-1]))
+            gathered.count(done)
         delays = {name: line.delays(master.clock) for name, line in self.channels.items()}
         ledger = delay_ledger(master, delays, self.rounded)
         common: dict[str, Any] = {
             "trajectory": done,
             "ledger": ledger,
-            "packets": packet_ledger(done, tally := tally or Tally.of(done, self.channels)),
+            "packets": packet_ledger(done, gathered.tally),
             "explanation": explain(master, ledger),
-            "warnings": (*self.warnings, *tally.warnings),
+            "warnings": (*self.warnings, *gathered.tally.warnings),
             "scenario": self.scenario,
         }
-        if self.scenario is None or self.swing is None:
+        if gathered.judge is None:
             return Result(**common)
-        metrics = self.metrics(master, done, (*METRICS, RING_DOWN))
+        metrics = gathered.judge.metrics(control_limit_pu(master), self.linear_swings())
         return Run(**common, case=self.case, swing=self.swing, metrics=metrics)
 
     def warned(self) -> System:
@@ -403,13 +417,6 @@ class System:
         assert self.scenario is not None
         parts = (self.parts[PLANT], self.parts.get(CONTROLLER), self.bank)
         return linear_swings(Loop(self.scenario, self.case, *parts, self.fmus.loops))
-
-    def metrics(self, master: Master, done: Trajectory, wanted: Collection[str] = METRICS) -> Metrics:
-        """Return the metrics of a run of the system of a scenario with a case (see `run_metrics`)."""
-        assert self.scenario is not None and self.swing is not None
-        swings = self.linear_swings() if {"least", "damping", "frequency"} & set(wanted) else ""
-        limit = control_limit_pu(master)
-        return run_metrics(done, self.case, self.swing, self.scenario, master.step_s, limit, wanted, swings)
 
     def self_test(self, master: Master | None = None) -> SelfTest:
         """Measure the latency of every connection; compare with the ledger (module `latency_test`)."""
@@ -439,10 +446,3 @@ class System:
         start = {**instance.start, **event_parameters(case, self.events.get(instance.name, ()))}
         file = instance.file if slots == EVENT_SLOTS else self.fmus.plant(case, slots)
         return Instance(instance.name, file, start, lambda: self.fmus.plant_block(case, slots))
-
-
-def points_of(channels: Iterable[Line], arrivals: str, start_s: float, stop_s: float) -> tuple[int, ...]:
-    """Return the ticks that are communication points because a packet comes out of a channel."""
-    if arrivals == "grid":
-        return ()
-    return tuple(sorted({t for line in channels for t in line.arrivals(start_s, stop_s)}))

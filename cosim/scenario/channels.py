@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Literal, Protocol, Self
 
@@ -273,3 +274,16 @@ def hold_packets(participant: Participant, line: Reporting) -> Participant:
     )
     participant.description = replace(participant.description, outputs=outputs)
     return participant
+
+
+class Arriving(Protocol):
+    """What delays signals."""
+
+    def arrivals(self, start_s: float, stop_s: float) -> list[int]: ...
+
+
+def points_of(lines: Iterable[Arriving], arrivals: str, start_s: float, stop_s: float) -> tuple[int, ...]:
+    """Return the ticks that are communication points because a packet comes out of a channel."""
+    if arrivals == "grid":
+        return ()
+    return tuple(sorted({t for line in lines for t in line.arrivals(start_s, stop_s)}))

@@ -23,7 +23,7 @@ from ..master.instances import Value as Start
 from ..master.master import Master
 from ..results.excursion import Excursion, excursion_of
 from ..results.metrics import SYNCHRONISM
-from ..results.ringdown import disturbance_end_s
+from ..results.ringdown import control_limit_pu, disturbance_end_s
 from ..run.artefacts import EVENT_SLOTS, plant_fmu
 from ..run.instance import Fmus
 from ..run.system import System
@@ -136,7 +136,11 @@ class Kept:
 
     def measure(self, wanted: Collection[str], modes: Sequence[str]) -> Row:
         """Return the metrics of the run that has come to its end, by column."""
-        metrics = self.system.metrics(self.master, self.master.trajectory, wanted)
+        judge = self.system.gathered(self.master, wanted=wanted).judge
+        assert judge is not None  # a sweep's scenario has a case
+        judge.add(self.master.trajectory)
+        roots = self.system.linear_swings() if {"least", "damping", "frequency"} & set(wanted) else ""
+        metrics = judge.metrics(control_limit_pu(self.master), roots)
         packets = [packet_counts(self.master.participants[name]) for name in self.system.channels]
         row = measured(metrics, wanted, modes, packets)
         if SYNCHRONISM in wanted:

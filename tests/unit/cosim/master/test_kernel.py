@@ -80,14 +80,14 @@ def test_the_kernel_gives_the_bits_of_the_reference(
         master = loop.master
         fast = master.run()
         swept = master.repeated
-        counted = loop.result(fast).packets.rows
+        counted = loop.result().packets.rows
         master.engine = "python"
         master.start()
         slow = master.run()
         assert (fast.engine, slow.engine) == ("kernel", "python")
         assert fast.data.equals(slow.data)
         assert master.repeated == swept
-        assert loop.result(slow).packets.rows == counted
+        assert loop.result().packets.rows == counted
 
 
 def test_the_engine_that_ran_is_in_the_result(cache: Path, by_hand: Controller) -> None:

@@ -112,7 +112,8 @@ def test_synchronous_feedback_has_no_loop_and_no_delay_of_the_master(by_hand: Co
     loaded = load_scenario(document(stop_s=1.5))
     with Loop(loaded, controller=by_hand) as loop:
         assert loop.master.graph.order == ("local", "remote", "controller", "plant")
-        run = loop.result(loop.master.run())
+        loop.master.run()
+        run = loop.result()
     assert run.ledger["remote.u"].total_s == 0.1
     assert all(row.master_s == 0.0 for row in run.ledger.rows)
     assert "plant.G2_dw -> remote.u" in run.explain()

@@ -1,0 +1,205 @@
+"""The metrics of a run of a power system, from its points: in parts as they come, or at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from interarea.design.delay.loop_modes import LoopModes
+from interarea.design.modes.modes import damping_ratio
+
+from ..scenario.scenario import Scenario
+from ..trajectory import Trajectory
+from . import metrics as m
+from .ringdown import (
+    Swing,
+    disturbance_end_s,
+    fit_window,
+    fitted_modes,
+    hertz,
+    least_of_fit,
+    samples_of,
+    speeds_of,
+)
+from .tally import Curves, Quarters, Settling, Squares, Tally
+
+if TYPE_CHECKING:
+    from interarea.models.case.case import Case
+
+Array = npt.NDArray[np.float64]
+_LONGEST_FIT_S = 120.0  #: a ring-down is over by then; the fit's memory grows with the square of the window
+_BAND = 0.02  #: of the peak, within which a swing has settled
+
+
+class Judge:
+    """Takes the parts of a trajectory and gives the run's metrics.
+
+    step_s : of the master. stop_s : time of the last point to come. wanted : names of `METRICS`; the others
+        stay None.
+    """
+
+    def __init__(
+        self,
+        case: Case,
+        swing: Swing,
+        scenario: Scenario,
+        *,
+        step_s: float,
+        stop_s: float,
+        wanted: Collection[str] = m.METRICS,
+    ) -> None:
+        self.case, self.swing, self.wanted = case, swing, set(wanted)
+        self.end_s = end = disturbance_end_s(scenario)
+        begin, change = fit_window(scenario)
+        self.window = begin, min(change, stop_s, begin + _LONGEST_FIT_S)
+        self._samples = samples_of(case, self.window, step_s)
+        self._settling, self._energy = Settling(end, _BAND), Squares()
+        self._effort: dict[str, Squares] = {}
+        self._swing_in, self._controls_in = Quarters(end, stop_s), Quarters(end, stop_s)
+        self._last: dict[str, Array] = {}
+
+    def add(self, part: Trajectory) -> None:
+        """Take the points of a part."""
+        time = self._joined("time", part.time_s)
+        signal = self._joined("swing", self.swing.of(part))
+        self._settling.add(time, signal)
+        if "stable" in self.wanted:
+            self._swing_in.add(time, signal)
+        if "energy" in self.wanted:
+            self._energy.add(time, signal)
+        for name in part.reals_of("controller"):
+            control = self._joined(name, part[name])
+            if "effort" in self.wanted:
+                self._effort.setdefault(name, Squares()).add(time, control)
+            if "stable" in self.wanted:
+                self._controls_in.add(time, control)
+        if self._fits:
+            self._samples.add(time, [self._joined(f"of {c}", part[c]) for c in speeds_of(self.case)])
+
+    def metrics(
+        self,
+        limit_pu: float | None = None,
+        roots: LoopModes | str = "its linear loop was not looked at",
+    ) -> m.Metrics:
+        """Return the metrics of what was taken.
+
+        limit_pu : of the control signals, None where they have none. roots : of the linear loop, or why
+            there are none.
+        """
+        name, end, peak = self.swing.name, self.end_s, self._settling.peak
+        swings = self._swings(roots)
+
+        def asked(metric: str, value: Callable[[], Any]) -> Any:
+            return value() if metric in self.wanted else None
+
+        return m.Metrics(
+            signal=name,
+            least_damping_ratio=swings.least[0],
+            least_frequency_hz=swings.least[1],
+            least_mode=swings.least[2],
+            stable=asked("stable", lambda: m.decays(self._swing_in, self._controls_in, peak, limit_pu)),
+            damping_ratio={n: damping_ratio(z) for n, z in swings.named.items()},
+            frequency_hz={n: hertz(z) for n, z in swings.named.items()},
+            ring_down={n: mode.damping_ratio for n, mode in swings.fitted.items()},
+            settling_time_s=asked("settling_time", lambda: self._settling.time_s),
+            peak_pu=asked("peak", lambda: peak),
+            energy_pu2s=asked("energy", lambda: self._energy.total),
+            effort_pu2s=asked("effort", lambda: float(sum(u.total for u in self._effort.values()))),
+            fit_error=swings.error,
+            methods={
+                "signal": self.swing.text,
+                "least_damping_ratio": swings.how,
+                "damping_ratio": swings.how,
+                "frequency_hz": swings.how,
+                "ring_down": swings.fit,
+                "stable": f"largest |{name}| in quarters of the time after {end:g} s: the last below the "
+                "second, and 0.5 % below the third or within 2 % of the peak; no control at its limit in the "
+                "last",
+                "settling_time_s": f"from {end:g} s to the last time |{name}| exceeds 2 % of its peak",
+                "peak_pu": f"largest |{name}| of the run",
+                "energy_pu2s": f"integral of {name}^2 over the run, trapezoids",
+                "effort_pu2s": "sum over controller outputs of the integral of their square, trapezoids",
+            },
+        )
+
+    @property
+    def _fits(self) -> bool:
+        """Whether a fit may be wanted; where the roots are known it may not."""
+        return bool({"fit_error", "least", "damping", "frequency"} & self.wanted)
+
+    def _joined(self, what: str, values: Array) -> Array:
+        """Return values with the last ones of the part before at their head."""
+        joined = np.concatenate([self._last[what], values]) if what in self._last else values
+        self._last[what] = values[-1:].copy()
+        return joined
+
+    def _swings(self, roots: LoopModes | str) -> _Swings:
+        known, window = None if isinstance(roots, str) else roots, self.window
+        numbers = bool({"least", "damping", "frequency"} & self.wanted)
+        fitted: dict[str, m.RingDownMode] = {}
+        fit = m.RingDown((), window, 0.0)
+        if window[1] > window[0] and ("fit_error" in self.wanted or (numbers and known is None)):
+            robust = known is None or m.RING_DOWN in self.wanted
+            fitted, fit = fitted_modes(self._samples, self.case, window, known, robust)
+        text = (
+            f"{fit.method} on the speeds less their mean, {window[0]:g} to {window[1]:g} s, "
+            f"largest misfit {fit.error:.1e} of the largest signal"
+            + ("" if fit.good else f": poor, above {m.GOOD_FIT:g}, so that no mode has a name")
+        )
+        if not numbers:
+            return _Swings({}, _NOTHING, fitted, fit.error, "", text)
+        if known is None:
+            poles = {n: one.pole for n, one in fitted.items()}
+            how = f"{text} (no linear loop: {roots})"
+            return _Swings(poles, least_of_fit(fit, fitted), fitted, fit.error, how, text)
+        least = known.least
+        told = (damping_ratio(least), hertz(least), known.name_of(least)) if least is not None else _NOTHING
+        return _Swings(known.named, told, fitted, fit.error, _ROOTS, text)
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """All that is gathered of a run: counts, judge (None without a case), curves for the figure."""
+
+    tally: Tally
+    judge: Judge | None
+    curves: Curves
+
+    def add(self, part: Trajectory) -> None:
+        """Take a part that nobody else keeps."""
+        self.count(part)
+        self.curves.add(part, part.units if self.judge is None else self._needed(self.judge, part))
+
+    def count(self, part: Trajectory) -> None:
+        """Take a part that is kept elsewhere."""
+        self.tally.add(part)
+        if self.judge is not None:
+            self.judge.add(part)
+
+    def _needed(self, judge: Judge, part: Trajectory) -> list[str]:
+        """Columns that the figure draws, and what channels count."""
+        counts = [n for n in part.units if n.rpartition(".")[0] in self.tally.channels]
+        return [*speeds_of(judge.case), *part.reals_of("controller"), *counts]
+
+
+@dataclass(frozen=True)
+class _Swings:
+    """What swings in a run: named poles, the least damped one (ratio, Hz, name), the fit, and how."""
+
+    named: Mapping[str, complex]
+    least: tuple[float | None, float | None, str]
+    fitted: Mapping[str, m.RingDownMode]
+    error: float
+    how: str
+    fit: str
+
+
+_NOTHING = (None, None, "")
+_ROOTS = (
+    "roots of the linear loop at the operating point with exact delay, packets and losses in the mean; names "
+    "followed from the open loop"
+)
