@@ -10,7 +10,8 @@ from ..clock import seconds
 from ..participant import Participant
 from ..trajectory import Trajectory
 
-PART = 16_384  #: points that are handed on together
+PART = 16_384  #: points that are handed on together, fewer where there are many outputs
+_VALUES = 1 << 22  # of a part, 32 MB
 Sink = Callable[[Trajectory], object]
 
 
@@ -26,7 +27,7 @@ class Records:
         self.ports = [port for _, port in outputs]
         self._sources = [(p, len(p.description.outputs)) for p in participants]
         self.sink = sink
-        rows = points if sink is None else min(points, PART)
+        rows = points if sink is None else min(points, PART, max(1, _VALUES // max(1, len(outputs))))
         self.times = np.full(rows, np.nan)
         self.values = np.full((rows, len(outputs)), np.nan)
         self.count = 0

@@ -14,6 +14,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from ..plots.curves import DASHES, MUTED, SERIES, STYLE, new_figure
+from .ringdown import speeds_of
+from .tally import DRAWN, Curves
 
 if TYPE_CHECKING:
     from interarea.models.case.case import Case
@@ -43,9 +45,12 @@ def run_plot(run: Ran) -> Figure:
 
     Disturbances and the times without a signal are shaded.
     """
-    curves = run.trajectory
+    curves, controls = run.trajectory, run.trajectory.reals_of("controller")
+    if len(curves.time_s) > DRAWN:
+        drawn = Curves(len(curves.time_s))
+        drawn.add(curves, [*speeds_of(run.case), *controls])
+        curves = drawn.trajectory
     swing = run.swing.of(curves)
-    controls = curves.reals_of("controller")
     rows = 3 if controls else 2
     start, end = float(curves.time_s[0]), float(curves.time_s[-1])
     figure, axes = new_figure(rows, 1, height=1.4 * rows + 0.8, sharex=True)

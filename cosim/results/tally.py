@@ -163,32 +163,33 @@ class Curves:
     def __init__(self, points: int) -> None:
         self._width = 1 if points <= DRAWN else -(-points // (DRAWN // 4))
         self._parts: list[Trajectory] = []
+        self._last: list[Trajectory] = []
 
     def add(self, part: Trajectory, names: Iterable[str]) -> None:
         """Take a part, of which `names` are kept."""
-        columns = {name: part[name] for name in dict.fromkeys([TIME, *names])}
-        if self._width > 1:
-            begin = np.arange(0, len(part.time_s), self._width)
-            columns = {name: _envelope(values, begin) for name, values in columns.items()}
-        units = {name: part.units[name] for name in columns}
-        self._parts.append(Trajectory(columns, units, part.descriptions, part.engine))
+        kept = part.thinned(list(dict.fromkeys([TIME, *names])), 0, 1)
+        if self._width == 1:  # copies, without which all other columns would stay too
+            columns = {name: kept[name].copy() for name in kept.units}
+            self._parts.append(Trajectory(columns, kept.units, kept.descriptions, kept.engine))
+            return
+        begin = np.arange(0, len(part.time_s), self._width)
+        drawn = {name: _envelope(kept[name], begin) for name in kept.units}
+        first = [] if self._parts else [kept.thinned(list(kept.units), 0, len(part.time_s))]
+        self._parts += [*first, Trajectory(drawn, kept.units, kept.descriptions, kept.engine)]
+        self._last = [kept.thinned(list(kept.units), -1, 1)]
 
     @property
     def trajectory(self) -> Trajectory:
         """What was taken, in one."""
-        last = self._parts[-1]
-        columns = {name: np.concatenate([p[name] for p in self._parts]) for name in last.units}
-        return Trajectory(columns, last.units, last.descriptions, last.engine)
+        parts = [*self._parts, *self._last]
+        one = parts[-1]
+        columns = {name: np.concatenate([p[name] for p in parts]) for name in one.units}
+        return Trajectory(columns, one.units, one.descriptions, one.engine)
 
 
 def _envelope(values: Array, begin: npt.NDArray[np.intp]) -> Array:
-    """Return two values for each stretch: its least and largest, in the order that its ends have.
-
-    Of all the last two are as they are.
-    """
+    """Return two values for each stretch: its least and largest, in the order that its ends have."""
     end = np.append(begin[1:], len(values)) - 1
     least, largest = np.minimum.reduceat(values, begin), np.maximum.reduceat(values, begin)
     rises = values[end] >= values[begin]
-    drawn = np.column_stack([np.where(rises, least, largest), np.where(rises, largest, least)]).ravel()
-    drawn[[0, -1]] = values[[0, -1]]
-    return drawn
+    return np.column_stack([np.where(rises, least, largest), np.where(rises, largest, least)]).ravel()

@@ -60,7 +60,7 @@ def run(
     """Co-simulate one scenario; writes trajectory, ledgers, metrics and a plot.
 
     With --self-test and no --out only the self-test is done. --record, --every and --strict stand in for the
-    scenario's keys of these names. Without a case the files are written while it runs.
+    scenario's keys of these names. The trajectory is written while it runs.
     """
     from .destination import folder_for
 

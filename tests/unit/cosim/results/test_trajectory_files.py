@@ -18,10 +18,12 @@ from fmu_runner import decay_block
 
 from interarea.cosim.errors import DestinationError, ScenarioError
 from interarea.cosim.master import records
+from interarea.cosim.results.run import Run
 from interarea.cosim.results.trajectory_files import TrajectoryFiles
 from interarea.cosim.run.run import run_system, write_run
 from interarea.cosim.scenario.scenario import Scenario, load_scenario
 from interarea.cosim.trajectory import TIME, Trajectory
+from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.package import build_fmu
 
 NAMES = ["trajectory.csv", "trajectory.parquet", "ledger.json", "scenario.toml", "run.json"]
@@ -72,6 +74,39 @@ def test_in_parts_as_at_once(
     pd.testing.assert_frame_equal(parts.data, at_once.data)
     assert (parts.units, parts.descriptions) == (at_once.units, at_once.descriptions)
     assert str(result.packets) == str(whole.packets) and result.warnings == whole.warnings
+
+
+def test_a_run_with_a_case_in_parts_as_at_once(
+    hand_controller: Controller, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every file has the same bytes but for sums over all points, which may differ in the last digit."""
+    loaded = load_scenario(
+        {
+            "case": "two-area-thesis",
+            "controller": str(hand_controller.save(tmp_path / "k.json")),
+            "stop_s": 4.0,
+            "step_s": 0.01,
+            "event": [{"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 0.5, "end_s": 0.7}],
+            "channels": {"remote": {"signal": "G2_dw", "latency_s": 0.1}},
+            "record": ["plant.*_dw", "remote.*"],
+            "every": 3,
+        }
+    )
+    whole = run_system(loaded, cache=cache)
+    whole.save(tmp_path / "whole")
+    monkeypatch.setattr(records, "PART", 23)
+    run, files = write_run(loaded, tmp_path / "parts", cache=cache)
+    names = [*NAMES, "metrics.json", "run.svg", "report.html"]
+    assert [f.name for f in files] == names and {f.name for f in (tmp_path / "parts").iterdir()} == set(names)
+    for name in (NAMES[0], NAMES[3], "run.svg"):
+        assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+    metrics, at_once = (json.loads((tmp_path / k / names[5]).read_text()) for k in ("parts", "whole"))
+    for key in ("energy_pu2s", "effort_pu2s"):
+        assert metrics.pop(key) == pytest.approx(at_once.pop(key), rel=1e-13)
+    assert metrics == at_once and metrics["settling_time_s"] != 0.0
+    assert isinstance(run, Run) and run.summary == whole.summary  # type: ignore[attr-defined]
+    parts, table = (Trajectory.read_parquet(tmp_path / k / NAMES[1]) for k in ("parts", "whole"))
+    pd.testing.assert_frame_equal(parts.data, table.data)
 
 
 @pytest.mark.parametrize("every", [1, 4, 50, 499, 500, 10_000])
@@ -135,22 +170,25 @@ import resource, sys
 from pathlib import Path
 from interarea.cosim.run.run import write_run
 folder, steps = Path(sys.argv[1]), int(sys.argv[2])
-write_run({"folder": folder, "fmus": {"a": {"file": "x.fmu"}}, "stop_s": steps * 1e-4, "step_s": 1e-4,
-           "record": ["a.y"], "every": int(sys.argv[3])}, folder / "out", cache=Path(sys.argv[4]))
+what = ({"case": "two-area-thesis", "record": ["plant.G1_dw"]} if sys.argv[5] == "case" else
+        {"fmus": {"a": {"file": "x.fmu"}}, "record": ["a.y"]})
+write_run({**what, "folder": folder, "stop_s": steps * 1e-4, "step_s": 1e-4, "every": int(sys.argv[3])},
+          folder / "out", cache=Path(sys.argv[4]))
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
 
 
-def peak_mb(folder: Path, cache: Path, steps: int, every: int) -> float:
+def peak_mb(folder: Path, cache: Path, steps: int, every: int, what: str) -> float:
     """Largest resident memory of a run in a process of its own, MB."""
-    command = [sys.executable, "-c", SCRIPT, str(folder), str(steps), str(every), str(cache)]
+    command = [sys.executable, "-c", SCRIPT, str(folder), str(steps), str(every), str(cache), what]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     return int(done.stdout) / (1024.0 if sys.platform == "linux" else 1048576.0)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(resource, "RUSAGE_SELF"), reason="measures as POSIX does")
-def test_ten_times_the_steps_take_no_more_memory(folder: Path, cache: Path) -> None:
-    """1e6 steps beside 1e5, all written: the clock's 10 bytes a step while it is made thrice, no results."""
-    short, long = (peak_mb(folder, cache, steps, 1) for steps in (100_000, 1_000_000))
+@pytest.mark.parametrize(("what", "every"), [("fmus", 1), ("case", 100)])
+def test_ten_times_the_steps_take_no_more_memory(what: str, every: int, folder: Path, cache: Path) -> None:
+    """1e6 steps beside 1e5: the clock's 10 bytes a step while it is made thrice, no results."""
+    short, long = (peak_mb(folder, cache, steps, every, what) for steps in (100_000, 1_000_000))
     assert long < short + 60.0
