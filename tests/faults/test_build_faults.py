@@ -1,0 +1,117 @@
+"""A build and a study whose files the machine refuses: whole files or none, and with room the same bits.
+
+A study of two figures and two scenarios is tried at file operations 1, 41, 81 ..; a build with its
+compiled library at every one, with a compilation at 1, 13, 25 ..; each of them at all in `make fuzz`.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from file_faults import Fault, grid
+from fmu_runner import decay_block
+
+from interarea.cosim.study.spec import load_study
+from interarea.cosim.study.study import run_study
+from interarea.fmu_build.errors import BuildError
+from interarea.fmu_build.write.cache import damaged
+from interarea.fmu_build.write.package import build_fmu
+from interarea.models.case.write_toml import toml_text
+from interarea.models.errors import InterareaError
+
+
+@pytest.fixture(autouse=True)
+def _no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "fsync", lambda handle: None)
+
+
+def built(cache: Path, out: Path) -> bytes:
+    return build_fmu(decay_block(), out, cache=cache).read_bytes()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache in which the block's library is compiled."""
+    cache = tmp_path_factory.mktemp("cache")
+    built(cache, cache.with_name("whole.fmu"))
+    return cache
+
+
+@pytest.mark.parametrize(
+    ("folder", "step"), [("binaries", 1), pytest.param("zig", 12, marks=pytest.mark.slow)]
+)
+def test_a_build(folder: str, step: int, made: Path, tmp_path: Path) -> None:
+    """With the compiled library in the cache, or what the compiler keeps only."""
+    whole, count, told = made.with_name("whole.fmu").read_bytes(), 0, 0
+    for n in grid(step=step):
+        cache, out, fault = tmp_path / f"{n}", tmp_path / f"{n}.fmu", Fault(n, errno.ENOSPC)
+        if (made / folder).is_dir():
+            shutil.copytree(made / folder, cache / folder)
+        try:
+            with fault.injected():
+                built(cache, out)
+        except OSError as error:
+            assert error.errno == errno.ENOSPC
+            told += 1
+        except BuildError as error:
+            assert "\n" not in str(error) and os.strerror(errno.ENOSPC) in str(error), error
+            told += 1
+        if fault.count < n:
+            break
+        count += 1
+        assert not out.exists() or out.read_bytes() == whole, n
+        assert not list(tmp_path.glob(".*.partial")), n
+        assert built(cache, out) == whole, n
+        assert damaged(cache) == [], n
+    assert count >= 4 and told >= count // 2
+
+
+def small_study(folder: Path) -> str:
+    """A study of one controller, two scenarios and two figures."""
+    spec = {**load_study("thesis"), "controllers": ["wdc"], "stop_s": 4.0}
+    for key in ("packets", "survival", "claims"):
+        del spec[key]
+    spec["latency"] = {**spec["latency"], "values_s": [0.1], "redesign": []}
+    spec["margin"] = {**spec["margin"], "stop_s": 4.0}
+    spec["scenario"] = [row for row in spec["scenario"] if row["name"] in ("none-pulse", "wdc-pulse")]
+    spec["figure"] = [row for row in spec["figure"] if row["key"] in ("hankel", "5.2")]
+    file = folder / "small.toml"
+    file.write_text(toml_text(spec), encoding="utf-8")
+    return str(file)
+
+
+def left(out: Path) -> dict[str, bytes]:
+    return {p.relative_to(out).as_posix(): p.read_bytes() for p in out.rglob("*") if p.is_file()}
+
+
+@pytest.mark.slow
+def test_a_study(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it computes is in the cache, as after a study that has failed at its files."""
+    monkeypatch.setenv("INTERAREA_CACHE", str(cache))
+    name = small_study(tmp_path)
+    run_study(name, tmp_path / "first", second_solver=False)
+    fault = Fault(0, 0)
+    with fault.injected():
+        run_study(name, tmp_path / "whole", second_solver=False)
+    whole, tried = left(tmp_path / "whole"), 0
+    assert left(tmp_path / "first") == whole and len(whole) >= 10
+    for n in grid(step=40):
+        if n > fault.count:
+            break
+        out = tmp_path / f"{n}"
+        try:
+            with Fault(n, errno.ENOSPC).injected():
+                run_study(name, out, second_solver=False)
+        except OSError as error:
+            assert error.errno == errno.ENOSPC
+        except InterareaError as error:
+            assert "\n" not in str(error) and os.strerror(errno.ENOSPC) in str(error), error
+        assert left(out).items() <= whole.items(), n
+        run_study(name, out, second_solver=False)
+        assert left(out) == whole, n
+        tried += 1
+    assert tried >= 4
