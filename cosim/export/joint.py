@@ -62,9 +62,8 @@ def run_joint(
     ledger = _ledger(loaded, members)
     case = loaded.load_case()
     swing = swing_of(case, folder, loaded.swing)
-    wanted = (*METRICS, RING_DOWN)
-    given = {"step_s": members.step_s, "stop_s": float(trajectory.time_s[-1]), "wanted": wanted}
-    judge = Judge(case, swing, loaded, **given)
+    wanted, stop_s = (*METRICS, RING_DOWN), float(trajectory.time_s[-1])
+    judge = Judge(case, swing, loaded, step_s=members.step_s, stop_s=stop_s, wanted=wanted)
     judge.add(trajectory)
     system = system_of(loaded, cache=folder, controller=controller)
     roots = system.linear_swings()

@@ -401,10 +401,10 @@ class System:
             "warnings": (*self.warnings, *gathered.tally.warnings),
             "scenario": self.scenario,
         }
-        if gathered.judge is None:
+        if (judge := gathered.judge) is None:
             return Result(**common)
-        metrics = gathered.judge.metrics(control_limit_pu(master), self.linear_swings())
-        return Run(**common, case=self.case, swing=self.swing, metrics=metrics)
+        metrics = judge.metrics(control_limit_pu(master), self.linear_swings())
+        return Run(**common, case=self.case, swing=judge.swing, metrics=metrics)
 
     def warned(self) -> System:
         """Return this system after a `ScenarioWarning` for each of its warnings."""
