@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal import busy, print_table
+from .terminal import busy, note, print_table, stage_progress
 
 if TYPE_CHECKING:
     import control
@@ -45,6 +45,7 @@ def design(
     plots: Annotated[
         Path | None, typer.Option("--plots", metavar="DIR", help="draw the alternatives into it")
     ] = None,
+    json_: Annotated[bool, typer.Option("--json", help="print JSON instead of tables")] = False,
 ) -> None:
     """Design a fixed-order controller for a family; exit code 1 if it misses what was asked.
 
@@ -63,18 +64,27 @@ def design(
     if plots is not None:
         folder_for(plots, "--plots")
     others = {name: _system(name, case) for name in against or ()}
-    done = run_design(table, cache, progress=lambda what, value: typer.echo(f"{what}: {value:.4f}", err=True))
+    done = run_design(table, cache, progress=lambda what, value: note(f"{what}: {value:.4f}"))
     made = done.controller
     out.parent.mkdir(parents=True, exist_ok=True)
     made.save(out)
     found = _certificate_of(made)
-    _show(made.name, found, table)
     with busy("comparing the alternatives"):
         alternatives = compare(table, {made.name: made.system, **done.tried, **others}, cache)
         drawn = save_comparison(table, alternatives, cache, plots) if plots is not None else ()
-    print_table("alternatives over the family", HEADER, [a.cells() for a in alternatives])
-    for path in (out, *drawn):
-        typer.echo(path)
+    if json_:
+        document = {
+            "controller": made.name,
+            "certificate": made.certificate,
+            "alternatives": [dict(zip(HEADER, a.cells(), strict=True)) for a in alternatives],
+            "files": [str(path) for path in (out, *drawn)],
+        }
+        typer.echo(json.dumps(document, indent=2, allow_nan=False))
+    else:
+        _show(made.name, found, table)
+        print_table("alternatives over the family", HEADER, [a.cells() for a in alternatives])
+        for path in (out, *drawn):
+            typer.echo(path)
     if not found.passed:
         raise typer.Exit(1)
 
@@ -151,8 +161,16 @@ def certify(
         typer.echo(f"{controller} names no family of its own: judged by that of `robust`", err=True)
     if own is not None:
         table = own if case is None else own.model_copy(update={"case": case})
-    with busy(f"certifying {controller}"):
-        found = recompute(table, made, default_cache(), acceptance=acceptance)
+    stages = ("linear family", "non-linear faults") if acceptance else ("linear family",)
+    with stage_progress(stages) as report:
+        report(stages[0], 0.0)
+
+        def tell(done: int, of: int) -> None:
+            report(stages[0], 1.0)
+            report(stages[-1], done / of)
+
+        found = recompute(table, made, default_cache(), acceptance=acceptance, progress=tell)
+        report(stages[0], 1.0)
     if json_:
         typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
     else:

@@ -11,7 +11,7 @@ import typer
 
 from .modes import CaseName
 from .study import OutFolder
-from .terminal import busy
+from .terminal import busy, steps
 
 ScenarioFile = Annotated[
     str, typer.Argument(metavar="SCENARIO.toml", help="scenario file, or a bundled name", show_default=False)
@@ -42,6 +42,7 @@ def build(
         ),
     ] = None,
     platforms: Platforms = None,
+    json_: Annotated[bool, typer.Option("--json", help="print JSON instead of lines")] = False,
 ) -> None:
     """Build the plant FMU of a case, complete: documentation, sources and cross-check files."""
     from interarea.cosim.run.controllers import controller_of
@@ -62,10 +63,17 @@ def build(
         made = controller_of(controller, loaded, cache)
         if made is not None:
             blocks |= {"channel": channel_block(), made.name: made.block(loaded.omega_b)}
-    with busy("building FMUs"):
+    files = {}
+    with steps([f"{name}.fmu" for name in blocks]) as tell:
         for name, block in blocks.items():
+            tell(f"{name}.fmu")
             fmu = complete_fmu(block_fmu(block, cache, platforms=names_of(platforms)), cache)
-            typer.echo(place(fmu, out / f"{name}.fmu"))
+            files[name] = str(place(fmu, out / f"{name}.fmu"))
+    if json_:
+        typer.echo(json.dumps({"case": loaded.name, "fmus": files}, indent=2))
+        return
+    for file in files.values():
+        typer.echo(file)
 
 
 def ssp(

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from interarea.cosim.errors import SweepError
 
 from .study import OutFolder
+from .terminal import quiet
 
 if TYPE_CHECKING:
     from interarea.cosim.sweep.front import Progress
@@ -38,6 +41,7 @@ def sweep(
         str | None, typer.Option("--retry", metavar="failed", help="do runs that failed before again, too")
     ] = None,
     large: Annotated[bool, typer.Option("--large", help="confirm a very large number of runs")] = False,
+    json_: Annotated[bool, typer.Option("--json", help="print JSON instead of lines")] = False,
 ) -> None:
     """Run a scenario over many parameters; a sweep that was stopped goes on where it was."""
     from interarea.cosim.sweep.front import run_sweep
@@ -64,17 +68,24 @@ def sweep(
         print(f"the same command goes on with what is in {out}", file=sys.stderr)
         raise
     show.end()
+    if summary["failed"]:
+        print(_commonest(out), file=sys.stderr)
+    if json_:
+        typer.echo(json.dumps({**summary, "folder": str(out)}, indent=2))
+    else:
+        _tell(summary)
+        typer.echo(out)
+    if not summary["ok"]:
+        raise typer.Exit(1)
+
+
+def _tell(summary: Mapping[str, Any]) -> None:
     failures = ", ".join(f"{count} {kind}" for kind, count in summary["failures"].items())
     typer.echo(
         f"{summary['runs']} runs: {summary['ok']} ok ({summary['stable']} stable, "
         f"{summary['unstable']} not), {summary['failed']} failed{f' ({failures})' if failures else ''}"
         + (f"; {summary['forked']} went on from a saved state" if summary["forked"] else "")
     )
-    if summary["failed"]:
-        print(_commonest(out), file=sys.stderr)
-    typer.echo(out)
-    if not summary["ok"]:
-        raise typer.Exit(1)
 
 
 def check_workers(workers: int | None, scheduler: str | None) -> None:
@@ -107,6 +118,7 @@ def maps(
         typer.Option("--out", metavar="FILE.html", help="default: DIR/maps.html", show_default=False),
     ] = None,
     worst: Annotated[int, typer.Option("--worst", metavar="N", help="worst runs that are drawn")] = 6,
+    json_: Annotated[bool, typer.Option("--json", help="print JSON instead of the page's name")] = False,
 ) -> None:
     """Draw the maps of a sweep: stability, margins certified and simulated, worst runs; one page."""
     from interarea.cosim.maps.page import write_maps
@@ -123,7 +135,12 @@ def maps(
     page = file_for(out or folder / "maps.html")
     with steps(("margins", "worst runs", "explorer", "figures")) as tell:
         page = write_maps(folder, page, worst=worst, progress=tell)
-    typer.echo(page)
+    if json_:
+        from interarea.cosim.sweep.parts import summary_of
+
+        typer.echo(json.dumps({"page": str(page), "runs": summary_of(folder)}, indent=2))
+    else:
+        typer.echo(page)
 
 
 def screen(
@@ -239,7 +256,7 @@ class Display:
 
     def __call__(self, p: Progress) -> None:
         now = time.monotonic()
-        if now - self._last < (0.2 if self._terminal else _EVERY_S):
+        if quiet() or now - self._last < (0.2 if self._terminal else _EVERY_S):
             return
         self._last = now
         left = "" if p.left_s is None else f", {_duration(p.left_s)} left"

@@ -76,6 +76,11 @@ def set_level(name: str) -> Callable[[bool], None]:
     return given
 
 
+def quiet() -> bool:
+    """Whether this call of the command was given `--quiet`."""
+    return "quiet" in _levels
+
+
 _warned: set[str] = set()  # by this call of the command
 
 
@@ -96,14 +101,14 @@ def say_warning(
 
 def note(text: object) -> None:
     """Print a remark on stderr, unless `--quiet`."""
-    if "quiet" not in _levels:
+    if not quiet():
         print(text, file=sys.stderr)
 
 
 @contextmanager
 def busy(what: str) -> Iterator[None]:
     """Show on stderr that something is under way: on a terminal, else with `--verbose` a line."""
-    if "quiet" in _levels or not sys.stderr.isatty():
+    if quiet() or not sys.stderr.isatty():
         if "verbose" in _levels:
             note(what)
         yield
@@ -117,17 +122,28 @@ def busy(what: str) -> Iterator[None]:
 @contextmanager
 def stage_progress(stages: Sequence[str]) -> Iterator[Callable[[str, float], None]]:
     """Show one progress bar per stage on stderr; without a terminal, one line per finished stage."""
-    if "quiet" in _levels or not sys.stderr.isatty():
+    if quiet() or not sys.stderr.isatty():
         yield _plain_progress()
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        SpinnerColumn,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     columns = (
         SpinnerColumn(finished_text="✓"),
         TextColumn("{task.description}"),
         BarColumn(),
+        TaskProgressColumn(),
         TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True)) as progress:
         tasks: dict[str, TaskID] = {s: progress.add_task(s, total=1.0, start=False) for s in stages}

@@ -1,0 +1,75 @@
+"""Long work speaks: a line a step on stderr, nothing with `--quiet`; what is found as JSON on stdout."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+Command = Callable[..., tuple[int, str, str]]
+SWEEP = 'scenario = "ring-down"\n[parameters.size]\npath = "event.1.size_pu"\nvalues = [0.02, 0.04]\n'
+DESIGN = """name = "tiny"
+case = "two-area-thesis"
+remote = "G2_dw"
+local = "G4_dw"
+actuator = "G4_vs"
+order = 2
+conditions = ["N"]
+starts = 1
+evaluations = 20
+polishes = 0
+point = [{ name = "base" }]
+ask = { worst_swing = 0.0 }
+"""
+
+
+def test_build_tells_each_fmu_and_prints_them_as_json(interarea: Command, tmp_path: Path) -> None:
+    words = ("build", "two-area-thesis", "--controller", "robust", "--out", tmp_path)
+    code, out, err = interarea(*words, "--json")
+    found = json.loads(out)
+    names = ["two-area-thesis", "channel", "robust"]
+    assert code == 0 and found["case"] == "two-area-thesis" and list(found["fmus"]) == names
+    assert all(Path(file).is_file() for file in found["fmus"].values())
+    assert err.splitlines() == [f"{name}.fmu: done" for name in names]
+    code, out, err = interarea(*words, "--quiet")
+    assert (code, err) == (0, "") and out.split() == list(found["fmus"].values())
+
+
+def test_certify_tells_its_steps(interarea: Command) -> None:
+    code, out, err = interarea("certify", "robust_linear", "--json")
+    assert code == 0 and json.loads(out)["passed"] is True
+    assert "linear family: done" in err.splitlines()
+    assert "linear family" not in interarea("certify", "robust_linear", "--json", "--quiet")[2]
+
+
+@pytest.mark.slow
+def test_sweep_and_its_maps_print_json(interarea: Command, tmp_path: Path) -> None:
+    (tmp_path / "two.toml").write_text(SWEEP, encoding="utf-8")
+    folder = tmp_path / "out"
+    code, out, _ = interarea("sweep", tmp_path / "two.toml", "--out", folder, "--workers", 1, "--json")
+    found = json.loads(out)
+    assert code == 0 and (found["runs"], found["ok"], found["failed"]) == (2, 2, 0)
+    assert found["folder"] == str(folder)
+    code, out, err = interarea("maps", folder, "--worst", 1, "--json")
+    page = json.loads(out)
+    assert code == 0 and page["runs"]["stable"] == found["stable"] == 2 and Path(page["page"]).is_file()
+    assert "figures: done" in err.splitlines()
+    assert interarea("maps", folder, "--worst", 1, "--quiet")[2] == ""
+
+
+@pytest.mark.slow
+def test_design_prints_what_it_found_as_json(interarea: Command, tmp_path: Path) -> None:
+    (tmp_path / "tiny.toml").write_text(DESIGN, encoding="utf-8")
+    words = ("design", tmp_path / "tiny.toml", "--out", tmp_path / "tiny.json")
+    code, out, err = interarea(*words, "--json")
+    found = json.loads(out)
+    assert code == 0 and found["controller"] == "tiny" and found["certificate"]["passed"]
+    saved = json.loads((tmp_path / "tiny.json").read_text(encoding="utf-8"))
+    assert found["certificate"] == saved["certificate"]
+    assert found["alternatives"][0]["alternative"] == "tiny" and found["files"] == [
+        str(tmp_path / "tiny.json")
+    ]
+    assert "start 1 of 1: " in err
+    assert interarea(*words, "--quiet")[2] == ""
