@@ -75,12 +75,27 @@ static fmi2Status check_slopes(Instance *c, const fmi2ValueReference references[
     return fmi2OK;
 }
 
+/* Whether each reference is an output, numbered from `first`, and each order 1. */
+static fmi2Status check_first_orders(Instance *c, const fmi2ValueReference references[], size_t count,
+                                     const fmi2Integer orders[], size_t first, const char *call)
+{
+    for (size_t i = 0; i < count; ++i) {
+        if (references[i] < first || references[i] >= first + c->block.layout.n_y)
+            return instance_report(c, fmi2Error, call, "%s is not a Real output",
+                                   instance_real_name(c, references[i]));
+        if (orders[i] != 1)
+            return instance_report(c, fmi2Error, call, "order %d of %s; only order 1 is offered", orders[i],
+                                   instance_real_name(c, references[i]));
+    }
+    return fmi2OK;
+}
+
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component component, const fmi2ValueReference references[],
                                         size_t count, const fmi2Integer orders[], fmi2Real values[])
 {
     static const char call[] = "fmi2GetRealOutputDerivatives";
     Instance *c = component;
-    size_t first, n_y;
+    size_t first;
     double *slopes;
     fmi2Status status;
 
@@ -88,15 +103,8 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component component, const fmi2Value
     if (count > 0 && (references == NULL || orders == NULL || values == NULL))
         return instance_report(c, fmi2Error, call, "a null pointer was given for an array that is not empty");
     first = 2 * c->block.layout.n_x + c->block.layout.n_u;
-    n_y = c->block.layout.n_y;
-    for (size_t i = 0; i < count; ++i) {
-        if (references[i] < first || references[i] >= first + n_y)
-            return instance_report(c, fmi2Error, call, "%s is not a Real output",
-                                   instance_real_name(c, references[i]));
-        if (orders[i] != 1)
-            return instance_report(c, fmi2Error, call, "order %d of %s; only order 1 is offered", orders[i],
-                                   instance_real_name(c, references[i]));
-    }
+    status = check_first_orders(c, references, count, orders, first, call);
+    if (status != fmi2OK) return status;
     if (are_states(c, references, count, first)) {
         status = instance_refresh_derivatives(c, call);
         for (size_t i = 0; i < count && status == fmi2OK; ++i)

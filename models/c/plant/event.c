@@ -39,6 +39,13 @@ static size_t target_count(const Plan *plan, const Network *net, int kind)
     }
 }
 
+static int is_regulated(const Block *b, const Plan *plan, size_t machine)
+{
+    for (size_t j = 0; j < plan->n_input; ++j)
+        if (index_at(b->memory + plan->input_machine, j) == machine) return 1;
+    return 0;
+}
+
 BlockStatus event_check(const Block *b, const Plan *plan, const Network *net, BlockMessage *message)
 {
     for (size_t k = 0; k < plan->n_slot; ++k) {
@@ -68,16 +75,10 @@ BlockStatus event_check(const Block *b, const Plan *plan, const Network *net, Bl
             return plant_fail(message, BLOCK_ERROR,
                               "event[%zu] (bus_fault): r = %g, x = %g, allowed: r >= 0 and |r + jx| >= 1e-8 pu",
                               k + 1, p[SLOT_R], p[SLOT_X]);
-        if (kind == EVENT_VREF_PULSE) {
-            int found = 0;
-            for (size_t j = 0; j < plan->n_input; ++j)
-                found |= index_at(b->memory + plan->input_machine, j) == (size_t)target - 1;
-            if (!found) {
-                char name[64];
-                return plant_fail(message, BLOCK_ERROR,
-                                  "event[%zu] (vref_pulse): machine %s has no voltage regulator",
-                                  k + 1, plant_name(net->machine_names, (size_t)target - 1, name));
-            }
+        if (kind == EVENT_VREF_PULSE && !is_regulated(b, plan, (size_t)target - 1)) {
+            char name[64];
+            return plant_fail(message, BLOCK_ERROR, "event[%zu] (vref_pulse): machine %s has no voltage regulator",
+                              k + 1, plant_name(net->machine_names, (size_t)target - 1, name));
         }
     }
     return BLOCK_OK;

@@ -136,24 +136,29 @@ static int rising(const int32_t *start, size_t n, size_t fill)
     return fits;
 }
 
+/* Every place lies from `least` to before `end`. */
+static int within(const int32_t *place, size_t count, size_t least, size_t end)
+{
+    for (size_t k = 0; k < count; ++k)
+        if ((size_t)place[k] < least || (size_t)place[k] >= end) return 0;
+    return 1;
+}
+
 /* Every place lies in its array: L strictly below the diagonal, U strictly above. */
 static int pattern_fits(const Pattern *s, const Plan *plan)
 {
     const size_t n = plan->n_node, fill = plan->n_fill;
-    int fits = rising(s->lower, n, fill) && rising(s->upper, n, fill);
+    int fits = rising(s->lower, n, fill) && rising(s->upper, n, fill)
+               && within(s->row, plan->n_bus, 0, n) && within(s->machine, plan->n_machine, plan->first, n)
+               && within(s->port, plan->n_port, plan->first, n)
+               && within(s->gap, 2 * (n - plan->n_bus), 0, 2 * fill)
+               && within(s->branch, 2 * plan->n_branch, 0, 2 * fill);
 
-    for (size_t k = 0; k < plan->n_bus; ++k) fits = fits && (size_t)s->row[k] < n;
-    for (size_t k = 0; k < plan->n_machine; ++k)
-        fits = fits && (size_t)s->machine[k] < n && (size_t)s->machine[k] >= plan->first;
-    for (size_t k = 0; k < plan->n_port; ++k)
-        fits = fits && (size_t)s->port[k] < n && (size_t)s->port[k] >= plan->first;
-    for (size_t k = 0; k < 2 * (n - plan->n_bus); ++k) fits = fits && (size_t)s->gap[k] < 2 * fill;
-    for (size_t k = 0; k < 2 * plan->n_branch; ++k) fits = fits && (size_t)s->branch[k] < 2 * fill;
     for (size_t k = 0; fits && k < n; ++k) {
-        fits = s->needed[k] >= s->lower[k] && s->needed[k] <= s->lower[k + 1];
-        for (int32_t j = s->lower[k]; fits && j < s->lower[k + 1]; ++j) fits = (size_t)s->lower_column[j] < k;
-        for (int32_t j = s->upper[k]; fits && j < s->upper[k + 1]; ++j)
-            fits = (size_t)s->upper_column[j] > k && (size_t)s->upper_column[j] < n;
+        const size_t lower = (size_t)s->lower[k], upper = (size_t)s->upper[k];
+        fits = s->needed[k] >= s->lower[k] && s->needed[k] <= s->lower[k + 1]
+               && within(s->lower_column + lower, (size_t)s->lower[k + 1] - lower, 0, k)
+               && within(s->upper_column + upper, (size_t)s->upper[k + 1] - upper, k + 1, n);
     }
     return fits;
 }
