@@ -267,16 +267,13 @@ def _holds(rule: Mapping[str, Any]) -> str:
         return f"list of {_holds(rule.get('items', {}))}"
     if kind == "object" and isinstance(rule.get("additionalProperties"), dict):
         return f"table of {_holds(rule['additionalProperties'])}"
-    low, high = (
-        rule.get("minimum", rule.get("exclusiveMinimum")),
-        rule.get("maximum", rule.get("exclusiveMaximum")),
-    )
-    span = ""
-    if low is not None:
-        span += f" {'above' if 'exclusiveMinimum' in rule else 'from'} {low:g}"
-    if high is not None:
-        span += f" {'below' if 'exclusiveMaximum' in rule else 'to'} {high:g}"
-    return f"{kind}{span}" if isinstance(kind, str) else " or ".join(kind)
+    return f"{kind}{_span(rule)}" if isinstance(kind, str) else " or ".join(kind)
+
+
+def _span(rule: Mapping[str, Any]) -> str:
+    """The bounds of a number in words."""
+    words = {"minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below"}
+    return "".join(f" {word} {rule[bound]:g}" for bound, word in words.items() if bound in rule)
 
 
 def _example_files(kind: str) -> list[Mapping[str, Any]]:
@@ -345,21 +342,26 @@ def _comments(kind: str) -> dict[str, str]:
     for model in _models(kind):
         inherited = [c for c in model.__mro__ if c not in (BaseModel, object)]
         for owner in reversed(inherited):
-            before = ""
-            for line in inspect.getsource(owner).splitlines():
-                field = re.match(r"    (\w+): .*?(?:#: (.*))?$", line)
-                comment = re.match(r"    #: (.*)$", line)
-                if comment:
-                    before = f"{before} {comment[1]}".strip()
-                elif field:
-                    words = field[2] or before
-                    alias = getattr(getattr(model, "model_fields", {}).get(field[1]), "alias", None)
-                    if words:
-                        found[f"{model.__name__}.{alias or field[1]}"] = words
-                        if kind != "events" and model is _model(kind):
-                            found[f"top level.{field[1]}"] = words
-                    before = ""
+            for name, words in _field_comments(owner):
+                alias = getattr(getattr(model, "model_fields", {}).get(name), "alias", None)
+                found[f"{model.__name__}.{alias or name}"] = words
+                if kind != "events" and model is _model(kind):
+                    found[f"top level.{name}"] = words
     return found
+
+
+def _field_comments(model: type) -> Iterator[tuple[str, str]]:
+    """Yield the fields of a class with the `#:` comment that stands behind or above each."""
+    before = ""
+    for line in inspect.getsource(model).splitlines():
+        field = re.match(r"    (\w+): .*?(?:#: (.*))?$", line)
+        comment = re.match(r"    #: (.*)$", line)
+        if comment:
+            before = f"{before} {comment[1]}".strip()
+        elif field:
+            if field[2] or before:
+                yield field[1], field[2] or before
+            before = ""
 
 
 def _models(kind: str) -> list[type]:

@@ -71,7 +71,7 @@ class SwingModes(Modes):
 
     def plot(self, mode: str = "") -> Figure:
         """Draw the shape of a mode: speed of each machine, size and angle. Default: the inter-area mode."""
-        from interarea.cosim.plots.curves import mode_shape_plot
+        from interarea.cosim.plots.mode_shapes import mode_shape_plot
 
         chosen = self[mode] if mode else self.inter_area
         areas = dict.fromkeys(chosen.shape, 1) if self.case is None else self.case.areas

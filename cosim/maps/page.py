@@ -102,33 +102,16 @@ def _draw(
     explorer: Explorer | None = None,
 ) -> dict[str, Figure]:
     labels = labels_of(sweep)
-    facet, facet_values = facets_of(sweep, rows)
-    found: dict[str, Figure] = {}
-    for k, (x, y) in enumerate(pairs_of(sweep, rows)):
-        if is_grid(rows, x, y):
-            parts = {str(v or ""): rows if v is None else rows[rows[facet] == v] for v in facet_values}
-            maps = {name: map_of(part, x, y) for name, part in parts.items()}
-            links = _links(explorer, rows, x, y)
-            lines = _lines(sweep, margins, x, y, facet, maps)
-            found[f"map-{k}"] = figures.map_figure(maps, labels, lines, links)
-        else:
-            found[f"map-{k}"] = figures.point_figure(rows, x, y, labels)
+    facet, _ = facets_of(sweep, rows)
+    found = _maps(sweep, rows, margins, labels, explorer)
     names = numeric(sweep, rows)
-    if names and "damping_least" in rows and rows["damping_least"].notna().any():
-        sampled = sweep.parameters[names[0]].sampled
-        if not sampled:
-            found["line"] = figures.line_figure(rows, names[0], facet, labels)
+    damped = "damping_least" in rows and rows["damping_least"].notna().any()
+    if names and damped and not sweep.parameters[names[0]].sampled:
+        found["line"] = figures.line_figure(rows, names[0], facet, labels)
     for kind in ("latency", "loss"):
-        some = [
-            m for m in margins if kind_of(sweep, m.name) == kind and (m.stable is not None or m.certified)
-        ]
+        some = [m for m in margins if kind_of(sweep, m.name) == kind and m.is_known]
         if some:
-            found[f"margin-{kind}"] = figures.margin_figure(
-                [point_text(m.values, facet) or "as in the scenario" for m in some],
-                [m.certified for m in some],
-                [(m.stable, m.unstable) for m in some],
-                labels[some[0].name],
-            )
+            found[f"margin-{kind}"] = _margins(some, labels, facet)
     spread = figures.distribution_figure(rows, facet)
     if spread is not None:
         found["distribution"] = spread
@@ -137,15 +120,40 @@ def _draw(
     return found
 
 
-def _links(
-    explorer: Explorer | None, rows: pd.DataFrame, x: str, y: str
-) -> dict[str, dict[tuple[float, float], str]]:
-    """Return facet -> values of the two parameters -> address of that cell's worst run."""
-    if explorer is None:
-        return {}
-    facet, values = facets_of(explorer.plan.sweep, rows)
-    parts = {str(v or ""): rows if v is None else rows[rows[facet] == v] for v in values}
-    return {name: explorer.cells(part, x, y) for name, part in parts.items()}
+def _margins(margins: list[Margin], labels: Mapping[str, str], facet: str) -> Figure:
+    return figures.margin_figure(
+        [point_text(m.values, facet) or "as in the scenario" for m in margins],
+        [m.certified for m in margins],
+        [(m.stable, m.unstable) for m in margins],
+        labels[margins[0].name],
+    )
+
+
+def _maps(
+    sweep: Sweep,
+    rows: pd.DataFrame,
+    margins: list[Margin],
+    labels: Mapping[str, str],
+    explorer: Explorer | None,
+) -> dict[str, Figure]:
+    """Draw stability and damping over each pair of parameters: cells on a grid, else points."""
+    facet, parts = _by_facet(sweep, rows)
+    found: dict[str, Figure] = {}
+    for k, (x, y) in enumerate(pairs_of(sweep, rows)):
+        if not is_grid(rows, x, y):
+            found[f"map-{k}"] = figures.point_figure(rows, x, y, labels)
+            continue
+        maps = {name: map_of(part, x, y) for name, part in parts.items()}
+        links = {} if explorer is None else {n: explorer.cells(part, x, y) for n, part in parts.items()}
+        lines = _lines(sweep, margins, x, y, facet, maps)
+        found[f"map-{k}"] = figures.map_figure(maps, labels, lines, links)
+    return found
+
+
+def _by_facet(sweep: Sweep, rows: pd.DataFrame) -> tuple[str, dict[str, pd.DataFrame]]:
+    """The parameter that splits the maps, "" for none, and the rows of each of its values."""
+    facet, values = facets_of(sweep, rows)
+    return facet, {str(v or ""): rows if v is None else rows[rows[facet] == v] for v in values}
 
 
 def _titles(plan: SweepPlan, rows: pd.DataFrame, explorer: Explorer) -> dict[str, str]:
@@ -180,26 +188,23 @@ def _lines(
         return found
     for name, one in maps.items():
         mine = [m for m in margins if m.name == x and (not facet or str(m.values.get(facet)) == name)]
-        along = [m for m in mine if isinstance(m.values.get(y), int | float)]
-        if not along:
-            continue
-        spread = np.array([one.y.min(), one.y.max()])
-        for label, value_of in (
-            ("certified margin (linear)", _certified),
-            ("simulated margin", _simulated),
-        ):
-            known = _known_margins(along, value_of, y, one.x)
-            if not known:
-                continue
-            if len(known) == 1 or len({at for _, at in known}) == 1:
-                if kind_of(sweep, y) == "loss" and label.startswith("sim"):
-                    continue  # found without loss: no line over all losses
-                line = (label, np.full(2, known[0][0]), spread)
-            else:
-                known.sort(key=lambda pair: pair[1])
-                line = (label, np.array([v for v, _ in known]), np.array([at for _, at in known]))
-            found.setdefault(name, []).append(line)
+        for label, margin in (("certified margin (linear)", _certified), ("simulated margin", _simulated)):
+            known = _known_margins(mine, margin, y, one.x)
+            constant = len({at for _, at in known}) == 1
+            # one simulated without loss is no line over all losses
+            if known and not (constant and margin is _simulated and kind_of(sweep, y) == "loss"):
+                line = _vertical(known, one.y) if constant else _through(known)
+                found.setdefault(name, []).append((label, *line))
     return found
+
+
+def _vertical(known: list[tuple[float, float]], y: Any) -> tuple[Any, Any]:
+    return np.full(2, known[0][0]), np.array([y.min(), y.max()])
+
+
+def _through(known: list[tuple[float, float]]) -> tuple[Any, Any]:
+    ordered = sorted(known, key=lambda pair: pair[1])
+    return np.array([v for v, _ in ordered]), np.array([at for _, at in ordered])
 
 
 def _known_margins(
@@ -208,7 +213,7 @@ def _known_margins(
     """Return (margin, value of parameter `y`) of those that lie within a map's `x`."""
     found = []
     for m in margins:
-        value, at = value_of(m), m.values[y]
+        value, at = value_of(m), m.values.get(y)
         if value is not None and isinstance(at, int | float) and x.min() <= value <= x.max():
             found.append((float(value), float(at)))
     return found
@@ -257,21 +262,15 @@ def _render(
     environment.filters["plain"] = plain
     sweep = plan.sweep
     labels = labels_of(sweep)
-    failed = rows[rows.status != "ok"]
+    ok, failed = rows[rows.status == "ok"], rows[rows.status != "ok"]
     order = [*(f"map-{k}" for k in range(len(svg))), "line"]
-    columns = [str(c) for c in rows if c in sweep.parameters or c in _SHOWN]
-    worst = (
-        []
-        if sweep.searched
-        else rows.set_index("run", drop=False).loc[worst_runs(rows, 12)].to_dict("records")
-    )
-    ok = rows[rows.status == "ok"]
+    columns = ["run", *(str(c) for c in rows if c in sweep.parameters or c in _SHOWN)]
     return environment.get_template("maps.html.j2").render(
         sweep=sweep,
         size=sweep.size,
         rows=len(rows),
         ok=len(ok),
-        failures=[(k, int((failed.failure == k).sum())) for k in FAILURES if (failed.failure == k).any()],
+        failures=[(k, n) for k in FAILURES if (n := int((failed.failure == k).sum()))],
         reasons=[(r.run, r.failure, r.reason) for r in failed.head(8).itertuples()],
         stable=int((ok["stable"] == True).sum()) if "stable" in ok else None,  # noqa: E712
         least=least_damping(ok),
@@ -279,14 +278,22 @@ def _render(
         margins=[(m, labels.get(m.name, m.name), point_text(m.values)) for m in margins],
         maps=[key for key in order if key in svg],
         svg=svg,
-        columns=[(c, labels.get(c) or _SHOWN.get(c, c)) for c in ["run", *columns]],
-        worst=[{**row, "address": explorer.run(int(row["run"]))} for row in worst],
+        columns=[(c, labels.get(c) or _SHOWN.get(c, c)) for c in columns],
+        worst=_worst(sweep, rows, explorer),
         explorer=explorer,
         version=plan.version,
         specification=plan.hash,
         same_version=plan.version == code_version(),
         folder=folder.name,
     )
+
+
+def _worst(sweep: Sweep, rows: pd.DataFrame, explorer: Explorer) -> list[dict[str, Any]]:
+    """The worst runs with the address that opens each; none of a search, whose rows are no runs."""
+    if sweep.searched:
+        return []
+    worst = rows.set_index("run", drop=False).loc[worst_runs(rows, 12)].to_dict("records")
+    return [{**row, "address": explorer.run(int(row["run"]))} for row in worst]
 
 
 #: columns beside the parameters, as a reader calls them

@@ -156,6 +156,11 @@ class Margin:
     searched: float
     note: str = ""
 
+    @property
+    def is_known(self) -> bool:
+        """Whether there is anything to draw: a simulated or a certified margin."""
+        return self.stable is not None or bool(self.certified)
+
 
 def margins_of(sweep: Sweep, rows: pd.DataFrame, runner: Runner) -> list[Margin]:
     """Return margins in latency and in loss for the combinations of case, operating point and controller.
@@ -176,7 +181,7 @@ def margins_of(sweep: Sweep, rows: pd.DataFrame, runner: Runner) -> list[Margin]
                 found.append(_margin(sweep, runner, name, kind, values, searched[1].high, edge))
             continue
         top = float(rows[name].max())
-        for values in _corners(sweep, rows, name):
+        for values in _corners(sweep, name):
             high = max(_SEARCHED_S, top) if kind == "latency" else 1.0
             tolerance = MARGIN_TOLERANCE_S if kind == "latency" else LOSS_TOLERANCE
             search = Search(low=0.0, high=high, tolerance=tolerance, scan=21)
@@ -189,7 +194,7 @@ def margins_of(sweep: Sweep, rows: pd.DataFrame, runner: Runner) -> list[Margin]
     return found
 
 
-def _corners(sweep: Sweep, rows: pd.DataFrame, name: str) -> list[dict[str, Value]]:
+def _corners(sweep: Sweep, name: str) -> list[dict[str, Value]]:
     """Return the points at which a margin is computed: every case, operating point and controller."""
     choices: dict[str, Sequence[Value]] = {}
     for other, p in sweep.parameters.items():
@@ -202,7 +207,6 @@ def _corners(sweep: Sweep, rows: pd.DataFrame, name: str) -> list[dict[str, Valu
         else:
             listed = [p.grid_value(k) for k in range(p.size)]
             choices[other] = [min(listed) if all(isinstance(v, int | float) for v in listed) else listed[0]]  # type: ignore[type-var]
-    del rows
     return [dict(zip(choices, some, strict=True)) for some in product(*choices.values())][:_MOST_MARGINS]
 
 
@@ -243,18 +247,16 @@ def certified_margin(
         raise ValueError("a bank has no single certified margin: see its switching certificate")
     if controller is None:
         raise ValueError("there is no controller, so no loop that latency could upset")
-    if isinstance(controller, ControllerBank):
-        raise ValueError("the linear loop of a bank changes with its supervisor: no one margin")
     case, path = runner.plant_of(start)
     with open_plant(path) as plant:
         system = speeds_in_rad(remove_reference(linearise(plant)), case.omega_b)
-    signal_of = {n: c.signal for n, c in point.scenario.channels.items()}
-    moving = [signal_of[words[1]] for words in sweep.paths(name) if words[0] == "channels"]
+    channels = point.scenario.channels
+    moving = [channels[words[1]].signal for words in sweep.paths(name) if words[0] == "channels"]
     used = [s for s in moving if s in controller.inputs]
     if not used:
         raise ValueError("the controller does not read the signals of these channels")
-    fixed = {c.signal: c.latency_s for c in point.scenario.channels.values() if c.signal not in moving}
-    fixed = {s: v for s, v in fixed.items() if s in controller.inputs}
+    latencies = {c.signal: c.latency_s for c in channels.values()}
+    fixed = {s: v for s, v in latencies.items() if s not in moving and s in controller.inputs}
     K = controller.system if point.gain == 1.0 else _scaled(controller.system, point.gain)
     return float(delay_margin(system, K, used, latency_s_of=fixed, upto_s=upto_s).margin_s)
 

@@ -24,6 +24,7 @@ DAMPING = "viridis"
 _DARK, _LIGHT = "#000001", "#fffffe"  # in cells: not the theme's colours
 _NUMBERS = 150  #: most cells that carry their number
 _MOST_POINTS = 4000
+_CERTIFIED: dict[str, Any] = {"marker": "D", "color": INK, "markersize": 5, "linestyle": "none"}
 
 
 def map_figure(
@@ -187,33 +188,21 @@ def margin_figure(
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 0.9 + 0.34 * len(labels)), layout="constrained")
         axes = figure.subplots()
-        known = [v for pair in edges for v in pair if v is not None]
-        known += [v for v in certified if v is not None and np.isfinite(v)]
+        sure = [v if v is not None and np.isfinite(v) else None for v in certified]
+        known = [v for v in (*(v for pair in edges for v in pair), *sure) if v is not None]
         most = 1.15 * max(known, default=1.0)
-        for k, (sure, (good, bad)) in enumerate(zip(certified, edges, strict=True)):
+        for k, (margin, (good, bad)) in enumerate(zip(sure, edges, strict=True)):
             if good is not None:
-                end = bad if bad is not None else most
-                axes.barh(
-                    k, good, color=SERIES[0], height=0.55, label="simulated: stable" if k == 0 else None
-                )
+                label = "simulated: stable" if k == 0 else None
+                axes.barh(k, good, color=SERIES[0], height=0.55, label=label)
                 if bad is not None:
-                    axes.plot([end], [k], marker="|", color=SERIES[1], markersize=13, markeredgewidth=2)
-            if sure is not None and np.isfinite(sure):
-                axes.plot([sure], [k], marker="D", color=INK, markersize=5, linestyle="none")
-        axes.plot(
-            [],
-            [],
-            marker="|",
-            color=SERIES[1],
-            markersize=10,
-            markeredgewidth=2,
-            linestyle="none",
-            label="unstable",
-        )
-        if any(v is not None and np.isfinite(v) for v in certified):
-            axes.plot(
-                [], [], marker="D", color=INK, markersize=5, linestyle="none", label="certified (linear)"
-            )
+                    axes.plot([bad], [k], marker="|", color=SERIES[1], markersize=13, markeredgewidth=2)
+            if margin is not None:
+                axes.plot([margin], [k], **_CERTIFIED)
+        bar: dict[str, Any] = {"marker": "|", "markersize": 10, "markeredgewidth": 2, "linestyle": "none"}
+        axes.plot([], [], color=SERIES[1], label="unstable", **bar)
+        if any(v is not None for v in sure):
+            axes.plot([], [], label="certified (linear)", **_CERTIFIED)
         axes.set_yticks(range(len(labels)), labels)
         axes.invert_yaxis()
         axes.grid(axis="y", visible=False)

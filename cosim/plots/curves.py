@@ -24,8 +24,6 @@ from matplotlib.ticker import MaxNLocator
 from interarea.design.linear.norms import response
 from interarea.models.files import write_whole
 
-from .label_layout import rim_angles
-
 Array = npt.NDArray[np.float64]
 Curve = tuple[npt.ArrayLike, npt.ArrayLike]
 
@@ -91,93 +89,6 @@ def save_figure(figure: Figure, path: Path, *, transparent: bool = False, outlin
     if path.suffix == ".svg":  # a path on one line instead of one line a point
         data = re.sub(rb'(?<= d=")[^"]*', lambda d: b" ".join(d.group().split()), data)
     return write_whole(path, data)
-
-
-def participation_plot(
-    participation: Mapping[str, float], machines: Sequence[str], *, count: int = 12
-) -> Figure:
-    """Draw the `count` largest participation factors of a mode, coloured by machine.
-
-    participation : state name (`G1.delta`) -> factor; machines : names in colour order.
-    """
-    ranked = sorted(((abs(v), k) for k, v in participation.items()), key=lambda t: (-t[0], t[1]))[:count]
-    values, names = [v for v, _ in ranked], [k for _, k in ranked]
-    figure, axes = new_figure(height=0.7 + 0.19 * len(names))
-    with mpl.rc_context(STYLE):
-        owner = [next((m for m in machines if n.startswith(f"{m}.")), "") for n in names]
-        colours = [SERIES[machines.index(m) % len(SERIES)] if m else MUTED for m in owner]
-        axes.barh(names, values, color=colours, height=0.7)
-        axes.invert_yaxis()
-        axes.grid(axis="y", visible=False)
-        axes.set_xlabel("participation factor (magnitude)")
-        seen = [m for m in machines if m in owner]
-        for machine in seen:
-            axes.barh([names[0]], [0.0], color=SERIES[machines.index(machine) % len(SERIES)], label=machine)
-        axes.legend(loc="lower right", ncols=len(seen))
-    return figure
-
-
-MANY_ARROWS = 6  #: more than this, and the names go round the rim
-
-
-def mode_shape_plot(shape: Mapping[str, complex], area_of: Mapping[str, int], title: str) -> Figure:
-    """Draw the mode shape as a compass: one arrow per machine, scaled so that the longest is 1.
-
-    shape : machine -> complex speed entry of the right eigenvector; area_of : machine -> area number.
-    """
-    scale = max(abs(v) for v in shape.values())
-    leader = max(shape.values(), key=abs)
-    turned = {m: v / leader * abs(leader) / scale for m, v in shape.items()}
-    with mpl.rc_context(STYLE):
-        many = len(turned) > MANY_ARROWS
-        figure = Figure(figsize=(4.6, 4.6) if many else (3.4, 3.1), layout="constrained")
-        axes: Any = figure.subplots(subplot_kw={"projection": "polar"})
-        axes.set_ylim(0, 1.3 if many else 1.18)
-        axes.set_yticks([0.5, 1.0], labels=["", ""])
-        axes.set_xticks(np.radians([0, 90, 180, 270]))
-        axes.tick_params(axis="x", labelsize=7, pad=1)
-        axes.spines["polar"].set_visible(False)
-        areas = sorted(set(area_of.values()))
-        placed: list[complex] = []
-        gap = min(0.2, 6.2 / len(turned))
-        rim = rim_angles([float(np.angle(z)) for z in turned.values()], gap) if many else []
-        for number, (machine, value) in enumerate(turned.items()):
-            k = areas.index(area_of[machine])
-            colour = SERIES[k % len(SERIES)]
-            angle, radius = float(np.angle(value)), abs(value)
-            axes.plot([angle, angle], [0, radius], color=colour, linewidth=1.8)
-            if radius > 0.03:
-                arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.8, "shrinkA": 0, "shrinkB": 0}
-                axes.annotate("", xy=(angle, radius), xytext=(angle, 0.9 * radius), arrowprops=arrow)
-            spot = complex(1.22 * np.exp(1j * rim[number])) if many else _free_spot(value, placed)
-            placed.append(spot)
-            if many:
-                axes.plot([angle, rim[number]], [radius, 1.14], color=colour, linewidth=0.4)
-            axes.text(
-                float(np.angle(spot)),
-                abs(spot),
-                machine,
-                color=colour,
-                weight="bold",
-                size=7 if many else None,
-                ha="center",
-                va="center",
-            )
-        for k, area in enumerate(areas):
-            axes.plot([], [], color=SERIES[k % len(SERIES)], label=f"area {area}")
-        figure.legend(loc="outside lower center", ncols=min(len(areas), 3), fontsize=8)
-        axes.set_title(title, loc="center", pad=10)
-    return figure
-
-
-def _free_spot(value: complex, placed: Sequence[complex]) -> complex:
-    """Return a place for a label near the tip `value`, at least 0.16 from those already set."""
-    direction = value / abs(value) if abs(value) > 1e-9 else 1.0 + 0j
-    for turn in (0.0, 0.22, -0.22, 0.44, -0.44, 0.66, -0.66):
-        spot = complex(direction * (abs(value) + 0.13) * np.exp(1j * turn / max(abs(value), 0.35)))
-        if all(abs(spot - p) > 0.2 for p in placed):
-            return spot
-    return complex(direction * (abs(value) + 0.13))
 
 
 def singular_value_plot(

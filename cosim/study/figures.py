@@ -30,13 +30,12 @@ from ..plots.curves import (
     latency_damping_plot,
     latency_panels,
     magnitude_plot,
-    mode_shape_plot,
-    participation_plot,
     save_figure,
     singular_value_plot,
     time_plot,
 )
 from ..plots.diagrams import generalised_plant_diagram, one_line_diagram
+from ..plots.mode_shapes import mode_shape_plot, participation_plot
 from .runs import WIRINGS, StudyRun
 from .tables import latency_name
 
@@ -104,38 +103,38 @@ def can_be_drawn(row: Mapping[str, Any], p: StudyParts) -> bool:
 
 def _draw(row: Mapping[str, Any], p: StudyParts) -> Figure:
     """Draw one figure of the specification (`tables.Figure`)."""
-    match row["kind"]:
-        case "one_line":
-            return one_line_diagram(p.flow, {int(bus): place for bus, place in p.spec["diagram"].items()})
-        case "participation":
-            machines = [m.name for m in p.case.machines]
-            return participation_plot(p.modes[row["mode"]].participation, machines)
-        case "mode_shape":
-            mode = p.modes[row["mode"]]
-            title = f"{row['mode']}: {mode.frequency_hz:.3f} Hz, ζ = {mode.damping_ratio:.3f}"
-            return mode_shape_plot(mode.shape, p.case.areas, title)
-        case "singular_values":
-            return singular_value_plot(_against(p, row["reduction"]), OMEGA)
-        case "hankel_values":
-            names = {f"plant of order {k}": r for k, r in p.reductions.items()}
-            return hankel_plot(
-                {name: r.hankel_values for name, r in names.items()},
-                {name: r.order for name, r in names.items()},
-            )
-        case "generalised_plant":
-            return generalised_plant_diagram()
-        case "bode":
-            return bode_plot(_orders(p, row["controller"]), OMEGA)
-        case "sensitivity":
-            return _sensitivity(p, row["function"])
-        case "latency_damping":
-            return latency_damping_plot(
-                {label: p.delay[key]["damping"] for key, label in WIRINGS.items()},
-                {label: measured_damping(p, label) for label in WIRINGS.values()},
-                {label: p.delay[key]["margin_s"] for key, label in WIRINGS.items()},
-            )
-        case _:
-            return _time_figure(row, p)
+    return _DRAWN.get(row["kind"], _time_figure)(row, p)
+
+
+def _one_line(_: Mapping[str, Any], p: StudyParts) -> Figure:
+    return one_line_diagram(p.flow, {int(bus): place for bus, place in p.spec["diagram"].items()})
+
+
+def _participation(row: Mapping[str, Any], p: StudyParts) -> Figure:
+    machines = [m.name for m in p.case.machines]
+    return participation_plot(p.modes[row["mode"]].participation, machines)
+
+
+def _mode_shape(row: Mapping[str, Any], p: StudyParts) -> Figure:
+    mode = p.modes[row["mode"]]
+    title = f"{row['mode']}: {mode.frequency_hz:.3f} Hz, ζ = {mode.damping_ratio:.3f}"
+    return mode_shape_plot(mode.shape, p.case.areas, title)
+
+
+def _hankel_values(_: Mapping[str, Any], p: StudyParts) -> Figure:
+    names = {f"plant of order {k}": r for k, r in p.reductions.items()}
+    return hankel_plot(
+        {name: r.hankel_values for name, r in names.items()},
+        {name: r.order for name, r in names.items()},
+    )
+
+
+def _latency_damping(_: Mapping[str, Any], p: StudyParts) -> Figure:
+    return latency_damping_plot(
+        {label: p.delay[key]["damping"] for key, label in WIRINGS.items()},
+        {label: measured_damping(p, label) for label in WIRINGS.values()},
+        {label: p.delay[key]["margin_s"] for key, label in WIRINGS.items()},
+    )
 
 
 def _time_figure(row: Mapping[str, Any], p: StudyParts) -> Figure:
@@ -219,3 +218,17 @@ def measured_damping(p: StudyParts, wiring: str) -> list[list[float]]:
         if run.metrics["late_damping"] is not None:
             rows.append([value, run.metrics["late_damping"]])
     return rows
+
+
+#: kind of a figure -> what draws it; all others are over time
+_DRAWN: dict[str, Callable[[Mapping[str, Any], StudyParts], Figure]] = {
+    "one_line": _one_line,
+    "participation": _participation,
+    "mode_shape": _mode_shape,
+    "singular_values": lambda row, p: singular_value_plot(_against(p, row["reduction"]), OMEGA),
+    "hankel_values": _hankel_values,
+    "generalised_plant": lambda row, p: generalised_plant_diagram(),
+    "bode": lambda row, p: bode_plot(_orders(p, row["controller"]), OMEGA),
+    "sensitivity": lambda row, p: _sensitivity(p, row["function"]),
+    "latency_damping": _latency_damping,
+}

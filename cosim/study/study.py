@@ -22,7 +22,7 @@ from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, select, speeds_in_rad
 from interarea.design.modes.loop_selection import lead_by_coordinates, rank_loops
 from interarea.design.modes.modes import modes_of
-from interarea.design.reduction.balanced import balanced_truncation
+from interarea.design.reduction.balanced import Reduction, balanced_truncation
 from interarea.design.synthesis.study_designs import WdcSpec
 from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.open.cross_check import complete_fmu
@@ -121,14 +121,7 @@ def run_study(
 
         done = stage("reduction")
         actuator = [loops.selected.actuator]
-        outputs: dict[str, Any] = {
-            "difference": difference_of(spec),
-            "signals": [spec["remote"], spec["local"]],
-        }
-        reductions = {
-            order: balanced_truncation(select(plant, actuator, outputs[seen]), int(order))
-            for order, seen in spec["reduction"].items()
-        }
+        reductions = _reductions(spec, plant, actuator)
         done(1.0)
 
         done = stage("controllers")
@@ -224,26 +217,13 @@ def run_study(
     study["explorer"] = presets
     study["second_solver"] = second
     study["figures"] = {key: path.relative_to(out).as_posix() for key, path in figures.items()}
-    study["provenance"] = {
-        "command": f"interarea study {name} --out DIR",
-        "case_hash": case.hash,
-        "case_source": case.source,
-        "published": spec["published"],
-        "fmus": {f"{label}.fmu": rows.sha256(path) for label, path in fmus.items()},
-        "versions": {"interarea": version("interarea"), **numerics_versions()},
-    }
+    study["provenance"] = _provenance(name, parts, fmus)
     study["loops"]["coordinate_table"] = lead_by_coordinates(
         relative, loops, relative_modes.inter_area.eigenvalue
     )
-    study["figure_list"] = [
-        {key: row[key] for key in ("key", "section", "title")}
-        for row in spec["figure"]
-        if row["key"] in figures
-    ]
+    study["figure_list"] = _figure_list(spec, figures)
     if "claims" in spec:
-        study["printed"] = printed_rows(Path(spec["claims"]), study)
-        verdicts = study["printed"]["verdicts"]
-        study["statements"] = {f"{row['where']}: {row['says']}": row["verdict"] for row in verdicts}
+        study |= _judged(Path(spec["claims"]), study)
     for label, path in fmus.items():
         place(path, out / "fmus" / f"{label}.fmu")
     for label, run in runs.items():
@@ -262,6 +242,41 @@ def _compile(case_name: str, lanes: bool, cache: Path) -> None:
         if lanes:
             lanes_here(cache)
         container_wasm(cache, case=load_case(case_name))
+
+
+def _reductions(
+    spec: Mapping[str, Any], plant: control.StateSpace, actuator: list[str]
+) -> dict[str, Reduction]:
+    """The reduced plants that the study asks for, seen through the difference or through both signals."""
+    outputs: dict[str, Any] = {"difference": difference_of(spec), "signals": [spec["remote"], spec["local"]]}
+    return {
+        order: balanced_truncation(select(plant, actuator, outputs[seen]), int(order))
+        for order, seen in spec["reduction"].items()
+    }
+
+
+def _provenance(name: str, parts: StudyParts, fmus: Mapping[str, Path]) -> dict[str, Any]:
+    """Where the numbers come from: the command, the case, what was published, the FMUs, the versions."""
+    return {
+        "command": f"interarea study {name} --out DIR",
+        "case_hash": parts.case.hash,
+        "case_source": parts.case.source,
+        "published": parts.spec["published"],
+        "fmus": {f"{label}.fmu": rows.sha256(path) for label, path in fmus.items()},
+        "versions": {"interarea": version("interarea"), **numerics_versions()},
+    }
+
+
+def _figure_list(spec: Mapping[str, Any], figures: Mapping[str, Path]) -> list[dict[str, Any]]:
+    drawn = [row for row in spec["figure"] if row["key"] in figures]
+    return [{key: row[key] for key in ("key", "section", "title")} for row in drawn]
+
+
+def _judged(claims: Path, study: Mapping[str, Any]) -> dict[str, Any]:
+    """What the publication prints beside what was found, and the verdict on each of its statements."""
+    printed = printed_rows(claims, study)
+    verdicts = {f"{row['where']}: {row['says']}": row["verdict"] for row in printed["verdicts"]}
+    return {"printed": printed, "statements": verdicts}
 
 
 def _packets(

@@ -17,6 +17,7 @@ from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import Case
 
+from ..clock import seconds
 from ..errors import ScenarioError
 from ..master.instances import FmuParticipant
 from ..master.instances import Value as Start
@@ -30,7 +31,7 @@ from ..run.system import System
 from .plan import SweepPlan, own_fmu
 from .point import CaseChange, Point
 from .rows import Row, excursion_row, measured, packet_counts
-from .shared_start import Beginning
+from .shared_start import Beginning, Instances, Job, beginning_of, taken_over
 
 KEPT = 4  #: plants, and sets of instances, that stay alive
 
@@ -153,6 +154,21 @@ class Kept:
         assert scenario is not None
         tripped = tuple(e.machine for e in scenario.event if e.kind == "machine_trip")
         return excursion_of(self.master.trajectory, self.system.case, disturbance_end_s(scenario), tripped)
+
+    def start(self, job: Job, instances: Instances, left: Sequence[Beginning]) -> bool:
+        """Start a job; return whether it starts from the last of what other jobs `left`."""
+        if left and taken_over(left[-1], job, self.master, instances):
+            return True
+        self.release()
+        self.master.start()
+        return False
+
+    def leave(
+        self, job: Job, instances: Instances, place: int, watch: Callable[[float, float], None]
+    ) -> None:
+        """Step a job to the step `place` and keep its state there for later jobs."""
+        self.master.advance(seconds(self.master.ends[place - 1]), progress=watch)
+        self.beginnings.append(beginning_of(job, self.master, instances))
 
     def release(self, after_s: float = -math.inf) -> None:
         """Free the beginnings that reach beyond `after_s`."""

@@ -109,33 +109,54 @@ def point_of(
     ScenarioError, SweepError : values that make no scenario.
     """
     table = pickle.loads(packed(sweep) if base is None else base)  # a fresh copy, and the fastest
-    case, entries = str(table["case"]), {}
-    given = table.pop("operating_point", {})  # of which parameters change entries
-    operating: dict[str, Value] = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}
-    gain, start = 1.0, {}
+    places = _Places(table)
     for name, value in values.items():
         for words in sweep.paths(name):
-            root = words[0]
-            if root == "case" and len(words) == 1:
-                case = table["case"] = str(value)
-            elif root == "case" and len(words) == 2:
-                operating[words[1]] = value
-            elif root == "case":
-                entries[words[1:]] = value
-            elif words == ("controller", "gain"):
-                gain = _number(value, name)
-            elif root == "controller" and len(words) == 2:
-                start[words[1]] = _number(value, name)
-            elif root == "seed":
-                seed = int(_number(value, name))
-            else:
-                _put(table, words, value)
+            places.put(words, value, name)
+    seed = seed if places.seed is None else places.seed
     if seed is not None:
         for channel, row in {**table.get("channels", {}), **table.get("concentrators", {})}.items():
             row["seed"] = derived_seed(seed, channel)
     scenario = load_scenario(table | {"folder": sweep.base.folder})
-    change = CaseChange(str(case), tuple(sorted(operating.items())), tuple(sorted(entries.items())))
-    return Point(scenario, change, gain, start)
+    return Point(scenario, places.change(), places.gain, places.start)
+
+
+class _Places:
+    """Where values go: the table of a scenario, the changes of its case, the FMU of its controller."""
+
+    def __init__(self, table: dict[str, Any]) -> None:
+        self.table = table
+        given = table.pop("operating_point", {})  # of which parameters change entries
+        self.operating: dict[str, Value] = {
+            k: tuple(v) if isinstance(v, list) else v for k, v in given.items()
+        }
+        self.entries: dict[Path_, Value] = {}
+        self.gain = 1.0
+        self.start: dict[str, float] = {}
+        self.seed: int | None = None
+
+    def put(self, words: Path_, value: Value, name: str) -> None:
+        """Put the value of parameter `name` where `words` say."""
+        match words:
+            case ("case",):
+                self.table["case"] = str(value)
+            case ("case", key):
+                self.operating[key] = value
+            case ("case", *rest):
+                self.entries[tuple(rest)] = value
+            case ("controller", "gain"):
+                self.gain = _number(value, name)
+            case ("controller", variable):
+                self.start[variable] = _number(value, name)
+            case ("seed", *_):
+                self.seed = int(_number(value, name))
+            case _:
+                _put(self.table, words, value)
+
+    def change(self) -> CaseChange:
+        """Return the case and what of it is changed."""
+        operating, entries = sorted(self.operating.items()), sorted(self.entries.items())
+        return CaseChange(str(self.table["case"]), tuple(operating), tuple(entries))
 
 
 def packed(sweep: Sweep) -> bytes:

@@ -28,16 +28,13 @@ from .plan import SweepPlan
 from .point import CaseChange, Point, packed, point_of
 from .rows import Outcome, Row, failed_row, start_row, trajectory_table
 from .shared_start import (
-    Beginning,
     Instances,
     Job,
     acts_of,
-    beginning_of,
     in_order,
     late_parameters,
     place_of,
     places_to_save,
-    taken_over,
 )
 from .values import Search, Value
 
@@ -169,7 +166,7 @@ class Runner:
             point = job.point or point_of(sweep, values, base=self._packed)
             kept, instances = self._ready(point)
             self.on_start()
-            forked = _started(kept, job, instances, kept.beginnings)
+            forked = kept.start(job, instances, kept.beginnings)
             self._advance(kept, jobs, k, instances)
             return self._measured(job, kept, forked)
         except Exception as error:  # a failing run is a row, never the end of a sweep
@@ -181,6 +178,36 @@ class Runner:
         """Yield what jobs of one plant give, made side by side on instances of their own."""
         self.on_build(*(job.run for job in jobs))
         ended: dict[int, Exception | None] = {}
+        ready = self._made_ready(jobs, ended)
+        self.on_start()
+        watch = self._watch()
+        begun = self._all_begun(ready, ended, watch)
+        if begun and not has_lanes(begun[0][1]):
+            self._alone.add(plant_key(jobs[0]))
+        masters = [kept.master for _, kept, _ in begun]
+        found = advance_together(masters, watch=lambda _, now_s, stop_s: watch(now_s, stop_s))
+        ended |= {job.run: error for (job, _, _), error in zip(begun, found, strict=True)}
+        home = {job.run: (kept, forked) for job, kept, forked in begun}
+        # what ran out of time with company may be quick enough alone
+        late = [job for job in jobs if isinstance(ended[job.run], TimeUpError)]
+        quick = [job for job in jobs if not isinstance(ended[job.run], TimeUpError)]
+        outcomes = [self._ended(job, ended[job.run], home) for job in quick]
+        if any(isinstance(error, StepError) for error in ended.values()):
+            self._free_instances()
+        elif ready:
+            ready[0][1].release(jobs[-1].like_next_s)
+        yield from outcomes
+        yield from map(self._outcome_alone, late)
+
+    def _outcome_alone(self, job: Job) -> Outcome:
+        """Return what a job gives that has lost by company; its plant has none from now on."""
+        self._alone.add(plant_key(job))
+        return self._outcome([replace(job, like_next_s=-math.inf)], 0)
+
+    def _made_ready(
+        self, jobs: Sequence[Job], ended: dict[int, Exception | None]
+    ) -> list[tuple[Job, Kept, Instances]]:
+        """Return jobs with instances of their own; one that has none is `ended` with its error."""
         ready: list[tuple[Job, Kept, Instances]] = []
         for job in jobs:
             assert job.point is not None
@@ -188,43 +215,31 @@ class Runner:
                 ready.append((job, *self._ready(job.point, [kept for _, kept, _ in ready])))
             except Exception as error:
                 ended[job.run] = error
-        self.on_start()
-        watch = self._watch()
-        forked: set[int] = set()
-        begun: list[tuple[Job, Kept]] = []
+        return ready
+
+    def _all_begun(
+        self,
+        ready: Sequence[tuple[Job, Kept, Instances]],
+        ended: dict[int, Exception | None],
+        watch: Callable[[float, float], None],
+    ) -> list[tuple[Job, Kept, bool]]:
+        """Start the masters; return those that have begun and whether from what another job left."""
+        begun: list[tuple[Job, Kept, bool]] = []
         for job, kept, instances in ready:
             try:
-                if self._begun(ready, job, kept, instances, watch):
-                    forked.add(job.run)
-                begun.append((job, kept))
+                begun.append((job, kept, self._begun(ready, job, kept, instances, watch)))
             except Exception as error:
                 ended[job.run] = error
-        masters = [kept.master for _, kept in begun]
-        if begun and not has_lanes(begun[0][1]):
-            self._alone.add(plant_key(jobs[0]))
-        found = advance_together(masters, watch=lambda _, now_s, stop_s: watch(now_s, stop_s))
-        ended |= {job.run: error for (job, _), error in zip(begun, found, strict=True)}
-        home = {job.run: kept for job, kept in begun}
-        outcomes = []
-        for job in jobs:
-            reason = ended[job.run]
-            if isinstance(reason, TimeUpError):  # with company; alone it may be quick enough
-                continue
+        return begun
+
+    def _ended(self, job: Job, error: Exception | None, home: Mapping[int, tuple[Kept, bool]]) -> Outcome:
+        """Return the outcome of a job that came to its end, or to an error."""
+        if error is None:
             try:
-                if reason is not None:
-                    raise reason
-                outcomes.append(self._measured(job, home[job.run], job.run in forked))
-            except Exception as error:
-                outcomes.append(self._failure(job.run, error))
-        if any(isinstance(error, StepError) for error in ended.values()):
-            self._free_instances()
-        elif ready:
-            ready[0][1].release(jobs[-1].like_next_s)
-        yield from outcomes
-        for job in jobs:
-            if isinstance(ended[job.run], TimeUpError):
-                self._alone.add(plant_key(job))
-                yield self._outcome([replace(job, like_next_s=-math.inf)], 0)
+                return self._measured(job, *home[job.run])
+            except Exception as found:
+                error = found
+        return self._failure(job.run, error)
 
     def _begun(
         self,
@@ -239,12 +254,12 @@ class Runner:
         The first of them leaves its state where the others begin to differ.
         """
         first, master = ready[0][1], kept.master
-        forked = _started(kept, job, instances, first.beginnings)
+        forked = kept.start(job, instances, first.beginnings)
         if kept is first:
             alike_s = min(common_s([job for job, _, _ in ready]), seconds(master.clock.stop))
             place = place_of(alike_s, master)
             if place is not None:
-                _leave(kept, job, instances, place, watch)
+                kept.leave(job, instances, place, watch)
         return forked
 
     def _measured(self, job: Job, kept: Kept, forked: bool) -> Outcome:
@@ -270,7 +285,7 @@ class Runner:
         """Step a job's master to its end, leaving its state on the way where later jobs start from it."""
         master, watch = kept.master, self._watch()
         for place in places_to_save(jobs, k, master):
-            _leave(kept, jobs[k], instances, place, watch)
+            kept.leave(jobs[k], instances, place, watch)
         master.advance(progress=watch)
         kept.release(jobs[k].like_next_s)
 
@@ -363,24 +378,6 @@ class Runner:
         """Free the instances of a plant that goes."""
         for structure in [s for s in self._kept if s[:2] == plant]:
             self._kept.pop(structure).close()
-
-
-def _started(kept: Kept, job: Job, instances: Instances, left: Sequence[Beginning]) -> bool:
-    """Start a job's master; return whether it starts from the last of what other jobs `left`."""
-    if left and taken_over(left[-1], job, kept.master, instances):
-        return True
-    kept.release()
-    kept.master.start()
-    return False
-
-
-def _leave(
-    kept: Kept, job: Job, instances: Instances, place: int, watch: Callable[[float, float], None]
-) -> None:
-    """Step a job's master to the step `place` and keep its state there for later jobs."""
-    master = kept.master
-    master.advance(seconds(master.ends[place - 1]), progress=watch)
-    kept.beginnings.append(beginning_of(job, master, instances))
 
 
 def _nothing(*_runs: int) -> None:

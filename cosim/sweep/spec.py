@@ -74,16 +74,24 @@ class Sweep(Table):
     trajectories: Trajectories = Trajectories()  #: which trajectories are kept
 
     @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _metrics_exist(self) -> Self:
         for metric in self.metrics:
             if metric not in (*METRICS, SYNCHRONISM):
                 raise ValueError(f"metrics has {metric!r}; {nearest(metric, (*METRICS, SYNCHRONISM))}")
+        return self
+
+    @model_validator(mode="after")
+    def _names_are_free(self) -> Self:
         for name in self.parameters:
             if not name.isidentifier() or name in COLUMNS_TAKEN or name.startswith(("damping_", "packets_")):
                 raise ValueError(
                     f"parameters.{name}: a name is letters, digits and _, and none of the result's columns "
                     f"({', '.join(COLUMNS_TAKEN)}, damping_*, packets_*)"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _drawn_as_often_as_said(self) -> Self:
         searched = [n for n, p in self.parameters.items() if p.bisect is not None]
         if len(searched) > 1:
             raise ValueError(f"bisect in {' and '.join(searched)}, allowed: in one parameter")

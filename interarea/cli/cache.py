@@ -12,10 +12,11 @@ from .terminal import print_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from interarea.fmu_build.write.cache import Kept
 
-_MB = 1e6
+_MB, _DAY_S = 1e6, 86400.0
 
 
 def cache(
@@ -48,26 +49,12 @@ def cache(
     bad, left = len(going), sweep(folder)
     freed = remove(going)
     kept = artefacts_in(folder)
-    if unused_days is not None:
-        old = [k for k in kept if k.used_s < time.time() - 86400.0 * unused_days]
-        freed += remove(old)
-        kept = kept[len(old) :]
-    if keep_mb is not None:
-        count = _too_many(kept, keep_mb * _MB)
-        freed += remove(kept[:count])
-        kept = kept[count:]
-    kinds = {k.kind: [o for o in kept if o.kind == k.kind] for k in kept}
+    count = _unused(kept, unused_days)
+    count += _too_many(kept[count:], keep_mb)
+    freed += remove(kept[:count])
+    _show(folder, kept[count:], bad, freed, json_=json_)
     if json_:
-        sizes = {n: {"files": len(o), "bytes": sum(k.size for k in o)} for n, o in sorted(kinds.items())}
-        typer.echo(
-            json.dumps({"folder": str(folder), "kinds": sizes, "damaged": bad, "freed": freed}, indent=1)
-        )
         return
-    rows = [
-        (n, str(len(o)), f"{sum(k.size for k in o) / _MB:.1f}", f"{(time.time() - o[0].used_s) / 86400:.0f}")
-        for n, o in sorted(kinds.items())
-    ]
-    print_table(str(folder), ("kind", "files", "MB", "longest unused, days"), rows)
     if check:
         print(f"{bad} damaged: removed" if bad else "checked: every file is what was written")
     if left:
@@ -76,10 +63,31 @@ def cache(
         print(f"{freed / _MB:.1f} MB freed")
 
 
-def _too_many(kept: Sequence[Kept], most: float) -> int:
-    """Return how many of `kept`, from the front, have to go for the others to have at most `most` bytes."""
+def _show(folder: Path, kept: Sequence[Kept], bad: int, freed: int, *, json_: bool) -> None:
+    """Print how much there is of each kind."""
+    kinds = {kind: [k for k in kept if k.kind == kind] for kind in sorted({k.kind for k in kept})}
+    sizes = {kind: sum(k.size for k in some) for kind, some in kinds.items()}
+    if json_:
+        about = {kind: {"files": len(some), "bytes": sizes[kind]} for kind, some in kinds.items()}
+        document = {"folder": str(folder), "kinds": about, "damaged": bad, "freed": freed}
+        typer.echo(json.dumps(document, indent=1))
+        return
+    rows = [
+        (kind, str(len(some)), f"{sizes[kind] / _MB:.1f}", f"{(time.time() - some[0].used_s) / _DAY_S:.0f}")
+        for kind, some in kinds.items()
+    ]
+    print_table(str(folder), ("kind", "files", "MB", "longest unused, days"), rows)
+
+
+def _unused(kept: Sequence[Kept], days: float | None) -> int:
+    """Return how many of `kept`, the longest unused first, were not used for so long; None: nobody asks."""
+    return 0 if days is None else sum(k.used_s < time.time() - _DAY_S * days for k in kept)
+
+
+def _too_many(kept: Sequence[Kept], most_mb: float | None) -> int:
+    """Return how many of `kept`, from the front, have to go for the others to have at most `most_mb`."""
     left, count = float(sum(k.size for k in kept)), 0
-    while count < len(kept) and left > most:
+    while most_mb is not None and count < len(kept) and left > most_mb * _MB:
         left -= kept[count].size
         count += 1
     return count

@@ -377,7 +377,8 @@ def _print_margins(rows: list[dict[str, Any]]) -> None:
 
 def _plots(found: Modes, case: Case, folder: Path) -> list[Path]:
     """Write one compass plot per mode."""
-    from interarea.cosim.plots.curves import mode_shape_plot, save_figure
+    from interarea.cosim.plots.curves import save_figure
+    from interarea.cosim.plots.mode_shapes import mode_shape_plot
 
     folder.mkdir(parents=True, exist_ok=True)
     files = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,6 +15,10 @@ from interarea.models.files import read_text
 from .destination import file_for
 from .listing import DESIGNED, bundled_files
 from .terminal import note
+
+if TYPE_CHECKING:
+    from interarea.models.devices.language.structure import Model
+    from interarea.models.devices.response import Response
 
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 SCHEMAS = TEMPLATES.with_name("schemas")
@@ -89,40 +93,62 @@ def device(
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of text")] = False,
 ) -> None:
     """Look at a device by itself: diagram, rest at an operating point, poles, step response."""
-    from interarea.models.devices.document import diagram_text
     from interarea.models.devices.drawing import diagram_svg
-    from interarea.models.devices.language.read import device_text
-    from interarea.models.devices.library import library, own_model
     from interarea.models.devices.response import missing, response_of
     from interarea.models.files import write_whole
 
     if draw is not None and (file_for(draw, "--draw").suffix != ".svg"):
         raise UserError(f"--draw {draw}: the diagram is SVG, allowed: a name that ends in .svg")
-    if file.endswith(".toml"):
-        model = own_model(device_text(file), file)
-    elif file.lower() in library():
-        model = library()[file.lower()]
-    else:
-        raise UserError(f"device {file}: no such file or device; {nearest(file.lower(), library())}")
+    model = _model(file)
     parameters = _assigned("--set", given or [])
     lacking = missing(model, parameters)
     drawn = [] if draw is None else [str(write_whole(draw, diagram_svg(model.device)))]
-    text = {"device": model.device.name, "title": model.device.title, "kind": model.device.kind}
     if lacking:
         if not json_:
-            typer.echo(f"{text['device']}: {text['title']} ({text['kind']})\n{diagram_text(model.device)}")
+            typer.echo(_described(model))
         for name in drawn:
             typer.echo(name, err=json_)
         raise UserError(
             f"{model.device.name}: no value for {', '.join(lacking)}; give --set {lacking[0]}=..."
         )
     found = response_of(model, parameters, _assigned("--at", at or []), base_mva=base_mva, stop_s=stop_s)
-    rest = found.rest
-    names = rest.instance.state_names
-    document = {
-        **text,
-        "states": dict(zip(names, rest.states, strict=True)),
-        "references": {name: rest.instance.values[name] for name in model.device.references},
+    if json_:
+        typer.echo(json.dumps(_document(model, found, drawn), indent=2, allow_nan=False))
+        return
+    typer.echo(_described(model))
+    _tell(model, found)
+    for name in drawn:
+        typer.echo(name)
+
+
+def _model(file: str) -> Model:
+    """The device of a file, or of the package by its name."""
+    from interarea.models.devices.language.read import device_text
+    from interarea.models.devices.library import library, own_model
+
+    if file.endswith(".toml"):
+        return own_model(device_text(file), file)
+    if file.lower() not in library():
+        raise UserError(f"device {file}: no such file or device; {nearest(file.lower(), library())}")
+    return library()[file.lower()]
+
+
+def _described(model: Model) -> str:
+    from interarea.models.devices.document import diagram_text
+
+    device = model.device
+    return f"{device.name}: {device.title} ({device.kind})\n{diagram_text(device)}"
+
+
+def _document(model: Model, found: Response, drawn: list[str]) -> dict[str, Any]:
+    """What `device` prints as JSON."""
+    rest, device = found.rest, model.device
+    return {
+        "device": device.name,
+        "title": device.title,
+        "kind": device.kind,
+        "states": dict(zip(rest.instance.state_names, rest.states, strict=True)),
+        "references": _references(model, found),
         "signals": dict(rest.signals),
         "steps": list(rest.steps),
         "poles": [[float(p.real), float(p.imag)] for p in found.poles],
@@ -131,11 +157,17 @@ def device(
         "output": found.output.tolist(),
         "files": drawn,
     }
-    if json_:
-        typer.echo(json.dumps(document, indent=2, allow_nan=False))
-        return
-    typer.echo(f"{text['device']}: {text['title']} ({text['kind']})\n{diagram_text(model.device)}\n\nat rest")
-    for name, value in (rest.signals | document["references"]).items():
+
+
+def _references(model: Model, found: Response) -> dict[str, float]:
+    return {name: found.rest.instance.values[name] for name in model.device.references}
+
+
+def _tell(model: Model, found: Response) -> None:
+    """Print rest, poles and step response in words."""
+    rest = found.rest
+    typer.echo("\nat rest")
+    for name, value in (rest.signals | _references(model, found)).items():
         typer.echo(f"  {name} = {value:.6g}")
     for margin in rest.margins:
         typer.echo(f"  {margin.signal} within {margin.low:.4g} .. {margin.high:.4g}: {margin.least:.4g} away")
@@ -144,8 +176,6 @@ def device(
     typer.echo(f"{model.device.output} after {found.step[0]} {found.step[1]:+g}")
     for k in range(0, len(found.times), 20):
         typer.echo(f"  {found.times[k]:8.3f} s  {found.output[k]:+.6g}")
-    for name in drawn:
-        typer.echo(name)
 
 
 def _assigned(option: str, texts: list[str]) -> dict[str, float]:

@@ -76,12 +76,6 @@ def run(
 
     given = {"record": tuple(record) if record else None, "every": every, "strict": strict}
     loaded = load_scenario(scenario).model_copy(update={k: v for k, v in given.items() if v is not None})
-    # a mistake in the file is told before what runs it is loaded
-    from interarea.cosim.export.joint import run_joint
-    from interarea.cosim.results.run import Run
-    from interarea.cosim.run.run import write_run
-    from interarea.fmu_build.write.cache import default_cache
-
     tested = None
     if self_test:
         with busy(f"measuring the connections of {scenario}"):
@@ -89,29 +83,41 @@ def run(
         typer.echo(tested)
     if out is not None:
         with busy(f"running {scenario}"):
-            if loaded.master.joint:
-                result: Result = run_joint(loaded, cache=default_cache())
-                files = result.save(out)
-            else:
-                result, files = write_run(loaded, out, cache=default_cache())
+            result, files = _written(loaded, out)
         if explore:
-            from interarea.cosim.explorer.page import write_explorer
-
             with busy(f"writing {out / 'explorer.html'}"):
-                files.append(write_explorer(loaded, out / "explorer.html", cache=default_cache()))
+                files.append(_explored(loaded, out / "explorer.html"))
         if explain:
             typer.echo(result.explain())
-        _tell(result, files, json_)
-        if isinstance(result, Run):
-            note(result.summary)
-            if loaded.controller != "none":
-                typer.echo(_survived(loaded, loaded.as_given(result.case)), err=True)
+        _tell(loaded, result, files, json_)
     if tested is not None and not tested.passed:
         raise typer.Exit(1)
 
 
-def _tell(result: Result, files: list[Path], json_: bool) -> None:
-    """Print what a run has written, as JSON its metrics in their place, and its warnings."""
+def _written(scenario: Scenario, out: Path) -> tuple[Result, list[Path]]:
+    """Run a scenario, in one FMU where it asks for that, and write what it gives into `out`.
+
+    What runs it is loaded here: a mistake in the file is told before.
+    """
+    from interarea.cosim.export.joint import run_joint
+    from interarea.cosim.run.run import write_run
+    from interarea.fmu_build.write.cache import default_cache
+
+    if not scenario.master.joint:
+        return write_run(scenario, out, cache=default_cache())
+    result = run_joint(scenario, cache=default_cache())
+    return result, result.save(out)
+
+
+def _explored(scenario: Scenario, page: Path) -> Path:
+    from interarea.cosim.explorer.page import write_explorer
+    from interarea.fmu_build.write.cache import default_cache
+
+    return write_explorer(scenario, page, cache=default_cache())
+
+
+def _tell(scenario: Scenario, result: Result, files: list[Path], json_: bool) -> None:
+    """Print what a run has written, as JSON its metrics in their place, its warnings and what it shows."""
     from interarea.cosim.results.run import Run
 
     for file in files:
@@ -120,6 +126,10 @@ def _tell(result: Result, files: list[Path], json_: bool) -> None:
         typer.echo(json.dumps(result.metrics.as_dict(), indent=2, allow_nan=False))
     for line in result.warnings:
         say_warning(line)
+    if isinstance(result, Run):
+        note(result.summary)
+        if scenario.controller != "none":
+            typer.echo(_survived(scenario, scenario.as_given(result.case)), err=True)
 
 
 def _not_built_here(scenario: Path) -> list[str]:

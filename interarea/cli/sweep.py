@@ -6,7 +6,7 @@ import json
 import re
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +18,7 @@ from .study import OutFolder
 from .terminal import quiet
 
 if TYPE_CHECKING:
+    from interarea.cosim.screen.screening import Found
     from interarea.cosim.sweep.front import Progress
 
 _ADDRESS = re.compile(r"[a-z]+://[^/\s]+:\d+")
@@ -52,8 +53,7 @@ def sweep(
     if retry not in (None, "failed"):
         raise SweepError(f"--retry = {retry}, allowed: failed")
     folder_for(out)
-    show = Display()
-    try:
+    with Display(out) as show:
         summary = run_sweep(
             spec,
             out,
@@ -63,11 +63,6 @@ def sweep(
             progress=show,
             retry="failed" if retry else None,
         )
-    except KeyboardInterrupt:
-        show.end()
-        print(f"the same command goes on with what is in {out}", file=sys.stderr)
-        raise
-    show.end()
     if summary["failed"]:
         print(_commonest(out), file=sys.stderr)
     if json_:
@@ -209,25 +204,24 @@ def screen(
         step_s=step,
         solver_step_s=solver_step,
     )
-    show = Display()
-    try:
+    with Display(out) as show:
         found = run_screening(
             screening, out, clearing=clearing_times, workers=workers, scheduler=scheduler, progress=show
         )
-    except KeyboardInterrupt:
-        show.end()
-        print(f"the same command goes on with what is in {out}", file=sys.stderr)
-        raise
-    show.end()
     page = write_screening(screening, found, out)
-    for name in dict.fromkeys(one.controller for one in found):
-        mine = [one.verdict for one in found if one.controller == name]
-        failed = f", {mine.count('failed')} failed" if "failed" in mine else ""
-        typer.echo(f"controller {name}: {mine.count('lost')} of {len(mine)} lose synchronism{failed}")
+    _tell_losses(found)
     typer.echo(page)
     if all(one.verdict == "failed" for one in found):
         print(f"first reason: {found[0].reason}", file=sys.stderr)
         raise typer.Exit(1)
+
+
+def _tell_losses(found: Sequence[Found]) -> None:
+    """Print with each controller how many of the events lose synchronism."""
+    for name in dict.fromkeys(one.controller for one in found):
+        mine = [one.verdict for one in found if one.controller == name]
+        failed = f", {mine.count('failed')} failed" if "failed" in mine else ""
+        typer.echo(f"controller {name}: {mine.count('lost')} of {len(mine)} lose synchronism{failed}")
 
 
 def _seconds(text: str, grid: str) -> float:
@@ -247,9 +241,13 @@ def _seconds(text: str, grid: str) -> float:
 
 
 class Display:
-    """Progress on stderr: one changing line on a terminal, else a line every ten seconds."""
+    """Progress on stderr: one changing line on a terminal, else a line every ten seconds.
 
-    def __init__(self) -> None:
+    A command that is interrupted says that it goes on with what is in the folder `out`.
+    """
+
+    def __init__(self, out: Path) -> None:
+        self._out = out
         self._terminal = sys.stderr.isatty()
         self._last = 0.0 if self._terminal else time.monotonic()
         self._width = 0
@@ -271,10 +269,15 @@ class Display:
         else:
             print(text, file=sys.stderr, flush=True)
 
-    def end(self) -> None:
+    def __enter__(self) -> Display:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if self._terminal and self._width:
             print(file=sys.stderr)
             self._width = 0
+        if kind is KeyboardInterrupt:
+            print(f"the same command goes on with what is in {self._out}", file=sys.stderr)
 
 
 def _duration(seconds: float) -> str:

@@ -138,14 +138,14 @@ static void find_direct(LoopPlan *plan, const ClosedLoop *l, const int32_t *wire
             }
 }
 
-static BlockStatus read_wiring(LoopPlan *plan, const ClosedLoop *l, const Record *record, size_t n_p,
-                               BlockMessage *message)
+/* Which parameter is the longest step of the plant, and the steps that the loop was made with. */
+static BlockStatus read_steps(LoopPlan *plan, const ClosedLoop *l, const Record *record, size_t n_p,
+                              BlockMessage *message)
 {
-    size_t count[4], n_solver, n_start;
-    const double *step = record_f64(record, "loop.step", &count[0]);
-    const double *internal = record_f64(record, "loop.internal", &count[1]);
+    size_t n_step, n_internal, n_solver, n_start;
+    const double *step = record_f64(record, "loop.step", &n_step);
+    const double *internal = record_f64(record, "loop.internal", &n_internal);
     const int32_t *solver = record_i32(record, "loop.solver", &n_solver);
-    const int32_t *wire = record_i32(record, "loop.wire", &count[2]), *flag = record_i32(record, "loop.flag", &count[3]);
     const double *start = record_f64(record, "start.real", &n_start);
 
     if (solver == NULL || n_solver != 1 || solver[0] < 0 || (size_t)solver[0] >= n_p)
@@ -154,15 +154,26 @@ static BlockStatus read_wiring(LoopPlan *plan, const ClosedLoop *l, const Record
     if (start == NULL || n_start != l->n_y + n_p || !(start[l->n_y + plan->solver] >= 1e-7))
         return unfit(message, "`start.real`");
     plan->plants_step = start[l->n_y + plan->solver];
-    if (step == NULL || count[0] != 1 || !(step[0] >= 1e-6 && step[0] <= 1e3)) return unfit(message, "`loop.step`");
-    if (internal == NULL || count[1] != 1 || !(internal[0] >= 1e-7)) return unfit(message, "`loop.internal`");
-    if (!wires_fit(wire, count[2], l->n_u, l->n_y)) return unfit(message, "`loop.wire`");
-    if (!wires_fit(flag, count[3], l->n_iu, l->n_iy)) return unfit(message, "`loop.flag`");
+    if (step == NULL || n_step != 1 || !(step[0] >= 1e-6 && step[0] <= 1e3)) return unfit(message, "`loop.step`");
+    if (internal == NULL || n_internal != 1 || !(internal[0] >= 1e-7)) return unfit(message, "`loop.internal`");
+    plan->step = (int64_t)floor(step[0] * 1e9 + 0.5);
+    plan->internal_step = internal[0];
+    return BLOCK_OK;
+}
+
+static BlockStatus read_wiring(LoopPlan *plan, const ClosedLoop *l, const Record *record, size_t n_p,
+                               BlockMessage *message)
+{
+    size_t n_wire, n_flag;
+    const int32_t *wire = record_i32(record, "loop.wire", &n_wire), *flag = record_i32(record, "loop.flag", &n_flag);
+    const BlockStatus status = read_steps(plan, l, record, n_p, message);
+
+    if (status != BLOCK_OK) return status;
+    if (!wires_fit(wire, n_wire, l->n_u, l->n_y)) return unfit(message, "`loop.wire`");
+    if (!wires_fit(flag, n_flag, l->n_iu, l->n_iy)) return unfit(message, "`loop.flag`");
     plan->wire = wire == NULL ? 0 : (size_t)((const unsigned char *)wire - record->bytes);
     plan->flag = flag == NULL ? 0 : (size_t)((const unsigned char *)flag - record->bytes);
     if (wire != NULL) find_direct(plan, l, wire);
-    plan->step = (int64_t)floor(step[0] * 1e9 + 0.5);
-    plan->internal_step = internal[0];
     return BLOCK_OK;
 }
 

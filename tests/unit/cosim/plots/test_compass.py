@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from interarea.cosim.plots.curves import mode_shape_plot
 from interarea.cosim.plots.label_layout import rim_angles
+from interarea.cosim.plots.mode_shapes import mode_shape_plot
 
 GAP = 0.2
 

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from interarea.cosim.plots import curves as plots
 from interarea.cosim.plots.diagrams import generalised_plant_diagram, one_line_diagram
+from interarea.cosim.plots.mode_shapes import participation_plot
 from interarea.models.case.case import load_case
 from interarea.models.grid.powerflow import solve_powerflow
 
@@ -33,7 +34,7 @@ def test_time_plot_draws_the_values_in_thousandths() -> None:
 
 
 def test_participation_plot_shows_the_largest_first() -> None:
-    figure = plots.participation_plot({"G1.slip": 0.2, "G2.slip": 0.5, "G1.eq1": 0.1}, ["G1", "G2"], count=2)
+    figure = participation_plot({"G1.slip": 0.2, "G2.slip": 0.5, "G1.eq1": 0.1}, ["G1", "G2"], count=2)
     labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert labels == ["G2.slip", "G1.slip"]
 
