@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -288,7 +288,7 @@ def _render(
     )
 
 
-def _worst(sweep: Sweep, rows: pd.DataFrame, explorer: Explorer) -> list[dict[str, Any]]:
+def _worst(sweep: Sweep, rows: pd.DataFrame, explorer: Explorer) -> list[dict[Hashable, Any]]:
     """The worst runs with the address that opens each; none of a search, whose rows are no runs."""
     if sweep.searched:
         return []

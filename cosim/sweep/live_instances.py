@@ -75,17 +75,17 @@ class LiveFmus(Fmus):
         super().__init__(cache)
         self.plan, self.scratch = plan, scratch
         self.on_drop: Callable[[tuple[CaseChange, int]], None] = lambda _: None
-        self._plants: OrderedDict[tuple[CaseChange, int], Plant] = OrderedDict()
+        self._live: OrderedDict[tuple[CaseChange, int], Plant] = OrderedDict()
         self._cases: dict[str, Case] = {}
         self._planned: dict[tuple[str, str], Controller | ControllerBank | None] = {}
 
     def case(self, change: CaseChange, slots: int) -> Case:
         """Return a changed case whose plant is there until some others have been asked for."""
         key = (change, slots)
-        found = self._plants.pop(key, None) or self._made(change, slots)
-        self._plants[key] = found
-        while len(self._plants) > KEPT:
-            old, plant = self._plants.popitem(last=False)
+        found = self._live.pop(key, None) or self._made(change, slots)
+        self._live[key] = found
+        while len(self._live) > KEPT:
+            old, plant = self._live.popitem(last=False)
             self.on_drop(old)
             plant.close()
         return found.case
@@ -101,7 +101,7 @@ class LiveFmus(Fmus):
 
     def plant(self, case: Case, event_slots: int) -> FmuFile:
         """Return the plant of a `case` of this object."""
-        return next(plant.file for plant in self._plants.values() if plant.case is case)
+        return next(plant.file for plant in self._live.values() if plant.case is case)
 
     def planned(self, case: str, name: str) -> Controller | ControllerBank | None:
         """Return a controller of the plan, None for none."""
@@ -116,9 +116,9 @@ class LiveFmus(Fmus):
 
     def close(self) -> None:
         """Close all files and remove those made here."""
-        for plant in self._plants.values():
+        for plant in self._live.values():
             plant.close()
-        self._plants.clear()
+        self._live.clear()
         super().close()
 
 

@@ -167,7 +167,7 @@ def _tell(model: Model, found: Response) -> None:
     """Print rest, poles and step response in words."""
     rest = found.rest
     typer.echo("\nat rest")
-    for name, value in (rest.signals | _references(model, found)).items():
+    for name, value in (dict(rest.signals) | _references(model, found)).items():
         typer.echo(f"  {name} = {value:.6g}")
     for margin in rest.margins:
         typer.echo(f"  {margin.signal} within {margin.low:.4g} .. {margin.high:.4g}: {margin.least:.4g} away")

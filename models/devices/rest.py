@@ -256,7 +256,7 @@ def _turned_pick(value: float, k: int, other: Other) -> float:
 def _turned_power(value: float, _: int, other: Other) -> float:
     if value < 0.0:
         raise _Stuck
-    return value ** (1.0 / other(1))
+    return float(value ** (1.0 / other(1)))
 
 
 def _turned_exp(value: float, _: int, __: Other) -> float:

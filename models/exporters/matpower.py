@@ -54,7 +54,8 @@ def _losses(case: Case) -> list[str]:
         losses.append(f"dynamic data of machines ({named(dynamic)})")
     if any(bus.name for bus in case.buses):
         losses.append("names of buses")
-    idle = [element.name for element in (*case.loads, *case.shunts) if not element.in_service]
+    elements: tuple[Load | Shunt, ...] = (*case.loads, *case.shunts)
+    idle = [element.name for element in elements if not element.in_service]
     if idle:
         losses.append(f"loads and shunts out of service ({named(idle)})")
     return losses
