@@ -41,15 +41,14 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return cache
 
 
-@pytest.mark.parametrize(
-    ("folder", "step"), [("binaries", 1), pytest.param("zig", 12, marks=pytest.mark.slow)]
-)
-def test_a_build(folder: str, step: int, made: Path, tmp_path: Path) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize(("folders", "step"), [(("binaries", "zig"), 1), (("zig",), 12)])
+def test_a_build(folders: tuple[str, ...], step: int, made: Path, tmp_path: Path) -> None:
     """With the compiled library in the cache, or what the compiler keeps only."""
     whole, count, told = made.with_name("whole.fmu").read_bytes(), 0, 0
     for n in grid(step=step):
         cache, out, fault = tmp_path / f"{n}", tmp_path / f"{n}.fmu", Fault(n, errno.ENOSPC)
-        if (made / folder).is_dir():
+        for folder in (f for f in folders if (made / f).is_dir()):
             shutil.copytree(made / folder, cache / folder)
         try:
             with fault.injected():
