@@ -1,6 +1,6 @@
 """Every published grid of a folder: which RAW files are read, which RAW + DYR pairs import and stand still.
 
-    python benchmarks/read_grids.py FOLDER [--still] [--fault] [--stop 20] [--converters current]
+    python benchmarks/read_grids.py FOLDER [--still] [--fault] [--export] [--stop 20] [--converters current]
         [--release-limits] [--json FILE]
 
 FOLDER is searched for .raw and .m files, plain or packed. Each RAW is read, its stored voltages compared with
@@ -9,10 +9,12 @@ same voltages. In each folder the first RAW goes with the first DYR; with --stil
 runs without any event and the largest |dw| is shown (expected: below 1e-6 pu). With --fault it also runs
 with a bus at earth through j0.01 pu from 1 s for 50 ms (where that is too long, 25 ms), that of most branches
 without an infinite bus: shown are the peak of |dw| and how far the rotor angles go from where they rest
-(about the centre of inertia; below 180 degrees nobody slips a pole).
+(about the centre of inertia; below 180 degrees nobody slips a pole). With --export it is written as RAW + DYR
+and as MATPOWER and read back: how far the voltages are off, and every value of a machine or control that came
+back as another.
 With --release-limits limits beyond which controls would start are widened, and counted. Time is of reading
 the pair, memory of this process. Exit code 1 when a RAW is not read, or a pair that imports does not stand
-still or does not ride its fault.
+still, does not ride its fault or does not come back.
 """
 
 from __future__ import annotations
@@ -22,9 +24,10 @@ import hashlib
 import json
 import resource
 import sys
+import tempfile
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,6 +38,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from interarea.models.case.case import Case
 from interarea.models.case.events import events_of
 from interarea.models.errors import CaseError
+from interarea.models.exporters.dyr import dyr_of
+from interarea.models.exporters.matpower import matpower_of
+from interarea.models.exporters.raw import raw_of
 from interarea.models.grid.powerflow import solve_powerflow
 from interarea.models.grid.start import release_limits
 from interarea.models.importers.imported import Imported
@@ -91,6 +97,8 @@ def pair(raw: Path, dyr: Path, options: argparse.Namespace) -> dict[str, Any]:
             row["dw"] = largest_slip(imported.case, options.stop)
         if options.fault:
             row |= ride(imported.case, options.stop)
+        if options.export:
+            row |= written_and_read(imported.case)
     except (CaseError, RuntimeError) as error:
         row["refused"] = str(error)
     return row
@@ -129,6 +137,51 @@ def ride(case: Case, stop_s: float) -> dict[str, Any]:
     return row
 
 
+def written_and_read(case: Case) -> dict[str, Any]:
+    """Return what differs after RAW + DYR and after MATPOWER, and what the writers name as lost."""
+    flow = solve_powerflow(case)
+    network, dynamics = raw_of(case, flow), dyr_of(case)
+    with tempfile.TemporaryDirectory() as folder:
+        raw, dyr, m = (Path(folder) / f"grid{suffix}" for suffix in (".raw", ".dyr", ".m"))
+        for path, text in ((raw, network.text), (dyr, dynamics.text), (m, matpower_of(case, flow).text)):
+            path.write_text(text, encoding="utf-8")
+        back, static = import_psse(raw, dyr).case, import_matpower(m).case
+    known = {bus.number: v for bus, v in zip(case.buses, flow.voltages, strict=True)}
+    off = 0.0
+    for copy in (back, static):
+        ours = zip(copy.buses, solve_powerflow(copy).voltages, strict=True)
+        off = max(off, *(abs(v - known[bus.number]) for bus, v in ours))
+    changed = [
+        f"{one.name}{key}"
+        for one, other in zip(by_bus(case), by_bus(back), strict=True)
+        for key, value in numbers(one.model_dump())
+        if not same_value(value, dict(numbers(other.model_dump())).get(key))
+    ]
+    return {"written_pu": off, "changed": changed, "losses": [*network.losses, *dynamics.losses]}
+
+
+def by_bus(case: Case) -> list[Any]:
+    """Return the machines by bus and dispatch, whatever their names."""
+    return sorted(case.machines, key=lambda m: (m.bus, m.P_mw, m.name))
+
+
+def numbers(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield key and value of all that a machine holds but words."""
+    if not isinstance(value, dict):
+        yield key, value
+        return
+    for name, inner in value.items():
+        if name not in ("name", "source"):
+            yield from numbers(inner, f"{key}.{name}")
+
+
+def same_value(one: Any, other: Any) -> bool:
+    """Return whether two values are the same to 1e-9 of their size."""
+    if isinstance(one, float) and isinstance(other, float):
+        return abs(one - other) <= SAME_PU * max(1.0, abs(one))
+    return bool(one == other)
+
+
 def main() -> int:
     """Print the tables; return the exit code."""
     parser = argparse.ArgumentParser(
@@ -137,6 +190,7 @@ def main() -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--still", action="store_true", help="run the plant of each pair")
     parser.add_argument("--fault", action="store_true", help="run it with a fault as well")
+    parser.add_argument("--export", action="store_true", help="write it and read it back as well")
     parser.add_argument("--stop", type=float, default=20.0, metavar="S")
     parser.add_argument("--converters", choices=("refuse", "current"), default="refuse")
     parser.add_argument("--release-limits", action="store_true")
@@ -177,19 +231,23 @@ def main() -> int:
         if "swing_deg" in row:
             what += f", {1e3 * row['fault_s']:g} ms at {row['fault_bus']}: |dw| <= {row['peak_dw']:.2g}"
             what += f", angles move {row['swing_deg']:.0f} deg"
+        if "changed" in row:
+            what += f", written and read: {row['written_pu']:.0e} pu, changed {row['changed'] or 'nothing'}"
+            what += f", named as lost: {row['losses'] or 'nothing'}"
         print(f"pair {folder.relative_to(options.folder)}: {what}", flush=True)
         pairs.append(row)
     imported = [row for row in pairs if "refused" not in row]
     moving = [row for row in imported if not row.get("dw", 0.0) <= STILL_PU]
     slipping = [row for row in imported if not row.get("swing_deg", 0.0) < SLIPS_DEG]
+    lossy = [row for row in imported if row.get("changed") or not row.get("written_pu", 0.0) <= SAME_PU]
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
     print(
         f"pairs imported: {len(imported)} of {len(pairs)}, of these moving: {len(moving)}, slipping a pole: "
-        f"{len(slipping)}; memory {memory} MB"
+        f"{len(slipping)}, coming back as others: {len(lossy)}; memory {memory} MB"
     )
     if options.json:
         options.json.write_text(json.dumps({"read": rows, "pairs": pairs}, indent=1))
-    return int(len(good) < len(rows) or bool(moving) or bool(slipping))
+    return int(len(good) < len(rows) or bool(moving or slipping or lossy))
 
 
 if __name__ == "__main__":

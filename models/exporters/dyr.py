@@ -81,11 +81,19 @@ def _machine(m: Machine) -> tuple[str, tuple[float, ...], list[str]]:
     if m.flux_saturation is None and m.saturation is not None:
         use = m.saturation.use
         lost.append(f"{m.name}: saturation of the form Asat exp(Bsat (flux - psiT1)), used as {use!r}")
-    salient = m.Xq1 == m.Xq and (m.saturation is None or m.flux_saturation is not None)
+    salient = m.Xq1 == m.Xq and _saturates_as_salient(m)
     exponential = m.flux_saturation is not None and m.flux_saturation.shape == "exponential"
     letter = "E" if exponential else "L" if salient else "U"
     fields = (*(m.number(key) for key in (_SALIENT if salient else _ROUND)), *_saturation(m))
     return ("GENSA" if salient else "GENRO") + letter, fields, lost
+
+
+def _saturates_as_salient(m: Machine) -> bool:
+    """Return whether GENSAL or GENSAE has the saturation of a machine, if it has any."""
+    s = m.flux_saturation
+    if s is None:
+        return m.saturation is None
+    return s.shape == "exponential" or s.of == "transient_emf"
 
 
 def _saturation(m: Machine) -> tuple[float, float]:

@@ -98,3 +98,25 @@ def test_what_a_record_cannot_hold_of_a_machine_is_named(tmp_path: Path) -> None
     losses = dyr_of(load_case("kundur-manual")).losses
     assert any("torque is not power over speed" in line for line in losses)
     assert any("Asat exp" in line for line in losses)
+
+
+@pytest.mark.parametrize(
+    "saturation",
+    [
+        {"S10": 0.1, "S12": 0.4},
+        {"S10": 0.1, "S12": 0.4, "of": "transient_emf", "axes": "d"},
+        {"S10": 0.1, "S12": 0.4, "shape": "exponential"},
+    ],
+)
+def test_a_machine_with_one_damper_on_q_keeps_its_own_saturation(
+    tmp_path: Path, saturation: dict[str, object]
+) -> None:
+    """GENROU with X'q = Xq is no GENSAL, which saturates by another flux on one axis."""
+    case = imported(tmp_path)
+    # nothing drives ed1 then, and GENSAL has no time constant of it
+    machine = {"Xq1": case.machines[0].Xq, "Tq01": 1.0, "flux_saturation": saturation}
+    case = case.with_changes({"machines": {case.machines[0].name: machine}})
+    copy, losses = again(tmp_path, case)
+    assert losses == ()
+    assert copy.machines[0].flux_saturation == case.machines[0].flux_saturation
+    same(case, copy)
