@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 EVERY = bool(os.environ.get("INTERAREA_EVERY_FAULT"))
+LONG = pytest.mark.timeout(0 if EVERY else 900)  #: all of them take hours
 
 
 def grid(ratio: float = 1.0, step: int = 1) -> Iterator[int]:

@@ -1,6 +1,6 @@
 """A build and a study whose files the machine refuses: whole files or none, and with room the same bits.
 
-A study of two figures and two scenarios is tried at file operations 1, 41, 81 ..; a build with its
+A study of two figures and two scenarios is tried at file operations 1, 3, 9, 27 ..; a build with its
 compiled library at every one, with a compilation at 1, 13, 25 ..; each of them at all in `make fuzz`.
 """
 
@@ -12,7 +12,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from file_faults import Fault, grid
+from file_faults import LONG, Fault, grid
 from fmu_runner import decay_block
 
 from interarea.cosim.study.spec import load_study
@@ -41,6 +41,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return cache
 
 
+@LONG
 @pytest.mark.slow
 @pytest.mark.parametrize(("folders", "step"), [(("binaries", "zig"), 1), (("zig",), 12)])
 def test_a_build(folders: tuple[str, ...], step: int, made: Path, tmp_path: Path) -> None:
@@ -87,6 +88,7 @@ def left(out: Path) -> dict[str, bytes]:
     return {p.relative_to(out).as_posix(): p.read_bytes() for p in out.rglob("*") if p.is_file()}
 
 
+@LONG
 @pytest.mark.slow
 def test_a_study(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What it computes is in the cache, as after a study that has failed at its files."""
@@ -98,7 +100,7 @@ def test_a_study(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         run_study(name, tmp_path / "whole", second_solver=False)
     whole, tried = left(tmp_path / "whole"), 0
     assert left(tmp_path / "first") == whole and len(whole) >= 10
-    for n in grid(step=40):
+    for n in grid(ratio=3.0):
         if n > fault.count:
             break
         out = tmp_path / f"{n}"

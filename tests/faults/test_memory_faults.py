@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 
 import pytest
-from file_faults import EVERY, grid, no_memory
+from file_faults import EVERY, LONG, grid, no_memory
 from fmu_runner import decay_block
 from stored_runs import finished, session
 from test_run_faults import written
@@ -36,6 +36,7 @@ def assert_of_the_machine(error: Exception, n: int) -> None:
     assert machine_error(error) is not None or not isinstance(error, InterareaError), (n, error)
 
 
+@LONG
 def test_a_run(tmp_path: Path, cache: Path) -> None:
     """One line or none; whole files or none; with memory the same bits."""
     build_fmu(decay_block(), tmp_path / "x.fmu", cache=cache)
@@ -60,6 +61,7 @@ def test_a_run(tmp_path: Path, cache: Path) -> None:
     assert n > 10_000 and told > (20_000 if EVERY else 12)
 
 
+@LONG
 def test_the_folder_of_a_sweep(tmp_path: Path) -> None:
     work = [[0, 1, 2, 3], [4, 5, 6, 7, 8]]
     session(tmp_path / "whole", work)  # imports
