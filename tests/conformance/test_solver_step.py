@@ -227,4 +227,5 @@ def test_a_loop_takes_the_step_of_its_plant(cache: Path, tmp_path: Path) -> None
             found.append(run.start(start | {"plant.solver.step": h}).run(TIMES, "G1_dw"))
     errors = [np.abs(dw - found[0]).max() for dw in found[1:]]
     assert 0.0 < 50.0 * errors[0] < 10.0 * errors[1] < 1e-10
-    np.testing.assert_array_equal(found[3], found[2])  # the controller's own step is 2 ms
+    # ten times the plant's step at the start makes the controller's 2 ms five times as long, no more
+    assert errors[1] < errors[2] < 1e-9
