@@ -35,7 +35,7 @@ class _Layout(ctypes.Structure):
 
 
 class _Needs(ctypes.Structure):
-    _fields_ = (("n_memory", ctypes.c_size_t), ("n_scratch", ctypes.c_size_t))
+    _fields_ = (("n_memory", ctypes.c_size_t), ("n_scratch", ctypes.c_size_t), ("n_notes", ctypes.c_size_t))
 
 
 def _fields_of_block() -> list[tuple[str, type]]:
@@ -49,10 +49,11 @@ def _fields_of_block() -> list[tuple[str, type]]:
         "double": _Real,
         "int": _Integer,
         "size_t": ctypes.c_size_t,
+        "BlockLimits": ctypes.c_void_p,
         "const Record": ctypes.POINTER(_Record),
         "BlockLayout": _Layout,
     }
-    members = re.findall(r"(const Record|BlockLayout|double|int|size_t)\s+([^;]+);", body)
+    members = re.findall(r"(const Record|BlockLayout|BlockLimits|double|int|size_t)\s+([^;]+);", body)
     return [(name.strip(" *"), kinds[kind]) for kind, names in members for name in names.split(",")]
 
 

@@ -111,7 +111,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component component, const fmi2Value
             values[i] = c->block.dx[c->output_state[references[i] - first]];
         return status == fmi2OK ? check_slopes(c, references, count, values, call) : status;
     }
-    slopes = c->work + 6 * c->block.layout.n_x + 2 * c->block.layout.n_u;
+    slopes = c->work + SOLVER_ARRAYS * c->block.layout.n_x + 2 * c->block.layout.n_u;
     status = output_slopes(c, slopes, call);
     if (status != fmi2OK) return status;
     for (size_t i = 0; i < count; ++i) values[i] = slopes[references[i] - first];

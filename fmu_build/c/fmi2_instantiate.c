@@ -5,6 +5,7 @@
 
 #include "instance.h"
 #include "resource.h"
+#include "solver.h"
 
 enum { FORMAT = 1, WHY_SIZE = 512 };
 static const size_t LARGEST_COUNT = 1u << 24;
@@ -105,7 +106,9 @@ static int read_tables(Instance *c, char *why)
 static int allocate(Instance *c, const BlockNeeds *needs)
 {
     const BlockLayout *n = &c->block.layout;
-    const size_t doubles = c->n_real + n->n_x + 5 * n->n_u + n->n_y + needs->n_memory;
+    const size_t own_notes = c->type == fmi2ModelExchange ? needs->n_notes : 0;   /* else of one step only */
+    const size_t doubles = c->n_real + n->n_x + 5 * n->n_u + n->n_y + needs->n_memory + own_notes;
+    const size_t work = SOLVER_ARRAYS * n->n_x + 2 * n->n_u + n->n_y;
     Block *b = &c->block;
     double *d;
 
@@ -113,7 +116,7 @@ static int allocate(Instance *c, const BlockNeeds *needs)
     c->run = instance_allocate(&c->callbacks, c->saved_size);
     if (!block_is_sampled) c->undo = instance_allocate(&c->callbacks, c->saved_size);
     c->work = instance_allocate(&c->callbacks,
-                                (6 * n->n_x + 2 * n->n_u + n->n_y + needs->n_scratch) * sizeof(double));
+                                (work + needs->n_scratch + needs->n_notes) * sizeof(double));
     if (c->run == NULL || c->work == NULL || (c->undo == NULL && !block_is_sampled)) return 1;
 
     d = (double *)(c->run + 1);
@@ -129,13 +132,14 @@ static int allocate(Instance *c, const BlockNeeds *needs)
     c->u_poly = c->u_slope + n->n_u;
     c->y_slope = c->u_poly + 4 * n->n_u;
     b->memory = c->y_slope + n->n_y;
-    c->integer = (int *)(b->memory + needs->n_memory);
+    c->integer = (int *)(b->memory + needs->n_memory + own_notes);
     b->iu = c->integer;
     b->iy = b->iu + n->n_iu;
     b->iw = b->iy + n->n_iy;
     b->ip = b->iw + n->n_iw;
     b->u_order = c->integer + c->n_integer;
-    b->scratch = c->work + 6 * n->n_x + 2 * n->n_u + n->n_y;
+    b->scratch = c->work + work;
+    b->notes = own_notes > 0 ? b->memory + needs->n_memory : b->scratch + needs->n_scratch;
     b->record = &c->record;
     if (c->step_parameter < c->n_real) c->internal_step = c->real + c->step_parameter;
     return 0;
@@ -165,7 +169,7 @@ static int read_record(Instance *c, fmi2String location, fmi2String guid, char *
 static int prepare(Instance *c, fmi2String location, fmi2String guid, char *why)
 {
     BlockMessage message = {{0}};
-    BlockNeeds needs = {0, 0};
+    BlockNeeds needs = {0, 0, 0};
 
     if (block_is_sampled && c->type == fmi2ModelExchange) {
         snprintf(why, WHY_SIZE, "this FMU offers co-simulation only");
@@ -176,7 +180,8 @@ static int prepare(Instance *c, fmi2String location, fmi2String guid, char *why)
         snprintf(why, WHY_SIZE, "resources/model.bin: %s", message.text);
         return 1;
     }
-    if (needs.n_memory > LARGEST_COUNT || needs.n_scratch > LARGEST_COUNT || allocate(c, &needs) != 0) {
+    if (needs.n_memory > LARGEST_COUNT || needs.n_scratch > LARGEST_COUNT || needs.n_notes > LARGEST_COUNT
+        || allocate(c, &needs) != 0) {
         snprintf(why, WHY_SIZE, "out of memory");
         return 1;
     }

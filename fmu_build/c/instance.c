@@ -184,7 +184,7 @@ fmi2Status instance_initialise(Instance *c, const char *call)
     Block *b = &c->block;
     BlockMessage message = {{0}};
     BlockStatus status;
-    BlockNeeds needs;
+    BlockNeeds needs = {0, 0, 0};
 
     memcpy(b->x, c->x_start, b->layout.n_x * sizeof(double));
     if ((status = block_needs(b->record, &b->layout, &needs, &message)) != BLOCK_OK)

@@ -63,7 +63,7 @@ typedef struct {
     double *y_slope;            /* dy/dt, sampled blocks                       */
 
     RunState *undo;             /* copy of the saved piece: a step to take back */
-    double *work;               /* solver: 6 n_x + n_u, directional: 2 n_x + n_u + n_y */
+    double *work;               /* solver: SOLVER_ARRAYS n_x + n_u, directional: 2 n_x + n_u + n_y */
 
     const double *start_real, *min_real, *max_real, *nominal_x;
     const int32_t *start_integer, *min_integer, *max_integer;

@@ -2,8 +2,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "limited_step.h"
 #include "solver.h"
-#include "stretch.h"
 
 void solver_inputs(const Instance *c, double elapsed, double *u)
 {
@@ -15,28 +15,36 @@ void solver_inputs(const Instance *c, double elapsed, double *u)
 
 typedef struct {
     Instance *c;
-    double begin, elapsed, h;   /* of the communication step; of the Runge-Kutta step in it */
+    double begin, elapsed;   /* of the communication step; of the Runge-Kutta step in it */
     double *u;
     BlockMessage *message;
 } Flow;
 
-static BlockStatus flow(void *context, RungeKuttaStage stage, const double *x, double *k)
+static BlockStatus flow(void *context, double into, BlockLimits *limits, const double *x, double *k)
 {
     const Flow *f = context;
-    const double elapsed = f->elapsed + (stage == RK_BEGIN ? 0.0 : stage == RK_END ? f->h : f->h / 2.0);
+    const double elapsed = f->elapsed + into;
+    Block *b = &f->c->block;
 
-    if (stage != RK_MIDDLE_AGAIN) solver_inputs(f->c, elapsed, f->u);
-    return block_derivatives(&f->c->block, f->begin + elapsed, x, f->u, k, f->message);
+    solver_inputs(f->c, elapsed, f->u);
+    b->limits = limits;
+    const BlockStatus status = block_derivatives(b, f->begin + elapsed, x, f->u, k, f->message);
+    b->limits = NULL;
+    return status;
+}
+
+BlockStatus solver_step(Instance *c, const Stretch *s, double *x, BlockMessage *message)
+{
+    const size_t n = c->block.layout.n_x;
+    Flow f = {c, s->begin, stretch_elapsed(s), c->work + LIMITED_STEP_ARRAYS * n, message};
+
+    return limited_step(flow, &f, n, stretch_h(s), x, c->work);
 }
 
 static BlockStatus integrate(Instance *c, Stretch *s, BlockMessage *message)
 {
-    const size_t n = c->block.layout.n_x;
-    Flow f = {c, s->begin, 0.0, stretch_h(s), c->work + 5 * n, message};
-
     for (; s->done < s->count; ++s->done) {
-        f.elapsed = stretch_elapsed(s);
-        const BlockStatus status = runge_kutta_step(flow, &f, n, f.h, c->block.x, c->work);
+        const BlockStatus status = solver_step(c, s, c->block.x, message);
         if (status != BLOCK_OK) return status;
     }
     return BLOCK_OK;

@@ -43,6 +43,7 @@ SOURCES = tuple(
         "plant/plant.c",
         "plant/tables.c",
         "plant/flow.c",
+        "plant/held.c",
         "plant/tile_4.c",
         "plant/tile_8.c",
         "plant/tangent.c",

@@ -8,20 +8,14 @@ from .language.expression import ONE, Node
 from .language.structure import Model
 
 _FUNCTION = {
-    "min": "element_min",
-    "max": "element_max",
-    "clamp": "element_clamp",
-    "deadband": "element_deadband",
-    "abs": "element_abs",
     "sqrt": "element_sqrt",
     "exp": "num_exp",
     "log": "num_log",
     "sin": "element_sin",
     "cos": "element_cos",
-    "fex": "element_fex",
-    "vx": "element_vx",
-    "vx_inverse": "element_vx_inverse",
 }
+#: Functions that decide by comparing signals, and how often.
+_DECIDES = {"min": 1, "max": 1, "clamp": 2, "deadband": 2, "abs": 1, "fex": 4, "vx": 1, "vx_inverse": 1}
 
 
 def given_rows(model: Model) -> tuple[str, ...]:
@@ -39,7 +33,15 @@ class ExpressionWriter:
         self.given = given_rows(model)
         self.prepared: dict[Node, int] = {}
         self.in_prepare = False
+        self.decisions = 0  #: bits of the word of decisions that are given away
         self.on: On = lambda condition: condition if isinstance(condition, bool) else None
+
+    def deciding(self, name: str, count: int) -> str:
+        """C of the beginning of a call of limiter_`name`, which makes `count` decisions."""
+        first = self.decisions
+        if not self.in_prepare:  # of parameters nobody asks
+            self.decisions += count
+        return f"limiter_{name}(&l, {first}u, "
 
     def row(self, name: str) -> str:
         """A row of the table."""
@@ -86,11 +88,12 @@ class ExpressionWriter:
     def call(self, node: Node) -> str:
         """C of a function of signals; least and largest of several by pairs."""
         *others, text = [self.num(a) for a in node.args]
-        name = _FUNCTION[node.op]
+        if node.op in _FUNCTION:
+            return f"{_FUNCTION[node.op]}({', '.join([*others, text])})"
         if node.op not in ("min", "max"):
-            return f"{name}({', '.join([*others, text])})"
+            return f"{self.deciding(node.op, _DECIDES[node.op])}{', '.join([*others, text])})"
         for other in reversed(others):
-            text = f"{name}({other}, {text})"
+            text = f"{self.deciding(node.op, 1)}{other}, {text})"
         return text
 
     def binary(self, node: Node) -> tuple[str, bool]:
@@ -120,14 +123,11 @@ class ExpressionWriter:
     def flag(self, node: Node) -> str:
         """C of a comparison of signals."""
         a, b = (self.num(part) for part in node.args)
-        return {
-            ">": f"num_above({a}, {b})",
-            "<": f"num_above({b}, {a})",
-            ">=": f"num_reaches({a}, {b})",
-            "<=": f"num_reaches({b}, {a})",
-            "==": f"(num_reaches({a}, {b}) & num_reaches({b}, {a}))",
-            "!=": f"flag_not(num_reaches({a}, {b}) & num_reaches({b}, {a}))",
-        }[node.op]
+        if node.op in ("==", "!="):
+            same = f"(num_reaches({a}, {b}) & num_reaches({b}, {a}))"
+            return same if node.op == "==" else f"flag_not{same}"
+        call = self.deciding("reaches" if "=" in node.op else "above", 1)
+        return f"{call}{a}, {b})" if ">" in node.op else f"{call}{b}, {a})"
 
     def table(self, node: Node) -> str:
         """C of a table, piece by piece, held beyond the ends."""
@@ -137,8 +137,10 @@ class ExpressionWriter:
         for k in range(len(xs) - 1):
             rise, run = Node("-", (ys[k + 1], ys[k])), Node("-", (xs[k + 1], xs[k]))
             slope = self.num(Node("/", (rise, run)))
-            text = f"element_piece({text}, {u}, {self.num(xs[k])}, {self.num(ys[k])}, {slope})"
-        return f"element_piece({text}, {u}, {self.num(xs[-1])}, {self.num(ys[-1])}, NUM(0.0))"
+            call = self.deciding("piece", 1)
+            text = f"{call}{text}, {u}, {self.num(xs[k])}, {self.num(ys[k])}, {slope})"
+        call = self.deciding("piece", 1)
+        return f"{call}{text}, {u}, {self.num(xs[-1])}, {self.num(ys[-1])}, NUM(0.0))"
 
     def bit(self, condition: Node) -> str:
         """C of a bit of the structure."""

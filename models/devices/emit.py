@@ -7,12 +7,14 @@ import zlib
 from collections.abc import Iterable, Iterator
 
 from .c_expression import ExpressionWriter
+from .errors import DeviceError
 from .language.device import KINDS
 from .language.element import Condition, Element, resolved
-from .language.elements import Pi, Plain
+from .language.elements import Integrator, Lag, Pi, Plain
 from .language.expression import ONE, ZERO, Node, names_of, number
 from .language.structure import Model, Order
 
+MOST_DECISIONS = 64
 _TEXT = re.compile(r"[^A-Za-z0-9 ,.:;()=+-]")
 
 
@@ -50,7 +52,7 @@ def devices_header(models: Iterable[Model]) -> str:
         "    default: (void)g; (void)in; (void)x; (void)dx;",
         "    }",
         "}",
-        "#if !defined PLANT_TANGENT && !defined PLANT_LANES",
+        "#if !defined PLANT_TANGENT && !defined PLANT_LANES && !defined PLANT_HELD",
         "static inline void device_prepare(size_t device, double *table, size_t n)",
         "{",
         "    switch (device) {",
@@ -80,6 +82,11 @@ def _choice(what: str, arguments: str, names: list[str], values: list[str]) -> l
 class Writer(ExpressionWriter):
     """The C code of one device."""
 
+    def __init__(self, model: Model) -> None:
+        super().__init__(model)
+        self.most = 0  #: decisions of the order that has most
+        self.first: dict[str, int] = {}  #: of a line with limits: its first decision
+
     @property
     def reference(self) -> str:
         """C of the row of the set-point that is solved for, 0 where there is none."""
@@ -98,6 +105,13 @@ class Writer(ExpressionWriter):
     def code(self) -> list[str]:
         """Enumeration, what is prepared, the equations."""
         body = self.branch(self.model.order, {}, 2)
+        if self.most > MOST_DECISIONS:
+            raise DeviceError(
+                f"{self.device.name}: its limits, gates, choices and points of tables make {self.most} decisions, "
+                f"allowed: {MOST_DECISIONS} in one device; give tables fewer points"
+            )
+        begin, end = ["        Limiters l = limiters_begin(g, k);"], ["        limiters_end(g, k, &l);"]
+        begin, end = (begin, end) if self.most > 0 else ([], [])
         signature = f"static inline void equations_of_{self.prefix}("
         head = [
             f"{signature}const DeviceGroup *g, const DeviceSignals *in,",
@@ -113,11 +127,12 @@ class Writer(ExpressionWriter):
             "    EACH(k, 0, n) {",
             *(["        const stored *p = g->table + k;"] if uses_table else []),
             "        const where m = where_at(g->machine, k);",
+            *begin,
             *signals,
         ]
         prepare = self.prepare()
         title = f"/* {self.device.name}: {_TEXT.sub(' ', self.device.title)} */"
-        return [title, *self.enumeration(), *prepare, *head, *loop, *body, "    }", "}"]
+        return [title, *self.enumeration(), *prepare, *head, *loop, *body, *end, "    }", "}"]
 
     def enumeration(self) -> list[str]:
         """The rows of the device's table by name."""
@@ -151,12 +166,12 @@ class Writer(ExpressionWriter):
 
     def prepare(self) -> list[str]:
         """The rows computed once."""
-        self.in_prepare = True
+        self.in_prepare, self.decisions = True, 0
         rows = [
             f"        p[{self.big}___{k} * n] = {self.code_of(node)[0]};" for node, k in self.prepared.items()
         ]
         self.in_prepare = False
-        head = ["#if !defined PLANT_TANGENT && !defined PLANT_LANES"]
+        head = ["#if !defined PLANT_TANGENT && !defined PLANT_LANES && !defined PLANT_HELD"]
         head += [f"static inline void numbers_of_{self.prefix}(double *table, size_t n)", "{"]
         if not rows:
             return [*head, "    (void)table;", "    (void)n;", "}", "#endif"]
@@ -164,6 +179,7 @@ class Writer(ExpressionWriter):
             *head,
             "    for (size_t k = 0; k < n; ++k) {",
             "        double *p = table + k;",
+            *(["        Limiters l = { 0 };"] if any("&l," in row for row in rows) else []),
             *rows,
             "    }",
             "}",
@@ -185,12 +201,14 @@ class Writer(ExpressionWriter):
         if order.loop:  # refused when the case is read
             return [f"{pad}TO(in->{output}, m, NUM(NAN));"]
         self.on = self.model.on(decided)
+        self.decisions = 0  # of two orders only one is gone through
         rows: list[str] = []
         for name in order.lines:
             rows += self.output_of(self.model.elements[name])
         rows.append(f"TO(in->{output}, m, s_{output});")
         for element in self.model.elements.values():
             rows += self.rates_of(element)
+        self.most = max(self.most, self.decisions)
         return [pad + row for row in rows]
 
     def condition(self, condition: Condition) -> str:
@@ -225,7 +243,10 @@ class Writer(ExpressionWriter):
             yield f"const num whole_{name} = {value};"
             value = f"whole_{name}"
         if e.is_limited:
-            value = f"element_clamp({value}, low_{name}, high_{name})"
+            self.first[name] = self.decisions
+            held = isinstance(e, Lag | Integrator)
+            call = self.deciding("state" if held else "clamp", 4 if held or isinstance(e, Pi) else 2)
+            value = f"{call}{value}, low_{name}, high_{name})"
         yield f"const num s_{name} = {value}{end}"
 
     def rates_of(self, e: Element) -> Iterator[str]:
@@ -236,6 +257,9 @@ class Writer(ExpressionWriter):
             guard = "" if self.on(state.present) else f"if {self.bit(state.present)} "  # type: ignore[arg-type]
             value = getattr(self, f"{e.line.element}_rate")(e, state.name)
             yield f"{guard}PUT(dx, at_{state.name} + k, {value});"
+            if e.is_limited and isinstance(e, Lag | Integrator):
+                held = f"{self.first[e.line.name]}u, g, at_{state.name} + k"
+                yield f"{guard}LIMITER_ONTO(&l, {held}, low_{e.line.name}, high_{e.line.name});"
 
     # ------------------------------------------------------------ elements
 
@@ -249,17 +273,18 @@ class Writer(ExpressionWriter):
         if low is None and high is None:
             if not e.is_limited:
                 return f"({u} - x_{x}) * {per}"
-            return f"element_lag_rate({u}, x_{x}, low_{name}, high_{name}) * {per}"
+            return f"limiter_lag_rate(&l, {self.first[name]}u, {u}, x_{x}, low_{name}, high_{name}) * {per}"
         slowest = self.num(number(-1e30) if low is None else low)
         fastest = self.num(number(1e30) if high is None else high)
-        rate = f"element_clamp(({u} - x_{x}) * {per}, {slowest}, {fastest})"
+        rate = f"{self.deciding('clamp', 2)}({u} - x_{x}) * {per}, {slowest}, {fastest})"
         return self.held(e, rate, x, per)
 
     def held(self, e: Element, rate: str, x: str, per: str) -> str:
         name = e.line.name
         if not e.is_limited:
             return rate
-        return f"element_held_rate({rate}, x_{x}, s_{name}, low_{name}, high_{name}, {per})"
+        call = f"limiter_held_rate(&l, {self.first[name]}u, "
+        return f"{call}{rate}, x_{x}, s_{name}, low_{name}, high_{name}, {per})"
 
     def integrator_output(self, e: Element) -> str:
         return f"x_{e.line.name}"
@@ -319,7 +344,8 @@ class Writer(ExpressionWriter):
         rate = f"{self.constant(e.args[2])} * {error}"
         if not e.is_limited:
             return rate
-        return f"element_pi_rate({rate}, whole_{name}, low_{name}, high_{name})"
+        call = f"limiter_pi_rate(&l, {self.first[name] + 2}u, "
+        return f"{call}{rate}, whole_{name}, low_{name}, high_{name})"
 
     def _filter(self, e: Element) -> tuple[str, str]:
         name, per = e.line.name, self.constant(Node("per", (e.args[2],)))

@@ -58,7 +58,7 @@ size_t interarea_group_size(fmi2Component like, size_t lanes)
 {
     const Instance *c = like;
     const BlockLayout *l;
-    BlockNeeds needs;
+    BlockNeeds needs = {0, 0, 0};
     size_t guid;
 
     if (c == NULL || (lanes != 2 && lanes != 4 && lanes != 8) || c->type != fmi2CoSimulation) return 0;
@@ -66,10 +66,11 @@ size_t interarea_group_size(fmi2Component like, size_t lanes)
     (void)record_text(&c->record, "guid", &guid);
     if (guid > GUID_ROOM) return 0;
     l = &c->block.layout;
-    /* a number of each lane: memory; x and k; u and its polynomial; y; scratch; h; elapsed */
+    /* a number of each lane: memory; x and k; u and its polynomial; y; scratch; notes; h, switched; elapsed */
     return sizeof(double)
-           * (head_size() + lanes * (needs.n_memory + 6 * l->n_x + 5 * l->n_u + l->n_y + needs.n_scratch + 1 + ELAPSED)
-              + 9 * ALIGNMENT);
+           * (head_size() + lanes * (needs.n_memory + 6 * l->n_x + 5 * l->n_u + l->n_y + needs.n_scratch + needs.n_notes
+                         + 2 + ELAPSED)
+              + 11 * ALIGNMENT);
 }
 
 void interarea_group_open(void *work, fmi2Component like, size_t lanes)
@@ -78,7 +79,7 @@ void interarea_group_open(void *work, fmi2Component like, size_t lanes)
     Group *g = work;
     const BlockLayout *l = &g->layout;
     double *at = (double *)work + head_size();
-    BlockNeeds needs = {0, 0};
+    BlockNeeds needs = {0, 0, 0};
     size_t size;
     const char *guid = record_text(&c->record, "guid", &size);
 
@@ -95,7 +96,9 @@ void interarea_group_open(void *work, fmi2Component like, size_t lanes)
     g->group.u = at;        at += aligned(lanes * l->n_u);
     g->group.y = at;        at += aligned(lanes * l->n_y);
     g->group.scratch = at;  at += aligned(lanes * needs.n_scratch);
+    g->group.notes = at;    at += aligned(lanes * needs.n_notes);
     g->group.h = at;        at += aligned(lanes);
+    g->group.switched = at; at += aligned(lanes);
     g->u_poly = at;         at += aligned(lanes * 4 * l->n_u);
     g->elapsed = at;        at += aligned(lanes * ELAPSED);
     memset((double *)work + head_size(), 0, (size_t)((char *)at - (char *)((double *)work + head_size())));
@@ -180,6 +183,19 @@ static void begin_lane(Group *g, Lane *lane, size_t k)
     next_stretch(g, lane, k);
 }
 
+/* A limiter switches in the step that the lane is at: alone, as it would go alone. */
+static void step_alone(Group *g, Lane *lane, size_t k)
+{
+    Instance *c = lane->c;
+    BlockMessage message = {{0}};
+    double *x = c->work + (SOLVER_ARRAYS - 1) * g->layout.n_x;
+
+    get(g->group.x, x, g->layout.n_x, g->lanes, k);
+    lane->failed = solver_step(c, &lane->way, x, &message) != BLOCK_OK;
+    put(g->group.x, x, g->layout.n_x, g->lanes, k);
+    if (lane->failed) lane->way.count = lane->way.done = 0;
+}
+
 /* Substeps of all lanes until none has any left; a lane without rests (h = 0). */
 static void advance(Group *g, size_t n)
 {
@@ -201,7 +217,9 @@ static void advance(Group *g, size_t n)
         block_group_step(&g->group, lanes);
         for (size_t k = 0; k < n; ++k) {
             Stretch *way = &g->lane[k].way;
-            if (way->done == way->count || ++way->done < way->count) continue;
+            if (way->done == way->count) continue;
+            if (g->group.switched[k] > 0.0) step_alone(g, &g->lane[k], k);
+            if (g->lane[k].failed || ++way->done < way->count) continue;
             if (way->event < INFINITY) next_stretch(g, &g->lane[k], k);
         }
     }

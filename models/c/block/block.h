@@ -36,6 +36,20 @@ typedef struct {
     size_t n_iu, n_iy, n_iw, n_ip;
 } BlockLayout;
 
+/* How limiters are to be taken, for a runner that locates the instants at which they switch
+ * (limited_step.h). They switch where they are asked to, and */
+typedef enum {
+    LIMITS_NOTE,    /* what they are at is noted                                         */
+    LIMITS_WATCH,   /* `switched` is set where one is at something else than was noted   */
+    LIMITS_HOLD     /* they do not switch but stay at what was noted, if need be beyond their range */
+} LimitMode;
+typedef struct {
+    LimitMode mode;
+    int switched;
+    double worst;   /* LIMITS_HOLD: set to by how much a limiter is beyond its range at least, if it is more */
+    double *onto;   /* LIMITS_HOLD: states, of which those at a limit are put onto it, or null */
+} BlockLimits;
+
 typedef struct {
     const Record *record;   /* read-only data of the case or design            */
     BlockLayout layout;
@@ -50,13 +64,15 @@ typedef struct {
                              * that was handed over for the coming step, 0 = value only */
     double *memory;         /* SAVED discrete state of n_memory doubles        */
     double *scratch;        /* n_scratch doubles; contents mean nothing between calls */
+    double *notes;          /* n_notes doubles: written with LIMITS_NOTE                */
+    BlockLimits *limits;    /* of the coming call of block_derivatives, null: nothing is noted */
     size_t lanes;           /* of this machine, from block_start; 0: one number in each operation */
 } Block;
 
-/* What the runner must provide besides the variables; read from the record,
+/* What the runner must provide besides the variables (n_notes is 0 unless the block sets it); read from the record,
  * checked once at instantiation (sizes that disagree with the layout, unknown
  * format: BLOCK_ERROR). */
-typedef struct { size_t n_memory, n_scratch; } BlockNeeds;
+typedef struct { size_t n_memory, n_scratch, n_notes; } BlockNeeds;
 BlockStatus block_needs(const Record *record, const BlockLayout *layout,
                         BlockNeeds *needs, BlockMessage *message);
 

@@ -16,6 +16,8 @@ typedef struct {
     double *x, *u, *y;
     double *k;              /* 5 x n_x: stages of a step; its first n_x are dx/dt  */
     double *scratch;        /* n_scratch of each lane                             */
+    double *notes;          /* n_notes of each lane                               */
+    double *switched;       /* a lane in which a limiter switches: 1, and x is as it was (limited_step.h) */
     double *h;              /* step of each lane, 0 where it has nothing to do    */
     const double *u_poly;   /* [4*i+k]: k-th derivative of input i, or null: u is constant */
     const double *elapsed;  /* with u_poly: times of begin, middle and end of the step */
@@ -25,7 +27,7 @@ typedef struct {
 size_t block_group_lanes(void);
 /* Whether a started block can go beside others of its record. */
 int block_group_fits(const Block *b);
-/* One step of the classical Runge-Kutta method in each lane; changes x. */
+/* One step of the classical Runge-Kutta method in each lane; changes x, except in lanes `switched`. */
 void block_group_step(const BlockGroup *g, size_t lanes);
 /* Outputs y at x, and unless `rates` is 0 dx/dt at (x, u) into the first n_x of k. */
 void block_group_outputs(const BlockGroup *g, size_t lanes, int rates);

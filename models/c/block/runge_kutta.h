@@ -18,27 +18,40 @@
 /* Where in a step dx/dt is asked for. */
 typedef enum { RK_BEGIN, RK_MIDDLE, RK_MIDDLE_AGAIN, RK_END } RungeKuttaStage;
 
-/* dx/dt at `stage` of a step, at the states x, into k. */
-typedef BlockStatus RungeKuttaFlow(void *context, RungeKuttaStage stage, const RK_NUM *x, RK_NUM *k);
+/* dx/dt at `stage` of a step over h, at the states x, into k. */
+typedef BlockStatus RungeKuttaFlow(void *context, RungeKuttaStage stage, RK_NUM h, const RK_NUM *x, RK_NUM *k);
 
-/* One step of n states over h. work: 5 n numbers, the slopes of the stages and the states there.
- * Where the flow does not return BLOCK_OK, x is left as it was. */
-static inline BlockStatus runge_kutta_step(RungeKuttaFlow *flow, void *context, size_t n, RK_NUM h, RK_NUM *x,
+/* Slopes of the later stages of a step of n states over h from x, where the first are known.
+ * work: 5 n numbers, the slopes of the stages and the states there. */
+static inline BlockStatus runge_kutta_rest(RungeKuttaFlow *flow, void *context, size_t n, RK_NUM h, const RK_NUM *x,
                                            RK_NUM *work)
 {
     RK_NUM *k1 = work, *k2 = k1 + n, *k3 = k2 + n, *k4 = k3 + n, *at = k4 + n;
     BlockStatus status;
 
-    if ((status = flow(context, RK_BEGIN, x, k1)) != BLOCK_OK) return status;
     for (size_t i = 0; i < n; ++i) at[i] = x[i] + h / 2.0 * k1[i];
-    if ((status = flow(context, RK_MIDDLE, at, k2)) != BLOCK_OK) return status;
+    if ((status = flow(context, RK_MIDDLE, h, at, k2)) != BLOCK_OK) return status;
     for (size_t i = 0; i < n; ++i) at[i] = x[i] + h / 2.0 * k2[i];
-    if ((status = flow(context, RK_MIDDLE_AGAIN, at, k3)) != BLOCK_OK) return status;
+    if ((status = flow(context, RK_MIDDLE_AGAIN, h, at, k3)) != BLOCK_OK) return status;
     for (size_t i = 0; i < n; ++i) at[i] = x[i] + h * k3[i];
-    if ((status = flow(context, RK_END, at, k4)) != BLOCK_OK) return status;
+    return flow(context, RK_END, h, at, k4);
+}
+
+/* All slopes. */
+static inline BlockStatus runge_kutta_stages(RungeKuttaFlow *flow, void *context, size_t n, RK_NUM h, const RK_NUM *x,
+                                             RK_NUM *work)
+{
+    const BlockStatus status = flow(context, RK_BEGIN, h, x, work);
+    return status == BLOCK_OK ? runge_kutta_rest(flow, context, n, h, x, work) : status;
+}
+
+/* The step from its slopes. */
+static inline void runge_kutta_move(size_t n, RK_NUM h, RK_NUM *x, const RK_NUM *work)
+{
+    const RK_NUM *k1 = work, *k2 = k1 + n, *k3 = k2 + n, *k4 = k3 + n;
+
     for (size_t i = 0; i < n; ++i)
         x[i] = RK_MOVED(h, x[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]), x[i]);
-    return BLOCK_OK;
 }
 
 /* Steps of at most `longest` that fill `length`; what rounding adds to a whole number is none. */

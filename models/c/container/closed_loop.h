@@ -19,9 +19,11 @@
  * instant at which a packet comes out of a channel: its output is held between.
  * A supervisor sees a flag of validity at the instant at which it changes.       */
 #include <stdint.h>
+#include "../block/limited_step.h"
 #include "member.h"
 
 enum { LOOP_MEMBERS = 24, LOOP_MARKS = 4096, LOOP_EVENTS = 256, LOOP_SWEEPS = 50 };
+enum { LOOP_ARRAYS = LIMITED_STEP_ARRAYS };   /* of n_x in `work` */
 enum { KIND_PLANT = 0, KIND_CONTROLLER = 1, KIND_CHANNEL = 2, KIND_SUPERVISOR = 3, KIND_COUNT = 4 };
 
 /* Head of `memory`; then what the record says of the loop, read once. */
@@ -32,7 +34,7 @@ typedef struct {
     int direct;                             /* whether its outputs reach another member within a step */
     BlockLayout layout;
     size_t record, size, entries;           /* its record: where in the outer one, bytes, how many entries */
-    size_t n_memory;
+    size_t n_memory, n_notes;
 } LoopMemberPlan;
 
 typedef struct {
@@ -62,8 +64,9 @@ typedef struct {
     Block block[LOOP_MEMBERS];
     int u_order[LOOP_MEMBERS];              /* of a channel's one input                  */
     size_t first_u[LOOP_MEMBERS], first_y[LOOP_MEMBERS], first_x[LOOP_MEMBERS];
-    size_t first_iu[LOOP_MEMBERS];
+    size_t first_iu[LOOP_MEMBERS], first_note[LOOP_MEMBERS];
     size_t n_x, n_u, n_y, n_iu, n_iy;       /* of all members together                   */
+    size_t n_notes;                         /* of all members' limiters                  */
     size_t n_memory, n_scratch;             /* what the outer block needs                */
     const int32_t *wire;                    /* per input: the output that feeds it, or -1 */
     const int32_t *flag;                    /* the same of integer inputs and outputs    */
@@ -74,6 +77,7 @@ typedef struct {
     double *members;                        /* SAVED u, integer inputs, memory of each member */
     size_t n_members;
     /* scratch */
+    BlockLimits *limits;                    /* of the evaluation under way, or null      */
     double *saved, *saved_state, *saved_iy, *poly, *y0, *slope0, *work;
 } ClosedLoop;
 

@@ -1,6 +1,6 @@
 /* Stepping the closed loop: see closed_loop.h. */
 #include "closed_loop_step.h"
-#include "../block/runge_kutta.h"
+#include "../block/limited_step.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -61,10 +61,32 @@ static BlockStatus signals(ClosedLoop *l, double t, int all, const double *x, do
     return BLOCK_OK;
 }
 
+/* dx of member k; its limiters as those of the whole loop. */
+static BlockStatus derivatives(ClosedLoop *l, size_t k, double t, const double *x, const double *u, double *dx,
+                               BlockMessage *message)
+{
+    Block *inner = &l->block[k];
+    BlockLimits *whole = l->limits, own;
+
+    if (whole != NULL) {
+        own = *whole;
+        own.onto = whole->onto != NULL ? whole->onto + l->first_x[k] : NULL;
+        inner->limits = &own;
+    }
+    const BlockStatus status = l->member[k]->derivatives(inner, t, x + l->first_x[k], u + l->first_u[k],
+                                                         dx + l->first_x[k], message);
+    inner->limits = NULL;
+    if (whole != NULL) {
+        whole->switched = own.switched;
+        whole->worst = own.worst;
+    }
+    return status;
+}
+
 /* dx of plant and controller at `elapsed` into the step, channels along l->poly. */
 static BlockStatus flow(ClosedLoop *l, double t, double elapsed, const double *x, double *dx, BlockMessage *message)
 {
-    double *u = l->work + 5 * l->n_x, *y = u + l->n_u;
+    double *u = l->work + LOOP_ARRAYS * l->n_x, *y = u + l->n_u;
     BlockStatus status;
 
     for (size_t k = 0; k < l->count; ++k)
@@ -73,8 +95,7 @@ static BlockStatus flow(ClosedLoop *l, double t, double elapsed, const double *x
     if ((status = signals(l, t, 0, x, y, u, message)) != BLOCK_OK) return status;
     for (size_t k = 0; k < l->count; ++k) {
         if (l->kind[k] == KIND_CHANNEL) continue;
-        status = l->member[k]->derivatives(&l->block[k], t, x + l->first_x[k], u + l->first_u[k],
-                                           dx + l->first_x[k], message);
+        status = derivatives(l, k, t, x, u, dx, message);
         if (status != BLOCK_OK) return status;
     }
     return BLOCK_OK;
@@ -82,27 +103,31 @@ static BlockStatus flow(ClosedLoop *l, double t, double elapsed, const double *x
 
 typedef struct {
     ClosedLoop *l;
-    double t, elapsed, h;   /* Runge-Kutta step: where it begins, how long it is  */
+    double t, elapsed;      /* where the Runge-Kutta step begins                   */
     BlockMessage *message;
 } Flow;
 
-static BlockStatus stage_flow(void *context, RungeKuttaStage stage, const double *x, double *dx)
+static BlockStatus stage_flow(void *context, double into, BlockLimits *limits, const double *x, double *dx)
 {
     const Flow *f = context;
-    const double into = stage == RK_BEGIN ? 0.0 : stage == RK_END ? f->h : f->h / 2.0;
+    ClosedLoop *l = f->l;
 
-    return flow(f->l, f->t + into, f->elapsed + into, x, dx, f->message);
+    l->limits = limits;
+    const BlockStatus status = flow(l, f->t + into, f->elapsed + into, x, dx, f->message);
+    l->limits = NULL;
+    return status;
 }
 
 static BlockStatus integrate(ClosedLoop *l, double begin, double length, BlockMessage *message)
 {
     const long count = runge_kutta_count(length, l->internal_step);
-    Flow f = {l, begin, 0.0, length / (double)count, message};
+    Flow f = {l, begin, 0.0, message};
 
     for (long step = 0; step < count; ++step) {
         f.elapsed = length * ((double)step / (double)count);
         f.t = begin + f.elapsed;
-        const BlockStatus status = runge_kutta_step(stage_flow, &f, l->n_x, f.h, l->state, l->work);
+        const double h = length / (double)count;
+        const BlockStatus status = limited_step(stage_flow, &f, l->n_x, h, l->state, l->work);
         if (status != BLOCK_OK) return status;
     }
     return BLOCK_OK;
@@ -111,7 +136,7 @@ static BlockStatus integrate(ClosedLoop *l, double begin, double length, BlockMe
 /* Inputs, outputs and slopes of plant and controller where they now are. */
 static BlockStatus settle(ClosedLoop *l, double t, BlockMessage *message)
 {
-    double *dx = l->work, *vu = l->work + 5 * l->n_x, *y = l->outer->y;
+    double *dx = l->work, *vu = l->work + LOOP_ARRAYS * l->n_x, *y = l->outer->y;
     BlockStatus status = signals(l, t, 1, l->state, y, vu, message);
 
     if (status != BLOCK_OK) return status;

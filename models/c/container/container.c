@@ -7,8 +7,6 @@
 
 #include "../block/sampled.h"
 
-enum { WORK_VECTORS = 5 };
-
 static const double MOST_COARSE = 5.0;   /* times a tenth of the controllers' fastest time constant: stable, and exact to 1e-4 */
 
 static const MemberKind *const KINDS[KIND_COUNT] = {&plant_member, &controller_member, &channel_member,
@@ -60,7 +58,7 @@ static int layout_of(const Record *record, BlockLayout *n)
 static BlockStatus read_member(LoopMemberPlan *m, const Record *record, size_t k, int kind, int check, size_t *n_scratch,
                                BlockMessage *message)
 {
-    BlockNeeds needs;
+    BlockNeeds needs = {0, 0, 0};
     BlockStatus status;
 
     if (kind < 0 || kind >= KIND_COUNT) return unfit(message, "`loop.kinds`");
@@ -70,8 +68,10 @@ static BlockStatus read_member(LoopMemberPlan *m, const Record *record, size_t k
     if (layout_of(&inner, &m->layout) != 0) return unfit(message, "a member");
     if (kind == KIND_CHANNEL && (m->layout.n_u != 1 || m->layout.n_x != 0)) return unfit(message, "a channel");
     if ((status = KINDS[kind]->needs(&inner, &m->layout, &needs, message)) != BLOCK_OK) return status;
-    if (needs.n_memory > 1u << 24 || needs.n_scratch > 1u << 24) return unfit(message, "a member");
+    if (needs.n_memory > 1u << 24 || needs.n_scratch > 1u << 24 || needs.n_notes > 1u << 24)
+        return unfit(message, "a member");
     m->n_memory = needs.n_memory;
+    m->n_notes = needs.n_notes;
     if (needs.n_scratch > *n_scratch) *n_scratch = needs.n_scratch;
     return BLOCK_OK;
 }
@@ -80,8 +80,9 @@ static BlockStatus read_member(LoopMemberPlan *m, const Record *record, size_t k
 static void lay_out(ClosedLoop *l, const LoopPlan *plan)
 {
     l->plan = plan;
+    l->limits = NULL;
     l->count = plan->count;
-    l->n_x = l->n_u = l->n_y = l->n_iu = l->n_iy = l->n_members = 0;
+    l->n_x = l->n_u = l->n_y = l->n_iu = l->n_iy = l->n_members = l->n_notes = 0;
     for (size_t k = 0; k < plan->count; ++k) {
         const LoopMemberPlan *m = &plan->member[k];
 
@@ -92,15 +93,18 @@ static void lay_out(ClosedLoop *l, const LoopPlan *plan)
         l->first_u[k] = l->n_u;
         l->first_y[k] = l->n_y;
         l->first_iu[k] = l->n_iu;
+        l->first_note[k] = l->n_notes;
         l->n_x += m->layout.n_x;
         l->n_u += m->layout.n_u;
         l->n_y += m->layout.n_y;
         l->n_iu += m->layout.n_iu;
         l->n_iy += m->layout.n_iy;
         l->n_members += m->layout.n_u + m->layout.n_iu + m->n_memory;
+        l->n_notes += m->n_notes;
     }
     l->n_memory = LOOP_SAVED + 3 * l->n_y + l->n_x + l->n_members;
-    l->n_scratch = l->n_members + l->n_x + l->n_iy + 6 * l->n_y + WORK_VECTORS * l->n_x + l->n_u + l->n_y + plan->n_scratch;
+    l->n_scratch = l->n_members + l->n_x + l->n_iy + 6 * l->n_y + LOOP_ARRAYS * l->n_x + l->n_u + l->n_y + l->n_notes
+                   + plan->n_scratch;
 }
 
 /* What the members have together must be the outer layout. */
@@ -255,7 +259,9 @@ static BlockStatus open_loop(ClosedLoop *l, Block *b, BlockMessage *message)
         ip += inner->layout.n_ip;
         inner->u_order = &l->u_order[k];
         l->u_order[k] = 0;
-        inner->scratch = l->work + WORK_VECTORS * l->n_x + l->n_u + l->n_y;
+        inner->notes = l->work + LOOP_ARRAYS * l->n_x + l->n_u + l->n_y + l->first_note[k];
+        inner->limits = NULL;
+        inner->scratch = l->work + LOOP_ARRAYS * l->n_x + l->n_u + l->n_y + l->n_notes;
     }
     return BLOCK_OK;
 }

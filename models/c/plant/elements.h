@@ -1,6 +1,6 @@
 #ifndef INTERAREA_ELEMENTS_H
 #define INTERAREA_ELEMENTS_H
-#include "scalar.h"
+#include "notes.h"
 /* All that the generated device code calls (devices.h); models/devices/elements.py has
  * the same equations for Python. Non-windup limits, moving ones too, mean here:
  *
@@ -22,6 +22,7 @@ typedef struct {
     const stored *machine; /* n: the machine of each                                   */
     size_t n;
     uint64_t has;          /* which of the optional parts are there                    */
+    Notes notes;           /* of their decisions                                       */
 } DeviceGroup;
 
 /* One entry for each machine. */
@@ -31,6 +32,96 @@ typedef struct {
     cell *vc, *vs, *pm, *efd; /* what devices give                                     */
 } DeviceSignals;
 
+/* Limiters, gates and other kinks decide by comparing signals: decision i of a device is bit i of
+ * its word. A step of the solver in which a word changes is done again (block/limited_step.h) with
+ * the decisions held as they were at its begin, up to where the first no longer fits. PLANT_HELD
+ * compiles that: what a decision would be does not matter there, but `enter` is above 0 where one
+ * that is held off no longer fits, `leave` where one that is held on does not. */
+#if defined PLANT_LANES
+typedef word Decisions;
+#else
+typedef uint64_t Decisions;
+#endif
+typedef struct {
+    Decisions bits;
+#ifdef PLANT_HELD
+    double worst;
+#endif
+} Limiters;
+
+#ifdef PLANT_HELD
+static inline int limiter_is(const Limiters *l, unsigned i) { return (int)(l->bits >> i & 1u); }
+
+static inline flag limiter(Limiters *l, unsigned i, flag natural, num enter, num leave)
+{
+    const double overrun = limiter_is(l, i) ? leave : enter;
+    (void)natural;
+    if (overrun > l->worst) l->worst = overrun;
+    return limiter_is(l, i);
+}
+#else
+static inline flag limiter(Limiters *l, unsigned i, flag natural, num enter, num leave)
+{
+    (void)enter, (void)leave;
+#ifdef PLANT_LANES
+    l->bits |= (word)natural & ((uint64_t)1 << i);
+#else
+    l->bits |= (uint64_t)(natural != 0) << i;
+#endif
+    return natural;
+}
+#endif
+
+/* The word of device k before it decides, and what becomes of it after. */
+static inline Limiters limiters_begin(const DeviceGroup *g, size_t k)
+{
+#ifdef PLANT_HELD
+    const Limiters l = { real_bits(g->notes.words[k]), -1e300 };
+#else
+    const Limiters l = { (Decisions){ 0 } };
+    (void)g, (void)k;
+#endif
+    return l;
+}
+
+static inline void limiters_end(const DeviceGroup *g, size_t k, const Limiters *l)
+{
+#if defined PLANT_HELD
+    (void)k;
+    if (l->worst > *g->notes.worst) *g->notes.worst = l->worst;
+#elif defined PLANT_TANGENT
+    (void)g, (void)k, (void)l;
+#else
+    const Notes *notes = &g->notes;
+    if (notes->words == NULL) return;
+    if (notes->switched == NULL) {
+        memcpy(notes->words + k, &l->bits, sizeof l->bits);
+        return;
+    }
+    Decisions before;
+    memcpy(&before, notes->words + k, sizeof before);
+#if !defined PLANT_LANES
+    if (before != l->bits) *notes->switched = 1.0;
+#elif defined PLANT_TILE
+    for (size_t i = 0; i < PLANT_LANES; ++i)
+        if (before[i] != l->bits[i]) *notes->switched = 1.0;
+#else
+    *notes->switched = num_pick((flag)(before != l->bits), NUM(1.0), *notes->switched);
+#endif
+#endif
+}
+
+/* a > b, a >= b as decision i. */
+static inline flag limiter_above(Limiters *l, unsigned i, num a, num b)
+{
+    return limiter(l, i, num_above(a, b), a - b, b - a);
+}
+static inline flag limiter_reaches(Limiters *l, unsigned i, num a, num b)
+{
+    return limiter(l, i, num_reaches(a, b), a - b, b - a);
+}
+
+/* Without a word: of parameters, and where a device's decisions do not depend on it. */
 static inline num element_min(num a, num b) { return num_pick(num_above(a, b), b, a); }
 static inline num element_max(num a, num b) { return num_pick(num_above(b, a), b, a); }
 static inline num element_abs(num a) { return num_pick(num_above(NUM(0.0), a), -a, a); }
@@ -41,65 +132,131 @@ static inline num element_clamp(num a, num low, num high)
 }
 static inline num element_deadband(num a, num width) { return a - element_clamp(a, -width, width); }
 
-/* T dx/dt of a lag with limits. */
-static inline num element_lag_rate(num u, num x, num low, num high)
+/* The same with decisions from i on: 1, 1, 1, 2, 2. */
+static inline num limiter_min(Limiters *l, unsigned i, num a, num b) { return num_pick(limiter_above(l, i, a, b), b, a); }
+static inline num limiter_max(Limiters *l, unsigned i, num a, num b) { return num_pick(limiter_above(l, i, b, a), b, a); }
+static inline num limiter_abs(Limiters *l, unsigned i, num a)
 {
-    const flag above = num_above(u, high) & num_reaches(x, high);
-    const flag below = num_above(low, u) & num_reaches(low, x);
+    return num_pick(limiter_above(l, i, NUM(0.0), a), -a, a);
+}
+static inline num limiter_clamp(Limiters *l, unsigned i, num a, num low, num high)
+{
+    const flag below = limiter_above(l, i, low, a), above = limiter_above(l, i + 1, a, high);
+    return num_pick(below, low, num_pick(above, high, a));
+}
+/* A band without width does nothing and decides nothing. */
+static inline num limiter_deadband(Limiters *l, unsigned i, num a, num width)
+{
+    const flag wide = num_above(width, NUM(0.0)), below = num_above(-width, a), above = num_above(a, width);
+    const num no = NUM(-1e300);
+    const flag low = limiter(l, i, below & wide, num_pick(wide, -width - a, no), num_pick(wide, a + width, no));
+    const flag high = limiter(l, i + 1, above & wide, num_pick(wide, a - width, no), num_pick(wide, width - a, no));
+    return num_pick(wide, a - num_pick(low, -width, num_pick(high, width, a)), a - element_clamp(a, -width, width));
+}
+
+/* A state within its limits, decisions i .. i + 3: outside while it is free, low, outside while it
+ * is free, high; held at the lower limit, at the upper one. Both of the last are made with its rate. */
+static inline num limiter_state(Limiters *l, unsigned i, num x, num low, num high)
+{
+#ifdef PLANT_HELD
+    if (limiter_is(l, i + 2)) return low;
+    if (limiter_is(l, i + 3)) return high;
+#endif
+    return limiter_clamp(l, i, x, low, high);
+}
+
+/* At a limit it does not matter on which side of it rounding has put the state. */
+static inline void limiter_forget(Limiters *l, unsigned i, flag held)
+{
+#if defined PLANT_HELD
+    (void)l, (void)i, (void)held;
+#elif defined PLANT_LANES
+    l->bits &= ~((word)held & ((uint64_t)3 << i));
+#else
+    if (held) l->bits &= ~((uint64_t)3 << i);
+#endif
+}
+
+/* T dx/dt of a lag with limits. */
+static inline num limiter_lag_rate(Limiters *l, unsigned i, num u, num x, num low, num high)
+{
+    const flag at_low = num_above(low, u) & num_reaches(low, x), at_high = num_above(u, high) & num_reaches(x, high);
+    const flag below = limiter(l, i + 2, at_low & flag_not(at_high), element_min(low - u, low - x), u - low);
+    const flag above = limiter(l, i + 3, at_high, element_min(u - high, x - high), high - u);
+    limiter_forget(l, i, below | above);
     return num_pick(above, high, num_pick(below, low, u)) - x;
 }
 
 /* dx/dt of a state with limits whose rate would be `rate`; y is x within the limits. */
-static inline num element_held_rate(num rate, num x, num y, num low, num high, real per_T)
+static inline num limiter_held_rate(Limiters *l, unsigned i, num rate, num x, num y, num low, num high, real per_T)
 {
-    const flag above = num_reaches(x, high) & num_above(rate, NUM(0.0));
-    const flag below = num_reaches(low, x) & num_above(NUM(0.0), rate);
+    const flag at_low = num_reaches(low, x) & num_above(NUM(0.0), rate);
+    const flag at_high = num_reaches(x, high) & num_above(rate, NUM(0.0));
+    const flag below = limiter(l, i + 2, at_low, element_min(low - x, -rate), rate);
+    const flag above = limiter(l, i + 3, at_high, element_min(x - high, rate), -rate);
+    limiter_forget(l, i, below | above);
     return num_pick(above | below, (y - x) * per_T, rate);
 }
 
-/* The integral of a PI element stands while the whole pushes outwards. */
-static inline num element_pi_rate(num rate, num whole, num low, num high)
+/* The integral of a PI element stands while the whole pushes outwards: decisions i, i + 1. */
+static inline num limiter_pi_rate(Limiters *l, unsigned i, num rate, num whole, num low, num high)
 {
-    const flag above = num_above(whole, high) & num_above(rate, NUM(0.0));
-    const flag below = num_above(low, whole) & num_above(NUM(0.0), rate);
+    const flag out_low = num_above(low, whole) & num_above(NUM(0.0), rate);
+    const flag out_high = num_above(whole, high) & num_above(rate, NUM(0.0));
+    const flag below = limiter(l, i, out_low, element_min(low - whole, -rate), element_max(whole - low, rate));
+    const flag above = limiter(l, i + 1, out_high, element_min(whole - high, rate), element_max(high - whole, -rate));
     return num_pick(above | below, NUM(0.0), rate);
 }
+
+/* A state that is held goes exactly onto its limit, which may have moved. */
+#ifdef PLANT_HELD
+#define LIMITER_ONTO(l, i, g, at, low, high) do { \
+    if ((g)->notes.onto == NULL) break; \
+    if (limiter_is(l, (i) + 2) && (g)->notes.onto[at] > (low)) (g)->notes.onto[at] = (low); \
+    if (limiter_is(l, (i) + 3) && (g)->notes.onto[at] < (high)) (g)->notes.onto[at] = (high); \
+} while (0)
+#else
+#define LIMITER_ONTO(l, i, g, at, low, high) ((void)0)
+#endif
 
 static inline num element_sqrt(num a) { return num_sqrt(element_max(a, NUM(0.0))); }
 static inline num element_sin(num a) { num s, c; num_sincos(a, &s, &c); return s; }
 static inline num element_cos(num a) { num s, c; num_sincos(a, &s, &c); return c; }
 
 /* E SE(E) = B (E - A)^2 above A, the scaled quadratic of PSS/E, and its inverse with KE E. */
-static inline num element_vx(num e, num a, num b)
+static inline num limiter_vx(Limiters *l, unsigned i, num e, num a, num b)
 {
-    return num_pick(num_above(e, a), b * (e - a) * (e - a), NUM(0.0));
+    const flag bends = num_above(b, NUM(0.0));
+    const flag bent = limiter(l, i, num_above(e, a) & bends, num_pick(bends, e - a, NUM(-1e300)), a - e);
+    return num_pick(bent, b * (e - a) * (e - a), NUM(0.0));
 }
 
-static inline num element_vx_inverse(num f, num ke, num a, num b)
+static inline num limiter_vx_inverse(Limiters *l, unsigned i, num f, num ke, num a, num b)
 {
     const num linear = num_ratio(f, ke);
     const num root = num_sqrt(element_max(ke * ke + 4.0 * b * (f - ke * a), NUM(0.0)));
-    const flag bent = num_above(b, NUM(0.0)) & num_above(linear, a);
-    const num per = num_pick(num_above(b, NUM(0.0)), 2.0 * b, NUM(1.0));
+    const flag bends = num_above(b, NUM(0.0));
+    const flag bent = limiter(l, i, num_above(linear, a) & bends, num_pick(bends, linear - a, NUM(-1e300)), a - linear);
+    const num per = num_pick(bends, 2.0 * b, NUM(1.0));
     return num_pick(bent, a + num_ratio(root - ke, per), linear);
 }
 
 /* Regulation of a rectifier, continuous: 1/sqrt 3, sqrt 3/4 and sqrt 3 as they are, where
  * the standard prints 0.577, 0.433, 1.732.                                 [IEEE4215, annex D] */
-static inline num element_fex(num n)
+static inline num limiter_fex(Limiters *l, unsigned i, num n)
 {
     const num first = 1.0 - n * 0.57735026918962576, third = 1.7320508075688772 * (1.0 - n);
     const num second = element_sqrt(0.75 - n * n);
-    const num upper = num_pick(num_above(NUM(0.75), n), second,
-                               num_pick(num_above(NUM(1.0), n), third, NUM(0.0)));
-    return num_pick(num_above(n, NUM(0.0)), num_pick(num_reaches(NUM(0.43301270189221932), n), first, upper),
-                    num_pick(num_reaches(NUM(0.0), n), NUM(1.0), NUM(0.0)));
+    const flag loaded = limiter_above(l, i, n, NUM(0.0)), light = limiter_reaches(l, i + 1, NUM(0.43301270189221932), n);
+    const flag middle = limiter_above(l, i + 2, NUM(0.75), n), heavy = limiter_above(l, i + 3, NUM(1.0), n);
+    const num upper = num_pick(middle, second, num_pick(heavy, third, NUM(0.0)));
+    return num_pick(loaded, num_pick(light, first, upper), num_pick(num_reaches(n, n), NUM(1.0), NUM(0.0)));
 }
 
 /* One piece of a table: y1 + (u - x1) slope where u reaches x1, else what came before. */
-static inline num element_piece(num before, num u, num x1, num y1, num slope)
+static inline num limiter_piece(Limiters *l, unsigned i, num before, num u, num x1, num y1, num slope)
 {
-    return num_pick(num_reaches(u, x1), y1 + (u - x1) * slope, before);
+    return num_pick(limiter_reaches(l, i, u, x1), y1 + (u - x1) * slope, before);
 }
 
 #if !defined PLANT_TANGENT && !defined PLANT_LANES

@@ -22,6 +22,7 @@ typedef struct {
     num *newton;
     size_t lanes;
     int exact;   /* the ports' slopes are wanted at the solution */
+    Notes notes; /* of the devices' decisions                    */
 } Work;
 
 static Work work_arrays(num *scratch, const Plan *plan, size_t lanes)
@@ -168,15 +169,16 @@ static void hold_tripped(const real *memory, const Plan *plan, num *dx)
     }
 }
 
-static void run_groups(const real *memory, const Plan *plan, size_t lanes, size_t first, size_t last,
+static void run_groups(const real *memory, const Plan *plan, const Work *w, size_t first, size_t last,
                        const DeviceSignals *signals, const num *x, num *dx)
 {
     for (size_t k = first; k < last; ++k) {
         const real *row = memory + plan->group + G_ROWS * k;
-        const DeviceGroup group = { memory + index_at(row, G_TABLE), memory + index_at(row, G_MACHINE),
-                                    index_at(row, G_COUNT), (uint64_t)index_at(row, G_HAS) };
-        const size_t state = index_at(row, G_STATE);
-        TILED(device_run, lanes, group.n, index_at(row, G_DEVICE), &group, signals, x + state, dx + state);
+        const size_t state = index_at(row, G_STATE), machine = index_at(row, G_MACHINE);
+        const Notes notes = notes_of(&w->notes, machine - plan->device_machine, state);
+        const DeviceGroup group = { memory + index_at(row, G_TABLE), memory + machine, index_at(row, G_COUNT),
+                                    (uint64_t)index_at(row, G_HAS), notes };
+        TILED_DEVICES(device_run, w->lanes, group.n, index_at(row, G_DEVICE), &group, signals, x + state, dx + state);
     }
 }
 
@@ -200,10 +202,10 @@ static void solve_devices(const real *memory, const Plan *plan, const num *x, co
         w->pe[k] = w->vd[k] * w->id[k] + w->vq[k] * w->iq[k];
     }
     EVERY_MACHINE(machine_field_currents, plan, w, &machines);
-    run_groups(memory, plan, w->lanes, 0, plan->exciters, &signals, x, dx);
+    run_groups(memory, plan, w, 0, plan->exciters, &signals, x, dx);
     for (size_t k = 0; k < n; ++k) w->vs[k] += memory[plan->vref_step + k];
     for (size_t k = 0; k < plan->n_input; ++k) w->vs[index_at(of, k)] += u[k];
-    run_groups(memory, plan, w->lanes, plan->exciters, plan->n_group, &signals, x, dx);
+    run_groups(memory, plan, w, plan->exciters, plan->n_group, &signals, x, dx);
 }
 
 /* Rates of machines and controls from the machines' terminals. */
@@ -221,12 +223,13 @@ static void solve_rates(const real *memory, const Plan *plan, const num *x, cons
 }
 
 size_t NAME(plant_flow)(real *memory, const int32_t *places, size_t lanes, const num *x, const num *u, num *dx,
-                        num *scratch)
+                        num *scratch, Notes notes)
 {
     Plan own;
     const Plan *plan = plan_in(memory, &own);
     const Pattern pattern = pattern_of(places, plan);
     Work w = work_arrays(scratch, plan, lanes);
+    w.notes = notes;
 
     const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
@@ -234,6 +237,7 @@ size_t NAME(plant_flow)(real *memory, const int32_t *places, size_t lanes, const
     return 0;
 }
 
+#ifndef PLANT_HELD
 /* Centres of inertia of the parts of the network, each at the number of its first machine: of several
  * scenarios each has parts of its own. */
 #ifdef PLANT_LANES
@@ -339,5 +343,6 @@ size_t plant_settle(double *memory, const int32_t *places, size_t lanes, const d
     w.exact = 1;
     return plan->n_port > 0 ? solve_network(memory, plan, &pattern, x, &w) : 0;
 }
+#endif
 #endif
 #endif

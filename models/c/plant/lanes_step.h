@@ -29,20 +29,26 @@ static void stage_inputs(const BlockGroup *g, size_t at)
         u[i] = p[0] + elapsed * (p[1] + elapsed / 2.0 * (p[2] + elapsed / 3.0 * p[3]));
 }
 
-static BlockStatus lane_flow(void *context, RungeKuttaStage stage, const num *x, num *k)
+static BlockStatus lane_flow(void *context, RungeKuttaStage stage, num h, const num *x, num *k)
 {
     const BlockGroup *g = context;
+    const Notes notes = { lanes_of(g->notes), stage == RK_BEGIN ? NULL : lanes_of(g->switched), NULL, NULL };
 
+    (void)h;
     if (stage != RK_MIDDLE_AGAIN) stage_inputs(g, stage == RK_BEGIN ? 0 : stage == RK_END ? 2 : 1);
-    (void)NAME(plant_flow)(lanes_of(g->memory), places_of(g), 0, x, lanes_of(g->u), k, lanes_of(g->scratch));
+    (void)NAME(plant_flow)(lanes_of(g->memory), places_of(g), 0, x, lanes_of(g->u), k, lanes_of(g->scratch), notes);
     return BLOCK_OK;
 }
 
 void LANES_STEP(const BlockGroup *g)
 {
     BlockGroup context = *g;
+    num *switched = lanes_of(g->switched), *x = lanes_of(g->x), *k = lanes_of(g->k), h = *lanes_of(g->h);
 
-    (void)runge_kutta_step(lane_flow, &context, g->layout->n_x, *lanes_of(g->h), lanes_of(g->x), lanes_of(g->k));
+    *switched = NUM(0.0);
+    (void)runge_kutta_stages(lane_flow, &context, g->layout->n_x, h, x, k);
+    h = num_pick(num_above(*switched, NUM(0.0)), NUM(0.0), h);
+    runge_kutta_move(g->layout->n_x, h, x, k);
 }
 
 void LANES_OUTPUTS(const BlockGroup *g)
@@ -53,5 +59,5 @@ void LANES_OUTPUTS(const BlockGroup *g)
 void LANES_RATES(const BlockGroup *g)
 {
     (void)NAME(plant_flow)(lanes_of(g->memory), places_of(g), 0, lanes_of(g->x), lanes_of(g->u), lanes_of(g->k),
-                           lanes_of(g->scratch));
+                           lanes_of(g->scratch), NO_NOTES);
 }

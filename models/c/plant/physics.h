@@ -1,12 +1,16 @@
 #ifndef INTERAREA_PHYSICS_H
 #define INTERAREA_PHYSICS_H
 #include "layout.h"
+#include "notes.h"
 
 /* The right-hand side and the outputs (flow.h), by flow.c and tangent.c. Each returns 0, or 1 + the port
  * where Newton's method fails. Of memory they change only the ports' warm start. places: the pattern of a
  * sparse network (sparse.h). lanes: width of the tiles (tiles.h), 0 for none. scratch: flow_work(plan) numbers. */
 size_t plant_flow(double *memory, const int32_t *places, size_t lanes, const double *x, const double *u, double *dx,
-                  double *scratch);
+                  double *scratch, Notes notes);
+/* With the devices' decisions as they were noted. */
+size_t plant_flow_held(double *memory, const int32_t *places, size_t lanes, const double *x, const double *u, double *dx,
+                       double *scratch, Notes notes);
 size_t plant_outputs(double *memory, const int32_t *places, size_t lanes, const double *x, double *y, double *scratch);
 size_t plant_locals(double *memory, const int32_t *places, size_t lanes, const double *x, const double *u,
                     double *locals, double *scratch, double *dx);
@@ -14,7 +18,7 @@ size_t plant_settle(double *memory, const int32_t *places, size_t lanes, const d
 
 #ifdef PLANT_TANGENT
 size_t plant_flow_tangent(double *memory, const int32_t *places, size_t lanes, const num *x, const num *u, num *dx,
-                          num *scratch);
+                          num *scratch, Notes notes);
 size_t plant_outputs_tangent(double *memory, const int32_t *places, size_t lanes, const num *x, num *y, num *scratch);
 #endif
 /* The complex step itself; scratch as for the functions above, complex. */

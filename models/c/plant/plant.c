@@ -42,6 +42,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
     if (status != BLOCK_OK) return status;
     needs->n_memory = plan.total;
     needs->n_scratch = scratch_of(&plan, layout);
+    needs->n_notes = plan.n_device;
     return BLOCK_OK;
 }
 
@@ -97,8 +98,23 @@ static BlockStatus not_started(BlockMessage *message)
 BlockStatus block_derivatives(Block *b, double t, const double *x, const double *u, double *dx,
                               BlockMessage *message)
 {
+    BlockLimits *limits = b->limits;
+    double switched = 0.0;
+    Notes notes = NO_NOTES;
+    size_t stuck;
+
     if (!(b->memory[H_READY] == READY)) return not_started(message);
-    const size_t stuck = plant_flow(b->memory, places_of(b), b->lanes, x, u, dx, b->scratch);
+    if (limits != NULL) {
+        notes.words = b->notes;
+        notes.switched = limits->mode == LIMITS_WATCH ? &switched : NULL;
+        notes.worst = &limits->worst;
+        notes.onto = limits->onto;
+    }
+    if (limits != NULL && limits->mode == LIMITS_HOLD)
+        stuck = plant_flow_held(b->memory, places_of(b), b->lanes, x, u, dx, b->scratch, notes);
+    else
+        stuck = plant_flow(b->memory, places_of(b), b->lanes, x, u, dx, b->scratch, notes);
+    if (switched > 0.0) limits->switched = 1;
     return stuck == 0 ? BLOCK_OK : unsolved(b, stuck, t, message);
 }
 

@@ -30,7 +30,9 @@ typedef int flag;
 typedef double num;
 typedef double real;
 typedef int flag;
+#ifndef NAME
 #define NAME(f) f
+#endif
 #define PART(a) (a)
 #endif
 

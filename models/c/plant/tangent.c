@@ -76,7 +76,7 @@ size_t plant_directional(double *memory, const int32_t *places, const BlockLayou
     for (size_t k = 0; k < layout->n_x; ++k) z[k] = with_slope(x[k], H * vx[k]);
     for (size_t k = 0; k < layout->n_u; ++k) input[k] = with_slope(u[k], H * vu[k]);
     if (vdx != NULL) {
-        stuck = plant_flow_tangent(memory, places, 0, z, input, rates, work);
+        stuck = plant_flow_tangent(memory, places, 0, z, input, rates, work, NO_NOTES);
         for (size_t k = 0; k < layout->n_x; ++k) vdx[k] = cimag(rates[k]) / H;
     }
     if (vy != NULL && stuck == 0) {

@@ -26,4 +26,9 @@ DeviceRun device_run_4, device_run_8;
 #else
 #define TILED(f, lanes, count, ...) ((void)(lanes), f(__VA_ARGS__))
 #endif
+#ifdef PLANT_HELD   /* decisions are held one device at a time */
+#define TILED_DEVICES(f, lanes, count, ...) ((void)(lanes), f(__VA_ARGS__))
+#else
+#define TILED_DEVICES TILED
+#endif
 #endif

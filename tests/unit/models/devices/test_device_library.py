@@ -150,14 +150,40 @@ void drive(size_t device, size_t n, uint64_t has, size_t lanes, double *table, c
 void drive(size_t device, size_t n, uint64_t has, size_t lanes, double *table, const double *machine,
            const DeviceSignals *in, const double *x, double *dx)
 {
-    const DeviceGroup group = { table, machine, n, has };
+    const DeviceGroup group = { table, machine, n, has, NO_NOTES };
     device_prepare(device, table, n);
     TILED(device_run, lanes, n, device, &group, in, x, dx);
+}
+/* The decisions at x into words, or at x whether they are others. */
+int note(size_t device, size_t n, uint64_t has, size_t lanes, double *table, const double *machine,
+         const DeviceSignals *in, const double *x, double *dx, double *words, int watch);
+int note(size_t device, size_t n, uint64_t has, size_t lanes, double *table, const double *machine,
+         const DeviceSignals *in, const double *x, double *dx, double *words, int watch)
+{
+    double switched = 0.0;
+    const DeviceGroup group = { table, machine, n, has, { words, watch ? &switched : NULL, NULL, NULL } };
+    TILED(device_run, lanes, n, device, &group, in, x, dx);
+    return switched > 0.0;
 }
 size_t rows_of(size_t device);
 size_t rows_of(size_t device) { return device_rows(device); }
 size_t lanes_of_this_machine(void);
 size_t lanes_of_this_machine(void) { return processor_lanes(); }
+"""
+HELD = """
+#define PLANT_HELD
+#define NAME(f) f##_held
+#include "devices.h"
+double hold(size_t device, size_t n, uint64_t has, double *table, const double *machine,
+            const DeviceSignals *in, const double *x, double *dx, double *words, double *onto);
+double hold(size_t device, size_t n, uint64_t has, double *table, const double *machine,
+            const DeviceSignals *in, const double *x, double *dx, double *words, double *onto)
+{
+    double worst = -INFINITY;
+    const DeviceGroup group = { table, machine, n, has, { words, NULL, &worst, onto } };
+    device_run(device, &group, in, x, dx);
+    return worst;
+}
 """
 #: members of DeviceSignals, in the order of elements.h
 MEMBERS = ("vt", "vd", "vq", "id", "iq", "pe", "slip", "ifd", "pref_step", "vc", "vs", "pm", "efd")
@@ -170,15 +196,23 @@ class Driver:
         self.models = list(models)
         source = folder / "driver.c"
         source.write_text(DRIVER)
+        held = folder / "held.c"
+        held.write_text(HELD)
         header = header_of(self.models)
         flags = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion")
         tiles = (PLANT / "tile_4.c", PLANT / "tile_8.c")
-        path = compile_shared((source, header, *tiles), (*flags, "-Werror", f"-I{PLANT}"))
+        path = compile_shared((source, held, header, *tiles), (*flags, "-Werror", f"-I{PLANT}"))
         self.c = ctypes.CDLL(str(path))
         self.c.rows_of.restype = self.c.lanes_of_this_machine.restype = ctypes.c_size_t
+        self.c.hold.restype = ctypes.c_double
+        self.words = np.zeros(64)
 
-    def run(self, model, instances, xs, inputs, lanes=0):
-        """Rates and outputs of devices of one structure next to each other, `lanes` at a time."""
+    def run(self, model, instances, xs, inputs, lanes=0, way="drive"):
+        """Rates and outputs of devices of one structure next to each other, `lanes` at a time.
+
+        way : "note" and "watch" their decisions, `self.found` whether they are others; "hold" them,
+            `self.found` by how much the one that fits least is overrun, `self.onto` the states on their limits
+        """
         device, n = self.models.index(model), len(instances)
         table = np.zeros((self.c.rows_of(ctypes.c_size_t(device)), n))
         for k, instance in enumerate(instances):
@@ -189,12 +223,18 @@ class Driver:
         signals = {key: np.array([seen.get(key, 0.0) for seen in inputs], dtype=float) for key in MEMBERS}
         pointers = (ctypes.c_void_p * len(MEMBERS))(*(signals[key].ctypes.data for key in MEMBERS))
         where = np.arange(n, dtype=float)
-        self.c.drive(
-            ctypes.c_size_t(device), ctypes.c_size_t(n), ctypes.c_uint64(instances[0].has),
-            ctypes.c_size_t(lanes),
-            table.ctypes.data_as(ctypes.c_void_p), where.ctypes.data_as(ctypes.c_void_p), pointers,
-            x.ctypes.data_as(ctypes.c_void_p), dx.ctypes.data_as(ctypes.c_void_p),
-        )  # fmt: skip
+        first = [ctypes.c_size_t(device), ctypes.c_size_t(n), ctypes.c_uint64(instances[0].has)]
+        wide = [ctypes.c_size_t(lanes)]
+        arrays = [a.ctypes.data_as(ctypes.c_void_p) for a in (table, where)] + [pointers]
+        arrays += [a.ctypes.data_as(ctypes.c_void_p) for a in (x, dx)]
+        self.c.drive(*first, *wide, *arrays)
+        words, self.onto = self.words.ctypes.data_as(ctypes.c_void_p), x.copy()
+        if way in ("note", "watch"):
+            self.found = self.c.note(*first, *wide, *arrays, words, ctypes.c_int(way == "watch"))
+        elif way == "hold":
+            onto = self.onto.ctypes.data_as(ctypes.c_void_p)
+            dx[:], signals[model.device.output][:] = np.nan, 0.0
+            self.found = self.c.hold(*first, *arrays, words, onto)
         return dx.T, signals[model.device.output]
 
 
@@ -235,6 +275,50 @@ def test_devices_side_by_side_have_the_bits_of_each_alone(driver, name):
             found = driver.run(instance.model, [instance] * len(xs), xs, seen, lanes)
             np.testing.assert_array_equal(found[0], alone[0])
             np.testing.assert_array_equal(found[1], alone[1])
+
+
+@pytest.mark.parametrize("name", TYPICAL)
+def test_decisions_held_where_they_were_made_give_the_same_bits(driver, name):
+    """Noted by any number of lanes; none is overrun there, and held states are on their limits or inside."""
+    point, inputs = at_rest(name)
+    instance, rng = point.instance, np.random.default_rng(13)
+    xs = [
+        np.array(point.states) + s * rng.standard_normal(len(point.states))
+        for s in np.geomspace(1e-3, 3.0, 13)
+    ]
+    seen = [{k: v + 0.3 * rng.standard_normal() for k, v in inputs.items()} for _ in xs]
+    free = driver.run(instance.model, [instance] * len(xs), xs, seen)
+    for lanes in (0, *(n for n in (4, 8) if n <= driver.c.lanes_of_this_machine())):
+        driver.words[:] = np.nan
+        driver.run(instance.model, [instance] * len(xs), xs, seen, lanes, "note")
+        driver.run(instance.model, [instance] * len(xs), xs, seen, lanes, "watch")
+        assert not driver.found
+        held = driver.run(instance.model, [instance] * len(xs), xs, seen, way="hold")
+        np.testing.assert_array_equal(held[0], free[0])
+        np.testing.assert_array_equal(held[1], free[1])
+        assert driver.found <= 0.0
+        np.testing.assert_array_equal(driver.onto.T, np.array(xs))
+
+
+def test_a_limit_overrun_is_watched_and_measured(driver):
+    """SEXS: noted inside its limits, then the field voltage 0.7 above the upper one, its input above that."""
+    point, inputs = at_rest("SEXS")
+    instance = point.instance
+    inside, beyond = np.array(point.states), np.array(point.states)
+    at = [s for s in instance.state_names].index("efd")
+    beyond[at] = instance.values["EMAX"] + 0.7
+    inputs = inputs | {"vs": 10.0}
+    driver.run(instance.model, [instance], [inside], [inputs], way="note")
+    driver.run(instance.model, [instance], [beyond], [inputs], way="watch")
+    assert driver.found
+    driver.run(instance.model, [instance], [beyond], [inputs], way="hold")
+    assert driver.found == pytest.approx(0.7, rel=1e-12)
+    driver.run(instance.model, [instance], [beyond], [inputs], way="note")
+    below = beyond.copy()
+    below[at] -= 0.9  # behind its limit, as where that rises
+    rates, outputs = driver.run(instance.model, [instance], [below], [inputs], way="hold")
+    assert outputs[0] == instance.values["EMAX"] == driver.onto[at, 0]
+    assert rates[0][at] == pytest.approx(0.2 / instance.values["TE"], rel=1e-12)
 
 
 @pytest.mark.parametrize("name", ["ESST1A", "EXAC1", "IEEEST", "PSS2B", "HYGOV"])

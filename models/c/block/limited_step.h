@@ -1,0 +1,181 @@
+#ifndef INTERAREA_LIMITED_STEP_H
+#define INTERAREA_LIMITED_STEP_H
+/* A Runge-Kutta step that keeps its order where limiters switch in it.
+ *
+ * As long as they stay where they are at the begin of the step, it is the step of runge_kutta.h, to
+ * the bit. Where one is found elsewhere in a later stage, the step is done again with all limiters
+ * held, so that its right-hand side is smooth, as far as the instant at which the first of them gets
+ * beyond its range; from just after it on the limiters are as they now are. That instant is found
+ * on the cubic through values and slopes at both ends, then by short steps that end there.        */
+#include <string.h>
+
+#include "runge_kutta.h"
+
+/* Arrays of n that a step needs. */
+enum { LIMITED_STEP_ARRAYS = 9 };
+
+/* dx/dt at x, `into` seconds after the begin of the step, limiters as `limits` says. */
+typedef BlockStatus LimitedFlow(void *context, double into, BlockLimits *limits, const double *x, double *k);
+
+typedef struct {
+    LimitedFlow *flow;
+    void *context;
+    size_t n;
+    double done;              /* of the step, s                                         */
+    double *work, *x;         /* 5 n of runge_kutta.h; where the part of the step begins */
+    double *end, *slope, *at; /* where it ends: states, their slopes; another point      */
+    BlockLimits limits;
+} LimitedStep;
+
+static inline BlockStatus limited_stage(void *context, RungeKuttaStage stage, double h, const double *x, double *k)
+{
+    LimitedStep *s = context;
+    const double into = stage == RK_BEGIN ? 0.0 : stage == RK_END ? h : h / 2.0;
+
+    if (s->limits.mode != LIMITS_HOLD) s->limits.mode = stage == RK_BEGIN ? LIMITS_NOTE : LIMITS_WATCH;
+    return s->flow(s->context, s->done + into, &s->limits, x, k);
+}
+
+/* By how much a limiter is beyond its range at x, `into` seconds after s->done; states held go onto
+ * their limits in s->at. */
+static inline BlockStatus limited_overrun(LimitedStep *s, double into, const double *x, double *k, double *overrun)
+{
+    s->limits.mode = LIMITS_HOLD;
+    s->limits.worst = -INFINITY;
+    s->limits.onto = s->at;
+    const BlockStatus status = s->flow(s->context, s->done + into, &s->limits, x, k);
+    s->limits.onto = NULL;
+    *overrun = s->limits.worst;
+    return status;
+}
+
+/* From s->x over h with limiters held: s->end, and in s->at with held states on their limits. */
+static inline BlockStatus limited_try(LimitedStep *s, double h, double *overrun)
+{
+    BlockStatus status;
+
+    s->limits.mode = LIMITS_HOLD;
+    if ((status = runge_kutta_rest(limited_stage, s, s->n, h, s->x, s->work)) != BLOCK_OK) return status;
+    memcpy(s->end, s->x, s->n * sizeof(double));
+    runge_kutta_move(s->n, h, s->end, s->work);
+    memcpy(s->at, s->end, s->n * sizeof(double));
+    return limited_overrun(s, h, s->end, s->slope, overrun);
+}
+
+/* Two points of the cubic: where the limiters are within their ranges, and where one is beyond. */
+typedef struct { double low, high, at_low, at_high; } LimitedBracket;
+
+/* Narrows the bracket to where, on the cubic over h, the first limiter gets beyond its range, by
+ * regula falsi (Illinois). Gives the secant's root there and its slope. */
+static inline BlockStatus limited_cubic(LimitedStep *s, double h, LimitedBracket b, double *root, double *slope)
+{
+    enum { MOST = 4 };
+    const double *k1 = s->work;
+    double *x = s->work + 4 * s->n, *k = s->work + s->n, last = b.high, at_last = b.at_high;
+
+    *slope = (b.at_high - b.at_low) / (b.high - b.low);
+    for (int count = 0; count < MOST; ++count) {
+        double share = b.at_low / (b.at_low - b.at_high), value;
+        if (!(share > 0.01)) share = 0.01;
+        if (!(share < 0.99)) share = 0.99;
+        const double into = b.low + share * (b.high - b.low), q = into / h, r = 1.0 - q;
+        for (size_t i = 0; i < s->n; ++i)
+            x[i] = r * r * ((1.0 + 2.0 * q) * s->x[i] + q * h * k1[i])
+                   + q * q * ((1.0 + 2.0 * r) * s->end[i] - r * h * s->slope[i]);
+        const BlockStatus status = limited_overrun(s, into, x, k, &value);
+        if (status != BLOCK_OK) return status;
+        const double steep = (value - at_last) / (into - last);
+        if (steep > 0.0 && steep < INFINITY) *slope = steep;
+        last = into;
+        at_last = value;
+        if (value > 0.0) {
+            b.high = into;
+            b.at_high = value;
+            b.at_low *= 0.5;
+        } else {
+            b.low = into;
+            b.at_low = value;
+            b.at_high *= 0.5;
+        }
+        if (fabs(value) <= 1e-4 * h * *slope) break;
+    }
+    *root = last - at_last / *slope;
+    return BLOCK_OK;
+}
+
+/* To just after the first limiter's switch in h, which is overrun there; how far that is. */
+static inline BlockStatus limited_land(LimitedStep *s, double h, double overrun, double *landed)
+{
+    enum { MOST = 8 };
+    const double close = 1e-9 * h;
+    double low = 0.0, high = h, slope, into, last = 0.0, at_last = 0.0;
+    BlockStatus status = limited_overrun(s, 0.0, s->x, s->work + s->n, &at_last);
+
+    if (status != BLOCK_OK) return status;
+    const LimitedBracket whole = {0.0, h, at_last, overrun};
+    if ((status = limited_cubic(s, h, whole, &into, &slope)) != BLOCK_OK) return status;
+    into += close;
+    for (int count = 0;; ++count) {
+        if (!(into > low && into < high)) into = 0.5 * (low + high);
+        if (count == MOST) into = high;
+        if ((status = limited_try(s, into, &overrun)) != BLOCK_OK) return status;
+        if (count == MOST || (overrun > 0.0 && overrun <= 4.0 * close * slope)) break;
+        if (overrun > 0.0) high = into;
+        else low = into;
+        const double steep = (overrun - at_last) / (into - last);
+        if (count > 0 && steep > 0.0 && steep < INFINITY) slope = steep;
+        last = into;
+        at_last = overrun;
+        into += close - overrun / slope;
+    }
+    *landed = into;
+    return BLOCK_OK;
+}
+
+/* The step in parts between switches. */
+static inline BlockStatus limited_again(LimitedStep *s, double h, double *x)
+{
+    enum { MOST = 12 };
+    const size_t size = s->n * sizeof(double);
+    BlockStatus status;
+
+    memcpy(s->x, x, size);
+    for (int count = 0; count < MOST && s->done < h; ++count) {
+        double overrun, landed;
+        if (count > 0) {
+            s->limits.mode = LIMITS_NOTE;
+            if ((status = s->flow(s->context, s->done, &s->limits, s->x, s->work)) != BLOCK_OK) return status;
+        }
+        if ((status = limited_try(s, h - s->done, &overrun)) != BLOCK_OK) return status;
+        if (!(overrun > 0.0)) {
+            memcpy(x, s->at, size);
+            return BLOCK_OK;
+        }
+        if ((status = limited_land(s, h - s->done, overrun, &landed)) != BLOCK_OK) return status;
+        memcpy(s->x, s->at, size);
+        s->done += landed;
+    }
+    if (s->done < h) {   /* more switches than that: over the rest of them without looking */
+        s->limits.mode = LIMITS_NOTE;
+        status = runge_kutta_stages(limited_stage, s, s->n, h - s->done, s->x, s->work);
+        if (status != BLOCK_OK) return status;
+        runge_kutta_move(s->n, h - s->done, s->x, s->work);
+    }
+    memcpy(x, s->x, size);
+    return BLOCK_OK;
+}
+
+/* One step of n states over h. work: LIMITED_STEP_ARRAYS n numbers. Where the flow does not return
+ * BLOCK_OK, x is left as it was. */
+static inline BlockStatus limited_step(LimitedFlow *flow, void *context, size_t n, double h, double *x, double *work)
+{
+    LimitedStep s = {.flow = flow, .context = context, .n = n, .work = work, .x = work + 5 * n, .end = work + 6 * n,
+                     .slope = work + 7 * n, .at = work + 8 * n, .limits = {.mode = LIMITS_NOTE}};
+    const BlockStatus status = runge_kutta_stages(limited_stage, &s, n, h, x, work);
+
+    if (status != BLOCK_OK) return status;
+    if (s.limits.switched) return limited_again(&s, h, x);
+    runge_kutta_move(n, h, x, work);
+    return BLOCK_OK;
+}
+#endif
