@@ -6,6 +6,7 @@
 #include <time.h>
 
 #include "block.h"
+#include "limited_step.h"
 #include "layout.h"
 #include "physics.h"
 #include "sparse.h"
@@ -14,7 +15,9 @@ typedef struct {
     Record record;
     Block block;
     BlockMessage message;
-    double *k;               /* 5 n_x */
+    double *k;               /* of limited_step */
+    double t;                /* where the step under way begins */
+    long evaluations, switches;
 } Plain;
 
 static double *zeros(size_t n) { return calloc(n + 1, sizeof(double)); }
@@ -40,7 +43,8 @@ void *plain_open(const void *bytes, size_t size, const size_t counts[9], const d
     b->ip = calloc(b->layout.n_ip + 1, sizeof(int));
     b->memory = zeros(needs.n_memory);
     b->scratch = zeros(needs.n_scratch);
-    c->k = zeros(5 * b->layout.n_x);
+    b->notes = zeros(needs.n_notes);
+    c->k = zeros(LIMITED_STEP_ARRAYS * b->layout.n_x);
     if (b->ip == NULL) return NULL;
     memcpy(b->x, x0, b->layout.n_x * sizeof(double));
     memcpy(b->p, parameters, b->layout.n_p * sizeof(double));
@@ -75,5 +79,41 @@ double plain_run(void *plant, long steps, double h)
         plant_flow(b->memory, places, b->lanes, x, b->u, k4, b->scratch, NO_NOTES);
         for (size_t i = 0; i < n; ++i) b->x[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
     }
+    return (double)(clock() - begin) / CLOCKS_PER_SEC;
+}
+
+/* dx/dt, counted; a switch begins with limiters noted in the middle of a step. */
+static BlockStatus counted(void *context, double into, BlockLimits *limits, const double *x, double *k)
+{
+    Plain *c = context;
+    c->evaluations += 1;
+    c->switches += limits->mode == LIMITS_NOTE && into > 0.0;
+    c->block.limits = limits;
+    const BlockStatus status = block_derivatives(&c->block, c->t + into, x, c->block.u, k, &c->message);
+    c->block.limits = NULL;
+    return status;
+}
+
+/* CPU seconds to `stop` in steps of at most h between events, as the FMU takes them; the counts of
+ * evaluations of the right-hand side and of switches of limiters that were located. -1: it failed. */
+double plain_events(void *plant, double stop, double h, long counts[2])
+{
+    Plain *c = plant;
+    Block *b = &c->block;
+    const clock_t begin = clock();
+
+    c->evaluations = c->switches = 0;
+    for (double from = 0.0; from < stop;) {
+        const double event = block_next_event(b, from), to = event < stop ? event : stop;
+        const long count = runge_kutta_count(to - from, h);
+        for (long k = 0; k < count; ++k) {
+            c->t = from + (to - from) * ((double)k / (double)count);
+            if (limited_step(counted, c, b->layout.n_x, (to - from) / (double)count, b->x, c->k) != BLOCK_OK) return -1.0;
+        }
+        if (event <= stop && block_event(b, event, b->x, &c->message) != BLOCK_OK) return -1.0;
+        from = to;
+    }
+    counts[0] = c->evaluations;
+    counts[1] = c->switches;
     return (double)(clock() - begin) / CLOCKS_PER_SEC;
 }

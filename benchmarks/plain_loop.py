@@ -73,6 +73,17 @@ class PlainPlant:
         self._c.plain_states(ctypes.c_void_p(self._plant), values.ctypes.data_as(ctypes.c_void_p))
         return values
 
+    def events(self, stop_s: float, step_s: float) -> tuple[float, int, int]:
+        """Return CPU seconds, evaluations and located switches of a run with its events; it ends at `stop_s`."""
+        counts = (ctypes.c_long * 2)()
+        self._c.plain_events.restype = ctypes.c_double
+        seconds = self._c.plain_events(
+            ctypes.c_void_p(self._plant), ctypes.c_double(stop_s), ctypes.c_double(step_s), counts
+        )
+        if not seconds >= 0.0:
+            raise RuntimeError(f"the plain loop fails before {stop_s:g} s in steps of {step_s:g} s")
+        return float(seconds), int(counts[0]), int(counts[1])
+
     def cpu_s(self, stop_s: float, step_s: float) -> float:
         """Return the CPU seconds of a run of `stop_s` in steps of `step_s`."""
         plant, steps = ctypes.c_void_p(self._plant), ctypes.c_long(round(stop_s / step_s))

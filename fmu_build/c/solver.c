@@ -36,7 +36,7 @@ static BlockStatus flow(void *context, double into, BlockLimits *limits, const d
 BlockStatus solver_step(Instance *c, const Stretch *s, double *x, BlockMessage *message)
 {
     const size_t n = c->block.layout.n_x;
-    Flow f = {c, s->begin, stretch_elapsed(s), c->work + LIMITED_STEP_ARRAYS * n, message};
+    Flow f = {c, s->begin, stretch_elapsed(s), c->work + SOLVER_ARRAYS * n, message};
 
     return limited_step(flow, &f, n, stretch_h(s), x, c->work);
 }

@@ -107,8 +107,8 @@ def _integration(point: OperatingPoint, step_s: float) -> str:
         f"<p>In co-simulation the plant takes Runge-Kutta steps of at most <code>{STEP_PARAMETER}</code>, "
         f"{step_s:g} s unless set otherwise. The shortest time constant of this grid is {shortest:g} s: "
         f"steps up to about {2.4 * shortest:.2g} s are stable, less if a parameter makes a control faster. "
-        "Accuracy is of fourth order while no limit of an exciter or stabilizer is reached and of first "
-        "order when one is: compare with half the step where it matters.</p>"
+        "Accuracy is of fourth order, also where limits of exciters, stabilizers and governors are reached "
+        "or left: such steps are divided there. Compare with half the step where it matters.</p>"
     )
 
 

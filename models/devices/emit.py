@@ -107,8 +107,8 @@ class Writer(ExpressionWriter):
         body = self.branch(self.model.order, {}, 2)
         if self.most > MOST_DECISIONS:
             raise DeviceError(
-                f"{self.device.name}: its limits, gates, choices and points of tables make {self.most} decisions, "
-                f"allowed: {MOST_DECISIONS} in one device; give tables fewer points"
+                f"{self.device.name}: its limits, gates, choices and points of tables make {self.most} "
+                f"decisions, allowed: {MOST_DECISIONS} in one device; give tables fewer points"
             )
         begin, end = ["        Limiters l = limiters_begin(g, k);"], ["        limiters_end(g, k, &l);"]
         begin, end = (begin, end) if self.most > 0 else ([], [])

@@ -65,61 +65,70 @@ static inline BlockStatus limited_try(LimitedStep *s, double h, double *overrun)
 /* Two points of the cubic: where the limiters are within their ranges, and where one is beyond. */
 typedef struct { double low, high, at_low, at_high; } LimitedBracket;
 
-/* Narrows the bracket to where, on the cubic over h, the first limiter gets beyond its range, by
- * regula falsi (Illinois). Gives the secant's root there and its slope. */
-static inline BlockStatus limited_cubic(LimitedStep *s, double h, LimitedBracket b, double *root, double *slope)
+/* Narrows the bracket to where, on the cubic over h, the first limiter gets beyond its range: regula
+ * falsi (Illinois), halving where that gains too little. Gives a root near there and the slope at it. */
+static inline BlockStatus limited_cubic(LimitedStep *s, double h, LimitedBracket *b, double *root, double *slope)
 {
-    enum { MOST = 4 };
+    enum { MOST = 30 };
     const double *k1 = s->work;
-    double *x = s->work + 4 * s->n, *k = s->work + s->n, last = b.high, at_last = b.at_high;
+    double *x = s->work + 4 * s->n, *k = s->work + s->n, last = b->high, at_last = b->at_high;
+    double low = b->at_low, high = b->at_high;   /* weighted */
+    int halve = 0;
 
-    *slope = (b.at_high - b.at_low) / (b.high - b.low);
+    *slope = (high - low) / (b->high - b->low);
     for (int count = 0; count < MOST; ++count) {
-        double share = b.at_low / (b.at_low - b.at_high), value;
-        if (!(share > 0.01)) share = 0.01;
-        if (!(share < 0.99)) share = 0.99;
-        const double into = b.low + share * (b.high - b.low), q = into / h, r = 1.0 - q;
+        const double width = b->high - b->low, share = low / (low - high);
+        const double into = b->low + (halve || !(share > 0.0 && share < 1.0) ? 0.5 : share) * width;
+        const double q = into / h, r = 1.0 - q;
+        double value;
         for (size_t i = 0; i < s->n; ++i)
             x[i] = r * r * ((1.0 + 2.0 * q) * s->x[i] + q * h * k1[i])
                    + q * q * ((1.0 + 2.0 * r) * s->end[i] - r * h * s->slope[i]);
         const BlockStatus status = limited_overrun(s, into, x, k, &value);
         if (status != BLOCK_OK) return status;
         const double steep = (value - at_last) / (into - last);
-        if (steep > 0.0 && steep < INFINITY) *slope = steep;
+        const int near = fabs(into - last) <= 0.05 * h;
         last = into;
         at_last = value;
         if (value > 0.0) {
-            b.high = into;
-            b.at_high = value;
-            b.at_low *= 0.5;
+            b->high = into;
+            high = value;
+            low *= 0.5;
         } else {
-            b.low = into;
-            b.at_low = value;
-            b.at_high *= 0.5;
+            b->low = into;
+            low = value;
+            high *= 0.5;
         }
-        if (fabs(value) <= 1e-4 * h * *slope) break;
+        halve = !halve && b->high - b->low > 0.5 * width;
+        if (!(steep > 0.0 && steep < INFINITY)) continue;
+        *slope = steep;
+        *root = into - value / steep;
+        const int inside = *root > b->low && *root < b->high;
+        /* of two points far apart the slope promises roots that are none */
+        if (inside && near && fabs(value) <= 1e-4 * h * steep) return BLOCK_OK;
+        if (b->high - b->low <= 1e-6 * h) return BLOCK_OK;
     }
-    *root = last - at_last / *slope;
+    *root = b->high;
     return BLOCK_OK;
 }
 
-/* To just after the first limiter's switch in h, which is overrun there; how far that is. */
+/* To just after the first limiter's switch in h, which is overrun there; how far that is. How just
+ * it must be is eased with every try, so that rounding does not keep it from arriving. */
 static inline BlockStatus limited_land(LimitedStep *s, double h, double overrun, double *landed)
 {
-    enum { MOST = 8 };
-    const double close = 1e-9 * h;
-    double low = 0.0, high = h, slope, into, last = 0.0, at_last = 0.0;
+    enum { MOST = 10 };
+    double low = 0.0, high = h, close = 1e-9 * h, slope, into, last = 0.0, at_last = 0.0;
     BlockStatus status = limited_overrun(s, 0.0, s->x, s->work + s->n, &at_last);
+    LimitedBracket bracket = {0.0, h, at_last, overrun};
 
+    if (status == BLOCK_OK) status = limited_cubic(s, h, &bracket, &into, &slope);
     if (status != BLOCK_OK) return status;
-    const LimitedBracket whole = {0.0, h, at_last, overrun};
-    if ((status = limited_cubic(s, h, whole, &into, &slope)) != BLOCK_OK) return status;
     into += close;
-    for (int count = 0;; ++count) {
+    for (int count = 0;; ++count, close *= 4.0) {
         if (!(into > low && into < high)) into = 0.5 * (low + high);
-        if (count == MOST) into = high;
+        if (count == MOST) into = high < h ? high : bracket.high;
         if ((status = limited_try(s, into, &overrun)) != BLOCK_OK) return status;
-        if (count == MOST || (overrun > 0.0 && overrun <= 4.0 * close * slope)) break;
+        if (count == MOST || (overrun > 0.0 && (overrun <= 4.0 * close * slope || into - low <= 4.0 * close))) break;
         if (overrun > 0.0) high = into;
         else low = into;
         const double steep = (overrun - at_last) / (into - last);

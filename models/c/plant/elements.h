@@ -208,12 +208,17 @@ static inline num limiter_pi_rate(Limiters *l, unsigned i, num rate, num whole, 
     return num_pick(above | below, NUM(0.0), rate);
 }
 
-/* A state that is held goes exactly onto its limit, which may have moved. */
+/* A state that is held goes exactly onto its limit where it is behind it, which moves, or where rounding
+ * left it. Beyond a limit that falls it follows with its own time constant. */
 #ifdef PLANT_HELD
+static inline void limiter_onto(const Limiters *l, unsigned i, double *x, double low, double high)
+{
+    const double slack = 1e-7;
+    if (limiter_is(l, i + 2) && *x > low - slack * (1.0 + fabs(low))) *x = low;
+    if (limiter_is(l, i + 3) && *x < high + slack * (1.0 + fabs(high))) *x = high;
+}
 #define LIMITER_ONTO(l, i, g, at, low, high) do { \
-    if ((g)->notes.onto == NULL) break; \
-    if (limiter_is(l, (i) + 2) && (g)->notes.onto[at] > (low)) (g)->notes.onto[at] = (low); \
-    if (limiter_is(l, (i) + 3) && (g)->notes.onto[at] < (high)) (g)->notes.onto[at] = (high); \
+    if ((g)->notes.onto != NULL) limiter_onto(l, i, (g)->notes.onto + (at), low, high); \
 } while (0)
 #else
 #define LIMITER_ONTO(l, i, g, at, low, high) ((void)0)

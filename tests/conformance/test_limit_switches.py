@@ -1,0 +1,67 @@
+"""Steps in which limiters switch: the order of the error, and the bits side by side, saved and restored."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plant_lanes import PlantLanes
+
+from interarea.models.blocks.plant import event_parameters
+from interarea.models.case.case import load_case
+from interarea.models.case.events import events_of
+from interarea.models.case.write_toml import toml_text
+
+EXCITERS = {
+    "static": {"kind": "static", "KA": 200.0, "TA": 0.06, "TR": 0.05, "Efd_min": -1.0, "Efd_max": 3.0},
+    "dc1": {"kind": "dc1", "KA": 40.0, "TA": 0.08, "TR": 0.05, "KE": "self-excited", "TE": 0.36, "KF": 0.125,
+            "TF": 1.8, "Aex": 0.0056, "Bex": 1.075, "VRmin": -1.0, "VRmax": 1.0},
+    "st1a": {"kind": "st1a", "KA": 100.0, "TA": 0.06, "TR": 0.05, "TC": 0.0, "TB": 0.0, "VRmin": -3.0,
+             "VRmax": 3.5, "KC": 0.05},
+}  # fmt: skip
+STEPS_S = (0.0025, 0.00125, 0.000625, 0.0003125)
+FAULT = [{"kind": "bus_fault", "bus": 8, "start_s": 0.1, "end_s": 0.25, "x_pu": 0.02}]
+
+
+def plants(
+    exciter: str, folder: Path, cache: Path, **change: float
+) -> tuple[PlantLanes, dict[str, float | int]]:
+    """The two-area system with limited exciters and stabilizers, and the fault that brings them to their limits."""
+    controls = {
+        "exciter": EXCITERS[exciter] | change | {"source": "test"},
+        "governor": {"Tsr": 0.05, "vg_min": -0.02, "vg_max": 0.02},
+    }
+    document = {"base": "two-area-thesis", "name": exciter, "title": exciter, "source": "test"}
+    path = folder / "case.toml"
+    path.write_text(toml_text(document | {"change": {"machines": {"defaults": controls}}}))
+    case = load_case(path)
+    return PlantLanes(case, cache), event_parameters(case, events_of(FAULT, where="test"))
+
+
+def speeds(plant: PlantLanes, row: dict[str, float | int], step_s: float) -> np.ndarray:
+    run = plant.run([row | {"solver.step": step_s}], stop_s=3.0, lanes=1)
+    assert not any(run.errors)
+    return np.array([run.of(f"G{k}_dw")[:, 0] for k in range(1, 5)])
+
+
+@pytest.mark.parametrize("exciter", EXCITERS)
+def test_errors_at_limits_fall_with_the_fourth_power_of_the_step(
+    exciter: str, tmp_path: Path, cache: Path
+) -> None:
+    plant, row = plants(exciter, tmp_path, cache)
+    exact = speeds(plant, row, 0.01 / 256)
+    errors = [np.abs(speeds(plant, row, h) - exact).max() for h in STEPS_S]
+    orders = np.log2(errors[0] / np.array(errors[1:])) / np.arange(1, len(errors))
+    assert orders[-1] >= 3.5, (errors, orders)
+    assert errors[0] <= 2e-8, errors
+
+
+def test_switches_give_the_same_bits_side_by_side(tmp_path: Path, cache: Path) -> None:
+    plant, row = plants("st1a", tmp_path, cache)
+    rows = [row | {"G1.exciter.KA": 100.0 + 5.0 * k, "G3.exciter.VRmax": 3.0 + 0.1 * k} for k in range(7)]
+    alone = plant.run(rows, stop_s=1.0, lanes=1)
+    for lanes in (2, 4, 8):
+        if lanes <= plant.group.lanes:
+            beside = plant.run(rows, stop_s=1.0, lanes=lanes)
+            np.testing.assert_array_equal(beside.outputs, alone.outputs)
