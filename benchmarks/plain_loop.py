@@ -74,7 +74,7 @@ class PlainPlant:
         return values
 
     def events(self, stop_s: float, step_s: float) -> tuple[float, int, int]:
-        """Return CPU seconds, evaluations and located switches of a run with its events; it ends at `stop_s`."""
+        """Return CPU seconds, evaluations and located switches of a run with its events to `stop_s`."""
         counts = (ctypes.c_long * 2)()
         self._c.plain_events.restype = ctypes.c_double
         seconds = self._c.plain_events(

@@ -211,7 +211,7 @@ class Driver:
         """Rates and outputs of devices of one structure next to each other, `lanes` at a time.
 
         way : "note" and "watch" their decisions, `self.found` whether they are others; "hold" them,
-            `self.found` by how much the one that fits least is overrun, `self.onto` the states on their limits
+            `self.found` by how much the one that fits least is overrun, `self.onto` held states on limits
         """
         device, n = self.models.index(model), len(instances)
         table = np.zeros((self.c.rows_of(ctypes.c_size_t(device)), n))
@@ -305,7 +305,7 @@ def test_a_limit_overrun_is_watched_and_measured(driver):
     point, inputs = at_rest("SEXS")
     instance = point.instance
     inside, beyond = np.array(point.states), np.array(point.states)
-    at = [s for s in instance.state_names].index("efd")
+    at = list(instance.state_names).index("efd")
     beyond[at] = instance.values["EMAX"] + 0.7
     inputs = inputs | {"vs": 10.0}
     driver.run(instance.model, [instance], [inside], [inputs], way="note")
