@@ -106,8 +106,7 @@ static int read_tables(Instance *c, char *why)
 static int allocate(Instance *c, const BlockNeeds *needs)
 {
     const BlockLayout *n = &c->block.layout;
-    const size_t own_notes = c->type == fmi2ModelExchange ? needs->n_notes : 0;   /* else of one step only */
-    const size_t doubles = c->n_real + n->n_x + 5 * n->n_u + n->n_y + needs->n_memory + own_notes;
+    const size_t doubles = c->n_real + n->n_x + 5 * n->n_u + n->n_y + needs->n_memory;
     const size_t work = SOLVER_ARRAYS * n->n_x + 2 * n->n_u + n->n_y;
     Block *b = &c->block;
     double *d;
@@ -132,14 +131,14 @@ static int allocate(Instance *c, const BlockNeeds *needs)
     c->u_poly = c->u_slope + n->n_u;
     c->y_slope = c->u_poly + 4 * n->n_u;
     b->memory = c->y_slope + n->n_y;
-    c->integer = (int *)(b->memory + needs->n_memory + own_notes);
+    c->integer = (int *)(b->memory + needs->n_memory);
     b->iu = c->integer;
     b->iy = b->iu + n->n_iu;
     b->iw = b->iy + n->n_iy;
     b->ip = b->iw + n->n_iw;
     b->u_order = c->integer + c->n_integer;
     b->scratch = c->work + work;
-    b->notes = own_notes > 0 ? b->memory + needs->n_memory : b->scratch + needs->n_scratch;
+    b->notes = b->scratch + needs->n_scratch;
     b->record = &c->record;
     if (c->step_parameter < c->n_real) c->internal_step = c->real + c->step_parameter;
     return 0;

@@ -20,7 +20,7 @@ EXCITERS = {
     "st1a": {"kind": "st1a", "KA": 100.0, "TA": 0.06, "TR": 0.05, "TC": 0.0, "TB": 0.0, "VRmin": -3.0,
              "VRmax": 3.5, "KC": 0.05},
 }  # fmt: skip
-STEPS_S = (0.0025, 0.00125, 0.000625, 0.0003125)
+STEPS_S = (0.005, 0.0025, 0.00125, 0.000625)
 FAULT = [{"kind": "bus_fault", "bus": 8, "start_s": 0.1, "end_s": 0.25, "x_pu": 0.02}]
 
 
