@@ -134,12 +134,12 @@ def test_the_step_is_fixed_once_the_run_has_begun(fmu: Path) -> None:
 
 
 def test_a_step_beyond_stability_is_told(cache: Path, tmp_path: Path) -> None:
-    """T_A = 1 ms puts a pole at -1001 1/s: steps of 4 ms grow without bound, whoever takes them."""
+    """T_A = 1 ms puts a pole at -1001 1/s: steps of 10 ms grow without bound, limits that switch or not."""
     block = plant_block(load_case("two-area-thesis"))
     fault = {"kind": "bus_fault", "bus": 8, "x_pu": 1e-4, "start_s": 0.1, "end_s": 0.2}
     start = event_parameters(load_case("two-area-thesis"), events_of([fault], where="test"))
     with Runner(build_fmu(block, tmp_path / "plant.fmu", cache=cache)) as run:
-        run.start(start | {"solver.step": 0.004})
+        run.start(start | {"solver.step": 0.01})
         with pytest.raises(Exception, match="fmi2DoStep"):
             run.run(np.arange(0.0, 2.0, 0.02), "G1_dw")
         assert "try a shorter solver.step" in run.log[-1]
