@@ -65,12 +65,21 @@ static inline BlockStatus limited_try(LimitedStep *s, double h, double *overrun)
 /* Two points of the cubic: where the limiters are within their ranges, and where one is beyond. */
 typedef struct { double low, high, at_low, at_high; } LimitedBracket;
 
+/* x on the cubic through values and slopes at both ends of h, `into` seconds after its begin. */
+static inline void limited_between(const LimitedStep *s, double h, double into, double *x)
+{
+    const double *k1 = s->work, q = into / h, r = 1.0 - q;
+
+    for (size_t i = 0; i < s->n; ++i)
+        x[i] = r * r * ((1.0 + 2.0 * q) * s->x[i] + q * h * k1[i])
+               + q * q * ((1.0 + 2.0 * r) * s->end[i] - r * h * s->slope[i]);
+}
+
 /* Narrows the bracket to where, on the cubic over h, the first limiter gets beyond its range: regula
  * falsi (Illinois), halving where that gains too little. Gives a root near there and the slope at it. */
 static inline BlockStatus limited_cubic(LimitedStep *s, double h, LimitedBracket *b, double *root, double *slope)
 {
     enum { MOST = 30 };
-    const double *k1 = s->work;
     double *x = s->work + 4 * s->n, *k = s->work + s->n, last = b->high, at_last = b->at_high;
     double low = b->at_low, high = b->at_high;   /* weighted */
     int halve = 0;
@@ -79,11 +88,8 @@ static inline BlockStatus limited_cubic(LimitedStep *s, double h, LimitedBracket
     for (int count = 0; count < MOST; ++count) {
         const double width = b->high - b->low, share = low / (low - high);
         const double into = b->low + (halve || !(share > 0.0 && share < 1.0) ? 0.5 : share) * width;
-        const double q = into / h, r = 1.0 - q;
         double value;
-        for (size_t i = 0; i < s->n; ++i)
-            x[i] = r * r * ((1.0 + 2.0 * q) * s->x[i] + q * h * k1[i])
-                   + q * q * ((1.0 + 2.0 * r) * s->end[i] - r * h * s->slope[i]);
+        limited_between(s, h, into, x);
         const BlockStatus status = limited_overrun(s, into, x, k, &value);
         if (status != BLOCK_OK) return status;
         const double steep = (value - at_last) / (into - last);
@@ -112,6 +118,12 @@ static inline BlockStatus limited_cubic(LimitedStep *s, double h, LimitedBracket
     return BLOCK_OK;
 }
 
+/* Whether an end `into` a step is just after a switch that is after `low`, as just as `close` says. */
+static inline int limited_just(double overrun, double slope, double into, double low, double close)
+{
+    return overrun > 0.0 && (overrun <= 4.0 * close * slope || into - low <= 4.0 * close);
+}
+
 /* To just after the first limiter's switch in h, which is overrun there; how far that is. How just
  * it must be is eased with every try, so that rounding does not keep it from arriving. */
 static inline BlockStatus limited_land(LimitedStep *s, double h, double overrun, double *landed)
@@ -128,7 +140,7 @@ static inline BlockStatus limited_land(LimitedStep *s, double h, double overrun,
         if (!(into > low && into < high)) into = 0.5 * (low + high);
         if (count == MOST) into = high < h ? high : bracket.high;
         if ((status = limited_try(s, into, &overrun)) != BLOCK_OK) return status;
-        if (count == MOST || (overrun > 0.0 && (overrun <= 4.0 * close * slope || into - low <= 4.0 * close))) break;
+        if (count == MOST || limited_just(overrun, slope, into, low, close)) break;
         if (overrun > 0.0) high = into;
         else low = into;
         const double steep = (overrun - at_last) / (into - last);
