@@ -72,14 +72,14 @@ class Partial:
         while file is None:  # another process may take it for a left one before it is locked
             prefix = f".{path.name[:40]}-{os.getpid()}-"
             handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=_PARTIAL)
-            os.close(handle)
             try:
-                file = _locked(Path(name), make=True)
-            except OSError:
-                Path(name).unlink()
+                os.close(handle)
+                self._partial, self._path = Path(name), path
+                file = _locked(self._partial, make=True)
+            except BaseException:
+                os.unlink(name)  # noqa: PTH108 - a path needs memory, of which there may be none
                 raise
         self.file: IO[bytes] = file
-        self._partial, self._path = Path(name), path
 
     def settle(self) -> Path:
         """Give the file its name (`settle`); return `path`."""
