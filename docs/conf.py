@@ -6,8 +6,6 @@ import os
 import sys
 from pathlib import Path
 
-from jupyter_client.manager import KernelManager
-
 import interarea
 
 HERE = Path(__file__).resolve().parent
@@ -16,9 +14,6 @@ sys.path.insert(0, str(HERE / "site"))  # commands, catalogue
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
 for pool in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(pool, "1")
-
-if sys.platform != "win32":  # kernels talk through sockets of this user, not through ports that all can read
-    KernelManager.transport.default_value = "ipc"
 
 project = "interarea"
 author = "The interarea developers"

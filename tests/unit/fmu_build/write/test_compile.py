@@ -11,10 +11,12 @@ from pathlib import Path
 import pytest
 from fmu_runner import DECAY_C
 
+from interarea.cosim.explorer.wasm import page_sources
 from interarea.fmu_build.errors import BuildError, NoCompilerError
 from interarea.fmu_build.write import compile as compiling
 from interarea.fmu_build.write.cache import COMPILERS_OWN
 from interarea.fmu_build.write.compile import compile_binary, source_files
+from interarea.models.case.case import load_case
 
 
 class Elf:
@@ -100,6 +102,8 @@ def test_two_machines_make_the_same_bytes(platform: str, cache: Path, tmp_path: 
     """Two caches in two folders, one of them empty but for the compiler's libc, stand for two machines."""
     to = compiling.PLATFORMS.get(platform, compiling.WEB_PAGE)
     sources = source_files((DECAY_C, compiling.record_source()))
+    if to is compiling.WEB_PAGE:  # which has no libc but what a page's own sources bring
+        sources = page_sources(load_case("two-area-thesis"))
     first = compiling.compile_for("decay", sources, to, cache=cache)
     own, libraries = tmp_path / COMPILERS_OWN, cache / COMPILERS_OWN / compiling.SYSTEM_LIBRARIES
     if libraries.is_dir():  # not where the first came from a wheel
