@@ -1,4 +1,4 @@
-"""Steps in which limiters switch: the order of the error, and the bits side by side, saved and restored."""
+"""Steps in which limiters switch: the order of the error, and the bits side by side."""
 
 from __future__ import annotations
 

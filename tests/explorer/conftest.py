@@ -49,3 +49,15 @@ def data(node: Node) -> dict[str, Any]:
     """Return what the page knows."""
     known: dict[str, Any] = node([{"data": True}])[0]
     return known
+
+
+@pytest.fixture(scope="session")
+def runs_of_node(
+    node: Node, data: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
+) -> list[tuple[dict[str, Any], list[str], bytes]]:
+    """Return the state of each preset with the columns and rows that node gives, those of the FMU."""
+    states = [preset["state"] for preset in data["presets"]]
+    folder = tmp_path_factory.mktemp("runs")
+    files = [folder / f"{k}.bin" for k in range(len(states))]
+    told = node([{"run": state, "file": str(file)} for state, file in zip(states, files, strict=True)])
+    return [(s, t["columns"], f.read_bytes()) for s, t, f in zip(states, told, files, strict=True)]

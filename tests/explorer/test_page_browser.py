@@ -75,18 +75,13 @@ class Tab:
 
 
 @pytest.mark.slow
-def test_presets_have_the_bits_of_node(
-    browser: Any, page: Path, node: Any, data: Any, tmp_path: Path
-) -> None:
+def test_presets_have_the_bits_of_node(browser: Any, page: Path, runs_of_node: Any) -> None:
     """And node has those of the FMU (test_page_bits)."""
-    states = [preset["state"] for preset in data["presets"]]
-    files = [tmp_path / f"{k}.bin" for k in range(len(states))]
-    theirs = node([{"run": state, "file": str(file)} for state, file in zip(states, files, strict=True)])
     with Tab(browser, page) as it:
-        for state, file, their in zip(states, files, theirs, strict=True):
+        for state, names, content in runs_of_node:
             columns, rows = it.tab.evaluate(EVERYTHING, state)
-            assert columns == their["columns"]
-            assert base64.b64decode(rows) == file.read_bytes()
+            assert columns == names
+            assert base64.b64decode(rows) == content
 
 
 @pytest.mark.slow

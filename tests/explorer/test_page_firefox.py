@@ -132,21 +132,16 @@ def firefox(tmp_path: Path) -> Iterator[Firefox]:
 
 
 @pytest.mark.slow
-def test_presets_have_the_bits_of_node(
-    firefox: Firefox, page: Path, node: Any, data: Any, tmp_path: Path
-) -> None:
+def test_presets_have_the_bits_of_node(firefox: Firefox, page: Path, runs_of_node: Any) -> None:
     """And node has those of the FMU (test_page_bits)."""
-    states = [preset["state"] for preset in data["presets"]]
-    files = [tmp_path / f"{k}.bin" for k in range(len(states))]
-    theirs = node([{"run": state, "file": str(file)} for state, file in zip(states, files, strict=True)])
     firefox.call("WebDriver:Navigate", url=page.as_uri())
     assert firefox.wait(SHOWN) is True
     assert all(seen > 1000 for seen in firefox.run(DRAWN))
     assert firefox.run("return document.body.className") == ""
-    for state, file, their in zip(states, files, theirs, strict=True):
+    for state, names, content in runs_of_node:
         columns, rows = firefox.wait(EVERYTHING, state)
-        assert columns == their["columns"]
-        assert base64.b64decode(rows) == file.read_bytes()
+        assert columns == names
+        assert base64.b64decode(rows) == content
     assert firefox.run("explorer.preset(5); return 1") == 1
     assert firefox.wait(SHOWN) is True
     assert firefox.run("return document.getElementById('words').textContent").startswith("Out of step")

@@ -113,6 +113,15 @@ def at_rest(name):
     return rest_of(model, complete(model, given), inputs, output, name), inputs
 
 
+def off_rest(name, seed):
+    """Instance, states and inputs, ever further from rest: as many as leave some over in every tile."""
+    point, inputs = at_rest(name)
+    n, rng = len(point.states), np.random.default_rng(seed)
+    xs = [np.array(point.states) + s * rng.standard_normal(n) for s in np.geomspace(1e-3, 3.0, 13)]
+    seen = [{k: v + 0.3 * rng.standard_normal() for k, v in inputs.items()} for _ in xs]
+    return point.instance, xs, seen
+
+
 def test_every_device_has_a_typical_record():
     assert {model.device.key for model, _ in TYPICAL.values()} == set(library())
     assert set(RECORDS) == set(dyr_models())
@@ -261,14 +270,7 @@ def test_c_and_python_agree_far_from_rest(driver, name):
 
 @pytest.mark.parametrize("name", TYPICAL)
 def test_devices_side_by_side_have_the_bits_of_each_alone(driver, name):
-    """As many as leave a rest in every tile."""
-    point, inputs = at_rest(name)
-    instance, rng = point.instance, np.random.default_rng(11)
-    xs = [
-        np.array(point.states) + s * rng.standard_normal(len(point.states))
-        for s in np.geomspace(1e-3, 3.0, 13)
-    ]
-    seen = [{k: v + 0.3 * rng.standard_normal() for k, v in inputs.items()} for _ in xs]
+    instance, xs, seen = off_rest(name, 11)
     alone = driver.run(instance.model, [instance] * len(xs), xs, seen)
     for lanes in (4, 8):
         if lanes <= driver.c.lanes_of_this_machine():
@@ -280,13 +282,7 @@ def test_devices_side_by_side_have_the_bits_of_each_alone(driver, name):
 @pytest.mark.parametrize("name", TYPICAL)
 def test_decisions_held_where_they_were_made_give_the_same_bits(driver, name):
     """Noted by any number of lanes; none is overrun there, and held states are on their limits or inside."""
-    point, inputs = at_rest(name)
-    instance, rng = point.instance, np.random.default_rng(13)
-    xs = [
-        np.array(point.states) + s * rng.standard_normal(len(point.states))
-        for s in np.geomspace(1e-3, 3.0, 13)
-    ]
-    seen = [{k: v + 0.3 * rng.standard_normal() for k, v in inputs.items()} for _ in xs]
+    instance, xs, seen = off_rest(name, 13)
     free = driver.run(instance.model, [instance] * len(xs), xs, seen)
     for lanes in (0, *(n for n in (4, 8) if n <= driver.c.lanes_of_this_machine())):
         driver.words[:] = np.nan
