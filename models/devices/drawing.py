@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 
 from .language.device import KINDS, Device, Line
-from .language.expression import Node, names_of
+from .language.expression import Node
 
 _WIDTH, _HEIGHT, _GAP_X, _GAP_Y, _EDGE = 190, 62, 60, 34, 24
 _NAMES = 70  #: room for the names of the inputs
@@ -45,7 +45,7 @@ def _columns(device: Device) -> dict[str, int]:
         if name not in lines:
             return 0
         if name not in column:
-            before = [n for n in names_of(_driven(lines[name])) if n in lines and n not in above | {name}]
+            before = [n for n in _driven(lines[name]).names if n in lines and n not in above | {name}]
             column[name] = 1 + max((place(n, above | {name}) for n in before), default=0)
         return column[name]
 
@@ -62,7 +62,7 @@ def _driven(line: Line) -> Node:
 def diagram_svg(device: Device) -> str:
     """Return the block diagram of `device` as an SVG document; all text of the file is escaped."""
     column = _columns(device)
-    signals = {n for line in device.lines for n in names_of(line.node)}
+    signals = {n for line in device.lines for n in line.node.names}
     sources = [n for n in (*KINDS[device.kind].inputs, *device.references) if n in signals]
     place: dict[str, tuple[float, float]] = {}
     rows: dict[int, int] = {}
@@ -75,7 +75,7 @@ def diagram_svg(device: Device) -> str:
     height = 2 * _EDGE + max(rows.values()) * (_HEIGHT + _GAP_Y) + 2 * _GAP_Y
     parts: list[str] = []
     for line in device.lines:
-        for name in dict.fromkeys(names_of(line.node)):
+        for name in dict.fromkeys(line.node.names):
             if name in place:
                 parts.append(_arrow(place[name], place[line.name], height))
     parts += [_source(name, *place[name]) for name in sources]

@@ -11,7 +11,7 @@ from .errors import DeviceError
 from .language.device import KINDS
 from .language.element import Condition, Element, resolved
 from .language.elements import Integrator, Lag, Pi, Plain
-from .language.expression import ONE, ZERO, Node, names_of, number
+from .language.expression import ONE, ZERO, Node, number
 from .language.structure import Model, Order
 
 MOST_DECISIONS = 64
@@ -153,7 +153,7 @@ class Writer(ExpressionWriter):
     def signals(self) -> list[str]:
         """What the lines use: inputs, the set-point with its step, states."""
         device = self.device
-        inputs = sorted({n for line in device.lines for n in names_of(line.node)} & set(device.inputs))
+        inputs = sorted({n for line in device.lines for n in line.node.names} & set(device.inputs))
         rows = [f"        const num s_{name} = OF(in->{name}, m);" for name in inputs]
         if "pref" in device.references:
             rows.append(f"        const num s_pref = NUM({self.row('pref')} + OF(in->pref_step, m));")

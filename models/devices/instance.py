@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .language.element import State, names_passed, resolved
-from .language.expression import Node, evaluate, names_of
+from .language.expression import Node, evaluate
 from .language.structure import Model
 
 
@@ -82,7 +82,7 @@ class Instance:
         for element in self.model.elements.values():
             node = element.line.node
             parts = [*element.args, *(p for _, p in node.options)]
-            seen = {n for part in parts for n in names_of(resolved(self.model.device, part, self.on))}
+            seen = {n for part in parts for n in resolved(self.model.device, part, self.on).names}
             here = [s for s in element.states() if self.on(s.present)]
             for s in here:
                 rates[s.name] = of(seen) | frozenset(f"x.{t.name}" for t in here)
@@ -92,9 +92,7 @@ class Instance:
         """Return the parameters that act: those of the parts that are there."""
         device = self.model.device
         parts = [part for e in self.model.elements.values() for part in e.acting(self.on)]
-        return {
-            name for part in parts for name in names_of(resolved(device, part, self.on))
-        } & device.constants
+        return {name for part in parts for name in resolved(device, part, self.on).names} & device.constants
 
     def state_texts(self) -> dict[str, str]:
         """Return what each state is."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from .errors import BeyondLimit, DeviceError
-from .language.expression import evaluate, names_of, parse
+from .language.expression import evaluate, parse
 from .language.structure import Model
 from .rest import rest_of
 
@@ -51,7 +51,7 @@ def _moved(
     limit = parse(error.limit, who)
     room = max(ROOM * abs(error.value), _LEAST_ROOM)
     wanted = error.value + (room if error.above else -room)
-    for name in names_of(limit):
+    for name in limit.names:
         parameter = model.device.by_name.get(name)
         if parameter is None:
             continue

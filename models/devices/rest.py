@@ -10,14 +10,12 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-import scipy.optimize
-
 from .errors import BeyondLimit, DeviceError
 from .instance import Instance, Margin
 from .language.device import MBASE
 from .language.element import Equation
 from .language.elements import Plain
-from .language.expression import Node, evaluate, names_of
+from .language.expression import Node, evaluate
 from .language.structure import Model
 
 STILL = 1e-8  #: largest rate at rest, pu/s, relative to the size of the state
@@ -69,7 +67,7 @@ def rest_of(
     parameters = {p.name: float(known[p.name]) for p in device.parameters} | {MBASE: float(known[MBASE])}
     for check_ in device.checks:
         if not evaluate(check_.node, parameters):
-            parts = ", ".join(f"{n} = {parameters[n]:g}" for n in dict.fromkeys(names_of(check_.node)))
+            parts = ", ".join(f"{n} = {parameters[n]:g}" for n in dict.fromkeys(check_.node.names))
             raise DeviceError(f"{who}: {parts}{check_.says}")
     for name, node in device.fixed:
         parameters[name] = known[name] = float(evaluate(node, at_rest))
@@ -89,7 +87,6 @@ class _Walk:
         self.known: dict[str, float] = dict(known)
         self.steps = steps
         self.equations: list[Equation] = []
-        self.named: dict[int, list[str]] = {}  #: id of an equation -> its names
         for name, element in model.elements.items():
             start = element.line.option("rest")
             if start is not None:
@@ -120,28 +117,26 @@ class _Walk:
     def plan(self, known: set[str], left: set[int]) -> list[tuple[int, str]]:
         """Equations in an order in which each has one unknown; forward ones first."""
         found: list[tuple[int, str]] = []
+        free = {k: self.names(k) - known for k in sorted(left)}
         while True:
             choice: tuple[int, str] | None = None
-            for k in sorted(left):
-                free = {n for n in self.names(k) if n not in known}
-                if len(free) == 1:
-                    name = next(iter(free))
-                    if name == self.equations[k].left.name and name not in names_of(self.equations[k].right):
+            for k, unknown in free.items():
+                if len(unknown) == 1:
+                    name = next(iter(unknown))
+                    if name == self.equations[k].left.name and name not in self.equations[k].right.names:
                         choice = (k, name)
                         break
                     choice = choice or (k, name)
             if choice is None:
                 return found
             found.append(choice)
-            known.add(choice[1])
-            left.discard(choice[0])
+            del free[choice[0]]
+            for unknown in free.values():
+                unknown.discard(choice[1])
 
-    def names(self, k: int) -> list[str]:
-        """Names in equation `k`, as often as they stand there."""
-        e = self.equations[k]
-        if id(e) not in self.named:
-            self.named[id(e)] = [*names_of(e.left), *names_of(e.right)]
-        return self.named[id(e)]
+    def names(self, k: int) -> set[str]:
+        """Names in equation `k`."""
+        return {*self.equations[k].left.names, *self.equations[k].right.names}
 
     def story(self, k: int, name: str) -> str:
         """How equation `k` gave `name`."""
@@ -155,7 +150,7 @@ class _Walk:
 
     def value_of(self, e: Equation, name: str, known: dict[str, float]) -> float:
         """Value of `name` from equation `e`."""
-        sides = [list(names_of(side)).count(name) for side in (e.left, e.right)]
+        sides = [side.names.count(name) for side in (e.left, e.right)]
         if sum(sides) == 1:
             inner, outer = (e.left, e.right) if sides[0] else (e.right, e.left)
             try:
@@ -171,9 +166,9 @@ class _Walk:
         """Find one unknown so that what it leads to fits, by bracketing."""
         left = set(range(len(self.equations)))
         for name in [n for n in self.model.elements if n in self.unknown] + sorted(self.unknown):
-            plan = self.plan(set(self.known) | {name}, set(left))
+            plan = self.plan(set(self.known) | {name}, left)
             reached = set(self.known) | {name} | {found for _, found in plan}
-            closing = [k for k in sorted(left - {k for k, _ in plan}) if set(self.names(k)) <= reached]
+            closing = [k for k in sorted(left - {k for k, _ in plan}) if self.names(k) <= reached]
             if not closing:
                 continue
 
@@ -215,7 +210,9 @@ def _root(f: Callable[[float], float]) -> float | None:
                 return float(z)
             if math.isfinite(value):
                 if before is not None and (value > 0.0) != (before[1] > 0.0):
-                    return float(scipy.optimize.brentq(f, before[0], z, xtol=1e-300, rtol=8.9e-16))
+                    from scipy.optimize import brentq  # takes 0.2 s; few devices have a loop at rest
+
+                    return float(brentq(f, before[0], z, xtol=1e-300, rtol=8.9e-16))
                 before = (z, value)
     return None
 
@@ -224,7 +221,7 @@ def _turned(node: Node, name: str, value: float, known: Mapping[str, float]) -> 
     """Value of `name` for which `node` has `value`; _Stuck where that is not to be told."""
     if node.op == "name":
         return value
-    k = next(k for k, part in enumerate(node.args) if name in names_of(part))
+    k = next(k for k, part in enumerate(node.args) if name in part.names)
     turn = _TURNED.get(node.op)
     if turn is None:
         raise _Stuck

@@ -8,7 +8,7 @@ from typing import Any
 from ..errors import nearest
 from .errors import DeviceError
 from .language.device import MBASE, NO_LIMIT, Device, Parameter
-from .language.expression import evaluate, names_of
+from .language.expression import evaluate
 
 Given = float | str | None  #: None: an absent limit; a word: computed at rest
 
@@ -61,7 +61,7 @@ def numbers_of(device: Device, row: Mapping[str, Given], mbase: float) -> dict[s
 def _check(device: Device, row: Mapping[str, Given]) -> None:
     values = numbers_of(device, row, 100.0)
     for rule in device.checks:
-        names = [name for name in dict.fromkeys(names_of(rule.node)) if name != MBASE]
+        names = [name for name in dict.fromkeys(rule.node.names) if name != MBASE]
         computed = (name in device.computed and values[name] == device.computed[name].when for name in names)
         if any(computed) or evaluate(rule.node, values):
             continue

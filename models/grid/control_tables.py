@@ -13,7 +13,7 @@ from ..case.control_schema import Control, control_model, control_numbers
 from ..devices.c_expression import given_rows
 from ..devices.errors import DeviceError
 from ..devices.language.device import KINDS
-from ..devices.language.expression import Node, names_of
+from ..devices.language.expression import Node
 from ..devices.language.structure import Model
 from ..devices.rest import RestPoint, rest_of
 from .machine_tables import NETWORK, MachinePoint, State
@@ -68,7 +68,7 @@ class Device:
         device, used = instance.model.device, instance.used()
         for row, p in enumerate(device.parameters):
             value = instance.values[p.name]
-            conditions = [c for c in instance.model.bits if p.name in names_of(c)]
+            conditions = [c for c in instance.model.bits if p.name in c.names]
             if p.name not in used or any(
                 c.args[0] != Node("name", name=p.name) or c.op not in (">", "!=") for c in conditions
             ):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -150,8 +151,9 @@ def _network(
     at = np.array([index[load.bus] for load in case.loads], dtype=int)
     volts = np.abs(power_flow.voltages[at])
     ports = port_loads(case)
+    solve = _linear_network(case, emf)
     for _ in range(_REPETITIONS if ports else 1):
-        voltages, current = _linear_network(case, volts, emf)
+        voltages, current = solve(volts)
         moved = float(np.max(np.abs(np.abs(voltages[at[ports]]) - volts[ports]), initial=0.0))
         volts[ports] = np.abs(voltages[at[ports]])
         if moved < 1e-15:
@@ -160,21 +162,29 @@ def _network(
 
 
 def _linear_network(
-    case: Case, volts: npt.NDArray[np.float64], emf: npt.NDArray[np.complex128]
-) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128]]:
-    index = bus_index(case)
+    case: Case, emf: npt.NDArray[np.complex128]
+) -> Callable[[npt.NDArray[np.float64]], tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128]]]:
+    """Return what gives bus voltages and machine currents for the loads' volts."""
+    index, admittance = bus_index(case), sparse_admittance(case)
     bus, norton = machine_bus_index(case), machine_norton_admittance(case)
-    injected, diagonal = np.zeros(len(index), dtype=complex), np.zeros(len(index), dtype=complex)
-    for load, volt in zip(case.loads, volts, strict=True):
-        if load.in_service:
-            diagonal[index[load.bus]] += np.conj(load_power(case, load)) / volt**2
-    np.add.at(diagonal, bus, norton)
+    drawn = [np.conj(load_power(case, load)) if load.in_service else 0j for load in case.loads]
+    injected = np.zeros(len(index), dtype=complex)
     np.add.at(injected, bus, norton * emf)
-    Y = (sparse_admittance(case) + sparse.diags(diagonal)).tocsc()
-    factors = splu(Y)
-    voltages = factors.solve(injected)
-    voltages = voltages + factors.solve(injected - Y @ voltages)  # once refined
-    return np.asarray(voltages, dtype=complex), np.asarray(norton * (emf - voltages[bus]), dtype=complex)
+
+    def solve(
+        volts: npt.NDArray[np.float64],
+    ) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128]]:
+        diagonal = np.zeros(len(index), dtype=complex)
+        for load, power, volt in zip(case.loads, drawn, volts, strict=True):
+            diagonal[index[load.bus]] += power / volt**2
+        np.add.at(diagonal, bus, norton)
+        Y = (admittance + sparse.diags(diagonal)).tocsc()
+        factors = splu(Y)
+        voltages = factors.solve(injected)
+        voltages = voltages + factors.solve(injected - Y @ voltages)  # once refined
+        return np.asarray(voltages, dtype=complex), np.asarray(norton * (emf - voltages[bus]), dtype=complex)
+
+    return solve
 
 
 def _machine_point(

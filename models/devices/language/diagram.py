@@ -13,7 +13,6 @@ from .expression import (
     ZERO,
     Node,
     is_constant,
-    names_of,
     number,
     parse,
     replaced,
@@ -73,7 +72,7 @@ class Diagram:
     def check_known(self, lines: list[Line], known: frozenset[str]) -> None:
         """Check that what a line uses is there, and that one gives the output."""
         for line in lines:
-            for name in names_of(line.node):
+            for name in line.node.names:
                 if name not in known:
                     raise self.source.fail(f"{name} is not known here, {nearest(name, known)}", line.number)
         if self.kind.output not in known:
@@ -156,7 +155,7 @@ class Diagram:
         fixed = [*node.args[1:], *(p for key, p in node.options if key in ("K", "T", "rate_min", "rate_max"))]
         signals = set(self.kind.inputs) | set(self.references)
         for part in fixed:
-            for name in names_of(part):
+            for name in part.names:
                 if name in signals:
                     raise self.source.fail(
                         f"{node.op}(): {part} holds the signal {name}, allowed: parameters", k

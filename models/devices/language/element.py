@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .device import NO_LIMIT, Device, Line
-from .expression import ONE, ZERO, Node, evaluate, names_of
+from .expression import ONE, ZERO, Node, evaluate
 
 Condition = bool | Node  #: a Node holds parameters only: a bit of the structure
 On = Callable[[Condition], bool | None]  #: None: not decided yet
@@ -166,4 +166,4 @@ def real_part(a: Any) -> float:
 
 def names_passed(element: Element, on: On) -> set[str]:
     """Return the names that the output of `element` depends on at once."""
-    return {name for node in element.passes(on) for name in names_of(resolved(element.device, node, on))}
+    return {name for node in element.passes(on) for name in resolved(element.device, node, on).names}

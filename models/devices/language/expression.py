@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import ast
 import cmath
+import itertools
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from ...errors import nearest
@@ -34,7 +36,26 @@ class Node:
     options: tuple[tuple[str, Node], ...] = ()  #: keyword arguments, of elements only
 
     def __str__(self) -> str:
+        return self._text
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    # found once: a grid's thousand controls share the nodes of forty devices
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Every name in it, options included, as often as it stands there."""
+        own = (self.name,) if self.op == "name" else ()
+        inner = (part.names for part in (*self.args, *(p for _, p in self.options)))
+        return tuple(itertools.chain(own, *inner))
+
+    @cached_property
+    def _text(self) -> str:
         return text_of(self)
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash((self.op, self.args, self.name, self.value, self.options))
 
 
 OPERATORS = ("+", "-", "*", "/", "**")
@@ -152,16 +173,6 @@ def _call(
     if name == "table" and len(args) % 2 == 0:
         raise DeviceError(f"{where}: table() takes u and pairs x, y: an odd number of arguments")
     return Node({"lv": "min", "hv": "max"}.get(name, name), args, options=options)
-
-
-def names_of(node: Node) -> Iterator[str]:
-    """Yield every name in `node`, options included."""
-    if node.op == "name":
-        yield node.name
-    for part in node.args:
-        yield from names_of(part)
-    for _, part in node.options:
-        yield from names_of(part)
 
 
 def replaced(node: Node, by: Mapping[str, Node]) -> Node:
@@ -319,4 +330,4 @@ def evaluate(node: Node, values: Mapping[str, Value]) -> Value:
 
 def is_constant(node: Node, constants: frozenset[str]) -> bool:
     """Return whether `node` holds numbers and names of `constants` only."""
-    return all(name in constants for name in names_of(node))
+    return all(name in constants for name in node.names)

@@ -10,7 +10,7 @@ from ...errors import nearest, reason
 from ..errors import DeviceError
 from .device import KINDS, MBASE, Check, Computed, Device, DyrModel, Line
 from .diagram import Diagram
-from .expression import COMPARISONS, NAME, Node, names_of, parse
+from .expression import COMPARISONS, NAME, Node, parse
 from .parameters import read_parameters
 from .source import Source
 
@@ -104,7 +104,7 @@ class _Reader(Source):
         if isinstance(text, bool) or not isinstance(text, str | int | float):
             raise DeviceError(f"{where}: [{section}] {str(text)[:40]!r}, allowed: an expression as a text")
         node = parse(str(text), where)
-        for name in names_of(node):
+        for name in node.names:
             if name not in known:
                 raise DeviceError(f"{where}: {name} is not known in [{section}]; {nearest(name, known)}")
         return node
@@ -152,7 +152,7 @@ class _Reader(Source):
         fields = tuple(head.split())
         assigned = self.read_assigned(model, tail, self.constants | set(fields), line)
         named = [name for name in fields if name not in ("-", "0")]
-        known = {*self.parameters, *(n for node in assigned.values() for n in names_of(node))}
+        known = {*self.parameters, *(n for node in assigned.values() for n in node.names)}
         for name in named:
             if name not in known:
                 raise self.fail(
@@ -173,13 +173,13 @@ class _Reader(Source):
         return assigned
 
     def check_use(self, lines: tuple[Line, ...], others: list[Node]) -> None:
-        used = {name for line in lines for name in names_of(line.node)} | {self.kind.output}
+        used = {name for line in lines for name in line.node.names} | {self.kind.output}
         for line in lines:
             if line.name not in used:
                 raise self.fail(
                     f"the signal {line.name} leads nowhere; use it or take its line out", line.number
                 )
-        used |= {name for node in others for name in names_of(node)}
+        used |= {name for node in others for name in node.names}
         for name in (*self.parameters, *self.references):
             if name not in used:
                 where = self.line_of(name, "parameters")
