@@ -1,7 +1,7 @@
 """Every published grid of a folder: which RAW files are read, which RAW + DYR pairs import and stand still.
 
-    python benchmarks/read_grids.py FOLDER [--still] [--fault] [--export] [--stop 20] [--converters current]
-        [--release-limits] [--json FILE]
+    python benchmarks/read_grids.py FOLDER [--still] [--fault] [--export] [--command] [--stop 20]
+        [--converters current] [--release-limits] [--json FILE]
 
 FOLDER is searched for .raw and .m files, plain or packed. Each RAW is read, its stored voltages compared with
 the network (largest mismatch) and polished by Newton's method; the power flow of the case must then find the
@@ -22,7 +22,9 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import os
 import resource
+import subprocess
 import sys
 import tempfile
 import time
@@ -53,6 +55,7 @@ SAME_PU = 1e-9
 FAULTS_S = (0.05, 0.025)
 FAULT_PU = 0.01
 SLIPS_DEG = 180.0
+MOST_S, MOST_MB = 5.0, 500.0
 
 
 def grids(folder: Path, kind: str) -> list[Path]:
@@ -99,9 +102,30 @@ def pair(raw: Path, dyr: Path, options: argparse.Namespace) -> dict[str, Any]:
             row |= ride(imported.case, options.stop)
         if options.export:
             row |= written_and_read(imported.case)
+        if options.command:
+            row |= command(raw, dyr, options)
     except (CaseError, RuntimeError) as error:
         row["refused"] = str(error)
     return row
+
+
+def command(raw: Path, dyr: Path, options: argparse.Namespace) -> dict[str, float]:
+    """Return what `interarea import` of a pair takes as a whole: s on the clock, s of a processor, MB."""
+    flags = ["--release-limits"] if options.release_limits else []
+    with tempfile.TemporaryDirectory() as folder:
+        words = ["import", raw, "--dyr", dyr, "--converters", options.converters, *flags]
+        start = time.perf_counter()
+        process = subprocess.Popen(
+            [sys.executable, "-m", "interarea", *map(str, words), "--out", f"{folder}/grid.toml"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode:
+            raise RuntimeError(f"interarea import: exit code {process.returncode}")
+        row = {"command_s": time.perf_counter() - start, "command_cpu_s": used.ru_utime + used.ru_stime}
+        return row | {"command_mb": used.ru_maxrss / 1024}
 
 
 def recorded(case: Case, stop_s: float, events: Sequence[Any] = ()) -> tuple[np.ndarray, np.ndarray]:
@@ -191,6 +215,7 @@ def main() -> int:
     parser.add_argument("--still", action="store_true", help="run the plant of each pair")
     parser.add_argument("--fault", action="store_true", help="run it with a fault as well")
     parser.add_argument("--export", action="store_true", help="write it and read it back as well")
+    parser.add_argument("--command", action="store_true", help="measure the command of each pair as well")
     parser.add_argument("--stop", type=float, default=20.0, metavar="S")
     parser.add_argument("--converters", choices=("refuse", "current"), default="refuse")
     parser.add_argument("--release-limits", action="store_true")
@@ -234,20 +259,28 @@ def main() -> int:
         if "changed" in row:
             what += f", written and read: {row['written_pu']:.0e} pu, changed {row['changed'] or 'nothing'}"
             what += f", named as lost: {row['losses'] or 'nothing'}"
+        if "command_s" in row:
+            what += f", command {row['command_s']:.1f} s ({row['command_cpu_s']:.1f} s of a processor), "
+            what += f"{row['command_mb']:.0f} MB"
         print(f"pair {folder.relative_to(options.folder)}: {what}", flush=True)
         pairs.append(row)
     imported = [row for row in pairs if "refused" not in row]
     moving = [row for row in imported if not row.get("dw", 0.0) <= STILL_PU]
     slipping = [row for row in imported if not row.get("swing_deg", 0.0) < SLIPS_DEG]
     lossy = [row for row in imported if row.get("changed") or not row.get("written_pu", 0.0) <= SAME_PU]
+    heavy = [
+        row
+        for row in imported
+        if not (row.get("command_cpu_s", 0.0) < MOST_S and row.get("command_mb", 0.0) < MOST_MB)
+    ]
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
     print(
         f"pairs imported: {len(imported)} of {len(pairs)}, of these moving: {len(moving)}, slipping a pole: "
-        f"{len(slipping)}, coming back as others: {len(lossy)}; memory {memory} MB"
+        f"{len(slipping)}, coming back as others: {len(lossy)}, heavy: {len(heavy)}; memory {memory} MB"
     )
     if options.json:
         options.json.write_text(json.dumps({"read": rows, "pairs": pairs}, indent=1))
-    return int(len(good) < len(rows) or bool(moving or slipping or lossy))
+    return int(len(good) < len(rows) or bool(moving or slipping or lossy or heavy))
 
 
 if __name__ == "__main__":
