@@ -28,6 +28,11 @@ def beside(folder: Path, name: str) -> str | Path:
 def wrong_names(table: Mapping[str, Any], where: str, folder: Path) -> list[str]:
     """Return a line for each name in a scenario's table that names nothing, whatever else is wrong."""
     lines, named = list(wrong_controller(table.get("controller"), where, folder)), table.get("case")
+    lines += [
+        f"{where}: {key}: what a grid holds stands in a case file (`interarea new case`), which case = names"
+        for key in ("base", "change", "buses", "branches", "shunts", "loads", "machines")
+        if key in table
+    ]
     if not isinstance(named, str) or not named:
         return lines
     from interarea.models.case.case import load_case

@@ -26,17 +26,17 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, get_args
 
 from pydantic import ValidationError, model_validator
 
 from ..documents import DocumentError, parse_toml
 from ..errors import CaseError, Collected, nearest, reason
 from ..files import read_text, toml_files
-from ..mistakes import mistakes
+from ..mistakes import meant, mistakes
 from .checks import check_whole
 from .cycles import in_seconds
 from .device_files import devices_of, with_device_texts
@@ -108,11 +108,10 @@ class Case(CaseTables):
         ------
         CaseError : a key that does not exist, a value out of range, a network that falls apart.
         """
-        document = apply_change(
-            self.document(), with_device_texts(change, Path(), f"{self.name} with changes")
-        )
+        where = f"{self.name} with changes"
+        document = apply_change(self.document(), with_device_texts(change, Path(), where), where=where)
         document["name"] = name or self.name
-        return case_of(document, where=f"{self.name} with changes")
+        return case_of(document, where=where)
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -191,8 +190,16 @@ def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def apply_change(document: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `document` with `change` merged in; the `defaults` of a changed table reach every row of it."""
+def apply_change(document: Mapping[str, Any], change: Mapping[str, Any], *, where: str) -> dict[str, Any]:
+    """Return `document` with `change` merged in; the `defaults` of a changed table reach every row of it.
+
+    Raises
+    ------
+    CaseError : a row that is not there, of which `change` does not give enough for a new one either.
+    """
+    wrong = [f"{where}: {line}" for line in _strangers(document, change)]
+    if wrong:
+        raise CaseError(*wrong)
     result = merge(document, change)
     for table in ROW_TABLES:
         part = change.get(table)
@@ -206,6 +213,37 @@ def apply_change(document: Mapping[str, Any], change: Mapping[str, Any]) -> dict
                 own = part.get(key, {})
                 result[table][key] = merge(merge(row, every), own) if isinstance(own, Mapping) else own
     return result
+
+
+def _strangers(document: Mapping[str, Any], change: Mapping[str, Any]) -> Iterator[str]:
+    """Tell each row of `change` that `document` lacks and that is no whole row by itself: a name misspelt."""
+    for table in ROW_TABLES:
+        there, part = document.get(table, {}), change.get(table)
+        if not isinstance(part, Mapping) or not isinstance(there, Mapping):
+            continue
+        known = [name for name in there if name not in RESERVED]
+        given = {*there.get("defaults", {}), *part.get("defaults", {})}
+        new = {name: row for name, row in part.items() if name not in {*there, *RESERVED}}
+        for name, row in new.items():
+            nearby = f"{table}.{name}: there is no {name!r} to change; {nearest(name, known)}"
+            if row == REMOVED or (table == "buses" and name not in _ends(change)):
+                yield nearby
+            elif isinstance(row, Mapping) and (missing := _needed(table, {*given, *row})):
+                yield f"{nearby} (a new one needs {', '.join(missing)})"
+
+
+def _needed(table: str, given: Set[str]) -> list[str]:
+    """Keys that every row of a table has, but for its id and those that are `given`."""
+    row = get_args(Case.model_fields[table].annotation)[0]
+    needed = [field.alias or name for name, field in row.model_fields.items() if field.is_required()]
+    return [key for key in needed if key != ROW_TABLES[table] and key not in given]
+
+
+def _ends(change: Mapping[str, Any]) -> set[str]:
+    """Buses that the branches of a change lead to: a new bus is one of them."""
+    branches = change.get("branches")
+    rows = branches.values() if isinstance(branches, Mapping) else ()
+    return {str(row.get(end)) for row in rows if isinstance(row, Mapping) for end in ("from", "to")}
 
 
 def _document(name_or_path: str | Path, seen: tuple[str, ...], beside: Path | None = None) -> dict[str, Any]:
@@ -222,13 +260,17 @@ def _document(name_or_path: str | Path, seen: tuple[str, ...], beside: Path | No
         return raw
     if where in seen:
         raise CaseError(f"{where}: base = {raw['base']!r} leads back to the case itself")
-    extra = sorted(set(raw) - {"base", "change", "name", "title", "source"})
+    keys = ("base", "change", "name", "title", "source")
+    extra = sorted(set(raw) - set(keys))
     if extra:
+        inside = extra[0] in Case.model_fields or extra[0] == "event"
+        hint = "" if inside else f"; {meant(extra[0], keys)}"
         raise CaseError(
-            f"{where}: {extra[0]} stands outside [change]; a variant holds base, change, name, title, source"
+            f"{where}: {extra[0]} stands outside [change]; a variant holds {', '.join(keys)}{hint}"
         )
     base = _document(raw["base"], (*seen, where), folder)
-    changed = apply_change(base, with_device_texts(raw.get("change", {}), folder or BUNDLED, where))
+    change = with_device_texts(raw.get("change", {}), folder or BUNDLED, where)
+    changed = apply_change(base, change, where=where)
     return changed | {k: raw[k] for k in ("name", "title", "source") if k in raw}
 
 
