@@ -108,7 +108,8 @@ double plain_events(void *plant, double stop, double h, long counts[2])
         const long count = runge_kutta_count(to - from, h);
         for (long k = 0; k < count; ++k) {
             c->t = from + (to - from) * ((double)k / (double)count);
-            if (limited_step(counted, c, b->layout.n_x, (to - from) / (double)count, b->x, c->k) != BLOCK_OK) return -1.0;
+            const double step = (to - from) / (double)count;
+            if (limited_step(counted, c, b->layout.n_x, c->t, step, b->x, c->k, &c->message) != BLOCK_OK) return -1.0;
         }
         if (event <= stop && block_event(b, event, b->x, &c->message) != BLOCK_OK) return -1.0;
         from = to;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import tomllib
 from pathlib import Path
 
@@ -19,7 +20,8 @@ from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.container import LoopMember, loop_block
 from interarea.models.blocks.controller import controller_block
 from interarea.models.blocks.plant import event_parameters, plant_block
-from interarea.models.case.case import CaseError, case_of, load_case
+from interarea.models.blocks.variables import Block
+from interarea.models.case.case import Case, CaseError, case_of, load_case
 from interarea.models.case.events import events_of
 from interarea.models.case.write_toml import export_toml
 
@@ -133,16 +135,24 @@ def test_the_step_is_fixed_once_the_run_has_begun(fmu: Path) -> None:
         assert "solver.step cannot be set in this state" in run.log[-1]
 
 
-def test_a_step_beyond_stability_is_told(cache: Path, tmp_path: Path) -> None:
-    """T_A = 1 ms puts a pole at -1001 1/s: steps of 10 ms grow without bound, limits that switch or not."""
-    block = plant_block(load_case("two-area-thesis"))
+@pytest.mark.parametrize("step_s", [0.0033, 0.004, 0.01])
+def test_a_step_beyond_stability_is_told(step_s: float, cache: Path) -> None:
+    """T_A = 1 ms puts poles at -1001 1/s; limits that switch divide the steps and keep the growth bounded."""
+    case = load_case("two-area-thesis")
     fault = {"kind": "bus_fault", "bus": 8, "x_pu": 1e-4, "start_s": 0.1, "end_s": 0.2}
-    start = event_parameters(load_case("two-area-thesis"), events_of([fault], where="test"))
-    with Runner(build_fmu(block, tmp_path / "plant.fmu", cache=cache)) as run:
-        run.start(start | {"solver.step": 0.01})
-        with pytest.raises(Exception, match="fmi2DoStep"):
-            run.run(np.arange(0.0, 2.0, 0.02), "G1_dw")
-        assert "try a shorter solver.step" in run.log[-1]
+    start = event_parameters(case, events_of([fault], where="test")) | {"solver.step": step_s}
+    plants = PlantLanes(case, cache)
+    told = plants.run([start], stop_s=0.5, step_s=0.02, lanes=1).errors[0]
+    assert "steps of" in told
+    assert "try a shorter solver.step" in told
+    taken, fastest, allowed = (
+        float(re.search(rf"{before} (\S+)", told)[1]) for before in ("steps of", "mode is at", "at most")
+    )
+    assert taken == pytest.approx(0.02 / np.ceil(0.02 / step_s - 1e-9), rel=1e-3)
+    assert fastest == pytest.approx(1001.0, rel=5e-3)
+    assert allowed == pytest.approx(2.785 / 1001.0, rel=5e-3)
+    beside = plants.run([start, start | {"solver.step": 0.0025}], stop_s=0.5, step_s=0.02)
+    assert beside.errors == [told, ""]
 
 
 def test_model_exchange_leaves_steps_to_its_importer(fmu: Path) -> None:
@@ -207,17 +217,22 @@ def test_the_default_is_accurate_through_the_fault_of_the_study(cache: Path, exc
         assert np.abs(dw[:, 0] - dw[:, 1]).max() <= 1e-7
 
 
-def test_a_loop_takes_the_step_of_its_plant(cache: Path, tmp_path: Path) -> None:
+def a_loop(case: Case) -> Block:
+    """A plant, a first-order lag and a channel between them."""
     one = np.ones((1, 1))
     controller = controller_block("lag", -10.0 * one, 10.0 * one, one, 0.0 * one, ["G2_dw"], ["G1_vs"])
-    blocks = {"plant": plant_block(load_case(CASE)), "controller": controller, "remote": channel_block()}
+    blocks = {"plant": plant_block(case), "controller": controller, "remote": channel_block()}
     members = [LoopMember(name, block, pack_record(record_entries(block))) for name, block in blocks.items()]
     wires = [
         ("plant.G2_dw", "remote.u"),
         ("remote.y", "controller.G2_dw"),
         ("controller.G1_vs", "plant.G1_vs"),
     ]
-    loop = loop_block("loop", members, wires, step_s=0.02, stop_s=2.0)
+    return loop_block("loop", members, wires, step_s=0.02, stop_s=2.0)
+
+
+def test_a_loop_takes_the_step_of_its_plant(cache: Path, tmp_path: Path) -> None:
+    loop = a_loop(load_case(CASE))
     assert loop.longest_step_s == 0.001
     path = build_fmu(loop, tmp_path / "loop.fmu", cache=cache)
     start = {f"plant.{name}": value for name, value in pulse().items()} | {"remote.latency": 0.05}
@@ -229,3 +244,17 @@ def test_a_loop_takes_the_step_of_its_plant(cache: Path, tmp_path: Path) -> None
     assert 0.0 < 50.0 * errors[0] < 10.0 * errors[1] < 1e-10
     # ten times the plant's step at the start makes the controller's 2 ms five times as long, no more
     assert errors[1] < errors[2] < 1e-9
+
+
+def test_a_loop_tells_a_step_beyond_stability_of_its_plant(cache: Path, tmp_path: Path) -> None:
+    case = load_case("two-area-thesis")
+    path = build_fmu(a_loop(case), tmp_path / "loop.fmu", cache=cache)
+    fault = {"kind": "bus_fault", "bus": 8, "x_pu": 1e-4, "start_s": 0.1, "end_s": 0.2}
+    rows = event_parameters(case, events_of([fault], where="test"))
+    start = {f"plant.{name}": value for name, value in rows.items()} | {"remote.latency": 0.05}
+    with Runner(path) as run:
+        run.start(start | {"plant.solver.step": 0.004})
+        with pytest.raises(Exception, match="fmi2DoStep"):
+            run.run(TIMES[:12], "G1_dw")
+        assert "grow without bound" in run.log[-1]
+        assert "try a shorter solver.step" in run.log[-1]

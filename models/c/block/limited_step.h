@@ -6,7 +6,11 @@
  * the bit. Where one is found elsewhere in a later stage, the step is done again with all limiters
  * held, so that its right-hand side is smooth, as far as the instant at which the first of them gets
  * beyond its range; from just after it on the limiters are as they now are. That instant is found
- * on the cubic through values and slopes at both ends, then by short steps that end there.        */
+ * on the cubic through values and slopes at both ends, then by short steps that end there.
+ *
+ * A step too long for its fastest motion grows until a limiter switches in it; its parts are shorter and keep
+ * the growth bounded, so nothing would ever tell. So a step done again tells where it is that long.   */
+#include <stdio.h>
 #include <string.h>
 
 #include "runge_kutta.h"
@@ -21,10 +25,11 @@ typedef struct {
     LimitedFlow *flow;
     void *context;
     size_t n;
-    double done;              /* of the step, s                                         */
+    double begin, done;       /* of the step: its time; how much of it is done, s       */
     double *work, *x;         /* 5 n of runge_kutta.h; where the part of the step begins */
     double *end, *slope, *at; /* where it ends: states, their slopes; another point      */
     BlockLimits limits;
+    BlockMessage *message;
 } LimitedStep;
 
 static inline BlockStatus limited_stage(void *context, RungeKuttaStage stage, double h, const double *x, double *k)
@@ -153,6 +158,66 @@ static inline BlockStatus limited_land(LimitedStep *s, double h, double overrun,
     return BLOCK_OK;
 }
 
+static inline double limited_product(const LimitedStep *s, const double *a, const double *b)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < s->n; ++i) sum += a[i] * b[i] / ((1.0 + fabs(s->x[i])) * (1.0 + fabs(s->x[i])));
+    return sum;
+}
+
+/* The rate of the fastest motion about s->x, limiters held, 1/s: powers of the Jacobian matrix applied to the
+ * direction d, by differences, or 0 where a step h can follow it. */
+static inline BlockStatus limited_fastest(LimitedStep *s, double h, double *d, double *k, double *x, double *fastest)
+{
+    enum { ROUNDS = 12 };
+    const double *k1 = s->work;
+    double rate = 0.0, lately = 1.0, aligned = 0.0;   /* lately: product of the last four */
+
+    *fastest = 0.0;
+    for (int round = 0; round < ROUNDS; ++round) {
+        const double size = sqrt(limited_product(s, d, d)) / 1e-6;
+        for (size_t i = 0; i < s->n; ++i) {
+            d[i] /= size;
+            x[i] = s->x[i] + d[i];
+        }
+        s->limits.mode = LIMITS_HOLD;
+        const BlockStatus status = s->flow(s->context, s->done, &s->limits, x, k);
+        if (status != BLOCK_OK) return status;
+        for (size_t i = 0; i < s->n; ++i) k[i] -= k1[i];
+        rate = sqrt(limited_product(s, k, k)) / 1e-6;
+        if (!(h * rate > 1.0)) return BLOCK_OK;
+        aligned = limited_product(s, k, d) / (1e-12 * rate);
+        if (round >= ROUNDS - 4) lately *= rate;
+        memcpy(d, k, s->n * sizeof(double));
+    }
+    lately = sqrt(sqrt(lately));
+    if (aligned < -0.99) *fastest = rate;
+    else if (h * lately > RUNGE_KUTTA_REACH) *fastest = lately;
+    return BLOCK_OK;
+}
+
+/* Tells a step h that is beyond stability. The slopes of its stages, k2 - k1 and then k3 - k2, are two powers
+ * already: rarely do they ask for more. */
+static inline BlockStatus limited_stable(LimitedStep *s, double h)
+{
+    double *k1 = s->work, *k2 = k1 + s->n, *k3 = k2 + s->n, *x = k2 + 3 * s->n, fastest;
+
+    for (size_t i = 0; i < s->n; ++i) {
+        const double later = k3[i] - k2[i];
+        k3[i] = k2[i] - k1[i];
+        k2[i] = later;
+    }
+    const double rate = 2.0 / h * sqrt(limited_product(s, k2, k2) / limited_product(s, k3, k3));
+    if (!(h * rate > RUNGE_KUTTA_DECAY && rate < INFINITY)) return BLOCK_OK;
+    const BlockStatus status = limited_fastest(s, h, k2, k3, x, &fastest);
+    if (status != BLOCK_OK || !(h * fastest > RUNGE_KUTTA_DECAY)) return status;
+    (void)snprintf(s->message->text, sizeof s->message->text,
+                   "t = %.9g s: Runge-Kutta steps of %.4g s grow without bound where the fastest mode is at %.4g 1/s, "
+                   "allowed there: at most %.4g s; try a shorter solver.step", s->begin, h, fastest,
+                   RUNGE_KUTTA_DECAY / fastest);
+    return BLOCK_ERROR;
+}
+
 /* The step in parts between switches. */
 static inline BlockStatus limited_again(LimitedStep *s, double h, double *x)
 {
@@ -168,6 +233,7 @@ static inline BlockStatus limited_again(LimitedStep *s, double h, double *x)
             if ((status = s->flow(s->context, s->done, &s->limits, s->x, s->work)) != BLOCK_OK) return status;
         }
         if ((status = limited_try(s, h - s->done, &overrun)) != BLOCK_OK) return status;
+        if (count == 0 && (status = limited_stable(s, h)) != BLOCK_OK) return status;
         if (!(overrun > 0.0)) {
             memcpy(x, s->at, size);
             return BLOCK_OK;
@@ -186,12 +252,14 @@ static inline BlockStatus limited_again(LimitedStep *s, double h, double *x)
     return BLOCK_OK;
 }
 
-/* One step of n states over h. work: LIMITED_STEP_ARRAYS n numbers. Where the flow does not return
- * BLOCK_OK, x is left as it was. */
-static inline BlockStatus limited_step(LimitedFlow *flow, void *context, size_t n, double h, double *x, double *work)
+/* One step of n states over h from time t. work: LIMITED_STEP_ARRAYS n numbers. Where the flow does not return
+ * BLOCK_OK, or the step is beyond stability, x is left as it was and the message says why. */
+static inline BlockStatus limited_step(LimitedFlow *flow, void *context, size_t n, double t, double h, double *x,
+                                       double *work, BlockMessage *message)
 {
     LimitedStep s = {.flow = flow, .context = context, .n = n, .work = work, .x = work + 5 * n, .end = work + 6 * n,
-                     .slope = work + 7 * n, .at = work + 8 * n, .limits = {.mode = LIMITS_NOTE}};
+                     .slope = work + 7 * n, .at = work + 8 * n, .limits = {.mode = LIMITS_NOTE}, .begin = t,
+                     .message = message};
     const BlockStatus status = runge_kutta_stages(limited_stage, &s, n, h, x, work);
 
     if (status != BLOCK_OK) return status;

@@ -15,6 +15,11 @@
 #define RK_MOVED(h, moved, x) (moved)
 #endif
 
+/* How fast a mode lambda a step h can follow: |h lambda| of a decay without swing up to this, */
+static const double RUNGE_KUTTA_DECAY = 2.785;
+/* and none of the left half plane beyond this: |1 + z + z^2/2 + z^3/6 + z^4/24| > 1 there. */
+static const double RUNGE_KUTTA_REACH = 2.97;
+
 /* Where in a step dx/dt is asked for. */
 typedef enum { RK_BEGIN, RK_MIDDLE, RK_MIDDLE_AGAIN, RK_END } RungeKuttaStage;
 

@@ -127,7 +127,7 @@ static BlockStatus integrate(ClosedLoop *l, double begin, double length, BlockMe
         f.elapsed = length * ((double)step / (double)count);
         f.t = begin + f.elapsed;
         const double h = length / (double)count;
-        const BlockStatus status = limited_step(stage_flow, &f, l->n_x, h, l->state, l->work);
+        const BlockStatus status = limited_step(stage_flow, &f, l->n_x, f.t, h, l->state, l->work, message);
         if (status != BLOCK_OK) return status;
     }
     return BLOCK_OK;
