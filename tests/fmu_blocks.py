@@ -12,6 +12,7 @@ from interarea.models.blocks.concentrator import concentrator_block
 from interarea.models.blocks.container import LoopMember, loop_block
 from interarea.models.blocks.controller import controller_block
 from interarea.models.blocks.plant import plant_block
+from interarea.models.blocks.pmu import pmu_block
 from interarea.models.blocks.supervisor import supervisor_block
 from interarea.models.blocks.variables import Block
 from interarea.models.case.case import load_case
@@ -40,6 +41,7 @@ def blocks() -> dict[str, Block]:
         ),
         "channel": channel_block(),
         "concentrator": concentrator_block(2),
+        "pmu": pmu_block(),
         "plant": plant,
         "loop": closed_loop(plant, controller),
     }

@@ -56,9 +56,9 @@ class _Run:
 class PlantLanes:
     """Runs of the plant FMU of a case; `lanes` = 1 lets each fmi2DoStep be called by itself."""
 
-    def __init__(self, case: Case, cache: Path) -> None:
+    def __init__(self, case: Case, cache: Path, more: Sequence[str] = ()) -> None:
         self.group: GroupLibrary = plant_group(cache=cache)
-        self.file = FmuFile(plant_fmu(case, cache))
+        self.file = FmuFile(plant_fmu(case, cache, more=more))
         self.outputs = [v for v in self.file.model.variables if v.causality == "output"]
 
     def run(

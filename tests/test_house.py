@@ -40,7 +40,10 @@ PYTHON = [p for floor in FLOORS for p in sorted((ROOT / floor).rglob("*.py"))]
 SOURCES = PYTHON + [p for floor in FLOORS for p in sorted((ROOT / floor).rglob("*.[ch]"))]
 #: C has its order of folders too: each includes from those before it.
 C_ORDER = [
-    *(f"models/c/{k}" for k in ("block", "channel", "concentrator", "controller", "plant", "container")),
+    *(
+        f"models/c/{k}"
+        for k in ("block", "channel", "concentrator", "controller", "plant", "pmu", "container")
+    ),
     *(
         "fmu_build/c",
         "fmu_build/c/group",

@@ -32,19 +32,24 @@ EVENT_SLOTS = 8  #: of the plant FMU; a scenario with more events gets one of it
 
 
 def plant_fmu(
-    case: Case, cache: Path, *, event_slots: int = EVENT_SLOTS, show: Sequence[str] | None = None
+    case: Case,
+    cache: Path,
+    *,
+    event_slots: int = EVENT_SLOTS,
+    show: Sequence[str] | None = None,
+    more: Sequence[str] = (),
 ) -> Path:
     """Return the plant FMU of a case, built when its data or the sources that make it are new.
 
-    show : patterns of its outputs; None: what a plant shows by itself.
+    show : patterns of its outputs; None: what a plant shows by itself. more : of outputs beside those.
     """
 
     def block() -> Block:
         from interarea.models.blocks.plant import plant_block
 
-        return plant_block(case, event_slots=event_slots, show=show)
+        return plant_block(case, event_slots=event_slots, show=show, more=more)
 
-    given = [case.model_dump_json(), event_slots, *([] if show is None else [list(show)])]
+    given = [case.model_dump_json(), event_slots, None if show is None else list(show), list(more)]
     return _kept_fmu(cache, "plant", case.name, given, block)
 
 

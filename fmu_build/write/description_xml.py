@@ -34,6 +34,7 @@ SI_UNITS: dict[str, tuple[dict[str, str], dict[str, float]]] = {
     "rad/s": ({"rad": "1", "s": "-1"}, {"Hz": 1.0 / (2.0 * math.pi)}),
     "rad/s2": ({"rad": "1", "s": "-2"}, {}),
     "Hz": ({"s": "-1"}, {}),
+    "Hz/s": ({"s": "-2"}, {}),
     "deg": ({"rad": "1", "factor": repr(math.pi / 180.0)}, {}),
 }
 

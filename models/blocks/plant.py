@@ -119,7 +119,12 @@ def _controls(point: OperatingPoint) -> dict[str, str]:
 
 
 def plant_block(
-    case: Case, *, event_slots: int = 8, show: Sequence[str] | None = None, network: Form | None = None
+    case: Case,
+    *,
+    event_slots: int = 8,
+    show: Sequence[str] | None = None,
+    more: Sequence[str] = (),
+    network: Form | None = None,
 ) -> Block:
     """Return the plant of `case` as a block with `event_slots` slots for events.
 
@@ -129,7 +134,8 @@ def plant_block(
     of the controls, which keep the equilibrium, `solver.step` (start: the case's `solver_step_s`, else
     `default_step_s`) and the event slots. A slot that is set anew while the plant runs counts from the next
     event on. `show`: patterns of the outputs wanted, see `shown_of`, which also says what a large grid shows
-    without. `network`: solve it so whatever that costs; else the cheaper form is taken.
+    without; `more`: of outputs beside those. `network`: solve it so whatever that costs; else the cheaper
+    form is taken.
 
     Raises
     ------
@@ -147,7 +153,7 @@ def plant_block(
     parameters = [(*place[id(d)], parameter) for d in point.controls.devices for parameter in d.parameters()]
     # of no group: the FMI layer reads it, the plant does not
     parameters.append((0, 0, Parameter(STEP_PARAMETER, 0, "s", _STEP_TEXT, *SOLVER_STEP_S, value=step_s)))
-    shown = shown_of(case, show)
+    shown = shown_of(case, show, more)
     variables = state_variables(point) + input_variables(point) + [s.variable for s in shown]
     variables += [parameter_variable(parameter) for *_, parameter in parameters]
     variables += event_variables(event_slots)

@@ -15,7 +15,10 @@ from ..grid.machine_tables import network_states
 from .variables import Variable
 
 #: ShowKind of plant/layout.h
-KINDS = ("dw", "delta", "pe", "vt", "tie", "bus_v", "efd", "pm", "line_p", "line_q")
+KINDS = (
+    *("dw", "delta", "pe", "vt", "tie", "bus_v", "efd", "pm", "line_p", "line_q"),
+    *("line_i", "bus_angle", "bus_re", "bus_im"),
+)
 MOST_MACHINES = 100  #: of a grid that shows everything unless told otherwise
 
 
@@ -28,23 +31,43 @@ class Shown:
     of: int = 0
 
 
-def shown_of(case: Case, patterns: Sequence[str] | None = None) -> list[Shown]:
+def shown_of(case: Case, patterns: Sequence[str] | None = None, more: Sequence[str] = ()) -> list[Shown]:
     """Return outputs, then locals of the plant of `case`.
 
     patterns : of names such as `G1_*`, `bus7.v`, `branch[7-8].*`, `tie_p`, with `*`, `?` and `[..]` as in
         file names (a `[` of a name may stand for itself): the outputs, and no locals. None: of a grid of up
         to `MOST_MACHINES` the four outputs of each machine, the tie and, as locals, all bus voltages, field
         voltages and mechanical powers; of a larger one speed and power of each machine and the tie.
+    more : patterns of outputs beside those.
 
     Raises
     ------
     CaseError : a pattern that matches nothing, with the nearest names.
     """
-    if patterns is None:
-        large = len(case.machines) > MOST_MACHINES
-        machines = [s for s in _of_machines(case) if not large or s.kind in ("dw", "pe")]
-        return [*machines, *_of_tie(case), *([] if large else _locals(case))]
-    every = [*_of_machines(case), *_of_tie(case), *_of_buses(case, "output"), *_of_branches(case)]
+    if patterns is not None:
+        return _outputs(case, (*patterns, *more))
+    large = len(case.machines) > MOST_MACHINES
+    machines = [s for s in _of_machines(case) if not large or s.kind in ("dw", "pe")]
+    outputs, given = [*machines, *_of_tie(case)], [] if large else _locals(case)
+    if more:
+        named = {s.variable.name for s in outputs}
+        outputs += [s for s in _outputs(case, more) if s.variable.name not in named]
+        named = {s.variable.name for s in outputs}
+        given = [s for s in given if s.variable.name not in named]
+    return [*outputs, *given]
+
+
+def shown_names(case: Case) -> list[str]:
+    """Return the names of all outputs that a plant of `case` can show."""
+    return [s.variable.name for s in _every_output(case)]
+
+
+def _every_output(case: Case) -> list[Shown]:
+    return [*_of_machines(case), *_of_tie(case), *_of_buses(case), *_of_branches(case)]
+
+
+def _outputs(case: Case, patterns: Sequence[str]) -> list[Shown]:
+    every = _every_output(case)
     names = [s.variable.name for s in every]
     wanted = {name for pattern in patterns for name in _matching(case, pattern, names)}
     return [s for s in every if s.variable.name in wanted]
@@ -55,7 +78,11 @@ def _matching(case: Case, pattern: str, names: list[str]) -> set[str]:
     found = found or set(fnmatch.filter(names, pattern))
     if not found:
         near = difflib.get_close_matches(pattern, names, 3, 0.4)
-        advice = f"nearest: {', '.join(near)}" if near else "such as G1_dw, bus7.v, branch[7-8].p, tie_p"
+        advice = (
+            f"nearest: {', '.join(near)}"
+            if near
+            else "such as G1_dw, bus7.v, bus7.angle, branch[7-8].p, tie_p"
+        )
         raise CaseError(f"{case.name}: nothing to show matches {pattern!r}; {advice}")
     return found
 
@@ -104,23 +131,39 @@ def _of_branches(case: Case) -> Iterator[Shown]:
         for letter, what in (("p", "active"), ("q", "reactive")):
             text = f"{what} power from bus {b.from_bus} into {b.name}, base of the case"
             yield _output(f"branch[{b.name}].{letter}", text, network, f"line_{letter}", k)
+        text = f"size of the current from bus {b.from_bus} into {b.name}, base of the case"
+        yield _output(f"branch[{b.name}].i", text, network, "line_i", k)
 
 
-def _of_buses(case: Case, role: str) -> Iterator[Shown]:
+#: of a bus voltage -> what it is, unit
+_OF_BUS = {
+    "v": ("voltage magnitude of bus {}", "pu"),
+    "angle": ("voltage angle of bus {} to the centre of inertia", "rad"),
+    "re": ("voltage of bus {}, real part, in the frame that turns with rated frequency", "pu"),
+    "im": ("voltage of bus {}, imaginary part, in the frame that turns with rated frequency", "pu"),
+}
+
+
+def _of_buses(case: Case) -> Iterator[Shown]:
     network = tuple(sorted(network_states(case)))
+    angles = tuple(sorted({*network, *(f"{m.name}.delta" for m in case.machines)}))
     for k, bus in enumerate(case.buses):
-        name, text = f"bus{bus.number}.v", f"voltage magnitude of bus {bus.number}"
-        if role == "output":
-            yield _output(name, text, network, "bus_v", k)
-        else:
-            yield Shown(Variable(name, "local", text, unit="pu"), "bus_v", k)
+        for key, (text, unit) in _OF_BUS.items():
+            on = angles if key == "angle" else network
+            yield _output(f"bus{bus.number}.{key}", text.format(bus.number), on, f"bus_{key}", k, unit)
 
 
-def _locals(case: Case) -> Iterator[Shown]:
-    yield from _of_buses(case, "local")
+def _locals(case: Case) -> list[Shown]:
+    text, unit = _OF_BUS["v"]
+    given = [
+        Shown(Variable(f"bus{b.number}.v", "local", text.format(b.number), unit=unit), "bus_v", k)
+        for k, b in enumerate(case.buses)
+    ]
     for k, m in enumerate(case.machines):
-        yield Shown(Variable(f"{m.name}.Efd", "local", "field voltage", unit="pu"), "efd", k)
-        yield Shown(Variable(f"{m.name}.Pm", "local", "mechanical power, machine base", unit="pu"), "pm", k)
+        given.append(Shown(Variable(f"{m.name}.Efd", "local", "field voltage", unit="pu"), "efd", k))
+        text = "mechanical power, machine base"
+        given.append(Shown(Variable(f"{m.name}.Pm", "local", text, unit="pu"), "pm", k))
+    return given
 
 
 def _output(

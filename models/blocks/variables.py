@@ -27,7 +27,7 @@ REAL_ROLES: tuple[Role, ...] = ("state", "derivative", "input", "output", "local
 INTEGER_ROLES: tuple[Role, ...] = ("input", "output", "local", "parameter")
 
 #: Units a variable may carry; `pu` and `1` are dimensionless. The FMU builder knows their SI base.
-UNITS = ("1", "pu", "pu/s", "s", "1/s", "rad", "rad/s", "rad/s2", "Hz", "deg")
+UNITS = ("1", "pu", "pu/s", "s", "1/s", "rad", "rad/s", "rad/s2", "Hz", "Hz/s", "deg")
 
 
 #: Name of the parameter by which a block lets its user choose the longest step of its integration.

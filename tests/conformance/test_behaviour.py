@@ -16,6 +16,7 @@ INPUT = {
     "controller": "G2_dw",
     "channel": "u",
     "concentrator": "u1",
+    "pmu": "im",
     "plant": "G1_vs",
     "loop": None,
 }
@@ -31,6 +32,7 @@ PARAMETERS = {
     "controller": {"limit": 0.02},
     "channel": {"latency": 0.123, "outage[1].start": 0.5, "outage[1].end": 0.7, "on_loss": 1},
     "concentrator": {"latency[1]": 0.03, "jitter[1]": 0.1, "loss[1]": 0.3, "seed": 4, "wait": 0.08},
+    "pmu": {"performance_class": 1, "half_window": 71},
     "plant": FAULT,
     "loop": {f"plant.{name}": value for name, value in FAULT.items()} | {"remote.latency": 0.123},
 }

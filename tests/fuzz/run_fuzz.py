@@ -27,6 +27,7 @@ SHARE = {
     "supervisor": 0.15,
     "channel": 0.15,
     "concentrator": 0.15,
+    "pmu": 0.1,
     "plant": 0.3,
     "loop": 0.01,
 }

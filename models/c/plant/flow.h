@@ -257,6 +257,18 @@ static inline void add_at(num *centre, real part, num v) { centre[(size_t)(ptrdi
 static inline num value_at(const num *centre, real part) { return centre[(size_t)(ptrdiff_t)part]; }
 #endif
 
+/* Of a bus voltage re + j im, in the frame that turns with rated frequency; its angle is against `centre`. */
+static num bus_shown(size_t kind, num centre, num re, num im)
+{
+    num sine, cosine;
+
+    if (kind == SHOW_BUS_RE) return re;
+    if (kind == SHOW_BUS_IM) return im;
+    if (kind == SHOW_BUS_V) return num_sqrt(re * re + im * im);
+    num_sincos(centre, &sine, &cosine);
+    return num_angle(im * cosine - re * sine, re * cosine + im * sine);
+}
+
 /* What is shown from the solved network; Efd and Pm also need solve_devices. */
 static num shown(const real *memory, const Plan *plan, const Pattern *pattern, size_t kind, size_t of,
                  MachineStates states, const Work *w)
@@ -273,8 +285,16 @@ static num shown(const real *memory, const Plan *plan, const Pattern *pattern, s
     case SHOW_EFD: return w->efd[of];
     case SHOW_PM: return w->pm[of];
     case SHOW_BUS_V:
+    case SHOW_BUS_ANGLE:
+    case SHOW_BUS_RE:
+    case SHOW_BUS_IM:
         network_voltage(memory, plan, pattern, of, w->e_re, w->e_im, w->v, &re, &im);
+        return bus_shown(kind, value_at(w->centre, memory[plan->bus_part + of]), re, im);
+    case SHOW_LINE_I: {
+        num a_re, a_im;
+        network_line_current(memory, plan, pattern, plan->n_tie + of, w->e_re, w->e_im, w->v, &re, &im, &a_re, &a_im);
         return num_sqrt(re * re + im * im);
+    }
     default:
         network_line_power(memory, plan, pattern, plan->n_tie + of, w->e_re, w->e_im, w->v, &re, &im);
         return kind == SHOW_LINE_P ? re : im;
@@ -293,7 +313,7 @@ static void show(const real *memory, const Plan *plan, const Pattern *pattern, s
         add_at(w->centre, memory[plan->part + k], memory[plan->coi + k] * states.delta[k]);
     for (size_t k = first; k < last; ++k) {
         const size_t kind = index_at(kinds, k);
-        everywhere |= kind == SHOW_TIE || kind == SHOW_BUS_V || kind == SHOW_LINE_P || kind == SHOW_LINE_Q;
+        everywhere |= kind == SHOW_TIE || kind == SHOW_BUS_V || kind >= SHOW_LINE_P;
     }
     if (everywhere && plan->n_node > 0) sparse_backward(memory, plan, pattern, 0, plan->first, w->v);
     for (size_t k = first; k < last; ++k)

@@ -70,7 +70,8 @@ typedef enum { SATURATION_NONE, SATURATION_TOTAL, SATURATION_INCREMENTAL } Satur
 
 /* What is shown, outputs and then locals: its kind and which machine, bus or line. */
 typedef enum {
-    SHOW_DW, SHOW_DELTA, SHOW_PE, SHOW_VT, SHOW_TIE, SHOW_BUS_V, SHOW_EFD, SHOW_PM, SHOW_LINE_P, SHOW_LINE_Q, SHOW_KINDS
+    SHOW_DW, SHOW_DELTA, SHOW_PE, SHOW_VT, SHOW_TIE, SHOW_BUS_V, SHOW_EFD, SHOW_PM, SHOW_LINE_P, SHOW_LINE_Q,
+    SHOW_LINE_I, SHOW_BUS_ANGLE, SHOW_BUS_RE, SHOW_BUS_IM, SHOW_KINDS
 } ShowKind;
 enum {  /* tie branch: buses of its measured and its other end, admittances seen from there */
     T_BRANCH, T_OWN, T_OTHER, T_OWN_RE, T_OWN_IM, T_MUTUAL_RE, T_MUTUAL_IM, T_ROWS
@@ -115,6 +116,7 @@ typedef struct {
     size_t input_machine; /* n_input: the machine an input acts on                 */
     size_t tie;           /* T_ROWS x (n_tie + n_line): branches whose power is the output tie_p, then lines */
     size_t show;          /* ShowKind of n_y + n_w, then of which                  */
+    size_t bus_part;      /* n_bus: first machine of the part of the network       */
     size_t in_service;    /* n_branch: 1 or 0                                      */
     size_t state_machine; /* n_state: the machine a state belongs to               */
     size_t norton;        /* sparse: 2 x n_machine, admittance of each machine     */
@@ -156,6 +158,7 @@ static inline void plan_offsets(Plan *p)
     p->input_machine = at; at += p->n_input;
     p->tie = at;           at += (size_t)T_ROWS * (p->n_tie + p->n_line);
     p->show = at;          at += 2u * (p->n_y + p->n_w);
+    p->bus_part = at;      at += p->n_bus;
     p->in_service = at;    at += p->n_branch;
     p->state_machine = at; at += p->n_state;
     p->norton = at;        at += 2u * n * sparse;

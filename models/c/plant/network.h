@@ -101,23 +101,33 @@ static inline void network_voltage(const real *memory, const Plan *plan, const P
     }
 }
 
-/* Power into tie or line k at its measured end, in service only: S = V_a conj(Y_aa V_a + Y_ab V_b). */
-static inline void network_line_power(const real *memory, const Plan *plan, const Pattern *pattern, size_t k,
-                                      const num *e_re, const num *e_im, const num *v, num *p, num *q)
+/* Current into tie or line k at its measured end, in service only, and the voltage there. */
+static inline void network_line_current(const real *memory, const Plan *plan, const Pattern *pattern, size_t k,
+                                      const num *e_re, const num *e_im, const num *v, num *i_re, num *i_im,
+                                        num *v_re, num *v_im)
 {
     const size_t n = plan->n_tie + plan->n_line;
     const real *tie = memory + plan->tie, *row = tie + k;
     const real g_own = row[T_OWN_RE * n], b_own = row[T_OWN_IM * n];
     const real g_mutual = row[T_MUTUAL_RE * n], b_mutual = row[T_MUTUAL_IM * n];
     const real on = memory[plan->in_service + index_at(tie, T_BRANCH * n + k)];
-    num ar, ai, br, bi;
+    num br, bi;
 
-    network_voltage(memory, plan, pattern, index_at(tie, T_OWN * n + k), e_re, e_im, v, &ar, &ai);
+    network_voltage(memory, plan, pattern, index_at(tie, T_OWN * n + k), e_re, e_im, v, v_re, v_im);
     network_voltage(memory, plan, pattern, index_at(tie, T_OTHER * n + k), e_re, e_im, v, &br, &bi);
-    const num re = g_own * ar - b_own * ai + g_mutual * br - b_mutual * bi;
-    const num im = g_own * ai + b_own * ar + g_mutual * bi + b_mutual * br;
-    *p = on * (ar * re + ai * im);
-    *q = on * (ai * re - ar * im);
+    *i_re = on * (g_own * *v_re - b_own * *v_im + g_mutual * br - b_mutual * bi);
+    *i_im = on * (g_own * *v_im + b_own * *v_re + g_mutual * bi + b_mutual * br);
+}
+
+/* Power there: S = V_a conj(Y_aa V_a + Y_ab V_b). */
+static inline void network_line_power(const real *memory, const Plan *plan, const Pattern *pattern, size_t k,
+                                      const num *e_re, const num *e_im, const num *v, num *p, num *q)
+{
+    num ar, ai, re, im;
+
+    network_line_current(memory, plan, pattern, k, e_re, e_im, v, &re, &im, &ar, &ai);
+    *p = ar * re + ai * im;
+    *q = ai * re - ar * im;
 }
 
 /* Active power over the tie branches. */

@@ -217,8 +217,9 @@ static void check_show(Reader *r, const Plan *plan)
     const int32_t *kind = integers(r, "show.kind", n, SHOW_KINDS), *of = integers(r, "show.of", n, SIZE_MAX);
 
     for (size_t k = 0; r->bad == NULL && k < n; ++k) {
-        const int line = kind[k] == SHOW_LINE_P || kind[k] == SHOW_LINE_Q;
-        const size_t count = line ? plan->n_line : kind[k] == SHOW_BUS_V ? plan->n_bus : plan->n_machine;
+        const int line = kind[k] >= SHOW_LINE_P && kind[k] <= SHOW_LINE_I;
+        const int bus = kind[k] == SHOW_BUS_V || kind[k] >= SHOW_BUS_ANGLE;
+        const size_t count = line ? plan->n_line : bus ? plan->n_bus : plan->n_machine;
         const int device = kind[k] == SHOW_EFD || kind[k] == SHOW_PM;
         if ((size_t)of[k] >= count || (device && k < plan->n_y)) r->bad = "show.of";
     }

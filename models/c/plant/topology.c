@@ -200,7 +200,7 @@ static size_t part_of(double *part, size_t k)
     return k;
 }
 
-/* Which buses hang together, and the first machine of each machine's part. A part where no machine runs is
+/* Which buses hang together, and the first machine of each machine's and bus's part. A part where no machine runs is
  * dead: 1 in `dead` for its buses, and its loads draw nothing. part, first: a number for each bus. */
 static void find_parts(double *memory, const Plan *plan, const Network *net, double *part, double *first, double *dead)
 {
@@ -227,6 +227,7 @@ static void find_parts(double *memory, const Plan *plan, const Network *net, dou
     for (size_t k = 0; k < plan->n_bus; ++k) {
         dead[k] = dead[part_of(part, k)];
         buses += dead[k];
+        memory[plan->bus_part + k] = dead[k] > 0.5 ? 0.0 : first[part_of(part, k)];
     }
     for (size_t k = 0; k < plan->n_port; ++k) {
         double *row = memory + plan->port + P_ROWS * k;

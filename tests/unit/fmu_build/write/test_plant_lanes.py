@@ -19,7 +19,7 @@ CASE = "two-area-thesis"
 
 @pytest.fixture(scope="module")
 def plants(cache: Path) -> PlantLanes:
-    return PlantLanes(load_case(CASE), cache)
+    return PlantLanes(load_case(CASE), cache, more=["bus*.*", "branch[*"])
 
 
 def scenarios(count: int) -> list[dict]:

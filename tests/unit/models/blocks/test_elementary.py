@@ -1,4 +1,4 @@
-"""sin, cos, exp, ln of the plant: close to the true values, of one number or several the same bits."""
+"""sin, cos, exp, ln, angle of a pair: close to the true values, of one number or several the same bits."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ void one(size_t n, const double *x, double *y)
         num_sincos(x[k], &y[k], &y[n + k]);
         y[2 * n + k] = num_exp(x[k]);
         y[3 * n + k] = num_log(x[k]);
+        y[4 * n + k] = num_angle(x[k], x[n - 1 - k]);
     }
 }
 """
@@ -34,6 +35,7 @@ SEVERAL = """#define PLANT_LANES 2
 #define NAME(f) f##_2
 #define PART(a) (a)
 #include "scalar.h"
+static num swapped(num a) { return (num){ a[1], a[0] }; }
 void several(size_t n, const double *from, double *to)
 {
     const num *x = (const num *)(const void *)from;
@@ -42,6 +44,7 @@ void several(size_t n, const double *from, double *to)
         num_sincos(x[k], &y[k], &y[n / 2 + k]);
         y[n + k] = num_exp(x[k]);
         y[3 * n / 2 + k] = num_log(x[k]);
+        y[2 * n + k] = num_angle(x[k], swapped(x[n / 2 - 1 - k]));
     }
 }
 """
@@ -65,8 +68,8 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
 
 
 def values(library: ctypes.CDLL, how: str, x: np.ndarray) -> np.ndarray:
-    """Rows sin, cos, exp, ln at x."""
-    y = np.empty((4, len(x)))
+    """Rows sin, cos, exp, ln at x, angle of (x from behind, x)."""
+    y = np.empty((5, len(x)))
     pointers = (a.ctypes.data_as(ctypes.c_void_p) for a in (x, y))
     getattr(library, how)(ctypes.c_size_t(len(x)), *pointers)
     return y
@@ -91,7 +94,7 @@ def test_several_numbers_have_the_bits_of_each_alone(library: ctypes.CDLL) -> No
 def test_values_are_those_of_mathematics(library: ctypes.CDLL) -> None:
     """numpy's are good to less than 1 ulp; ours say 1 ulp, the logarithm 2."""
     x = points()[len(EDGES) :]
-    sine, cosine, exponential, logarithm = values(library, "one", x)
+    sine, cosine, exponential, logarithm, angle = values(library, "one", x)
     near = np.abs(x) < 1e6
     for got, exact in ((sine, np.sin(x)), (cosine, np.cos(x))):
         assert np.max(np.abs(got - exact)[near] / np.spacing(np.abs(exact))[near]) <= 2.0
@@ -100,11 +103,15 @@ def test_values_are_those_of_mathematics(library: ctypes.CDLL) -> None:
     positive = x > 0.0
     exact = np.log(x[positive])
     assert np.max(np.abs(logarithm[positive] - exact) / np.spacing(np.maximum(np.abs(exact), 1e-3))) <= 3.0
+    squared = (np.abs(x) > 1e-100) & (np.abs(x) < 1e100)  # whose squares are numbers
+    pairs, exact = squared & squared[::-1], np.arctan2(x, x[::-1])
+    assert np.sum(pairs) > 30000
+    assert np.max(np.abs(angle - exact)[pairs] / np.spacing(np.abs(exact[pairs]))) <= 8.0
 
 
 def test_beyond_their_range_they_say_so(library: ctypes.CDLL) -> None:
     x = np.array(EDGES)
-    sine, cosine, exponential, logarithm = values(library, "one", x)
+    sine, cosine, exponential, logarithm, _ = values(library, "one", x)
     assert (sine[0], cosine[0], exponential[0]) == (0.0, 1.0, 1.0)
     assert np.all(exponential[[3, 8, 10]] == exponential[2])
     assert np.all(exponential[[5, 9, 11]] == exponential[4])

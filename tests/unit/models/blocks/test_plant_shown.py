@@ -9,6 +9,7 @@ from plant_shim import BlockShim
 from interarea.models.blocks.plant import plant_block
 from interarea.models.blocks.plant_shown import MOST_MACHINES, shown_of
 from interarea.models.case.case import Case, CaseError, load_case
+from interarea.models.grid.machine_tables import in_plant_order
 from interarea.models.grid.powerflow import solve_powerflow
 
 
@@ -19,26 +20,40 @@ def names(case: Case, *patterns: str) -> list[str]:
 @pytest.mark.parametrize("form", ["dense", "sparse"])
 def test_buses_and_branches_show_the_power_flow(form: str) -> None:
     case = load_case("new-england")
-    patterns = ["bus*.v", "branch[*", "G1_*"]
+    patterns = ["bus*", "branch[*", "G1_*"]
     plant = BlockShim(plant_block(case, show=patterns, network=form))
     flow = solve_powerflow(case)
     shown = dict(zip(plant.output_names, plant.derivatives(plant.x)[1], strict=True))
-    assert len(shown) == 4 + len(case.buses) + 2 * len(case.branches) and len(plant.w) == 0
-    for bus, voltage in zip(case.buses, flow.magnitudes, strict=True):
-        assert shown[f"bus{bus.number}.v"] == pytest.approx(voltage, abs=1e-8)
+    assert len(shown) == 4 + 4 * len(case.buses) + 3 * len(case.branches) and len(plant.w) == 0
+    centre = machine_centre(case, plant)
+    for bus, voltage in zip(case.buses, flow.voltages, strict=True):
+        assert shown[f"bus{bus.number}.v"] == pytest.approx(abs(voltage), abs=1e-8)
+        phasor = complex(shown[f"bus{bus.number}.re"], shown[f"bus{bus.number}.im"])
+        assert abs(phasor - voltage) < 1e-8
+        assert shown[f"bus{bus.number}.angle"] == pytest.approx(np.angle(voltage) - centre, abs=1e-8)
+    volts = {bus.number: abs(v) for bus, v in zip(case.buses, flow.voltages, strict=True)}
     for branch in case.branches:
         power = flow.flow(branch.name, branch.from_bus)
         got = complex(shown[f"branch[{branch.name}].p"], shown[f"branch[{branch.name}].q"])
         assert abs(got - power) < 1e-6
+        current = abs(power) / volts[branch.from_bus]
+        assert shown[f"branch[{branch.name}].i"] == pytest.approx(current, abs=1e-6)
     assert shown["G1_dw"] == 0.0
 
 
-def test_slopes_of_shown_powers_are_exact() -> None:
+def machine_centre(case: Case, plant: BlockShim) -> float:
+    """Angle of the centre of inertia, from the rotor angles among the states."""
+    machines = in_plant_order(case).machines
+    angles = [plant.x[plant.state_names.index(f"{m.name}.delta")] for m in machines]
+    return float(np.average(angles, weights=[m.H * m.base_mva for m in machines]))
+
+
+def test_slopes_of_what_is_shown_are_exact() -> None:
     """Against central differences, both forms."""
     case = load_case("two-area-thesis")
-    name = f"branch[{case.branches[5].name}].p"
+    name = f"branch[{case.branches[5].name}].*"
     plants = [
-        BlockShim(plant_block(case, show=[name, "bus8.v"], network=form)) for form in ("dense", "sparse")
+        BlockShim(plant_block(case, show=[name, "bus8.*"], network=form)) for form in ("dense", "sparse")
     ]
     x, v, h = plants[0].x, np.random.default_rng(2).standard_normal(len(plants[0].x)), 1e-6
     for plant in plants:
