@@ -18,30 +18,26 @@ class Shifted:
 
     def __init__(self, plant: SparsePlant, s: complex) -> None:
         self.plant, self.s = plant, s
-        self._inverse = np.linalg.inv(s * np.eye(plant.A.shape[1]) - plant.A)
-        self.network = Network(plant.elimination, plant.bus, plant.C @ (self._inverse @ plant.B))
+        modal = plant.modal
+        self._devices = modal.at(s)
+        self.network = Network(plant.elimination, modal.C @ self._devices.times(modal.B))
 
     def solve(self, b: npt.NDArray[Any]) -> ComplexArray:
         """Return x = (s - A)^-1 b, (n, ...)."""
-        p, R = self.plant, self._inverse
-        xk = times(R, p.spread(b))
-        V = self.network.at_devices(times(p.C, xk))
-        return np.asarray(p.gathered(xk + times(R, times(p.B, V))))
+        p, modal, devices = self.plant, self.plant.modal, self._devices
+        y = times(modal.inverse, p.spread(b))
+        V = self.network.at_devices(times(modal.C, devices.times(y)))
+        return np.asarray(p.gathered(times(modal.X, devices.times(y + times(modal.B, V)))))
 
     def solve_left(self, c: npt.NDArray[Any]) -> ComplexArray:
         """Return y = (s - A)^-T c, (n, ...)."""
-        p, R = self.plant, self._inverse
-        Rt = np.swapaxes(R, 1, 2)
-        yk = times(Rt, p.spread(c))
-        V = self.network.at_devices(times(np.swapaxes(p.B, 1, 2), yk), transposed=True)
-        return np.asarray(p.gathered(yk + times(Rt, times(np.swapaxes(p.C, 1, 2), V))))
+        p, modal, devices = self.plant, self.plant.modal, self._devices
+        X, inverse, B, C = (np.swapaxes(M, 1, 2) for M in (modal.X, modal.inverse, modal.B, modal.C))
+        y = times(X, p.spread(c))
+        V = self.network.at_devices(times(B, devices.times(y, transposed=True)), transposed=True)
+        return np.asarray(p.gathered(times(inverse, devices.times(y + times(C, V), transposed=True))))
 
 
 def network_logarithm(plant: SparsePlant, s: complex) -> complex:
     """Return log det N(s), its imaginary part up to multiples of 2 pi."""
-    T, F, H = plant.triangular
-    X = np.zeros(F.shape, dtype=complex)
-    for i in range(T.shape[1] - 1, -1, -1):  # (s - T) X = F, all devices at once
-        inner = (T[:, i : i + 1, i + 1 :] @ X[:, i + 1 :])[:, 0]
-        X[:, i] = (F[:, i] + inner) / (s - T[:, i, i])[:, None]
-    return Network(plant.elimination, plant.bus, H @ X).logarithm()
+    return Shifted(plant, s).network.logarithm()

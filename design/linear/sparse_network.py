@@ -18,20 +18,22 @@ IntArray = npt.NDArray[np.int64]
 class Elimination:
     """The buses without a device taken out of G once, those on no path between devices: no fill."""
 
-    def __init__(self, G: Any, active: IntArray, buses: int) -> None:
-        """G : (2 b, 2 b) real; active : buses that stay; buses : b."""
+    def __init__(self, G: Any, bus: IntArray, buses: int) -> None:
+        """G : (2 b, 2 b) real; bus : (K,) of each device, which stays; buses : b."""
         at = G.tocoo()
         ends = np.unique(np.stack([at.row // 2, at.col // 2], axis=1), axis=0)
-        pattern = sparse_pattern(buses, ends[ends[:, 0] < ends[:, 1]], active)
+        pattern = sparse_pattern(buses, ends[ends[:, 0] < ends[:, 1]], np.unique(bus))
         order = np.argsort(pattern.row)
         both = np.stack([2 * order, 2 * order + 1], axis=1).ravel()
         ordered = G[both][:, both].tocsc()
         k = self.first = 2 * pattern.first
-        self.order, self.active = both, active
+        self.order = both
         self.row = pattern.row - pattern.first  #: (b,) place of each bus, negative where eliminated
         self._upper, self._lower = ordered[:k, k:], ordered[k:, :k]
         self._inner = splu(ordered[:k, :k].tocsc()) if k else None
-        self.kept = (ordered[k:, k:] - self._filled(ordered.shape[0] - k)).tocsc()
+        rows = 2 * self.row[bus]
+        self.rows = np.stack([rows, rows + 1], axis=1)  #: (K, 2) of each device among those that are kept
+        self.kept, self._places = self._with_blocks(ordered[k:, k:] - self._filled(ordered.shape[0] - k))
 
     def _filled(self, kept: int) -> Any:
         """What the eliminated buses add between those that are kept, in steps of some columns."""
@@ -44,6 +46,25 @@ class Elimination:
             scale = np.max(np.abs(found), initial=0.0)
             parts.append(sparse.csc_matrix(np.where(np.abs(found) > 1e-15 * scale, found, 0.0)))
         return sparse.hstack(parts, format="csc")
+
+    def _with_blocks(self, kept: Any) -> tuple[Any, IntArray]:
+        """The matrix with an entry wherever a device has one, zero or not, and where these are, (K, 2, 2)."""
+        n = kept.shape[0]
+        i, j = np.repeat(self.rows[:, :, None], 2, axis=2), np.repeat(self.rows[:, None, :], 2, axis=1)
+        ones = sparse.csc_matrix((np.ones(i.size), (i.ravel(), j.ravel())), shape=kept.shape)
+        pattern = (abs(kept) + ones).tocsc()
+        pattern.sort_indices()
+        key = np.repeat(np.arange(n), np.diff(pattern.indptr)) * n + pattern.indices
+        entries = kept.tocoo()
+        pattern.data = np.zeros(pattern.nnz)
+        pattern.data[np.searchsorted(key, entries.col * n + entries.row)] = entries.data
+        return pattern, np.searchsorted(key, j * n + i)
+
+    def less(self, blocks: npt.NDArray[Any]) -> Any:
+        """Return what is kept less (K, 2, 2) of the devices."""
+        data = self.kept.data.astype(np.result_type(blocks, float))
+        np.subtract.at(data, self._places.ravel(), blocks.ravel())
+        return sparse.csc_matrix((data, self.kept.indices, self.kept.indptr), shape=self.kept.shape)
 
     def reduced(self, current: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return (kept rows, ...) of currents at all buses (2 b, ...), none at the eliminated ones."""
@@ -67,16 +88,10 @@ class Elimination:
 class Network:
     """N(s), or G, on the buses that are left, factored."""
 
-    def __init__(self, left: Elimination, bus: IntArray, blocks: npt.NDArray[Any] | None) -> None:
-        """bus : (K,) of each device; blocks : (K, 2, 2) what it takes off the diagonal of G; or None."""
+    def __init__(self, left: Elimination, blocks: npt.NDArray[Any] | None) -> None:
+        """blocks : (K, 2, 2) what the devices take off the diagonal of G; or None."""
         self._left = left
-        rows = 2 * left.row[bus]
-        self._rows = np.stack([rows, rows + 1], axis=1)
-        matrix = left.kept
-        if blocks is not None:
-            i = (rows[:, None, None] + np.array([[0, 0], [1, 1]])).ravel()
-            j = (rows[:, None, None] + np.array([[0, 1], [0, 1]])).ravel()
-            matrix = (matrix - sparse.csc_matrix((blocks.ravel(), (i, j)), shape=matrix.shape)).tocsc()
+        matrix = left.kept if blocks is None else left.less(blocks)
         # the order is a good one already, and the diagonal carries the devices: nobody pivots
         self._complex = matrix.dtype.kind == "c"
         self._lu = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
@@ -91,16 +106,16 @@ class Network:
 
     def at_devices(self, current: npt.NDArray[Any], transposed: bool = False) -> npt.NDArray[Any]:
         """Return the voltages at the devices, (K, 2, ...), for what they send, (K, 2, ...)."""
-        left, rows = self._left, self._rows
+        left, rows = self._left, self._left.rows
         at = np.zeros((left.kept.shape[0], *current.shape[2:]), dtype=current.dtype)
         np.add.at(at, rows, current)
         return np.asarray(self.solve(at, transposed)[rows])
 
     def logarithm(self) -> complex:
         """Log det, its imaginary part up to multiples of 2 pi."""
-        diagonal = self._lu.U.diagonal().astype(complex)
-        found = np.sum(np.log(diagonal))
-        return complex(found + (1j * np.pi if _is_odd(self._lu.perm_r) != _is_odd(self._lu.perm_c) else 0.0))
+        lu = self._lu
+        found = np.sum(np.log(lu.U.diagonal().astype(complex)))
+        return complex(found + (1j * np.pi if _is_odd(lu.perm_r[np.argsort(lu.perm_c)]) else 0.0))
 
 
 def _is_odd(permutation: npt.NDArray[Any]) -> bool:

@@ -23,11 +23,11 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
-from scipy.linalg import schur
 
 from interarea.models.errors import InterareaError
 from interarea.models.grid.network import assembled
 
+from .modal_devices import Modal
 from .sparse_network import Elimination, Network, times
 
 Matrix = npt.NDArray[np.float64]
@@ -121,16 +121,14 @@ class SparsePlant:
         return np.concatenate([full, *whole]).astype(complex)
 
     @cached_property
-    def triangular(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """T (K, m, m) upper triangular, Q' B and C Q with A = Q T Q': N(s) without an inverse."""
-        pairs = [schur(a, output="complex") for a in self.A]
-        T, Q = np.array([t for t, _ in pairs]), np.array([q for _, q in pairs])
-        return T, np.conj(np.swapaxes(Q, 1, 2)) @ self.B, self.C @ Q
+    def modal(self) -> Modal:
+        """The devices in coordinates of their own modes."""
+        return Modal(self.A, self.B, self.C)
 
     @cached_property
     def at_rest(self) -> Network:
         """The network with the devices' states held: voltages from currents."""
-        return Network(self.elimination, self.bus, None)
+        return Network(self.elimination, None)
 
     def spread(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return the states of each device (K, m, ...) from those of the plant (n, ...)."""
@@ -170,7 +168,7 @@ class SparsePlant:
     @cached_property
     def elimination(self) -> Elimination:
         """Which buses are left of the network, and how."""
-        return Elimination(self.G, np.unique(self.bus), len(self.bus_names))
+        return Elimination(self.G, self.bus, len(self.bus_names))
 
 
 def sparse_plant(slopes: Slopes, data: Mapping[str, Any]) -> SparsePlant:

@@ -24,8 +24,9 @@ ComplexArray = npt.NDArray[np.complex128]
 
 RIGHT = 2.0  #: 1/s, growth faster than any swing's
 _NEAR = 0.6  # 1/s: poles and modes so near the edge are divided out
-_TURN = 3.0  # largest change of log det in a step
-_AGREES = 0.25
+_AGREES = 0.25  # between the change of log det and the trapezium of its derivative
+_BEND = 3.0  # of the derivative over a step, times the step: two zeros beside its middle would give 8 or more
+_FIRST, _LONGER = 0.2, 3.0  # 1/s; how much longer the next step may be
 _SHIFT = 1e-6  # for the derivative of log det
 _SHORTEST = 1e-7  # of a step: a mode lies on the line
 _MOVE = 1e-3  # of a line that a mode lies on, relative
@@ -165,20 +166,23 @@ class _Edge:
         """Return by how much the phase changes from `start` to `end`, rad."""
         length, way = abs(end - start), (end - start) / abs(end - start)
         (value, slope), done, total = self.at(start), 0.0, 0.0
-        step = length
+        step = min(length, _FIRST)
         while done < length:
-            step = min(step, 0.999 * _TURN / max(abs(slope), 1e-12), length - done)
+            step = min(step, length - done)
             if not step > _SHORTEST and not length - done <= _SHORTEST:
                 raise OnTheLine(side)
             there = end if done + step >= length else start + way * (done + step)
             new, new_slope = self.at(there)
             expected = 0.5 * step * way * (slope + new_slope)
             change = complex((new - value).real, expected.imag + _wrapped((new - value).imag - expected.imag))
-            if not (abs(change - expected) <= _AGREES and abs(new_slope) * step <= _TURN):
-                step *= 0.5
-                continue
-            total, done, value, slope = total + change.imag, done + step, new, new_slope
-            step *= 2.0
+            # of the trapezium's error and of the bend, third and second order in the step
+            off, bend = abs(change - expected) / _AGREES, abs(new_slope - slope) * step / _BEND
+            fits = 0.8 / max(off ** (1.0 / 3.0), bend**0.5, 0.1)
+            if off <= 1.0 and bend <= 1.0:
+                total, done, value, slope = total + change.imag, done + step, new, new_slope
+                step *= min(fits, _LONGER)
+            else:
+                step *= fits if 0.1 < fits < 0.7 else 0.5
         return total
 
 

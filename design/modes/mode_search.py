@@ -124,7 +124,7 @@ class Search:
                 values, vectors, reached = _settled(H[: k + 2, : k + 1], cell.centre, ended)
                 if ended or reached >= cell.reach:
                     break
-        return [(z, y @ Q[: len(y)]) for z, y in zip(values, vectors.T, strict=True)], reached
+        return list(zip(values.tolist(), vectors.T @ Q[: len(vectors)], strict=True)), reached
 
     def _keep(self, found: Sequence[tuple[complex, ComplexArray]]) -> None:
         """Refine what lies within the region, or just beside it, and is not known yet."""
