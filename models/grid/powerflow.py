@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,14 @@ TOLERANCE_PU = 1e-10
 
 
 class PowerFlowError(CaseError):
-    """The power flow has no solution that Newton's method finds from a flat start."""
+    """The power flow has no solution that Newton's method finds from a flat start.
+
+    voltages : bus -> V in pu of the iterate with the least mismatch; empty where none is finite.
+    """
+
+    def __init__(self, *mistakes: str, voltages: Mapping[int, complex] | None = None) -> None:
+        super().__init__(*mistakes)
+        self.voltages = dict(voltages or {})
 
 
 @dataclass(frozen=True)
@@ -100,7 +108,12 @@ def solve_powerflow(case: Case) -> PowerFlow:
     free_magnitude = np.setdiff1d(np.arange(n), machine_bus)
     best = newton(Y, start, scheduled, free_angle, free_magnitude, tolerance_pu=TOLERANCE_PU)
     if best is None or not best.converged:
-        raise PowerFlowError(_no_convergence(case, best, free_angle, free_magnitude))
+        kept = (
+            {}
+            if best is None
+            else {b.number: complex(v) for b, v in zip(case.buses, best.voltages, strict=True)}
+        )
+        raise PowerFlowError(_no_convergence(case, best, free_angle, free_magnitude), voltages=kept)
     return _solved(case, best, load, slack)
 
 

@@ -39,6 +39,7 @@ _NAMES = """
     IEELBL IEELOW IEELZN IEELAR IEELAL CIM5BL CIM6BL CLODBL CLODAL CMLDBLU2 LDSHBL LVSHBL USRMDL USRBUS
     USRLOD USRAUX GDFORM
 """
+MOST_WORDS = 4000  #: of one record; the longest one known has 300
 #: names at which a record ends although its slash is missing
 KNOWN = frozenset(_NAMES.split())
 
@@ -85,7 +86,7 @@ def read_dyr(path: str | Path, known: Collection[str] = KNOWN) -> DyrFile:
     notes: list[str] = []
     comments = 0
     words: list[str] = []
-    first = 0
+    first = searched = 0
     for number, text in enumerate(read_lines(path), 1):
         stripped = text.strip()
         if not stripped:
@@ -95,18 +96,21 @@ def read_dyr(path: str | Path, known: Collection[str] = KNOWN) -> DyrFile:
             continue
         where = f"{path}:{number}"
         new, ended = split_record(text, where)
-        first = first if words else number
+        first, searched = (first, searched) if words else (number, 0)
         words += [word for word in new if word]
-        while len(words) > 3:
-            at = _next_record(words, known)
-            if at is None:
-                break
+        while (at := _next_record(words, known, searched)) is not None:
             line = number - (at < len(words) - len(new))
             records.append(_record(path, first, words[:at]))
             notes.append(
                 f"{path}:{line}: {words[at + 1]} begins before the / of {records[-1].model}; read as two"
             )
-            words, first = words[at:], line
+            words, first, searched = words[at:], line, 0
+        searched = len(words)
+        if searched > MOST_WORDS:
+            raise CaseError(
+                f"{path}:{first}: {words[1]} has more than {MOST_WORDS} fields, allowed: fewer (is the / of "
+                "the record missing?)"
+            )
         if ended and words:
             records.append(_record(path, first, words))
             words = []
@@ -121,10 +125,15 @@ def _begins_with_number(text: str) -> bool:
     return bool(word) and word[0].lstrip("+-").replace(".", "", 1).isdigit()
 
 
-def _next_record(words: list[str], known: Collection[str]) -> int | None:
-    """The position of a second record in `words`: a bus number before the name of a model."""
+def _next_record(words: list[str], known: Collection[str], searched: int) -> int | None:
+    """The position of a second record in `words`: a bus number before the name of a model.
+
+    searched : so many words were looked at before.
+    """
+    if len(words) < 5:
+        return None
     start = 5 if words[1].upper().startswith("USR") else 4
-    for k in range(start, len(words)):
+    for k in range(max(start, searched), len(words)):
         if words[k].upper() in known and words[k - 1].isdigit():
             return k - 1
     return None

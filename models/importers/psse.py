@@ -126,12 +126,20 @@ def static_grid(file: RawFile, report: Report, frequency_hz: float | None = None
         report.assume(f"no frequency in the file: {USUAL_HZ:g} Hz", f"{file.path}:1")
     source = f"{file.path.name} (PSS/E {file.version})"
     grid = StaticGrid(file.base_mva, file.frequency_hz or frequency_hz or USUAL_HZ, source)
-    read_nodes(file, grid, report)
-    read_lines_of(file, grid, report)
-    read_transformers(file, grid, report)
-    read_converters(file, grid, report)
-    read_multi_terminal(file, grid, report)
-    read_motors(file, grid, report)
+    readers = (
+        read_nodes,
+        read_lines_of,
+        read_transformers,
+        read_converters,
+        read_multi_terminal,
+        read_motors,
+    )
+    try:
+        for read in readers:
+            read(file, grid, report)
+    except CaseError as error:  # a record out of place may be one of another version
+        version = next((note for note in file.notes if "says version" in note), "")
+        raise CaseError(f"{error} ({version})" if version else str(error)) from None
     return grid
 
 

@@ -130,6 +130,7 @@ class StaticGrid:
     loads: list[StaticLoad] = field(default_factory=list)
     units: list[StaticUnit] = field(default_factory=list)
     alias: dict[int, int] = field(default_factory=dict)  #: bus joined to another -> that one
+    added: int = 0  #: number of the bus added last
 
     def bus(self, number: int, where: str) -> StaticBus:
         """Return bus `number`; CaseError at `where` when there is none."""
@@ -140,8 +141,8 @@ class StaticGrid:
     def new_bus(self, near: int, where: str, name: str, *, star: bool = False) -> StaticBus:
         """Add a bus beside bus `near` with the next number above all others."""
         beside = self.buses[near]
-        number = max(self.buses) + 1
+        number = (self.added or max(self.buses)) + 1
         bus = StaticBus(number, where, name, 0.0, LOAD, beside.area, beside.v, beside.angle, beside.position)
         bus.star = star
-        self.buses[number] = bus
+        self.buses[number], self.added = bus, number
         return bus

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..grid.network import assembled, series_stamps
-from ..grid.newton import newton
+from ..grid.newton import Iterate, newton
 from ..grid.powerflow import PowerFlowError
 from .report import Report
 from .static import LOAD, SLACK, UNIT, StaticGrid
@@ -193,7 +193,7 @@ def _newton(
 ) -> npt.NDArray[np.complex128]:
     magnitude = np.where(held, np.abs(arrays.start), 1.0)
     reference = np.delete(np.angle(arrays.start), free_angle)[0]
-    result = None
+    found: list[tuple[float, Iterate, npt.NDArray[np.float64]]] = []
     for start in (arrays.start, magnitude * np.exp(1j * reference)):
         result = newton(
             arrays.Y,
@@ -206,18 +206,20 @@ def _newton(
         )
         if result is not None and result.converged:
             return result.voltages
-    grid = arrays.grid
-    if result is None:
+        if result is not None:
+            size = result.at_bus(free_angle, free_magnitude) * arrays.grid.base_mva
+            found.append((float(size.max()), result, size))
+    grid, numbers = arrays.grid, arrays.numbers
+    if not found:
         raise PowerFlowError(f"{grid.source}: the power flow has no finite iterate")
-    size = result.at_bus(free_angle, free_magnitude) * grid.base_mva
-    k = int(np.argmax(size))
-    low = int(np.argmin(np.abs(result.voltages)))
-    high = int(np.argmax(np.abs(result.voltages)))
+    worst, best, size = min(found, key=lambda each: each[0])
+    at, volts = numbers[int(np.argmax(size))], np.abs(best.voltages)
+    low, high = int(np.argmin(volts)), int(np.argmax(volts))
     raise PowerFlowError(
-        f"{grid.source}: the power flow does not converge: largest mismatch {size[k]:.4g} MVA at bus "
-        f"{arrays.numbers[k]} ({grid.buses[arrays.numbers[k]].where}); its best voltages reach from "
-        f"{abs(result.voltages[low]):.4g} pu at bus {arrays.numbers[low]} to "
-        f"{abs(result.voltages[high]):.4g} pu at bus {arrays.numbers[high]}"
+        f"{grid.source}: the power flow does not converge: largest mismatch {worst:.4g} MVA at bus {at} "
+        f"({grid.buses[at].where}); its best voltages reach from {volts[low]:.4g} pu at bus {numbers[low]} "
+        f"to {volts[high]:.4g} pu at bus {numbers[high]}",
+        voltages=dict(zip(numbers, map(complex, best.voltages), strict=True)),
     )
 
 

@@ -138,8 +138,9 @@ def _largest_with(wanted: list[set[int]], parts: list[set[int]]) -> set[int]:
 
 
 def _report_left_out(grid: StaticGrid, report: Report, parts: list[set[int]], swings: set[int]) -> None:
+    order = {number: k for k, number in enumerate(grid.buses)}
     for part in parts:
-        first = next(grid.buses[n] for n in grid.buses if n in part)
+        first = grid.buses[min(part, key=order.__getitem__)]
         kind = "with a slack bus of its own" if swings & part else "without a slack bus"
         size = f"island of {len(part)} buses {kind} (bus {first.number})" if len(part) > 1 else f"bus {kind}"
         report.drop(size, first.where)

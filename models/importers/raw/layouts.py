@@ -160,17 +160,30 @@ def _middle(revision: int | None, named: str) -> int:
     return 26 if "TRANSFORMER ADJUSTMENT" in named else 29
 
 
+#: version from which on a file names one of these sections
+_NEW = (
+    (36, ("DROOP", "RATING SET")),
+    (34, ("SYSTEM-WIDE", "SWITCHING DEVICE", "SUBSTATION")),
+    (32, ("GNE", "INDUCTION")),
+)
+
+
 def _recent(revision: int | None, n: int, named: str) -> int:
-    substations = "SYSTEM-WIDE" in named or "SWITCHING DEVICE" in named or "SUBSTATION" in named
-    if revision is not None and 31 <= revision <= 36:
-        if revision >= 34 and "BEGIN" in named and not substations:
-            return 33
-        return revision if revision < 34 or n >= 10 or substations else 33
-    if "DROOP" in named or "RATING SET" in named:
+    least = next((version for version, words in _NEW if any(word in named for word in words)), 31)
+    if least == 36:
         return 36
-    if substations:
+    if least == 34:
+        return _with_substations(revision, named)
+    if revision is not None and revision >= 34:
+        return revision if revision <= 36 and n >= 10 and "BEGIN" not in named else 33
+    return revision if revision in range(least, 34) else 33 if n >= 12 else 32
+
+
+def _with_substations(revision: int | None, named: str) -> int:
+    """34 or 35, which no name tells apart: the header does; 36 where it names no sections that tell."""
+    if revision == 36 and "GENERATOR" in named:
         return 35
-    return 33 if n >= 12 else 32
+    return revision if revision in (34, 35, 36) else 35
 
 
 def _layout(revision: int) -> int:

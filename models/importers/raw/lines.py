@@ -11,6 +11,7 @@ import numpy as np
 from ..report import Report
 from ..static import StaticBranch, StaticGrid, StaticShunt
 from .file import RawFile
+from .identities import once
 from .record import Record
 
 ZERO_PU = 1e-4  #: THRSHZ of PSS/E: a line without resistance up to this reactance joins its ends
@@ -50,7 +51,10 @@ def corrections(raw: RawFile) -> dict[int, Correction]:
             points.append((t, complex(*factor)))
         if len(points) < 2 or any(b[0] <= a[0] for a, b in pairwise(points)):
             raise head.refused(f"table {head.text('I')}: allowed: at least two points with rising abscissas")
-        tables[head.whole("I")] = Correction(tuple(points))
+        number = head.whole("I")
+        if number in tables:
+            raise head.refused(f"table {number} is given twice, allowed: each number once")
+        tables[number] = Correction(tuple(points))
     return tables
 
 
@@ -63,12 +67,12 @@ def read_lines_of(raw: RawFile, grid: StaticGrid, report: Report) -> None:
         number = record.whole("TABLE", 0)
         if number:
             adjusted[record.bus("I"), record.bus("J"), record.identity("CKT")] = (number, record.where)
-    for record in raw.records("branch"):
+    for record in once(raw.records("branch"), report):
         row = _line(record, grid, threshold, report)
         key = (row.first, row.second, row.circuit)
         if key in adjusted:
             apply(row, tables, *adjusted[key], report)
-    for record in raw.records("switching device"):
+    for record in once(raw.records("switching device"), report):
         first, second = (grid.bus(record.bus(k), record.where).number for k in ("I", "J"))
         on = record.whole("STAT", 1) == 1
         circuit = record.identity("CKT")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 from ...errors import CaseError
 from ..report import Report
 from ..static import ISOLATED, StaticBus, StaticGrid, StaticLoad, StaticShunt, StaticUnit
 from .file import RawFile
+from .identities import once
 from .record import Record
 
 
@@ -13,23 +16,18 @@ def read_nodes(raw: RawFile, grid: StaticGrid, report: Report) -> None:
     """Put buses, loads, shunts and units of `raw` into `grid`."""
     for record in raw.records("bus"):
         _bus(record, grid)
-    _once = _Once()
-    for record in raw.records("load"):
-        _once.check(record, "load")
+    for record in once(raw.records("load"), report):
         _load(record, grid)
-    for record in raw.records("fixed shunt"):
-        _once.check(record, "fixed shunt")
+    for record in once(raw.records("fixed shunt"), report):
         bus = grid.bus(record.bus("I"), record.where)
         on = record.code("STATUS", 1, (0, 1)) == 1
         p, q = record.number("GL", 0.0), record.number("BL", 0.0)
         shunt = StaticShunt(bus.number, "C", record.identity("ID"), p, q, record.where, on)
         grid.shunts.append(shunt)
-    for record in raw.records("switched shunt"):
-        if raw.version >= 35:
-            _once.check(record, "switched shunt")
-        _switched(record, grid, report)
-    for record in raw.records("generator"):
-        _once.check(record, "generator")
+    count: Counter[int] = Counter()
+    for record in once(raw.records("switched shunt"), report):
+        _switched(record, grid, count, report)
+    for record in once(raw.records("generator"), report):
         _unit(record, grid)
     _places(raw, grid)
     for what, rows in (("buses", grid.buses), ("loads", grid.loads), ("units", grid.units)):
@@ -38,22 +36,6 @@ def read_nodes(raw: RawFile, grid: StaticGrid, report: Report) -> None:
     report.read["switched shunts, which stay at their stored state"] = sum(
         s.letter == "S" for s in grid.shunts
     )
-
-
-class _Once:
-    """Finds an identifier that is given twice at a bus."""
-
-    def __init__(self) -> None:
-        self.first: dict[tuple[str, int, str], str] = {}
-
-    def check(self, record: Record, kind: str) -> None:
-        bus, identity = record.bus("I"), record.identity("ID")
-        first = self.first.setdefault((kind, bus, identity), record.where)
-        if first != record.where:
-            raise CaseError(
-                f"{record.where}: {kind} {identity!r} at bus {bus} is given twice, first at {first}, "
-                "allowed: one identifier once at a bus"
-            )
 
 
 def _bus(record: Record, grid: StaticGrid) -> None:
@@ -95,17 +77,14 @@ def _load(record: Record, grid: StaticGrid) -> None:
     grid.loads.append(StaticLoad(bus.number, "L", identity, p, q, record.where, ip, iq, yp, -yq, on))
 
 
-def _switched(record: Record, grid: StaticGrid, report: Report) -> None:
+def _switched(record: Record, grid: StaticGrid, count: Counter[int], report: Report) -> None:
+    """Add a switched shunt; until version 34 it has no identifier, `count` tells those of one bus apart."""
     bus = grid.bus(record.bus("I"), record.where)
     on = record.code("STAT", 1, (0, 1)) == 1
-    same = (
-        sum(s.bus == bus.number and s.letter == "S" for s in grid.shunts)
-        if "ID" not in record.position
-        else 0
-    )
-    if same:
+    count[bus.number] += 1
+    identity = record.identity("ID") if "ID" in record.position else str(count[bus.number])
+    if count[bus.number] > 1 and "ID" not in record.position:
         report.assume("second switched shunt at one bus added to the first", record.where)
-    identity = record.identity("ID") if "ID" in record.position else str(same + 1)
     q = record.number("BINIT", 0.0)
     grid.shunts.append(StaticShunt(bus.number, "S", identity, 0.0, q, record.where, on))
 

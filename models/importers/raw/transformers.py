@@ -7,6 +7,7 @@ import math
 from ..report import Report
 from ..static import StaticBranch, StaticGrid, StaticShunt
 from .file import RawFile
+from .identities import once
 from .lines import Correction, apply, bolster, corrections
 from .record import Record
 
@@ -17,7 +18,7 @@ def read_transformers(raw: RawFile, grid: StaticGrid, report: Report) -> None:
     """Put the transformers of `raw` into `grid`; windings of a star end at a bus of its own."""
     tables = corrections(raw) if raw.groups.get("transformer") else {}
     count = [0, 0]
-    for head in raw.records("transformer"):
+    for head in once(raw.records("transformer"), report):
         impedance = raw.part(head, 0, "transformer impedance")
         windings = [raw.part(head, k, "transformer winding") for k in range(1, len(head.parts))]
         if len(windings) == 2:

@@ -266,7 +266,7 @@ RAW_REFUSED = [
     ),
     ("7,'1 ',1,1,1,967.0", "7,'1 ',1,1,1,9x7", r"grid\.raw:16: load record: PL \(field 6\) = '9x7', allowed"),
     ("7,'1 ',1,1,1", "77,'1 ',1,1,1", r"grid\.raw:16: bus 77 does not exist, allowed: a bus of this file"),
-    ("1,5,0,'0'", "1,5,6,'0'", r"grid\.raw:41: bus 0 does not exist"),
+    ("1,5,0,'0'", "1,5,6,'0'", r"grid\.raw:41: transformer record: J \(field 2\) = 0\.05"),
     ("1,1.0,0.0\n2,", "1,1.0,0.0\n1,", r"grid\.raw:5: bus 1 is given twice"),
     ("1.25,0.0\n0 / END OF TR", "0 / END OF TR", r"grid\.raw:\d+: transformer winding record: WINDV"),
     ("0\n0\nQ", "0\n'dc',1\n0\nQ", r"grid\.raw:\d+: two-terminal dc record: VSCHD"),
