@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fmu_runner import Runner
 from plant_lanes import PlantLanes
 
+from interarea.cosim.run.artefacts import plant_fmu
 from interarea.models.blocks.plant import event_parameters
-from interarea.models.case.case import load_case
+from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import events_of
 from interarea.models.case.write_toml import toml_text
 
@@ -24,7 +26,7 @@ STEPS_S = (0.005, 0.0025, 0.00125, 0.000625)
 FAULT = [{"kind": "bus_fault", "bus": 8, "start_s": 0.1, "end_s": 0.25, "x_pu": 0.02}]
 
 
-def plants(exciter: str, folder: Path, cache: Path) -> tuple[PlantLanes, dict[str, float | int]]:
+def limited(exciter: str, folder: Path) -> tuple[Case, dict[str, float | int]]:
     """The two-area system with limited exciters and stabilizers, and a fault that brings them there."""
     controls = {
         "exciter": EXCITERS[exciter] | {"source": "test"},
@@ -34,7 +36,12 @@ def plants(exciter: str, folder: Path, cache: Path) -> tuple[PlantLanes, dict[st
     path = folder / "case.toml"
     path.write_text(toml_text(document | {"change": {"machines": {"defaults": controls}}}))
     case = load_case(path)
-    return PlantLanes(case, cache), event_parameters(case, events_of(FAULT, where="test"))
+    return case, event_parameters(case, events_of(FAULT, where="test"))
+
+
+def plants(exciter: str, folder: Path, cache: Path) -> tuple[PlantLanes, dict[str, float | int]]:
+    case, row = limited(exciter, folder)
+    return PlantLanes(case, cache), row
 
 
 def speeds(plant: PlantLanes, row: dict[str, float | int], step_s: float) -> np.ndarray:
@@ -53,6 +60,41 @@ def test_errors_at_limits_fall_with_the_fourth_power_of_the_step(
     orders = np.log2(errors[0] / np.array(errors[1:])) / np.arange(1, len(errors))
     assert orders[-1] >= 3.5, (errors, orders)
     assert errors[0] <= 1e-8, errors
+
+
+def test_a_state_saved_around_a_switch_goes_on_with_the_same_bits(tmp_path: Path, cache: Path) -> None:
+    """Before, in and after steps in which a limiter switches, in the instance and, as bytes, in another."""
+    case, row = limited("static", tmp_path)
+    top, fmu = EXCITERS["static"]["Efd_max"], plant_fmu(case, cache)
+    with Runner(fmu) as run, Runner(fmu) as other:
+        run.start(row | {"solver.step": 0.005})
+        other.start()
+
+        def at_top() -> list[bool]:
+            return [bool(run.get(f"G{k}.exciter.efd") == top) for k in range(1, 5)]
+
+        def again(t: float, h: float) -> bool:
+            """Step on in three ways; whether an exciter gets to its limit in the step, or leaves it."""
+            saved, before = run.fmu.getFMUstate(), at_top()
+            bits = run.fmu.serializeFMUstate(saved)
+            run.step(t, h)
+            wanted = run.every_real()
+            run.fmu.setFMUstate(saved)
+            assert run.fmu.serializeFMUstate(saved) == bits
+            run.step(t, h)
+            restored = other.fmu.deSerializeFMUstate(bits)
+            other.fmu.setFMUstate(restored)
+            other.step(t, h)
+            np.testing.assert_array_equal(run.every_real(), wanted)
+            np.testing.assert_array_equal(other.every_real(), wanted)
+            run.fmu.freeFMUstate(saved)
+            other.fmu.freeFMUstate(restored)
+            return before != at_top()
+
+        for k in range(10):
+            again(0.01 * k, 0.01)
+        switched = [k for k in range(10, 100) if again(0.01 * k, 0.01)]
+        assert len(switched) >= 6
 
 
 def test_switches_give_the_same_bits_side_by_side(tmp_path: Path, cache: Path) -> None:

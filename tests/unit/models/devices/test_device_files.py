@@ -121,6 +121,22 @@ def test_a_loop_without_a_state_is_refused_where_a_time_is_zero():
         model.order_of(model.has(values | {"TA": 0.0}))
 
 
+def test_a_device_of_more_than_64_decisions_is_refused():
+    """The lag has four, each abs() one: they are bits of one word."""
+
+    def deciding(most: int) -> Model:
+        each = [f"abs(vc - {k / 100})" for k in range(most - 4)]
+        parts = [each[k : k + 10] for k in range(0, len(each), 10)]
+        rows = [f"a{k} = {' + '.join(part)}" for k, part in enumerate(parts)]
+        total = " + ".join(f"a{k}" for k in range(len(parts)))
+        rows.append(f"efd = lag(y - ({total}), TA")
+        return Model(device_of(GOOD.replace("efd = lag(y, TA", "\n".join(rows), 1), "my_avr.toml"))
+
+    assert "limiter_state(&l, 60u," in devices_header([deciding(64)])  # and 61 to 63
+    with pytest.raises(DeviceError, match=r"MY_AVR: .* make 65 decisions, allowed: 64 in one device; give"):
+        devices_header([deciding(65)])
+
+
 def mutant(text: str, rng: random.Random) -> str:
     for _ in range(rng.randint(1, 4)):
         at, to = sorted((rng.randrange(len(text) + 1), rng.randrange(len(text) + 1)))
