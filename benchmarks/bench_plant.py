@@ -1,12 +1,13 @@
 """What the plant costs, as ratios: against ANDES, a plain C loop, more machines, a batch.
 
-    python benchmarks/bench_plant.py [--andes-python PYTHON] [--repeat 3] [--json FILE]
+    python benchmarks/bench_plant.py [--andes-python PYTHON] [--repeat 3] [--json FILE] [--switches]
 
 CPU time of the process that computes, the least of repeated runs that alternate between the sides, so
 that other load of the machine cancels. Both tools get the same rows (andes_rows.py). The accuracy of a run
 is its largest dw difference from the plant at 0.1 ms; the plant's step is its parameter `solver.step`, and
 the ratio that counts is at the longest one within 1e-5 pu that is no less accurate than ANDES. ANDES runs
-as it is installed: fixed step, its own tolerance, generated code without numba.
+as it is installed: fixed step, its own tolerance, generated code without numba. --switches: only what
+limiters that switch cost and what order of the error they leave, against the same loop at 0.04 ms.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +30,7 @@ from bench_batch import faults
 from compare_andes import FAULT, RUNS, THYRISTOR, TRIP, ask_andes, impedance_loads, two_area
 from fmu_run import PlantSlave
 from plain_loop import PlainPlant
-from plant_lanes import PlantLanes
+from plant_lanes import LIMITED_EXCITERS, PlantLanes, limited_case
 
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case, load_case
@@ -39,6 +42,7 @@ STOP_S = 10.0
 COMMUNICATION_S = 0.04
 REFERENCE_S = 0.0001
 SUBSTEPS_S = (0.001, 0.002, 0.004, 0.01, 0.02)  #: the first is the default of the FMU
+SWITCH_STEPS_S = (0.005, 0.0025, 0.00125, 0.000625)
 CURRENT = {"loads": {"L7": {"P_exponent": 1.0}, "L9": {"P_exponent": 1.0}}}
 LIMITS = "Efd limits + PSS + TGOV1, bus fault + trip"
 
@@ -116,6 +120,61 @@ def against_size(small: Case, large: Case, repeat: int) -> float:
     return min(cost[large.name]) / min(cost[small.name])
 
 
+def switching(exciter: str, stop_s: float = 6.0) -> dict[float, dict[str, float]]:
+    """Two areas after a fault, their limits reached: error of the speeds, evaluations, switches."""
+    with tempfile.TemporaryDirectory() as folder:
+        case, row = limited_case(exciter, Path(folder))
+        rows = {}
+        for h in (SWITCH_STEPS_S[0] / 128, *SWITCH_STEPS_S):
+            loop = PlainPlant(case, row)
+            slips = [k for k, name in enumerate(loop.state_names) if name.endswith(".slip")]
+            found, counts = [], np.zeros(3)
+            for begin in np.arange(0.0, stop_s - 1e-9, 0.02):
+                counts += loop.events(float(begin), float(begin) + 0.02, h)[1:]
+                found.append(loop.states()[slips])
+            rows[h] = {"slip": np.array(found), "counts": counts}
+    exact = rows.pop(SWITCH_STEPS_S[0] / 128)["slip"]
+    return {
+        h: {
+            "error": float(np.abs(row["slip"] - exact).max()),
+            "switches": row["counts"][1],
+            "more": row["counts"][0] / (4.0 * row["counts"][2]) - 1.0,
+        }
+        for h, row in rows.items()
+    }
+
+
+def ordinary_step(case: Case, repeat: int) -> float:
+    """CPU of steps that look for switches and find none over plain Runge-Kutta steps, in turns."""
+    loop, pairs = PlainPlant(case), []
+    for _ in range(20 * repeat):
+        plain = loop.cpu_s(2.0, 0.001)
+        pairs.append((loop.events(0.0, 2.0, 0.001)[0], plain))
+    watching, plain = np.array(pairs).min(axis=0)
+    return float(watching / plain)
+
+
+def print_switching(line: Callable[[str, float, float, bool], None], repeat: int) -> None:
+    """Print the tables of steps with switches and the lines that have a target."""
+    for exciter in LIMITED_EXCITERS:
+        found = switching(exciter)
+        print(f"# limits of {exciter}, bus fault, 6 s")
+        print(f"{'':8} {'dw differs, pu':>15} {'switches':>9} {'more':>7}")
+        for h, row in found.items():
+            print(f"{1000 * h:5g} ms {row['error']:15.1e} {row['switches']:9.0f} {100 * row['more']:6.1f}%")
+        errors = [row["error"] for row in found.values()]
+        order = np.log2(errors[0] / errors[-1]) / (len(errors) - 1)
+        line(f"order of the error, {exciter}, 5 to 0.625 ms", order, 3.8, True)
+        line(f"evaluations more at 2.5 ms, {exciter}, %", 100.0 * found[0.0025]["more"], 25.0, False)
+    for name in ("two-area-thesis", "new-england", "nets-nyps"):
+        line(
+            f"ordinary step / plain Runge-Kutta step, {name}",
+            ordinary_step(load_case(name), repeat),
+            1.03,
+            False,
+        )
+
+
 def batch_gain(case: Case, repeat: int, scenarios: int) -> dict[int, float]:
     """Scenarios per CPU second with several side by side over one at a time, by their number."""
     plants = PlantLanes(case, default_cache())
@@ -135,6 +194,7 @@ def main() -> int:
     parser.add_argument("--andes-python", default=sys.executable)
     parser.add_argument("--repeat", type=int, default=3)
     parser.add_argument("--json", type=Path, help="write the numbers there")
+    parser.add_argument("--switches", action="store_true", help="only what limiters that switch cost")
     options = parser.parse_args()
     case = two_area({"exciter": THYRISTOR})
     numbers: dict[str, Any] = {}
@@ -148,6 +208,9 @@ def main() -> int:
         sign = ">=" if above else "<="
         print(f"{what:62} {value:9.4g}  {sign} {target:<6g} {'' if good else 'MISSED'}", flush=True)
 
+    if options.switches:
+        print_switching(line, options.repeat)
+        return missed
     limited = two_area(RUNS[LIMITS][0])
     for what, variant, table, target in (
         ("line trip, constant-impedance loads", case, TRIP, 1000.0),

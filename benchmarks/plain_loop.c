@@ -94,18 +94,19 @@ static BlockStatus counted(void *context, double into, BlockLimits *limits, cons
     return status;
 }
 
-/* CPU seconds to `stop` in steps of at most h between events, as the FMU takes them; the counts of
- * evaluations of the right-hand side and of switches of limiters that were located. -1: it failed. */
-double plain_events(void *plant, double stop, double h, long counts[2])
+/* CPU seconds from `begin` to `stop` in steps of at most h between events, as the FMU takes them; the counts
+ * of evaluations of the right-hand side, of switches of limiters that were located and of steps. -1: it failed. */
+double plain_events(void *plant, double begin, double stop, double h, long counts[3])
 {
     Plain *c = plant;
     Block *b = &c->block;
-    const clock_t begin = clock();
+    const clock_t started = clock();
 
-    c->evaluations = c->switches = 0;
-    for (double from = 0.0; from < stop;) {
+    c->evaluations = c->switches = counts[2] = 0;
+    for (double from = begin; from < stop;) {
         const double event = block_next_event(b, from), to = event < stop ? event : stop;
         const long count = runge_kutta_count(to - from, h);
+        counts[2] += count;
         for (long k = 0; k < count; ++k) {
             c->t = from + (to - from) * ((double)k / (double)count);
             const double step = (to - from) / (double)count;
@@ -116,5 +117,5 @@ double plain_events(void *plant, double stop, double h, long counts[2])
     }
     counts[0] = c->evaluations;
     counts[1] = c->switches;
-    return (double)(clock() - begin) / CLOCKS_PER_SEC;
+    return (double)(clock() - started) / CLOCKS_PER_SEC;
 }

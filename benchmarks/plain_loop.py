@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import functools
+import os
 import shlex
 import subprocess
 import sys
@@ -16,18 +18,21 @@ import numpy.typing as npt
 from interarea.fmu_build.write.compile import gather_sources
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.plant import plant_block
-from interarea.models.blocks.variables import Block
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 
 
-def compiled(block: Block, folder: Path) -> ctypes.CDLL:
-    """Compile the loop with the sources of the block, by the compiler of the FMUs."""
-    import os
+@functools.lru_cache
+def compiled(sources: tuple[Path, ...]) -> ctypes.CDLL:
+    """Compile the loop with the `sources` of a block, once, by the compiler of the FMUs."""
+    with tempfile.TemporaryDirectory() as folder:
+        return _compiled(sources, Path(folder))
 
+
+def _compiled(block_sources: tuple[Path, ...], folder: Path) -> ctypes.CDLL:
     compiler = shlex.split(os.environ.get("CC", "")) or [sys.executable, "-m", "ziglang", "cc"]
     library = folder / "plain_loop.so"
-    for name, text in gather_sources((Path(__file__).with_name("plain_loop.c"), *block.sources)).items():
+    for name, text in gather_sources((Path(__file__).with_name("plain_loop.c"), *block_sources)).items():
         (folder / name).write_bytes(text)
     sources = [str(path) for path in sorted(folder.glob("*.c"))]
     command = [*compiler, *FLAGS, "-shared", "-fPIC", "-o", str(library), *sources, "-lm"]
@@ -42,8 +47,7 @@ class PlainPlant:
 
     def __init__(self, case: object, parameters: Mapping[str, float] | None = None) -> None:
         block = plant_block(case)  # type: ignore[arg-type]
-        with tempfile.TemporaryDirectory() as folder:
-            self._c = compiled(block, Path(folder))
+        self._c = compiled(block.sources)
         self._c.plain_open.restype = ctypes.c_void_p
         self._c.plain_run.restype = ctypes.c_double
         table = block.table
@@ -73,16 +77,15 @@ class PlainPlant:
         self._c.plain_states(ctypes.c_void_p(self._plant), values.ctypes.data_as(ctypes.c_void_p))
         return values
 
-    def events(self, stop_s: float, step_s: float) -> tuple[float, int, int]:
-        """Return CPU seconds, evaluations and located switches of a run with its events to `stop_s`."""
-        counts = (ctypes.c_long * 2)()
+    def events(self, begin_s: float, stop_s: float, step_s: float) -> tuple[float, int, int, int]:
+        """Return CPU seconds, evaluations, located switches and steps of a run with its events."""
+        counts = (ctypes.c_long * 3)()
         self._c.plain_events.restype = ctypes.c_double
-        seconds = self._c.plain_events(
-            ctypes.c_void_p(self._plant), ctypes.c_double(stop_s), ctypes.c_double(step_s), counts
-        )
+        times = [ctypes.c_double(t) for t in (begin_s, stop_s, step_s)]
+        seconds = self._c.plain_events(ctypes.c_void_p(self._plant), *times, counts)
         if not seconds >= 0.0:
             raise RuntimeError(f"the plain loop fails before {stop_s:g} s in steps of {step_s:g} s")
-        return float(seconds), int(counts[0]), int(counts[1])
+        return float(seconds), *counts
 
     def cpu_s(self, stop_s: float, step_s: float) -> float:
         """Return the CPU seconds of a run of `stop_s` in steps of `step_s`."""

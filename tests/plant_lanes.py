@@ -16,7 +16,10 @@ from interarea.cosim.run.artefacts import plant_fmu
 from interarea.fmu_build.open.fmi2 import CallFailed, Instance, Library
 from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.lane_library import GroupLibrary, GroupWork, plant_group
-from interarea.models.case.case import Case
+from interarea.models.blocks.plant import event_parameters
+from interarea.models.case.case import Case, load_case
+from interarea.models.case.events import events_of
+from interarea.models.case.write_toml import toml_text
 
 Array = npt.NDArray[np.float64]
 _STEP = ctypes.CFUNCTYPE(
@@ -29,6 +32,29 @@ _STEP = ctypes.CFUNCTYPE(
     c_int,
     ctypes.POINTER(c_int),
 )
+
+
+LIMITED_EXCITERS = {
+    "static": {"kind": "static", "KA": 200.0, "TA": 0.06, "TR": 0.05, "Efd_min": -1.0, "Efd_max": 3.0},
+    "dc1": {"kind": "dc1", "KA": 40.0, "TA": 0.08, "TR": 0.05, "KE": "self-excited", "TE": 0.36, "KF": 0.125,
+            "TF": 1.8, "Aex": 0.0056, "Bex": 1.075, "VRmin": -1.0, "VRmax": 1.0},
+    "st1a": {"kind": "st1a", "KA": 100.0, "TA": 0.06, "TR": 0.05, "TC": 0.0, "TB": 0.0, "VRmin": -3.0,
+             "VRmax": 3.5, "KC": 0.05},
+}  # fmt: skip
+LIMITED_FAULT = [{"kind": "bus_fault", "bus": 8, "start_s": 0.1, "end_s": 0.25, "x_pu": 0.02}]
+
+
+def limited_case(exciter: str, folder: Path) -> tuple[Case, dict[str, float | int]]:
+    """The two-area system with limited exciters and stabilizers, and a fault that brings them there."""
+    controls = {
+        "exciter": LIMITED_EXCITERS[exciter] | {"source": "test"},
+        "governor": {"Tsr": 0.05, "vg_min": -0.02, "vg_max": 0.02},
+    }
+    document = {"base": "two-area-thesis", "name": exciter, "title": exciter, "source": "test"}
+    path = folder / "case.toml"
+    path.write_text(toml_text(document | {"change": {"machines": {"defaults": controls}}}))
+    case = load_case(path)
+    return case, event_parameters(case, events_of(LIMITED_FAULT, where="test"))
 
 
 @dataclass

@@ -7,40 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fmu_runner import Runner
-from plant_lanes import PlantLanes
+from plant_lanes import LIMITED_EXCITERS, PlantLanes, limited_case
 
 from interarea.cosim.run.artefacts import plant_fmu
-from interarea.models.blocks.plant import event_parameters
-from interarea.models.case.case import Case, load_case
-from interarea.models.case.events import events_of
-from interarea.models.case.write_toml import toml_text
 
-EXCITERS = {
-    "static": {"kind": "static", "KA": 200.0, "TA": 0.06, "TR": 0.05, "Efd_min": -1.0, "Efd_max": 3.0},
-    "dc1": {"kind": "dc1", "KA": 40.0, "TA": 0.08, "TR": 0.05, "KE": "self-excited", "TE": 0.36, "KF": 0.125,
-            "TF": 1.8, "Aex": 0.0056, "Bex": 1.075, "VRmin": -1.0, "VRmax": 1.0},
-    "st1a": {"kind": "st1a", "KA": 100.0, "TA": 0.06, "TR": 0.05, "TC": 0.0, "TB": 0.0, "VRmin": -3.0,
-             "VRmax": 3.5, "KC": 0.05},
-}  # fmt: skip
 STEPS_S = (0.005, 0.0025, 0.00125, 0.000625)
-FAULT = [{"kind": "bus_fault", "bus": 8, "start_s": 0.1, "end_s": 0.25, "x_pu": 0.02}]
-
-
-def limited(exciter: str, folder: Path) -> tuple[Case, dict[str, float | int]]:
-    """The two-area system with limited exciters and stabilizers, and a fault that brings them there."""
-    controls = {
-        "exciter": EXCITERS[exciter] | {"source": "test"},
-        "governor": {"Tsr": 0.05, "vg_min": -0.02, "vg_max": 0.02},
-    }
-    document = {"base": "two-area-thesis", "name": exciter, "title": exciter, "source": "test"}
-    path = folder / "case.toml"
-    path.write_text(toml_text(document | {"change": {"machines": {"defaults": controls}}}))
-    case = load_case(path)
-    return case, event_parameters(case, events_of(FAULT, where="test"))
 
 
 def plants(exciter: str, folder: Path, cache: Path) -> tuple[PlantLanes, dict[str, float | int]]:
-    case, row = limited(exciter, folder)
+    case, row = limited_case(exciter, folder)
     return PlantLanes(case, cache), row
 
 
@@ -50,7 +25,7 @@ def speeds(plant: PlantLanes, row: dict[str, float | int], step_s: float) -> np.
     return np.array([run.of(f"G{k}_dw")[:, 0] for k in range(1, 5)])
 
 
-@pytest.mark.parametrize("exciter", EXCITERS)
+@pytest.mark.parametrize("exciter", LIMITED_EXCITERS)
 def test_errors_at_limits_fall_with_the_fourth_power_of_the_step(
     exciter: str, tmp_path: Path, cache: Path
 ) -> None:
@@ -64,8 +39,8 @@ def test_errors_at_limits_fall_with_the_fourth_power_of_the_step(
 
 def test_a_state_saved_around_a_switch_goes_on_with_the_same_bits(tmp_path: Path, cache: Path) -> None:
     """Before, in and after steps in which a limiter switches, in the instance and, as bytes, in another."""
-    case, row = limited("static", tmp_path)
-    top, fmu = EXCITERS["static"]["Efd_max"], plant_fmu(case, cache)
+    case, row = limited_case("static", tmp_path)
+    top, fmu = LIMITED_EXCITERS["static"]["Efd_max"], plant_fmu(case, cache)
     with Runner(fmu) as run, Runner(fmu) as other:
         run.start(row | {"solver.step": 0.005})
         other.start()
