@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from interarea.cosim.sweep.parts import read_plan, read_rows, read_trajectory, summary_of
 from interarea.design.modes.loop_selection import Loops
 from interarea.design.modes.modes import Modes
+from interarea.progress import notebook_bars
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -217,11 +218,25 @@ class SweepResults:
 
         return first_figure(read_plan(self.folder).sweep, self.to_frame())
 
-    def maps(self, file: str | Path | None = None, *, worst: int = 6) -> Path:
-        """Write the page of all maps, margins and worst runs; default ``maps.html`` in the folder."""
-        from interarea.cosim.maps.page import write_maps
+    def maps(
+        self,
+        file: str | Path | None = None,
+        *,
+        worst: int = 6,
+        workers: int | None = None,
+        progress: Callable[[str, float], object] | None = None,
+    ) -> Path:
+        """Write the page of all maps, margins and worst runs; default ``maps.html`` in the folder.
 
-        return write_maps(self.folder, Path(file or self.folder / "maps.html"), worst=worst)
+        workers : processes that search margins; default one for each core. progress : called with the step
+        that is under way and the share of it that is done; without it a notebook shows bars.
+        """
+        from interarea.cosim.maps.page import STEPS, write_maps
+
+        page = Path(file or self.folder / "maps.html")
+        with notebook_bars(STEPS) as report:
+            tell = progress or report
+            return write_maps(self.folder, page, worst=worst, workers=workers, progress=tell)
 
     def __repr__(self) -> str:
         counts = self.summary

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.grids import case_like
 from interarea.models.mistakes import mistakes
+from interarea.progress import Report, notebook_bars, tell_runs
 from interarea.shown import SweepResults
 
 if TYPE_CHECKING:
@@ -64,7 +66,7 @@ def simulate(
     case : instead of the scenario's: a `Case`, a bundled name or a file.
     controller : instead of the scenario's: an object, a `control.StateSpace` (u = +K y; inputs named by
         signal, speeds in rad/s; outputs by actuator, pu), a name (``"none"``: none), a JSON file or any FMU.
-    progress : called with (present time, stop time), s.
+    progress : called with (present time, stop time), s; without it a notebook shows a bar.
 
     Raises
     ------
@@ -86,9 +88,16 @@ def simulate(
         _refuse_other_things(controller)
         if not loaded.case:
             raise ScenarioError(f"{loaded.name}: a controller needs a case; name one (case = ...)")
-    if not loaded.case:
-        return run_system(loaded, progress=progress)
-    return run_scenario(loaded, case=grid, controller=controller, progress=progress)
+    with notebook_bars((loaded.name,)) as report:
+        if progress is None and report is not None:
+            progress = partial(_tell_time, report, loaded.name)
+        if not loaded.case:
+            return run_system(loaded, progress=progress)
+        return run_scenario(loaded, case=grid, controller=controller, progress=progress)
+
+
+def _tell_time(report: Report, stage: str, now_s: float, end_s: float) -> None:
+    report(stage, now_s / end_s, f"{now_s:.1f} of {end_s:g} s")
 
 
 def _refuse_other_things(controller: object) -> None:
@@ -116,7 +125,7 @@ def sweep(
     out : folder of the results.
     workers : processes; default one for each core. scheduler : address of a dask scheduler instead.
     large : confirm a very large number of runs.
-    progress : called with where the sweep stands.
+    progress : called with where the sweep stands; without it a notebook shows a bar.
 
     Raises
     ------
@@ -137,7 +146,10 @@ def sweep(
     """
     from interarea.cosim.sweep.front import run_sweep
 
-    run_sweep(spec, Path(out), workers=workers, scheduler=scheduler, large=large, progress=progress)
+    with notebook_bars(("runs",)) as report:
+        if progress is None and report is not None:
+            progress = partial(tell_runs, report)
+        run_sweep(spec, Path(out), workers=workers, scheduler=scheduler, large=large, progress=progress)
     return read_sweep(out)
 
 

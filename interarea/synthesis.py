@@ -10,11 +10,13 @@ import control
 
 from interarea.cosim.designs.bank_certificate import certify_bank
 from interarea.cosim.designs.design_file import (
+    DESIGN_STEPS,
     DesignTable,
     design_of,
     load_design,
     run_design,
     specification_of,
+    steps_of,
 )
 from interarea.cosim.designs.design_file import certify as certify_family
 from interarea.cosim.errors import ScenarioError
@@ -25,6 +27,7 @@ from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.fmu_build.write.cache import default_cache
 from interarea.grids import case_like
+from interarea.progress import notebook_bars, silent
 from interarea.shown import Certificate
 
 if TYPE_CHECKING:
@@ -35,7 +38,7 @@ def design_controller(
     spec: str | Path | Mapping[str, Any],
     *,
     case: Case | str | Path | None = None,
-    progress: Callable[[str, float], object] | None = None,
+    progress: Callable[[str, float, str], object] | None = None,
 ) -> Controller:
     """Design a fixed-order controller for a family of operating points, losses and latencies.
 
@@ -45,7 +48,8 @@ def design_controller(
     ----------
     spec : design file, bundled name (``interarea list``), or the keys of such a file.
     case : another case than the design's.
-    progress : called with what is done and the damping reached.
+    progress : called with the step that is under way, the share of it that is done, and in words what the
+        search has reached; without it a notebook shows bars.
 
     Raises
     ------
@@ -72,7 +76,8 @@ def design_controller(
     (2, True)
     """
     table = _table(spec, case)
-    return run_design(table, default_cache(), progress=progress).controller
+    with notebook_bars(DESIGN_STEPS) as report:
+        return run_design(table, default_cache(), progress=progress or report or silent).controller
 
 
 def load_controller(
@@ -114,6 +119,7 @@ def certify(
     case: Case | str | Path | None = None,
     *,
     spec: str | Path | Mapping[str, Any] | None = None,
+    progress: Callable[[str, float], object] | None = None,
 ) -> Certificate:
     """Recompute what a controller holds, on full linear plants with exact latency.
 
@@ -125,6 +131,8 @@ def certify(
     controller : object, `control.StateSpace` (u = +K y, speeds in rad/s, actuators in pu), name, JSON or FMU.
     case : another case than the design's.
     spec : design (file, bundled name, keys) that judges instead.
+    progress : called with the step that is under way and the share of it that is done; without it a
+        notebook shows bars.
 
     Raises
     ------
@@ -145,7 +153,8 @@ def certify(
     own = specification_of(made) if spec is None else None
     if own is not None:
         table = own if case is None else own.on(case)
-    found = certify_family(table, made, default_cache())
+    with notebook_bars(steps_of(table, acceptance=False)) as report:
+        found = certify_family(table, made, default_cache(), progress=progress or report or silent)
     return Certificate(made.name, table.case, found, {c.name: c.in_words for c in table.family()})
 
 

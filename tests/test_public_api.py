@@ -26,11 +26,12 @@ FUNCTIONS = {
     "reduce": "system: control.StateSpace | Case | str | Path, order: int, *, method: str = 'balanced', "
     "inputs: Sequence[str] = (), outputs: Mapping[str, Mapping[str, float]] | None = None -> Reduction",
     "design_controller": "spec: str | Path | Mapping[str, Any], *, case: Case | str | Path | None = None, "
-    "progress: Callable[[str, float], object] | None = None -> Controller",
+    "progress: Callable[[str, float, str], object] | None = None -> Controller",
     "load_controller": "name: str | Path, *, case: Case | str | Path = 'two-area-thesis' "
     "-> Controller | ControllerBank",
     "certify": f"controller: {CONTROLLER}, case: Case | str | Path | None = None, *, "
-    "spec: str | Path | Mapping[str, Any] | None = None -> Certificate",
+    "spec: str | Path | Mapping[str, Any] | None = None, "
+    "progress: Callable[[str, float], object] | None = None -> Certificate",
     "simulate": "scenario: str | Path | Mapping[str, Any], *, case: Case | str | Path | None = None, "
     f"controller: {CONTROLLER} | None = None, progress: Callable[[float, float], object] | None = None "
     "-> Result",

@@ -25,8 +25,6 @@ from ..scenario.names import CONTROLLER_NAMES
 from .fault_runs import FaultRun, FaultRuns, longest_kept
 from .first_swing import Positive, after_clearing
 
-Progress = Callable[[int, int], object]
-
 
 class FaultPlace(Table):
     """A three-phase fault at a bus, cleared by itself or by the trip of a branch."""
@@ -200,12 +198,12 @@ def judge_acceptance(
     cache: Path,
     *,
     clearing: bool = True,
-    progress: Progress | None = None,
+    progress: Callable[[float], object] = lambda share: None,
 ) -> Acceptance:
     """Run every setting of `table` at every operating point, with the controller and without.
 
     clearing : search the clearing times too, at the first latency with the first signal lost.
-    progress : called with settings done and all.
+    progress : called with the share of the operating points and ceilings that is done.
     """
     places = [(point, ceiling) for point in cases for ceiling in (None, *table.ceilings)]
     lost: list[str] = []
@@ -213,8 +211,7 @@ def judge_acceptance(
     rows: list[ClearingRow] = []
     largest, count = 0.0, 0
     for done, (point, ceiling) in enumerate(places):
-        if progress is not None:
-            progress(done, len(places))
+        progress(done / len(places))
         groups = list(settings_of(table, point, ceiling, controller.inputs))
         with Trial(cases[point], controller, table, cache, ceiling) as trial:
             angles = _angles(trial, groups, table.clear_cycles)
@@ -227,6 +224,7 @@ def judge_acceptance(
                 (lost if holds else gained).extend(different)
             if clearing:
                 rows += _clearing_rows(trial, groups)
+    progress(1.0)
     return Acceptance(count, tuple(lost), tuple(gained), float(np.degrees(largest)), tuple(rows))
 
 

@@ -32,6 +32,8 @@ from .design_tables import AskTable, GuardTable, PartTable, PointTable, Positive
 from .first_swing import FaultRow, FaultTable, after_fault, predicted_drive
 from .swing_sensitivity import FirstSwingTable, swing_penalty
 
+DESIGN_STEPS = ("linear plants", "search", "certificate")  #: of `run_design`
+CERTIFICATE_STEPS = ("linear family", "faults", "non-linear faults")  #: of `certify`
 _OFFSETS = (BandOffsets().omega, BandOffsets().offset)
 
 
@@ -258,14 +260,21 @@ class Designed:
 
 
 def run_design(
-    table: DesignTable, cache: Path, *, progress: Callable[[str, float], object] | None = None
+    table: DesignTable,
+    cache: Path,
+    *,
+    progress: Callable[[str, float, str], object] = lambda step, share, text: None,
 ) -> Designed:
     """Design the controller of `table`; its certificate, on full linear plants with exact latency, too.
+
+    progress : called with one of `DESIGN_STEPS`, the share of it that is done, and what is reached, in words.
 
     Raises
     ------
     InfeasibleDesign : a mode out of reach, or no start that keeps every design model stable.
     """
+    linearising, searching, certifying = DESIGN_STEPS
+    progress(linearising, 0.0, "")
     plants = family_plants(table, cache)
     omega_b = table.grid.omega_b
     spec = table.spec()
@@ -283,7 +292,13 @@ def run_design(
             cache,
         )
         spec = replace(spec, swing=penalty, margins_deg=table.first_swing.margins_deg)
-    made = design_robust(plants, spec, omega_b, progress=progress)
+    progress(linearising, 1.0, "")
+
+    def tell(what: str, share: float, reached: float) -> None:
+        progress(searching, min(share, 0.999), f"{what}: objective {reached:.4f}")
+
+    made = design_robust(plants, spec, omega_b, progress=tell)
+    progress(searching, 1.0, "")
     facts = {
         "method": "smoothed worst damping over operating points, losses and latencies",
         "specification": _recorded(table),
@@ -292,7 +307,9 @@ def run_design(
     }
     guard = None if table.guard is None else table.guard.guard()
     controller = Controller(table.name, made.system, table.limit_pu, facts, guard=guard)
-    controller = replace(controller, certificate=certify(table, controller, cache).as_dict())
+    held = certify(table, controller, cache, progress=lambda _, share: progress(certifying, share, ""))
+    progress(certifying, 1.0, "")
+    controller = replace(controller, certificate=held.as_dict())
     return Designed(controller, {f"start {k}": K for k, K in enumerate(made.tried, start=1)})
 
 
@@ -311,8 +328,17 @@ def _recorded(table: DesignTable) -> dict[str, Any]:
     return data
 
 
-def judge(table: DesignTable, K: control.StateSpace, cache: Path) -> FamilyCertificate:
-    """Judge a controller (speeds in rad/s) on the family of a design and by what it asks, no fault run."""
+def judge(
+    table: DesignTable,
+    K: control.StateSpace,
+    cache: Path,
+    *,
+    progress: Callable[[float], object] = lambda share: None,
+) -> FamilyCertificate:
+    """Judge a controller (speeds in rad/s) on the family of a design and by what it asks, no fault run.
+
+    progress : called with the share that is done.
+    """
     omega_b = table.grid.omega_b
     cases = family_cases(table)
     given = family_plants(table, cache)
@@ -326,6 +352,7 @@ def judge(table: DesignTable, K: control.StateSpace, cache: Path) -> FamilyCerti
         effort_cap=table.ask.effort,
         fastest_pole=table.ask.fastest_pole,
         bands_hz={name: inter_area_band(named_modes(p, cases[name])) for name, p in given.items()},
+        progress=progress,
     )
 
 
@@ -335,22 +362,40 @@ def _missed(run: FaultRow) -> str:
     return f"{run.point}, fault with {' and '.join(run.lost) or 'nothing'} lost: {what}"
 
 
+def steps_of(table: DesignTable, *, acceptance: bool) -> list[str]:
+    """Return what `certify` goes through, by the names it tells."""
+    linear, faults, accepting = CERTIFICATE_STEPS
+    wanted = {
+        linear: True,
+        accepting: acceptance and table.acceptance is not None,
+        faults: table.fault is not None,
+    }
+    return [step for step, is_wanted in wanted.items() if is_wanted]
+
+
 def certify(
     table: DesignTable,
     controller: Controller,
     cache: Path,
     *,
     acceptance: bool = False,
-    progress: Callable[[int, int], object] | None = None,
+    progress: Callable[[str, float], object] = lambda step, share: None,
 ) -> FamilyCertificate:
     """Judge a controller on the family of a design and by what it asks; its fault is run at every point.
 
     acceptance : every case of the design's acceptance too, clearing times included (minutes).
-    progress : called with settings of the acceptance done and all.
+    progress : called with one of `steps_of` and the share of it that is done.
     """
-    found = judge(table, controller.system, cache)
+    linear, faults, accepting = CERTIFICATE_STEPS
+    found = judge(table, controller.system, cache, progress=lambda share: progress(linear, share))
     if acceptance and table.acceptance is not None:
-        tried = judge_acceptance(controller, family_cases(table), table.acceptance, cache, progress=progress)
+        tried = judge_acceptance(
+            controller,
+            family_cases(table),
+            table.acceptance,
+            cache,
+            progress=lambda share: progress(accepting, share),
+        )
         found = replace(
             found,
             acceptance=tried.as_dict(),
@@ -364,11 +409,12 @@ def certify(
     cases = family_cases(table)
     losses = list(dict.fromkeys(c.lost for c in table.family() if c.lost)) or [()]
     drive, predicted = predicted_drive(controller, cases, table.fault, losses, cache)
-    runs = [
-        after_fault(controller, point, case, table.fault, lost, cache)
-        for point, case in cases.items()
-        for lost in losses
-    ]
+    runs: list[FaultRow] = []
+    for point, case in cases.items():
+        for lost in losses:
+            progress(faults, len(runs) / (len(cases) * len(losses)))
+            runs.append(after_fault(controller, point, case, table.fault, lost, cache))
+    progress(faults, 1.0)
     missed = tuple(_missed(run) for run in runs if not run.passed)
     return replace(
         found,

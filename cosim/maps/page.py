@@ -25,20 +25,20 @@ from ..sweep.runner import Runner
 from ..sweep.spec import Sweep
 from . import page_figures as figures
 from .links import Explorer, write_runs
+from .margins import Margin, margins_of
 from .page_data import (
-    Margin,
     facets_of,
     is_grid,
     kind_of,
     least_damping,
     map_of,
-    margins_of,
     numeric,
     pairs_of,
     worst_runs,
 )
 
 TEMPLATES = Path(__file__).parent
+STEPS = ("margins", "worst runs", "explorer", "figures")  #: of writing the page
 _UNITS = {"latency": "s", "loss": "share of packets", "tie": "MW"}
 _WORDS = {"latency": "latency", "loss": "loss rate", "tie": "tie flow added"}
 
@@ -48,13 +48,16 @@ def write_maps(
     path: Path,
     *,
     worst: int = 6,
+    workers: int | None = None,
     cache: Path | None = None,
-    progress: Callable[[str], object] | None = None,
+    progress: Callable[[str, float], object] | None = None,
 ) -> Path:
     """Write the page of the results in `folder` to `path`, as one finished file.
 
     Beside it, as ``STEM-explorer.html``, the explorer: a click on a cell opens its worst run there.
-    worst : runs that are simulated again for their trajectories.
+    worst : runs that are simulated again for their trajectories. workers : processes that search margins
+        side by side; default one for each core. progress : called with one of `STEPS` and the share of it
+        that is done.
 
     Raises
     ------
@@ -64,22 +67,27 @@ def write_maps(
     plan, rows = read_plan(folder), read_rows(folder)
     cached = default_cache() if cache is None else cache
     path.parent.mkdir(parents=True, exist_ok=True)
-    with temporary_folder() as scratch:
-        with Runner(plan, cached, scratch) as runner:
-            tell("margins")
-            margins = margins_of(plan.sweep, rows, runner) if plan.controllers else []
-            tell("worst runs")
-            curves = _curves(plan, rows, runner, worst)
-        tell("explorer")
-        explorer = write_runs(plan, path.with_name(f"{path.stem}-explorer.html"), cached)
-        tell("figures")
-        drawn = _draw(plan.sweep, rows, margins, curves, explorer)
-        opens = _titles(plan, rows, explorer)
-        svg = {
-            key: page_figure(figure, key, links=opens if key.startswith("map-") else None)
-            for key, figure in drawn.items()
-        }
-        text = _render(plan, rows, margins, svg, folder, explorer)
+    searching, again, exploring, drawing = STEPS
+    with temporary_folder() as scratch, Runner(plan, cached, scratch) as runner:
+        tell(searching, 0.0)
+        margins: list[Margin] = []
+        if plan.controllers:
+            margins = margins_of(
+                plan, rows, runner, workers=workers, progress=lambda share: tell(searching, share)
+            )
+        tell(searching, 1.0)
+        curves = _curves(plan, rows, runner, worst, lambda share: tell(again, share))
+    tell(exploring, 0.0)
+    explorer = write_runs(plan, path.with_name(f"{path.stem}-explorer.html"), cached)
+    tell(exploring, 1.0)
+    drawn = _draw(plan.sweep, rows, margins, curves, explorer)
+    opens = _titles(plan, rows, explorer)
+    svg: dict[str, Markup] = {}
+    for key, figure in drawn.items():
+        tell(drawing, len(svg) / len(drawn))
+        svg[key] = page_figure(figure, key, links=opens if key.startswith("map-") else None)
+    text = _render(plan, rows, margins, svg, folder, explorer)
+    tell(drawing, 1.0)
     return write_whole(path, text.encode("utf-8"))
 
 
@@ -227,12 +235,14 @@ def _simulated(m: Margin) -> float | None:
     return m.stable if m.unstable is not None else None
 
 
-def _curves(plan: SweepPlan, rows: pd.DataFrame, runner: Runner, count: int) -> list[Any]:
+def _curves(
+    plan: SweepPlan, rows: pd.DataFrame, runner: Runner, count: int, tell: Callable[[float], object]
+) -> list[Any]:
     """Simulate the worst runs again."""
-    found = []
-    for run in worst_runs(rows, count):
-        if plan.sweep.searched is not None:
-            break
+    found: list[Any] = []
+    worst = worst_runs(rows, count) if plan.sweep.searched is None else []
+    for run in worst:
+        tell(len(found) / len(worst))
         values = plan.sweep.values(run)
         kept, curves = runner.simulate(values)
         assert kept.system.swing is not None
@@ -241,6 +251,7 @@ def _curves(plan: SweepPlan, rows: pd.DataFrame, runner: Runner, count: int) -> 
         row = rows[rows.run == run].iloc[0]
         verdict = "" if "stable" not in row else "stable" if row["stable"] else "not stable"
         found.append((f"run {run}, {verdict}: {point_text(values)}", curves.time_s.copy(), swing, controls))
+    tell(1.0)
     return found
 
 
@@ -333,5 +344,5 @@ def plain(value: Any) -> str:
     return html.unescape(str(value))
 
 
-def _silent(_: str) -> None:
+def _silent(_: str, __: float) -> None:
     pass

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import control
 import numpy as np
@@ -23,7 +24,7 @@ from ..reduction.gramians import projections
 from .design_models import build_objective, tightened
 from .smoothed_objective import AT_REST, Array, Gains, Objective
 from .spec import RobustSpec
-from .stages import staged_search
+from .stages import Tell, stage_parts, staged_search
 
 #: evaluations between two balancings of the controller
 ROUND = 300
@@ -49,7 +50,7 @@ def design_robust(
     spec: RobustSpec,
     omega_b: float,
     *,
-    progress: Callable[[str, float], object] | None = None,
+    progress: Tell | None = None,
 ) -> RobustDesign:
     """Return the best controller found for `spec` over all `plants` and conditions.
 
@@ -57,7 +58,7 @@ def design_robust(
     ----------
     plants : operating point -> full linear plant without reference mode, outputs in pu as linearised.
     omega_b : rated speed, rad/s.
-    progress : called with (what, objective) after each start.
+    progress : called with (what is under way, share of the whole that is done at most, objective reached).
 
     Raises
     ------
@@ -65,6 +66,7 @@ def design_robust(
         mode is out of reach. ValueError : plants that no design model can be made of.
     """
     objective = build_objective(plants, spec, omega_b)
+    tell = _whole(planned(spec, len(objective.models) / len(plants), len(plants)), progress)
     rng = np.random.default_rng(spec.seed)
     with one_blas_thread():
         if spec.stages:
@@ -78,18 +80,20 @@ def design_robust(
                 rng,
                 balanced=balanced_parameters,
                 descend=lambda some, theta: _descend(some, theta, 1, each=BETWEEN),
-                progress=progress,
+                progress=tell,
             )
         else:
-            theta, count, found = _from_random(objective, plants, spec, omega_b, rng, progress)
+            theta, count, found = _from_random(objective, plants, spec, omega_b, rng, tell)
         value = objective(theta)[0]
         for margin in spec.margins_deg if spec.swing is not None else ():
             objective = replace(objective, swing=tightened(spec, margin))
-            theta, used = _descend(objective, theta, spec.evaluations // ROUND, spec.within)
+            what = f"first swing, {margin:g} degrees"
+            theta, used = _descend(
+                objective, theta, spec.evaluations // ROUND, spec.within, tell=partial(tell, what)
+            )
             count += used
             value = objective(theta)[0]
-            if progress is not None:
-                progress(f"first swing, {margin:g} degrees", value)
+            tell(what, 1.0, value)
     rightmost, worst = objective.worst(theta)
     if not rightmost < AT_REST:
         raise InfeasibleDesign(
@@ -105,13 +109,55 @@ def design_robust(
     return RobustDesign(K, value, worst, rightmost, count, reached, tried)
 
 
+def planned(spec: RobustSpec, conditions: float, points: int) -> dict[str, float]:
+    """Return what a search does, in order, and what each part costs at most: evaluations of a design model.
+
+    conditions : models of each of the `points`.
+
+    >>> from .spec import Condition
+    >>> spec = RobustSpec(("y",), ("u",), (Condition("N"),), starts=1, evaluations=600, polishes=3)
+    >>> planned(spec, 1.0, 2)
+    {'start 1 of 1': 1200.0, 'polish 3 of 3': 1800.0}
+    """
+    given = int(spec.start is not None)
+    models = conditions * points
+    each = ROUND * max(spec.evaluations // ROUND, 1)
+    parts: dict[str, float] = {}
+    if spec.stages:
+        for k, stage in enumerate(spec.stages, start=1):
+            share = len(stage.points or range(points)) * (len(stage.conditions) or conditions)
+            for what in stage_parts(k, len(spec.stages), spec.starts + given):
+                parts[what] = share * len(stage.rho) * (stage.steps + BETWEEN)
+    else:
+        tried = conditions * (min(spec.starts_on, points) or points)
+        count = spec.starts + given
+        parts |= {f"start {k} of {count}": tried * each for k in range(1, count + 1)}
+        parts |= {
+            f"polish {k + 3} of {spec.polishes}": models * 3 * ROUND for k in range(0, spec.polishes, 3)
+        }
+    swings = spec.margins_deg if spec.swing is not None else ()
+    return parts | {f"first swing, {margin:g} degrees": models * each for margin in swings}
+
+
+def _whole(parts: Mapping[str, float], progress: Tell | None) -> Tell:
+    """Return what tells how much of all `parts` is done from how much of one of them is."""
+    names, total = list(parts), sum(parts.values())
+
+    def tell(what: str, share: float, reached: float) -> None:
+        if progress is not None:
+            before = sum(parts[name] for name in names[: names.index(what)])
+            progress(what, (before + share * parts[what]) / total, reached)
+
+    return tell
+
+
 def _from_random(
     objective: Objective,
     plants: Mapping[str, control.StateSpace],
     spec: RobustSpec,
     omega_b: float,
     rng: np.random.Generator,
-    progress: Callable[[str, float], object] | None,
+    tell: Tell,
 ) -> tuple[Array, int, list[tuple[float, Array]]]:
     """L-BFGS from each start, the best polished: parameters, evaluations, (objective, those) of each."""
     first = dict(list(plants.items())[: spec.starts_on or None])
@@ -121,19 +167,21 @@ def _from_random(
     starts = [] if spec.start is None else [given_start(easier, spec)]
     starts += [_stable_start(easier, rng) for _ in range(spec.starts)]
     for k, start in enumerate(starts):
-        theta, used = _descend(easier, start, spec.evaluations // ROUND, spec.within)
+        what = f"start {k + 1} of {len(starts)}"
+        theta, used = _descend(
+            easier, start, spec.evaluations // ROUND, spec.within, tell=partial(tell, what)
+        )
         count += used
         found.append((easier(theta)[0], theta))
-        if progress is not None:
-            progress(f"start {k + 1} of {len(starts)}", found[-1][0])
+        tell(what, 1.0, found[-1][0])
     theta = min(found, key=lambda each: each[0])[1]
     value = objective(theta)[0]
     for k in range(0, spec.polishes, 3):
-        theta, used = _descend(objective, theta, 3, spec.within)
+        what = f"polish {k + 3} of {spec.polishes}"
+        theta, used = _descend(objective, theta, 3, spec.within, tell=partial(tell, what))
         count += used
         gained, value = value - objective(theta)[0], objective(theta)[0]
-        if progress is not None:
-            progress(f"polish {k + 3} of {spec.polishes}", value)
+        tell(what, 1.0, value)
         if not gained > 1e-5:
             break
     return theta, count, found
@@ -182,18 +230,27 @@ def given_start(objective: Objective, spec: RobustSpec) -> Array:
 
 
 def _descend(
-    objective: Objective, start: Array, rounds: int, within: float = np.inf, each: int = ROUND
+    objective: Objective,
+    start: Array,
+    rounds: int,
+    within: float = np.inf,
+    each: int = ROUND,
+    *,
+    tell: Callable[[float, float], object] | None = None,
 ) -> tuple[Array, int]:
     """L-BFGS with the analytic gradient, K balanced before each round; return the best and evaluations.
 
     The objective is nearly non-smooth and does not see the coordinates of K: balanced ones, and dropping the
     Hessian's memory with the old ones, free a search that has stalled. Below infinity `within` makes rounds a
     third as long, each over the models that were so near to the worst at its start; one after which another
-    model is worse is thrown away, and the next takes twice as many.
+    model is worse is thrown away, and the next takes twice as many. tell : called before each round with the
+    share of the rounds that is done and the objective.
     """
     best, value, count = start, objective(start)[0], 0
     parts = 1 if np.isinf(within) else 3
-    for _ in range(parts * max(rounds, 1)):
+    for k in range(parts * max(rounds, 1)):
+        if tell is not None:
+            tell(k / (parts * max(rounds, 1)), value)
         some = objective if np.isinf(within) else objective.narrowed(best, within)
         result = minimize(
             some,

@@ -6,7 +6,7 @@ plants, exact latency, roots of the characteristic equation.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -83,6 +83,7 @@ def judge_family(
     effort_cap: float = float("inf"),
     fastest_pole: float = float("inf"),
     bands_hz: Mapping[str, tuple[float, float]] | None = None,
+    progress: Callable[[float], object] = lambda share: None,
 ) -> FamilyCertificate:
     """Return what `K` does on every plant under every condition, and where it misses what is asked.
 
@@ -93,11 +94,14 @@ def judge_family(
     worst_swing, inter_area : damping ratios asked of every row.
     effort_cap, fastest_pole : pu per rad/s, rad/s.
     bands_hz : operating point -> where its inter-area modes are (`inter_area_band`); default `INTER_AREA_HZ`.
+    progress : called with the share of the rows that is done.
     """
     bands = dict.fromkeys(plants, INTER_AREA_HZ) | dict(bands_hz or {})
-    rows = tuple(
-        _row(point, plant, K, c, bands[point]) for point, plant in plants.items() for c in conditions
-    )
+    rows: list[FamilyRow] = []
+    for point, plant in plants.items():
+        for c in conditions:
+            progress(len(rows) / (len(plants) * len(conditions)))
+            rows.append(_row(point, plant, K, c, bands[point]))
     worst = min(row.worst_swing for row in rows)
     inter = min(row.inter_area for row in rows)
     # the gain from noise on the signals exists only for a stable loop; an unstable row is named anyway
@@ -116,8 +120,9 @@ def judge_family(
         *(f"{row.point}, {row.condition}: unstable" for row in rows if not row.stable),
         *(f"{name} is {value:.4g}, asked {wanted}" for name, value, held, wanted in asked if not held),
     )
+    progress(1.0)
     return FamilyCertificate(
-        rows,
+        tuple(rows),
         worst,
         inter,
         largest,

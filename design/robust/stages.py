@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ ALTERNATIONS, WORTHWHILE = 3, 2e-3
 
 Descend = Callable[[Objective, Array], tuple[Array, int]]
 Balanced = Callable[[Objective, Array], Array]
+Tell = Callable[[str, float, float], object]  #: what is under way, the share that is done, the objective
 
 
 @dataclass(frozen=True)
@@ -58,40 +60,58 @@ def staged_search(
     *,
     balanced: Balanced,
     descend: Descend,
-    progress: Callable[[str, float], object] | None = None,
+    progress: Tell | None = None,
 ) -> tuple[Array, int, list[tuple[float, Array]]]:
     """Return the parameters after the last stage, evaluations, and (objective, parameters) of every start.
 
     starts : given ones; `guesses` more are made for the first stage, their gains within `bound`. The best of
     all after the first stage goes on. descend : L-BFGS for some evaluations; gives both of these.
+    progress : called with (one of `stage_parts`, the share of it that is done, the objective).
     """
+    tell = progress or _silent
+    count_of = len(starts) + guesses
     first = stages[0].of(objective)
     begun = [*starts, *(first_guess(first, rng, bound) for _ in range(guesses))]
     reached, count = [], 0
-    for k, theta in enumerate(begun, start=1):
-        theta, used = _through(first, stages[0], theta, balanced, descend)
+    for what, theta in zip(stage_parts(1, len(stages), count_of), begun, strict=True):
+        theta, used = _through(first, stages[0], theta, balanced, descend, partial(tell, what))
         count += used
         reached.append((first.value(theta), theta))
-        if progress is not None:
-            progress(f"stage 1 of {len(stages)}, start {k} of {len(begun)}", reached[-1][0])
+        tell(what, 1.0, reached[-1][0])
     theta = min(reached, key=lambda each: each[0])[1]
     for k, stage in enumerate(stages[1:], start=2):
         some = stage.of(objective)
-        theta, used = _through(some, stage, theta, balanced, descend)
+        (what,) = stage_parts(k, len(stages), count_of)
+        theta, used = _through(some, stage, theta, balanced, descend, partial(tell, what))
         count += used
-        if progress is not None:
-            progress(f"stage {k} of {len(stages)}", some.value(theta))
+        tell(what, 1.0, some.value(theta))
     return theta, count, reached
 
 
+def stage_parts(k: int, stages: int, starts: int) -> list[str]:
+    """Return what stage `k` is made of: the first of each start.
+
+    >>> stage_parts(1, 2, 2), stage_parts(2, 2, 2)
+    (['stage 1 of 2, start 1 of 2', 'stage 1 of 2, start 2 of 2'], ['stage 2 of 2'])
+    """
+    name = f"stage {k} of {stages}"
+    return [name] if k > 1 else [f"{name}, start {start} of {starts}" for start in range(1, starts + 1)]
+
+
 def _through(
-    objective: Objective, stage: Stage, theta: Array, balanced: Balanced, descend: Descend
+    objective: Objective,
+    stage: Stage,
+    theta: Array,
+    balanced: Balanced,
+    descend: Descend,
+    tell: Callable[[float, float], object],
 ) -> tuple[Array, int]:
     """Newton steps at each rho, and some of `descend` where they end: two eigenvalues may have met."""
     count = 0
-    for rho in stage.rho:
+    for k, rho in enumerate(stage.rho):
         smoothed = replace(objective, rho=rho)
         value = smoothed.value(theta)
+        tell(k / len(stage.rho), value)
         for _ in range(ALTERNATIONS):
             theta, used = newton_descent(smoothed, theta, stage.steps, balanced=balanced)
             theta, more = descend(smoothed, theta)
@@ -100,3 +120,7 @@ def _through(
             if not gained > WORTHWHILE:
                 break
     return theta, count
+
+
+def _silent(what: str, share: float, reached: float) -> None:
+    pass

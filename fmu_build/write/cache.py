@@ -18,6 +18,7 @@ import os
 import platform
 import shutil
 import sys
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache as forever
@@ -145,12 +146,14 @@ def artefact(cache: Path, kind: str, key: str, suffix: str, make: Callable[[Path
         if is_whole(path):
             with contextlib.suppress(OSError):  # a cache that only others write
                 os.utime(_proof(path))  # when it was last used
+            _log.info("cache: %s", path)
             return path
         _log.warning("%s is not what was written there (SHA-256): it is made again", path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with temporary_folder(cache) as folder:
-        made = folder / path.name
+        made, begin_s = folder / path.name, time.monotonic()
         make(made)
+        _log.info("made in %.1f s: %s", time.monotonic() - begin_s, path)
         # the proof first: a file without one is no artefact, a proof without its file is nothing
         _prove(path, made.read_bytes())
         return settle(made, path)

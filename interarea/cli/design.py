@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal import busy, note, print_table, stage_progress
+from .terminal import busy, print_table, stage_progress
 
 if TYPE_CHECKING:
     import control
@@ -52,7 +52,7 @@ def design(
     The starts that were tried are shown beside the result, and so are controllers given by `--against`.
     """
     from interarea.cosim.designs.comparison import HEADER, compare, save_comparison
-    from interarea.cosim.designs.design_file import load_design, run_design
+    from interarea.cosim.designs.design_file import DESIGN_STEPS, load_design, run_design
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.case import load_case
 
@@ -64,14 +64,16 @@ def design(
     if plots is not None:
         folder_for(plots, "--plots")
     others = {name: _system(name, case) for name in against or ()}
-    done = run_design(table, cache, progress=lambda what, value: note(f"{what}: {value:.4f}"))
-    made = done.controller
-    out.parent.mkdir(parents=True, exist_ok=True)
-    made.save(out)
-    found = _certificate_of(made)
-    with busy("comparing the alternatives"):
+    with stage_progress((*DESIGN_STEPS, "alternatives")) as report:
+        done = run_design(table, cache, progress=report)
+        made = done.controller
+        out.parent.mkdir(parents=True, exist_ok=True)
+        made.save(out)
+        found = _certificate_of(made)
+        report("alternatives", 0.0)
         alternatives = compare(table, {made.name: made.system, **done.tried, **others}, cache)
         drawn = save_comparison(table, alternatives, cache, plots) if plots is not None else ()
+        report("alternatives", 1.0)
     if json_:
         document = {
             "controller": made.name,
@@ -144,7 +146,7 @@ def certify(
     record: the FMU alone is enough.
     """
     from interarea.cosim.designs.design_file import certify as recompute
-    from interarea.cosim.designs.design_file import load_design, specification_of
+    from interarea.cosim.designs.design_file import load_design, specification_of, steps_of
     from interarea.design.controllers.bank import ControllerBank
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.case import load_case
@@ -161,16 +163,8 @@ def certify(
         typer.echo(f"{controller} names no family of its own: judged by that of `robust`", err=True)
     if own is not None:
         table = own if case is None else own.model_copy(update={"case": case})
-    stages = ("linear family", "non-linear faults") if acceptance else ("linear family",)
-    with stage_progress(stages) as report:
-        report(stages[0], 0.0)
-
-        def tell(done: int, of: int) -> None:
-            report(stages[0], 1.0)
-            report(stages[-1], done / of)
-
-        found = recompute(table, made, default_cache(), acceptance=acceptance, progress=tell)
-        report(stages[0], 1.0)
+    with stage_progress(steps_of(table, acceptance=acceptance)) as report:
+        found = recompute(table, made, default_cache(), acceptance=acceptance, progress=report)
     if json_:
         typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
     else:

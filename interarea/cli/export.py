@@ -11,7 +11,7 @@ import typer
 
 from .modes import CaseName
 from .study import OutFolder
-from .terminal import busy, steps
+from .terminal import FileAsJson, busy, steps, tell_file
 
 ScenarioFile = Annotated[
     str, typer.Argument(metavar="SCENARIO.toml", help="scenario file, or a bundled name", show_default=False)
@@ -82,11 +82,12 @@ def ssp(
         Path, typer.Option("--out", metavar="FILE.ssp", help="archive to write", show_default=False)
     ],
     platforms: Platforms = None,
+    json_: FileAsJson = False,
 ) -> None:
     """Write plant, channels and controller of a scenario, wired and parametrised, as one SSP 1.0 archive."""
     from interarea.cosim.export.ssp import write_ssp
 
-    _write(write_ssp, ".ssp", scenario, out, platforms)
+    tell_file(_written(write_ssp, ".ssp", scenario, out, platforms), json_)
 
 
 def names_of(platforms: str | None) -> list[str] | None:
@@ -102,15 +103,18 @@ def container(
     scenario: ScenarioFile,
     out: Annotated[Path, typer.Option("--out", metavar="FILE.fmu", help="FMU to write", show_default=False)],
     platforms: Platforms = None,
+    json_: FileAsJson = False,
 ) -> None:
     """Write plant, channels and controller of a scenario as one FMU that simulates by itself."""
     from interarea.cosim.export.container import write_container
 
-    _write(write_container, ".fmu", scenario, out, platforms)
+    tell_file(_written(write_container, ".fmu", scenario, out, platforms), json_)
 
 
-def _write(writer: Callable[..., Path], suffix: str, scenario: str, out: Path, platforms: str | None) -> None:
-    """Have `writer` turn a scenario into the file `out`, and say where it is."""
+def _written(
+    writer: Callable[..., Path], suffix: str, scenario: str, out: Path, platforms: str | None
+) -> Path:
+    """Have `writer` turn a scenario into the file `out`."""
     from interarea.cosim.scenario.scenario import load_scenario
     from interarea.fmu_build.write.cache import default_cache
 
@@ -119,8 +123,7 @@ def _write(writer: Callable[..., Path], suffix: str, scenario: str, out: Path, p
     loaded = load_scenario(scenario)
     file_for(out, suffix=suffix)
     with busy(f"writing {out}"):
-        made = writer(loaded, out, cache=default_cache(), platforms=names_of(platforms))
-    typer.echo(made)
+        return writer(loaded, out, cache=default_cache(), platforms=names_of(platforms))
 
 
 def check(
@@ -154,6 +157,7 @@ def explore(
     subject: Annotated[
         str, typer.Argument(metavar="SCENARIO | CASE", help="a file, or a bundled name of either")
     ] = "two-area-thesis",
+    json_: FileAsJson = False,
 ) -> None:
     """Write one HTML file in which the loop runs: drag delay, loss, controller or fault, and see.
 
@@ -167,4 +171,4 @@ def explore(
     file_for(out, suffix=".html")
     with busy(f"writing {out}"):
         made = write_explorer(subject, out, cache=default_cache())
-    typer.echo(made)
+    tell_file(made, json_)

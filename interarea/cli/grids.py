@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -51,6 +53,9 @@ def import_grid(
         list[str] | None,
         typer.Option("--device", metavar="FILE.toml", help="a device of your own, for records of its name"),
     ] = None,
+    json_: Annotated[
+        bool, typer.Option("--json", help="print what was read, assumed and dropped as JSON")
+    ] = False,
 ) -> None:
     """Read a grid, solve its power flow, write it as a case file; say what was read, assumed and dropped."""
     from interarea.models.case.write_toml import export_toml
@@ -74,6 +79,9 @@ def import_grid(
     )
     out.parent.mkdir(parents=True, exist_ok=True)
     export_toml(imported.case, out)
+    if json_:
+        typer.echo(json.dumps({"file": str(out), **imported.report.as_dict()}, indent=2))
+        return
     typer.echo(out)
     typer.echo(imported.report.text(), err=True)
 
@@ -93,6 +101,9 @@ def export(
         list[str] | None, typer.Option("--circuit-out", metavar="BRANCH", help="branch out of service")
     ] = None,
     load_scale: Annotated[float, typer.Option("--load-scale", metavar="FACTOR", help="on every load")] = 1.0,
+    json_: Annotated[
+        bool, typer.Option("--json", help="print the files and what they cannot hold as JSON")
+    ] = False,
 ) -> None:
     """Write a case, or it at another operating point, as one file; what its format cannot hold is named."""
     from interarea.models.case.case import load_case
@@ -118,13 +129,23 @@ def export(
     out.parent.mkdir(parents=True, exist_ok=True)
     if suffix == ".toml":
         export_toml(loaded, out)
-        typer.echo(out)
+        _tell({out: ()}, json_)
         return
     written = [(out, raw_of(loaded, flow) if suffix == ".raw" else matpower_of(loaded, flow))]
     if suffix == ".raw" and any(m.model != "power_flow" for m in loaded.machines):
         written.append((out.with_suffix(".dyr"), dyr_of(loaded)))
     for path, content in written:
         write_whole(path, content.text)
+    _tell({path: content.losses for path, content in written}, json_)
+
+
+def _tell(written: Mapping[Path, Sequence[str]], as_json: bool) -> None:
+    """Print the files that were written, and what each of them cannot hold."""
+    if as_json:
+        files = [{"file": str(path), "not_in_it": list(losses)} for path, losses in written.items()]
+        typer.echo(json.dumps({"files": files}, indent=2))
+        return
+    for path, losses in written.items():
         typer.echo(path)
-        for loss in content.losses:
+        for loss in losses:
             typer.echo(f"not in {path.name}: {loss}", err=True)

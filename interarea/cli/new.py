@@ -14,7 +14,7 @@ from interarea.models.files import read_text
 
 from .destination import file_for
 from .listing import DESIGNED, bundled_files
-from .terminal import note
+from .terminal import FileAsJson, note, tell_file
 
 if TYPE_CHECKING:
     from interarea.models.devices.language.structure import Model
@@ -33,6 +33,7 @@ def new(
         ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="file to write", show_default=False)],
+    json_: FileAsJson = False,
 ) -> None:
     """Write a commented file to start from: scenario, case, device, controller, design, sweep, study, ..."""
     there = {file.name.partition(".")[0]: file for file in TEMPLATES.iterdir()}
@@ -49,7 +50,7 @@ def new(
         text = f"#:schema {(SCHEMAS / f'{kind}.json').as_uri()}\n{text}"
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(text, encoding="utf-8")
-    typer.echo(out)
+    tell_file(out, json_)
 
 
 def show(

@@ -6,12 +6,14 @@ import json
 import os
 import sys
 import zlib
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal import busy, note, say_warning
+from .terminal import busy, note, say_warning, stage_progress
 
 if TYPE_CHECKING:
     from interarea.cosim.results.latency_test import SelfTest
@@ -82,8 +84,8 @@ def run(
             tested = _tested(loaded)
         typer.echo(tested)
     if out is not None:
-        with busy(f"running {scenario}"):
-            result, files = _written(loaded, out)
+        with stage_progress((f"running {scenario}",)) as report:
+            result, files = _written(loaded, out, partial(report, f"running {scenario}"))
         if explore:
             with busy(f"writing {out / 'explorer.html'}"):
                 files.append(_explored(loaded, out / "explorer.html"))
@@ -94,19 +96,26 @@ def run(
         raise typer.Exit(1)
 
 
-def _written(scenario: Scenario, out: Path) -> tuple[Result, list[Path]]:
+def _written(scenario: Scenario, out: Path, tell: Callable[[float], object]) -> tuple[Result, list[Path]]:
     """Run a scenario, in one FMU where it asks for that, and write what it gives into `out`.
 
-    What runs it is loaded here: a mistake in the file is told before.
+    What runs it is loaded here: a mistake in the file is told before. tell : takes the share that is done.
     """
     from interarea.cosim.export.joint import run_joint
     from interarea.cosim.run.run import write_run
     from interarea.fmu_build.write.cache import default_cache
 
-    if not scenario.master.joint:
-        return write_run(scenario, out, cache=default_cache())
-    result = run_joint(scenario, cache=default_cache())
-    return result, result.save(out)
+    def watch(now_s: float, end_s: float) -> None:
+        tell(min(now_s / end_s, 0.99))
+
+    tell(0.0)
+    if scenario.master.joint:
+        result: Result = run_joint(scenario, cache=default_cache(), progress=watch)
+        files = result.save(out)
+    else:
+        result, files = write_run(scenario, out, cache=default_cache(), progress=watch)
+    tell(1.0)
+    return result, files
 
 
 def _explored(scenario: Scenario, page: Path) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
@@ -20,6 +21,7 @@ def study(
     second_solver: Annotated[
         bool, typer.Option(help="solve every LMI by cvxpy with Clarabel too, in a process beside")
     ] = True,
+    json_: Annotated[bool, typer.Option("--json", help="print JSON instead of the files' names")] = False,
 ) -> None:
     """Run a whole study: FMUs, designs, co-simulations, figures, report.html and study.json."""
     from interarea.cosim.designs.acceptance import first_failures, kept_certificate
@@ -31,11 +33,15 @@ def study(
     folder_for(out)
     with stage_progress(STAGES) as progress:
         summary = run_study(name, out, progress, second_solver=second_solver)
-    typer.echo(out / "study.json")
-    typer.echo(out / "report.html")
     verdicts = [row["verdict"] for row in summary.get("printed", {}).get("verdicts", [])]
-    counts = ", ".join(f"{verdicts.count(k)} {k}" for k in ("agrees", "partly", "differs"))
-    note(f"printed statements: {counts}")
+    count = {k: verdicts.count(k) for k in ("agrees", "partly", "differs")}
+    files = [str(out / name) for name in ("study.json", "report.html")]
+    if json_:
+        typer.echo(json.dumps({"study": name, "statements": count, "files": files}, indent=2))
+    else:
+        for file in files:
+            typer.echo(file)
+    note(f"printed statements: {', '.join(f'{number} {verdict}' for verdict, number in count.items())}")
     for controller in CONTROLLER_NAMES:
         known = kept_certificate(controller, summary["provenance"]["case_hash"])
         note(f"{controller}: {first_failures(known)}")

@@ -5,39 +5,40 @@ from __future__ import annotations
 import json
 import re
 import sys
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from interarea.cosim.errors import SweepError
+from interarea.progress import tell_runs
 
 from .study import OutFolder
-from .terminal import quiet
+from .terminal import stage_progress
 
 if TYPE_CHECKING:
     from interarea.cosim.screen.screening import Found
     from interarea.cosim.sweep.front import Progress
 
+Workers = Annotated[
+    int | None,
+    typer.Option("--workers", metavar="N", help="processes; default: one for each core", show_default=False),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="dask scheduler whose workers compute"),
+]
 _ADDRESS = re.compile(r"[a-z]+://[^/\s]+:\d+")
-_EVERY_S = 10.0  # a line of progress where there is no terminal
 
 
 def sweep(
     spec: Annotated[Path, typer.Argument(metavar="SWEEP.toml", help="sweep file", show_default=False)],
     out: OutFolder,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            "--workers", metavar="N", help="processes; default: one for each core", show_default=False
-        ),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="dask scheduler whose workers compute"),
-    ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     retry: Annotated[
         str | None, typer.Option("--retry", metavar="failed", help="do runs that failed before again, too")
     ] = None,
@@ -53,7 +54,7 @@ def sweep(
     if retry not in (None, "failed"):
         raise SweepError(f"--retry = {retry}, allowed: failed")
     folder_for(out)
-    with Display(out) as show:
+    with sweeping(out) as show:
         summary = run_sweep(
             spec,
             out,
@@ -113,13 +114,13 @@ def maps(
         typer.Option("--out", metavar="FILE.html", help="default: DIR/maps.html", show_default=False),
     ] = None,
     worst: Annotated[int, typer.Option("--worst", metavar="N", help="worst runs that are drawn")] = 6,
+    workers: Workers = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of the page's name")] = False,
 ) -> None:
     """Draw the maps of a sweep: stability, margins certified and simulated, worst runs; one page."""
-    from interarea.cosim.maps.page import write_maps
+    from interarea.cosim.maps.page import STEPS, write_maps
 
     from .destination import file_for
-    from .terminal import steps
 
     if not 0 <= worst <= 50:
         raise SweepError(f"--worst = {worst}, allowed: 0 to 50")
@@ -128,8 +129,9 @@ def maps(
     if not folder.exists():
         raise SweepError(f"{folder}: no such folder, wanted: that of a sweep's results (its --out)")
     page = file_for(out or folder / "maps.html")
-    with steps(("margins", "worst runs", "explorer", "figures")) as tell:
-        page = write_maps(folder, page, worst=worst, progress=tell)
+    check_workers(workers, None)
+    with stage_progress(STEPS) as report:
+        page = write_maps(folder, page, worst=worst, workers=workers, progress=report)
     if json_:
         from interarea.cosim.sweep.parts import summary_of
 
@@ -174,13 +176,9 @@ def screen(
         float | None,
         typer.Option("--solver-step", metavar="S", help="longest step of the plant; default: its own"),
     ] = None,
-    workers: Annotated[
-        int | None, typer.Option("--workers", metavar="N", help="processes; default: one for each core")
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="dask scheduler whose workers compute"),
-    ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    json_: Annotated[bool, typer.Option("--json", help="print JSON instead of lines")] = False,
 ) -> None:
     """Fault every bus of a grid, or trip every branch; one page, worst first, with clearing times."""
     from interarea.cosim.screen.page import write_screening
@@ -204,13 +202,17 @@ def screen(
         step_s=step,
         solver_step_s=solver_step,
     )
-    with Display(out) as show:
+    with sweeping(out) as show:
         found = run_screening(
             screening, out, clearing=clearing_times, workers=workers, scheduler=scheduler, progress=show
         )
     page = write_screening(screening, found, out)
-    _tell_losses(found)
-    typer.echo(page)
+    if json_:
+        rows = json.loads(page.with_suffix(".json").read_text(encoding="utf-8"))
+        typer.echo(json.dumps({"page": str(page), **rows}, indent=2, allow_nan=False))
+    else:
+        _tell_losses(found)
+        typer.echo(page)
     if all(one.verdict == "failed" for one in found):
         print(f"first reason: {found[0].reason}", file=sys.stderr)
         raise typer.Exit(1)
@@ -240,49 +242,12 @@ def _seconds(text: str, grid: str) -> float:
     return float(found[1]) / case.frequency_hz
 
 
-class Display:
-    """Progress on stderr: one changing line on a terminal, else a line every ten seconds.
-
-    A command that is interrupted says that it goes on with what is in the folder `out`.
-    """
-
-    def __init__(self, out: Path) -> None:
-        self._out = out
-        self._terminal = sys.stderr.isatty()
-        self._last = 0.0 if self._terminal else time.monotonic()
-        self._width = 0
-
-    def __call__(self, p: Progress) -> None:
-        now = time.monotonic()
-        if quiet() or now - self._last < (0.2 if self._terminal else _EVERY_S):
-            return
-        self._last = now
-        left = "" if p.left_s is None else f", {_duration(p.left_s)} left"
-        failed = f", {p.failed} failed" if p.failed else ""
-        failed += f", {p.forked} forked" if p.forked else ""
-        text = (
-            f"{p.done} of {p.size} runs ({100.0 * p.done / p.size:.0f} %){failed}, {p.rate:.1f} runs/s{left}"
-        )
-        if self._terminal:
-            print(f"\r{text:<{self._width}}", end="", file=sys.stderr, flush=True)
-            self._width = len(text)
-        else:
-            print(text, file=sys.stderr, flush=True)
-
-    def __enter__(self) -> Display:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if self._terminal and self._width:
-            print(file=sys.stderr)
-            self._width = 0
-        if kind is KeyboardInterrupt:
-            print(f"the same command goes on with what is in {self._out}", file=sys.stderr)
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90.0:
-        return f"{seconds:.0f} s"
-    if seconds < 5400.0:
-        return f"{seconds / 60.0:.0f} min"
-    return f"{seconds / 3600.0:.1f} h"
+@contextmanager
+def sweeping(out: Path) -> Iterator[Callable[[Progress], None]]:
+    """Show how many runs are done; who is interrupted is told that it goes on with what is in `out`."""
+    with stage_progress(("runs",)) as report:
+        try:
+            yield partial(tell_runs, report)
+        except KeyboardInterrupt:
+            print(f"the same command goes on with what is in {out}", file=sys.stderr)
+            raise

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import codecs
 import io
+import json
+import logging
 import os
 import shutil
 import sys
 import textwrap
+import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Annotated, TextIO
 
-if TYPE_CHECKING:
-    from rich.progress import TaskID
+import typer
 
 from interarea.models.errors import InterareaError, UserError
+
+if TYPE_CHECKING:
+    from interarea.progress import Report
 
 DEBUG_VARIABLE = "INTERAREA_DEBUG"
 
@@ -32,6 +37,8 @@ def steady_streams() -> None:
     """
     _levels.clear()
     _warned.clear()
+    _log.removeHandler(_remarks)
+    _log.setLevel(logging.NOTSET)
     codecs.register_error("interarea", _in_plain_letters)
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -63,6 +70,15 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
         print(f"{bold}{line}{plain}" if k == 0 else line.rstrip())
 
 
+#: of a command whose result is a file
+FileAsJson = Annotated[bool, typer.Option("--json", help="print JSON instead of the file's name")]
+
+
+def tell_file(path: Path, as_json: bool) -> None:
+    """Print which file was written."""
+    print(json.dumps({"file": str(path)}, indent=2) if as_json else path)
+
+
 _levels: set[str] = set()  # quiet, verbose: as this call of the command asks
 
 
@@ -72,8 +88,21 @@ def set_level(name: str) -> Callable[[bool], None]:
     def given(value: bool) -> None:
         if value:
             _levels.add(name)
+        if "verbose" in _levels:  # what the floors log: the cache's finds, processes
+            _log.addHandler(_remarks)
+            _log.setLevel(logging.INFO)
 
     return given
+
+
+class _Remarks(logging.Handler):
+    """What is logged, as remarks on stderr."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        note(record.getMessage())
+
+
+_log, _remarks = logging.getLogger("interarea"), _Remarks()
 
 
 def quiet() -> bool:
@@ -105,13 +134,19 @@ def note(text: object) -> None:
         print(text, file=sys.stderr)
 
 
+def _nobody(text: object) -> None:
+    pass
+
+
 @contextmanager
 def busy(what: str) -> Iterator[None]:
     """Show on stderr that something is under way: on a terminal, else with `--verbose` a line."""
     if quiet() or not sys.stderr.isatty():
-        if "verbose" in _levels:
-            note(what)
+        told = note if "verbose" in _levels else _nobody
+        begin_s = time.monotonic()
+        told(what)
         yield
+        told(f"{what}: done in {time.monotonic() - begin_s:.1f} s")
         return
     from rich.console import Console
 
@@ -120,39 +155,17 @@ def busy(what: str) -> Iterator[None]:
 
 
 @contextmanager
-def stage_progress(stages: Sequence[str]) -> Iterator[Callable[[str, float], None]]:
-    """Show one progress bar per stage on stderr; without a terminal, one line per finished stage."""
-    if quiet() or not sys.stderr.isatty():
-        yield _plain_progress()
-        return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        SpinnerColumn,
-        TaskProgressColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+def stage_progress(stages: Sequence[str]) -> Iterator[Report]:
+    """Show on stderr how far each stage is: bars on a terminal, else lines; nothing with `--quiet`."""
+    from interarea.progress import lines, silent, terminal_bars
 
-    columns = (
-        SpinnerColumn(finished_text="✓"),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        tasks: dict[str, TaskID] = {s: progress.add_task(s, total=1.0, start=False) for s in stages}
-
-        def report(stage: str, done: float) -> None:
-            progress.start_task(tasks[stage])
-            progress.update(tasks[stage], completed=done)
-
-        yield report
+    if quiet():
+        yield silent
+    elif sys.stderr.isatty():
+        with terminal_bars(stages) as report:
+            yield report
+    else:
+        yield lines(stages, note, timed="verbose" in _levels)
 
 
 @contextmanager
@@ -170,17 +183,6 @@ def steps(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
         yield tell
         if begun:
             report(begun[-1], 1.0)
-
-
-def _plain_progress() -> Callable[[str, float], None]:
-    finished: set[str] = set()
-
-    def report(stage: str, done: float) -> None:
-        if done >= 1.0 and stage not in finished:
-            finished.add(stage)
-            note(f"{stage}: done")
-
-    return report
 
 
 def complain(error: BaseException) -> int:

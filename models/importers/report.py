@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import Any
 
 from ..errors import CaseError
 
@@ -34,6 +35,14 @@ class Report:
         """Note what was left out."""
         self.dropped[what] += count
         self.first.setdefault(what, where)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the report as JSON values: counts, and of a remark where it was first made."""
+        remarks = {
+            title: [{"what": w, "count": n, "first": self.first[w]} for w, n in told.items()]
+            for title, told in (("assumed", self.assumed), ("dropped", self.dropped))
+        }
+        return {"read": dict(self.read), **remarks, "solution": list(self.lines)}
 
     def text(self) -> str:
         """Return the report as lines of plain text."""

@@ -19,8 +19,9 @@ import pytest
 
 from interarea.cosim.explorer.address import address_of
 from interarea.cosim.explorer.subject import subject_of
+from interarea.cosim.maps.margins import certified_margin, margins_of
 from interarea.cosim.maps.page import write_maps
-from interarea.cosim.maps.page_data import certified_margin, is_grid, map_of, margins_of, pairs_of, worst_runs
+from interarea.cosim.maps.page_data import is_grid, map_of, pairs_of, worst_runs
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.sweep.front import run_sweep
 from interarea.cosim.sweep.parts import read_plan
@@ -170,8 +171,13 @@ def test_margins_follow_case_and_controller(document: Any, cache: Path, tmp_path
     from interarea.cosim.sweep.parts import read_plan, read_rows
 
     plan, rows = read_plan(tmp_path / "s"), read_rows(tmp_path / "s")
+    told: list[float] = []
     with Runner(plan, cache, tmp_path) as runner:
-        found = margins_of(plan.sweep, rows, runner)
+        found = margins_of(plan, rows, runner, workers=2, progress=told.append)
+        search = Search(low=0.0, high=2.0, tolerance=1e-3, scan=21)
+        alone = [runner.edge(m.values, "latency", search)[:2] for m in found]
+    assert [(m.stable, m.unstable) for m in found] == alone  # the bits of one process
+    assert told[-1] == 1.0 and told == sorted(told)
     assert [(m.values["tie"], m.values["controller"]) for m in found] == [
         (0.0, "ftc"), (0.0, "wdc"), (100.0, "ftc"), (100.0, "wdc"),
     ]  # fmt: skip

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from interarea.cli.app import COMMANDS, load
 
 Command = Callable[..., tuple[int, str, str]]
 SWEEP = 'scenario = "ring-down"\n[parameters.size]\npath = "event.1.size_pu"\nvalues = [0.02, 0.04]\n'
@@ -23,6 +26,19 @@ polishes = 0
 point = [{ name = "base" }]
 ask = { worst_swing = 0.0 }
 """
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_reports_as_json_and_can_be_quiet_or_verbose(name: str) -> None:
+    options = {word for p in load(name).params for word in p.opts}
+    assert {"--json", "--quiet", "--verbose"} <= options
+
+
+def test_verbose_tells_what_the_cache_had_and_how_long_steps_took(interarea: Command) -> None:
+    _, _, err = interarea("certify", "robust_linear", "--verbose")
+    assert re.search(r"^linear family: done in \d+\.\d s$", err, re.MULTILINE)
+    assert re.search(r"^(cache|made in \d+\.\d s): .*linear.*\.npz$", err, re.MULTILINE), err
+    assert "cache" not in interarea("certify", "robust_linear")[2]
 
 
 def test_build_tells_each_fmu_and_prints_them_as_json(interarea: Command, tmp_path: Path) -> None:
