@@ -241,9 +241,19 @@ def sample_study() -> dict[str, Any]:
         },
         "figures": {},
         "figure_list": [
-            {"key": "5.10", "section": "wdc", "title": "without and with the controller"},
-            {"key": "5.15", "section": "delay_runs", "title": "at 100 ms"},
-            {"key": "delay", "section": "delay", "title": "Damping against latency"},
+            {
+                "key": "5.10",
+                "section": "wdc",
+                "title": "without and with the controller",
+                "data": ["results/wdc-pulse.parquet"],
+            },
+            {
+                "key": "5.15",
+                "section": "delay_runs",
+                "title": "at 100 ms",
+                "data": ["results/wdc-synchronous-100ms.parquet"],
+            },
+            {"key": "delay", "section": "delay", "title": "Damping against latency", "data": ["study.json"]},
         ],
         "provenance": {
             "command": "interarea study thesis --out out",

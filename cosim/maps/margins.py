@@ -80,7 +80,7 @@ def margins_of(
 
         if sweep.searched is not None and sweep.searched[0] == name:
             ended = rows[rows.status == "ok"].head(_MOST_MARGINS).to_dict("records")
-            edges = [(sweep.values(int(row["run"])), dict(row)) for row in ended]
+            edges = [(sweep.values(int(row["run"])), {str(k): v for k, v in row.items()}) for row in ended]
             high = sweep.searched[1].high
         else:
             high = max(_SEARCHED_S, float(rows[name].max())) if kind_of(sweep, name) == "latency" else 1.0
@@ -108,7 +108,7 @@ def _searched(
     table = {
         other: Parameter(path=p.path, bisect=search)
         if other == name
-        else Parameter(path=p.path, values=_choices(plan.sweep, other))
+        else Parameter(path=p.path, values=tuple(_choices(plan.sweep, other)))
         for other, p in there.items()
     }
     sweep = plan.sweep.model_copy(update={"parameters": table, "samples": None})

@@ -22,7 +22,8 @@ for (const data of document.querySelectorAll('figure script[type="application/js
     const axis = axes.find(({ at }) => x >= at[0] && x <= at[2] && y >= at[1] && y <= at[3]);
     box.hidden = !axis;
     if (!axis) return;
-    const value = axis.x[0] + (x - axis.at[0]) / (axis.at[2] - axis.at[0]) * (axis.x[1] - axis.x[0]);
+    const share = (x - axis.at[0]) / (axis.at[2] - axis.at[0]);
+    const value = axis.log ? axis.x[0] * (axis.x[1] / axis.x[0]) ** share : axis.x[0] + share * (axis.x[1] - axis.x[0]);
     const lines = [axis.name + ' ' + number(value)];
     for (const curve of axis.curves) lines.push(curve.name + ' ' + number(curve.y[nearest(curve.x, value)]));
     box.textContent = lines.join('\n');

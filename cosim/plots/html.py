@@ -76,7 +76,8 @@ def page_figure(
 ) -> Markup:
     """Return a figure for a page: text as text, colours of the theme, values under the pointer.
 
-    Named curves over an increasing x are kept with it (`_MOST_POINTS` of each). Others as `inline_svg`.
+    Named curves over an increasing x are kept with it, `_MOST_POINTS` of each at most.
+    Others as `inline_svg`.
     """
     with temporary_folder() as scratch:
         file = save_figure(figure, scratch / "figure.svg", transparent=True, outlines=False)
@@ -97,12 +98,16 @@ def _curves_of(figure: Figure) -> dict[str, Any]:
             for name, points in named.items()
             if points is not None and not name.startswith("_")
         ]
-        if curves and axis.get_xscale() == "linear":
+        scale = axis.get_xscale()
+        if curves and scale in ("linear", "log"):
             at = [place.x0 * wide, (1.0 - place.y1) * high, place.x1 * wide, (1.0 - place.y0) * high]
             name = axis.get_xlabel() or next(
                 (a.get_xlabel() for a in figure.axes[::-1] if a.get_xlabel()), "x"
             )
-            axes.append({"name": name, "at": [round(v, 1) for v in at], "x": [low, top], "curves": curves})
+            log = {"log": True} if scale == "log" else {}
+            axes.append(
+                {"name": name, "at": [round(v, 1) for v in at], "x": [low, top], "curves": curves, **log}
+            )
     return {"size": [wide, high], "axes": axes}
 
 

@@ -35,6 +35,7 @@ from ..plots.curves import (
     time_plot,
 )
 from ..plots.diagrams import generalised_plant_diagram, one_line_diagram
+from ..plots.html import page_figure
 from ..plots.mode_shapes import mode_shape_plot, participation_plot
 from .runs import WIRINGS, StudyRun
 from .tables import latency_name
@@ -78,20 +79,39 @@ def difference_of(spec: Mapping[str, Any]) -> dict[str, dict[str, float]]:
 def save_figures(
     parts: StudyParts, cache: Path, kind: str, progress: Callable[[float], None]
 ) -> dict[str, Path]:
-    """Draw every figure as SVG that is not in the cache yet, below `kind` there; return key -> file."""
+    """Draw every figure that is not in the cache yet, below `kind` there; return key -> SVG.
+
+    Beside each lies what a page shows of it (`page_figure`), with the suffix ``.html``.
+    """
     files = {}
     rows = [row for row in parts.spec["figure"] if can_be_drawn(row, parts)]
     for k, row in enumerate(rows):
         key = row["key"]
-        prefix = "figure-" if key[0].isdigit() else ""
-        draw = partial(_save, row, parts)
-        files[key] = artefact(cache, kind, f"{prefix}{key.replace('.', '-')}", ".svg", draw)
+        name = f"{'figure-' if key[0].isdigit() else ''}{key.replace('.', '-')}"
+        files[key] = artefact(cache, kind, name, ".svg", partial(_save, row, parts))
+        artefact(cache, kind, name, ".html", partial(_save_for_page, row, parts))
         progress((k + 1) / len(rows))
     return files
 
 
 def _save(row: Mapping[str, Any], parts: StudyParts, path: Path) -> None:
     save_figure(_draw(row, parts), path, transparent=True)
+
+
+def _save_for_page(row: Mapping[str, Any], parts: StudyParts, path: Path) -> None:
+    path.write_text(page_figure(_draw(row, parts), row["key"], row["title"]), encoding="utf-8")
+
+
+def data_of(row: Mapping[str, Any], spec: Mapping[str, Any]) -> list[str]:
+    """Return the files of a study's folder that hold the numbers of a figure."""
+    if row["kind"] in _DRAWN:
+        return ["study.json"]
+    if row["kind"] != "latencies":
+        runs = list(row["runs"].values())
+    else:
+        name, latencies = spec["latency"]["controller"], spec["latency"]["values_s"]
+        runs = [row["reference"], *(latency_name(name, row["wiring"], v) for v in latencies)]
+    return [f"results/{run}.parquet" for run in dict.fromkeys(runs)]
 
 
 def can_be_drawn(row: Mapping[str, Any], p: StudyParts) -> bool:

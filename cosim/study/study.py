@@ -45,7 +45,7 @@ from ..run.controllers import controller_fmu, design_controller
 from ..sweep.lane_batches import lanes_here
 from . import rows
 from .delay import latency_analysis, pade_record, redesigned
-from .figures import StudyParts, difference_of, save_figures
+from .figures import StudyParts, data_of, difference_of, save_figures
 from .methods import method_record
 from .packet_loss import mean_latency_s, mean_square_rows, monte_carlo_rows
 from .printed import printed_rows
@@ -198,6 +198,7 @@ def run_study(
         )
         drawn = save_figures(parts, cache, f"figures/{_figure_key(parts)}", done)
         figures = {key: place(path, out / "figures" / path.name) for key, path in drawn.items()}
+        shown = {key: path.with_suffix(".html") for key, path in drawn.items()}
 
         done = stage("second solver")
         second = None if opinion is None else opinion.result()
@@ -228,7 +229,7 @@ def run_study(
         place(path, out / "fmus" / f"{label}.fmu")
     for label, run in runs.items():
         place(run.trajectory, out / "results" / f"{label}.parquet")
-    write_report(study, figures, out / "report.html")
+    write_report(study, shown, out / "report.html")
     done(0.9)
     text = json.dumps(study, indent=1, allow_nan=False)
     write_whole(out / "study.json", f"{text}\n".encode())
@@ -269,7 +270,10 @@ def _provenance(name: str, parts: StudyParts, fmus: Mapping[str, Path]) -> dict[
 
 def _figure_list(spec: Mapping[str, Any], figures: Mapping[str, Path]) -> list[dict[str, Any]]:
     drawn = [row for row in spec["figure"] if row["key"] in figures]
-    return [{key: row[key] for key in ("key", "section", "title")} for row in drawn]
+    return [
+        {**{key: row[key] for key in ("key", "section", "title")}, "data": data_of(row, spec)}
+        for row in drawn
+    ]
 
 
 def _judged(claims: Path, study: Mapping[str, Any]) -> dict[str, Any]:

@@ -162,7 +162,10 @@ def _shared_options(
     verbose: Annotated[
         bool,
         typer.Option(
-            "--verbose", callback=set_level("verbose"), expose_value=False, help="each step, and tracebacks"
+            "--verbose",
+            callback=set_level("verbose"),
+            expose_value=False,
+            help="how long each step took, what the cache had, tracebacks",
         ),
     ] = False,
 ) -> None:

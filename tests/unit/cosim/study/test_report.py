@@ -2,25 +2,38 @@
 
 from __future__ import annotations
 
+import json
 import re
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from sample_study import CLAIMS, sample_study
 
 from interarea.cosim.errors import ScenarioError
-from interarea.cosim.plots.curves import SERIES, save_figure, time_plot
-from interarea.cosim.plots.html import inline_svg
+from interarea.cosim.plots.curves import SERIES, magnitude_plot, save_figure, time_plot
+from interarea.cosim.plots.html import inline_svg, page_figure
 from interarea.cosim.study.printed import PrintedNumber, printed_rows
 from interarea.cosim.study.report import render_report, write_report
 
 
+def curve() -> Figure:
+    t = np.linspace(0.0, 5.0, 51)
+    return time_plot({"a": (t, np.sin(t))}, ylabel="y")
+
+
+def shown(folder: Path, key: str) -> Path:
+    """Write what a page shows of a figure."""
+    file = folder / f"{key}.html"
+    file.write_text(page_figure(curve(), key), encoding="utf-8")
+    return file
+
+
 @pytest.fixture
 def figure(tmp_path: Path) -> Path:
-    t = np.linspace(0.0, 5.0, 51)
-    return save_figure(time_plot({"a": (t, np.sin(t))}, ylabel="y"), tmp_path / "figure.svg")
+    return shown(tmp_path, "5.10")
 
 
 class Page(HTMLParser):
@@ -53,8 +66,8 @@ class Page(HTMLParser):
         self.open.pop()
 
 
-def test_page_is_well_formed_and_loads_nothing(figure: Path) -> None:
-    text = render_report(sample_study(), {"5.10": figure, "5.15": figure, "delay": figure})
+def test_page_is_well_formed_and_loads_nothing(tmp_path: Path) -> None:
+    text = render_report(sample_study(), {key: shown(tmp_path, key) for key in ("5.10", "5.15", "delay")})
     page = Page()
     page.feed(text)
     assert page.open == []
@@ -85,15 +98,35 @@ def test_the_same_study_gives_the_same_page(tmp_path: Path, figure: Path) -> Non
     assert not list(tmp_path.glob("*.partial"))
 
 
-def test_colours_of_an_inlined_figure_follow_the_theme(figure: Path) -> None:
-    text = inline_svg(figure, "5.10")
+def test_a_figure_has_its_values_its_text_its_data_and_its_command(figure: Path) -> None:
+    text = render_report(sample_study(), {"5.10": figure})
+    (data,) = re.findall(r'<script type="application/json">(.*?)</script>', text)
+    (axis,) = json.loads(data)["axes"]
+    assert axis["curves"][0]["name"] == "a" and axis["curves"][0]["y"][10] == 841.5  # sin(1) in 1e-3
+    assert "addEventListener('pointermove'" in text  # what shows them
+    assert re.search(r"<text[^>]*>time \(s\)</text>", text)
+    caption = "results/wdc-pulse.parquet; interarea study thesis --out out"
+    assert f'<span class="from">{caption}</span>' in text
+
+
+def test_values_under_the_pointer_follow_a_logarithmic_axis() -> None:
+    omega = np.logspace(-1.0, 2.0, 4)
+    drawn = page_figure(magnitude_plot({"S": np.array([1.0, 2.0, 4.0, 8.0])}, omega, "dB"), "s")
+    (data,) = re.findall(r'<script type="application/json">(.*?)</script>', drawn)
+    (axis,) = json.loads(data)["axes"]
+    assert axis["log"] is True and axis["x"] == [0.1, 100.0]
+    assert axis["curves"][0]["x"] == [0.1, 1.0, 10.0, 100.0]
+
+
+def test_colours_of_an_inlined_figure_follow_the_theme(tmp_path: Path) -> None:
+    text = inline_svg(save_figure(curve(), tmp_path / "figure.svg"), "5.10")
     assert "var(--s0)" in text
     assert not any(colour in text.lower() for colour in SERIES)
 
 
 def test_names_from_a_study_file_cannot_break_the_page(figure: Path) -> None:
     study = sample_study() | {"title": "<script>alert(1)</script>"}
-    assert "<script>" not in render_report(study, {"5.10": figure})
+    assert "<script>alert" not in render_report(study, {"5.10": figure})
 
 
 @pytest.mark.parametrize(
