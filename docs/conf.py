@@ -6,6 +6,9 @@ import os
 import sys
 from pathlib import Path
 
+import zmq
+from jupyter_client.manager import KernelManager
+
 import interarea
 
 HERE = Path(__file__).resolve().parent
@@ -14,6 +17,10 @@ sys.path.insert(0, str(HERE / "site"))  # commands, catalogue
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
 for pool in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(pool, "1")
+
+# kernels talk by TCP with keys of their own: nobody else on this machine reads along, and builds do not meet
+if zmq.has("curve") and hasattr(KernelManager, "transport_encryption"):
+    KernelManager.transport_encryption.default_value = "auto"
 
 project = "interarea"
 author = "The interarea developers"

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import shutil
 import signal
+import sys
 import threading
 import time
 from collections import Counter, deque
@@ -15,6 +16,7 @@ from multiprocessing import forkserver
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from ...errors import SweepError
@@ -42,7 +44,8 @@ class _Worker:
                 target=work, args=(theirs, their_end, shared, plan, cache, self.scratch), daemon=True
             )
             try:
-                self.process.start()
+                with _without_main():
+                    self.process.start()
                 break
             except (EOFError, ConnectionError):  # the server that forks was killed: there will be another
                 if pause_s is None:
@@ -224,6 +227,21 @@ def _context() -> Any:
     with _deaf_to_interrupts():  # inherited: Ctrl-C while the server loads must not print its traceback
         forkserver.ensure_running()
     return context
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Keep the main module from a process that begins: a worker needs nothing of it.
+
+    It would be run there again, and with it a sweep that stands in a script, or nothing could be found of
+    one that was read from a pipe.
+    """
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 @contextmanager
