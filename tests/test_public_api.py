@@ -62,7 +62,7 @@ ERRORS = {
     "StepError": ia.InterareaError,
 }
 CHANNEL = (
-    "signal latency_s on_loss hold_s reporting_interval_s jitter_s latency loss quantum pdc_wait_s seed "
+    "signal pmu latency_s on_loss hold_s reporting_interval_s jitter_s latency loss quantum pdc_wait_s seed "
     "outages_s"
 )
 METHODS = {

@@ -8,7 +8,8 @@ from typing import Any
 from urllib.parse import urlencode
 
 from ..scenario.channels import GilbertElliottLoss
-from ..scenario.scenario import ChannelTable, Scenario
+from ..scenario.scenario import Scenario
+from ..scenario.ways import ChannelTable
 from .content import PULSES, RANGES, VERSION, state_of
 from .subject import Subject
 

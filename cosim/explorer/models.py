@@ -11,7 +11,8 @@ from interarea.models.blocks.variables import Block
 
 from ..export.container import container_block
 from ..run.instance import Fmus
-from ..scenario.scenario import ChannelTable, OperatingPointTable, Scenario
+from ..scenario.scenario import OperatingPointTable, Scenario
+from ..scenario.ways import ChannelTable
 from .records import delta
 from .subject import Point, Subject
 

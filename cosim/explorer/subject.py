@@ -199,6 +199,10 @@ def _of_scenario(scenario: Scenario, cache: Path) -> Subject:
             f"{scenario.name}: {', '.join(parts)}: a page holds one plant, one controller and a channel for "
             "each of its signals; take these out, or run the scenario with `interarea run`"
         )
+    if any(way.pmu for way in scenario.signals):
+        raise ScenarioError(
+            f"{scenario.name}: a page holds no PMU; take it out, or run the scenario with `interarea run`"
+        )
     return Subject(scenario, load_case(scenario.case_path), cache)
 
 

@@ -111,7 +111,7 @@ def _ledger(scenario: Scenario, members: Members) -> DelayLedger:
             LedgerRow(
                 Connection(begin, end),
                 d.requested_s,
-                d.network_s,
+                network_s=d.network_s,
                 reporting_s=d.reporting_s,
                 jitter_mean_s=d.jitter_mean_s,
                 note=d.seed_of(end.instance),

@@ -1,10 +1,11 @@
 """What delays a signal, connection by connection, and what became of its packets.
 
-Delay ledger, per connection: *requested* (what the target instance was asked for), *network* (the
-channel's own constant latency), *sampling* (held sub-steps of an FMU that takes no input derivatives),
-*reporting* (packets: a value is held until the next, half an interval on average), *jitter mean* (of the
-random part of the latency) and *master* (what handing inputs over adds). With inputs as polynomials the
-master adds nothing. With held inputs it does; a held value is on average half a step old, so
+Delay ledger, per connection: *requested* (what the target instance was asked for), *measuring* (the group
+delay of the PMU that it leads into), *network* (the channel's own constant latency), *sampling* (held
+sub-steps of an FMU that takes no input derivatives), *reporting* (packets: a value is held until the next,
+half an interval on average), *jitter mean* (of the random part of the latency) and *master* (what handing
+inputs over adds). With inputs as polynomials the master adds nothing. With held inputs it does; a held value
+is on average half a step old, so
 
 * ``hold-jacobi``: value at the start of the step; +H/2 into dynamics, +H into
   an output that depends directly on the input and is read at the step's end;
@@ -40,6 +41,7 @@ class LedgerRow:
 
     connection: Connection
     requested_s: float = 0.0
+    measuring_s: float = 0.0
     network_s: float = 0.0
     sampling_s: float = 0.0
     reporting_s: float = 0.0
@@ -51,14 +53,17 @@ class LedgerRow:
     @property
     def parts_s(self) -> tuple[float, ...]:
         """What adds up to `total_s`, in the order of `PARTS`."""
-        return (self.network_s, self.sampling_s, self.reporting_s, self.jitter_mean_s, self.master_s)
+        return (
+            *(self.measuring_s, self.network_s, self.sampling_s),
+            *(self.reporting_s, self.jitter_mean_s, self.master_s),
+        )
 
     @property
     def total_s(self) -> float:
         return sum(self.parts_s)
 
 
-PARTS = ("network", "sampling", "reporting", "jitter mean", "master")
+PARTS = ("measuring", "network", "sampling", "reporting", "jitter mean", "master")
 
 
 @dataclass(frozen=True)
@@ -134,7 +139,8 @@ def _row(master: Master, c: Connection, place: Mapping[str, int], delays: Mappin
         note = f"no input derivatives: means over {node.substeps} parts of a step"
     elif node.order == 0:
         sampled, note = late, "steps of one length and no input derivatives: held"
-    return LedgerRow(c, sampling_s=sampled, master_s=added, note=note, direct=direct)
+    measured = delays[target].measuring_s if target in delays else 0.0
+    return LedgerRow(c, measured, measured, sampling_s=sampled, master_s=added, note=note, direct=direct)
 
 
 def _through_channel(master: Master, c: Connection, known: Delays | None, ahead: bool) -> LedgerRow:
@@ -154,12 +160,11 @@ def _through_channel(master: Master, c: Connection, known: Delays | None, ahead:
     return LedgerRow(
         c,
         known.requested_s,
-        known.network_s,
-        0.0,
-        known.reporting_s,
-        known.jitter_mean_s,
-        added,
-        "; ".join(notes),
+        network_s=known.network_s,
+        reporting_s=known.reporting_s,
+        jitter_mean_s=known.jitter_mean_s,
+        master_s=added,
+        note="; ".join(notes),
     )
 
 

@@ -150,7 +150,7 @@ def self_test(
         sent = probe_of[c.source.instance].sent(c.source.variable)
         got = probe_of[c.target.instance].got(c, r.direct)
         height = got.area / (c.gain * sent.area) if sent.area else math.nan
-        rows.append(Measured(c, r.total_s, got.centre - sent.centre, height))
+        rows.append(Measured(c, r.total_s - r.measuring_s, got.centre - sent.centre, height))
     return SelfTest(tuple(rows))
 
 

@@ -64,6 +64,17 @@ def concentrator_fmu(signals: int, cache: Path) -> Path:
     return _kept_fmu(cache, "concentrator", f"concentrator{signals}", [signals], block)
 
 
+def pmu_fmu(cache: Path) -> Path:
+    """Return the FMU of one PMU; class and window are its parameters."""
+
+    def block() -> Block:
+        from interarea.models.blocks.pmu import pmu_block
+
+        return pmu_block()
+
+    return _kept_fmu(cache, "pmu", "pmu", [], block)
+
+
 def channel_fmu(cache: Path) -> Path:
     """Return the FMU of one channel; latency, outages and the rule on loss are its parameters."""
 

@@ -15,7 +15,7 @@ from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case
 
 from ..master.instances import Value
-from .artefacts import channel_fmu, concentrator_fmu, plant_fmu
+from .artefacts import channel_fmu, concentrator_fmu, plant_fmu, pmu_fmu
 from .controllers import controller_fmu
 
 
@@ -42,18 +42,22 @@ class Fmus:
         self._files: dict[Path, FmuFile] = {}
         self._controllers: dict[int, tuple[Controller | ControllerBank, FmuFile]] = {}
         self._scaled: dict[tuple[int, float, float | None], tuple[Controller, Controller]] = {}
-        self._plants: dict[tuple[str, int], Block] = {}
+        self._plants: dict[tuple[str, int, tuple[str, ...]], Block] = {}
 
-    def plant(self, case: Case, event_slots: int) -> FmuFile:
-        """Return the plant of a case."""
-        return self.open(plant_fmu(case, self.cache, event_slots=event_slots))
+    def plant(self, case: Case, event_slots: int, more: tuple[str, ...] = ()) -> FmuFile:
+        """Return the plant of a case; `more`: outputs beside those that it shows by itself."""
+        return self.open(plant_fmu(case, self.cache, event_slots=event_slots, more=more))
 
-    def plant_block(self, case: Case, event_slots: int) -> Block:
+    def plant_block(self, case: Case, event_slots: int, more: tuple[str, ...] = ()) -> Block:
         """Return what the plant of a case is made of, the same object for the same."""
-        key = (case.hash, event_slots)
+        key = (case.hash, event_slots, more)
         if key not in self._plants:
-            self._plants[key] = plant_block(case, event_slots=event_slots)
+            self._plants[key] = plant_block(case, event_slots=event_slots, more=more)
         return self._plants[key]
+
+    def pmu(self) -> FmuFile:
+        """Return the PMU."""
+        return self.open(pmu_fmu(self.cache))
 
     def channel(self) -> FmuFile:
         """Return the channel."""

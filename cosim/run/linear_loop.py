@@ -7,7 +7,8 @@ is told.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import control
@@ -16,7 +17,12 @@ import numpy as np
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import ControllerError, matrices_of_parameters
 from interarea.design.delay.loop_modes import LoopFunction, LoopModes, SignalWay, open_loop_modes
-from interarea.design.linear.linearise import linearise, remove_reference, speeds_in_rad
+from interarea.design.linear.linearise import (
+    bus_frequencies,
+    linearise,
+    remove_reference,
+    speeds_in_rad,
+)
 from interarea.design.modes.modes import modes_of
 from interarea.fmu_build.open.plant import open_plant
 from interarea.models.errors import InterareaError
@@ -24,6 +30,7 @@ from interarea.models.errors import InterareaError
 from ..results.ringdown import fit_window
 from ..scenario.channels import BernoulliLoss, ChannelLine, GilbertElliottLoss
 from ..scenario.concentrators import ConcentratorLine
+from ..scenario.ways import Way
 
 if TYPE_CHECKING:
     from interarea.models.case.case import Case
@@ -76,17 +83,20 @@ def _swings(loop: Loop) -> LoopModes:
     scenario, part = loop.scenario, loop.controller
     start, stop = fit_window(scenario)
     _refuse(scenario, start, stop)
-    ways = {s: _way(scenario.lines[u.partition(".")[0]], u, start) for s, u, *_ in scenario.signals}
+    ways = {way.signal: _sent(loop, way, start) for way in scenario.signals}
+    buses = {way.signal: way.pmu.bus for way in scenario.signals if way.pmu is not None}
     lost = frozenset(name for name, way in ways.items() if way.lost)
     if part is None:
+        buses = {}  # of which nobody hears
         key: tuple[Any, ...] = ("swings", str(loop.plant.file.path))
     else:
         matrices = tuple((k, v) for k, v in part.start.items() if k[:2] in ("A[", "B[", "C[", "D["))
-        key = ("swings", str(loop.plant.file.path), str(part.file.path), matrices, tuple(ways.items()))
+        sent = (*ways.items(), *buses.items())
+        key = ("swings", str(loop.plant.file.path), str(part.file.path), matrices, sent)
     if len(loop.kept) > _MOST_KEPT:
         loop.kept.clear()
     if key not in loop.kept:
-        grid, modes = _linear(loop)
+        grid, modes = _linear(loop, buses)
         if part is None:
             loop.kept[key] = open_loop_modes(np.linalg.eigvals(grid.A), modes)
         else:
@@ -110,14 +120,20 @@ def _refuse(scenario: Scenario, start: float, stop: float) -> None:
         raise NotLinearError(f"plant.{moved[0]} was changed")
 
 
-def _linear(loop: Loop) -> tuple[control.StateSpace, dict[str, complex]]:
-    """The plant without reference angle, speeds in rad/s, and its swing modes, 1/s."""
-    case, key = loop.case, ("plant", str(loop.plant.file.path))
+def _linear(loop: Loop, buses: Mapping[str, int]) -> tuple[control.StateSpace, dict[str, complex]]:
+    """The plant without reference angle, speeds in rad/s, and its swing modes, 1/s.
+
+    buses : signal -> bus whose frequency it is.
+    """
+    case, key = loop.case, ("plant", str(loop.plant.file.path), *buses.items())
     if key not in loop.kept:
         with open_plant(loop.plant.file.path) as plant:
             if len(plant.state_names) > _MOST_STATES:
                 raise NotLinearError(f"{len(plant.state_names)} states are more than {_MOST_STATES}")
-            relative = remove_reference(linearise(plant))
+            at_rest = plant.derivatives(*plant.operating_point())[1]
+            outputs = dict(zip(plant.output_names, map(float, at_rest), strict=True))
+            linear = bus_frequencies(linearise(plant), outputs, buses, case.omega_b)
+        relative = remove_reference(linear)
         modes = {name: mode.eigenvalue for name, mode in modes_of(relative, case.areas).items()}
         loop.kept[key] = (speeds_in_rad(relative, case.omega_b), modes)
     found: tuple[control.StateSpace, dict[str, complex]] = loop.kept[key]
@@ -144,6 +160,18 @@ def _member(bank: ControllerBank, lost: frozenset[str]) -> control.StateSpace:
     name = bank.active([s for s in bank.inputs if s not in lost])
     member = next((m for m in bank.members if m.name == name), None)
     return bank.members[0].scaled(0.0).system if member is None else member.system
+
+
+def _sent(loop: Loop, way: Way, at_s: float) -> SignalWay:
+    """How a signal gets to the controller from `at_s` on, with the PMU where it has one."""
+    found = _way(loop.scenario.lines[way.u.partition(".")[0]], way.u, at_s)
+    if way.pmu is None:
+        return found
+    if way.pmu.quantity != "frequency":
+        raise NotLinearError(
+            f"{way.source} measures {way.pmu.quantity}: linear loops know its frequency only"
+        )
+    return replace(found, measured=way.pmu.filter(loop.case.frequency_hz, way.interval_s, way.source))
 
 
 def _way(line: ChannelLine | ConcentratorLine, end: str, at_s: float) -> SignalWay:

@@ -20,6 +20,7 @@ from ..results.run import Run
 from ..results.trajectory_files import TrajectoryFiles, chosen
 from ..scenario.names import wrong_targets
 from ..scenario.scenario import Scenario, load_scenario
+from ..scenario.ways import PmuTable, Way
 from ..trajectory import Trajectory
 from .controllers import ControllerLike, controller_of
 from .instance import Fmus, Instance
@@ -150,8 +151,10 @@ def system_of(
         wrong.lines += wrong_targets(case, scenario.event, scenario.name)
         with wrong:
             event_parameters(case, [] if wrong.lines else scenario.event)  # refuses trips that cut the grid
+        if unknown := _unknown_buses(scenario, case):
+            raise ScenarioError(*wrong.lines, *unknown)  # there is no plant with these outputs
         system.events[PLANT] = list(scenario.event)
-        system.plant(case)
+        system.plant(case, show=scenario.shows)
         which = scenario.controller_path or scenario.controller if controller is None else controller
         with wrong:
             _start_plant(system, scenario)
@@ -240,12 +243,16 @@ def _connect_signals(system: System, scenario: Scenario) -> None:
         system.connections += [(f"{CONTROLLER}.{name}", f"{PLANT}.{name}") for name in driving]
         system.warnings += warnings
     wrong = Collected()
-    for signal, u, y, valid in scenario.signals:  # the others are connected by scenario.connections
-        where = _where(scenario, signal, u)
+    for way in scenario.signals:  # the others are connected by scenario.connections
+        signal, y, valid = way.signal, way.y, way.valid
+        where = _where(scenario, signal, way.u)
         with wrong:
-            _known(signal, signals, f"{where} is no output of the plant")
-        system.connections.append((f"{PLANT}.{signal}", u))
-        if controller is not None and signal in signals:
+            if way.pmu is None:
+                _known(signal, signals, f"{where} is no output of the plant")
+                system.connections.append((f"{PLANT}.{signal}", way.u))
+            else:
+                _measure(system, way, way.pmu, where)
+        if controller is not None and (way.pmu is not None or signal in signals):
             with wrong:
                 _known(signal, wanted, f"{where} is no input of controller {title}")
             system.connections.append((y, f"{CONTROLLER}.{signal}"))
@@ -259,6 +266,24 @@ def _connect_signals(system: System, scenario: Scenario) -> None:
     wrong.end(ScenarioError)
 
 
+def _unknown_buses(scenario: Scenario, case: Case) -> list[str]:
+    """Return a line for each PMU at a bus that the case does not have."""
+    buses = [b.number for b in case.buses]
+    return [
+        f"{scenario.name}: {way.u.partition('.')[0]}: pmu.bus = {way.pmu.bus} does not exist; "
+        f"{nearest(str(way.pmu.bus), map(str, buses))}"
+        for way in scenario.signals
+        if way.pmu is not None and way.pmu.bus not in buses
+    ]
+
+
+def _measure(system: System, way: Way, pmu: PmuTable, where: str) -> None:
+    """Add the PMU before a way and connect both."""
+    system.pmu(way.source, pmu.filter(system.case.frequency_hz, way.interval_s, where))
+    system.connections += [(f"{PLANT}.{source}", f"{way.source}.{u}") for source, u in pmu.inputs]
+    system.connections.append((f"{way.source}.{pmu.output}", way.u))
+
+
 def _where(scenario: Scenario, signal: str, end: str) -> str:
     """Return how an error names the way of a signal that begins at input `end` of a line."""
     name, _, port = end.partition(".")
@@ -269,7 +294,7 @@ def _where(scenario: Scenario, signal: str, end: str) -> str:
 def _fed(scenario: Scenario) -> set[str]:
     """Return the controller's inputs that the scenario connects: by a way for the signal or by name."""
     by_name = {path[-1].removeprefix(f"{CONTROLLER}.") for path in scenario.connections}
-    return by_name | {signal for signal, *_ in scenario.signals}
+    return by_name | {way.signal for way in scenario.signals}
 
 
 def _known(name: str, names: Iterable[str], what: str) -> None:

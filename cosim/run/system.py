@@ -30,6 +30,7 @@ from interarea.fmu_build.write.cache import default_cache
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.concentrator import concentrator_block
 from interarea.models.blocks.plant import event_parameters
+from interarea.models.blocks.pmu import PmuFilter, pmu_block
 from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import event_of
@@ -46,7 +47,7 @@ from ..master.records import Sink
 from ..participant import Participant
 from ..results.delay_ledger import delay_ledger, explain, packet_ledger
 from ..results.judge import Gathered, Judge
-from ..results.latency_test import SelfTest, self_test
+from ..results.latency_test import SelfTest
 from ..results.metrics import METRICS, RING_DOWN
 from ..results.result import Result
 from ..results.ringdown import Swing, control_limit_pu
@@ -54,11 +55,13 @@ from ..results.run import Run
 from ..results.tally import Curves, Tally
 from ..scenario.channels import ChannelLine, hold_packets, points_of
 from ..scenario.concentrators import ConcentratorLine
+from ..scenario.delays import Delays
 from ..scenario.rounding import event_on_ticks, roundings
 from ..scenario.scenario import Scenario
 from .artefacts import EVENT_SLOTS
 from .controllers import ControllerLike, controller_of
 from .instance import Fmus, Instance
+from .latency import self_test_of
 from .linear_loop import Loop, linear_swings
 
 Line = ChannelLine | ConcentratorLine
@@ -105,6 +108,8 @@ class System:
         self.parts: dict[str, Instance] = {}
         self._others: dict[str, Participant] = {}
         self.plants: dict[str, Case] = {}
+        self.shows: dict[str, tuple[str, ...]] = {}
+        self.pmus: dict[str, PmuFilter] = {}
         self.bank: ControllerBank | None = None  #: of controllers, where the controller is one
         self.events: dict[str, list[Any]] = {}
         self.marks: list[float] = []
@@ -112,16 +117,16 @@ class System:
 
     # -- participants ---------------------------------------------------------------------
 
-    def plant(self, case: str | Path | Case, name: str = "plant") -> System:
-        """Add the plant of a case (bundled name, file or `Case`).
+    def plant(self, case: str | Path | Case, name: str = "plant", *, show: Sequence[str] = ()) -> System:
+        """Add the plant of a case (bundled name, file or `Case`); show : outputs beside its own, by pattern.
 
         Raises
         ------
         CaseError, ScenarioError
         """
         loaded = case if isinstance(case, Case) else load_case(case)
-        self.plants[name] = loaded
-        return self.put(Instance(name, self.fmus.plant(loaded, self._slots(name))))
+        self.plants[name], self.shows[name] = loaded, tuple(show)
+        return self.put(Instance(name, self.fmus.plant(loaded, self._slots(name), self.shows[name])))
 
     def controller(self, controller: ControllerLike, name: str = CONTROLLER) -> System:
         """Add a controller: an object, its file, any FMU (``.fmu``), or a name (see `controller_of`).
@@ -218,6 +223,11 @@ class System:
         self.latency_s[name] = line.least_latency_s
         self.marks += line.marks_s
         return self
+
+    def pmu(self, name: str, measures: PmuFilter) -> System:
+        """Add a PMU with a filter of `pmu_filter`: inputs ``re``, ``im``, outputs ``deviation``, ``v``, .."""
+        self.pmus[name] = measures
+        return self.put(Instance(name, self.fmus.pmu(), measures.parameters, pmu_block))
 
     def concentrator(
         self,
@@ -391,7 +401,8 @@ class System:
         if gathered is None:
             gathered = self.gathered(master, float(done.time_s[-1]))
             gathered.count(done)
-        delays = {name: line.delays(master.clock) for name, line in self.channels.items()}
+        delays = {name: Delays(p.delay_s, 0.0, measuring_s=p.delay_s) for name, p in self.pmus.items()}
+        delays |= {name: line.delays(master.clock) for name, line in self.channels.items()}
         ledger = delay_ledger(master, delays, self.rounded)
         common: dict[str, Any] = {
             "trajectory": done,
@@ -420,19 +431,8 @@ class System:
 
     def self_test(self, master: Master | None = None) -> SelfTest:
         """Measure the latency of every connection; compare with the ledger (module `latency_test`)."""
-        lines = {name: line.steady for name, line in self.channels.items()}
-
-        def fresh(name: str) -> Participant:
-            file, line = self.parts[name].file, lines[name]
-            return hold_packets(FmuParticipant(name, file, line.parameters(name)), line)
-
-        return self_test(
-            self.master() if master is None else master,
-            {name: fresh(name) for name in lines},
-            delays=lambda clock: {name: line.delays(clock) for name, line in lines.items()},
-            points=lambda stop_s: points_of(lines.values(), self.arrivals, 0.0, stop_s),
-            interval_s=max([line.reporting_interval_s for line in lines.values()], default=0.0),
-        )
+        files = {name: self.parts[name].file for name in self.channels}
+        return self_test_of(master or self.master(), self.channels, files, self.arrivals)
 
     def _slots(self, plant: str) -> int:
         return max(EVENT_SLOTS, len(self.events.get(plant, ())))
@@ -444,5 +444,6 @@ class System:
             return instance
         slots = self._slots(instance.name)
         start = {**instance.start, **event_parameters(case, self.events.get(instance.name, ()))}
-        file = instance.file if slots == EVENT_SLOTS else self.fmus.plant(case, slots)
-        return Instance(instance.name, file, start, lambda: self.fmus.plant_block(case, slots))
+        more = self.shows[instance.name]
+        file = instance.file if slots == EVENT_SLOTS else self.fmus.plant(case, slots, more)
+        return Instance(instance.name, file, start, lambda: self.fmus.plant_block(case, slots, more))

@@ -9,13 +9,14 @@ from dataclasses import dataclass
 @dataclass(frozen=True)
 class Delays:
     """What is known of a channel instance, s: the request, the parts that meet it, and `waiting_s`, how long
-    an arrival waits for the next communication point on average."""
+    an arrival waits for the next communication point on average; of a PMU its group delay `measuring_s`."""
 
     requested_s: float
     network_s: float
     reporting_s: float = 0.0
     jitter_mean_s: float = 0.0
     waiting_s: float = 0.0
+    measuring_s: float = 0.0
     seed: int | None = None  #: of the random numbers, where anything is random
 
     def seed_of(self, name: str) -> str:

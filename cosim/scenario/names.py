@@ -95,26 +95,30 @@ def _wrong_rows(case: Case, table: Mapping[str, Any], where: str) -> Iterator[st
 
 
 def _wrong_signals(case: Case, table: Mapping[str, Any], where: str) -> Iterator[str]:
-    """Yield a line for each signal that the plant of the case does not put out."""
+    """Yield a line for each signal that the plant of the case does not put out, and each PMU at no bus."""
     speeds = {f"{m.name}_dw" for m in case.machines}  # told without the plant, which takes numpy
-    ways = [(place, signal) for place, signal in _signals(table) if signal not in speeds]
-    if not ways:
-        return
-    from interarea.models.blocks.plant import plant_block
+    known: list[str] = []
+    for place, row in _ways(table):
+        signal, pmu = row.get("signal"), row.get("pmu")
+        if isinstance(pmu, Mapping):
+            buses = [b.number for b in case.buses]
+            if isinstance(pmu.get("bus"), int) and pmu["bus"] not in buses:
+                yield f"{where}: {place}.pmu.bus = {pmu['bus']} does not exist; {nearest(pmu['bus'], buses)}"
+        elif isinstance(signal, str) and signal and signal not in speeds:
+            from interarea.models.blocks.plant_shown import shown_names
 
-    known = [v.name for v in plant_block(case).table if v.role == "output"]
-    for place, signal in ways:
-        if signal not in known:
-            yield f"{where}: {place}.signal = {signal!r} is no output of the plant; {nearest(signal, known)}"
+            known = known or shown_names(case)
+            if signal not in known:
+                hint = nearest(signal, known)
+                yield f"{where}: {place}.signal = {signal!r} is no output of the plant; {hint}"
 
 
-def _signals(table: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield where signals are named in channels and concentrators, whatever else stands there."""
+def _ways(table: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield where signals are named and their tables, whatever else stands there."""
     for kind in ("channels", "concentrators"):
         rows = table.get(kind)
         for name, row in rows.items() if isinstance(rows, Mapping) else ():
             of = row.get("signals", [row]) if isinstance(row, Mapping) else None
             for s in of if isinstance(of, list | tuple) else ():
-                signal = s.get("signal") if isinstance(s, Mapping) else None
-                if isinstance(signal, str) and signal:
-                    yield f"{kind}.{name}", signal
+                if isinstance(s, Mapping):
+                    yield f"{kind}.{name}", s

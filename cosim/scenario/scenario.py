@@ -39,6 +39,12 @@ Several signals through one concentrator (IEEE C37.247), which aligns them by ti
     [[concentrators.pdc.signals]]
     signal = "G4_dw"
 
+A PMU (IEC/IEEE 60255-118-1) at a bus in place of an output of the plant, also of a concentrator's signal:
+
+    [channels.remote]
+    signal = "G2_dw"                   # the controller's input
+    pmu = {bus = 2, performance = "P"} # also quantity = frequency | rocof | v | angle, reports_per_s
+
 A channel takes besides: reporting_interval_s (packets; needed by what follows), jitter_s (uniform),
 latency = {kind = "gamma", shape, scale_s} | {kind = "empirical", quantiles_s} on top of latency_s,
 loss = {kind = "bernoulli", rate} | {kind = "gilbert_elliott", good_to_bad, bad_to_good, loss_good, loss_bad},
@@ -65,6 +71,7 @@ nearer, and the delay ledger says so.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -79,7 +86,6 @@ from pydantic import (
     model_validator,
 )
 
-from interarea.models.blocks.sizes import MOST_SIGNALS
 from interarea.models.case.cycles import in_seconds
 from interarea.models.errors import Collected, UserError
 from interarea.models.mistakes import mistakes
@@ -89,10 +95,10 @@ from ..clock import on_tick
 from ..errors import ScenarioError, nearest
 from ..stepping_words import Early, Inputs, Loops, early_word
 from ..toml_file import read_toml
-from .channels import ChannelLine, Seconds
-from .concentrators import ConcentratorLine, SignalWay
+from .channels import Seconds
 from .names import NAMED_CONTROLLERS, beside, wrong_names
 from .rounding import event_on_ticks, roundings
+from .ways import ChannelTable, ConcentratorTable, Way, ways_of
 
 if TYPE_CHECKING:  # the file is checked before what a case takes is loaded
     from interarea.models.case.case import Case
@@ -100,6 +106,8 @@ if TYPE_CHECKING:  # the file is checked before what a case takes is loaded
 BUNDLED = Path(__file__).parent / "bundled"
 _HIDDEN = ("name", "folder", "rounded")  #: keys that no hint names
 _RESERVED = ("plant", "controller")
+#: outputs of the plant that it shows only when asked
+_OF_NETWORK = re.compile(r"bus\d+\.(v|angle|re|im)|branch\[.*\]\.[pqi]")
 
 
 class FmuTable(Table):
@@ -121,25 +129,6 @@ class FmuTable(Table):
     def process(self) -> dict[str, Any]:
         """Where it runs, as `participant_of` takes it."""
         return {"isolate": self.isolate, "time_limit_s": self.time_limit_s}
-
-
-class ChannelTable(ChannelLine):
-    """A channel: `signal` travels from the plant to the controller's input of that name; without it the
-    channel is connected by `connections`."""
-
-    signal: str = ""  #: output of the plant that travels to the controller's input of that name
-
-
-class SignalTable(SignalWay):
-    """The way of one signal to a concentrator; `signal` travels from the plant to the controller on it."""
-
-    signal: str = ""  #: output of the plant that travels to the controller's input of that name
-
-
-class ConcentratorTable(ConcentratorLine):
-    """A concentrator: signals without a name are connected by `connections` (NAME.u1 .., NAME.y1 ..)."""
-
-    signals: Annotated[tuple[SignalTable, ...], Field(min_length=1, max_length=MOST_SIGNALS)]
 
 
 class MasterTable(Table):
@@ -204,6 +193,8 @@ class Scenario(Table):
     connections: tuple[tuple[str, ...], ...] = ()  #: [from, channels on the way, to] for FMUs of one's own
     #: refuse an FMU whose description breaks the standard even where it does no harm; else a warning tells
     strict: bool = False
+    #: outputs of the plant beside those it shows by itself, by pattern: bus16.v, bus*.angle, branch[1-2].i
+    show: tuple[str, ...] = ()
     record: tuple[str, ...] = ()  #: signals (INSTANCE.VARIABLE, or a pattern: plant.*) to write; default: all
     every: Annotated[int, Field(ge=1)] = 1  #: every n-th point is written, and the last
     event: tuple[Any, ...] = ()  #: faults, trips, pulses and steps, a table each
@@ -281,8 +272,8 @@ class Scenario(Table):
             return
         if self.event or self.controller != "none":
             yield "event and controller need a case; FMUs of one's own come under fmus"
-        if self.plant or self.operating_point != OperatingPointTable():
-            yield "plant and operating_point need a case"
+        if self.plant or self.show or self.operating_point != OperatingPointTable():
+            yield "plant, show and operating_point need a case"
 
     def _names(self) -> Iterator[str]:
         """Yield each instance whose name is no name, or that of another."""
@@ -295,6 +286,9 @@ class Scenario(Table):
                         f"{' and '.join(_RESERVED)}, used once"
                     )
                 seen.add(name)
+        for way in self.signals:
+            if way.source in seen:
+                yield f"{way.source}: the name of the PMU before {way.u} is taken, allowed: one not in use"
 
     def _ways(self) -> Iterator[str]:
         """Yield each way that nothing travels, and each signal that travels twice."""
@@ -322,14 +316,17 @@ class Scenario(Table):
         return {**self.channels, **self.concentrators}
 
     @property
-    def signals(self) -> list[tuple[str, str, str, str]]:
-        """What travels from the plant to the controller: signal, input, output and flag of its way."""
-        ways = [(c.signal, f"{n}.u", f"{n}.y", f"{n}.valid") for n, c in self.channels.items() if c.signal]
-        for n, table in self.concentrators.items():
-            for i, s in enumerate(table.signals, start=1):
-                if s.signal:
-                    ways.append((s.signal, f"{n}.u{i}", f"{n}.y{i}", f"{n}.valid{i}"))
-        return ways
+    def signals(self) -> list[Way]:
+        """What travels to the controller, and how."""
+        return list(ways_of(self.channels, self.concentrators))
+
+    @property
+    def shows(self) -> tuple[str, ...]:
+        """Outputs of the plant beside those that it shows by itself: asked for, measured, named in a way."""
+        named = [w.signal for w in self.signals if w.pmu is None]
+        named += [path[0].removeprefix("plant.") for path in self.connections if path[0].startswith("plant.")]
+        named += [source for w in self.signals if w.pmu is not None for source, _ in w.pmu.inputs]
+        return tuple(dict.fromkeys([*self.show, *(n for n in named if _OF_NETWORK.fullmatch(n))]))
 
     @property
     def marks_s(self) -> tuple[float, ...]:

@@ -93,14 +93,15 @@ class LiveFmus(Fmus):
     def _made(self, change: CaseChange, slots: int) -> Plant:
         base = self._cases.setdefault(change.case, self.plan.case(change.case))
         case = change.apply(base)
+        show, more = self.plan.sweep.show, self.plan.sweep.base.shows
         if case is base and slots == EVENT_SLOTS:
-            return Plant(case, self.open(plant_fmu(case, self.cache, show=self.plan.sweep.show)), own=False)
+            return Plant(case, self.open(plant_fmu(case, self.cache, show=show, more=more)), own=False)
         path = self.scratch / f"plant-{case.hash}-{slots}.fmu"
-        build_fmu(plant_block(case, event_slots=slots, show=self.plan.sweep.show), path, cache=self.cache)
+        build_fmu(plant_block(case, event_slots=slots, show=show, more=more), path, cache=self.cache)
         return Plant(case, FmuFile(path), own=True)
 
-    def plant(self, case: Case, event_slots: int) -> FmuFile:
-        """Return the plant of a `case` of this object."""
+    def plant(self, case: Case, event_slots: int, more: tuple[str, ...] = ()) -> FmuFile:
+        """Return the plant of a `case` of this object, with what the scenario of the sweep shows."""
         return next(plant.file for plant in self._live.values() if plant.case is case)
 
     def planned(self, case: str, name: str) -> Controller | ControllerBank | None:

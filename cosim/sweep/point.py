@@ -31,14 +31,8 @@ from interarea.models.case.variants import operating_variant
 from ..errors import SweepError, nearest
 from ..scenario.delays import derived_seed
 from ..scenario.document import scenario_document
-from ..scenario.scenario import (
-    ChannelTable,
-    ConcentratorTable,
-    MasterTable,
-    Scenario,
-    SignalTable,
-    load_scenario,
-)
+from ..scenario.scenario import MasterTable, Scenario, load_scenario
+from ..scenario.ways import ChannelTable, ConcentratorTable, SignalTable
 from .spec import Path_, Sweep
 from .values import Value
 

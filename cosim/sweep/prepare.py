@@ -11,7 +11,7 @@ from interarea.fmu_build.write.lane_library import plant_group
 from interarea.models.blocks.plant import plant_block, plant_sources
 
 from ..master.kernel.build import load_kernel
-from ..run.artefacts import channel_fmu, concentrator_fmu, plant_fmu
+from ..run.artefacts import channel_fmu, concentrator_fmu, plant_fmu, pmu_fmu
 from ..run.controllers import controller_fmu
 from .plan import SweepPlan, case_in, own_fmu
 
@@ -26,13 +26,16 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
         files.append(Path(load_kernel(cache)._name))
     files += [own_fmu(cache, key) for key in dict.fromkeys(plan.fmus.values())]
     files += [concentrator_fmu(len(c.signals), cache) for c in plan.sweep.base.concentrators.values()]
+    if any(way.pmu for way in plan.sweep.base.signals):
+        files.append(pmu_fmu(cache))
     cases = {name: plan.case(name) for name in plan.cases}
     for grid in {plant_sources(case): case for case in cases.values()}.values():
         with suppress(BuildError):  # without it the plants go one by one
             files.append(plant_group(plant_sources(grid), cache=cache).path)
         block = plant_block(grid)
         files.append(compile_binary(block.kind, block.sources, host_platform(), cache=cache))
-    files += [plant_fmu(case, cache, show=plan.sweep.show) for case in cases.values()]
+    shown = {"show": plan.sweep.show, "more": plan.sweep.base.shows}
+    files += [plant_fmu(case, cache, **shown) for case in cases.values()]
     for key in plan.controllers:
         name = case_in(key, cases)
         made = plan.controller(name, key[len(name) + 1 :])

@@ -21,6 +21,8 @@ import control
 import numpy as np
 import numpy.typing as npt
 
+from interarea.models.blocks.pmu import PmuFilter
+
 from ..linear.linearise import select
 from ..modes.modes import damping_ratio
 from .characteristic_roots import DelayError
@@ -44,7 +46,7 @@ class SignalWay:
 
     latency_s : transport. interval_s : of packets whose value is held until the next; 0: continuous.
     loss : share of the packets that are lost, each independent of the others. on_loss : what is read then.
-    lost : nothing arrives at all.
+    lost : nothing arrives at all. measured : the PMU before it, of whose bus the plant gives the frequency.
     """
 
     latency_s: float = 0.0
@@ -52,12 +54,15 @@ class SignalWay:
     loss: float = 0.0
     on_loss: Literal["zero", "hold"] = "zero"
     lost: bool = False
+    measured: PmuFilter | None = None
 
     def transfer(self, s: ComplexArray) -> ComplexArray:
         """Return H(s); of lost packets its mean, exact for independent losses, aliases left out."""
         if self.lost or (self.loss >= 1.0 and self.interval_s > 0.0):
             return np.zeros_like(s)
         way = np.exp(-s * self.latency_s)
+        if self.measured is not None:
+            way = way * self.measured.frequency(s)
         if not self.interval_s > 0.0:
             return way
         shift = np.exp(-s * self.interval_s)

@@ -7,6 +7,7 @@ a kink at the operating point or a wrong derivative is an error and not a wrong 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import control
@@ -45,7 +46,8 @@ def linearise(
 
     Returns
     -------
-    StateSpace with A (n, n), B (n, m), C (p, n), D (p, m) and the plant's names; speeds in pu.
+    StateSpace with A (n, n), B (n, m), C (p, n), D (p, m) and the plant's names (outputs with `_` for a dot);
+    speeds in pu.
 
     Raises
     ------
@@ -71,7 +73,8 @@ def linearise(
         row, col = np.argwhere(~np.isfinite(exact))[0]
         raise LinearisationError(f"d {(states + outputs)[row]} / d {(states + inputs)[col]} is not finite")
     _check_differences(plant, x0, u0, exact, step, tolerance)
-    return control.ss(A, B, C, D, states=states, inputs=inputs, outputs=outputs)
+    labels = [name.replace(".", "_") for name in outputs]  # python-control takes no dots there
+    return control.ss(A, B, C, D, states=states, inputs=inputs, outputs=labels)
 
 
 def _check_differences(plant: Plant, x0: Matrix, u0: Matrix, exact: Matrix, step: float, tol: float) -> None:
@@ -173,6 +176,37 @@ def remove_reference(system: control.StateSpace, *, tolerance: float = 1e-7) -> 
         inputs=list(system.input_labels),
         outputs=list(system.output_labels),
         name=system.name,
+    )
+
+
+def bus_frequencies(
+    system: control.StateSpace, at_rest: Mapping[str, float], signals: Mapping[str, int], omega_b: float
+) -> control.StateSpace:
+    r"""Put bus frequencies in place of the bus voltages ``bus7_re``, ``bus7_im`` among the outputs.
+
+    With :math:`\theta = C_\theta x` the angle of a bus, whose row follows from those of its voltage,
+    :math:`\dot\theta/\omega_b = C_\theta (A x + B u)/\omega_b`: which has no reference, unlike the voltages.
+
+    Parameters
+    ----------
+    at_rest : outputs of the plant at the operating point, by its names. omega_b : rated speed, rad/s.
+    signals : name of an output (it takes the place of one of that name) -> number of the bus, whose
+        ``re`` and ``im`` are outputs; frequencies in pu.
+    """
+    labels = [str(n) for n in system.output_labels]
+    C, D = np.asarray(system.C, dtype=float), np.asarray(system.D, dtype=float)
+    rows: dict[str, tuple[Matrix, Matrix]] = {
+        n: (C[k], D[k]) for k, n in enumerate(labels) if not n.endswith(("_re", "_im"))
+    }
+    for name, bus in signals.items():
+        re, im = at_rest[f"bus{bus}.re"], at_rest[f"bus{bus}.im"]
+        theta = re * C[labels.index(f"bus{bus}_im")] - im * C[labels.index(f"bus{bus}_re")]
+        theta = theta / (re * re + im * im) / omega_b
+        rows[name] = (theta @ system.A, theta @ system.B)
+    states, inputs = list(system.state_labels), list(system.input_labels)
+    C, D = (np.array([row[k] for row in rows.values()]) for k in (0, 1))
+    return control.ss(
+        system.A, system.B, C, D, states=states, inputs=inputs, outputs=list(rows), name=system.name
     )
 
 

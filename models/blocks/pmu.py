@@ -87,13 +87,16 @@ class PmuFilter:
 
     def window(self, s: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
         """Return what becomes of a small swing of the phasor at s (1/s), the delay included."""
-        k = np.arange(-self.half, self.half + 1)
-        turned = np.exp(-np.multiply.outer(s, k) * self.sample_s)
-        return np.asarray(np.exp(-s * self.delay_s) * (turned @ self.weights))
+        turned = np.exp(-s * self.sample_s)
+        return np.asarray(turned * np.polynomial.polynomial.polyval(turned, self.weights))
+
+    def frequency(self, s: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
+        """Return the transfer function from the bus frequency to the measured one at s, 1/s."""
+        return np.asarray(self.window(s) * np.sinc(1j * s * self.sample_s / np.pi))
 
     def rate(self, s: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
         """Return the transfer function from the angle (rad) to the measured deviation (rad/s) at s, 1/s."""
-        return np.asarray(self.window(s) * np.sinh(s * self.sample_s) / self.sample_s)
+        return np.asarray(s * self.frequency(s))
 
 
 def pmu_filter(performance: Performance, nominal_hz: float, rate_hz: float) -> PmuFilter:

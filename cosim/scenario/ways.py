@@ -1,0 +1,115 @@
+"""The ways of a scenario's signals to the controller: channels, concentrators, PMUs before them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self
+
+from pydantic import Field, model_validator
+
+from interarea.models.blocks.sizes import MOST_SIGNALS
+from interarea.models.table import Table
+
+from ..errors import ScenarioError
+from .channels import ChannelLine
+from .concentrators import ConcentratorLine, SignalWay
+
+if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
+    from interarea.models.blocks.pmu import PmuFilter
+
+_OUTPUTS = {"frequency": "deviation", "rocof": "rocof", "v": "v", "angle": "angle"}
+
+
+class PmuTable(Table):
+    """A phasor measurement unit (IEC/IEEE 60255-118-1) at a bus, in place of an output of the plant."""
+
+    bus: Annotated[int, Field(strict=True, ge=1)]  #: number of the bus that it measures
+    performance: Literal["P", "M"] = "P"  #: class: P is quick, M filters for the reporting rate
+    #: what the controller gets: frequency (its deviation in pu of nominal), rocof (Hz/s), v (pu), angle (rad)
+    quantity: Literal["frequency", "rocof", "v", "angle"] = "frequency"
+    #: that an M class filter is for; default: the packets of its channel, else one each cycle
+    reports_per_s: Annotated[float, Field(gt=0.0)] | None = None
+
+    @property
+    def inputs(self) -> tuple[tuple[str, str], ...]:
+        """Output of the plant and input of the PMU that take it."""
+        return (f"bus{self.bus}.re", "re"), (f"bus{self.bus}.im", "im")
+
+    @property
+    def output(self) -> str:
+        """Output of the PMU that travels to the controller."""
+        return _OUTPUTS[self.quantity]
+
+    def filter(self, nominal_hz: float, interval_s: float, where: str) -> PmuFilter:
+        """Return its filter on a grid of this frequency, before packets so far apart (0: no packets).
+
+        Raises
+        ------
+        ScenarioError : an M class filter for a rate that the standard has none for; `where` names it.
+        """
+        from interarea.models.blocks.pmu import pmu_filter
+
+        rate = self.reports_per_s or (1.0 / interval_s if interval_s else nominal_hz)
+        try:
+            return pmu_filter(self.performance, nominal_hz, rate)
+        except ValueError as error:
+            raise ScenarioError(f"{where}: {error}; set reports_per_s") from None
+
+
+class _Measured(Table):
+    """What may have a PMU: it needs the name of the controller's input that it feeds."""
+
+    #: output of the plant that travels to the controller's input of that name; with `pmu` that input
+    signal: str = ""
+    pmu: PmuTable | None = None  #: measures a bus in place of an output of the plant
+
+    @model_validator(mode="after")
+    def _named(self) -> Self:
+        if self.pmu is not None and not self.signal:
+            raise ValueError("pmu needs signal = the controller's input that it feeds")
+        return self
+
+
+class ChannelTable(ChannelLine, _Measured):
+    """A channel: `signal` travels from the plant to the controller's input of that name; without it the
+    channel is connected by `connections`."""
+
+
+class SignalTable(SignalWay, _Measured):
+    """The way of one signal to a concentrator; `signal` travels from the plant to the controller on it."""
+
+
+class ConcentratorTable(ConcentratorLine):
+    """A concentrator: signals without a name are connected by `connections` (NAME.u1 .., NAME.y1 ..)."""
+
+    signals: Annotated[tuple[SignalTable, ...], Field(min_length=1, max_length=MOST_SIGNALS)]
+
+
+class Way(NamedTuple):
+    """The way of a signal: what it is called, input, output and flag of its line, and the PMU before it."""
+
+    signal: str
+    u: str
+    y: str
+    valid: str
+    pmu: PmuTable | None
+    interval_s: float  #: between packets
+
+    @property
+    def source(self) -> str:
+        """Instance of the PMU, "" where the signal is an output of the plant."""
+        return "" if self.pmu is None else self.u.replace(".u", "_pmu")
+
+
+def ways_of(
+    channels: Mapping[str, ChannelTable], concentrators: Mapping[str, ConcentratorTable]
+) -> Iterator[Way]:
+    """Yield the way of each signal that is named; the others are connected by hand."""
+    for name, c in channels.items():
+        if c.signal:
+            yield Way(c.signal, f"{name}.u", f"{name}.y", f"{name}.valid", c.pmu, c.reporting_interval_s)
+    for name, table in concentrators.items():
+        for i, s in enumerate(table.signals, start=1):
+            if s.signal:
+                ends = (f"{name}.u{i}", f"{name}.y{i}", f"{name}.valid{i}")
+                yield Way(s.signal, *ends, s.pmu, table.reporting_interval_s)
