@@ -26,7 +26,7 @@ communication points; that wait is the master's too.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..master.graph import Connection
 from ..master.master import Master
@@ -114,7 +114,8 @@ def delay_ledger(
     rounded : lines on times that were not taken as written (`roundings`).
     """
     place = {name: k for k, name in enumerate(master.graph.order)}
-    rows = [_row(master, c, place, dict(delays or {})) for c in master.graph.connections]
+    known = dict(delays or {})
+    rows = [_into_pmu(_row(master, c, place, known), known) for c in master.graph.connections]
     return DelayLedger(tuple(rows), master.step_s, master.inputs, tuple(rounded))
 
 
@@ -139,8 +140,15 @@ def _row(master: Master, c: Connection, place: Mapping[str, int], delays: Mappin
         note = f"no input derivatives: means over {node.substeps} parts of a step"
     elif node.order == 0:
         sampled, note = late, "steps of one length and no input derivatives: held"
-    measured = delays[target].measuring_s if target in delays else 0.0
-    return LedgerRow(c, measured, measured, sampling_s=sampled, master_s=added, note=note, direct=direct)
+    return LedgerRow(c, sampling_s=sampled, master_s=added, note=note, direct=direct)
+
+
+def _into_pmu(row: LedgerRow, delays: Mapping[str, Delays]) -> LedgerRow:
+    """Return the row with the group delay of the PMU that it leads into, if it does."""
+    known = delays.get(row.connection.target.instance)
+    if known is None or not known.measuring_s:
+        return row
+    return replace(row, requested_s=known.requested_s, measuring_s=known.measuring_s)
 
 
 def _through_channel(master: Master, c: Connection, known: Delays | None, ahead: bool) -> LedgerRow:

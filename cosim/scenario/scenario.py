@@ -43,7 +43,7 @@ A PMU (IEC/IEEE 60255-118-1) at a bus in place of an output of the plant, also o
 
     [channels.remote]
     signal = "G2_dw"                   # the controller's input
-    pmu = {bus = 2, performance = "P"} # also quantity = frequency | rocof | v | angle, reports_per_s
+    pmu = {bus = 2, performance = "P"} # also quantity = frequency | rocof | v | angle, reporting_rate_hz
 
 A channel takes besides: reporting_interval_s (packets; needed by what follows), jitter_s (uniform),
 latency = {kind = "gamma", shape, scale_s} | {kind = "empirical", quantiles_s} on top of latency_s,

@@ -28,7 +28,7 @@ class PmuTable(Table):
     #: what the controller gets: frequency (its deviation in pu of nominal), rocof (Hz/s), v (pu), angle (rad)
     quantity: Literal["frequency", "rocof", "v", "angle"] = "frequency"
     #: that an M class filter is for; default: the packets of its channel, else one each cycle
-    reports_per_s: Annotated[float, Field(gt=0.0)] | None = None
+    reporting_rate_hz: Annotated[float, Field(gt=0.0)] | None = None
 
     @property
     def inputs(self) -> tuple[tuple[str, str], ...]:
@@ -49,11 +49,11 @@ class PmuTable(Table):
         """
         from interarea.models.blocks.pmu import pmu_filter
 
-        rate = self.reports_per_s or (1.0 / interval_s if interval_s else nominal_hz)
+        rate = self.reporting_rate_hz or (1.0 / interval_s if interval_s else nominal_hz)
         try:
             return pmu_filter(self.performance, nominal_hz, rate)
         except ValueError as error:
-            raise ScenarioError(f"{where}: {error}; set reports_per_s") from None
+            raise ScenarioError(f"{where}: {error}; set reporting_rate_hz") from None
 
 
 class _Measured(Table):

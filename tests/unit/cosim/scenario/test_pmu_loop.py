@@ -109,8 +109,10 @@ def test_mistakes_are_refused(keys: dict[str, Any], says: str, cache: Path) -> N
 
 
 def test_an_m_class_needs_a_rate_that_the_standard_knows(hand_controller: Controller, cache: Path) -> None:
-    table = scenario({"bus": 2, "performance": "M", "reports_per_s": 50.0})
-    with pytest.raises(ScenarioError, match=r"50 reports a second, allowed: 10, 12, .*; set reports_per_s"):
+    table = scenario({"bus": 2, "performance": "M", "reporting_rate_hz": 50.0})
+    with pytest.raises(
+        ScenarioError, match=r"50 reports a second, allowed: 10, 12, .*; set reporting_rate_hz"
+    ):
         system_of(load_scenario(table), controller=hand_controller, cache=cache)
 
 
