@@ -20,7 +20,7 @@ from ..results.run import Run
 from ..results.trajectory_files import TrajectoryFiles, chosen
 from ..scenario.names import wrong_targets
 from ..scenario.scenario import Scenario, load_scenario
-from ..scenario.ways import PmuTable, Way
+from ..scenario.ways import Way
 from ..trajectory import Trajectory
 from .controllers import ControllerLike, controller_of
 from .instance import Fmus, Instance
@@ -247,19 +247,14 @@ def _connect_signals(system: System, scenario: Scenario) -> None:
         signal, y, valid = way.signal, way.y, way.valid
         where = _where(scenario, signal, way.u)
         with wrong:
-            if way.pmu is None:
-                _known(signal, signals, f"{where} is no output of the plant")
-                system.connections.append((f"{PLANT}.{signal}", way.u))
-            else:
-                _measure(system, way, way.pmu, where)
+            _connect_source(system, way, signals, where)
         if controller is not None and (way.pmu is not None or signal in signals):
             with wrong:
                 _known(signal, wanted, f"{where} is no input of controller {title}")
             system.connections.append((y, f"{CONTROLLER}.{signal}"))
             if f"{signal}_valid" in taken:
                 system.connections.append((valid, f"{CONTROLLER}.{signal}_valid"))
-    fed = _fed(scenario)
-    for signal in (s for s in wanted if s not in fed):
+    for signal in _without(wanted, _fed(scenario)):
         with wrong:
             _known(signal, signals, f"controller {title}: input {signal!r} is no output of the plant")
         system.connections.append((f"{PLANT}.{signal}", f"{CONTROLLER}.{signal}"))
@@ -277,11 +272,20 @@ def _unknown_buses(scenario: Scenario, case: Case) -> list[str]:
     ]
 
 
-def _measure(system: System, way: Way, pmu: PmuTable, where: str) -> None:
-    """Add the PMU before a way and connect both."""
+def _connect_source(system: System, way: Way, signals: Iterable[str], where: str) -> None:
+    """Connect what a way begins with: an output of the plant, or a PMU, which is added."""
+    pmu = way.pmu
+    if pmu is None:
+        _known(way.signal, signals, f"{where} is no output of the plant")
+        system.connections.append((f"{PLANT}.{way.signal}", way.u))
+        return
     system.pmu(way.source, pmu.filter(system.case.frequency_hz, way.interval_s, where))
     system.connections += [(f"{PLANT}.{source}", f"{way.source}.{u}") for source, u in pmu.inputs]
     system.connections.append((f"{way.source}.{pmu.output}", way.u))
+
+
+def _without(names: Iterable[str], others: set[str]) -> list[str]:
+    return [name for name in names if name not in others]
 
 
 def _where(scenario: Scenario, signal: str, end: str) -> str:
