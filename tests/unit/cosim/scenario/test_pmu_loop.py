@@ -99,7 +99,7 @@ def test_shown_outputs_come_by_name(run: Run) -> None:
                     "remote_pmu": {"signal": "G4_dw"},
                 }
             },
-            "a_pmu: the name of the PMU before a.u is taken",
+            "remote_pmu: the name of the PMU before remote.u is taken",
         ),
     ],
 )
