@@ -16,8 +16,8 @@ class Delays:
     reporting_s: float = 0.0
     jitter_mean_s: float = 0.0
     waiting_s: float = 0.0
-    measuring_s: float = 0.0
     seed: int | None = None  #: of the random numbers, where anything is random
+    measuring_s: float = 0.0
 
     def seed_of(self, name: str) -> str:
         """Return in words which random numbers channel `name` takes, "" where nothing is random."""

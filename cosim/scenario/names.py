@@ -101,9 +101,9 @@ def _wrong_signals(case: Case, table: Mapping[str, Any], where: str) -> Iterator
     for place, row in _ways(table):
         signal, pmu = row.get("signal"), row.get("pmu")
         if isinstance(pmu, Mapping):
-            buses = [b.number for b in case.buses]
-            if isinstance(pmu.get("bus"), int) and pmu["bus"] not in buses:
-                yield f"{where}: {place}.pmu.bus = {pmu['bus']} does not exist; {nearest(pmu['bus'], buses)}"
+            bus, buses = pmu.get("bus"), [str(b.number) for b in case.buses]
+            if isinstance(bus, int) and str(bus) not in buses:
+                yield f"{where}: {place}.pmu.bus = {bus} does not exist; {nearest(str(bus), buses)}"
         elif isinstance(signal, str) and signal and signal not in speeds:
             from interarea.models.blocks.plant_shown import shown_names
 

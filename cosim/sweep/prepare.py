@@ -34,8 +34,8 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
             files.append(plant_group(plant_sources(grid), cache=cache).path)
         block = plant_block(grid)
         files.append(compile_binary(block.kind, block.sources, host_platform(), cache=cache))
-    shown = {"show": plan.sweep.show, "more": plan.sweep.base.shows}
-    files += [plant_fmu(case, cache, **shown) for case in cases.values()]
+    show, more = plan.sweep.show, plan.sweep.base.shows
+    files += [plant_fmu(case, cache, show=show, more=more) for case in cases.values()]
     for key in plan.controllers:
         name = case_in(key, cases)
         made = plan.controller(name, key[len(name) + 1 :])

@@ -122,3 +122,14 @@ def test_what_holds_no_pmu_says_so(hand_controller: Controller, cache: Path, tmp
         write_container(loaded, tmp_path / "loop.fmu", cache=cache, controller=hand_controller)
     with pytest.raises(ScenarioError, match="a page holds no PMU"):
         subject_of(loaded, cache=cache)
+
+
+def test_a_sweep_runs_with_pmus(hand_controller: Controller, cache: Path, tmp_path: Path) -> None:
+    """Each point is its run alone: the plant of the sweep shows what the PMU measures."""
+    hand_controller.save(tmp_path / "hand.json")
+    table = scenario({"bus": 2}, stop_s=2.0, controller=str(tmp_path / "hand.json"))
+    spec = {"name": "pmus", "scenario": table, "axes": {"channels.remote.latency_s": [0.0, 0.1]}}
+    rows = read_rows(run_sweep({**spec, "metrics": ["peak_pu"]}, tmp_path / "out", cache=cache, workers=1))
+    for latency_s, peak in zip((0.0, 0.1), rows["peak_pu"], strict=True):
+        table["channels"]["remote"]["latency_s"] = latency_s
+        assert run_scenario(table, cache=cache).metrics.peak_pu == pytest.approx(float(peak), rel=1e-9)
