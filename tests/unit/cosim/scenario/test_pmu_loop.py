@@ -14,6 +14,8 @@ from interarea.cosim.export.container import write_container
 from interarea.cosim.results.run import Run
 from interarea.cosim.run.run import run_scenario, system_of
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.cosim.sweep.front import run_sweep
+from interarea.cosim.sweep.parts import read_rows
 from interarea.design.controllers.controller import Controller
 from interarea.models.blocks.pmu import pmu_filter
 from interarea.models.case.case import load_case
@@ -128,8 +130,9 @@ def test_a_sweep_runs_with_pmus(hand_controller: Controller, cache: Path, tmp_pa
     """Each point is its run alone: the plant of the sweep shows what the PMU measures."""
     hand_controller.save(tmp_path / "hand.json")
     table = scenario({"bus": 2}, stop_s=2.0, controller=str(tmp_path / "hand.json"))
-    spec = {"name": "pmus", "scenario": table, "axes": {"channels.remote.latency_s": [0.0, 0.1]}}
-    rows = read_rows(run_sweep({**spec, "metrics": ["peak_pu"]}, tmp_path / "out", cache=cache, workers=1))
-    for latency_s, peak in zip((0.0, 0.1), rows["peak_pu"], strict=True):
+    latencies = {"path": "channels.remote.latency_s", "values": [0.0, 0.1]}
+    run_sweep({"scenario": table, "parameters": {"late": latencies}}, tmp_path / "s", workers=1, cache=cache)
+    rows = read_rows(tmp_path / "s")
+    for latency_s, peak in zip((0.0, 0.1), rows.peak_pu, strict=True):
         table["channels"]["remote"]["latency_s"] = latency_s
-        assert run_scenario(table, cache=cache).metrics.peak_pu == pytest.approx(float(peak), rel=1e-9)
+        assert run_scenario(table, cache=cache).metrics.peak_pu == peak
