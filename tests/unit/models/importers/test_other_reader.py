@@ -1,8 +1,9 @@
-"""The same RAW through another reader, pypowsybl: buses, stored voltages, admittances."""
+"""The same RAW through other readers, pypowsybl and VeraGrid: buses, voltages, admittances, flows."""
 
 from __future__ import annotations
 
 import lzma
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from interarea.models.case.case import load_case
+from interarea.models.exporters.raw import raw_of
 from interarea.models.grid.network import admittance_matrix
+from interarea.models.grid.powerflow import solve_powerflow
 from interarea.models.importers.psse import import_psse
+
+sys.path.insert(0, str(Path(__file__).parents[4] / "benchmarks"))
+from compare_readers import differences, problem_of
+from readers_run import TOOLS
 
 RAW = Path(__file__).parent / "wecc_240" / "240busWECC_2018_PSS32_fixed_shunts.raw.xz"
 
@@ -47,3 +55,20 @@ def test_another_reader_finds_the_same_buses_voltages_and_admittances(tmp_path: 
         Y[np.ix_(ends, ends)] += np.array([[(y + magnetising) * abs(t) ** 2, -y * np.conj(t)], [-y * t, y]])
     ours = np.asarray(admittance_matrix(case.model_copy(update={"shunts": ()})))
     np.testing.assert_allclose(ours, Y, atol=1e-7 * np.abs(Y).max())
+
+
+@pytest.mark.parametrize(("tool", "package"), [("pypowsybl", "pypowsybl"), ("veragrid", "VeraGridEngine")])
+def test_the_power_flow_of_another_reader_has_the_same_voltages_and_flows(
+    tmp_path: Path, tool: str, package: str
+) -> None:
+    """Shunts, ratios, loads and units of New England, read and solved by them; `compare_readers` has more."""
+    pytest.importorskip(
+        package, reason=f"{package} is not installed (benchmarks/compare_readers.py names it)"
+    )
+    case = load_case("new-england")
+    path = tmp_path / "grid.raw"
+    path.write_text(raw_of(case, solve_powerflow(case)).text)
+    imported = import_psse(path)
+    found = differences(imported, path, TOOLS[tool](**problem_of(imported, path)))
+    assert found["buses"] == len(case.buses)
+    assert found["pu"] < 1e-7 and found["flow"] < 1e-7
