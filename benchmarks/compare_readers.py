@@ -38,20 +38,19 @@ from interarea.models.importers.report import Report
 
 SAME_PU, SAME_FLOW = 1e-5, 1e-4
 #: (tool, file) -> why it differs or is refused
+NO_SLACK = "the slack bus has no unit: here the bus of the unit is taken"
 KNOWN: dict[tuple[str, str], str] = {
     ("pypowsybl", "IEEE145.raw"): "older than version 32",
     ("pypowsybl", "IEEE_145bus_v23_PSLF.raw"): "older than version 32",
-    (
-        "pypowsybl",
-        "118_PTIv33.raw",
-    ): "what its check of the file dislikes it does not say; VeraGrid reads it as we do",
-    ("pypowsybl", "240busWECC_2018_PSS32_fixed_shunts.raw"): (
-        "Q of constant-admittance loads has the other sign there; with ours the stored voltages are a solution"
-    ),
-    (
-        "pypowsybl",
-        "OMIB_DARCO_PSR.raw",
-    ): "the slack bus has no unit: there it is the slack, here the unit's bus is",
+    ("pypowsybl", "118_PTIv33.raw"): "it does not say what it dislikes; VeraGrid reads it as we do",
+    ("pypowsybl", "240busWECC_2018_PSS32_fixed_shunts.raw"): "YQ of loads has the other sign there",
+    ("pypowsybl", "OMIB_DARCO_PSR.raw"): NO_SLACK,
+    ("veragrid", "IEEE145.raw"): "older than version 29",
+    ("veragrid", "IEEE_145bus_v23_PSLF.raw"): "older than version 29",
+    # each of these two comes out alike when we leave out the same
+    ("veragrid", "N44_BC.raw"): "the shunts at the ends of lines (GI to BJ) are left out there",
+    ("veragrid", "TVC_System_32.raw"): "the ratio of winding 2 is left out of the impedance there",
+    ("veragrid", "OMIB_DARCO_PSR.raw"): NO_SLACK,
 }
 Flows = dict[tuple[int, int], complex]
 
