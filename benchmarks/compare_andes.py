@@ -16,6 +16,7 @@ import re
 import subprocess
 import sys
 import tempfile
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -183,8 +184,11 @@ def speeds_off(case: Case, moving: Mapping[str, Any]) -> npt.NDArray[np.float64]
     begin, end = FILES_FAULT_S
     late = FILES_FAULT | {"start_s": begin + LATE_S, "end_s": end + LATE_S}
     plant = PlantSlave(case, events_of([late], where="compare_andes"), substep_s=0.0005)
-    names = {m.bus: f"{m.name}_dw" for m in case.machines if m.model == "round_rotor"}
-    ours = plant.record(moving["t"], [names[bus] for bus in moving["machine_buses"]])
+    names: dict[int, list[str]] = defaultdict(list)  # units at one bus in the order of both files
+    for m in case.machines:
+        if m.model == "round_rotor":
+            names[m.bus].append(f"{m.name}_dw")
+    ours = plant.record(moving["t"], [names[bus].pop(0) for bus in moving["machine_buses"]])
     plant.close()
     off = (np.array(moving["dw"]).T - ours) / np.abs(ours).max()
     return np.column_stack([np.interp(FILES_T, moving["t"], one) for one in off.T])

@@ -122,6 +122,8 @@ def static_grid(file: RawFile, report: Report, frequency_hz: float | None = None
     for note in file.notes:
         where, _, what = note.rpartition(": ") if ": " in note else ("", "", note)
         report.assume(what, where)
+    for section, (count, line) in file.aside.items():
+        report.drop(f"{section} record, which plays no part", f"{file.path}:{line}", count)
     if file.frequency_hz is None and frequency_hz is None:
         report.assume(f"no frequency in the file: {USUAL_HZ:g} Hz", f"{file.path}:1")
     source = f"{file.path.name} (PSS/E {file.version})"

@@ -55,6 +55,8 @@ class RawFile:
     system: dict[str, float]  #: system-wide values, upper case
     groups: dict[str, list[Group]] = field(repr=False)
     notes: list[str] = field(default_factory=list)
+    #: section that plays no part -> number of its records, line of the first
+    aside: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def records(self, section: str) -> Iterator[Record]:
         """Yield the records of `section`; further lines of a record are its parts, without names."""
@@ -163,7 +165,10 @@ def _cut(raw: RawFile, body: list[Line]) -> None:
         k, end = _next_text(body, k)
         while end is _End.NONE:
             count = _span(raw, section, body, k)
-            if section not in _IGNORED:
+            if section in _IGNORED:
+                first = raw.aside.get(section, (0, body[k][0]))
+                raw.aside[section] = (first[0] + 1, first[1])
+            else:
                 groups.append(_take(raw, section, body, k, count))
             k, end = _next_text(body, k + count)
         if groups:

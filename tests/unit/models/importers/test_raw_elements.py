@@ -360,6 +360,19 @@ def test_what_is_out_of_service_is_counted(tmp_path: Path) -> None:
     assert "read: 4 buses, 1 loads, 1 units, 3 fixed shunts" in text and "(" in text.splitlines()[1]
 
 
+def test_records_of_sections_that_play_no_part_are_counted(tmp_path: Path) -> None:
+    extra = {
+        "owner": ["1,'ONE'", "2,'TWO'"],
+        "multi-section line": ["2,3,'&1',1,4"],
+        "area": ["1,1,0,10,'A'"],
+    }
+    plain, report = of_text(tmp_path, raw_grid(33)), of_text(tmp_path, raw_grid(33, extra=extra)).report
+    counts = {what.split(" record")[0]: n for what, n in report.dropped.items() if "plays no part" in what}
+    assert counts == {"area": 1, "multi-section line": 1, "owner": 2}
+    assert report.first["owner record, which plays no part"].endswith("grid.raw:33")
+    assert not any("plays no part" in what for what in plain.report.dropped)
+
+
 def test_a_flow_without_solution_names_the_worst_bus_and_the_voltages(tmp_path: Path) -> None:
     text = raw_grid(33).replace("80.0,20.0,5.0", "8000.0,20.0,5.0")
     with pytest.raises(
