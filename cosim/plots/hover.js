@@ -1,7 +1,7 @@
 /* Values under the pointer of every figure that brings its curves: JSON in a script beside the drawing. */
 for (const data of document.querySelectorAll('figure script[type="application/json"]')) {
   const figure = data.closest('figure'), svg = figure.querySelector('svg');
-  const { size, axes } = JSON.parse(data.textContent);
+  const { size, axes, bars = [] } = JSON.parse(data.textContent);
   const box = document.createElement('div');
   box.className = 'values';
   box.hidden = true;
@@ -15,18 +15,21 @@ for (const data of document.querySelectorAll('figure script[type="application/js
     return x - xs[low] < xs[high] - x ? low : high;
   };
   const number = (x) => (Number.isFinite(x) ? String(Number(x.toPrecision(4))).replace('-', '\u2212') : '\u2013');
+  const valuesOf = (axis, share) => {
+    const [low, high] = axis.x;
+    const value = axis.log ? low * (high / low) ** share : low + share * (high - low);
+    const lines = axis.curves.map((curve) => curve.name + ' ' + number(curve.y[nearest(curve.x, value)]));
+    return [axis.name + ' ' + number(value), ...lines].join('\n');
+  };
   svg.addEventListener('pointermove', (event) => {
     const frame = svg.getBoundingClientRect(), here = figure.getBoundingClientRect();
     const x = (event.clientX - frame.left) / frame.width * size[0];
     const y = (event.clientY - frame.top) / frame.height * size[1];
-    const axis = axes.find(({ at }) => x >= at[0] && x <= at[2] && y >= at[1] && y <= at[3]);
-    box.hidden = !axis;
-    if (!axis) return;
-    const share = (x - axis.at[0]) / (axis.at[2] - axis.at[0]);
-    const value = axis.log ? axis.x[0] * (axis.x[1] / axis.x[0]) ** share : axis.x[0] + share * (axis.x[1] - axis.x[0]);
-    const lines = [axis.name + ' ' + number(value)];
-    for (const curve of axis.curves) lines.push(curve.name + ' ' + number(curve.y[nearest(curve.x, value)]));
-    box.textContent = lines.join('\n');
+    const over = ({ at }) => x >= at[0] && x <= at[2] && y >= at[1] && y <= at[3];
+    const bar = bars.find(over), axis = axes.find(over);
+    box.hidden = !bar && !axis;
+    if (box.hidden) return;
+    box.textContent = bar ? bar.text : valuesOf(axis, (x - axis.at[0]) / (axis.at[2] - axis.at[0]));
     const left = Math.min(event.clientX - here.left + 14, here.width - box.offsetWidth - 4);
     box.style.transform = `translate(${Math.max(left, 4)}px, ${event.clientY - here.top + 14}px)`;
   });

@@ -11,6 +11,8 @@ from typing import Any
 import jinja2
 import numpy as np
 from markupsafe import Markup, escape
+from matplotlib.axes import Axes
+from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -76,7 +78,7 @@ def page_figure(
 ) -> Markup:
     """Return a figure for a page: text as text, colours of the theme, values under the pointer.
 
-    Named curves over an increasing x are kept with it, `_MOST_POINTS` of each at most.
+    Named curves over an increasing x are kept with it, `_MOST_POINTS` of each at most, and so are bars.
     Others as `inline_svg`.
     """
     with temporary_folder() as scratch:
@@ -108,7 +110,28 @@ def _curves_of(figure: Figure) -> dict[str, Any]:
             axes.append(
                 {"name": name, "at": [round(v, 1) for v in at], "x": [low, top], "curves": curves, **log}
             )
-    return {"size": [wide, high], "axes": axes}
+    found: dict[str, Any] = {"size": [wide, high], "axes": axes}
+    bars = [bar for axis in figure.axes for bar in _bars_of(axis, high)]
+    return found | ({"bars": bars} if bars else {})
+
+
+def _bars_of(axis: Axes, high: float) -> list[dict[str, Any]]:
+    """Return each bar with a length: where it lies, in points from the top left, and what it says."""
+    found = []
+    for bars in axis.containers:
+        if not isinstance(bars, BarContainer):
+            continue
+        lying = bars.orientation == "horizontal"
+        labels = (axis.yaxis if lying else axis.xaxis).get_majorticklabels()
+        names = {label.get_position()[lying]: label.get_text() for label in labels}
+        for bar, value in zip(bars.patches, np.asarray(bars.datavalues, dtype=float), strict=True):
+            place = bar.get_y() + bar.get_height() / 2 if lying else bar.get_x() + bar.get_width() / 2
+            (x0, y0), (x1, y1) = axis.transData.transform(bar.get_bbox().get_points()) * 72 / axis.figure.dpi
+            if value and np.isfinite(value):
+                at = [min(x0, x1), high - max(y0, y1), max(x0, x1), high - min(y0, y1)]
+                text = f"{names.get(place, '')} {value:.4g}".strip()
+                found.append({"at": [round(float(v), 1) for v in at], "text": text})
+    return found
 
 
 def _thinned(line: Line2D) -> tuple[list[float], list[float | None]] | None:

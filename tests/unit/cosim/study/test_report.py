@@ -15,6 +15,7 @@ from sample_study import CLAIMS, sample_study
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.plots.curves import SERIES, magnitude_plot, save_figure, time_plot
 from interarea.cosim.plots.html import inline_svg, page_figure
+from interarea.cosim.plots.mode_shapes import participation_plot
 from interarea.cosim.study.printed import PrintedNumber, printed_rows
 from interarea.cosim.study.report import render_report, write_report
 
@@ -116,6 +117,16 @@ def test_values_under_the_pointer_follow_a_logarithmic_axis() -> None:
     (axis,) = json.loads(data)["axes"]
     assert axis["log"] is True and axis["x"] == [0.1, 100.0]
     assert axis["curves"][0]["x"] == [0.1, 1.0, 10.0, 100.0]
+
+
+def test_bars_have_names_and_values_where_they_lie() -> None:
+    figure = participation_plot({"G1.delta": 0.5, "G2.speed": 0.25, "G1.psi": 0.0}, ["G1", "G2"])
+    (data,) = re.findall(r'<script type="application/json">(.*?)</script>', page_figure(figure, "bars"))
+    first, second = json.loads(data)["bars"]
+    assert [first["text"], second["text"]] == ["G1.delta 0.5", "G2.speed 0.25"]
+    (a0, a1, a2, a3), (b0, b1, b2, b3) = first["at"], second["at"]
+    assert a0 == b0 and a2 - a0 == pytest.approx(2 * (b2 - b0), abs=0.2)  # twice as long, from the same zero
+    assert a1 < a3 < b1 < b3  # the largest on top
 
 
 def test_colours_of_an_inlined_figure_follow_the_theme(tmp_path: Path) -> None:
