@@ -22,7 +22,7 @@ from interarea.models.documents import DocumentError, parse_json
 from interarea.models.files import write_whole
 
 from ..lmi.problem import Matrix
-from .controller import Controller, ControllerError, document, plain
+from .controller import Controller, ControllerError, document, plain, table_html
 from .json_text import json_text
 
 SCHEMA = 1
@@ -79,6 +79,12 @@ class ControllerBank:
             least = "positive" if key == "limit_pu" else "not negative"
             if not (math.isfinite(value) and (value > 0.0 or (value == 0.0 and key != "limit_pu"))):
                 raise ControllerError(f"bank {self.name}: {key} is {value}, wanted finite and {least}")
+
+    def _repr_html_(self) -> str:
+        lines = {
+            k.name: f"{', '.join(k.inputs)} to {', '.join(k.outputs)}, order {k.order}" for k in self.members
+        }
+        return table_html(f"bank {self.name}: the first whose signals are trusted is active", lines)
 
     @property
     def inputs(self) -> tuple[str, ...]:

@@ -35,6 +35,19 @@ class ControllerError(UserError):
     """A controller file or its numbers cannot be used."""
 
 
+def table_html(title: str, rows: Mapping[str, str]) -> str:
+    """Return what a notebook shows of one thing: its title, and a table of what it has.
+
+    >>> table_html("a<b", {"states": "6"})
+    '<p><b>a&lt;b</b></p><table><tr><th scope="row">states</th><td>6</td></tr></table>'
+    """
+    body = "".join(
+        f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(value)}</td></tr>'
+        for name, value in rows.items()
+    )
+    return f"<p><b>{html.escape(title)}</b></p><table>{body}</table>"
+
+
 @dataclass(frozen=True)
 class Controller:
     """A linear controller u = +K y with its provenance.
@@ -98,6 +111,21 @@ class Controller:
     def order(self) -> int:
         """Number of states."""
         return int(self.system.nstates)
+
+    def _repr_html_(self) -> str:
+        poles = np.sort(np.abs(np.linalg.eigvals(np.asarray(self.system.A))))
+        held = {True: "passed", False: "not passed", None: "on record"}
+        judged = None if self.certificate is None else self.certificate.get("passed")
+        lines = {
+            "signals (rad/s)": ", ".join(self.inputs),
+            "actuators (pu)": ", ".join(self.outputs),
+            "limit (pu)": f"{self.limit_pu:g}",
+            "states": str(self.order),
+            "poles (rad/s)": f"{poles[0]:.3g} to {poles[-1]:.3g}" if len(poles) else "none",
+            "made by": str(self.design.get("method", "-")),
+            "certificate": "none" if self.certificate is None else held[judged],
+        }
+        return table_html(f"controller {self.name}", lines)
 
     def scaled(self, gain: float = 1.0, limit_pu: float | None = None) -> Controller:
         """Return this controller, uncertified, with its output times `gain` before its limit."""

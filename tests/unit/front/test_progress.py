@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import types
 from typing import Any
@@ -10,6 +11,7 @@ import pytest
 
 from interarea import progress
 from interarea.cosim.sweep.front import Progress
+from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.delay.signal_conditions import Condition
 from interarea.design.robust.design import planned
 from interarea.design.robust.spec import RobustSpec
@@ -124,3 +126,12 @@ def test_the_whole_of_a_design_is_known_before_it_begins() -> None:
         "stage 1 of 2, start 2 of 2": 110.0,
         "stage 2 of 2": 4 * 2 * 110.0,
     }
+
+
+def test_a_controller_shows_itself_in_a_notebook() -> None:
+    shown = shipped_controller("robust")._repr_html_()
+    rows = dict(re.findall(r'<th scope="row">(.*?)</th><td>(.*?)</td>', shown))
+    assert rows["signals (rad/s)"] == "G2_dw, G4_dw" and rows["actuators (pu)"] == "G4_vs"
+    assert rows["states"] == "6" and rows["certificate"] == "passed"
+    low, _, high = rows["poles (rad/s)"].partition(" to ")
+    assert 0.0 < float(low) < float(high) < 281.0  # what its design bounds them by
