@@ -34,6 +34,21 @@ def test_every_command_reports_as_json_and_can_be_quiet_or_verbose(name: str) ->
     assert {"--json", "--quiet", "--verbose"} <= options
 
 
+def test_files_that_are_written_are_told_as_json(interarea: Command, tmp_path: Path) -> None:
+    raw, back = tmp_path / "grid.raw", tmp_path / "back.toml"
+    code, out, err = interarea("export", "two-area-thesis", "--out", raw, "--json")
+    files = json.loads(out)["files"]
+    assert (code, err) == (0, "") and [f["file"] for f in files] == [str(raw), str(raw.with_suffix(".dyr"))]
+    assert all(Path(f["file"]).is_file() for f in files) and files[1]["not_in_it"]
+    code, out, err = interarea("import", raw, "--dyr", raw.with_suffix(".dyr"), "--out", back, "--json")
+    found = json.loads(out)
+    assert (code, err) == (0, "") and found["file"] == str(back) and back.is_file()
+    assert (found["read"]["buses"], found["read"]["units"]) == (11, 4)
+    assert all(remark["count"] >= 1 and remark["first"] for remark in found["assumed"])
+    code, out, _ = interarea("new", "scenario", "--out", tmp_path / "mine.toml", "--json")
+    assert code == 0 and Path(json.loads(out)["file"]).is_file()
+
+
 def test_verbose_tells_what_the_cache_had_and_how_long_steps_took(interarea: Command) -> None:
     _, _, err = interarea("certify", "robust_linear", "--verbose")
     assert re.search(r"^linear family: done in \d+\.\d s$", err, re.MULTILINE)
