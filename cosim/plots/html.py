@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -89,49 +89,50 @@ def page_figure(
 
 
 def _curves_of(figure: Figure) -> dict[str, Any]:
-    """Return where the axes of a drawn figure lie, in points from the top left, and their curves."""
+    """Return where the axes of a drawn figure lie, in points from the top left, and their curves and bars."""
     wide, high = (float(72.0 * inches) for inches in figure.get_size_inches())
     axes = []
     for axis in figure.axes:
-        place, (low, top) = axis.get_position(), axis.get_xlim()
-        named = {str(line.get_label()): _thinned(line) for line in axis.get_lines()}
-        curves = [
-            {"name": name, "x": points[0], "y": points[1]}
-            for name, points in named.items()
-            if points is not None and not name.startswith("_")
-        ]
-        scale = axis.get_xscale()
-        if curves and scale in ("linear", "log"):
+        curves, place = _named_curves(axis), axis.get_position()
+        if curves and axis.get_xscale() in ("linear", "log"):
             at = [place.x0 * wide, (1.0 - place.y1) * high, place.x1 * wide, (1.0 - place.y0) * high]
             name = axis.get_xlabel() or next(
                 (a.get_xlabel() for a in figure.axes[::-1] if a.get_xlabel()), "x"
             )
-            log = {"log": True} if scale == "log" else {}
-            axes.append(
-                {"name": name, "at": [round(v, 1) for v in at], "x": [low, top], "curves": curves, **log}
-            )
+            row = {"name": name, "at": [round(v, 1) for v in at], "x": [*axis.get_xlim()], "curves": curves}
+            axes.append(row | ({"log": True} if axis.get_xscale() == "log" else {}))
     found: dict[str, Any] = {"size": [wide, high], "axes": axes}
     bars = [bar for axis in figure.axes for bar in _bars_of(axis, high)]
     return found | ({"bars": bars} if bars else {})
 
 
+def _named_curves(axis: Axes) -> list[dict[str, Any]]:
+    named = {str(line.get_label()): _thinned(line) for line in axis.get_lines()}
+    return [
+        {"name": name, "x": points[0], "y": points[1]}
+        for name, points in named.items()
+        if points is not None and not name.startswith("_")
+    ]
+
+
 def _bars_of(axis: Axes, high: float) -> list[dict[str, Any]]:
     """Return each bar with a length: where it lies, in points from the top left, and what it says."""
-    found = []
-    for bars in axis.containers:
-        if not isinstance(bars, BarContainer):
+    groups = [bars for bars in axis.containers if isinstance(bars, BarContainer)]
+    return [bar for bars in groups for bar in _bars_in(axis, bars, high)]
+
+
+def _bars_in(axis: Axes, bars: BarContainer, high: float) -> Iterator[dict[str, Any]]:
+    lying = bars.orientation == "horizontal"
+    labels = (axis.yaxis if lying else axis.xaxis).get_majorticklabels()
+    names = {label.get_position()[lying]: label.get_text() for label in labels}
+    for bar, value in zip(bars.patches, np.asarray(bars.datavalues, dtype=float), strict=True):
+        if not value or not np.isfinite(value):
             continue
-        lying = bars.orientation == "horizontal"
-        labels = (axis.yaxis if lying else axis.xaxis).get_majorticklabels()
-        names = {label.get_position()[lying]: label.get_text() for label in labels}
-        for bar, value in zip(bars.patches, np.asarray(bars.datavalues, dtype=float), strict=True):
-            place = bar.get_y() + bar.get_height() / 2 if lying else bar.get_x() + bar.get_width() / 2
-            (x0, y0), (x1, y1) = axis.transData.transform(bar.get_bbox().get_points()) * 72 / axis.figure.dpi
-            if value and np.isfinite(value):
-                at = [min(x0, x1), high - max(y0, y1), max(x0, x1), high - min(y0, y1)]
-                text = f"{names.get(place, '')} {value:.4g}".strip()
-                found.append({"at": [round(float(v), 1) for v in at], "text": text})
-    return found
+        place = bar.get_y() + bar.get_height() / 2 if lying else bar.get_x() + bar.get_width() / 2
+        corners = axis.transData.transform(bar.get_bbox().get_points()) * 72 / axis.figure.dpi
+        (left, low), (right, top) = corners.min(axis=0), corners.max(axis=0)
+        at = [round(float(v), 1) for v in (left, high - top, right, high - low)]
+        yield {"at": at, "text": f"{names.get(place, '')} {value:.4g}".strip()}
 
 
 def _thinned(line: Line2D) -> tuple[list[float], list[float | None]] | None:
