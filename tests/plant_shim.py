@@ -35,7 +35,12 @@ class _Layout(ctypes.Structure):
 
 
 class _Needs(ctypes.Structure):
-    _fields_ = (("n_memory", ctypes.c_size_t), ("n_scratch", ctypes.c_size_t), ("n_notes", ctypes.c_size_t))
+    _fields_ = (
+        ("n_memory", ctypes.c_size_t),
+        ("n_scratch", ctypes.c_size_t),
+        ("n_notes", ctypes.c_size_t),
+        ("n_decisions", ctypes.c_size_t),
+    )
 
 
 def _fields_of_block() -> list[tuple[str, type]]:

@@ -106,7 +106,9 @@ static int read_tables(Instance *c, char *why)
 static int allocate(Instance *c, const BlockNeeds *needs)
 {
     const BlockLayout *n = &c->block.layout;
-    const size_t doubles = c->n_real + n->n_x + 5 * n->n_u + n->n_y + needs->n_memory;
+    const int exchange = c->type == fmi2ModelExchange;   /* there what limiters decided is part of the state */
+    const size_t decided = exchange ? needs->n_notes + needs->n_decisions : 0;
+    const size_t doubles = c->n_real + n->n_x + 5 * n->n_u + n->n_y + decided + needs->n_memory;
     const size_t work = SOLVER_ARRAYS * n->n_x + 2 * n->n_u + n->n_y;
     Block *b = &c->block;
     double *d;
@@ -130,7 +132,9 @@ static int allocate(Instance *c, const BlockNeeds *needs)
     c->u_slope = c->x_start + n->n_x;
     c->u_poly = c->u_slope + n->n_u;
     c->y_slope = c->u_poly + 4 * n->n_u;
-    b->memory = c->y_slope + n->n_y;
+    c->overrun = c->y_slope + n->n_y;
+    c->n_decisions = exchange ? needs->n_decisions : 0;
+    b->memory = c->overrun + decided;
     c->integer = (int *)(b->memory + needs->n_memory);
     b->iu = c->integer;
     b->iy = b->iu + n->n_iu;
@@ -138,7 +142,7 @@ static int allocate(Instance *c, const BlockNeeds *needs)
     b->ip = b->iw + n->n_iw;
     b->u_order = c->integer + c->n_integer;
     b->scratch = c->work + work;
-    b->notes = b->scratch + needs->n_scratch;
+    b->notes = exchange ? c->overrun + needs->n_decisions : b->scratch + needs->n_scratch;
     b->record = &c->record;
     if (c->step_parameter < c->n_real) c->internal_step = c->real + c->step_parameter;
     return 0;
@@ -168,7 +172,7 @@ static int read_record(Instance *c, fmi2String location, fmi2String guid, char *
 static int prepare(Instance *c, fmi2String location, fmi2String guid, char *why)
 {
     BlockMessage message = {{0}};
-    BlockNeeds needs = {0, 0, 0};
+    BlockNeeds needs = {0, 0, 0, 0};
 
     if (block_is_sampled && c->type == fmi2ModelExchange) {
         snprintf(why, WHY_SIZE, "this FMU offers co-simulation only");
@@ -180,6 +184,7 @@ static int prepare(Instance *c, fmi2String location, fmi2String guid, char *why)
         return 1;
     }
     if (needs.n_memory > LARGEST_COUNT || needs.n_scratch > LARGEST_COUNT || needs.n_notes > LARGEST_COUNT
+        || needs.n_decisions > LARGEST_COUNT
         || allocate(c, &needs) != 0) {
         snprintf(why, WHY_SIZE, "out of memory");
         return 1;

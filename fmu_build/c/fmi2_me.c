@@ -40,6 +40,11 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component component, fmi2EventInfo *info)
         changed = 1;
     }
     if (changed) run->outputs_fresh = run->derivatives_fresh = 0;
+    if (run->indicated) {
+        const fmi2Status status = instance_decide(c, call);
+        if (status != fmi2OK) return status;
+        changed = 1;
+    }
     info->newDiscreteStatesNeeded = fmi2False;
     info->terminateSimulation = fmi2False;
     info->nominalsOfContinuousStatesChanged = fmi2False;
@@ -130,15 +135,34 @@ fmi2Status fmi2GetDerivatives(fmi2Component component, fmi2Real derivatives[], s
     return fmi2OK;
 }
 
+/* How far a decision is beyond its range before it is an event, pu or pu/s: after it, it is within. */
+static const double HYSTERESIS = 1e-9;
+
+/* Whoever asks for indicators once handles the events: from then on limiters switch in event mode only. */
+static fmi2Status refresh_indicators(Instance *c, const char *call)
+{
+    fmi2Status status = fmi2OK;
+
+    if (c->run->mode == MODE_INITIALIZATION && !c->run->outputs_fresh) status = instance_initialise(c, call);
+    if (status == fmi2OK && !c->run->indicated) status = instance_decide(c, call);
+    return status == fmi2OK ? instance_refresh_derivatives(c, call) : status;
+}
+
 fmi2Status fmi2GetEventIndicators(fmi2Component component, fmi2Real indicators[], size_t count)
 {
     static const char call[] = "fmi2GetEventIndicators";
     Instance *c = component;
 
-    (void)indicators;
     if (!instance_allowed(c, MODES_READ, call)) return fmi2Error;
-    if (count == 0) return fmi2OK;
-    return instance_report(c, fmi2Error, call, "%zu indicators were asked for, this FMU has none", count);
+    if (count != c->n_decisions || (indicators == NULL && count > 0))
+        return instance_report(c, fmi2Error, call, "%zu indicators were asked for, this FMU has %zu", count,
+                               c->n_decisions);
+    if (count > 0 && c->run->mode != MODE_TERMINATED && c->run->mode != MODE_ERROR) {
+        const fmi2Status status = refresh_indicators(c, call);
+        if (status != fmi2OK) return status;
+    }
+    for (size_t i = 0; i < count; ++i) indicators[i] = HYSTERESIS - c->overrun[i];
+    return fmi2OK;
 }
 
 fmi2Status fmi2GetContinuousStates(fmi2Component component, fmi2Real x[], size_t count)

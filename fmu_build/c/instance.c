@@ -184,7 +184,7 @@ fmi2Status instance_initialise(Instance *c, const char *call)
     Block *b = &c->block;
     BlockMessage message = {{0}};
     BlockStatus status;
-    BlockNeeds needs = {0, 0, 0};
+    BlockNeeds needs = {0, 0, 0, 0};
 
     memcpy(b->x, c->x_start, b->layout.n_x * sizeof(double));
     if ((status = block_needs(b->record, &b->layout, &needs, &message)) != BLOCK_OK)
@@ -197,7 +197,7 @@ fmi2Status instance_initialise(Instance *c, const char *call)
     if (status != BLOCK_OK) return instance_report_block(c, BLOCK_ERROR, call, &message);
     instance_remark(c, &message);
     c->run->last_event = c->run->time;
-    c->run->outputs_fresh = c->run->derivatives_fresh = 0;
+    c->run->outputs_fresh = c->run->derivatives_fresh = c->run->indicated = 0;
     return instance_refresh_outputs(c, call);
 }
 
@@ -219,6 +219,19 @@ fmi2Status instance_refresh_outputs(Instance *c, const char *call)
     return fmi2OK;
 }
 
+/* dx/dt with limiters noted, watched or held (block.h). */
+static BlockStatus limited_derivatives(Instance *c, LimitMode mode, double *onto, BlockMessage *message)
+{
+    Block *b = &c->block;
+    BlockLimits limits = {.mode = mode, .onto = onto, .each = c->overrun};
+
+    for (size_t i = 0; i < c->n_decisions; ++i) c->overrun[i] = -1.0;
+    b->limits = &limits;
+    const BlockStatus status = block_derivatives(b, c->run->time, b->x, b->u, b->dx, message);
+    b->limits = NULL;
+    return status;
+}
+
 fmi2Status instance_refresh_derivatives(Instance *c, const char *call)
 {
     Block *b = &c->block;
@@ -226,10 +239,26 @@ fmi2Status instance_refresh_derivatives(Instance *c, const char *call)
     BlockStatus status;
 
     if (c->run->derivatives_fresh || b->layout.n_x == 0) return fmi2OK;
-    status = block_derivatives(b, c->run->time, b->x, b->u, b->dx, &message);
+    status = c->run->indicated ? limited_derivatives(c, LIMITS_HOLD, NULL, &message)
+                               : block_derivatives(b, c->run->time, b->x, b->u, b->dx, &message);
     if (status != BLOCK_OK) return instance_report_block(c, status, call, &message);
     c->run->derivatives_fresh = 1;
     return fmi2OK;
+}
+
+fmi2Status instance_decide(Instance *c, const char *call)
+{
+    BlockMessage message = {{0}};
+    BlockStatus status = BLOCK_OK;
+    double *x = c->block.x;
+
+    /* a state that was held at a limit that moves is there before it is asked whether it still is */
+    if (c->run->indicated) status = limited_derivatives(c, LIMITS_HOLD, x, &message);
+    if (status == BLOCK_OK) status = limited_derivatives(c, LIMITS_NOTE, NULL, &message);
+    if (status == BLOCK_OK && c->run->indicated) status = limited_derivatives(c, LIMITS_HOLD, x, &message);
+    c->run->outputs_fresh = c->run->derivatives_fresh = 0;
+    if (status == BLOCK_OK) c->run->indicated = 1;
+    return instance_report_block(c, status, call, &message);
 }
 
 /* Names the first state, input or output that is not finite. */

@@ -35,6 +35,8 @@ typedef struct {
     double step_failed_at;      /* last successful time of a discarded step    */
     int32_t mode, stop_defined;
     int32_t outputs_fresh, derivatives_fresh;   /* Fresh                       */
+    int32_t indicated, unused;  /* model exchange: limiters switch in event mode only, as the
+                                 * importer has asked for event indicators       */
 } RunState;
 
 /* When a variable may be set: `flags.real`, `flags.integer` of the record. */
@@ -61,6 +63,8 @@ typedef struct {
     double *u_slope;            /* du/dt at the current time                   */
     double *u_poly;             /* [4*i+k]: k-th derivative of input i over the coming step */
     double *y_slope;            /* dy/dt, sampled blocks                       */
+    double *overrun;            /* model exchange: of each of n_decisions, with the derivatives */
+    size_t n_decisions;
 
     RunState *undo;             /* copy of the saved piece: a step to take back */
     double *work;               /* solver: SOLVER_ARRAYS n_x + n_u, directional: 2 n_x + n_u + n_y */
@@ -92,6 +96,8 @@ void instance_reset_values(Instance *c);
 fmi2Status instance_initialise(Instance *c, const char *call);
 fmi2Status instance_refresh_outputs(Instance *c, const char *call);
 fmi2Status instance_refresh_derivatives(Instance *c, const char *call);
+/* Takes the decisions of limiters as they are where the instance now is, its states onto those limits. */
+fmi2Status instance_decide(Instance *c, const char *call);
 fmi2Status instance_check_finite(Instance *c, const char *call);
 
 #endif

@@ -178,7 +178,7 @@ def _description(block: Block, guid: str, c_files: list[str]) -> str:
                 "license": "BSD-3-Clause; see documentation/licenses",
                 "generationTool": f"interarea {product_version()}",
                 "variableNamingConvention": "structured",
-                "numberOfEventIndicators": 0,
+                "numberOfEventIndicators": block.event_indicators,
             }
         )
         + ">",

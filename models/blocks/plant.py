@@ -15,6 +15,7 @@ from ..case.case import Case, CaseError
 from ..case.event_targets import check_events, target_index
 from ..case.tables import SOLVER_STEP_S
 from ..devices.document import devices_html
+from ..devices.emit import decisions
 from ..devices.header import devices_file, signature
 from ..devices.language.device import NO_LIMIT
 from ..devices.language.structure import Model
@@ -109,6 +110,9 @@ def _integration(point: OperatingPoint, step_s: float) -> str:
         f"steps up to about {2.4 * shortest:.2g} s are stable, less if a parameter makes a control faster. "
         "Accuracy is of fourth order, also where limits of exciters, stabilizers and governors are reached "
         "or left: such steps are divided there. Compare with half the step where it matters.</p>"
+        "<p>In model exchange each decision of a limiter, gate or other kink is an event indicator. Once "
+        "they are asked for, limiters switch in event mode only; an importer that never asks sees them switch "
+        "by themselves.</p>"
     )
 
 
@@ -164,6 +168,7 @@ def plant_block(
         table=VariableTable(variables),
         data=_data(case, point, parameters, event_slots, shown, network),
         sources=plant_sources(case),
+        event_indicators=sum(decisions(d.rest.instance.model) for group, _ in groups for d in group.devices),
         documentation={
             "Integration": _integration(point, step_s),
             "Events": event_numbers_html(case),

@@ -152,6 +152,7 @@ class Block:
     #: longest Runge-Kutta step inside a communication step of a block without `solver.step`; None: 1 ms
     internal_step_s: float | None = None
     model_exchange: bool = True
+    event_indicators: int = 0  #: of model exchange: decisions that the block's C counts (`n_decisions`)
     documentation: Mapping[str, str] = field(default_factory=dict)  #: heading -> HTML fragment
     provenance: Mapping[str, str] = field(default_factory=dict)  #: source, case hash, method
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import zlib
 from collections.abc import Iterable, Iterator
@@ -39,6 +40,7 @@ def devices_header(models: Iterable[Model]) -> str:
         "given": [f"{n.upper()}___GIVEN" for n in names],
         "kind": [str(list(KINDS).index(w.device.kind)) for w in written],
         "reference": [w.reference for w in written],
+        "decisions": [str(w.most) for w in written],
     }
     for what, values in numbers.items():
         out += _choice(what, "size_t device", names, values)
@@ -64,6 +66,14 @@ def devices_header(models: Iterable[Model]) -> str:
         "#endif",
     ]
     return "\n".join(out) + "\n"
+
+
+@functools.lru_cache(maxsize=256)
+def decisions(model: Model) -> int:
+    """Return how many decisions a device makes: of limits, gates, choices and pieces of tables."""
+    writer = Writer(model)
+    writer.code()
+    return writer.most
 
 
 def _choice(what: str, arguments: str, names: list[str], values: list[str]) -> list[str]:

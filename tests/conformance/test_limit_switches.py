@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from ctypes import c_double
 from pathlib import Path
+from typing import Any
 
+import fmpy
 import numpy as np
 import pytest
 from fmu_runner import Runner
@@ -80,3 +84,83 @@ def test_switches_give_the_same_bits_side_by_side(tmp_path: Path, cache: Path) -
         if lanes <= plant.group.lanes:
             beside = plant.run(rows, stop_s=1.0, lanes=lanes)
             np.testing.assert_array_equal(beside.outputs, alone.outputs)
+
+
+def against_co_simulation(
+    fmu: Path, row: dict[str, float | int], tolerance: float
+) -> tuple[float, Counter[str]]:
+    """Largest difference of the speeds between model exchange by CVode and steps of 0.5 ms; calls made."""
+    names = [f"G{k}_dw" for k in range(1, 5)]
+    asked: dict[str, Any] = {"stop_time": 3.0, "output_interval": 0.01, "output": names}
+    steps = fmpy.simulate_fmu(
+        str(fmu), fmi_type="CoSimulation", start_values=row | {"solver.step": 0.0005}, **asked
+    )
+    calls: Counter[str] = Counter()
+    solved = fmpy.simulate_fmu(
+        str(fmu),
+        fmi_type="ModelExchange",
+        start_values=row,
+        relative_tolerance=tolerance,
+        fmi_call_logger=lambda line: calls.update([line.partition("(")[0]]),
+        **asked,
+    )
+    last = np.searchsorted(solved["time"], steps["time"] + 1e-9, side="right") - 1  # after its events
+    assert np.abs(solved["time"][last] - steps["time"]).max() < 1e-9
+    return max(np.abs(solved[n][last] - steps[n]).max() for n in names), calls
+
+
+@pytest.mark.parametrize(("exciter", "within"), [("static", 5e-9), ("dc1", 2e-8), ("st1a", 1e-6)])
+def test_an_importer_of_model_exchange_locates_the_switches(
+    exciter: str, within: float, tmp_path: Path, cache: Path
+) -> None:
+    """CVode at 1e-8. ST1A's limits move with the voltage: a held state goes onto them at events only."""
+    case, row = limited_case(exciter, tmp_path)
+    error, calls = against_co_simulation(plant_fmu(case, cache), row, 1e-8)
+    assert error <= within
+    assert calls["fmi2EnterEventMode"] >= 20
+    assert calls["fmi2GetDerivatives"] <= 5000
+
+
+def test_limiters_of_model_exchange_switch_in_event_mode_once_indicators_are_asked_for(
+    tmp_path: Path, cache: Path
+) -> None:
+    """Beyond its limit an exciter is free until then; what was decided travels with the state."""
+    case, row = limited_case("static", tmp_path)
+    fmu = plant_fmu(case, cache)
+    with Runner(fmu, "me") as run, Runner(fmu, "me") as other, Runner(fmu, "me") as alone:
+        n, most = len(run.description.derivatives), run.description.numberOfEventIndicators
+        names = [d.variable.derivative.name for d in run.description.derivatives]
+        efd, dt = names.index("G1.exciter.efd"), LIMITED_EXCITERS["static"]["TA"]
+        x, rates, indicators = (c_double * n)(), (c_double * n)(), (c_double * most)()
+
+        def seen(by: Runner) -> tuple[np.ndarray, np.ndarray]:
+            by.fmu.getDerivatives(rates, n)
+            if by is not alone:
+                by.fmu.getEventIndicators(indicators, most)
+            return np.array(rates), np.array(indicators)
+
+        for each in (run, other, alone):
+            each.start(row)
+            each.fmu.newDiscreteStates()
+            each.fmu.enterContinuousTimeMode()
+        assert (seen(run)[1] > 0.0).all()
+        run.fmu.getContinuousStates(x, n)
+        x[efd] = LIMITED_EXCITERS["static"]["Efd_max"] + 0.5
+        x[names.index("G1.exciter.v")] -= 0.05  # its input is beyond the limit as well
+        for each in (run, alone):
+            each.fmu.setContinuousStates(x, n)
+        free, found = seen(run)
+        assert free[efd] > 10.0  # on towards its input
+        assert found.min() == pytest.approx(-0.5, abs=1e-6)
+        assert seen(alone)[0][efd] == pytest.approx(-0.5 / dt, rel=1e-9)  # back to its limit
+        saved = run.fmu.getFMUstate()
+        other.fmu.setFMUstate(other.fmu.deSerializeFMUstate(run.fmu.serializeFMUstate(saved)))
+        for one, two in zip(seen(other), (free, found), strict=True):
+            np.testing.assert_array_equal(one, two)
+        for each in (run, other):
+            each.fmu.enterEventMode()
+            assert each.fmu.newDiscreteStates()[3]  # valuesOfContinuousStatesChanged
+            each.fmu.enterContinuousTimeMode()
+            after, found = seen(each)
+            assert (found > 0.0).all()
+            assert after[efd] == pytest.approx(-0.5 / dt, rel=1e-9)

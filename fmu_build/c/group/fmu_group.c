@@ -58,7 +58,7 @@ size_t interarea_group_size(fmi2Component like, size_t lanes)
 {
     const Instance *c = like;
     const BlockLayout *l;
-    BlockNeeds needs = {0, 0, 0};
+    BlockNeeds needs = {0, 0, 0, 0};
     size_t guid;
 
     if (c == NULL || (lanes != 2 && lanes != 4 && lanes != 8) || c->type != fmi2CoSimulation) return 0;
@@ -79,7 +79,7 @@ void interarea_group_open(void *work, fmi2Component like, size_t lanes)
     Group *g = work;
     const BlockLayout *l = &g->layout;
     double *at = (double *)work + head_size();
-    BlockNeeds needs = {0, 0, 0};
+    BlockNeeds needs = {0, 0, 0, 0};
     size_t size;
     const char *guid = record_text(&c->record, "guid", &size);
 

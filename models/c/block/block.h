@@ -48,6 +48,8 @@ typedef struct {
     int switched;
     double worst;   /* LIMITS_HOLD: set to by how much a limiter is beyond its range at least, if it is more */
     double *onto;   /* LIMITS_HOLD: states, of which those at a limit are put onto it, or null */
+    double *each;   /* LIMITS_HOLD: by how much each of the block's n_decisions is beyond its range, or null;
+                     * those that a device does not make are left as they are */
 } BlockLimits;
 
 typedef struct {
@@ -69,10 +71,11 @@ typedef struct {
     size_t lanes;           /* of this machine, from block_start; 0: one number in each operation */
 } Block;
 
-/* What the runner must provide besides the variables (n_notes is 0 unless the block sets it); read from the record,
+/* What the runner must provide besides the variables (n_notes and n_decisions are 0 unless the block sets
+ * them); read from the record,
  * checked once at instantiation (sizes that disagree with the layout, unknown
  * format: BLOCK_ERROR). */
-typedef struct { size_t n_memory, n_scratch, n_notes; } BlockNeeds;
+typedef struct { size_t n_memory, n_scratch, n_notes, n_decisions; } BlockNeeds;
 BlockStatus block_needs(const Record *record, const BlockLayout *layout,
                         BlockNeeds *needs, BlockMessage *message);
 

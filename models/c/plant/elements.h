@@ -45,7 +45,7 @@ typedef uint64_t Decisions;
 typedef struct {
     Decisions bits;
 #ifdef PLANT_HELD
-    double worst;
+    double worst, *each;
 #endif
 } Limiters;
 
@@ -57,6 +57,7 @@ static inline flag limiter(Limiters *l, unsigned i, flag natural, num enter, num
     const double overrun = limiter_is(l, i) ? leave : enter;
     (void)natural;
     if (overrun > l->worst) l->worst = overrun;
+    if (l->each != NULL) l->each[i] = overrun;
     return limiter_is(l, i);
 }
 #else
@@ -76,7 +77,8 @@ static inline flag limiter(Limiters *l, unsigned i, flag natural, num enter, num
 static inline Limiters limiters_begin(const DeviceGroup *g, size_t k)
 {
 #ifdef PLANT_HELD
-    const Limiters l = { real_bits(g->notes.words[k]), -1e300 };
+    double *each = g->notes.each != NULL ? g->notes.each + k * g->notes.most : NULL;
+    const Limiters l = { real_bits(g->notes.words[k]), -1e300, each };
 #else
     const Limiters l = { (Decisions){ 0 } };
     (void)g, (void)k;

@@ -169,13 +169,29 @@ static void hold_tripped(const real *memory, const Plan *plan, num *dx)
     }
 }
 
+#ifdef PLANT_HELD
+/* Where the overruns of group k begin: every device has as many as its kind decides at most. */
+static Notes notes_each(Notes notes, const double *memory, const Plan *plan, size_t k)
+{
+    const double *row = memory + plan->group;
+    if (notes.each == NULL) return notes;
+    for (size_t before = 0; before < k; ++before, row += G_ROWS)
+        notes.each += index_at(row, G_COUNT) * device_decisions(index_at(row, G_DEVICE));
+    notes.most = device_decisions(index_at(row, G_DEVICE));
+    return notes;
+}
+#else
+#define notes_each(notes, memory, plan, k) (notes)
+#endif
+
 static void run_groups(const real *memory, const Plan *plan, const Work *w, size_t first, size_t last,
                        const DeviceSignals *signals, const num *x, num *dx)
 {
     for (size_t k = first; k < last; ++k) {
         const real *row = memory + plan->group + G_ROWS * k;
         const size_t state = index_at(row, G_STATE), machine = index_at(row, G_MACHINE);
-        const Notes notes = notes_of(&w->notes, machine - plan->device_machine, state);
+        const Notes of = notes_of(&w->notes, machine - plan->device_machine, state);
+        const Notes notes = notes_each(of, memory, plan, k);
         const DeviceGroup group = { memory + index_at(row, G_TABLE), memory + machine, index_at(row, G_COUNT),
                                     (uint64_t)index_at(row, G_HAS), notes };
         TILED_DEVICES(device_run, w->lanes, group.n, index_at(row, G_DEVICE), &group, signals, x + state, dx + state);

@@ -32,7 +32,7 @@ static void stage_inputs(const BlockGroup *g, size_t at)
 static BlockStatus lane_flow(void *context, RungeKuttaStage stage, num h, const num *x, num *k)
 {
     const BlockGroup *g = context;
-    const Notes notes = { lanes_of(g->notes), stage == RK_BEGIN ? NULL : lanes_of(g->switched), NULL, NULL };
+    const Notes notes = { lanes_of(g->notes), stage == RK_BEGIN ? NULL : lanes_of(g->switched), NULL, NULL, NULL, 0 };
 
     (void)h;
     if (stage != RK_MIDDLE_AGAIN) stage_inputs(g, stage == RK_BEGIN ? 0 : stage == RK_END ? 2 : 1);

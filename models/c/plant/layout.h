@@ -94,7 +94,7 @@ enum { SLOT_KIND, SLOT_TARGET, SLOT_INTEGERS };
 
 typedef struct {
     size_t n_machine, n_sixth, n_bus, n_branch, n_load;
-    size_t n_group, n_device, n_table, n_input, n_tie, n_slot, n_port, n_state;
+    size_t n_group, n_device, n_decision, n_table, n_input, n_tie, n_slot, n_port, n_state;
     size_t n_line;        /* branches whose power is shown, after the ties         */
     size_t n_y, n_w;      /* outputs, locals                                       */
     size_t n_node, n_fill, first;  /* sparse network: rows, entries of L and of U, first row a current enters;

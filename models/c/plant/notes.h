@@ -8,8 +8,10 @@ typedef struct {
     cell *switched;   /* null: words are noted; else 1 where one is another than it was      */
     double *worst;    /* held: by how much the decision that fits least is overrun           */
     double *onto;     /* held: states, of which those at a limit are put onto it             */
+    double *each;     /* held: by how much each decision is overrun, `most` of every device, or null */
+    size_t most;
 } Notes;
-#define NO_NOTES ((Notes){ NULL, NULL, NULL, NULL })
+#define NO_NOTES ((Notes){ NULL, NULL, NULL, NULL, NULL, 0 })
 
 /* Those of the devices from `device` on, whose states begin at `state`. */
 static inline Notes notes_of(const Notes *all, size_t device, size_t state)

@@ -43,6 +43,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
     needs->n_memory = plan.total;
     needs->n_scratch = scratch_of(&plan, layout);
     needs->n_notes = plan.n_device;
+    needs->n_decisions = plan.n_decision;
     return BLOCK_OK;
 }
 
@@ -109,6 +110,7 @@ BlockStatus block_derivatives(Block *b, double t, const double *x, const double 
         notes.switched = limits->mode == LIMITS_WATCH ? &switched : NULL;
         notes.worst = &limits->worst;
         notes.onto = limits->onto;
+        notes.each = limits->each;
     }
     if (limits != NULL && limits->mode == LIMITS_HOLD)
         stuck = plant_flow_held(b->memory, places_of(b), b->lanes, x, u, dx, b->scratch, notes);
