@@ -111,8 +111,8 @@ def _integration(point: OperatingPoint, step_s: float) -> str:
         "Accuracy is of fourth order, also where limits of exciters, stabilizers and governors are reached "
         "or left: such steps are divided there. Compare with half the step where it matters.</p>"
         "<p>In model exchange each decision of a limiter, gate or other kink is an event indicator. Once "
-        "they are asked for, limiters switch in event mode only; an importer that never asks sees them switch "
-        "by themselves.</p>"
+        "they are asked for, limiters switch in event mode only; where they never are, limiters switch by "
+        "themselves.</p>"
     )
 
 

@@ -170,7 +170,8 @@ int note(size_t device, size_t n, uint64_t has, size_t lanes, double *table, con
          const DeviceSignals *in, const double *x, double *dx, double *words, int watch)
 {
     double switched = 0.0;
-    const DeviceGroup group = { table, machine, n, has, { words, watch ? &switched : NULL, NULL, NULL } };
+    const Notes notes = { words, watch ? &switched : NULL, NULL, NULL, NULL, 0 };
+    const DeviceGroup group = { table, machine, n, has, notes };
     TILED(device_run, lanes, n, device, &group, in, x, dx);
     return switched > 0.0;
 }
@@ -189,7 +190,7 @@ double hold(size_t device, size_t n, uint64_t has, double *table, const double *
             const DeviceSignals *in, const double *x, double *dx, double *words, double *onto)
 {
     double worst = -INFINITY;
-    const DeviceGroup group = { table, machine, n, has, { words, NULL, &worst, onto } };
+    const DeviceGroup group = { table, machine, n, has, { words, NULL, &worst, onto, NULL, 0 } };
     device_run(device, &group, in, x, dx);
     return worst;
 }
