@@ -35,7 +35,7 @@ class Modal:
         """Return (s - A_k)^-1 in the same coordinates."""
         with np.errstate(divide="ignore"):
             scale = 1.0 / (s - self.values)
-        inner = np.linalg.inv(s * np.eye(self._A.shape[1]) - self._A)
+        inner = np.asarray(np.linalg.inv(s * np.eye(self._A.shape[1]) - self._A), dtype=complex)
         return DevicesAt(scale, self._plain, inner)
 
 

@@ -176,7 +176,9 @@ def _recent(revision: int | None, n: int, named: str) -> int:
         return _with_substations(revision, named)
     if revision is not None and revision >= 34:
         return revision if revision <= 36 and n >= 10 and "BEGIN" not in named else 33
-    return revision if revision in range(least, 34) else 33 if n >= 12 else 32
+    if revision is not None and least <= revision < 34:
+        return revision
+    return 33 if n >= 12 else 32
 
 
 def _with_substations(revision: int | None, named: str) -> int:
