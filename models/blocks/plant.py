@@ -88,8 +88,8 @@ def default_step_s(point: OperatingPoint) -> float:
 
     The fastest pole of a grid lies near the inverse of the shortest time constant, and the classical
     Runge-Kutta method is stable up to 2.78 of those. What bounds the step before that, where no time
-    constant is short, is the accuracy when limits are reached: about 1e-7 pu of dw through a fault at
-    1 ms (2e-6 at worst), 1e-5 to 3e-4 at 10 ms, though 1e-8 as long as no limit is reached.
+    constant is short, is the accuracy when limits are reached: 2e-8 pu of dw at 1 ms and 1e-6 at 5 ms in
+    the worst of three faults of the 68-bus grid without stabilizers, 95 switches in 3 s.
     """
     return max(min(0.001, shortest_time_s(point)), SOLVER_STEP_S[0])
 
