@@ -18,6 +18,7 @@ typedef struct {
     double *k;               /* of limited_step */
     double t;                /* where the step under way begins */
     long evaluations, switches;
+    double spent;            /* of limited_step */
 } Plain;
 
 static double *zeros(size_t n) { return calloc(n + 1, sizeof(double)); }
@@ -110,7 +111,8 @@ double plain_events(void *plant, double begin, double stop, double h, long count
         for (long k = 0; k < count; ++k) {
             c->t = from + (to - from) * ((double)k / (double)count);
             const double step = (to - from) / (double)count;
-            if (limited_step(counted, c, b->layout.n_x, c->t, step, b->x, c->k, &c->message) != BLOCK_OK) return -1.0;
+            const LimitedRun run = {0.0, &c->spent};
+            if (limited_step(counted, c, b->layout.n_x, c->t, step, b->x, c->k, &run, &c->message) != BLOCK_OK) return -1.0;
         }
         if (event <= stop && block_event(b, event, b->x, &c->message) != BLOCK_OK) return -1.0;
         from = to;

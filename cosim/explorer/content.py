@@ -12,7 +12,6 @@ from interarea.models.blocks.plant import event_parameters, shortest_time_s
 from interarea.models.blocks.plant_variables import EVENT_CODES
 from interarea.models.case.case import Case
 from interarea.models.case.events import event_of
-from interarea.models.devices.language.device import NO_LIMIT
 from interarea.models.errors import CaseError
 from interarea.models.grid.network import load_power
 
@@ -25,9 +24,8 @@ from .models import SLOTS, step_s
 from .subject import Subject
 
 VERSION = 1  #: of the address that a page understands
-#: Longest Runge-Kutta step while a slider moves: over the fastest pole (stable up to 2.78); where limits of
-#: the field act the error comes first, in shortest time constants of the grid; s.
-_COARSE, _COARSE_AT_LIMITS, _COARSEST_S = 2.55, 1.25, 0.005
+#: Longest Runge-Kutta step while a slider moves: over the fastest pole (stable up to 2.78); s.
+_COARSE, _COARSEST_S = 2.55, 0.005
 PULSES = {"vref_pulse", "pm_pulse"}
 #: what an address may set beside the start value, in the units of the labels; of a channel by the key's end
 RANGES: dict[str, tuple[float, float]] = {
@@ -89,18 +87,11 @@ def content_of(subject: Subject) -> dict[str, Any]:
 
 
 def _solver(subject: Subject) -> dict[str, float]:
-    """Steps, s: of an exact run, of one while a slider moves, of the latter where the field has limits."""
-    shortest = shortest_time_s(subject.point)
-    exact = subject.case.solver_step_s or max(min(0.001, shortest), 1e-6)
+    """Steps, s: of an exact run, of one while a slider moves."""
+    exact = subject.case.solver_step_s or max(min(0.001, shortest_time_s(subject.point)), 1e-6)
     poles = np.linalg.eigvals(subject.linear(subject.points[0]).A)
-    limits = max(exact, min(_COARSE_AT_LIMITS * shortest, _COARSEST_S))
     fast = max(exact, min(_COARSE / float(np.max(np.abs(poles), initial=1e-3)), _COARSEST_S))
-    return {"exact": exact, "fast": limits if _field_is_limited(subject) else fast, "limits": limits}
-
-
-def _field_is_limited(subject: Subject) -> bool:
-    exciters = [d for d in subject.point.controls.devices if d.word == "exciter"]
-    return any(min(m.high, -m.low) < NO_LIMIT for d in exciters for m in d.rest.margins)
+    return {"exact": exact, "fast": fast}
 
 
 def _buses(case: Case) -> list[dict[str, Any]]:

@@ -33,6 +33,7 @@ typedef struct {
     double time, start_time, stop_time;
     double last_event;          /* events up to this time have been handled    */
     double step_failed_at;      /* last successful time of a discarded step    */
+    double switches_cost;       /* evaluations for finding where limiters switch */
     int32_t mode, stop_defined;
     int32_t outputs_fresh, derivatives_fresh;   /* Fresh                       */
     int32_t indicated, unused;  /* model exchange: limiters switch in event mode only, as the

@@ -37,8 +37,9 @@ BlockStatus solver_step(Instance *c, const Stretch *s, double *x, BlockMessage *
 {
     const size_t n = c->block.layout.n_x;
     Flow f = {c, s->begin, stretch_elapsed(s), c->work + SOLVER_ARRAYS * n, message};
+    const LimitedRun run = {c->run->start_time, &c->run->switches_cost};
 
-    return limited_step(flow, &f, n, f.begin + f.elapsed, stretch_h(s), x, c->work, message);
+    return limited_step(flow, &f, n, f.begin + f.elapsed, stretch_h(s), x, c->work, &run, message);
 }
 
 static BlockStatus integrate(Instance *c, Stretch *s, BlockMessage *message)

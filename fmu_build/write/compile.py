@@ -66,7 +66,7 @@ WEB_PAGE = Platform(
     "",
     ("wasm32-wasi",),
     ".wasm",
-    ("-Oz", "-msimd128"),
+    ("-Oz", "-msimd128", "-flto"),
     ("-s", "-Wl,-z,stack-size=262144", "-Wl,--no-entry"),
     "-nostdlib",
 )

@@ -14,6 +14,9 @@ from fmu_runner import Runner
 from plant_lanes import LIMITED_EXCITERS, PlantLanes, limited_case
 
 from interarea.cosim.run.artefacts import plant_fmu
+from interarea.models.blocks.plant import event_parameters
+from interarea.models.case.case import load_case
+from interarea.models.case.events import events_of
 
 STEPS_S = (0.005, 0.0025, 0.00125, 0.000625)
 
@@ -164,3 +167,27 @@ def test_limiters_of_model_exchange_switch_in_event_mode_once_indicators_are_ask
             after, found = seen(each)
             assert (found > 0.0).all()
             assert after[efd] == pytest.approx(-0.5 / dt, rel=1e-9)
+
+
+def test_a_grid_out_of_step_is_told_once_that_not_every_switch_is_found(cache: Path) -> None:
+    """Its limiters switch hundreds of times a second: that must not cost ten times as many evaluations."""
+    case = load_case("nets-nyps")
+
+    def row(cleared_s: float) -> dict[str, float | int]:
+        fault = {"kind": "bus_fault", "bus": 2, "start_s": 0.1, "end_s": cleared_s, "x_pu": 1e-4}
+        trip = {"kind": "branch_trip", "branch": "2-3", "start_s": cleared_s}
+        return event_parameters(case, events_of([fault, trip], where="test")) | {"solver.step": 0.005}
+
+    rows = [row(0.15), row(0.5)]
+    plant = PlantLanes(case, cache)
+    alone, beside = (plant.run(rows, stop_s=5.0, lanes=lanes) for lanes in (1, 2))
+    angles = alone.of("G1_delta") - alone.of("G16_delta")
+    assert np.abs(angles[:, 0]).max() < np.pi < np.abs(angles[:, 1]).max()
+    np.testing.assert_array_equal(beside.outputs, alone.outputs)
+    for parameters, told in zip(rows, (0, 1), strict=True):
+        with Runner(plant_fmu(case, cache)) as run:
+            run.start(parameters)
+            for k in range(500):
+                run.step(0.01 * k, 0.01)
+            assert len(run.log) == told, run.log
+            assert all("has taken 2000 evaluations" in line for line in run.log)

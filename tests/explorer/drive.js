@@ -20,14 +20,14 @@ for (let k = 0; k < bytes.readUInt32LE(0); ++k) {
   at += length;
 }
 vm.runInContext(new TextDecoder().decode(pieces[1]), scope);
-vm.runInContext('this.api = { Container, Eigenvalues, simulate, settingsOf, coarseStep, tomlOf, toLink, fromLink, keysOf, judge, value };', scope);
+vm.runInContext('this.api = { Container, Eigenvalues, simulate, settingsOf, tomlOf, toLink, fromLink, keysOf, judge, value };', scope);
 
 (async () => {
   const { api } = scope, data = JSON.parse(new TextDecoder().decode(pieces[0]));
   const module = new WebAssembly.Module(pieces[2]), container = new api.Container(module, data, pieces.slice(3));
   const eigenvalues = new api.Eigenvalues(data), keys = api.keysOf(data), always = async () => true;
   const run = (state, job) => api.simulate(container, { settings: api.settingsOf(data, state), every: job.every || 1,
-    all: job.all !== false, coarse: false, solver: job.coarse ? api.coarseStep(data, state) : 0 }, always);
+    all: job.all !== false, coarse: false, solver: job.coarse ? data.solver.fast : 0 }, always);
   for (const job of JSON.parse(fs.readFileSync(process.argv[3], 'utf8'))) {
     let answer;
     try {

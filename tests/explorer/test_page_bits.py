@@ -127,7 +127,7 @@ def test_rows_twice_as_far_apart_are_the_same_rows(node: Any, data: dict[str, An
 
 def test_drawn_step_shows_what_the_exact_one_shows(node: Any, data: dict[str, Any]) -> None:
     """While a slider moves the solver's step is longer: the verdict is the same, the error below .01 mHz and,
-    where the field is at its limits, below a thousandth of the swing: a tenth of a pixel."""
+    where the field is at its limits and the grid about to lose synchronism, a fifth of a pixel."""
     states = [preset["state"] for preset in data["presets"]]
     exact = node([{"judge": state} for state in states])
     coarse = node([{"judge": state, "coarse": True} for state in states])
@@ -136,7 +136,7 @@ def test_drawn_step_shows_what_the_exact_one_shows(node: Any, data: dict[str, An
     for fine, drawn in zip(exact, coarse, strict=True):
         until = slice(None) if fine["kind"] != "step" else slice(0, int(100 * fine["t"]))
         error = np.max(np.abs(np.subtract(fine["swing"][until], drawn["swing"][until])))
-        assert error < (1e-3 * np.max(np.abs(fine["swing"][until])) if fine["kind"] == "step" else 0.01)
+        assert error < (2e-3 * np.max(np.abs(fine["swing"][until])) if fine["kind"] == "step" else 0.01)
 
 
 def test_a_longer_step_of_the_plant_lengthens_the_controllers(node: Any, data: dict[str, Any]) -> None:

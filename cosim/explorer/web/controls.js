@@ -68,6 +68,8 @@ class Choice {
   }
 
   set(x) {
+    if (x === this.now) return;
+    this.now = x;
     for (const input of this.inputs) input.checked = input.value === String(x);
   }
 }
@@ -87,6 +89,8 @@ class List {
   }
 
   set(x) {
+    if (x === this.now) return;
+    this.now = x;
     this.select.value = String(x);
   }
 }

@@ -93,10 +93,16 @@ class Diagram {
 
   /* Which signals come how late, what is opened: from the state. */
   show(state) {
-    const { data } = this, made = controllerOf(data, state), tables = eventTables(data, state);
-    const seen = JSON.stringify([made && made.key, tables, channelsOf(data, state).map((c) => channelTable(data, state, c))]);
-    if (seen === this.seen) return;
+    const { data } = this, made = controllerOf(data, state), tables = eventTables(data, state), channels = channelsOf(data, state);
+    const signals = channels.map((c) => channelTable(data, state, c)), gone = signals.map((t) => (t.outages_s || []).length > 0);
+    const late = signals.map((t, k) => (gone[k] ? 'lost' : t.latency_s > 0 ? minus(Math.round(1e4 * t.latency_s) / 10) + ' ms late' : ''));
+    const seen = JSON.stringify([made && made.key, tables, channels.map((c, k) => [c.name, gone[k]])]);
+    if (seen === this.seen) {
+      this.late.forEach((text, k) => { text.textContent = late[k]; });
+      return;
+    }
     this.seen = seen;
+    this.late = [];
     this.ways.replaceChildren();
     data.branches.forEach((b, k) => {
       const opened = !b.closed || tables.some((e) => e.kind === 'branch_trip' && e.branch === b.name);
@@ -112,16 +118,14 @@ class Diagram {
     const mid = ends.reduce((sum, p) => sum + p[0], 0) / (ends.length || 1), y = this.low;
     const label = made.key.replace(/^.*\//, '').replace(/\.json$/, '').replace(/_/g, ' ');
     const half = Math.max(26, 4 + 3.6 * label.length);
-    channelsOf(data, state).forEach((channel, k) => {
+    channels.forEach((channel, k) => {
       const from = at(channel.signal);
       if (!from) return;
-      const table = channelTable(data, state, channel), late = Math.round(1e4 * (table.latency_s || 0)) / 10;
-      const gone = (table.outages_s || []).length > 0, left = from[0] <= mid;
+      const left = from[0] <= mid;
       const line = y + (k % 3 - 1) * 6, x = from[0] + (made.outputs.some((u) => at(u) === from) ? 7 : 0);
       const role = this.role(channel);
-      draw(this.ways, 'path', { d: `M${x} ${from[1] + this.radius}V${line}H${mid + (left ? -half : half)}`, class: `way ${gone ? 'lostway' : role}` });
-      const text = gone ? 'lost' : late > 0 ? minus(late) + ' ms late' : '';
-      if (text) draw(this.ways, 'text', { x: (from[0] + mid + (left ? -half : half)) / 2, y: line - 5, class: `waytext ${gone ? 'lostway' : role}` }, text);
+      draw(this.ways, 'path', { d: `M${x} ${from[1] + this.radius}V${line}H${mid + (left ? -half : half)}`, class: `way ${gone[k] ? 'lostway' : role}` });
+      this.late[k] = draw(this.ways, 'text', { x: (from[0] + mid + (left ? -half : half)) / 2, y: line - 5, class: `waytext ${gone[k] ? 'lostway' : role}` }, late[k]);
     });
     for (const u of made.outputs) {
       const to = at(u);

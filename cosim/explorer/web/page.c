@@ -29,9 +29,8 @@ static void keep_first(fmi2ComponentEnvironment environment, fmi2String instance
     size_t n = 0;
 
     (void)instance;
-    (void)status;
     (void)category;
-    if (s->message[0] != 0) return;
+    if (status < fmi2Discard || s->message[0] != 0) return;   /* remarks do not end a run */
     for (; *message != 0 && n + 1 < FIRST_MESSAGE_SIZE; ++message) {
         if (message[0] == '%' && message[1] == '%') ++message;   /* it comes as a printf format */
         s->message[n++] = *message;

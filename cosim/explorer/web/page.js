@@ -93,6 +93,7 @@ class Explorer {
     new ResizeObserver(() => this.drawAll()).observe(document.querySelector('main'));
     new IntersectionObserver(([entry]) => {
       $('verdict').classList.toggle('away', !entry.isIntersecting && entry.boundingClientRect.top < 0);
+      this.glanceWidth = $('glance').clientWidth;
       this.glance();
     }).observe(this.plots.swing.element);
     this.theme(matchMedia('(prefers-color-scheme: dark)').matches);
@@ -165,6 +166,7 @@ class Explorer {
   measure() {
     for (const plot of Object.values(this.plots)) plot.measure();
     this.plane.measure();
+    this.glanceWidth = $('glance').clientWidth;   /* 0: not shown */
     const host = $('plots').querySelector('.host');
     this.cursor = [host.offsetLeft, host.offsetHeight - 24];
     $('cursor').style.height = this.cursor[1] + 'px';
@@ -344,6 +346,8 @@ class Explorer {
       limited > 0.05 ? `control at its limit ${digits(limited, 1)} s` : '',
       judged.kind === 'collapse' ? result.why.replace(/^fmi2\w+: /, '') : '',
     ].filter(Boolean).join(' · ');
+    $('cost').textContent = `${result.exact ? 'exact' : 'coarse'}: solver step ${Number((1000 * (result.exact ? data.solver.exact : data.solver.fast)).toFixed(2))} ms · ${data.stop} s in ${Math.round(result.ms)} ms`;
+    if (!result.exact) return;   /* screen readers are told what stays */
     const peak = Math.max(...judged.swing.map(Math.abs));
     this.plots.swing.say(`${data.swing.label} over ${data.stop} s: largest ${digits(peak, 1)} mHz. ${bold} ${rest}`);
     if (this.plots.tie) this.plots.tie.say(`Tie power over ${data.stop} s: ${digits(Math.min(...this.curves.tie), 0)} to ${digits(Math.max(...this.curves.tie), 0)} MW.`);
@@ -351,7 +355,6 @@ class Explorer {
       this.plots.control.say(`Control signal: largest ${digits(Math.max(...this.curves.control.map(Math.abs)), 3)} pu, limit ${value(data, state, 'l')} pu.`);
       this.plots.age.say(`Age of the signals: ${entries.map((e) => `${e.signal} ${digits(e.total, 0)} ms mean, ${e.dropped} of ${e.sent} packets lost`).join('; ')}.`);
     }
-    $('cost').textContent = `${result.exact ? 'exact' : 'coarse'}: solver step ${Number((1000 * (result.exact ? data.solver.exact : coarseStep(data, state))).toFixed(2))} ms · ${data.stop} s in ${Math.round(result.ms)} ms`;
   }
 
   drawLedger() {
@@ -480,9 +483,9 @@ class Explorer {
 
   /* The small curve beside the verdict while the first plot is out of sight. */
   glance() {
-    const canvas = $('glance');
-    if (!this.curves || !canvas.offsetParent) return;
-    const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, swing = this.curves.swing, c = canvas.getContext('2d');
+    const canvas = $('glance'), width = this.glanceWidth;
+    if (!this.curves || !width) return;
+    const ratio = window.devicePixelRatio || 1, swing = this.curves.swing, c = canvas.getContext('2d');
     canvas.width = width * ratio;
     canvas.height = 64 * ratio;
     c.scale(ratio, ratio);

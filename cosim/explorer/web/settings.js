@@ -169,11 +169,6 @@ function settingsOf(data, state) {
   return { controller: made ? made.key : 'none', point: value(data, state, 'op'), parameters };
 }
 
-/* The longest Runge-Kutta step while something moves: limits of the field make long steps wrong first. */
-function coarseStep(data, state) {
-  return value(data, state, 'cl') ? data.solver.limits : data.solver.fast;
-}
-
 const WHOLE = new Set(['bus', 'seed']);
 
 function tomlValue(key, x) {

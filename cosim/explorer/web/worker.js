@@ -156,7 +156,7 @@ function turn() {
 }
 
 function serve(scope) {
-  let container = null, waiting = null, busy = false, eigenvalues = null;
+  let container = null, waiting = null, busy = false, eigenvalues = null, begun = false;
 
   const answer = async (request) => {
     const { data } = container;
@@ -164,13 +164,12 @@ function serve(scope) {
       await turn();
       return waiting === null || request.coarse || request.keep;
     };
+    const first = !begun, roots = () => request.roots && scope.postMessage({ eigenvalues: request.run, ...eigenvalues.of(request.state) });
+    begun = true;
     try {
-      if (request.roots) {
-        const roots = eigenvalues.of(request.state);
-        scope.postMessage({ eigenvalues: request.run, ...roots });
-      }
+      if (!first) roots();   /* at once; the first ones are looked for from afar: curves before them */
       const exact = { settings: settingsOf(data, request.state), every: request.every, all: request.all, coarse: request.coarse,
-        solver: request.coarse ? coarseStep(data, request.state) : 0 };
+        solver: request.coarse ? data.solver.fast : 0 };
       const result = await simulate(container, exact, goOn);
       if (!result) return scope.postMessage({ dropped: request.run });
       const sent = { result: request.run, ...result, exact: !request.coarse };
@@ -184,6 +183,7 @@ function serve(scope) {
         }
       }
       scope.postMessage(sent, transfer);
+      if (first) roots();
       if (request.track) {
         const track = await eigenvalues.track(request.state, goOn);
         if (track) scope.postMessage({ track: request.run, ...track });

@@ -194,6 +194,7 @@ static void step_alone(Group *g, Lane *lane, size_t k)
     lane->failed = solver_step(c, &lane->way, x, &message) != BLOCK_OK;
     put(g->group.x, x, g->layout.n_x, g->lanes, k);
     if (lane->failed) lane->way.count = lane->way.done = 0;
+    else instance_remark(c, &message);
 }
 
 /* Substeps of all lanes until none has any left; a lane without rests (h = 0). */

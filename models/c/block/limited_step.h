@@ -9,7 +9,10 @@
  * on the cubic through values and slopes at both ends, then by short steps that end there.
  *
  * A step too long for its fastest motion grows until a limiter switches in it; its parts are shorter and keep
- * the growth bounded, so nothing would ever tell. So a step done again tells where it is that long.   */
+ * the growth bounded, so nothing would ever tell. So a step done again tells where it is that long.
+ *
+ * What a run may spend on this is bounded (LimitedRun): beyond it a step in which limiters switch is an
+ * ordinary one, whose error falls with h alone.                                                       */
 #include <stdio.h>
 #include <string.h>
 
@@ -17,6 +20,11 @@
 
 /* Arrays of n that a step needs. */
 enum { LIMITED_STEP_ARRAYS = 9 };
+
+/* Evaluations that a run has for finding switches, enough for some 80, beside one for two of its steps. A grid
+ * out of step has hundreds a second, none of which matters: it must not take ten times as long for them. */
+static const double LIMITED_FIRST = 2000.0;
+typedef struct { double begin, *spent; } LimitedRun;   /* since when it goes on; how many it has used */
 
 /* dx/dt at x, `into` seconds after the begin of the step, limiters as `limits` says. */
 typedef BlockStatus LimitedFlow(void *context, double into, BlockLimits *limits, const double *x, double *k);
@@ -29,8 +37,15 @@ typedef struct {
     double *work, *x;         /* 5 n of runge_kutta.h; where the part of the step begins */
     double *end, *slope, *at; /* where it ends: states, their slopes; another point      */
     BlockLimits limits;
+    long count;               /* of evaluations after the first try with limiters held */
     BlockMessage *message;
 } LimitedStep;
+
+static inline BlockStatus limited_flow(LimitedStep *s, double into, const double *x, double *k)
+{
+    ++s->count;
+    return s->flow(s->context, s->done + into, &s->limits, x, k);
+}
 
 static inline BlockStatus limited_stage(void *context, RungeKuttaStage stage, double h, const double *x, double *k)
 {
@@ -38,7 +53,7 @@ static inline BlockStatus limited_stage(void *context, RungeKuttaStage stage, do
     const double into = stage == RK_BEGIN ? 0.0 : stage == RK_END ? h : h / 2.0;
 
     if (s->limits.mode != LIMITS_HOLD) s->limits.mode = stage == RK_BEGIN ? LIMITS_NOTE : LIMITS_WATCH;
-    return s->flow(s->context, s->done + into, &s->limits, x, k);
+    return limited_flow(s, into, x, k);
 }
 
 /* By how much a limiter is beyond its range at x, `into` seconds after s->done; states held go onto
@@ -48,7 +63,7 @@ static inline BlockStatus limited_overrun(LimitedStep *s, double into, const dou
     s->limits.mode = LIMITS_HOLD;
     s->limits.worst = -INFINITY;
     s->limits.onto = s->at;
-    const BlockStatus status = s->flow(s->context, s->done + into, &s->limits, x, k);
+    const BlockStatus status = limited_flow(s, into, x, k);
     s->limits.onto = NULL;
     *overrun = s->limits.worst;
     return status;
@@ -181,7 +196,7 @@ static inline BlockStatus limited_fastest(LimitedStep *s, double h, double *d, d
             x[i] = s->x[i] + d[i];
         }
         s->limits.mode = LIMITS_HOLD;
-        const BlockStatus status = s->flow(s->context, s->done, &s->limits, x, k);
+        const BlockStatus status = limited_flow(s, 0.0, x, k);
         if (status != BLOCK_OK) return status;
         for (size_t i = 0; i < s->n; ++i) k[i] -= k1[i];
         rate = sqrt(limited_product(s, k, k)) / 1e-6;
@@ -230,10 +245,11 @@ static inline BlockStatus limited_again(LimitedStep *s, double h, double *x)
         double overrun, landed;
         if (count > 0) {
             s->limits.mode = LIMITS_NOTE;
-            if ((status = s->flow(s->context, s->done, &s->limits, s->x, s->work)) != BLOCK_OK) return status;
+            if ((status = limited_flow(s, 0.0, s->x, s->work)) != BLOCK_OK) return status;
         }
         if ((status = limited_try(s, h - s->done, &overrun)) != BLOCK_OK) return status;
         if (count == 0 && (status = limited_stable(s, h)) != BLOCK_OK) return status;
+        if (count == 0) s->count = 0;
         if (!(overrun > 0.0)) {
             memcpy(x, s->at, size);
             return BLOCK_OK;
@@ -252,18 +268,41 @@ static inline BlockStatus limited_again(LimitedStep *s, double h, double *x)
     return BLOCK_OK;
 }
 
+/* Whether there are evaluations left for finding switches at time t, in steps of h. */
+static inline int limited_affords(const LimitedRun *run, double t, double h)
+{
+    return *run->spent < LIMITED_FIRST + 0.5 * (t - run->begin) / h;
+}
+
+/* Adds what a step has used; the message is told when a run has used its first. */
+static inline void limited_pay(const LimitedRun *run, const LimitedStep *s)
+{
+    const int first = *run->spent < LIMITED_FIRST;
+
+    *run->spent += (double)s->count;
+    if (first && !(*run->spent < LIMITED_FIRST))
+        (void)snprintf(s->message->text, sizeof s->message->text,
+                       "t = %.9g s: limiters have switched so often that finding the instants has taken %.0f evaluations; "
+                       "from here on only one more for two steps: at switches not found errors fall with the step alone",
+                       s->begin, LIMITED_FIRST);
+}
+
 /* One step of n states over h from time t. work: LIMITED_STEP_ARRAYS n numbers. Where the flow does not return
  * BLOCK_OK, or the step is beyond stability, x is left as it was and the message says why. */
 static inline BlockStatus limited_step(LimitedFlow *flow, void *context, size_t n, double t, double h, double *x,
-                                       double *work, BlockMessage *message)
+                                       double *work, const LimitedRun *run, BlockMessage *message)
 {
     LimitedStep s = {.flow = flow, .context = context, .n = n, .work = work, .x = work + 5 * n, .end = work + 6 * n,
                      .slope = work + 7 * n, .at = work + 8 * n, .limits = {.mode = LIMITS_NOTE}, .begin = t,
                      .message = message};
-    const BlockStatus status = runge_kutta_stages(limited_stage, &s, n, h, x, work);
+    BlockStatus status = runge_kutta_stages(limited_stage, &s, n, h, x, work);
 
     if (status != BLOCK_OK) return status;
-    if (s.limits.switched) return limited_again(&s, h, x);
+    if (s.limits.switched && limited_affords(run, t, h)) {
+        status = limited_again(&s, h, x);
+        if (status == BLOCK_OK) limited_pay(run, &s);
+        return status;
+    }
     runge_kutta_move(n, h, x, work);
     return BLOCK_OK;
 }

@@ -27,7 +27,7 @@ enum { LOOP_ARRAYS = LIMITED_STEP_ARRAYS };   /* of n_x in `work` */
 enum { KIND_PLANT = 0, KIND_CONTROLLER = 1, KIND_CHANNEL = 2, KIND_SUPERVISOR = 3, KIND_COUNT = 4 };
 
 /* Head of `memory`; then what the record says of the loop, read once. */
-enum { M_ORIGIN, M_LAST_EVENT, M_LAST_LENGTH, M_MARK_COUNT, M_MARKS };
+enum { M_ORIGIN, M_LAST_EVENT, M_LAST_LENGTH, M_MARK_COUNT, M_SWITCHES_COST, M_MARKS };
 
 typedef struct {
     int kind;

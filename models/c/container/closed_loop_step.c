@@ -122,12 +122,13 @@ static BlockStatus integrate(ClosedLoop *l, double begin, double length, BlockMe
 {
     const long count = runge_kutta_count(length, l->internal_step);
     Flow f = {l, begin, 0.0, message};
+    const LimitedRun run = {l->outer->memory[M_ORIGIN], &l->outer->memory[M_SWITCHES_COST]};
 
     for (long step = 0; step < count; ++step) {
         f.elapsed = length * ((double)step / (double)count);
         f.t = begin + f.elapsed;
         const double h = length / (double)count;
-        const BlockStatus status = limited_step(stage_flow, &f, l->n_x, f.t, h, l->state, l->work, message);
+        const BlockStatus status = limited_step(stage_flow, &f, l->n_x, f.t, h, l->state, l->work, &run, message);
         if (status != BLOCK_OK) return status;
     }
     return BLOCK_OK;
