@@ -1,11 +1,12 @@
 """All modes of grids of any size: found, counted and dense, with seconds; and a reduction to design order.
 
-    python benchmarks/bench_modes.py [FOLDER] [--grid NAME ..] [--dense STATES] [--json FILE]
+    python benchmarks/bench_modes.py [FOLDER] [--grid NAME ..] [--dense STATES] [--late S ..] [--json FILE]
 
 Bundled cases below damping ratios of 0.15 and 0.3, or with FOLDER its published files under the names in
 `GRIDS` (inverters as constant currents, loads as impedances) below 0.15, from 0.1 to 2 Hz. Dense: numpy's QR
-on the whole state matrix, of grids up to `--dense` states. Exit code 1 where found, counted and dense differ,
-or a residual is above 1e-9.
+on the whole state matrix, of grids up to `--dense` states. With `--late` also with three speed differences
+fed back to exciters, so many seconds late: against QR on plant and Chebyshev lines for the delays. Exit code
+1 where found, counted and dense differ, a residual is above 1e-9 or a late mode is off by 1e-7.
 """
 
 from __future__ import annotations
@@ -17,18 +18,24 @@ import time
 from pathlib import Path
 from typing import Any
 
+import control
 import numpy as np
 
 from interarea.cosim.run.artefacts import sparse_linear_plant
+from interarea.design.delay.characteristic_roots import discretised
+from interarea.design.delay.curves import delayed_loop
+from interarea.design.delay.late_plant import LatePlant
 from interarea.design.linear.sparse_plant import SparsePlant
 from interarea.design.modes.all_modes import RESIDUAL, all_modes
 from interarea.design.modes.mode_count import Region
-from interarea.design.reduction.low_rank import low_rank_reduction
+from interarea.design.reduction.low_rank import input_columns, low_rank_reduction, output_rows
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case, case_names, load_case
 from interarea.models.importers.file import import_grid
 
 BAND_HZ = (0.1, 2.0)
+_NODES = 28  # of each line that stands for a delay
+_OFF = 1e-7  # relative, of a late mode
 #: RAW and DYR under FOLDER
 GRIDS = {
     "ACTIVSg200": ("ACTIVSg200/ACTIVSg200.RAW", "ACTIVSg200/ACTIVSg200_dynamics.dyr"),
@@ -69,6 +76,34 @@ def measured(case: Case, below: float, dense_up_to: int) -> dict[str, Any]:
     return row
 
 
+def late(case: Case, latency_s: float, below: float, gain: float) -> dict[str, Any]:
+    """Modes with three loops through a washout, and how far they are from those of a discretisation."""
+    plant = sparse_linear_plant(case, default_cache())
+    names = [u.removesuffix("_vs") for u in plant.inputs]
+    one = [names[len(names) * k // 4] for k in range(3)]
+    other = [names[len(names) * k // 4 + len(names) // 8] for k in range(3)]
+    signals = [f"{name}_dw" for name in (*one, *other)]
+    both = np.hstack([np.eye(3), -np.eye(3)])
+    K = control.ss(
+        *(-0.2 * np.eye(3), both, -0.2 * gain * np.eye(3), gain * both),
+        inputs=signals,
+        outputs=[f"{name}_vs" for name in one],
+    )
+    delays = dict.fromkeys(signals, latency_s)
+    begin = time.process_time()
+    loop = LatePlant(plant, K, delays, omega_b=case.omega_b, high_hz=BAND_HZ[1])
+    found = all_modes(plant, case.areas, band_hz=BAND_HZ, below=below, loop=loop)
+    row = {"grid": case.name, "late_s": latency_s, "below": below, "cpu_s": time.process_time() - begin}
+    B, C = input_columns(plant, K.output_labels), output_rows(plant, {name: {name: 1.0} for name in signals})
+    parts = plant.state_matrix(), B, case.omega_b * C, np.zeros((len(C), B.shape[1]))
+    lines = delayed_loop(control.ss(*parts, inputs=K.output_labels, outputs=signals), K, delays)
+    values = np.linalg.eigvals(discretised(lines.balanced(), _NODES))
+    region = Region((2 * np.pi * found.band_hz[0], 2 * np.pi * found.band_hz[1]), found.below)
+    off = [np.min(np.abs(mode.eigenvalue - values)) / abs(mode.eigenvalue) for mode in found.modes]
+    row |= {"found": len(found.modes), "counted": found.counted, "dense": int(np.sum(region.holds(values)))}
+    return row | {"off": float(max(off, default=0.0)), "residual": found.residual}
+
+
 def reduction(plant: SparsePlant, name: str, order: int) -> dict[str, Any]:
     """Four exciter inputs to four speed differences of large grids, as design takes them."""
     machines = [u.removesuffix("_vs") for u in plant.inputs]
@@ -88,6 +123,8 @@ def main() -> None:
     parser.add_argument("--grid", nargs="*", choices=list(GRIDS), default=list(GRIDS))
     parser.add_argument("--dense", type=int, default=2000, metavar="STATES")
     parser.add_argument("--reduce", type=int, default=60, metavar="ORDER")
+    parser.add_argument("--late", type=float, nargs="*", default=[], metavar="S")
+    parser.add_argument("--gain", type=float, default=0.05, help="of the late loops, pu per rad/s")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     jobs: list[tuple[Any, float]] = [(load_case(name), z) for name in case_names() for z in (0.15, 0.3)]
@@ -108,9 +145,19 @@ def main() -> None:
             f"{row['factorisations']} points of the count",
             flush=True,
         )
-        if row["states"] > 500:
-            plant = sparse_linear_plant(case, default_cache())
-            made = reduction(plant, row["grid"], options.reduce)
+        for latency in options.late if row["states"] <= options.dense else ():
+            row = late(case, latency, below, options.gain)
+            rows.append(row)
+            wrong += not (row["found"] == row["counted"] == row["dense"])
+            wrong += not (row["residual"] <= RESIDUAL and row["off"] <= _OFF)
+            print(
+                f"  {latency:g} s late: {row['found']} found, {row['counted']} counted, "
+                f"{row['dense']} discretised, off by {row['off']:.0e}; {row['cpu_s']:.2f} CPU s",
+                flush=True,
+            )
+        plant = sparse_linear_plant(case, default_cache())
+        if plant.nstates > 500:
+            made = reduction(plant, case.name, options.reduce)
             rows.append(made)
             print(
                 f"  to {made['order']} states: error {made['error']:.1e} of peak, {made['cpu_s']:.1f} CPU s"

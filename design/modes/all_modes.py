@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from cmath import phase
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import degrees
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ..linear.resolvent import Loop, OpenLoop
 from ..linear.sparse_plant import SparsePlant
 from .mode_count import Count, OnTheLine, Region, count_modes
 from .mode_search import Pair, Search
@@ -51,14 +55,62 @@ class AllModes:
         """Modes that grow."""
         return tuple(m for m in self.modes if m.eigenvalue.real > 0.0)
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a table of the modes does not say, in words."""
+        said = [f"largest residual {self.residual:.1e}"]
+        if self.rotation:
+            said.append(
+                "rotation: turning all rotors together moves nothing; its eigenvalue 0 is no instability"
+            )
+        if not any(mode.name.startswith("inter-area") for mode in self.modes):
+            said.append("no inter-area mode among them; a wider --band, or machines assigned to areas")
+        if self.unstable:
+            said.append(f"unstable: {', '.join(mode.name for mode in self.unstable)}")
+        return tuple(said)
+
+    def as_dict(self, count: int, *, shapes: bool) -> dict[str, Any]:
+        """Return the record as JSON values: of each mode the `count` states that take part most."""
+        rows = [
+            {
+                "name": mode.name,
+                "eigenvalue": [mode.eigenvalue.real, mode.eigenvalue.imag],
+                "frequency_hz": mode.frequency_hz,
+                "damping_ratio": mode.damping_ratio,
+                "share": mode.share,
+                "participation": mode.most(count),
+                "shape": {
+                    machine: {"size": abs(z), "angle_deg": degrees(phase(z))}
+                    for machine, z in (mode.shape.items() if shapes else ())
+                },
+            }
+            for mode in self.modes
+        ]
+        return {
+            "band_hz": list(self.band_hz),
+            "below": self.below,
+            "counted": self.counted,
+            "moved": list(self.moved),
+            "residual": self.residual,
+            "rotation": self.rotation,
+            "unstable": [mode.name for mode in self.unstable],
+            "modes": rows,
+        }
+
 
 def all_modes(
-    plant: SparsePlant, areas: Mapping[str, int], *, band_hz: tuple[float, float], below: float
+    plant: SparsePlant,
+    areas: Mapping[str, int],
+    *,
+    band_hz: tuple[float, float],
+    below: float,
+    loop: Loop | None = None,
 ) -> AllModes:
     """Find every mode of `plant` in a band whose damping ratio is below a limit; prove that these are all.
 
     Parameters
     ----------
+    loop : the plant with a controller around it (`design.delay.late_plant`); default none.
     areas : machine name -> area number, for names.
     band_hz : frequencies, Hz. below : damping ratio, over 0 and under 1.
 
@@ -72,14 +124,15 @@ def all_modes(
     if not 0.0 < below < 1.0:
         raise ModeError(f"below = {below:g}, wanted a damping ratio over 0 and under 1, such as 0.2")
     asked = Region((2.0 * np.pi * low, 2.0 * np.pi * high), float(below))
-    search = Search(plant, asked, RESIDUAL)
+    search = Search(loop or OpenLoop(plant), asked, RESIDUAL)
     search.everywhere()
-    region, count = _counted(search, asked)
+    exact = _Exact(search)
+    region, count = _counted(exact, asked)
     for _ in range(_ROUNDS):
-        if count.modes == _within(search, region) or not search.again():
+        if count.modes == len(exact.within(region)) or not search.again():
             break
-        region, count = _counted(search, asked)
-    pairs = sorted((p for p in search.pairs if region.holds(p.value)), key=lambda p: p.value.imag)
+        region, count = _counted(exact, asked)
+    pairs = exact.within(region)
     if len(pairs) != count.modes:
         raise ModeError(
             f"{len(pairs)} modes found but {count.modes} counted between {low:g} and {high:g} Hz below a "
@@ -99,17 +152,33 @@ def all_modes(
     )
 
 
-def _within(search: Search, region: Region) -> int:
-    return sum(bool(region.holds(p.value)) for p in search.pairs)
+class _Exact:
+    """The pairs of a search as modes of the loop itself: its matrix may stand for delays."""
+
+    def __init__(self, search: Search) -> None:
+        self.search = search
+        self._pairs: list[Pair] = []
+
+    @property
+    def pairs(self) -> list[Pair]:
+        """All of them; one that does not settle keeps its residual, and the count tells."""
+        for p in self.search.pairs[len(self._pairs) :]:
+            self._pairs.append(Pair(*self.search.loop.exact(p.value, p.right, p.left)))
+        return self._pairs
+
+    def within(self, region: Region) -> list[Pair]:
+        """Modes of a region by frequency."""
+        settled = (p for p in self.pairs if p.residual <= RESIDUAL and region.holds(p.value))
+        return sorted(settled, key=lambda p: p.value.imag)
 
 
-def _counted(search: Search, asked: Region) -> tuple[Region, Count]:
+def _counted(exact: _Exact, asked: Region) -> tuple[Region, Count]:
     """Count within the region, with its sides moved off the modes that lie on them."""
-    known = [*(p.value for p in search.pairs), *search.beside]
+    known = [*(p.value for p in exact.pairs), *exact.search.beside]
     region = asked.clear_of(known)
     for _ in range(_ROUNDS):
         try:
-            return region, count_modes(search.plant, region, known)
+            return region, count_modes(exact.search.loop, region, known)
         except OnTheLine as error:
             region = region.aside(error.side)
     raise ModeError(f"modes lie on every line tried: {'; '.join(region.moved)}; choose another band or limit")

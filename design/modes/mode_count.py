@@ -17,8 +17,7 @@ import numpy.typing as npt
 
 from interarea.models.errors import InterareaError
 
-from ..linear.resolvent import network_logarithm
-from ..linear.sparse_plant import SparsePlant
+from ..linear.resolvent import Loop
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -113,17 +112,17 @@ class Count:
     factorisations: int
 
 
-def count_modes(plant: SparsePlant, region: Region, known: Sequence[complex]) -> Count:
+def count_modes(loop: Loop, region: Region, known: Sequence[complex]) -> Count:
     """Count the modes within `region`; `known` are some of them or beside them, which makes it quick.
 
     Raises
     ------
     OnTheLine : a mode lies on the edge.
     """
-    poles, modes = plant.device_poles, np.asarray(known, dtype=complex)
+    poles, modes = loop.poles, np.asarray(known, dtype=complex)
     inner_poles = int(np.sum(region.holds(poles)))
     poles, modes = (z[_from_edge(z, region) < _NEAR] for z in (poles, modes))
-    edge = _Edge(plant, poles, modes)
+    edge = _Edge(loop, poles, modes)
     turned = sum(edge.turn(*side) for side in region.sides())
     divided = int(np.sum(region.holds(modes))) - int(np.sum(region.holds(poles)))
     return Count(round(turned / (2.0 * np.pi)) + divided + inner_poles, edge.points)
@@ -139,10 +138,10 @@ def _from_edge(z: ComplexArray, region: Region) -> npt.NDArray[np.float64]:
 
 
 class _Edge:
-    """Log det of N without the poles and modes that are known, and its derivative."""
+    """Log det without the poles and modes that are known, and its derivative."""
 
-    def __init__(self, plant: SparsePlant, poles: ComplexArray, modes: ComplexArray) -> None:
-        self._plant, self._poles, self._modes = plant, poles, modes
+    def __init__(self, loop: Loop, poles: ComplexArray, modes: ComplexArray) -> None:
+        self._loop, self._poles, self._modes = loop, poles, modes
         self.points = 0
         self._last: tuple[complex, tuple[complex, complex]] | None = None
 
@@ -151,7 +150,7 @@ class _Edge:
         if self._last is not None and self._last[0] == s:
             return self._last[1]
         h = _SHIFT * (1.0 + abs(s)) * 1j
-        one, two = (network_logarithm(self._plant, z) for z in (s - h, s + h))
+        one, two = (self._loop.logarithm(z) for z in (s - h, s + h))
         self.points += 2
         slope = complex((two - one).real, _wrapped((two - one).imag)) / (2.0 * h)
         middle = one + slope * h

@@ -1,4 +1,4 @@
-"""Eigenpairs of a sparse plant in a region: rational Krylov cells find, inverse iteration cleans them."""
+"""Eigenpairs of a large matrix in a region: rational Krylov cells find, inverse iteration cleans them."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..linear.resolvent import Shifted
-from ..linear.sparse_plant import SparsePlant
+from ..linear.resolvent import Loop
 from .mode_count import RIGHT, Region
 
 ComplexArray = npt.NDArray[np.complex128]
 
+_STATES_A_CELL = 500
 _MOST_STEPS, _STEPS_AT_ONCE = 120, 20
 _SETTLED = 1e-5  # relative error of an eigenvalue that a cell may claim
 _GROWTH = 0.1  # 1/s: how far right of the axis the first search looks
@@ -59,9 +59,9 @@ class _Cell:
 
 @dataclass
 class Search:
-    """Looks for the eigenpairs of a plant within a region, and remembers those it has."""
+    """Looks for the eigenpairs of a loop within a region, and remembers those it has."""
 
-    plant: SparsePlant
+    loop: Loop
     region: Region
     tolerance: float
     pairs: list[Pair] = field(default_factory=list)
@@ -75,7 +75,7 @@ class Search:
         """Look once in every cell, smaller ones where they hold many."""
         low, high = self.region.band
         slope = self.region.slope
-        cells = max(1, round(len(self.plant.machines) / 25))
+        cells = max(1, round(self.loop.nstates / _STATES_A_CELL))
         edges = np.linspace(low, high, cells + 1)
         todo = [_Cell((-slope * b, _GROWTH), (a, b)) for a, b in itertools.pairwise(edges)]
         while todo:
@@ -100,9 +100,9 @@ class Search:
         self, cell: _Cell, most: int, *, deflated: bool
     ) -> tuple[list[tuple[complex, ComplexArray]], float]:
         """Settled Ritz pairs about the centre of a cell, and how far from it all are settled."""
-        n = self.plant.nstates
+        n = self.loop.nstates
         near = [p for p in self.pairs if abs(p.value - cell.centre) < cell.reach + _CLOSE] if deflated else []
-        shifted = Shifted(self.plant, cell.centre)
+        shifted = self.loop.shifted(cell.centre)
         self.factorisations += 1
         most = min(most, n - len(near))
         Q = np.zeros((most + 1, n), dtype=complex)
@@ -146,14 +146,14 @@ class Search:
         right = vector / np.linalg.norm(vector)
         left = _without_left(self._random.standard_normal(len(right)) + 0j, copies)
         for _ in range(4):
-            shifted = Shifted(self.plant, value * (1.0 + 1e-9) + 1e-10)
+            shifted = self.loop.shifted(value * (1.0 + 1e-9) + 1e-10)
             self.factorisations += 1
             for _ in range(2):
                 right = _without(shifted.solve(right), copies)
                 left = _without_left(shifted.solve_left(left), copies)
                 right, left = right / np.linalg.norm(right), left / np.linalg.norm(left)
                 self.solutions += 2
-            moved = self.plant.times(right)
+            moved = self.loop.times(right)
             scale = left @ right
             if not abs(scale) > 1e-14:
                 return None

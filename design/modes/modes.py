@@ -74,6 +74,11 @@ class Mode:
         r"""-Re(lambda) / \|lambda\|."""
         return damping_ratio(self.eigenvalue)
 
+    def most(self, count: int) -> dict[str, float]:
+        """Return the `count` states that take part most, by participation."""
+        order = sorted(self.participation, key=lambda state: -self.participation[state])
+        return {state: float(self.participation[state]) for state in order[:count]}
+
     def sensitivity(self, dA: Matrix) -> complex:
         r"""First-order move of the eigenvalue, :math:`d\lambda = w^T\, dA\, v` (1/s), for dA (n, n)."""
         dA = np.asarray(dA)

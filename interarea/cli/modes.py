@@ -14,7 +14,8 @@ import typer
 from .terminal import busy, print_table
 
 if TYPE_CHECKING:
-    from interarea.design.modes.all_modes import AllModes
+    from interarea.design.delay.late_plant import LatePlant
+    from interarea.design.linear.sparse_plant import SparsePlant
     from interarea.design.modes.modes import Mode, Modes
     from interarea.design.modes.sensitivity import Sensitivity
     from interarea.models.case.case import Case
@@ -66,13 +67,25 @@ def modes(
         ),
     ] = None,
     below: Below = None,
+    controller: Annotated[
+        str | None,
+        typer.Option("--controller", metavar="NAME", help="modes with it; bundled name, JSON file or FMU"),
+    ] = None,
+    latency: Annotated[
+        float, typer.Option("--latency", metavar="S", help="of every signal of the controller, exact")
+    ] = 0.0,
 ) -> None:
     """Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes."""
-    if band is not None or below is not None:
-        _refuse_beside_band(margins=margins, plot=plot)
+    if band is not None or below is not None or controller is not None:
+        _refuse_beside_band(margins=margins, plot=plot, sensitivity=sensitivity if controller else None)
         loaded = at_point(case, tie_flow, circuit_out, load_scale)
-        _all_modes(loaded, *region_of(band, below), sensitivity or [], participation, shapes, json_)
+        around = None if controller is None else (controller, latency)
+        _all_modes(loaded, *region_of(band, below), sensitivity or [], around, participation, shapes, json_)
         return
+    if latency:
+        from interarea.design.modes.modes import ModeError
+
+        raise ModeError(f"--latency {latency:g} is of a controller's signals; name one with --controller")
     from interarea.cosim.run.artefacts import linear_matrices
     from interarea.design.modes.modes import modes_of
     from interarea.fmu_build.write.cache import default_cache
@@ -127,7 +140,7 @@ def _refuse_beside_band(**given: object) -> None:
 
     named = [f"--{name}" for name, value in given.items() if value]
     if named:
-        raise ModeError(f"{named[0]} with --band or --below: not together; leave one out")
+        raise ModeError(f"{named[0]} with --band, --below or --controller: not together; leave one out")
 
 
 def region_of(band: str | None, below: float | None) -> tuple[tuple[float, float], float]:
@@ -147,11 +160,12 @@ def _all_modes(
     band_hz: tuple[float, float],
     below: float,
     paths: list[str],
+    around: tuple[str, float] | None,
     count: int,
     shapes: bool,
     as_json: bool,
 ) -> None:
-    """Print every mode of a region with the independent count."""
+    """Print every mode of a region with the independent count; around : a controller, and its latency."""
     from interarea.cosim.designs.sensitivities import all_mode_sensitivities
     from interarea.cosim.run.artefacts import sparse_linear_plant
     from interarea.design.modes.all_modes import all_modes
@@ -159,10 +173,13 @@ def _all_modes(
 
     with busy(f"all modes of {case.name}"):
         plant = sparse_linear_plant(case, default_cache())
-        found = all_modes(plant, case.areas, band_hz=band_hz, below=below)
+        loop = None if around is None else _with_controller(case, plant, *around, band_hz[1])
+        found = all_modes(plant, case.areas, band_hz=band_hz, below=below, loop=loop)
         moved = all_mode_sensitivities(case, found.modes, paths if found.modes else [], default_cache())
     if as_json:
-        document = _all_as_dict(case.name, plant.nstates, found, count, shapes)
+        states = plant.nstates
+        document = {"case": case.name, "states": states, **found.as_dict(count, shapes=shapes)}
+        document |= {"controller": around and around[0], "latency_s": around and around[1]}
         document["sensitivity"] = _sensitivity_dict(moved)
         typer.echo(json.dumps(document, indent=2, allow_nan=False))
         return
@@ -171,8 +188,10 @@ def _all_modes(
         f"{case.name}: {plant.nstates} states, modes from {low:g} to {high:g} Hz below a damping ratio of "
     )
     title += f"{found.below:g}: {len(by_name)}, counted independently: {found.counted}"
+    if around is not None:
+        title += f"; with {around[0]}, signals {around[1]:g} s late"
     _print_modes(title, by_name, count)
-    for line in (*found.moved, *_remarks(found)):
+    for line in (*found.moved, *found.remarks):
         typer.echo(line)
     if shapes and by_name:
         _print_shapes(by_name, case)
@@ -180,52 +199,20 @@ def _all_modes(
         _print_sensitivity(path, by_mode)
 
 
-def _remarks(found: AllModes) -> list[str]:
-    """What the table does not say."""
-    said = [f"largest residual {found.residual:.1e}"]
-    if found.rotation:
-        said.append("rotation: turning all rotors together moves nothing; its eigenvalue 0 is no instability")
-    if not any(mode.name.startswith("inter-area") for mode in found.modes):
-        said.append("no inter-area mode among them; a wider --band, or machines assigned to areas")
-    if found.unstable:
-        said.append(f"unstable: {', '.join(mode.name for mode in found.unstable)}")
-    return said
+def _with_controller(
+    case: Case, plant: SparsePlant, name: str, latency_s: float, high_hz: float
+) -> LatePlant:
+    """Return the plant with a controller around it, all its signals late."""
+    from interarea.design.controllers.controller import Controller
+    from interarea.design.delay.late_plant import LatePlant
+    from interarea.design.modes.modes import ModeError
+    from interarea.synthesis import load_controller
 
-
-def _all_as_dict(name: str, states: int, found: AllModes, count: int, shapes: bool) -> dict[str, Any]:
-    rows = [
-        {
-            "name": mode.name,
-            "eigenvalue": [mode.eigenvalue.real, mode.eigenvalue.imag],
-            "frequency_hz": mode.frequency_hz,
-            "damping_ratio": mode.damping_ratio,
-            "share": mode.share,
-            "participation": main_states(mode, count),
-            "shape": {
-                machine: {"size": abs(z), "angle_deg": degrees(phase(z))}
-                for machine, z in (mode.shape.items() if shapes else ())
-            },
-        }
-        for mode in found.modes
-    ]
-    return {
-        "case": name,
-        "states": states,
-        "band_hz": list(found.band_hz),
-        "below": found.below,
-        "counted": found.counted,
-        "moved": list(found.moved),
-        "residual": found.residual,
-        "rotation": found.rotation,
-        "unstable": [mode.name for mode in found.unstable],
-        "modes": rows,
-    }
-
-
-def main_states(mode: Mode, count: int) -> dict[str, float]:
-    """Return the `count` states that take part most, by participation."""
-    order = sorted(mode.participation, key=lambda state: -mode.participation[state])
-    return {state: float(mode.participation[state]) for state in order[:count]}
+    made = load_controller(name)
+    if not isinstance(made, Controller):
+        raise ModeError(f"--controller {name}: a bank switches between controllers; name a single one")
+    late = dict.fromkeys(made.inputs, latency_s)
+    return LatePlant(plant, made.system, late, omega_b=case.omega_b, high_hz=high_hz)
 
 
 def _as_dict(
@@ -239,7 +226,7 @@ def _as_dict(
 
     rows = mode_rows(found)
     for name, mode in found.items():
-        rows[name]["participation"] = main_states(mode, count)
+        rows[name]["participation"] = mode.most(count)
         rows[name]["shape"] = {
             machine: {"size": abs(z), "angle_deg": degrees(phase(z))} for machine, z in mode.shape.items()
         }
@@ -264,7 +251,7 @@ def _print_modes(title: str, found: Mapping[str, Mode], count: int) -> None:
                 f"{mode.frequency_hz:.4f}",
                 f"{mode.damping_ratio:.4f}",
                 f"{mode.eigenvalue.real:.4f} ± {mode.eigenvalue.imag:.4f}j",
-                ", ".join(f"{state} {share:.3f}" for state, share in main_states(mode, count).items()),
+                ", ".join(f"{state} {share:.3f}" for state, share in mode.most(count).items()),
             )
             for name, mode in found.items()
         ],

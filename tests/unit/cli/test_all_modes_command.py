@@ -4,6 +4,8 @@ import json
 
 import pytest
 
+from interarea.design.controllers.bundled import shipped_controller
+
 
 def test_all_modes_are_printed_with_their_count(interarea) -> None:  # type: ignore[no-untyped-def]
     code, out, _ = interarea("modes", "two-area-thesis", "--band", "0.1:2.5", "--below", "0.2", "--shapes")
@@ -30,13 +32,30 @@ def test_the_json_holds_what_the_table_has(interarea) -> None:  # type: ignore[n
     assert max(entry["size"] for entry in first["shape"].values()) == pytest.approx(1.0)
 
 
+def test_modes_with_a_late_controller(interarea) -> None:  # type: ignore[no-untyped-def]
+    """The inter-area mode of the certificate's row, 200 ms late, to the digits that it has."""
+    given = ("new-england", "--band", "0.1:0.8", "--controller", "new_england", "--latency", "0.2")
+    found = json.loads(interarea("modes", *given, "--json")[1])
+    assert (found["controller"], found["latency_s"]) == ("new_england", 0.2)
+    rows = shipped_controller("new_england").certificate["rows"]
+    row = next(r for r in rows if (r["point"], r["condition"]) == ("base", "s200"))
+    assert found["counted"] == len(found["modes"]) == 1
+    assert found["modes"][0]["damping_ratio"] == pytest.approx(row["inter_area"], abs=1e-6)
+    out = interarea("modes", *given)[1]
+    assert "counted independently: 1; with new_england, signals 0.2 s late" in out
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [
         (("--band", "low"), "--band 'low', wanted LOW:HIGH in Hz, such as 0.1:2.5"),
         (("--band", "2:1"), "band 2:1 Hz, wanted LOW:HIGH with 0 < LOW < HIGH"),
         (("--below", "20"), "below = 20, wanted a damping ratio over 0 and under 1"),
-        (("--below", "0.2", "--margins"), "--margins with --band or --below: not together"),
+        (("--below", "0.2", "--margins"), "--margins with --band, --below or --controller: not together"),
+        (("--controller", "robust", "--sensitivity", "machines.G1.H"), "--sensitivity with --band"),
+        (("--controller", "robust", "--latency", "-1"), "latency of G2_dw = -1 s, wanted: 0 or more"),
+        (("--controller", "active"), "--controller active: a bank switches between controllers"),
+        (("--latency", "0.1"), "--latency 0.1 is of a controller's signals; name one with --controller"),
     ],
 )
 def test_a_mistake_is_one_line(interarea, given, said) -> None:  # type: ignore[no-untyped-def]

@@ -8,7 +8,7 @@ import pytest
 
 from interarea.cosim.designs.sensitivities import all_mode_sensitivities, parameter_sensitivities
 from interarea.cosim.run.artefacts import linear_matrices, sparse_linear_plant
-from interarea.design.linear.resolvent import Shifted, network_logarithm
+from interarea.design.linear.resolvent import OpenLoop, Shifted, network_logarithm
 from interarea.design.linear.sparse_plant import SparsePlant
 from interarea.design.modes.all_modes import all_modes
 from interarea.design.modes.mode_count import Region, count_modes
@@ -88,7 +88,7 @@ def test_the_count_knows_nothing_of_the_search() -> None:
     region = Region((0.2 * np.pi, 5.0 * np.pi), 0.2)
     dense = values[region.holds(values)]
     for known in ([], list(dense[1:]), [*dense, -0.3 + 5.0j]):
-        assert count_modes(plant, region, known).modes == len(dense)
+        assert count_modes(OpenLoop(plant), region, known).modes == len(dense)
 
 
 def test_a_search_that_misses_looks_again(monkeypatch: pytest.MonkeyPatch) -> None:
