@@ -76,16 +76,12 @@ def modes(
     ] = 0.0,
 ) -> None:
     """Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes."""
-    if band is not None or below is not None or controller is not None:
-        _refuse_beside_band(margins=margins, plot=plot, sensitivity=sensitivity if controller else None)
+    around = _around(controller, latency, sensitivity)
+    if any(given is not None for given in (band, below, controller)):
+        _refuse_beside_band(margins=margins, plot=plot)
         loaded = at_point(case, tie_flow, circuit_out, load_scale)
-        around = None if controller is None else (controller, latency)
         _all_modes(loaded, *region_of(band, below), sensitivity or [], around, participation, shapes, json_)
         return
-    if latency:
-        from interarea.design.modes.modes import ModeError
-
-        raise ModeError(f"--latency {latency:g} is of a controller's signals; name one with --controller")
     from interarea.cosim.run.artefacts import linear_matrices
     from interarea.design.modes.modes import modes_of
     from interarea.fmu_build.write.cache import default_cache
@@ -132,6 +128,23 @@ def at_point(case: str, tie_flow: float, circuit_out: list[str] | None, load_sca
     if not (tie_flow or circuit_out or load_scale != 1.0):
         return loaded
     return operating_variant(loaded, tie_flow_mw=tie_flow, out=circuit_out or (), load_scale=load_scale)
+
+
+def _around(
+    controller: str | None, latency_s: float, sensitivity: list[str] | None
+) -> tuple[str, float] | None:
+    """Return the controller and its latency, if one is given."""
+    from interarea.design.modes.modes import ModeError
+
+    if controller is None:
+        if latency_s:
+            raise ModeError(
+                f"--latency {latency_s:g} is of a controller's signals; name one with --controller"
+            )
+        return None
+    if sensitivity:
+        raise ModeError("--sensitivity with --controller: not together; leave one out")
+    return controller, latency_s
 
 
 def _refuse_beside_band(**given: object) -> None:

@@ -52,7 +52,10 @@ def test_modes_with_a_late_controller(interarea) -> None:  # type: ignore[no-unt
         (("--band", "2:1"), "band 2:1 Hz, wanted LOW:HIGH with 0 < LOW < HIGH"),
         (("--below", "20"), "below = 20, wanted a damping ratio over 0 and under 1"),
         (("--below", "0.2", "--margins"), "--margins with --band, --below or --controller: not together"),
-        (("--controller", "robust", "--sensitivity", "machines.G1.H"), "--sensitivity with --band"),
+        (
+            ("--controller", "robust", "--sensitivity", "machines.G1.H"),
+            "--sensitivity with --controller: not together",
+        ),
         (("--controller", "robust", "--latency", "-1"), "latency of G2_dw = -1 s, wanted: 0 or more"),
         (("--controller", "active"), "--controller active: a bank switches between controllers"),
         (("--latency", "0.1"), "--latency 0.1 is of a controller's signals; name one with --controller"),
