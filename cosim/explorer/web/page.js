@@ -202,7 +202,7 @@ class Explorer {
     const base = !alone && controllerOf(this.data, state) !== null && baseKey !== this.baseKey;
     this.flying += 1;
     this.waiters.set(++this.runs, { state, baseKey, coarse });
-    this.worker.postMessage({ run: this.runs, state, coarse, every: coarse ? 2 : 1, base, roots: true, track: !coarse });
+    this.worker.postMessage({ run: this.runs, state, coarse, every: coarse ? 4 : 1, base, roots: true, track: !coarse });
   }
 
   receive(message) {

@@ -124,7 +124,7 @@ async function simulate(container, request, goOn) {
   const { data } = container, began = performance.now();
   const names = container.start(request.settings, request.solver);
   const { reals, integers } = columnsOf(data, names, request.all);
-  const h = data.step * request.every, count = Math.round(data.stop / h);
+  const h = data.step * request.every, count = Math.floor(data.stop / h + 1e-9);
   const width = reals.length + integers.length, piece = Math.max(1, Math.round(2 / h));
   const rows = new Float64Array((count + 1) * width);
   let done = 0, why = '';
