@@ -15,7 +15,7 @@ from .mode_count import RIGHT, Region
 
 ComplexArray = npt.NDArray[np.complex128]
 
-_STATES_A_CELL = 500
+_STATES_A_CELL = 400
 _MOST_STEPS, _STEPS_AT_ONCE = 120, 20
 _SETTLED = 1e-5  # relative error of an eigenvalue that a cell may claim
 _GROWTH = 0.1  # 1/s: how far right of the axis the first search looks
