@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from interarea.models.errors import InterareaError
 from interarea.models.files import write_whole
 
+from ..explorer.address import link_of
+from ..explorer.content import RANGES
+from ..explorer.page import explorer_page
+from ..explorer.subject import subject_of
 from ..maps.page import plain
 from ..plots.curves import DASHES, MUTED, SERIES, STYLE, WIDTH
 from ..plots.html import page_environment, page_figure
@@ -25,8 +30,46 @@ from .screening import PLACE, Found, Screening
 SHOWN = 300  #: disturbances on the page; all are in the files beside it
 
 
-def write_screening(screening: Screening, found: Sequence[Found], folder: Path) -> Path:
-    """Write `screen.html`, `screen.csv` and `screen.json` into `folder`; return the page."""
+@dataclass(frozen=True)
+class Explorer:
+    """The page beside a screening on which its disturbances can be dragged.
+
+    file : its name; "" where there is none, and `why`.
+    """
+
+    file: str = ""
+    why: str = ""
+
+    def address(self, screening: Screening, place: str, outage: str) -> str:
+        """Return what opens a disturbance without controller; "" where no state of the page is it."""
+        if not self.file or outage:
+            return ""
+        if screening.kind == "trip":
+            return self.file + link_of({"k": "none", "ev": "trip", "trip": place})
+        low, high = RANGES["tc"]
+        cleared_ms = 1000.0 * screening.clearing_s
+        if not low <= cleared_ms <= high:
+            return ""
+        return self.file + link_of({"k": "none", "ev": "fault", "fault": place, "tc": cleared_ms, "br": ""})
+
+
+def write_grid(screening: Screening, folder: Path, cache: Path) -> Explorer:
+    """Write `explorer.html` of the grid that is screened; where no page holds it there is none, and why."""
+    try:
+        subject = subject_of(screening.sweep().base, cache)
+        page = write_whole(folder / "explorer.html", explorer_page(subject).encode("utf-8"))
+    except InterareaError as error:
+        return Explorer(why=str(error))
+    return Explorer(page.name)
+
+
+def write_screening(
+    screening: Screening, found: Sequence[Found], folder: Path, explorer: Explorer = Explorer()
+) -> Path:
+    """Write `screen.html`, `screen.csv` and `screen.json` into `folder`; return the page.
+
+    explorer : what its places open, from `write_grid`.
+    """
     rows = [asdict(one) for one in found]
     for row in rows:  # JSON has no infinity: as long as was tried
         row["critical_at_least"] = row["critical_s"] is not None and math.isinf(row["critical_s"])
@@ -48,6 +91,7 @@ def write_screening(screening: Screening, found: Sequence[Found], folder: Path) 
         counts={c: _counts(found, c) for c in controllers},
         groups=list(groups.items())[:SHOWN],
         total=len(groups),
+        explorer=explorer,
         failed=[one for one in found if one.verdict == "failed"],
         searched=any(one.critical_s is not None for one in found),
         svg=page_figure(angle_figure(found), "angles"),

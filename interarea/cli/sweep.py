@@ -17,7 +17,7 @@ from interarea.cosim.errors import SweepError
 from interarea.progress import tell_runs
 
 from .study import OutFolder
-from .terminal import stage_progress
+from .terminal import busy, stage_progress
 
 if TYPE_CHECKING:
     from interarea.cosim.screen.screening import Found
@@ -176,13 +176,17 @@ def screen(
         float | None,
         typer.Option("--solver-step", metavar="S", help="longest step of the plant; default: its own"),
     ] = None,
+    explore: Annotated[
+        bool, typer.Option("--explore", help="write explorer.html too: each disturbance as a page to drag")
+    ] = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of lines")] = False,
 ) -> None:
     """Fault every bus of a grid, or trip every branch; one page, worst first, with clearing times."""
-    from interarea.cosim.screen.page import write_screening
+    from interarea.cosim.screen.page import Explorer, write_grid, write_screening
     from interarea.cosim.screen.screening import Screening, run_screening
+    from interarea.fmu_build.write.cache import default_cache
 
     from .destination import folder_for
 
@@ -206,7 +210,11 @@ def screen(
         found = run_screening(
             screening, out, clearing=clearing_times, workers=workers, scheduler=scheduler, progress=show
         )
-    page = write_screening(screening, found, out)
+    explorer = Explorer()
+    if explore:
+        with busy(f"writing {out / 'explorer.html'}"):
+            explorer = write_grid(screening, out, default_cache())
+    page = write_screening(screening, found, out, explorer)
     if json_:
         rows = json.loads(page.with_suffix(".json").read_text(encoding="utf-8"))
         typer.echo(json.dumps({"page": str(page), **rows}, indent=2, allow_nan=False))

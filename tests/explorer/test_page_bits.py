@@ -116,10 +116,12 @@ def test_random_settings_have_the_bits_of_the_fmu(
     assert_same_bits(node, [p["state"] for p in data["presets"]] + settings(data, 50), cache, tmp_path)
 
 
-def test_rows_four_times_as_far_apart_are_the_same_rows(node: Any, data: dict[str, Any], tmp_path: Path) -> None:
+def test_rows_four_times_as_far_apart_are_the_same(node: Any, data: dict[str, Any], tmp_path: Path) -> None:
     state = data["presets"][3]["state"]
     files = [tmp_path / "every.bin", tmp_path / "other.bin"]
-    every, other = node([{"run": state, "every": 1 + 3 * k, "file": str(file)} for k, file in enumerate(files)])
+    every, other = node(
+        [{"run": state, "every": 1 + 3 * k, "file": str(file)} for k, file in enumerate(files)]
+    )
     rows = [np.frombuffer(f.read_bytes()).reshape(-1, len(every["columns"])) for f in files]
     assert other["rows"] == 501
     assert np.array_equal(rows[0][::4], rows[1])

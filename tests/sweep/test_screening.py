@@ -13,7 +13,7 @@ from interarea.cosim.errors import SweepError
 from interarea.cosim.results.excursion import excursion_of
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.screen import screening as module
-from interarea.cosim.screen.page import write_screening
+from interarea.cosim.screen.page import Explorer, write_grid, write_screening
 from interarea.cosim.screen.screening import START_S, Found, Screening, run_screening, worst_first
 from interarea.cosim.trajectory import Trajectory
 from interarea.models.case.case import load_case
@@ -165,3 +165,15 @@ def test_what_does_not_exist_is_refused(screening: Screening, why: str) -> None:
 def test_trips_have_no_clearing_times(tmp_path: Path) -> None:
     with pytest.raises(SweepError, match="clearing times are of faults"):
         module.run_screening(Screening(CASE, kind="trip"), tmp_path, clearing=True)
+
+
+def test_a_place_opens_its_disturbance_in_the_explorer(cache: Path, tmp_path: Path) -> None:
+    found = [Found("8", outage, "none", "kept", 30.0, 0.9, "bus8", 59.0, 61.0, "") for outage in ("", "8-9")]
+    screening = Screening(CASE, buses=(8,), clearing_s=0.15, outages=("8-9",))
+    page = write_screening(screening, found, tmp_path, write_grid(screening, tmp_path, cache)).read_text()
+    link = "explorer.html#v=1&k=none&ev=fault&fault=8&tc=150&br="
+    assert page.count(f'href="{link.replace("&", "&amp;")}"') == 1  # not the one with a branch out
+    assert Explorer("e").address(Screening(CASE, clearing_s=0.7), "8", "") == ""  # beyond the page's slider
+    assert Explorer("e").address(Screening(CASE, kind="trip"), "8-9", "") == "e#v=1&k=none&ev=trip&trip=8-9"
+    nothing = write_grid(Screening("no-such-grid"), tmp_path, cache)
+    assert not nothing.file and "no-such-grid" in nothing.why
