@@ -168,12 +168,16 @@ def test_trips_have_no_clearing_times(tmp_path: Path) -> None:
 
 
 def test_a_place_opens_its_disturbance_in_the_explorer(cache: Path, tmp_path: Path) -> None:
-    found = [Found("8", outage, "none", "kept", 30.0, 0.9, "bus8", 59.0, 61.0, "") for outage in ("", "8-9")]
-    screening = Screening(CASE, buses=(8,), clearing_s=0.15, outages=("8-9",))
+    found = [
+        Found("8", outage, "none", "kept", 30.0, 0.9, "bus8", 59.0, 61.0, "") for outage in ("", "8-9 a")
+    ]
+    screening = Screening(CASE, buses=(8,), clearing_s=0.15, outages=("8-9 a",))
     page = write_screening(screening, found, tmp_path, write_grid(screening, tmp_path, cache)).read_text()
     link = "explorer.html#v=1&k=none&ev=fault&fault=8&tc=150&br="
     assert page.count(f'href="{link.replace("&", "&amp;")}"') == 1  # not the one with a branch out
     assert Explorer("e").address(Screening(CASE, clearing_s=0.7), "8", "") == ""  # beyond the page's slider
-    assert Explorer("e").address(Screening(CASE, kind="trip"), "8-9", "") == "e#v=1&k=none&ev=trip&trip=8-9"
+    assert (
+        Explorer("e").address(Screening(CASE, kind="trip"), "8-9 a", "") == "e#v=1&k=none&ev=trip&trip=8-9+a"
+    )
     nothing = write_grid(Screening("no-such-grid"), tmp_path, cache)
     assert not nothing.file and "no-such-grid" in nothing.why

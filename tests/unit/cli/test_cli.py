@@ -117,7 +117,7 @@ def test_run_explains_delays_and_packets_and_tests_itself(interarea, tmp_path: P
     row = next(
         line for line in out.splitlines() if line.startswith("plant.G2_dw -> remote.u  ") and "first" in line
     )
-    assert [float(x) for x in row.split()[3:10]] == [100.0, 100.0, 0.0, 10.0, 5.0, 0.0, 115.0]
+    assert [float(x) for x in row.split()[3:11]] == [100.0, 0.0, 100.0, 0.0, 10.0, 5.0, 0.0, 115.0]
     sent = 2.0 / 0.02 + 1
     assert f"remote: sent {sent:g}, delivered" in out and "age max" in out
     ledger = json.loads((tmp_path / "out" / "ledger.json").read_text())

@@ -101,5 +101,5 @@ def test_a_bank_has_no_one_gain(hand_controller: Controller) -> None:
 
 
 def test_changes_without_a_case_are_refused() -> None:
-    with pytest.raises(ScenarioError, match="plant and operating_point need a case"):
+    with pytest.raises(ScenarioError, match="plant, show and operating_point need a case"):
         load_scenario({"stop_s": 1.0, "fmus": {"a": {"file": "a.fmu"}}, "plant": {"x": 1.0}})
