@@ -19,6 +19,7 @@ typedef struct {
     int failed;             /* repeats its step alone                              */
     int events;             /* how many it has handled: then c->undo holds the step's start */
     double point, step;     /* as the caller gave them                             */
+    double switches_cost;   /* of the run as the step begins                       */
     Stretch way;
 } Lane;
 
@@ -180,10 +181,12 @@ static void begin_lane(Group *g, Lane *lane, size_t k)
     lane->way = stretch_begin(c->run->time, lane->point + lane->step, step_length(c, lane->point, lane->step),
                               *c->internal_step, c->run->last_event);
     lane->events = 0;
+    lane->switches_cost = c->run->switches_cost;
     next_stretch(g, lane, k);
 }
 
-/* A limiter switches in the step that the lane is at: alone, as it would go alone. */
+/* A limiter switches in the step that the lane is at: alone, as it would go alone. What there is to remark
+ * on the FMU's own code tells. */
 static void step_alone(Group *g, Lane *lane, size_t k)
 {
     Instance *c = lane->c;
@@ -191,10 +194,9 @@ static void step_alone(Group *g, Lane *lane, size_t k)
     double *x = c->work + (SOLVER_ARRAYS - 1) * g->layout.n_x;
 
     get(g->group.x, x, g->layout.n_x, g->lanes, k);
-    lane->failed = solver_step(c, &lane->way, x, &message) != BLOCK_OK;
+    lane->failed = solver_step(c, &lane->way, x, &message) != BLOCK_OK || message.text[0] != 0;
     put(g->group.x, x, g->layout.n_x, g->lanes, k);
     if (lane->failed) lane->way.count = lane->way.done = 0;
-    else instance_remark(c, &message);
 }
 
 /* Substeps of all lanes until none has any left; a lane without rests (h = 0). */
@@ -263,6 +265,7 @@ static fmi2Status repeat_alone(Lane *lane)
         memcpy(c->run, c->undo, c->saved_size);
         ++c->memory_written;
     }
+    c->run->switches_cost = lane->switches_cost;
     return fmi2DoStep(c, lane->point, lane->step, fmi2True);
 }
 
