@@ -146,7 +146,8 @@ class LatePlant:
         inner = np.linalg.solve(s * np.eye(len(A)) - A, np.hstack([B, np.eye(len(A))]))
         K, dK = C @ inner[:, : B.shape[1]] + D, -C @ inner[:, B.shape[1] :] @ inner[:, : B.shape[1]]
         late = np.exp(-s * self.latency_s)
-        return K * late, dK * late - K * late * self.latency_s
+        dM = dK * late - K * late * self.latency_s
+        return np.asarray(K * late, dtype=complex), np.asarray(dM, dtype=complex)
 
 
 class ShiftedLoop:
