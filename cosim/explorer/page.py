@@ -6,12 +6,13 @@ import base64
 import gzip
 import html
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.description_xml import product_version
+from interarea.models.errors import InterareaError
 from interarea.models.files import write_whole
 
 from ..scenario.scenario import Scenario
@@ -41,6 +42,16 @@ def write_explorer(source: str | Path | Scenario, path: str | Path, *, cache: Pa
     CaseError, BuildError : as in building its FMUs.
     """
     return write_whole(Path(path), explorer_page(subject_of(source, cache)).encode("utf-8"))
+
+
+def write_where_held(scenario: Callable[[], Scenario], path: Path, cache: Path) -> tuple[Subject | None, str]:
+    """Write the page of a scenario; return what it is about and "", or None and why no page holds it."""
+    try:
+        subject = subject_of(scenario(), cache)
+        write_whole(path, explorer_page(subject).encode("utf-8"))
+    except InterareaError as error:
+        return None, str(error)
+    return subject, ""
 
 
 def write_linked_explorer(

@@ -9,12 +9,9 @@ from typing import Any, cast
 
 import pandas as pd
 
-from interarea.models.errors import InterareaError
-from interarea.models.files import write_whole
-
 from ..explorer.address import address_of
-from ..explorer.page import explorer_page
-from ..explorer.subject import Subject, subject_of
+from ..explorer.page import write_where_held
+from ..explorer.subject import Subject
 from ..scenario.scenario import OperatingPointTable
 from ..sweep.plan import SweepPlan
 from ..sweep.point import point_of
@@ -71,12 +68,8 @@ def write_runs(plan: SweepPlan, path: Path, cache: Path) -> Explorer:
     """Write the explorer of a sweep's scenario to `path`; where no page holds it there is none, and why."""
     if plan.sweep.searched is not None:
         return Explorer(plan)
-    try:
-        subject = subject_of(plan.sweep.base, cache)
-        write_whole(path, explorer_page(subject).encode("utf-8"))
-    except InterareaError as error:
-        return Explorer(plan, why=str(error))
-    return Explorer(plan, subject, path.name)
+    subject, why = write_where_held(lambda: plan.sweep.base, path, cache)
+    return Explorer(plan, subject, "" if subject is None else path.name, why)
 
 
 def _address(plan: SweepPlan, subject: Subject, number: int) -> str | None:

@@ -14,13 +14,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from interarea.models.errors import InterareaError
 from interarea.models.files import write_whole
 
 from ..explorer.address import link_of
 from ..explorer.content import RANGES
-from ..explorer.page import explorer_page
-from ..explorer.subject import subject_of
+from ..explorer.page import write_where_held
 from ..maps.page import plain
 from ..plots.curves import DASHES, MUTED, SERIES, STYLE, WIDTH
 from ..plots.html import page_environment, page_figure
@@ -55,12 +53,9 @@ class Explorer:
 
 def write_grid(screening: Screening, folder: Path, cache: Path) -> Explorer:
     """Write `explorer.html` of the grid that is screened; where no page holds it there is none, and why."""
-    try:
-        subject = subject_of(screening.sweep().base, cache)
-        page = write_whole(folder / "explorer.html", explorer_page(subject).encode("utf-8"))
-    except InterareaError as error:
-        return Explorer(why=str(error))
-    return Explorer(page.name)
+    path = folder / "explorer.html"
+    subject, why = write_where_held(lambda: screening.sweep().base, path, cache)
+    return Explorer("" if subject is None else path.name, why)
 
 
 def write_screening(

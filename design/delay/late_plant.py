@@ -111,17 +111,19 @@ class LatePlant:
         for _ in range(_STEPS):
             open_loop = Shifted(self.plant, s * (1.0 + 1e-9) + 1e-10)
             x, y = self._towards(open_loop, x), self._towards_left(open_loop, y)
-            M, dM = self._exact(s)
-            slope = y @ x - (y @ self._B) @ dM @ (self._C @ x)
-            rest = s * x - self.plant.times(x) - self._B @ (M @ (self._C @ x))
+            rest, slope = self._rest(s, x, y)
             move = complex((y @ rest) / slope)
             s -= move
             if abs(move) <= 1e-13 * abs(s):
                 break
+        rest, slope = self._rest(s, x, y)
+        return s, x, y / slope, float(np.linalg.norm(rest) / (abs(s) * np.linalg.norm(x)))
+
+    def _rest(self, s: complex, x: ComplexArray, y: ComplexArray) -> tuple[ComplexArray, complex]:
+        """T(s) x and y' T'(s) x."""
         M, dM = self._exact(s)
         rest = s * x - self.plant.times(x) - self._B @ (M @ (self._C @ x))
-        slope = y @ x - (y @ self._B) @ dM @ (self._C @ x)
-        return s, x, y / slope, float(np.linalg.norm(rest) / (abs(s) * np.linalg.norm(x)))
+        return rest, y @ x - (y @ self._B) @ dM @ (self._C @ x)
 
     def _towards(self, open_loop: Shifted, x: ComplexArray) -> ComplexArray:
         """T^-1 T' x by the open loop's resolvent, of size 1."""

@@ -103,7 +103,7 @@ static inline void network_voltage(const real *memory, const Plan *plan, const P
 
 /* Current into tie or line k at its measured end, in service only, and the voltage there. */
 static inline void network_line_current(const real *memory, const Plan *plan, const Pattern *pattern, size_t k,
-                                      const num *e_re, const num *e_im, const num *v, num *i_re, num *i_im,
+                                        const num *e_re, const num *e_im, const num *v, num *i_re, num *i_im,
                                         num *v_re, num *v_im)
 {
     const size_t n = plan->n_tie + plan->n_line;
