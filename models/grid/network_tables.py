@@ -31,7 +31,8 @@ class NetworkNodes:
 def network_nodes(case: Case, ports: npt.NDArray[np.float64]) -> NetworkNodes:
     """Return the nodes of `case` with the ports of its table, (ports, rows)."""
     buses, machine = len(case.buses), np.array(machine_bus_index(case), dtype=np.int64)
-    load = np.array([bus_index(case)[row.bus] for row in case.loads], dtype=np.int64)
+    index = bus_index(case)
+    load = np.array([index[row.bus] for row in case.loads], dtype=np.int64)
     gaps: list[tuple[int, int]] = []
     port: list[int] = []
     for kind, device in ports[:, :2].astype(int):
