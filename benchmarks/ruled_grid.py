@@ -1,4 +1,4 @@
-"""Grids that are published without dynamic data, with devices by a rule that is stated: for size, not for truth.
+"""Grids published without dynamic data, with devices by a rule that is stated: for size, not for truth.
 
 MATPOWER's large synthetic grids say what machines deliver, not what they are. Every machine gets the data of
 one published machine (Kundur1994, Ex. 12.6) on its own rating, with an inertia that grows with the rating, a
