@@ -4,6 +4,7 @@
 const $ = (id) => document.getElementById(id);
 const SECTOR = 0.1;          /* the damping ratio that the plane shows */
 const EXACT_AFTER = 180;     /* ms after the last input */
+const JOIN_WITHIN = 60;      /* ms that what a picture goes with waits for it */
 
 const DIGITS = '0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz!#$%.()*+-;,=>?@^_`{|}~';
 
@@ -49,6 +50,7 @@ class Explorer {
     this.waiters = new Map();
     this.playing = false;
     this.time = 0.35;
+    this.due = {};
     this.build();
     this.worker = new Worker(URL.createObjectURL(new Blob([$('shared').textContent, worker, ';serve(self);'], { type: 'text/javascript' })));
     this.worker.onmessage = ({ data: message }) => this.receive(message);
@@ -173,7 +175,7 @@ class Explorer {
   }
 
   update(settled) {
-    this.later('state');
+    this.later('state', !settled);
     if (!settled) $('words').setAttribute('aria-live', 'off');
     this.ask({ coarse: true, alone: settled });   /* a first picture at once, and what it is compared with later */
     if (settled) this.ask({ coarse: false });
@@ -212,7 +214,7 @@ class Explorer {
     if (message.eigenvalues) {
       this.roots = message;
       this.paths = [];
-      this.later('plane');
+      this.later('plane', true);
       return undefined;
     }
     if (message.track) {
@@ -261,9 +263,17 @@ class Explorer {
 
   /* ---- drawing: at most once a frame ---- */
 
-  later(what) {
-    this.due = { ...this.due, [what]: true };
+  /* What changes with a slider waits a moment for the picture that goes with it: one frame in place of three. */
+  later(what, joins) {
+    this.due[what] = true;
     if (this.frame) return;
+    if (joins && !this.joining) this.joining = setTimeout(() => this.nextFrame(), JOIN_WITHIN);
+    else if (!joins) this.nextFrame();
+  }
+
+  nextFrame() {
+    clearTimeout(this.joining);
+    this.joining = 0;
     this.frame = requestAnimationFrame(() => {
       const { due } = this;
       this.frame = 0;
@@ -271,6 +281,7 @@ class Explorer {
       if (due.state) this.drawState();
       if (due.curves) this.drawCurves();
       if (due.plane) this.drawPlane();
+      if (due.curves || due.plane) this.moved();
     });
   }
 
@@ -297,7 +308,6 @@ class Explorer {
     const made = controllerOf(data, state);
     if (made) this.drawControl(made, state, shared);
     this.describe();
-    this.moved();
     this.glance();
     this.drawLedger();
   }
@@ -404,7 +414,6 @@ class Explorer {
       button.className = root.s[0] > 0 ? 'bad' : '';
       button.setAttribute('aria-pressed', k === this.chosen);
     });
-    this.moved();
   }
 
   choose(k) {
