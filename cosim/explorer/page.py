@@ -25,9 +25,9 @@ from .subject import Subject, subject_of
 from .wasm import container_wasm
 
 _WEB = Path(__file__).resolve().parent / "web"
-_SHARED = ("settings.js",)  #: by page and worker
+_SHARED = ("settings.js", "verdict.js")  #: by page and worker
 _WORKER = ("eigenvalues.js", "worker.js")
-_PAGE = ("link.js", "verdict.js", "plots.js", "diagram.js", "controls.js", "page.js")
+_PAGE = ("link.js", "plots.js", "diagram.js", "controls.js", "page.js")
 
 
 def write_explorer(source: str | Path | Scenario, path: str | Path, *, cache: Path) -> Path:

@@ -1,5 +1,5 @@
 /* Runs the scripts of a page in node, without a browser: `node drive.js page.html jobs.json` answers each job of the
- * list as one line of JSON. Jobs: {run: state, every, coarse, all}, {roots: state}, {toml: state}, {link: hash},
+ * list as one line of JSON. Jobs: {run: state, every, coarse, all, on: to the end}, {roots: state}, {toml: state}, {link: hash},
  * {address: state}, {judge: state}, {drag: n}. */
 'use strict';
 const fs = require('fs'), vm = require('vm'), zlib = require('zlib'), crypto = require('crypto');
@@ -27,7 +27,7 @@ vm.runInContext('this.api = { Container, Eigenvalues, simulate, settingsOf, toml
   const module = new WebAssembly.Module(pieces[2]), container = new api.Container(module, data, pieces.slice(3));
   const eigenvalues = new api.Eigenvalues(data), keys = api.keysOf(data), always = async () => true;
   const run = (state, job) => api.simulate(container, { settings: api.settingsOf(data, state), every: job.every || 1,
-    all: job.all !== false, coarse: false, solver: job.coarse ? data.solver.fast : 0 }, always);
+    all: job.all !== false, coarse: Boolean(job.coarse && !job.on), solver: job.coarse ? data.solver.fast : 0 }, always);
   for (const job of JSON.parse(fs.readFileSync(process.argv[3], 'utf8'))) {
     let answer;
     try {

@@ -141,6 +141,27 @@ def test_drawn_step_shows_what_the_exact_one_shows(node: Any, data: dict[str, An
         assert error < (2e-3 * np.max(np.abs(fine["swing"][until])) if fine["kind"] == "step" else 0.01)
 
 
+def test_a_drawn_run_ends_when_synchronism_is_lost(node: Any, data: dict[str, Any], tmp_path: Path) -> None:
+    """And not before: a second after it at the earliest, three at the latest, with the rows of the whole run."""
+    fault = data["presets"][5]["state"]
+    drawn, whole = tmp_path / "drawn.bin", tmp_path / "whole.bin"
+    short, long, judged = node(
+        [
+            {"run": fault, "coarse": True, "file": str(drawn)},
+            {"run": fault, "coarse": True, "on": True, "file": str(whole)},
+            {"judge": fault, "coarse": True},
+        ]
+    )
+    assert judged["kind"] == "step"
+    assert judged["t"] + 1.0 < short["rows"] / 100.0 < judged["t"] + 3.0
+    assert long["rows"] == 2001
+    assert whole.read_bytes().startswith(drawn.read_bytes())
+    stays = fault | {"tc": 50}
+    short, judged = node([{"run": stays, "coarse": True}, {"judge": stays}])
+    assert judged["kind"] == "settles"
+    assert short["rows"] == 2001
+
+
 def test_a_longer_step_of_the_plant_lengthens_the_controllers(node: Any, data: dict[str, Any]) -> None:
     """FTC's own step of 1.06 ms would keep every drawn run as slow as the exact one."""
     state = data["presets"][4]["state"]

@@ -56,6 +56,19 @@ class Modal {
   }
 }
 
+/* Sum of 1 / (s - z) over the places z; `here`: what one at s counts. */
+function inverses(s, places, here) {
+  let re = 0, im = 0;
+  for (let j = 0; j < places.length; ++j) {
+    const z = places[j], x = s[0] - z[0], y = s[1] - z[1], m = x * x + y * y;
+    if (m > 0) {
+      re += x / m;
+      im -= y / m;
+    } else re += here;
+  }
+  return [re, im];
+}
+
 /* Determinant of a small complex matrix and the solution of M X = R, by elimination with pivots. */
 function eliminate(M, R) {
   const n = M.length;
@@ -132,8 +145,7 @@ class Loop {
 
   /* F'/F at s, and that of det(I - K E G) by the common factor. */
   slopes(s) {
-    let sum = [0, 0], byFactor = [0, 0];
-    for (const l of this.poles) sum = cAdd(sum, cInv(cSub(s, l)));
+    let sum = inverses(s, this.poles, NaN), byFactor = [0, 0];
     if (!this.open) {
       const [M, Ms, Mt] = this.matrices(s), p = M.length;
       const R = Ms.map((row, i) => [...row, ...Mt[i]]);
@@ -187,12 +199,7 @@ function sweep(loop, roots, moves, box, near) {
     const s = roots[k];
     if (moves[k] < 1e-12 || (near && !inside(s, near))) continue;
     const newton = cInv(loop.slopes(s)[0]);
-    let push = [0, 0];
-    for (let j = 0; j < roots.length; ++j) {
-      if (j === k) continue;
-      const gap = cSub(s, roots[j]);
-      if (gap[0] !== 0 || gap[1] !== 0) push = cAdd(push, cInv(gap));
-    }
+    const push = inverses(s, roots, 0);
     let move = cDiv(newton, cSub([1, 0], cMul(newton, push)));
     if (!Number.isFinite(move[0] + move[1])) move = [0, 0];   /* on a pole, which then is the root */
     const size = cAbs(move);

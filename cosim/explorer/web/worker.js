@@ -119,16 +119,19 @@ function columnsOf(data, names, all) {
   return { reals: pick(names.reals), integers: pick(names.integers) };
 }
 
-/* One run in pieces; between two of them `goOn` says whether anybody still wants it. */
+const ASTRAY = 1;   /* s that a coarse run goes on after machines have lost synchronism */
+
+/* One run in pieces; between two of them `goOn` says whether anybody still wants it. A coarse run ends a while after
+ * machines have lost synchronism: where they slip, hundreds of limiters switch a second and nothing more is decided. */
 async function simulate(container, request, goOn) {
   const { data } = container, began = performance.now();
   const names = container.start(request.settings, request.solver);
   const { reals, integers } = columnsOf(data, names, request.all);
   const h = data.step * request.every, count = Math.floor(data.stop / h + 1e-9);
   const width = reals.length + integers.length, piece = Math.max(1, Math.round(2 / h));
-  const rows = new Float64Array((count + 1) * width);
-  let done = 0, why = '';
-  while (done <= count) {
+  const rows = new Float64Array((count + 1) * width), columns = [...reals, ...integers].map((p) => p[0]);
+  let done = 0, why = '', lost = NaN;
+  while (done <= count && !(done * h > lost + ASTRAY)) {
     const wanted = Math.min(piece, count + 1 - done);
     const some = container.rows(done, done + wanted - 1, h, reals.map((p) => p[1]), integers.map((p) => p[1]));
     rows.set(some, done * width);
@@ -137,10 +140,10 @@ async function simulate(container, request, goOn) {
       why = container.text(container.exports.message(container.session));
       break;
     }
-    if (!request.coarse && performance.now() - began > 60 && !(await goOn())) return null;
+    if (request.coarse && !Number.isFinite(lost)) lost = (done - wanted) * h + outOfStep(data, { columns, rows: some, h });
+    else if (!request.coarse && performance.now() - began > 60 && !(await goOn())) return null;
   }
-  return { columns: [...reals, ...integers].map((p) => p[0]), rows: rows.subarray(0, done * width).slice(), h, why,
-    ms: performance.now() - began };
+  return { columns, rows: rows.subarray(0, done * width).slice(), h, why, ms: performance.now() - began };
 }
 
 /* Gives the worker a turn to receive what has come meanwhile. */
