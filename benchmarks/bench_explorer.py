@@ -2,10 +2,10 @@
 
     python benchmarks/bench_explorer.py [--case NAME ...] [--chromium PATH]
 
-Headless Chromium through Playwright (extra `tools`); on an idle machine. Redraws: a slider (latency, a fault's
-clearing time) moves on every frame for 6 s; the median of three such runs. Beside it, whatever else the machine does: the
-processor time that one redraw takes of the page's thread and of the worker's (Linux). Exit code 1 if a page
-misses what is wanted of it.
+Headless Chromium through Playwright (extra `tools`); on an idle machine. Redraws: a slider (latency, a
+fault's clearing time) moves on every frame for 6 s; the median of three such runs. Beside it, whatever else
+the machine does: the processor time that one redraw takes of the page's thread and of the worker's (Linux).
+Exit code 1 if a page misses what is wanted of it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
 #: case -> largest page in kB, redraws a second
 WANTED = {"two-area-thesis": (250, 30), "new-england": (900, 10), "nets-nyps": (900, 4)}
 AT_LIMITS = 20  #: redraws a second of two areas with field limits
-#: preset -> slider that moves and between what, where it is not the latency: half of these faults keep the grid in step
+#: preset -> slider that moves and between what, where not the latency; half of these faults are survived
 MOVED = {"Left alone": ("sz", [-20, 20]), "The fault": ("tc", [50, 500])}
 
 DRAG = """async ([key, low, high, ms]) => {

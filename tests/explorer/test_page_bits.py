@@ -142,7 +142,7 @@ def test_drawn_step_shows_what_the_exact_one_shows(node: Any, data: dict[str, An
 
 
 def test_a_drawn_run_ends_when_synchronism_is_lost(node: Any, data: dict[str, Any], tmp_path: Path) -> None:
-    """And not before: a second after it at the earliest, three at the latest, with the rows of the whole run."""
+    """A second after it at the earliest, three at the latest, with the rows of the whole run."""
     fault = data["presets"][5]["state"]
     drawn, whole = tmp_path / "drawn.bin", tmp_path / "whole.bin"
     short, long, judged = node(
