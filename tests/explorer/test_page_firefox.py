@@ -35,7 +35,7 @@ look();"""
 DRAWN = """return [...document.querySelectorAll('#plots canvas')].filter((c) => c.offsetParent).map((c) => {
   const seen = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
   let n = 0;
-  for (let k = 3; k < seen.length; k += 4) n += seen[k] > 0;
+  for (let k = 4; k < seen.length; k += 4) n += seen[k] !== seen[0] || seen[k + 1] !== seen[1];
   return n;
 });"""
 

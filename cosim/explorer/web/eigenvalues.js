@@ -18,41 +18,41 @@ const cAbs = (a) => Math.hypot(a[0], a[1]);
 const SETTLED = 1e-7;     /* 1/s: the last move of a root that is shown */
 const SEEDS = 10;         /* roots that delay brings in from the left */
 
-/* Modal form with the conjugates filled in, in flat arrays. */
+/* Modal form with the conjugates filled in; complex rows in flat arrays, [re, im, re, im ...]. */
 class Modal {
   constructor({ poles, c, b, d }, inputScale) {
     const upper = poles.map((_, j) => j), lower = upper.filter((j) => poles[j][1] > 0);
-    const both = (row, scale) => {
-      const list = [...upper.map((j) => row[j]), ...lower.map((j) => [row[j][0], -row[j][1]])];
-      return Float64Array.from(list.flatMap((z) => [z[0] * scale, z[1] * scale]));
-    };
-    this.poles = [...upper.map((j) => poles[j]), ...lower.map((j) => [poles[j][0], -poles[j][1]])];
-    this.c = c.map((row) => both(row, 1));
-    this.b = b.map((row, i) => both(row, inputScale ? inputScale[i] : 1));
-    this.d = d.map((row) => row.map((x, i) => x * (inputScale ? inputScale[i] : 1)));
+    const both = (row) => [...upper.map((j) => row[j]), ...lower.map((j) => [row[j][0], -row[j][1]])];
+    const scale = (i) => (inputScale ? inputScale[i] : 1);
+    this.poles = both(poles);
+    this.c = c.map((row) => Float64Array.from(both(row).flat()));
+    const inputs = b.map((row, i) => both(row).map(([re, im]) => [re * scale(i), im * scale(i)]));
+    this.residues = c.map((row) => inputs.map((own) => Float64Array.from(both(row).flatMap((z, j) => cMul(z, own[j])))));
+    this.d = d.map((row) => row.map((x, i) => x * scale(i)));
+    this.inverse = new Float64Array(2 * this.poles.length);
   }
 
-  /* Values and derivatives at s for these outputs: [output][input] of [re, im, re', im']. */
-  at(s, outputs) {
-    const n = this.poles.length, inputs = this.b.length;
-    const out = outputs.map((o) => this.b.map((_, i) => [this.d[o][i], 0, 0, 0]));
-    for (let j = 0; j < n; ++j) {
-      const x = s[0] - this.poles[j][0], y = s[1] - this.poles[j][1], m = x * x + y * y;
-      const gr = x / m, gi = -y / m;                              /* 1 / (s - l) */
-      const hr = gi * gi - gr * gr, hi = -2 * gr * gi;            /* its derivative */
-      for (let i = 0; i < inputs; ++i) {
-        const b = this.b[i], br = b[2 * j], bi = b[2 * j + 1];
-        for (let k = 0; k < outputs.length; ++k) {
-          const c = this.c[outputs[k]], cr = c[2 * j], ci = c[2 * j + 1];
-          const rr = cr * br - ci * bi, ri = cr * bi + ci * br, z = out[k][i];
-          z[0] += rr * gr - ri * gi;
-          z[1] += rr * gi + ri * gr;
-          z[2] += rr * hr - ri * hi;
-          z[3] += rr * hi + ri * hr;
-        }
-      }
+  /* Values at s for these outputs, [output][input] of [re, im, re', im']; the derivatives where `slopes`. */
+  at(s, outputs, slopes) {
+    const g = this.inverse;                                       /* 1 / (s - l) */
+    for (let j = 0; j < g.length; j += 2) {
+      const l = this.poles[j / 2], x = s[0] - l[0], y = s[1] - l[1], m = x * x + y * y;
+      g[j] = x / m;
+      g[j + 1] = -y / m;
     }
-    return out;
+    return outputs.map((o) => this.residues[o].map((r, i) => {
+      let re = this.d[o][i], im = 0, byRe = 0, byIm = 0;
+      for (let j = 0; j < g.length; j += 2) {
+        re += r[j] * g[j] - r[j + 1] * g[j + 1];
+        im += r[j] * g[j + 1] + r[j + 1] * g[j];
+      }
+      for (let j = 0; slopes && j < g.length; j += 2) {
+        const hr = g[j + 1] * g[j + 1] - g[j] * g[j], hi = -2 * g[j] * g[j + 1];   /* its derivative */
+        byRe += r[j] * hr - r[j + 1] * hi;
+        byIm += r[j] * hi + r[j + 1] * hr;
+      }
+      return [re, im, byRe, byIm];
+    }));
   }
 }
 
@@ -110,10 +110,10 @@ class Loop {
     this.poles = this.open ? plant.poles : [...plant.poles, ...controller.poles];
   }
 
-  /* I - K E G at s, its derivatives by s and by a common factor on every latency. */
-  matrices(s) {
-    const G = this.plant.at(s, this.signals.map((x) => x.output));
-    const K = this.controller.at(s, this.controller.c.map((_, o) => o));
+  /* I - K E G at s; where `slopes` its derivatives by s and by a common factor on every latency. */
+  matrices(s, slopes) {
+    const G = this.plant.at(s, this.signals.map((x) => x.output), slopes);
+    const K = this.controller.at(s, this.controller.c.map((_, o) => o), slopes);
     const p = this.actuators.length;
     const M = [], Ms = [], Mt = [];
     for (let i = 0; i < p; ++i) {
@@ -125,9 +125,10 @@ class Loop {
         this.signals.forEach(({ input, tau }, q) => {
           const k = K[i][input], g = G[q][this.actuators[j]];
           const size = Math.exp(-s[0] * tau), e = [size * Math.cos(s[1] * tau), -size * Math.sin(s[1] * tau)];
-          const k0 = [k[0], k[1]], k1 = [k[2], k[3]], g0 = [g[0], g[1]], g1 = [g[2], g[3]];
-          const kg = cMul(e, cMul(k0, g0));
+          const k0 = [k[0], k[1]], g0 = [g[0], g[1]], kg = cMul(e, cMul(k0, g0));
           v = cSub(v, kg);
+          if (!slopes) return;
+          const k1 = [k[2], k[3]], g1 = [g[2], g[3]];
           w = cSub(w, cAdd(cMul(e, cAdd(cMul(k1, g0), cMul(k0, g1))), [-tau * kg[0], -tau * kg[1]]));
           t = cAdd(t, cMul(s, [tau * kg[0], tau * kg[1]]));
         });
@@ -140,14 +141,14 @@ class Loop {
   }
 
   det(s) {
-    return this.open ? [1, 0] : eliminate(this.matrices(s)[0], null);
+    return this.open ? [1, 0] : eliminate(this.matrices(s, false)[0], null);
   }
 
   /* F'/F at s, and that of det(I - K E G) by the common factor. */
   slopes(s) {
     let sum = inverses(s, this.poles, NaN), byFactor = [0, 0];
     if (!this.open) {
-      const [M, Ms, Mt] = this.matrices(s), p = M.length;
+      const [M, Ms, Mt] = this.matrices(s, true), p = M.length;
       const R = Ms.map((row, i) => [...row, ...Mt[i]]);
       eliminate(M, R);
       for (let i = 0; i < p; ++i) {
@@ -168,7 +169,7 @@ class Loop {
       });
       x = machines.map((o) => [this.plant.c[o][2 * near], this.plant.c[o][2 * near + 1]]);
     } else {
-      const u = this.nullVector(s), G = this.plant.at(s, machines);
+      const u = this.nullVector(s), G = this.plant.at(s, machines, false);
       x = G.map((row) => this.actuators.reduce((z, a, k) => cAdd(z, cMul([row[a][0], row[a][1]], u[k])), [0, 0]));
     }
     let most = [0, 0];
@@ -182,7 +183,7 @@ class Loop {
     let u = this.actuators.map((_, k) => [1, 0.1 * k]);
     if (p === 1) return u;
     for (let n = 0; n < 3; ++n) {
-      const R = u.map((z) => [z]), M = this.matrices([s[0] + 1e-9, s[1]])[0];
+      const R = u.map((z) => [z]), M = this.matrices([s[0] + 1e-9, s[1]], false)[0];
       eliminate(M, R);
       const size = Math.max(...R.map((row) => cAbs(row[0])));
       u = R.map((row) => [row[0][0] / size, row[0][1] / size]);

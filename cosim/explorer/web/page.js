@@ -117,8 +117,8 @@ class Explorer {
   }
 
   notice(text) {
-    $('notice').textContent = text;
-    $('notice').hidden = !text;
+    put($('notice'), text);
+    if ($('notice').hidden !== !text) $('notice').hidden = !text;
   }
 
   /* ---- state ---- */
@@ -255,10 +255,10 @@ class Explorer {
 
   failed(why) {
     const words = $('words');
-    words.firstElementChild.textContent = 'Refused.';
+    put(words.firstElementChild, 'Refused.');
     words.firstElementChild.className = 'bad';
-    words.lastElementChild.textContent = why.replace(/^fmi2\w+: /, '');
-    $('numbers').textContent = 'The container says so; nothing was simulated.';
+    put(words.lastElementChild, why.replace(/^fmi2\w+: /, ''));
+    put($('numbers'), 'The container says so; nothing was simulated.');
   }
 
   /* ---- drawing: at most once a frame ---- */
@@ -319,7 +319,7 @@ class Explorer {
     for (const u of signals) for (const x of u) most = Math.max(most, Math.abs(x));
     this.curves.control = signals[0];
     plots.control.rename(`Control signal at ${made.outputs.map((u) => u.replace(/_vs$/, '')).join(', ')}, pu`);
-    plots.control.aside.textContent = most < 0.6 * limit ? `limit ± ${Number(limit.toFixed(4))} is far outside` : '';
+    put(plots.control.aside, most < 0.6 * limit ? `limit ± ${Number(limit.toFixed(4))} is far outside` : '');
     plots.control.draw({ ...shared, series: signals.map((y, k) => ({ y, colour: k ? 'ink' : 'controller', dash: k ? [5, 3] : [] })),
       limits: [limit, -limit], fit: most < 0.6 * limit ? [] : [limit, -limit] });
     const ages = channels.map((c, k) => ({ y: column(result, c.name + '_age').map((x) => 1000 * x), colour: 'area' + (data.channels.indexOf(c) % 2 + 1), step: false, dash: k % 2 ? [4, 3] : [] }));
@@ -334,7 +334,7 @@ class Explorer {
     for (const a of ages) a.y = a.y.map((x) => Math.min(x, cap));
     this.curves.age = ages.length ? ages[0].y : null;
     plots.age.rename(channels.length > 1 ? 'Age of the signals, ms' : 'Age of the signal, ms');
-    plots.age.aside.textContent = [marks.length ? 'ticks: packets lost' : '', hatches.length ? 'hatched: no signal' : ''].filter(Boolean).join(', ');
+    put(plots.age.aside, [marks.length ? 'ticks: packets lost' : '', hatches.length ? 'hatched: no signal' : ''].filter(Boolean).join(', '));
     plots.age.draw({ ...shared, series: ages, hatches, marks, axis: true });
   }
 
@@ -344,19 +344,19 @@ class Explorer {
     const least = this.roots && this.roots.roots ? leastDamped(this.roots.roots) : null;
     const [bold, rest, kind] = verdictWords(data, state, judged, least);
     words.setAttribute('aria-live', result.exact ? 'polite' : 'off');
-    words.firstElementChild.textContent = bold;
+    put(words.firstElementChild, bold, result.exact);
     words.firstElementChild.className = kind;
-    words.lastElementChild.textContent = rest;
+    put(words.lastElementChild, rest, result.exact);
     const entries = ledger(data, state, result), sent = entries.reduce((n, e) => n + e.sent, 0), lost = entries.reduce((n, e) => n + e.dropped + e.late, 0);
     const limited = atLimit(data, state, result);
-    $('numbers').textContent = [
+    put($('numbers'), [
       least ? `least damped swing: ${digits(least.hertz, 2)} Hz, damping ratio ${digits(least.zeta, 3)}` : '',
       aloneWords(data, state, judged, this.base),
       lost ? `${lost} of ${sent} packets lost or late` : '',
       limited > 0.05 ? `control at its limit ${digits(limited, 1)} s` : '',
       judged.kind === 'collapse' ? result.why.replace(/^fmi2\w+: /, '') : '',
-    ].filter(Boolean).join(' · ');
-    $('cost').textContent = `${result.exact ? 'exact' : 'coarse'}: solver step ${Number((1000 * (result.exact ? data.solver.exact : data.solver.fast)).toFixed(2))} ms · ${Math.round((result.rows.length / result.columns.length - 1) * result.h)} s in ${Math.round(result.ms)} ms`;
+    ].filter(Boolean).join(' · '));
+    put($('cost'), `${result.exact ? 'exact' : 'coarse'}: solver step ${Number((1000 * (result.exact ? data.solver.exact : data.solver.fast)).toFixed(2))} ms · ${Math.round((result.rows.length / result.columns.length - 1) * result.h)} s in ${Math.round(result.ms)} ms`);
     if (!result.exact) return;   /* screen readers are told what stays */
     const peak = Math.max(...judged.swing.map(Math.abs));
     this.plots.swing.say(`${data.swing.label} over ${data.stop} s: largest ${digits(peak, 1)} mHz. ${bold} ${rest}`);
@@ -383,15 +383,15 @@ class Explorer {
   drawPlane() {
     const { roots } = this;
     if (roots.why) {
-      $('planenote').textContent = '· ' + roots.why;
+      put($('planenote'), '· ' + roots.why);
       $('plane').querySelector('.host').hidden = true;
       $('modes').replaceChildren();
       return;
     }
     $('plane').querySelector('.host').hidden = false;
     const count = roots.roots.length;
-    $('planenote').textContent = '· ' + [roots.exact ? roots.mean ? 'mean delay, exact' : 'exact delay' : 'no controller',
-      roots.proven ? `all ${count} in sight` : 'not all found', roots.lost ? 'after the loss' : ''].filter(Boolean).join(', ');
+    put($('planenote'), '· ' + [roots.exact ? roots.mean ? 'mean delay, exact' : 'exact delay' : 'no controller',
+      roots.proven ? `all ${count} in sight` : 'not all found', roots.lost ? 'after the loss' : ''].filter(Boolean).join(', '));
     const swings = roots.roots.map((r, k) => [r, k]).filter(([{ s }]) => s[1] > 0.6 && -s[0] / Math.hypot(...s) < 0.6).sort(([a], [b]) => a.s[1] - b.s[1]);
     this.plane.draw(roots, this.paths, this.chosen, SECTOR);
     const text = ({ s }) => [`${digits(s[1] / (2 * Math.PI), 2)} Hz`, digits(-s[0] / Math.hypot(...s), 3)];
@@ -402,15 +402,15 @@ class Explorer {
       const button = document.createElement('button');
       button.type = 'button';
       button.innerHTML = '<span></span> <b></b>';
+      button.title = 'frequency and damping ratio; show its shape in the grid';
       button.addEventListener('click', () => this.choose(Number(button.dataset.root) === this.chosen ? -1 : Number(button.dataset.root)));
       host.append(button);
     }
     swings.forEach(([root, k], n) => {
       const button = host.children[n], [hertz, zeta] = text(root);
       button.dataset.root = k;
-      button.firstElementChild.textContent = hertz;
-      button.lastElementChild.textContent = zeta;
-      button.title = 'frequency and damping ratio; show its shape in the grid';
+      put(button.firstElementChild, hertz);
+      put(button.lastElementChild, zeta);
       button.className = root.s[0] > 0 ? 'bad' : '';
       button.setAttribute('aria-pressed', k === this.chosen);
     });
@@ -455,20 +455,20 @@ class Explorer {
     const t = this.time * data.stop, rows = result.rows.length / result.columns.length, i = Math.min(rows - 1, Math.round(t / result.h));
     $('cursor').style.transform = `translateX(${plots.swing.X(t) + this.cursor[0]}px)`;
     const read = (name, n) => {
-      if (plots[name] && this.curves[name]) plots[name].reading.textContent = i < this.curves[name].length ? digits(this.curves[name][i], n) : '';
+      if (plots[name] && this.curves[name]) put(plots[name].reading, i < this.curves[name].length ? digits(this.curves[name][i], n) : '');
     };
     read('swing', 0);
     read('tie', 0);
     read('control', 3);
     read('age', 0);
-    $('now').textContent = digits(t, 1) + ' s';
+    put($('now'), digits(t, 1) + ' s');
     if (document.activeElement !== $('time')) $('time').value = Math.round(1000 * this.time);
     $('time').style.setProperty('--share', 100 * this.time + '%');
     $('time').setAttribute('aria-valuetext', digits(t, 1) + ' s');
     const root = this.roots && this.roots.roots && this.roots.roots[this.chosen];
     if (root) {
       this.diagram.turn(root.shape.map((z) => Math.atan2(z[1], z[0])), root.shape.map((z) => Math.hypot(...z)));
-      $('gridnote').textContent = `· mode shape, ${digits(root.s[1] / (2 * Math.PI), 2)} Hz: length and phase of each speed`;
+      put($('gridnote'), `· mode shape, ${digits(root.s[1] / (2 * Math.PI), 2)} Hz: length and phase of each speed`);
       this.diagram.say($('gridnote').textContent.slice(2) + ': ' + data.machines.map((m, k) => `${m.name} ${digits(Math.hypot(...root.shape[k]), 2)} at ${digits(Math.atan2(root.shape[k][1], root.shape[k][0]) * 180 / Math.PI, 0)} degrees`).join(', '));
       return;
     }
@@ -484,7 +484,7 @@ class Explorer {
       for (const x of this.angles) for (const y of x) most = Math.max(most, Math.abs(y - x[0]));
       const wanted = 1 / Math.max(most, 1e-6);
       this.magnified = [50, 20, 10, 5, 2, 1].find((n) => n <= wanted) || 1;
-      $('gridnote').textContent = this.magnified > 1 ? `· swing × ${this.magnified}` : '';
+      put($('gridnote'), this.magnified > 1 ? `· swing × ${this.magnified}` : '');
       this.diagram.say(`The grid: ${data.machines.length} machines, ${data.buses.length} buses; largest swing of an angle ${digits(most * 180 / Math.PI, 1)} degrees.`);
     }
     this.diagram.turn(this.angles.map((x) => this.magnified * (x[Math.min(i, x.length - 1)] - x[0])), null);

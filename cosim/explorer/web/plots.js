@@ -15,6 +15,22 @@ function colour(name) {
   return palette[name];
 }
 
+/* Opaque: what lies on top of nothing is cheaper to put on the screen. */
+function opaque(canvas, width, height, ratio) {
+  const c = canvas.getContext('2d', { alpha: false });
+  c.setTransform(ratio, 0, 0, ratio, 0, 0);
+  c.fillStyle = colour('card');
+  c.fillRect(0, 0, width, height);
+  c.font = palette.font;
+  return c;
+}
+
+/* Texts are set where they change: each that is set lays the page out anew. `again`: also where they do not, so that
+ * screen readers say them. */
+function put(element, text, again) {
+  if (again || element.textContent !== text) element.textContent = text;
+}
+
 function niceStep(range, most) {
   const raw = range / most, power = 10 ** Math.floor(Math.log10(raw)), m = raw / power;
   return power * (m <= 1 ? 1 : m <= 2 ? 2 : m <= 2.5 ? 2.5 : m <= 5 ? 5 : 10);
@@ -94,14 +110,11 @@ class Plot {
       this.canvas.style.height = tall + 'px';
     }
     this.fit(series, fit);
-    const [low, high] = this.range, c = this.canvas.getContext('2d');
+    const [low, high] = this.range, c = opaque(this.canvas, width, tall, ratio);
     const X = (t) => LEFT + (width - LEFT - RIGHT) * t / stop;
     const Y = (y) => height - 6 - (height - 12) * (y - low) / (high - low);
     this.X = X;
     this.Y = Y;
-    c.setTransform(ratio, 0, 0, ratio, 0, 0);
-    c.clearRect(0, 0, width, tall);
-    c.font = palette.font;
     c.lineWidth = 1;
     const step = niceStep(high - low, Math.max(3, Math.min(5, height / 24)));
     c.textAlign = 'right';
@@ -212,13 +225,10 @@ class Plane {
       this.canvas.height = Math.round(height * ratio);
       this.canvas.style.height = height + 'px';
     }
-    const c = this.canvas.getContext('2d'), { box } = roots;
+    const c = opaque(this.canvas, width, height, ratio), { box } = roots;
     const X = (re) => 6 + (width - 12) * (re - box.left) / (box.right - box.left);
     const Y = (im) => 6 + (height - 28) * (1 - im / box.high);
     this.places = roots.roots.map(({ s }) => [X(s[0]), Y(s[1])]);
-    c.setTransform(ratio, 0, 0, ratio, 0, 0);
-    c.clearRect(0, 0, width, height);
-    c.font = palette.font;
     const edge = box.high * sector / Math.sqrt(1 - sector * sector);
     c.fillStyle = colour('sector');
     c.beginPath();
