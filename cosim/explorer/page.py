@@ -15,6 +15,7 @@ from interarea.fmu_build.write.description_xml import product_version
 from interarea.models.errors import InterareaError
 from interarea.models.files import write_whole
 
+from ..errors import machine_error
 from ..scenario.scenario import Scenario
 from .address import link_of
 from .content import content_of
@@ -45,11 +46,18 @@ def write_explorer(source: str | Path | Scenario, path: str | Path, *, cache: Pa
 
 
 def write_where_held(scenario: Callable[[], Scenario], path: Path, cache: Path) -> tuple[Subject | None, str]:
-    """Write the page of a scenario; return what it is about and "", or None and why no page holds it."""
+    """Write the page of a scenario; return what it is about and "", or None and why no page holds it.
+
+    Raises
+    ------
+    DestinationError, BuildError : an error of the machine.
+    """
     try:
         subject = subject_of(scenario(), cache)
         write_whole(path, explorer_page(subject).encode("utf-8"))
     except InterareaError as error:
+        if machine_error(error) is not None:
+            raise
         return None, str(error)
     return subject, ""
 

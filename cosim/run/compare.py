@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from interarea.design.delay.loop_modes import LoopModes
 from interarea.design.modes.modes import damping_ratio
-from interarea.models.errors import Collected, InterareaError
+from interarea.models.errors import Collected
 from interarea.models.files import write_whole
 
 from ..errors import ScenarioError
@@ -124,10 +124,7 @@ def _swings_at(system: System, latency_s: float) -> LoopModes | str:
     late = {n: c.model_copy(update={"latency_s": latency_s}) for n, c in system.scenario.channels.items()}
     scenario = system.scenario.model_copy(update={"channels": late})
     parts = (system.parts[PLANT], system.parts.get(CONTROLLER), system.bank)
-    try:
-        return linear_swings(Loop(scenario, system.case, *parts, system.fmus.loops))
-    except InterareaError as error:
-        return str(error)
+    return linear_swings(Loop(scenario, system.case, *parts, system.fmus.loops))
 
 
 def curves_figure(compared: Sequence[Compared]) -> Figure:

@@ -27,6 +27,7 @@ from interarea.design.modes.modes import modes_of
 from interarea.fmu_build.open.plant import open_plant
 from interarea.models.errors import InterareaError
 
+from ..errors import machine_error
 from ..results.ringdown import fit_window
 from ..scenario.channels import BernoulliLoss, ChannelLine, GilbertElliottLoss
 from ..scenario.concentrators import ConcentratorLine
@@ -72,10 +73,17 @@ class Loop:
 
 
 def linear_swings(loop: Loop) -> LoopModes | str:
-    """Return the swings of a loop in its ring-down window (`fit_window`), or why they are not known."""
+    """Return the swings of a loop in its ring-down window (`fit_window`), or why they are not known.
+
+    Raises
+    ------
+    BuildError : an error of the machine, of which nothing follows for the loop.
+    """
     try:
         return _swings(loop)
     except InterareaError as error:  # a mode without a name, poles too close together: a ring-down is left
+        if machine_error(error) is not None:
+            raise
         return str(error)
 
 

@@ -16,7 +16,7 @@ import pytest
 from file_faults import EVERY, LONG, grid, no_memory
 from fmu_runner import decay_block
 from stored_runs import finished, session
-from test_run_faults import written
+from test_run_faults import plain, written
 
 from interarea.cli.terminal import complain
 from interarea.cosim.errors import machine_error
@@ -68,16 +68,17 @@ def outcome_without_memory(n: int, act: Callable[[], object]) -> str:
 def test_a_run(tmp_path: Path, cache: Path) -> None:
     """One line or none; whole files or none; with memory the same bits; no hidden half stays."""
     build_fmu(decay_block(), tmp_path / "x.fmu", cache=cache)
-    whole = written(tmp_path, tmp_path / "whole", cache)
+    table = plain(tmp_path)
+    whole = written(table, tmp_path / "whole", cache)
     seen, clean = Counter[str](), 0
     for n in grid(ratio=1.6):
         out = tmp_path / str(n)
-        found = outcome_without_memory(n, lambda out=out: written(tmp_path, out, cache))  # type: ignore[misc]
+        found = outcome_without_memory(n, lambda out=out: written(table, out, cache))  # type: ignore[misc]
         seen[found], clean = seen[found] + 1, clean + 1 if found == "clean" else 0
         there = [p for p in out.iterdir() if p.suffix != ".partial"] if out.is_dir() else []
         left = {p.name: p.read_bytes() for p in there if p.name != "run.json"}
         assert left.items() <= whole.items(), (n, found, sorted(left))
-        assert written(tmp_path, out, cache) == whole, n
+        assert written(table, out, cache) == whole, n
         assert {p.name for p in out.iterdir()} == {*whole, "run.json"}, n
         if clean == CLEAN:
             break
