@@ -5,11 +5,13 @@
 MANIFEST lists records: RAW, DYR, event, CSV with the columns time_s, NAME_unit (formats as in the folders of
 PowerSimulationsDynamics.jl and PowerDynamics.jl). Of every column that the plant has (bus voltage, rotor
 angle, speed, power, field voltage, mechanical power) the largest difference is printed as a share of the
-column's range. With --psse-steps the same equations are integrated as PSS/E does it, at the record's step h:
-x(t + h) = x + h (3 f(t) - f(t - h))/2, the rates before and after an event averaged. (So found from the
-records: with it classical machine, GENROU, SEXS, PSS2A and PSS2B fall from up to 2e-2 to 2e-4 of their
-ranges, the printed digits.) Time constants below h make that method unstable. Exit code 1 when a column is
-off by more than 1e-3 of its range.
+column's range. With --psse-steps the same equations are integrated as PSS/E does it, at the record's step h,
+which five things make, each found from the records that it brings from up to 1e-2 to 3e-4 of their ranges:
+x(t + h) = x + h (3 f(t) - f(t - h))/2, the rates before and after an event averaged; states in single
+precision; a voltage transducer's rate held from its input at t, v + h/(TR + h/2) (V(t) - v), which is late
+by h/2; a field voltage that follows the network at once is still the old one in the rates after an event;
+a GENROU with X'q = Xq has X'q = 0.98 Xq. Other time constants below h make the method unstable: ESST1A with
+TF = 2 h. docs/book.md has the table. Exit code 1 when a column is off by more than 1e-3 of its range.
 """
 
 from __future__ import annotations
@@ -135,10 +137,38 @@ def columns(names: Iterable[str], case: Case) -> dict[str, tuple[str, Callable[[
     return found
 
 
+def as_psse_has_it(case: Case, models: list[str]) -> Case:
+    """Return `case` with X'q = 0.98 Xq where a GENROU has X'q = Xq (found from the records of 14 buses)."""
+    change = {m.name: {"Xq1": 0.98 * m.Xq} for m in case.machines if m.Xq1 is not None and m.Xq1 == m.Xq}
+    return case.with_changes({"machines": change}) if change and "GENROU" in models else case
+
+
+class FieldVoltages:
+    """Field voltages at an event as PSS/E has them: found before the network is solved, so the old ones."""
+
+    def __init__(self, plant: PlantSlave, case: Case, states: list[str]) -> None:
+        of = [m for m in case.machines if f"{m.name}.eq1" in states]
+        self.references = [plant.references[f"{m.name}.Efd"] for m in of]
+        self.at = [(states.index(f"{m.name}.eq1"), states.index(f"{m.name}.eq2")) for m in of]
+        self.share = [((m.Xd2 - m.Xl) / (m.Xd1 - m.Xl), m.Td01) for m in of]
+
+    def old(self, model: FMU2Model) -> list[float]:
+        """Return the field voltages of now."""
+        return list(model.getReal(self.references)) if self.references else []
+
+    def keep(self, model: FMU2Model, before: list[float], rates: Array) -> None:
+        """Change `rates` after an event to those with the field voltages `before` it."""
+        for was, now, (eq1, eq2), (share, Td01) in zip(
+            before, self.old(model), self.at, self.share, strict=True
+        ):
+            rates[eq1] += (was - now) / Td01
+            rates[eq2] += share * (was - now) / Td01
+
+
 def two_step(
     plant: PlantSlave, case: Case, events: list[Any], stop: float, h: float, names: list[str]
 ) -> Array:
-    """Return variables at 0, h, 2 h, ... by the two-step method of PSS/E."""
+    """Return variables at 0, h, 2 h, ... by the method of PSS/E."""
     model = FMU2Model(
         guid=plant.slave.guid, modelIdentifier=plant.slave.modelIdentifier,
         unzipDirectory=plant.slave.unzipDirectory, instanceName="two-step",
@@ -152,28 +182,48 @@ def two_step(
     model.exitInitializationMode()
     model.newDiscreteStates()
     model.enterContinuousTimeMode()
-    x = np.zeros(len(operating_point(case).x0))
+    states = list(operating_point(case).state_names)
+    x = np.zeros(len(states))
     dx = np.zeros_like(x)
     at_x, at_dx = (a.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for a in (x, dx))
     model.getContinuousStates(at_x, x.size)
+    lags = {
+        states.index(f"{m.name}.exciter.v"): getattr(m.exciter, "TR", None)
+        for m in case.machines
+        if f"{m.name}.exciter.v" in states
+    }
+    fields = FieldVoltages(plant, case, states)
 
     def rates() -> Array:
         model.setContinuousStates(at_x, x.size)
         model.getDerivatives(at_dx, x.size)
         return dx.copy()
 
+    def choose_modes() -> None:
+        model.enterEventMode()
+        model.newDiscreteStates()
+        model.enterContinuousTimeMode()
+
     switches = {round(t / h) for e in events for t in (e.start_s, getattr(e, "end_s", None)) if t is not None}
     rows, before = [], np.zeros_like(x)
     for k in range(round(stop / h) + 1):
         model.setTime(k * h)
-        now = rates()
-        if k in switches:
-            model.enterEventMode()
-            model.newDiscreteStates()
-            model.enterContinuousTimeMode()
-            now = 0.5 * (now + rates())
+        model.setContinuousStates(at_x, x.size)
+        if k not in switches:
+            choose_modes()
+            last = now = rates()
+        else:
+            now, field = rates(), fields.old(model)
+            choose_modes()
+            last = rates()
+            fields.keep(model, field, last)
+            now = 0.5 * (now + last)
         rows.append(model.getReal([plant.references[name] for name in names]))
+        transducers = {i: x[i] + h / (T + 0.5 * h) * T * last[i] for i, T in lags.items() if T}
         x += h * (1.5 * now - 0.5 * before)
+        for i, value in transducers.items():
+            x[i] = value
+        x[:] = x.astype(np.float32)
         before = now
     model.terminate()
     model.freeInstance()
@@ -185,7 +235,9 @@ def compare(trace: dict[str, Any], folder: Path, whole: dict[str, Any], *, two_s
     exponents = (1.0, 2.0) if "constant current" in whole.get("load_model", "") else (2.0, 2.0)
     if "constant current" in trace.get("load_model", "") or "constant-current" in str(trace["models"]):
         exponents = (1.0, 1.0)
-    case = case_of_trace(trace, folder, exponents)
+    case, h = case_of_trace(trace, folder, exponents), trace.get("nominal_step_s", 0.0)
+    if two_steps:
+        case = as_psse_has_it(case, trace["models"])
     events = events_of_trace(trace.get("event", whole.get("event")), case)
     if "kI(v)" in whole.get("load_model", ""):
         events = with_low_voltage_load(case, events)
@@ -193,7 +245,6 @@ def compare(trace: dict[str, Any], folder: Path, whole: dict[str, Any], *, two_s
     names = lines[0].strip().split(",")
     data = np.array([[float(v or "nan") for v in row.split(",")] for row in lines[1:] if row.strip()])
     wanted = columns(names[1:], case)
-    h = trace.get("nominal_step_s", 0.0)
     time = np.round(data[:, 0] / h) * h if h else data[:, 0]
     if events[0].kind == "branch_trip" and "DEGOV" in trace["id"]:
         time = data[:, 0]
