@@ -82,10 +82,12 @@ def write_run(
     *,
     cache: Path | None = None,
     progress: Callable[[float, float], object] | None = None,
+    explorer: str = "",
 ) -> tuple[Result, list[Path]]:
     """Run any scenario and write its files, the trajectory while it runs: any length fits in memory.
 
     The result's trajectory is what its figure needs: the whole is in the files.
+    explorer : see `Run.save`.
 
     Raises
     ------
@@ -103,7 +105,7 @@ def write_run(
         gathered = system.gathered(master)
         master.advance(progress=progress)
         result = system.result(master, gathered)
-    return result, [*files.files, *result.save_beside(folder)]
+    return result, [*files.files, *result.save_beside(folder, explorer)]
 
 
 def _refuse_joint(scenario: Scenario) -> None:

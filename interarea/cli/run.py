@@ -84,11 +84,13 @@ def run(
             tested = _tested(loaded)
         typer.echo(tested)
     if out is not None:
-        with stage_progress((f"running {scenario}",)) as report:
-            result, files = _written(loaded, out, partial(report, f"running {scenario}"))
+        pages = []
         if explore:
             with busy(f"writing {out / 'explorer.html'}"):
-                files.append(_explored(loaded, out / "explorer.html"))
+                pages.append(_explored(loaded, out / "explorer.html"))
+        with stage_progress((f"running {scenario}",)) as report:
+            result, files = _written(loaded, out, partial(report, f"running {scenario}"), *pages)
+        files += pages
         if explain:
             typer.echo(result.explain())
         _tell(loaded, result, files, json_)
@@ -96,8 +98,12 @@ def run(
         raise typer.Exit(1)
 
 
-def _written(scenario: Scenario, out: Path, tell: Callable[[float], object]) -> tuple[Result, list[Path]]:
+def _written(
+    scenario: Scenario, out: Path, tell: Callable[[float], object], explorer: Path | None = None
+) -> tuple[Result, list[Path]]:
     """Run a scenario, in one FMU where it asks for that, and write what it gives into `out`.
+
+    explorer : the page beside it that the report links.
 
     What runs it is loaded here: a mistake in the file is told before. tell : takes the share that is done.
     """
@@ -109,11 +115,13 @@ def _written(scenario: Scenario, out: Path, tell: Callable[[float], object]) -> 
         tell(min(now_s / end_s, 0.99))
 
     tell(0.0)
+    link = "" if explorer is None else explorer.name
     if scenario.master.joint:
-        result: Result = run_joint(scenario, cache=default_cache(), progress=watch)
-        files = result.save(out)
+        run = run_joint(scenario, cache=default_cache(), progress=watch)
+        result: Result = run
+        files = run.save(out, explorer=link)
     else:
-        result, files = write_run(scenario, out, cache=default_cache(), progress=watch)
+        result, files = write_run(scenario, out, cache=default_cache(), progress=watch, explorer=link)
     tell(1.0)
     return result, files
 

@@ -80,6 +80,7 @@ def test_run_writes_the_page_of_its_scenario(tmp_path: Path, monkeypatch: pytest
         main()
     text = (tmp_path / "out" / "explorer.html").read_text(encoding="utf-8")
     assert "<title>Open loop: how the areas swing after a pulse" in text
+    assert 'href="explorer.html"' in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
