@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_page_bits import settings
 
 ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--js-flags=--expose-gc"]
 REQUIRED = (
@@ -23,6 +24,17 @@ EVERYTHING = """async (state) => {
   let text = '';
   for (let k = 0; k < bytes.length; k += 32768) text += String.fromCharCode(...bytes.subarray(k, k + 32768));
   return [run.columns, btoa(text)];
+}"""
+
+HASHES = """async (states) => {
+  const found = [];
+  for (const state of states) {
+    const run = await explorer.everything(state);
+    const hash = new Uint8Array(await crypto.subtle.digest('SHA-256', run.rows));
+    found.push([run.columns, run.rows.length / run.columns.length,
+      [...hash].map((x) => x.toString(16).padStart(2, '0')).join('')]);
+  }
+  return found;
 }"""
 
 
@@ -82,6 +94,53 @@ def test_presets_have_the_bits_of_node(browser: Any, page: Path, runs_of_node: A
             columns, rows = it.tab.evaluate(EVERYTHING, state)
             assert columns == names
             assert base64.b64decode(rows) == content
+
+
+@pytest.mark.slow
+def test_fifty_random_settings_have_the_bits_of_node(
+    browser: Any, page: Path, node: Any, data: dict[str, Any]
+) -> None:
+    """Every output of 20 s; node has those of the FMU (test_page_bits)."""
+    states = settings(data, 50)
+    theirs = [(run["columns"], run["rows"], run["hash"]) for run in node([{"run": s} for s in states])]
+    with Tab(browser, page) as it:
+        ours = it.tab.evaluate(HASHES, states)
+    assert len(theirs) == 50
+    assert sum(rows == 2001 for _, rows, _ in theirs) >= 40  # the others collapse
+    assert [tuple(run) for run in ours] == theirs
+
+
+@pytest.mark.slow
+def test_what_is_saved_is_what_is_shown(
+    browser: Any, page: Path, node: Any, runs_of_node: Any, data: dict[str, Any]
+) -> None:
+    """CSV: the bits of the exact run; scenario: the TOML that test_page_bits compares; link: the way back."""
+    state, names, content = runs_of_node[3]
+    with Tab(browser, page) as it:
+        it.context.grant_permissions(["clipboard-read", "clipboard-write"])
+        it.tab.evaluate("explorer.preset(3)")
+        it.settle()
+        with it.tab.expect_download() as started:
+            it.tab.click("#csv")
+        assert started.value.suggested_filename == "two-area-thesis-a-lost-signal.csv"
+        head, *lines = Path(started.value.path()).read_text(encoding="utf-8").splitlines()
+        assert head.split(",") == ["time_s", *names]
+        table = np.array([[float(x) for x in line.split(",")] for line in lines])
+        assert table[:, 0] == pytest.approx(np.arange(2001) / 100.0, abs=1e-12)
+        assert table[:, 1:].tobytes() == content
+        with it.tab.expect_download() as started:
+            it.tab.click("#save")
+        text = Path(started.value.path()).read_text(encoding="utf-8")
+        assert text == node([{"toml": state, "title": "two-area-thesis: A lost signal"}])[0]
+        it.tab.click("#link")
+        it.tab.wait_for_function("document.getElementById('notice').textContent.includes('link')")
+        link = it.tab.evaluate("navigator.clipboard.readText()")
+    assert link.startswith(page.as_uri() + "#v=1&")
+    back = node([{"link": link.partition("#")[2].join(["#", ""])}])[0]
+    assert back["why"] == ""
+    assert all(
+        data["start"].get(key, value) == value or back["state"][key] == value for key, value in state.items()
+    )
 
 
 @pytest.mark.slow
