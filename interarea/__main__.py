@@ -3,10 +3,11 @@
 import os
 import signal
 from types import FrameType
+from typing import NoReturn
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """End at once: while modules are loaded there is nothing to leave in order."""
+    """End at once: while modules are loaded, and after all, there is nothing to leave in order."""
     os.write(2, b"interarea: stopped\n")
     os._exit(130)
 
@@ -16,8 +17,17 @@ def main() -> None:
     signal.signal(signal.SIGINT, _stop)
     from .cli.app import main as run
 
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    run()
+    stops: list[int] = []
+
+    def stop(number: int, _frame: FrameType | None) -> NoReturn:
+        stops.append(number)
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, stop)
+    try:
+        run(stops)
+    finally:
+        signal.signal(signal.SIGINT, _stop)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
+from collections.abc import Collection
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
@@ -211,8 +212,11 @@ def program(
     """Wide-area damping of inter-area oscillations: plant and controllers as FMUs, co-simulated."""
 
 
-def main() -> None:
-    """Run the command line: exit code 0, 2 for a mistake of the user, 1 for a fault of ours."""
+def main(stops: Collection[int] = ()) -> None:
+    """Run the command line: exit code 0, 2 for a mistake of the user, 1 for a fault of ours.
+
+    stops : signals to stop, as they come: a module in C that is being loaded makes another error of one.
+    """
     steady_streams()
     warnings.showwarning = say_warning
     try:
@@ -224,6 +228,8 @@ def main() -> None:
             _stopped()
         raise
     except Exception as error:  # the one place where every error ends as one line
+        if stops:
+            _stopped()
         sys.exit(complain(error))
 
 
