@@ -158,10 +158,13 @@ def balance(A: Matrix, B: Matrix, C: Matrix, D: Matrix, *, negligible: float = 1
     return Balanced(W.T @ A @ T, W.T @ B, C @ T, D, values)
 
 
-def projections(Lc: Matrix, Lo: Matrix, negligible: float = 1e-11) -> tuple[Matrix, Matrix, Matrix]:
-    """W, T with W.T @ T = I that balance the Gramians Lc Lc^T and Lo Lo^T, and all singular values."""
-    U, values, Vh = np.linalg.svd(Lo.T @ Lc)
+def projections(
+    Lc: Matrix, Lo: Matrix, negligible: float = 1e-11, *, most: int | None = None
+) -> tuple[Matrix, Matrix, Matrix]:
+    """W, T with W.T @ T = I that balance Lc Lc^T and Lo Lo^T, `most` columns, and all singular values."""
+    U, values, Vh = np.linalg.svd(Lo.T @ Lc, full_matrices=False)
     rank = int(np.sum(values > negligible * values[0])) if values.size and values[0] > 0.0 else 0
+    rank = rank if most is None else min(rank, most)
     root = np.sqrt(values[:rank])
     return Lo @ U[:, :rank] / root, Lc @ Vh[:rank].T / root, values
 
