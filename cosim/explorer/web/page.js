@@ -294,18 +294,19 @@ class Explorer {
 
   drawCurves() {
     const { data, result, plots } = this, state = this.resultState, { h } = result, { stop } = data;
-    const base = controllerOf(data, state) ? this.base : null;
-    const shared = { h, stop }, quiet = (y) => ({ y, colour: 'reference', width: 1.1, quiet: true });
-    const withBase = (series, of) => (base && base.h === h ? [quiet(of(base)), ...series] : series);
+    const made = controllerOf(data, state), base = made && this.base && this.base.h === h ? this.base : null, shared = { h, stop };
+    const withBase = (series, of) => (base ? [{ y: of(base), colour: 'reference', width: 1.1 }, ...series] : series);
     const swing = this.judged.swing;
     this.curves = { swing };
-    plots.swing.draw({ ...shared, series: withBase([{ y: swing, colour: 'area1' }], (r) => weighted(data, r, 'dw', 1000 * data.case.frequency)), axis: false });
+    plots.swing.draw({ ...shared, series: withBase([{ y: swing, colour: 'area1' }], () => judgedAlone(data, state, base).swing), axis: false });
     if (plots.tie) {
-      const power = (r) => column(r, 'tie_p').map((x) => x * data.case.base);
+      const power = (r) => {
+        r.power = r.power || column(r, 'tie_p').map((x) => x * data.case.base);
+        return r.power;
+      };
       this.curves.tie = power(result);
-      plots.tie.draw({ ...shared, series: withBase([{ y: this.curves.tie, colour: 'area2' }], power), axis: controllerOf(data, state) === null });
+      plots.tie.draw({ ...shared, series: withBase([{ y: this.curves.tie, colour: 'area2' }], power), axis: made === null });
     }
-    const made = controllerOf(data, state);
     if (made) this.drawControl(made, state, shared);
     this.describe();
     this.glance();

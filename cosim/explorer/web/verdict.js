@@ -110,10 +110,16 @@ function verdictWords(data, state, verdict, least) {
   }
 }
 
+/* What `judge` says of the run without the controller, once for each. */
+function judgedAlone(data, state, base) {
+  base.judged = base.judged || judge(data, { ...state, k: 'none' }, base);
+  return base.judged;
+}
+
 /* How the grid does without the controller, where that is worth a word. */
 function aloneWords(data, state, verdict, base) {
   if (!base || !controllerOf(data, state)) return '';
-  const alone = judge(data, { ...state, k: 'none' }, base), fails = (v) => v.kind === 'step' || v.kind === 'collapse';
+  const alone = judgedAlone(data, state, base), fails = (v) => v.kind === 'step' || v.kind === 'collapse';
   if (fails(verdict)) return fails(alone) ? 'without the controller it does so too' : 'without the controller the grid stays in step';
   if (fails(alone)) return 'without the controller the machines lose synchronism';
   return '';
