@@ -23,7 +23,7 @@ class Finding:
         return " ".join(text.split())
 
 
-@dataclass
+@dataclass(repr=False)
 class Report:
     """What a check found, what it could not look at (notes, not_run), and facts about the binaries."""
 
@@ -32,6 +32,10 @@ class Report:
     notes: list[str] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
     not_run: list[str] = field(default_factory=list)  #: why a binary, or a part of it, was not run
+
+    def __repr__(self) -> str:
+        """Return the verdict and each finding in a line: what a notebook shows and pytest prints."""
+        return "\n".join([f"{self.file}: {self.verdict}", *(f"  {f.line()}" for f in self.findings)])
 
     def add(self, rule: str, where: str, message: str, fix: str) -> None:
         """Add a finding; the same rule is told once per place."""

@@ -20,7 +20,7 @@ class ReductionError(UserError):
     """The reduction asked for does not exist or would not keep what it must."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Reduction:
     """A reduced model with what is known about it.
 
@@ -52,6 +52,18 @@ class Reduction:
     def order(self) -> int:
         """Number of states of the reduced system."""
         return int(self.system.nstates)
+
+    def __repr__(self) -> str:
+        """Return what was made and how far off it is, in a line."""
+        bound = "" if self.bound is None else f", bound {self.bound:.3g}"
+        apart = "".join(
+            f"; {what} {', '.join(names)}"
+            for what, names in (("kept", self.kept), ("removed", self.removed))
+            if names
+        )
+        return (
+            f"Reduction({self.order} states by {self.method}: {self.error_of} {self.error:.3g}{bound}{apart})"
+        )
 
 
 @dataclass(frozen=True)

@@ -81,6 +81,7 @@ def test_a_linear_and_a_reduced_model() -> None:
     for method in ("balanced", "singular_perturbation", "hankel"):
         reduced = ia.reduce(relative, 12, method=method)
         assert reduced.system.nstates == 12 and reduced.error <= reduced.bound * (1.0 + 1e-6)
+        assert repr(reduced).startswith("Reduction(12 states by ") and f"{reduced.error:.3g}" in repr(reduced)
     with pytest.raises(ia.UserError, match="method = 'pade', allowed: balanced, singular_perturbation"):
         ia.reduce(relative, 12, method="pade")
 
@@ -151,4 +152,6 @@ def test_an_fmu_and_an_archive_pass_our_check(tmp_path: Path, hand_controller: i
         ia.write_ssp(scenario, tmp_path / "loop.ssp"),
         ia.write_container(scenario, tmp_path / "loop.fmu"),
     ):
-        assert ia.check(file, run=False).clean, file
+        found = ia.check(file, run=False)
+        assert found.clean, found
+        assert repr(found).splitlines() == [f"{file}: {found.verdict}"]
