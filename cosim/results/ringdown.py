@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from interarea.design.delay.loop_modes import LoopModes
+from interarea.models.case.events import instants
 from interarea.models.case.tables import swing_name
 
 from ..master.instances import FmuParticipant
@@ -66,8 +67,8 @@ class Swing:
 
 
 def disturbance_end_s(scenario: Scenario) -> float:
-    """Return when the last event started or ended, s (0 without events)."""
-    times = [t for e in scenario.event for t in (e.start_s, getattr(e, "end_s", None)) if t is not None]
+    """Return when the last event started or ended, s (0 without events; what relays do is not counted)."""
+    times = [t for e in scenario.event for t in instants(e)]
     return max((t for t in times if t < scenario.stop_s), default=0.0)
 
 

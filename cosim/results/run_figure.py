@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from interarea.models.case.events import instants
+
 from ..plots.curves import DASHES, MUTED, SERIES, STYLE, new_figure
 from .ringdown import speeds_of
 from .tally import DRAWN, Curves
@@ -102,10 +104,7 @@ def run_html(run: Ran) -> str:
 
 def _spans(run: Ran, end_s: float) -> list[tuple[str, list[tuple[float, float]]]]:
     """Return what is shaded: disturbances first, then the outages of each channel; label, times (s)."""
-    events = [
-        (e.start_s, t if (t := getattr(e, "end_s", None)) is not None else e.start_s)
-        for e in run.scenario.event
-    ]
+    events = [(times[0], times[-1]) for times in (instants(e) for e in run.scenario.event) if times]
     short = 0.002 * end_s  # what lasts an instant is drawn as a line
     found = [("disturbance", [(a, max(b, a + short)) for a, b in events if a < end_s])]
     for name, channel in run.scenario.channels.items():

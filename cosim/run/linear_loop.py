@@ -47,6 +47,8 @@ _LASTING = {
     "branch_reclose",
     "machine_trip",
     "shunt_switch",
+    "frequency_shed",
+    "frequency_trip",
     "load_step",
     "vref_step",
     "pm_step",

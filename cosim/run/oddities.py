@@ -8,6 +8,7 @@ from pathlib import Path
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.models.case.case import Case
+from interarea.models.case.events import instants
 
 from ..errors import ScenarioError, nearest
 from ..scenario.scenario import Scenario
@@ -15,7 +16,7 @@ from ..scenario.scenario import Scenario
 
 def times_past_the_end(scenario: Scenario) -> list[str]:
     """Return a line for each signal too late to tell of an event, and each event that outlasts the run."""
-    first = min((e.start_s for e in scenario.event), default=0.0)
+    first = min((t for e in scenario.event for t in instants(e)), default=0.0)
     left = scenario.stop_s - first
     lines = [
         f"{name}: a latency of {line.least_latency_s:g} s is not below the {left:g} s left after "

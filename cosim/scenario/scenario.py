@@ -331,7 +331,9 @@ class Scenario(Table):
     @property
     def marks_s(self) -> tuple[float, ...]:
         """Instants of events and outages inside the run."""
-        times = [t for e in self.event for t in (e.start_s, getattr(e, "end_s", None)) if t is not None]
+        from interarea.models.case.events import instants
+
+        times = [t for e in self.event for t in instants(e)]
         times += [t for c in self.lines.values() for t in c.marks_s]
         return tuple(sorted({t for t in times if 0.0 < t < self.stop_s}))
 

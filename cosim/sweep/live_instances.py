@@ -153,7 +153,7 @@ class Kept:
         """Return the extremes of the run that has come to its end."""
         scenario = self.system.scenario
         assert scenario is not None
-        tripped = tuple(e.machine for e in scenario.event if e.kind == "machine_trip")
+        tripped = tuple(e.machine for e in scenario.event if e.kind in ("machine_trip", "frequency_trip"))
         return excursion_of(self.master.trajectory, self.system.case, disturbance_end_s(scenario), tripped)
 
     def start(self, job: Job, instances: Instances, left: Sequence[Beginning]) -> bool:

@@ -12,8 +12,8 @@ from ..case.case import Case
 _ACTS_ON = {
     "bus": ("buses", "bus_fault"),
     "branch": ("branches", "branch_trip, branch_reclose"),
-    "machine": ("machines", "vref_pulse, pm_pulse, machine_trip"),
-    "load": ("loads", "load_step"),
+    "machine": ("machines", "vref_pulse, pm_pulse, machine_trip, frequency_trip"),
+    "load": ("loads", "load_step, frequency_shed"),
     "shunt": ("shunts", "shunt_switch"),
 }
 

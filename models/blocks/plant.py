@@ -49,6 +49,7 @@ SOURCES = tuple(
         "plant/tile_8.c",
         "plant/tangent.c",
         "plant/event.c",
+        "plant/relay.c",
         "plant/topology.c",
         "plant/sparse_stage.c",
         "plant/sparse_factor.c",
@@ -201,6 +202,11 @@ def event_parameters(case: Case, events: Iterable[Any]) -> dict[str, float | int
             f"event[{k}].size_q": size_q,
             f"event[{k}].r": getattr(event, "r_pu", 0.0),
             f"event[{k}].x": getattr(event, "x_pu", 0.0),
+            f"event[{k}].rise": getattr(event, "rise_s", 0.0),
+            f"event[{k}].threshold": getattr(event, "threshold_hz", 0.0),
+            f"event[{k}].delay": getattr(event, "delay_s", 0.0),
+            f"event[{k}].breaker": getattr(event, "breaker_s", 0.0),
+            f"event[{k}].filter": getattr(event, "filter_s", 0.0),
         }
     return values
 
@@ -208,11 +214,12 @@ def event_parameters(case: Case, events: Iterable[Any]) -> dict[str, float | int
 def _event_size(case: Case, event: Any) -> tuple[float, float]:
     if event.kind == "shunt_switch":
         return (1.0 if event.to == "in" else 0.0), 0.0
-    if event.kind != "load_step":
+    if event.kind not in ("load_step", "frequency_shed"):
         return float(getattr(event, "size_pu", 0.0)), 0.0
     if event.size_pu is None:
         return event.p_pu or 0.0, event.q_pu or 0.0
-    change = event.size_pu * load_power(case, case.loads[target_index(case, event)])
+    share = event.size_pu if event.kind == "load_step" else -event.size_pu
+    change = share * load_power(case, case.loads[target_index(case, event)])
     return change.real, change.imag
 
 

@@ -19,6 +19,8 @@ EVENT_CODES = {
     "pm_pulse": 6,
     "machine_trip": 7,
     "shunt_switch": 8,
+    "frequency_shed": 9,
+    "frequency_trip": 10,
 }
 _EVENT_WORDS = {
     "none": "slot not in use",
@@ -30,6 +32,8 @@ _EVENT_WORDS = {
     "pm_pulse": "mechanical power of a machine raised by size (machine base)",
     "machine_trip": "machine disconnected at start",
     "shunt_switch": "shunt switched in (size = 1) or out (size = 0), back at end",
+    "frequency_shed": "a frequency relay adds size + j size_q (below 0) to a load, in use from start to end",
+    "frequency_trip": "a frequency relay disconnects a machine, in use from start to end",
 }
 #: names of states that derivatives list altogether; beyond, those that see the network list nothing, which in
 #: FMI says that they may depend on everything
@@ -100,6 +104,11 @@ def event_variables(slots: int) -> list[Variable]:
         "size_q": ("pu", "reactive part of a load step", 0.0),
         "r": ("pu", "fault resistance", 0.0),
         "x": ("pu", "fault reactance", 1e-4),
+        "rise": ("s", "time over which a step of a load or set-point grows from 0, in stairs of 20 ms", 0.0),
+        "threshold": ("Hz", "frequency beyond which a relay acts: below the rated one under it", 0.0),
+        "delay": ("s", "how long the frequency must be beyond the threshold", 0.0),
+        "breaker": ("s", "from the relay's order until the breaker is open", 0.1),
+        "filter": ("s", "time constant with which the relay measures", 0.05),
     }
     variables = []
     for k in range(1, slots + 1):

@@ -15,10 +15,12 @@ def target_index(case: CaseTables, event: Any) -> int:
     Raises
     ------
     CaseError : no such target (with the nearest names), a bus with none or several loads, a Vref event at a
-        machine with constant excitation.
+        machine with constant excitation, a relay whose threshold is the rated frequency.
     """
-    if event.kind == "load_step" and event.bus is not None:
-        return _load_at(case, event.bus)
+    if event.kind.startswith("frequency"):
+        _check_threshold(case, event)
+    if hasattr(event, "load") and event.bus is not None:
+        return _load_at(case, event.kind, event.bus)
     if event.kind == "bus_fault":
         numbers = [bus.number for bus in case.buses]
         if event.bus not in numbers:
@@ -39,12 +41,21 @@ def target_index(case: CaseTables, event: Any) -> int:
     return names.index(name)
 
 
-def _load_at(case: CaseTables, bus: int) -> int:
+def _check_threshold(case: CaseTables, event: Any) -> None:
+    rated = case.frequency_hz
+    if not 0.0 < abs(event.threshold_hz - rated) < rated:
+        raise CaseError(
+            f"{case.name}: {event.kind}: threshold_hz = {event.threshold_hz:g}, allowed: below the rated "
+            f"{rated:g} Hz (under-frequency) or above it and below {2.0 * rated:g} (over-frequency)"
+        )
+
+
+def _load_at(case: CaseTables, kind: str, bus: int) -> int:
     here = [k for k, load in enumerate(case.loads) if load.bus == bus]
     if len(here) != 1:
         buses = sorted({load.bus for load in case.loads})
         raise CaseError(
-            f"{case.name}: load_step: bus {bus} has {len(here)} loads, allowed: one load ({buses}), "
+            f"{case.name}: {kind}: bus {bus} has {len(here)} loads, allowed: one load ({buses}), "
             "or load = NAME"
         )
     return here[0]

@@ -1,4 +1,5 @@
-"""What may happen to a plant during a run: faults, trips, steps and pulses, each at an exact time.
+"""What may happen to a plant during a run, each at an exact time: faults, trips, steps, ramps, pulses, and
+what relays do.
 
 In a case or scenario file an event is one table:
 
@@ -27,6 +28,14 @@ Target = Annotated[str, Field(strict=True, min_length=1)]
 BusNumber = Annotated[int, Field(strict=True, ge=1)]
 
 
+def _later(event: Any) -> Any:
+    if event.end_s is not None and not event.end_s > event.start_s:
+        raise ValueError(
+            f"end_s = {event.end_s:g} with start_s = {event.start_s:g}, allowed: end_s > start_s"
+        )
+    return event
+
+
 class _Event(Table):
     """Start time in seconds from the start of the run."""
 
@@ -40,11 +49,7 @@ class _Lasting(_Event):
 
     @model_validator(mode="after")
     def _ends_later(self) -> Self:
-        if self.end_s is not None and not self.end_s > self.start_s:
-            raise ValueError(
-                f"end_s = {self.end_s:g} with start_s = {self.start_s:g}, allowed: end_s > start_s"
-            )
-        return self
+        return _later(self)
 
 
 class BusFault(_Lasting):
@@ -86,7 +91,14 @@ class VrefPulse(_Lasting):
     end_s: Time
 
 
-class VrefStep(_Event):
+class _Ramp(Table):
+    """A change that may take its time."""
+
+    #: over which the change grows evenly from 0, in equal stairs of at most 20 ms; 0: at once
+    rise_s: Time = 0.0
+
+
+class VrefStep(_Event, _Ramp):
     """The voltage set-point of `machine` is raised by `size_pu` for good."""
 
     kind: Literal["vref_step"] = "vref_step"
@@ -103,32 +115,51 @@ class PmPulse(_Lasting):
     end_s: Time
 
 
-class PmStep(_Event):
-    """The mechanical power of `machine` is raised by `size_pu` (machine base) for good."""
+class PmStep(_Event, _Ramp):
+    """The mechanical power of `machine` is raised by `size_pu` (machine base) for good.
+
+    Where it has a governor this is the governor's set-point.
+    """
 
     kind: Literal["pm_step"] = "pm_step"
     machine: Target  #: name of the machine
     size_pu: Number  #: change of its mechanical power, of the machine's base
 
 
-class LoadStep(_Lasting):
+class _AtLoad(Table):
+    """A load, named by itself or by its bus."""
+
+    load: Target | None = None  #: name of the load; or `bus`
+    bus: BusNumber | None = None  #: where the load is; or `load`
+
+    @model_validator(mode="after")
+    def _one_name(self) -> Self:
+        if (self.load is None) == (self.bus is None):
+            kind = getattr(self, "kind", "")
+            raise ValueError(f"a {kind} names its target by load or by bus, allowed: exactly one of them")
+        return self
+
+
+class LoadStep(_Lasting, _Ramp, _AtLoad):
     """A load changes by `size_pu` of its P and Q, or by `p_pu` + j `q_pu` on the base of the case.
 
     The load is named by `load`, or by `bus` when one load is connected there. What is added has the
     load's own voltage characteristic and is reckoned at the load's voltage at the operating point.
+    Below 0 load is shed.
     """
 
     kind: Literal["load_step"] = "load_step"
-    load: Target | None = None  #: name of the load; or `bus`
-    bus: BusNumber | None = None  #: where the load is; or `load`
     size_pu: Number | None = None  #: share of the load that is added, both powers; or `p_pu`, `q_pu`
     p_pu: Number | None = None  #: change of active power, of the system base
     q_pu: Number | None = None  #: change of reactive power, of the system base
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
-        if (self.load is None) == (self.bus is None):
-            raise ValueError("a load_step names its target by load or by bus, allowed: exactly one of them")
+        if self.end_s is not None and not self.start_s + self.rise_s <= self.end_s:
+            raise ValueError(
+                f"rise_s = {self.rise_s:g} from {self.start_s:g} to {self.end_s:g} s, "
+                "allowed: start_s + rise_s <= end_s"
+            )
         if (self.size_pu is None) == (self.p_pu is None and self.q_pu is None):
             raise ValueError("a load_step has size_pu, or p_pu and q_pu, allowed: exactly one of these forms")
         return self
@@ -149,6 +180,44 @@ class ShuntSwitch(_Lasting):
     to: Literal["in", "out"] = "out"  #: switched in or out
 
 
+class _FrequencyRelay(Table):
+    """A frequency relay at the bus of what it disconnects.
+
+    It looks every 5 ms at the angle of the bus voltage; what that turned since, over the time, goes through
+    a lag of `filter_s`. Beyond `threshold_hz` it picks up, drops out when the frequency comes back or the
+    voltage is below 0.3 pu, and after `delay_s` tells the breaker, which opens `breaker_s` later, for good.
+    """
+
+    #: below the rated frequency: acts under it, above: over it
+    threshold_hz: Annotated[float, Field(strict=True, gt=0.0)]
+    delay_s: Time = 0.0  #: how long the frequency must be beyond the threshold
+    breaker_s: Time = 0.1  #: from the relay's order until the breaker is open
+    filter_s: Time = 0.05  #: time constant of what the relay measures with
+    start_s: Time = 0.0  #: since when it is in use
+    end_s: Time | None = None  #: until when; without it: to the end of the run
+
+    @model_validator(mode="after")
+    def _ends_later(self) -> Self:
+        return _later(self)
+
+
+class FrequencyShed(_FrequencyRelay, _AtLoad):
+    """An under- or over-frequency relay that sheds the share `size_pu` of a load.
+
+    Stages of one load are events of their own; their shares are all of what the load drew at the start.
+    """
+
+    kind: Literal["frequency_shed"] = "frequency_shed"
+    size_pu: Annotated[float, Field(strict=True, gt=0.0, le=1.0)]  #: share of the load, both powers
+
+
+class FrequencyTrip(_FrequencyRelay):
+    """An under- or over-frequency relay that disconnects `machine`."""
+
+    kind: Literal["frequency_trip"] = "frequency_trip"
+    machine: Target  #: name of the machine
+
+
 Event = Annotated[
     BusFault
     | BranchTrip
@@ -159,7 +228,9 @@ Event = Annotated[
     | PmStep
     | LoadStep
     | MachineTrip
-    | ShuntSwitch,
+    | ShuntSwitch
+    | FrequencyShed
+    | FrequencyTrip,
     Field(discriminator="kind"),
 ]
 
@@ -174,7 +245,20 @@ EVENT_KINDS = (
     "load_step",
     "machine_trip",
     "shunt_switch",
+    "frequency_shed",
+    "frequency_trip",
 )
+
+
+def instants(event: Any) -> tuple[float, ...]:
+    """Return when something begins or ends that is known before the run, s; nothing of a relay."""
+    if isinstance(event, _FrequencyRelay):
+        return ()
+    rises = (event.start_s + event.rise_s,) if getattr(event, "rise_s", 0.0) > 0.0 else ()
+    end = getattr(event, "end_s", None)
+    return (event.start_s, *rises, *(() if end is None else (end,)))
+
+
 _ONE: TypeAdapter[Any] = TypeAdapter(Event)
 
 

@@ -369,6 +369,22 @@ size_t plant_locals(double *memory, const int32_t *places, size_t lanes, const d
     return 0;
 }
 
+size_t plant_voltages(double *memory, const int32_t *places, size_t lanes, const double *x, double *volts,
+                      double *scratch)
+{
+    Plan own;
+    const Plan *plan = plan_in(memory, &own);
+    const Pattern pattern = pattern_of(places, plan);
+    Work w = work_arrays(scratch, plan, lanes);
+
+    const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
+    if (stuck > 0) return stuck;
+    if (plan->n_node > 0) sparse_backward(memory, plan, &pattern, 0, plan->first, w.v);
+    for (size_t k = 0; k < plan->n_bus; ++k)
+        network_voltage(memory, plan, &pattern, k, w.e_re, w.e_im, w.v, &volts[k], &volts[plan->n_bus + k]);
+    return 0;
+}
+
 /* Solves the ports at x, so that memory holds their voltages there, and their slopes if the network is sparse. */
 size_t plant_settle(double *memory, const int32_t *places, size_t lanes, const double *x, double *scratch)
 {

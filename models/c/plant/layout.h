@@ -88,9 +88,16 @@ enum {
     H_PLAN = 8
 };
 
-/* FMI parameters of a slot: Reals start, end, size, size_q, r, x; integers kind, target. */
-enum { SLOT_START, SLOT_END, SLOT_SIZE, SLOT_SIZE_Q, SLOT_R, SLOT_X, SLOT_REALS };
+/* FMI parameters of a slot: Reals start, end, size, size_q, r, x, rise and those of a relay; integers kind, target. */
+enum {
+    SLOT_START, SLOT_END, SLOT_SIZE, SLOT_SIZE_Q, SLOT_R, SLOT_X, SLOT_RISE,
+    SLOT_THRESHOLD, SLOT_DELAY, SLOT_BREAKER, SLOT_FILTER, SLOT_REALS
+};
 enum { SLOT_KIND, SLOT_TARGET, SLOT_INTEGERS };
+enum {  /* relay of a slot: when it last looked (-INFINITY: never), the angle then, the frequency that it sees in pu of
+           the rated one, since when that is beyond the threshold and when the breaker opens (INFINITY: not at all) */
+    RELAY_TIME, RELAY_ANGLE, RELAY_FREQUENCY, RELAY_SINCE, RELAY_OPENS, RELAY_ROWS
+};
 
 typedef struct {
     size_t n_machine, n_sixth, n_bus, n_branch, n_load;
@@ -118,6 +125,7 @@ typedef struct {
     size_t show;          /* ShowKind of n_y + n_w, then of which                  */
     size_t bus_part;      /* n_bus: first machine of the part of the network       */
     size_t in_service;    /* n_branch: 1 or 0                                      */
+    size_t relay;         /* RELAY_ROWS for each slot (relay.c)                    */
     size_t state_machine; /* n_state: the machine a state belongs to               */
     size_t norton;        /* sparse: 2 x n_machine, admittance of each machine     */
     size_t width;         /* sparse: numbers of an entry, 2 (complex) or, with ports, 4 (2 x 2 real) */
@@ -160,6 +168,7 @@ static inline void plan_offsets(Plan *p)
     p->show = at;          at += 2u * (p->n_y + p->n_w);
     p->bus_part = at;      at += p->n_bus;
     p->in_service = at;    at += p->n_branch;
+    p->relay = at;         at += (size_t)RELAY_ROWS * p->n_slot;
     p->state_machine = at; at += p->n_state;
     p->norton = at;        at += 2u * n * sparse;
     p->width = ports > 0 ? 4 : 2;

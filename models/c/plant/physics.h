@@ -14,6 +14,9 @@ size_t plant_flow_held(double *memory, const int32_t *places, size_t lanes, cons
 size_t plant_outputs(double *memory, const int32_t *places, size_t lanes, const double *x, double *y, double *scratch);
 size_t plant_locals(double *memory, const int32_t *places, size_t lanes, const double *x, const double *u,
                     double *locals, double *scratch, double *dx);
+/* Voltages of all buses, n_bus real parts, then imaginary ones. */
+size_t plant_voltages(double *memory, const int32_t *places, size_t lanes, const double *x, double *volts,
+                      double *scratch);
 size_t plant_settle(double *memory, const int32_t *places, size_t lanes, const double *x, double *scratch);
 
 #ifdef PLANT_TANGENT

@@ -6,6 +6,7 @@
 #include "failure.h"
 #include "physics.h"
 #include "processor.h"
+#include "relay.h"
 #include "rest.h"
 #include "sparse.h"
 #include "tables.h"
@@ -28,7 +29,8 @@ static size_t scratch_of(const Plan *plan, const BlockLayout *l)
     const size_t shown = l->n_y > 2 * plan->n_source ? l->n_y : 2 * plan->n_source;
     const size_t tangent = 2 * (2 * l->n_x + l->n_u + shown + flow_work(plan)) + 2 * plan->n_machine;
     const size_t stage = 2 * plan->n_bus + topology_work(plan);
-    return tangent > stage ? tangent : stage;
+    const size_t most = tangent > stage ? tangent : stage;
+    return most > relay_work(plan) ? most : relay_work(plan);
 }
 
 BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNeeds *needs,
@@ -64,7 +66,8 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     if (status == BLOCK_OK) rest_prepare(memory, &plan);
     if (status == BLOCK_OK) status = rest_settle(b, &plan, &net, message);
     if (status == BLOCK_OK) status = event_check(b, &plan, &net, message);
-    if (status == BLOCK_OK) status = event_apply(b, &plan, &net, t, message);
+    relay_start(memory, &plan);
+    if (status == BLOCK_OK) status = event_apply(b, &plan, &net, EVENT_SWITCHES, t, message);
     if (status == BLOCK_OK) memory[H_READY] = READY;
     b->lanes = processor_lanes();
     return status;
@@ -153,11 +156,17 @@ BlockStatus block_event(Block *b, double t, double *x, BlockMessage *message)
     Plan plan;
     Network net;
 
-    (void)x;
     if (!prepared(b, &plan, &net)) return not_started(message);
     /* the slots may have been set anew since the start */
-    const BlockStatus status = event_check(b, &plan, &net, message);
-    return status == BLOCK_OK ? event_apply(b, &plan, &net, t, message) : status;
+    BlockStatus status = event_check(b, &plan, &net, message);
+    if (status != BLOCK_OK) return status;
+    const size_t stuck = relay_look(b, &plan, &net, x, t);
+    if (stuck > 0) return unsolved(b, stuck, t, message);
+    const EventReach reach = event_reach(b, &plan, t);
+    if (reach == EVENT_LOOKS) return BLOCK_OK;
+    status = event_apply(b, &plan, &net, reach, t, message);
+    if (status == BLOCK_OK) relay_tell(b, &plan, &net, t, message);
+    return status;
 }
 
 BlockStatus block_step(Block *b, double t, double h, const double *u_poly, double *dy,

@@ -19,6 +19,8 @@ GOOD = [
     {"kind": "load_step", "bus": 9, "size_pu": 0.1, "start_s": 1.0},
     {"kind": "machine_trip", "machine": "G2", "start_s": 1.0},
     {"kind": "shunt_switch", "shunt": "C9", "start_s": 1.0, "end_s": 3.0},
+    {"kind": "frequency_shed", "load": "L9", "size_pu": 0.1, "threshold_hz": 59.3},
+    {"kind": "frequency_trip", "machine": "G3", "threshold_hz": 61.5, "delay_s": 0.2},
 ]
 
 
@@ -26,7 +28,7 @@ def test_every_kind_has_its_target() -> None:
     case = load_case("two-area-thesis")
     events = events_of(GOOD, where="here")
     assert {e.kind for e in events} == set(EVENT_KINDS)
-    assert [target_index(case, e) for e in events] == [7, 8, 8, 0, 1, 2, 3, 1, 1, 1]
+    assert [target_index(case, e) for e in events] == [7, 8, 8, 0, 1, 2, 3, 1, 1, 1, 1, 2]
     check_events(case, events)
 
 
@@ -43,6 +45,11 @@ BAD = [
     ({"kind": "branch_trip", "line": "8-9 a", "start_s": 1.0}, "branch is missing|no such key"),
     ({"kind": "vref_step", "machine": "G1", "size_pu": "0.1", "start_s": 1.0}, "size_pu = '0.1'"),
     ({"kind": "load_step", "bus": 7, "start_s": 1.0}, "exactly one of these forms"),
+    (
+        {"kind": "load_step", "bus": 7, "size_pu": 0.1, "start_s": 1.0, "end_s": 2.0, "rise_s": 3.0},
+        "rise_s = 3 from 1 to 2 s",
+    ),
+    ({"kind": "frequency_shed", "bus": 7, "size_pu": 1.5, "threshold_hz": 59.0}, "size_pu = 1.5"),
     ({"kind": "load_step", "bus": 7, "load": "L7", "size_pu": 0.1, "start_s": 1.0}, "by load or by bus"),
 ]
 
@@ -61,6 +68,10 @@ TARGETS = [
     (
         {"kind": "load_step", "bus": 5, "size_pu": 0.1, "start_s": 1.0},
         r"bus 5 has 0 loads, allowed: one load",
+    ),
+    (
+        {"kind": "frequency_shed", "bus": 9, "size_pu": 0.1, "threshold_hz": 60.0},
+        r"threshold_hz = 60, allowed: below the rated 60 Hz",
     ),
 ]
 
