@@ -40,49 +40,60 @@ static int is_regulated(const Block *b, const Plan *plan, size_t machine)
     return 0;
 }
 
+/* Times and numbers that every kind has. */
+static BlockStatus check_numbers(const double *p, size_t slot, int kind, BlockMessage *message)
+{
+    const int ramps = kind == EVENT_LOAD_STEP || kind == EVENT_VREF_PULSE || kind == EVENT_PM_PULSE;
+    const double most = ramps ? p[SLOT_END] - p[SLOT_START] : 0.0;
+
+    for (size_t j = 0; j < SLOT_REALS; ++j)
+        if (!(fabs(p[j]) <= 1e300))
+            return plant_fail(message, BLOCK_ERROR, "event[%zu] (%s): a parameter is not a finite number", slot,
+                              kind_name(kind));
+    if (!(p[SLOT_END] > p[SLOT_START]))
+        return plant_fail(message, BLOCK_ERROR,
+                          "event[%zu] (%s): end = %g s with start = %g s, allowed: end > start (1e30 for no end)",
+                          slot, kind_name(kind), p[SLOT_END], p[SLOT_START]);
+    if (!(p[SLOT_RISE] >= 0.0 && p[SLOT_RISE] <= most))
+        return plant_fail(message, BLOCK_ERROR, "event[%zu] (%s): rise = %g s, allowed: 0 to %g", slot,
+                          kind_name(kind), p[SLOT_RISE], most);
+    return BLOCK_OK;
+}
+
+static BlockStatus check_slot(const Block *b, const Plan *plan, const Network *net, size_t k, BlockMessage *message)
+{
+    const double *p = slot_reals(b, plan, k);
+    const int *i = slot_integers(b, plan, k);
+    const int kind = i[SLOT_KIND], target = i[SLOT_TARGET];
+
+    if (kind < 0 || kind >= (int)EVENT_KINDS)
+        return plant_fail(message, BLOCK_ERROR, "event[%zu].kind = %d, allowed: 0 to %d", k + 1, kind,
+                          (int)EVENT_KINDS - 1);
+    const size_t count = target_count(plan, net, kind);
+    if (target < 1 || (size_t)target > count)
+        return plant_fail(message, BLOCK_ERROR, "event[%zu].target = %d for %s, allowed: 1 to %zu", k + 1, target,
+                          kind_name(kind), count);
+    const BlockStatus status = check_numbers(p, k + 1, kind, message);
+    if (status != BLOCK_OK) return status;
+    if (kind == EVENT_BUS_FAULT
+        && (!(p[SLOT_R] >= 0.0) || !(p[SLOT_R] * p[SLOT_R] + p[SLOT_X] * p[SLOT_X] >= 1e-16)))
+        return plant_fail(message, BLOCK_ERROR,
+                          "event[%zu] (bus_fault): r = %g, x = %g, allowed: r >= 0 and |r + jx| >= 1e-8 pu", k + 1,
+                          p[SLOT_R], p[SLOT_X]);
+    if (kind == EVENT_VREF_PULSE && !is_regulated(b, plan, (size_t)target - 1)) {
+        char name[64];
+        return plant_fail(message, BLOCK_ERROR, "event[%zu] (vref_pulse): machine %s has no voltage regulator", k + 1,
+                          plant_name(net->machine_names, (size_t)target - 1, name));
+    }
+    return relay_is(kind) ? relay_check(b, p, k, kind_name(kind), message) : BLOCK_OK;
+}
+
 BlockStatus event_check(const Block *b, const Plan *plan, const Network *net, BlockMessage *message)
 {
     for (size_t k = 0; k < plan->n_slot; ++k) {
-        const double *p = slot_reals(b, plan, k);
-        const int *i = slot_integers(b, plan, k);
-        const int kind = i[SLOT_KIND], target = i[SLOT_TARGET];
-
-        if (kind == EVENT_NONE) continue;
-        if (kind < 0 || kind >= (int)EVENT_KINDS)
-            return plant_fail(message, BLOCK_ERROR, "event[%zu].kind = %d, allowed: 0 to %d",
-                              k + 1, kind, (int)EVENT_KINDS - 1);
-        const size_t count = target_count(plan, net, kind);
-        if (target < 1 || (size_t)target > count)
-            return plant_fail(message, BLOCK_ERROR, "event[%zu].target = %d for %s, allowed: 1 to %zu",
-                              k + 1, target, kind_name(kind), count);
-        for (size_t j = 0; j < SLOT_REALS; ++j)
-            if (!(fabs(p[j]) <= 1e300))
-                return plant_fail(message, BLOCK_ERROR, "event[%zu] (%s): a parameter is not a finite number",
-                                  k + 1, kind_name(kind));
-        if (!(p[SLOT_END] > p[SLOT_START]))
-            return plant_fail(message, BLOCK_ERROR,
-                              "event[%zu] (%s): end = %g s with start = %g s, allowed: end > start "
-                              "(1e30 for no end)",
-                              k + 1, kind_name(kind), p[SLOT_END], p[SLOT_START]);
-        if (kind == EVENT_BUS_FAULT
-            && (!(p[SLOT_R] >= 0.0) || !(p[SLOT_R] * p[SLOT_R] + p[SLOT_X] * p[SLOT_X] >= 1e-16)))
-            return plant_fail(message, BLOCK_ERROR,
-                              "event[%zu] (bus_fault): r = %g, x = %g, allowed: r >= 0 and |r + jx| >= 1e-8 pu",
-                              k + 1, p[SLOT_R], p[SLOT_X]);
-        const double most = kind == EVENT_LOAD_STEP || kind == EVENT_VREF_PULSE || kind == EVENT_PM_PULSE
-                                ? p[SLOT_END] - p[SLOT_START] : 0.0;
-        if (!(p[SLOT_RISE] >= 0.0 && p[SLOT_RISE] <= most))
-            return plant_fail(message, BLOCK_ERROR, "event[%zu] (%s): rise = %g s, allowed: 0 to %g", k + 1,
-                              kind_name(kind), p[SLOT_RISE], most);
-        if (relay_is(kind)) {
-            const BlockStatus status = relay_check(b, p, k, kind_name(kind), message);
-            if (status != BLOCK_OK) return status;
-        }
-        if (kind == EVENT_VREF_PULSE && !is_regulated(b, plan, (size_t)target - 1)) {
-            char name[64];
-            return plant_fail(message, BLOCK_ERROR, "event[%zu] (vref_pulse): machine %s has no voltage regulator",
-                              k + 1, plant_name(net->machine_names, (size_t)target - 1, name));
-        }
+        if (slot_integers(b, plan, k)[SLOT_KIND] == EVENT_NONE) continue;
+        const BlockStatus status = check_slot(b, plan, net, k, message);
+        if (status != BLOCK_OK) return status;
     }
     return BLOCK_OK;
 }
