@@ -3,7 +3,8 @@
     python benchmarks/bench_modes.py [FOLDER] [--grid NAME ..] [--dense STATES] [--late S ..] [--json FILE]
 
 Bundled cases below damping ratios of 0.15 and 0.3, or with FOLDER its published files under the names in
-`GRIDS` (inverters as constant currents, loads as impedances) below 0.15, from 0.1 to 2 Hz. Dense: numpy's QR
+`GRIDS` (inverters as constant currents, loads as impedances; a MATPOWER file with devices by the rule of
+`ruled_grid`) below 0.15, from 0.1 to 2 Hz. Dense: numpy's QR
 on the whole state matrix, of grids up to `--dense` states. With `--late` also with three speed differences
 fed back to exciters, so many seconds late: against QR on plant and Chebyshev lines for the delays. Exit code
 1 where found, counted and dense differ, a residual is above 1e-9 or a late mode is off by 1e-7.
@@ -21,6 +22,9 @@ from typing import Any
 import control
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parent))
+from ruled_grid import ruled_grid
+
 from interarea.cosim.run.artefacts import sparse_linear_plant
 from interarea.design.delay.characteristic_roots import discretised
 from interarea.design.delay.curves import delayed_loop
@@ -36,8 +40,8 @@ from interarea.models.importers.file import import_grid
 BAND_HZ = (0.1, 2.0)
 _NODES = 28  # of each line that stands for a delay
 _OFF = 1e-7  # relative, of a late mode
-#: RAW and DYR under FOLDER
-GRIDS = {
+#: RAW and DYR under FOLDER, or a MATPOWER file
+GRIDS: dict[str, tuple[str, ...]] = {
     "ACTIVSg200": ("ACTIVSg200/ACTIVSg200.RAW", "ACTIVSg200/ACTIVSg200_dynamics.dyr"),
     "ACTIVSg500": ("ACTIVSg500/ACTIVSg500.RAW", "ACTIVSg500/ACTIVSg500_dynamics.dyr"),
     "WECC240": (
@@ -45,13 +49,16 @@ GRIDS = {
         "WECC240/240busWECC_2018_PSS.dyr",
     ),
     "ACTIVSg2000": ("ACTIVSg2000/ACTIVSg2000.RAW.xz", "ACTIVSg2000/ACTIVSg2000_dynamics.dyr"),
+    "ACTIVSg10k": ("matpower/case_ACTIVSg10k.m.xz",),
 }
 
 
 def imported(folder: Path, name: str) -> Case:
     """Return a published grid with its loads as impedances."""
-    raw, dyr = GRIDS[name]
-    case = import_grid(folder / raw, dyr=folder / dyr, converters="current", release_limits=True).case
+    raw, *dyr = GRIDS[name]
+    if not dyr:
+        return ruled_grid(folder / raw)
+    case = import_grid(folder / raw, dyr=folder / dyr[0], converters="current", release_limits=True).case
     change = {"P_zip": None, "Q_zip": None, "P_exponent": 2.0, "Q_exponent": 2.0}
     return case.model_copy(update={"loads": tuple(q.model_copy(update=change) for q in case.loads)})
 

@@ -16,7 +16,7 @@ from interarea.fmu_build.open.plant import open_plant
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import Case
-from interarea.models.case.parameter_path import parameter_value, with_parameter
+from interarea.models.case.parameter_path import parameter_step, parameter_value, with_parameter
 from interarea.models.files import temporary_folder
 
 from ..run.artefacts import linear_plant, sparse_linear_plant
@@ -26,6 +26,8 @@ def parameter_sensitivities(
     case: Case, paths: Sequence[str], cache: Path
 ) -> dict[str, Mapping[str, Sensitivity]]:
     """Return path -> mode name -> sensitivity, for numbers of `case` named by path (`machines.G1.H`).
+
+    `redispatch.G1:G2` is the power that G2 delivers in place of G1, MW.
 
     Every value has its own power flow and operating point: moving a load moves the whole equilibrium.
 
@@ -41,7 +43,9 @@ def parameter_sensitivities(
             return state_matrix(with_parameter(case, path, value), cache)
 
         value = parameter_value(case, path)
-        found[path] = eigenvalue_sensitivity(modes, matrix_of, value, parameter=path)
+        found[path] = eigenvalue_sensitivity(
+            modes, matrix_of, value, parameter=path, step=parameter_step(path)
+        )
     return found
 
 
@@ -60,7 +64,8 @@ def all_mode_sensitivities(
         def plant_of(value: float, path: str = path) -> SparsePlant:
             return sparse_linear_plant(with_parameter(case, path, value), cache)
 
-        found[path] = sparse_sensitivity(modes, plant_of, parameter_value(case, path), parameter=path)
+        value, step = parameter_value(case, path), parameter_step(path)
+        found[path] = sparse_sensitivity(modes, plant_of, value, parameter=path, step=step)
     return found
 
 

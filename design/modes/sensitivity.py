@@ -60,6 +60,7 @@ def eigenvalue_sensitivity(
     *,
     parameter: str,
     relative_step: float = 1e-3,
+    step: float | None = None,
 ) -> Mapping[str, Sensitivity]:
     r"""Return the sensitivity of every mode of `modes` to one parameter, by mode name.
 
@@ -69,7 +70,7 @@ def eigenvalue_sensitivity(
     matrix_of : state matrix A (n, n) of the plant for a value of the parameter, operating point included.
     value : where the derivative is taken. With 0 the difference is one-sided (many parameters may not be
         negative) and its step is `relative_step` itself.
-    relative_step : of the wider difference, times \|value\|.
+    relative_step : of the wider difference, times \|value\|. step : to both sides, in its place, also at 0.
 
     Raises
     ------
@@ -88,9 +89,9 @@ def eigenvalue_sensitivity(
         raise ValueError(
             f"{parameter} = {value!r}, relative_step = {relative_step!r}, allowed: finite, above 0"
         )
-    difference = _forward if value == 0.0 else _central
-    step = relative_step * (abs(value) or 1.0)
-    coarse, fine = (difference(matrix_of, value, h) for h in (step, step / 2.0))
+    difference = _forward if value == 0.0 and step is None else _central
+    wide = relative_step * (abs(value) or 1.0) if step is None else step
+    coarse, fine = (difference(matrix_of, value, h) for h in (wide, wide / 2.0))
     dA = (4.0 * fine - coarse) / 3.0
     found = {}
     for name, mode in modes.items():
@@ -111,11 +112,17 @@ def eigenvalue_sensitivity(
 
 
 def sparse_sensitivity(
-    modes: Sequence[Mode], plant_of: Callable[[float], SparsePlant], value: float, *, parameter: str
+    modes: Sequence[Mode],
+    plant_of: Callable[[float], SparsePlant],
+    value: float,
+    *,
+    parameter: str,
+    step: float | None = None,
 ) -> Mapping[str, Sensitivity]:
     """Return the same for modes of a sparse plant: w' A(p) v needs no matrix.
 
     plant_of : the plant for a value of the parameter, operating point included, of the same states.
+    step : as `eigenvalue_sensitivity`.
 
     Raises
     ------
@@ -135,9 +142,10 @@ def sparse_sensitivity(
             )
         return np.asarray(np.sum(left.T * plant.times(right), axis=0))
 
-    step = 1e-3 * (abs(value) or 1.0)
-    at = [[values_of(value + k * h) for k in _places(value)] for h in (step, step / 2.0)]
-    coarse, fine = (_slope(value, rows, h) for rows, h in zip(at, (step, step / 2.0), strict=True))
+    places = (0, 1, 2) if value == 0.0 and step is None else (1, -1)  # many parameters may not be negative
+    wide = 1e-3 * (abs(value) or 1.0) if step is None else step
+    steps = (wide, wide / 2.0)
+    coarse, fine = (_slope([values_of(value + k * h) for k in places], h) for h in steps)
     derivative = (4.0 * fine - coarse) / 3.0
     return {
         mode.name: Sensitivity(mode.name, parameter, value, mode.eigenvalue, complex(d), float(abs(d - f)))
@@ -145,13 +153,8 @@ def sparse_sensitivity(
     }
 
 
-def _places(value: float) -> tuple[int, ...]:
-    """Steps of the difference: one-sided from 0, as many parameters may not be negative."""
-    return (0, 1, 2) if value == 0.0 else (1, -1)
-
-
-def _slope(value: float, rows: Sequence[NDArray[np.complex128]], h: float) -> NDArray[np.complex128]:
-    if value == 0.0:
+def _slope(rows: Sequence[NDArray[np.complex128]], h: float) -> NDArray[np.complex128]:
+    if len(rows) == 3:
         return np.asarray((-3.0 * rows[0] + 4.0 * rows[1] - rows[2]) / (2.0 * h))
     return np.asarray((rows[0] - rows[1]) / (2.0 * h))
 

@@ -45,7 +45,9 @@ def modes(
     ] = 3,
     sensitivity: Annotated[
         list[str] | None,
-        typer.Option("--sensitivity", metavar="PATH", help="a number of the case, as machines.G1.exciter.KA"),
+        typer.Option(
+            "--sensitivity", metavar="PATH", help="of the case, as machines.G1.exciter.KA or redispatch.G1:G2"
+        ),
     ] = None,
     tie_flow: Annotated[
         float, typer.Option("--tie-flow", metavar="MW", help="load moved across the tie")
@@ -308,15 +310,18 @@ def _sensitivity_dict(moved: Mapping[str, Mapping[str, Sensitivity]]) -> dict[st
 
 def _print_sensitivity(path: str, by_mode: Mapping[str, Sensitivity]) -> None:
     value = next(iter(by_mode.values())).value
+    step, unit = (value / 100.0, "1 %") if value else (1.0, "unit")
+    if path.startswith("redispatch."):
+        step, unit = 100.0, "100 MW"
     print_table(
         f"sensitivity to {path} = {value:g}",
-        ("mode", "d eigenvalue / d parameter", "frequency (Hz per 1 %)", "damping ratio per 1 %"),
+        ("mode", "d eigenvalue / d parameter", f"frequency (Hz per {unit})", f"damping ratio per {unit}"),
         [
             (
                 name,
                 f"{s.derivative.real:+.4g} {s.derivative.imag:+.4g}j",
-                f"{s.frequency_slope * value / 100.0:+.2e}",
-                f"{s.damping_slope * value / 100.0:+.2e}",
+                f"{s.frequency_slope * step:+.2e}",
+                f"{s.damping_slope * step:+.2e}",
             )
             for name, s in by_mode.items()
         ],

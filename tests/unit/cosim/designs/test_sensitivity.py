@@ -7,7 +7,13 @@ import json
 import numpy as np
 import pytest
 
-from interarea.cosim.designs.sensitivities import parameter_sensitivities, state_matrix
+from interarea.cosim.designs.sensitivities import (
+    all_mode_sensitivities,
+    parameter_sensitivities,
+    state_matrix,
+)
+from interarea.cosim.run.artefacts import sparse_linear_plant
+from interarea.design.modes.all_modes import all_modes as all_modes_of
 from interarea.design.modes.modes import Mode, Modes
 from interarea.design.modes.sensitivity import eigenvalue_sensitivity
 from interarea.models.case.case import CaseError, load_case
@@ -105,9 +111,29 @@ def test_plant_sensitivity_is_the_slope_of_its_eigenvalues(path, cache):
         assert s.derivative == pytest.approx(slope, abs=1e-6 * max(1.0, abs(s.eigenvalue)) / abs(value))
 
 
+def test_a_redispatch_moves_modes_as_the_grid_solved_again_says(cache):
+    """Eigenvalues of the grid with 20 MW more and less from G4 in place of G2, dense and sparse alike."""
+    case, path = load_case(CASE), "redispatch.G2:G4"
+    moved = with_parameter(case, path, 20.0)
+    assert moved.machine("G4").P_mw - case.machine("G4").P_mw == pytest.approx(20.0)
+    assert case.machine("G2").P_mw - moved.machine("G2").P_mw == pytest.approx(20.0)
+    dense = parameter_sensitivities(case, [path], cache)[path]
+    around = [np.linalg.eigvals(state_matrix(with_parameter(case, path, p), cache)) for p in (20.0, -20.0)]
+    inter_area = dense["inter-area"]
+    near = [z[np.argmin(np.abs(z - inter_area.eigenvalue))] for z in around]
+    assert inter_area.derivative == pytest.approx((near[0] - near[1]) / 40.0, rel=2e-3)
+    found = all_modes_of(sparse_linear_plant(case, cache), case.areas, band_hz=(0.3, 2.0), below=0.3).modes
+    sparse = all_mode_sensitivities(case, found, [path], cache)[path]
+    one = min(sparse.values(), key=lambda s: abs(s.eigenvalue - inter_area.eigenvalue))
+    assert one.derivative == pytest.approx(inter_area.derivative, rel=1e-5)
+
+
 @pytest.mark.parametrize(
     ("path", "says"),
     [
+        ("redispatch.G1", "wanted redispatch.FROM:TO, two machines"),
+        ("redispatch.G1:G1", "wanted redispatch.FROM:TO, two machines"),
+        ("redispatch.G1:G9", "no machine 'G9'"),
         ("machine.G1.H", r"no table 'machine'; did you mean machines"),
         ("machines.G9.H", r"no row 'G9' in machines"),
         ("machines.G1.exciter.Ka", r"no field 'Ka'; did you mean KA"),
