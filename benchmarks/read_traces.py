@@ -95,24 +95,28 @@ def events_of_trace(event: dict[str, Any], case: Case) -> list[Any]:
     return list(events_of([row], where="manifest"))
 
 
-def with_low_voltage_load(case: Case, events: list[Any]) -> list[Any]:
-    """Return `events` with a step of the load during the fault: OpenIPSL's constant current below 0.5 pu.
+def with_low_voltage_load(case: Case, events: list[Any], pieces: int = 6) -> list[Any]:
+    """Return `events` with steps of the load during the fault: OpenIPSL's constant current below 0.5 pu.
 
     There it draws I kI(v), kI = a b v^(b - 1) exp(-a v^b), where the plant goes over to constant impedance,
-    I v/0.5; the mean voltage of the load during the fault decides.
+    I v/0.5; the mean voltage of the load in each piece of the fault decides.
     """
     load, fault = case.loads[0], events[0]
-    share = 0.0
+    ends = np.linspace(fault.start_s, fault.end_s, pieces + 1)
+    times = np.concatenate([np.linspace(ends[k], ends[k + 1], 6)[1:-1] for k in range(pieces)])
+    shares = np.zeros(pieces)
     for _ in range(4):
-        step = {"kind": "load_step", "load": load.name, "p_pu": share * load.P_mw / case.base_mva}
-        step |= {"q_pu": 0.0, "start_s": fault.start_s, "end_s": fault.end_s}
-        found = [fault, *events_of([step], where="load")]
+        rows = [
+            {"kind": "load_step", "load": load.name, "p_pu": share * load.P_mw / case.base_mva, "q_pu": 0.0}
+            | {"start_s": ends[k], "end_s": ends[k + 1]}
+            for k, share in enumerate(shares.tolist())
+        ]
+        found = [fault, *events_of(rows, where="load")]
         plant = PlantSlave(case, found, 0.001)
-        times = np.linspace(fault.start_s + 1e-3, fault.end_s - 1e-3, 40)
-        v = float(np.mean(plant.record([0.0, *times], [f"bus{load.bus}.v"])[1:]))
+        v = plant.record([0.0, *times], [f"bus{load.bus}.v"])[1:].reshape(pieces, -1).mean(axis=1)
         plant.close()
         a, b = 1.502, 1.769
-        share = a * b * v ** (b - 1.0) * np.exp(-a * v**b) / (v / 0.5) - 1.0
+        shares = np.where(v < 0.5, a * b * v ** (b - 1.0) * np.exp(-a * v**b) / (v / 0.5) - 1.0, 0.0)
     return found
 
 
@@ -250,7 +254,8 @@ def compare(trace: dict[str, Any], folder: Path, whole: dict[str, Any], *, two_s
         time = data[:, 0]
     starts = [t for e in events for t in (e.start_s, getattr(e, "end_s", None)) if t is not None]
     apart = 2.0 * h if h else 1e-4
-    clear = (time >= 0.0) & np.all([np.abs(time - t) > apart for t in starts], axis=0)
+    last = np.append(np.diff(time) > 0.0, True)  # of two rows at a time the first is that before a jump
+    clear = last & (time >= 0.0) & np.all([np.abs(time - t) > apart for t in starts], axis=0)
     times, data = time[clear], data[clear]
     variables = [variable for variable, _ in wanted.values()]
     plant = PlantSlave(case, events, 0.001)
