@@ -1,46 +1,103 @@
 """What the shipped robust controllers hold at operating points that no design saw.
 
-Run `python benchmarks/unseen_points.py`; exact latency on the full plants, conditions of the design.
+Run `python benchmarks/unseen_points.py [NAME...]`: full plants, exact latency, conditions of the design.
 """
 
 from __future__ import annotations
 
-from interarea.cosim.designs.design_file import load_design
-from interarea.cosim.run.artefacts import linear_plant
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+
+from interarea.cosim.designs.design_file import load_design, named_modes
+from interarea.cosim.run.artefacts import sparse_linear_plant
 from interarea.design.controllers.bundled import shipped_controller, shipped_names
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
-from interarea.design.robust.operating_points import judge_family
+from interarea.design.robust.operating_points import inter_area_band, judge_family
 from interarea.fmu_build.write.cache import default_cache
-from interarea.models.case.case import load_case
+from interarea.models.case.case import Case
 from interarea.models.case.variants import operating_variant
 
-POINTS = {
-    "load +5 %": {"load_scale": 1.05},
-    "load -10 %": {"load_scale": 0.90},
-    "tie +50": {"tie_flow_mw": 50.0},
-    "tie -350": {"tie_flow_mw": -350.0},
-    "tie -100, 8-9 out": {"tie_flow_mw": -100.0, "out": ["8-9 a"]},
-    "7-8 out": {"out": ["7-8 b"]},
-    "tie -300, 7-8 out": {"tie_flow_mw": -300.0, "out": ["7-8 a"]},
-    "load -5 %, tie +50": {"load_scale": 0.95, "tie_flow_mw": 50.0},
+Change = Mapping[str, Any]
+
+
+def out(*branches: str) -> dict[str, Change]:
+    """Each of these branches out of service by itself."""
+    return {f"{branch} out": {"out": [branch]} for branch in branches}
+
+
+POINTS: Mapping[str, Mapping[str, Change]] = {
+    "two-area-thesis": {
+        "load +5 %": {"load_scale": 1.05},
+        "load -10 %": {"load_scale": 0.90},
+        "tie +50": {"tie_flow_mw": 50.0},
+        "tie -350": {"tie_flow_mw": -350.0},
+        "tie -100, 8-9 out": {"tie_flow_mw": -100.0, "out": ["8-9 a"]},
+        "7-8 out": {"out": ["7-8 b"]},
+        "tie -300, 7-8 out": {"tie_flow_mw": -300.0, "out": ["7-8 a"]},
+        "load -5 %, tie +50": {"load_scale": 0.95, "tie_flow_mw": 50.0},
+    },
+    "new-england": {
+        **out("4-5", "4-14", "17-27", "3-18", "16-17", "6-11", "26-29", "13-14", "25-26", "2-25", "1-39"),
+        "load -10 %": {"load_scale": 0.90},
+        "load -5 %": {"load_scale": 0.95},
+        "load +5 %": {"load_scale": 1.05},
+    },
+    "nets-nyps": {
+        **out("1-2", "1-27", "2-25", "3-18", "16-17", "17-27", "25-26", "30-31", "31-38", "33-38"),
+        **out("34-36", "38-46", "21-22", "1-47", "9-30 a", "4-14", "10-11"),
+        "load -10 %": {"load_scale": 0.90},
+        "load -5 %": {"load_scale": 0.95},
+        "load +2 %": {"load_scale": 1.02},
+    },
 }
 
 
-def main() -> None:
-    """Print one line per shipped controller and operating point."""
-    case, cache = load_case("two-area-thesis"), default_cache()
-    for name in shipped_names():
-        controller, conditions = shipped_controller(name), load_design(name).family()
-        for point, change in POINTS.items():
-            variant = operating_variant(case, **change)  # type: ignore[arg-type]
-            plant = speeds_in_rad(remove_reference(linear_plant(variant, cache)), case.omega_b)
-            found = judge_family({point: plant}, controller.system, conditions)
-            stable = "all stable" if all(row.stable for row in found.rows) else "UNSTABLE"
+def speeds(case: Case, cache: Path) -> control.StateSpace:
+    """Return the plant of `case` from its sparse blocks, all speeds as outputs (pu), no reference angle."""
+    plant = sparse_linear_plant(case, cache)
+    C = np.eye(plant.nstates)[plant.speed]
+    whole = control.ss(
+        plant.state_matrix(),
+        plant.Bu.toarray(),
+        C,
+        np.zeros((len(C), len(plant.inputs))),
+        states=list(plant.states),
+        inputs=list(plant.inputs),
+        outputs=[f"{machine}_dw" for machine in plant.machines],
+    )
+    return remove_reference(whole)
+
+
+def main(names: list[str]) -> None:
+    """Print one line per shipped controller and operating point, and how many conditions are unstable."""
+    cache = default_cache()
+    for name in names or shipped_names():
+        controller, table = shipped_controller(name), load_design(name)
+        seen = {tuple(point.out) for point in table.point if point.out}
+        for point, change in POINTS[table.grid.name].items():
+            if tuple(change.get("out", ())) in seen and len(change) == 1:
+                continue
+            plant = speeds(operating_variant(table.grid, **change), cache)
+            modes = named_modes(plant, table.grid)
+            found = judge_family(
+                {point: speeds_in_rad(plant, table.grid.omega_b)},
+                controller.system,
+                table.family(),
+                bands_hz={point: inter_area_band(modes)},
+            )
+            unstable = sum(not row.stable for row in found.rows)
+            alone = min((mode.damping_ratio for mode in (modes or {}).values()), default=1.0)
             print(
-                f"{name:14} {point:20} worst {found.worst_swing:.3f} "
-                f"inter-area {found.inter_area:.3f} {stable}"
+                f"{name:14} {point:20} worst {found.worst_swing:.3f} ({alone:.3f} without) "
+                f"inter-area {found.inter_area:.3f} unstable {unstable} of {len(found.rows)}",
+                flush=True,
             )
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

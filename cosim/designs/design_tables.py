@@ -6,6 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.stages import Stage
 from interarea.models.blocks.controller import Guard
 from interarea.models.table import Table
@@ -52,10 +53,13 @@ class StageTable(Table):
     #: how closely the smoothed worst damping follows the worst, from one value to the next
     rho: tuple[Positive, ...] = Field((60.0, 120.0, 300.0), min_length=1)
     steps: Annotated[int, Field(ge=1)] = 40  #: of the descent at each value of `rho`, at most
+    #: (rad/s, damping) as `offset` of the design, in this stage alone; none: that of the design
+    offset: tuple[tuple[float, float], ...] = ()
 
     def stage(self) -> Stage:
         """Return it as the search takes it."""
-        return Stage(self.points, self.conditions, self.rho, self.steps)
+        offsets = BandOffsets(*zip(*self.offset, strict=True)) if self.offset else None
+        return Stage(self.points, self.conditions, self.rho, self.steps, offsets)
 
 
 class GuardTable(Table):

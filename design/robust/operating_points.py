@@ -111,8 +111,8 @@ def judge_family(
     largest = max((effort(moving[p], K) for p in steady), default=float("nan"))
     fastest = float(np.abs(np.linalg.eigvals(np.asarray(K.A))).max(initial=0.0))
     asked = (
-        ("worst swing damping", worst, worst >= worst_swing, f">= {worst_swing:g}"),
-        ("inter-area damping", inter, inter >= inter_area, f">= {inter_area:g}"),
+        ("worst swing damping", worst, worst >= worst_swing, _asked(rows, "worst_swing", worst_swing)),
+        ("inter-area damping", inter, inter >= inter_area, _asked(rows, "inter_area", inter_area)),
         ("effort", largest, largest <= effort_cap, f"<= {effort_cap:g}"),
         ("fastest pole", fastest, fastest <= fastest_pole, f"<= {fastest_pole:g} rad/s"),
     )
@@ -131,6 +131,15 @@ def judge_family(
         int(K.nstates),
         _loss_criteria(moving, K, conditions),
     )
+
+
+def _asked(rows: Sequence[FamilyRow], of: str, wanted: float) -> str:
+    """Return what is asked of a damping, how many rows miss it, and the one that does most."""
+    short = [row for row in rows if not getattr(row, of) >= wanted]
+    if not short:
+        return f">= {wanted:g}"
+    least = min(short, key=lambda row: float(getattr(row, of)))
+    return f">= {wanted:g}: missed in {len(short)} of {len(rows)}, most at {least.point}, {least.condition}"
 
 
 def _loss_criteria(

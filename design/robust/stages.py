@@ -10,7 +10,7 @@ import numpy as np
 
 from .first_guess import first_guess
 from .newton import newton_descent
-from .smoothed_objective import Array, Objective
+from .smoothed_objective import Array, BandOffsets, Objective
 
 #: turns of Newton steps and L-BFGS at each rho at most, and what the last must have gained for another
 ALTERNATIONS, WORTHWHILE = 3, 2e-3
@@ -27,12 +27,14 @@ class Stage:
     points, conditions : names of those that are looked at; none: all.
     rho : how closely the smoothed worst follows the worst, from one to the next.
     steps : of the descent at each, at most.
+    offsets : how much more than elsewhere a band is wanted in this stage; none: as in the whole.
     """
 
     points: tuple[str, ...] = ()
     conditions: tuple[str, ...] = ()
     rho: tuple[float, ...] = (60.0, 120.0, 300.0)
     steps: int = 40
+    offsets: BandOffsets | None = None
 
     def of(self, objective: Objective) -> Objective:
         """Return the objective over the models of this stage."""
@@ -47,6 +49,7 @@ class Stage:
             objective,
             models=[model for model in objective.models if looked_at(model.name)],
             efforts=[effort for effort in objective.efforts if looked_at(effort.name)],
+            offsets=self.offsets or objective.offsets,
         )
 
 

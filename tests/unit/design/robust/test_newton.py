@@ -175,3 +175,13 @@ def test_a_stage_looks_at_its_points_and_conditions_only(objective: Objective) -
     assert names(Stage(points=("base",))) == ["base: N", "base: s100"]
     assert names(Stage(conditions=("N",))) == ["base: N", "other: N"]
     assert [e.name for e in Stage(points=("other",)).of(objective).efforts] == []
+
+
+def test_a_stage_with_a_band_of_its_own_wants_that_much_more_there(objective: Objective) -> None:
+    theta = _controller(objective, 3)
+    everywhere = BandOffsets((0.0, 1.0), (0.3, 0.3))
+    plain, raised = Stage().of(objective), Stage(offsets=everywhere).of(objective)
+    assert plain.offsets == objective.offsets
+    own = replace(plain, offsets=BandOffsets((0.0, 1.0), (0.0, 0.0)))
+    top = [max(float(v.max()) for *_, v in each.spectra(each.unpack(theta))) for each in (own, raised)]
+    assert top[1] - top[0] == pytest.approx(0.3)

@@ -133,6 +133,7 @@ def test_what_is_missed_is_named() -> None:
     found = judge_family(plants, K, normal, worst_swing=0.9, effort_cap=1e-3)
     assert not found.passed
     assert [v.split(" is ")[0] for v in found.violations] == ["worst swing damping", "effort"]
+    assert found.violations[0].endswith("asked >= 0.9: missed in 1 of 1, most at base, N")
     turned = control.ss(K.A, K.B, -5.0 * K.C, K.D, inputs=K.input_labels, outputs=K.output_labels)
     assert "base, N: unstable" in judge_family(plants, turned, normal).violations
 
@@ -253,7 +254,8 @@ def test_a_design_is_of_one_loop_or_of_parts(tmp_path: Path) -> None:
 
 def test_an_unknown_design_names_the_bundled_ones() -> None:
     with pytest.raises(
-        ScenarioError, match="there are: new_england, robust, robust_latency, robust_linear, two_actuators"
+        ScenarioError,
+        match="there are: new_england, robust, robust_latency, robust_linear, two_actuators",
     ):
         load_design("nothing")
 
