@@ -141,6 +141,16 @@ def test_drawn_step_shows_what_the_exact_one_shows(node: Any, data: dict[str, An
         assert error < (2e-3 * np.max(np.abs(fine["swing"][until])) if fine["kind"] == "step" else 0.01)
 
 
+@pytest.mark.slow
+def test_no_drawn_run_loses_synchronism_falsely(node: Any, data: dict[str, Any]) -> None:
+    """Clearing times on both sides of the critical one, with field limits of three sizes."""
+    fault = data["presets"][5]["state"]
+    states = [fault | {"tc": tc, "cl": cl} for cl in (4, 5, 7) for tc in range(50, 501, 30)]
+    exact = [run["kind"] for run in node([{"judge": state} for state in states])]
+    assert {"step", "settles"} <= set(exact)
+    assert [run["kind"] for run in node([{"judge": state, "coarse": True} for state in states])] == exact
+
+
 def test_a_drawn_run_ends_when_synchronism_is_lost(node: Any, data: dict[str, Any], tmp_path: Path) -> None:
     """A second after it at the earliest, three at the latest, with the rows of the whole run."""
     fault = data["presets"][5]["state"]
