@@ -1,6 +1,7 @@
 """Large grids: from RAW and DYR to a running FMU, and what 10 s with one fault cost beside GridKit's figures.
 
     python benchmarks/bench_large.py FOLDER [--grid NAME ..] [--json FILE]
+    python benchmarks/bench_large.py --ruled FILE.m .. [--stop SECONDS] [--step SECONDS] [--fine SECONDS]
 
 FOLDER holds the published files under the names in `GRIDS`. The fault is that of GridKit's comparison: at
 its bus from 1 s to 1.15 s through j0.01 pu, nothing opened. CPU time of the process that computes, the least
@@ -8,6 +9,11 @@ of `REPEAT` runs; errors are the largest difference of any speed, over the peak 
 `REFERENCE_S`. Every grid runs in a process of its own, whose largest memory is shown. GridKit's seconds are
 those that its authors published, of their machine: the ratio says what order they are of, no more.
 Source: repository ORNL/GridKit, examples/PhasorDynamics/HICSS-60/benchmark.
+
+`--ruled` takes grids of MATPOWER with devices by the rule of `ruled_grid`: what they take to be built, how
+far they drift in a second without a disturbance, what a simulated second costs after a fault of 100 ms
+through j0.01 pu at the largest load and how far speeds are then from those at the fine step, over the peak.
+Costs of a step are told per bus, so that grids of several sizes show by how much they grow beyond linearly.
 """
 
 from __future__ import annotations
@@ -28,6 +34,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from fmu_run import PlantSlave
 from plant_shim import BlockShim
+from ruled_grid import ruled_grid
 
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import Case
@@ -128,16 +135,63 @@ def measured(name: str, folder: Path) -> dict[str, Any]:
     return found
 
 
+def ruled_run(slave: PlantSlave, speeds: list[str], stop_s: float) -> tuple[Any, float]:
+    """Return the speeds from 1 s on, (points, machines), and the CPU seconds of that part."""
+    times = np.arange(1.0, stop_s + COMMUNICATION_S / 2, COMMUNICATION_S)
+    slave.advance(1.0)
+    begin = time.process_time()
+    found = slave.record(times, speeds)
+    return found, time.process_time() - begin
+
+
+def measured_ruled(path: Path, stop_s: float, step_s: float, fine_s: float) -> dict[str, Any]:
+    """Everything about one grid with devices by the rule."""
+    begin = time.process_time()
+    case = ruled_grid(path)
+    found: dict[str, Any] = {"grid": path.stem, "buses": len(case.buses), "machines": len(case.machines)}
+    found["import_s"] = time.process_time() - begin
+    bus = max(case.loads, key=lambda load: load.P_mw).bus
+    events = events_of(
+        [{"kind": "bus_fault", "bus": bus, "start_s": 1.0, "end_s": 1.1, "x_pu": 0.01}], where=path.stem
+    )
+    begin = time.process_time()
+    slave = PlantSlave(case, events, step_s, show=["*_dw"])
+    found["fmu_s"] = time.process_time() - begin
+    speeds = [f"{m.name}_dw" for m in case.machines]
+    coarse, found["cpu_s"] = ruled_run(slave, speeds, stop_s)
+    found["drift_pu"] = float(np.abs(coarse[0]).max())  # at 1 s, before the fault has moved anything
+    found["cpu_per_s"] = found["cpu_s"] / (stop_s - 1.0)
+    found["step_ns_per_bus"] = 1e9 * found["cpu_per_s"] * step_s / found["buses"]
+    found["peak_speed_pu"] = float(np.abs(coarse).max())
+    if fine_s:
+        slave.restart(fine_s)
+        fine, _ = ruled_run(slave, speeds, stop_s)
+        found["error"] = float(np.abs(coarse - fine).max() / np.abs(fine).max())
+    slave.close()
+    found["memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return found
+
+
 def main() -> None:
     """Print a line for each run of each grid."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--ruled", type=Path, nargs="+", metavar="FILE.m")
+    parser.add_argument("--stop", type=float, default=STOP_S, help="of a grid with devices by the rule")
+    parser.add_argument("--step", type=float, default=0.005)
+    parser.add_argument("--fine", type=float, default=0.001, help="0: no run at a fine step")
     parser.add_argument("--grid", nargs="*", choices=list(GRIDS), default=list(GRIDS))
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     rows = []
     start = multiprocessing.get_context("spawn")
-    for name in options.grid:
+    if (options.folder is None) == (options.ruled is None):
+        parser.error("give FOLDER, or --ruled with files of MATPOWER")
+    for path in options.ruled or ():
+        with start.Pool(1) as pool:
+            rows.append(pool.apply(measured_ruled, (path, options.stop, options.step, options.fine)))
+        print(rows[-1], flush=True)
+    for name in () if options.folder is None else options.grid:
         with start.Pool(1) as pool:
             row = pool.apply(measured, (name, options.folder))
         rows.append(row)
