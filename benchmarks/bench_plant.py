@@ -1,6 +1,6 @@
 """What the plant costs, as ratios: against ANDES, a plain C loop, more machines, a batch.
 
-    python benchmarks/bench_plant.py [--andes-python PYTHON] [--repeat 3] [--json FILE] [--switches]
+    python benchmarks/bench_plant.py [--andes-python PYTHON] [--repeat 3] [--json FILE] [--switches | --steps]
 
 CPU time of the process that computes, the least of repeated runs that alternate between the sides, so
 that other load of the machine cancels. Both tools get the same rows (andes_rows.py). The accuracy of a run
@@ -8,6 +8,7 @@ is its largest dw difference from the plant at 0.1 ms; the plant's step is its p
 the ratio that counts is at the longest one within 1e-5 pu that is no less accurate than ANDES. ANDES runs
 as it is installed: fixed step, its own tolerance, generated code without numba. --switches: only what
 limiters that switch cost and what order of the error they leave, against the same loop at 0.04 ms.
+--steps: only error and cost of several steps after a bus fault of 100 ms, the grid stepped to 5 s.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ COMMUNICATION_S = 0.04
 REFERENCE_S = 0.0001
 SUBSTEPS_S = (0.001, 0.002, 0.004, 0.01, 0.02)  #: the first is the default of the FMU
 SWITCH_STEPS_S = (0.005, 0.0025, 0.00125, 0.000625)
+STEPS_S = (0.001, 0.002, 0.0025, 0.005, 0.01)
+STEPPED = {"two-area-thesis": 8, "kundur-thyristor": 8, "new-england": 16, "nets-nyps": 53, "wecc-240": 2408}
 CURRENT = {"loads": {"L7": {"P_exponent": 1.0}, "L9": {"P_exponent": 1.0}}}
 LIMITS = "Efd limits + PSS + TGOV1, bus fault + trip"
 
@@ -175,6 +178,25 @@ def print_switching(line: Callable[[str, float, float, bool], None], repeat: int
         )
 
 
+def print_steps() -> None:
+    """Print error (share of the peak, against 0.25 ms) and CPU of steps after a fault in bundled cases."""
+    times = np.arange(0.0, 5.0 + 1e-9, 0.02)
+    for name, bus in STEPPED.items():
+        case = load_case(name)
+        row = {"kind": "bus_fault", "bus": bus, "start_s": 1.0, "end_s": 1.1, "x_pu": 1e-3}
+        events = tuple(events_of([row], where="bench_plant"))
+        exact = dw_of(case, events, times, STEPS_S[0] / 4.0)
+        cells = []
+        for h in STEPS_S:
+            begin = time.process_time()
+            try:
+                error = np.abs(dw_of(case, events, times, h) - exact).max() / np.abs(exact).max()
+                cells.append(f"{1000 * h:g} ms {error:.1e} {time.process_time() - begin:.2f} s")
+            except RuntimeError as refusal:
+                cells.append(f"{1000 * h:g} ms {refusal}")
+        print(f"{name}: {', '.join(cells)}", flush=True)
+
+
 def batch_gain(case: Case, repeat: int, scenarios: int) -> dict[int, float]:
     """Scenarios per CPU second with several side by side over one at a time, by their number."""
     plants = PlantLanes(case, default_cache())
@@ -195,6 +217,7 @@ def main() -> int:
     parser.add_argument("--repeat", type=int, default=3)
     parser.add_argument("--json", type=Path, help="write the numbers there")
     parser.add_argument("--switches", action="store_true", help="only what limiters that switch cost")
+    parser.add_argument("--steps", action="store_true", help="only error and cost of several steps")
     options = parser.parse_args()
     case = two_area({"exciter": THYRISTOR})
     numbers: dict[str, Any] = {}
@@ -208,6 +231,9 @@ def main() -> int:
         sign = ">=" if above else "<="
         print(f"{what:62} {value:9.4g}  {sign} {target:<6g} {'' if good else 'MISSED'}", flush=True)
 
+    if options.steps:
+        print_steps()
+        return False
     if options.switches:
         print_switching(line, options.repeat)
         return missed
