@@ -123,7 +123,7 @@ class LatePlant:
         """T(s) x and y' T'(s) x."""
         M, dM = self._exact(s)
         rest = s * x - self.plant.times(x) - self._B @ (M @ (self._C @ x))
-        return rest, y @ x - (y @ self._B) @ dM @ (self._C @ x)
+        return np.asarray(rest), complex(y @ x - (y @ self._B) @ dM @ (self._C @ x))
 
     def _towards(self, open_loop: Shifted, x: ComplexArray) -> ComplexArray:
         """T^-1 T' x by the open loop's resolvent, of size 1."""

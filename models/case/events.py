@@ -14,7 +14,7 @@ In a case or scenario file an event is one table:
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
@@ -28,7 +28,10 @@ Target = Annotated[str, Field(strict=True, min_length=1)]
 BusNumber = Annotated[int, Field(strict=True, ge=1)]
 
 
-def _later(event: Any) -> Any:
+_Timed = TypeVar("_Timed", bound=Any)
+
+
+def _later(event: _Timed) -> _Timed:
     if event.end_s is not None and not event.end_s > event.start_s:
         raise ValueError(
             f"end_s = {event.end_s:g} with start_s = {event.start_s:g}, allowed: end_s > start_s"
