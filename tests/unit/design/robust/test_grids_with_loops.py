@@ -1,4 +1,4 @@
-"""The bundled controller of New England: what it holds on full plants, and the record of its faults."""
+"""The bundled controllers of New England and NETS-NYPS: full plants, and the record of their faults."""
 
 from __future__ import annotations
 
@@ -13,21 +13,30 @@ from interarea.design.linear.linearise import speeds_in_rad
 from interarea.design.modes.modes import modes_of
 from interarea.design.robust.operating_points import inter_area_band, judge_family
 
+NAMES = ("new_england", "nets_nyps")
 
-def test_it_is_what_its_design_file_says_and_its_record_is_of_that() -> None:
-    table, K = load_design("new_england"), shipped_controller("new_england")
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_is_what_its_design_file_says_and_its_record_is_of_that(name: str) -> None:
+    table, K = load_design(name), shipped_controller(name)
     assert specification_of(K) == table
     assert (K.inputs, K.outputs) == (table.signals, table.actuators)
     record = K.certificate
     assert record is not None
+    assert record["passed"]
     assert len(record["rows"]) == len(table.point) * len(table.conditions)
     assert all(row["stable"] for row in record["rows"])
     assert record["acceptance"]["lost"] == []
+    assert table.acceptance is not None
+    assert len(record["acceptance"]["clearing"]) == len(table.point) * len(table.acceptance.fault)
 
 
 @pytest.mark.slow
-def test_it_raises_the_inter_area_damping_with_any_one_signal_lost(cache: Path) -> None:
-    table, K = load_design("new_england"), shipped_controller("new_england").system
+@pytest.mark.parametrize(("name", "local_share"), [("new_england", 0.9), ("nets_nyps", 0.7)])
+def test_it_raises_the_inter_area_damping_with_any_one_signal_lost(
+    name: str, local_share: float, cache: Path
+) -> None:
+    table, K = load_design(name), shipped_controller(name).system
     pu = family_plants(table, cache)
     plants = {name: speeds_in_rad(plant, table.grid.omega_b) for name, plant in pu.items()}
     modes = {name: modes_of(plant, table.grid.areas) for name, plant in pu.items()}
@@ -44,6 +53,6 @@ def test_it_raises_the_inter_area_damping_with_any_one_signal_lost(cache: Path) 
         m.damping_ratio for each in modes.values() for n, m in each.items() if n.startswith("inter-area")
     )
     local = min(m.damping_ratio for each in modes.values() for n, m in each.items() if n.startswith("local"))
-    assert least < 0.05
+    assert least < 0.09
     assert found.inter_area >= 2.0 * least
-    assert found.worst_swing >= 0.9 * local
+    assert found.worst_swing >= local_share * local
