@@ -10,6 +10,7 @@
 #include "stretch.h"
 
 enum { ALIGNMENT = 8, ELAPSED = 3 };  /* doubles */
+enum { MOST_EVENTS = 64 };            /* of a lane in a step; with more its step is repeated alone */
 enum { GUID_ROOM = 64 };
 static const char CALL[] = "fmi2DoStep";
 
@@ -18,6 +19,7 @@ typedef struct {
     size_t place;           /* in the caller's arrays                              */
     int failed;             /* repeats its step alone                              */
     int events;             /* how many it has handled: then c->undo holds the step's start */
+    double told[MOST_EVENTS];   /* when: what a relay has seen since decides which come next */
     double point, step;     /* as the caller gave them                             */
     double switches_cost;   /* of the run as the step begins                       */
     Stretch way;
@@ -145,6 +147,8 @@ static int meet_event(Group *g, Lane *lane, size_t k)
     Stretch *way = &lane->way;
     BlockMessage message = {{0}};
 
+    if (lane->events == MOST_EVENTS) return 0;
+    lane->told[lane->events] = way->event;
     if (way->end > way->time) way->time = way->end;
     if (lane->events++ == 0) memcpy(c->undo, c->run, c->saved_size);
     get(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
@@ -240,14 +244,7 @@ static void accept(Group *g, const Lane *lane, size_t k)
 {
     Instance *c = lane->c;
 
-    if (lane->events > 0) {
-        const RunState *run = c->undo;
-        double after = run->last_event > run->time ? run->last_event : run->time;
-        for (int i = 0; i < lane->events; ++i) {
-            after = block_next_event(&c->block, after);
-            instance_log_event(c, "event at time %.9g s", after);
-        }
-    }
+    for (int i = 0; i < lane->events; ++i) instance_log_event(c, "event at time %.9g s", lane->told[i]);
     get(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     get(g->group.y, c->block.y, g->layout.n_y, g->lanes, k);
     c->run->time = lane->point + lane->step;
