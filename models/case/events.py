@@ -14,7 +14,7 @@ In a case or scenario file an event is one table:
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
@@ -26,17 +26,6 @@ Number = Annotated[float, Field(strict=True)]
 Time = Annotated[float, Field(strict=True, ge=0.0)]
 Target = Annotated[str, Field(strict=True, min_length=1)]
 BusNumber = Annotated[int, Field(strict=True, ge=1)]
-
-
-_Timed = TypeVar("_Timed", bound=Any)
-
-
-def _later(event: _Timed) -> _Timed:
-    if event.end_s is not None and not event.end_s > event.start_s:
-        raise ValueError(
-            f"end_s = {event.end_s:g} with start_s = {event.start_s:g}, allowed: end_s > start_s"
-        )
-    return event
 
 
 class _Event(Table):
@@ -52,7 +41,11 @@ class _Lasting(_Event):
 
     @model_validator(mode="after")
     def _ends_later(self) -> Self:
-        return _later(self)
+        if self.end_s is not None and not self.end_s > self.start_s:
+            raise ValueError(
+                f"end_s = {self.end_s:g} with start_s = {self.start_s:g}, allowed: end_s > start_s"
+            )
+        return self
 
 
 class BusFault(_Lasting):
@@ -183,7 +176,7 @@ class ShuntSwitch(_Lasting):
     to: Literal["in", "out"] = "out"  #: switched in or out
 
 
-class _FrequencyRelay(Table):
+class _FrequencyRelay(_Lasting):
     """A frequency relay at the bus of what it disconnects.
 
     It looks every 5 ms at the angle of the bus voltage; what that turned since, over the time, goes through
@@ -198,10 +191,6 @@ class _FrequencyRelay(Table):
     filter_s: Time = 0.05  #: time constant of what the relay measures with
     start_s: Time = 0.0  #: since when it is in use
     end_s: Time | None = None  #: until when; without it: to the end of the run
-
-    @model_validator(mode="after")
-    def _ends_later(self) -> Self:
-        return _later(self)
 
 
 class FrequencyShed(_FrequencyRelay, _AtLoad):
