@@ -19,7 +19,7 @@ import control
 import numpy as np
 import numpy.typing as npt
 
-from ..linear.resolvent import Shifted
+from ..linear.resolvent import BESIDE, POLISHED, Shifted
 from ..linear.sparse_plant import SparsePlant
 from ..modes.modes import ModeError
 from ..reduction.gramians import matrices
@@ -117,6 +117,10 @@ class LatePlant:
             if abs(move) <= 1e-13 * abs(s):
                 break
         rest, slope = self._rest(s, x, y)
+        if not np.linalg.norm(rest) <= POLISHED * abs(s):
+            x = x - self._solve(Shifted(self.plant, s * (1.0 + BESIDE)), rest)
+            x /= np.linalg.norm(x)
+            rest, slope = self._rest(s, x, y)
         return s, x, y / slope, float(np.linalg.norm(rest) / (abs(s) * np.linalg.norm(x)))
 
     def _rest(self, s: complex, x: ComplexArray, y: ComplexArray) -> tuple[ComplexArray, complex]:
@@ -126,13 +130,17 @@ class LatePlant:
         return np.asarray(rest), complex(y @ x - (y @ self._B) @ dM @ (self._C @ x))
 
     def _towards(self, open_loop: Shifted, x: ComplexArray) -> ComplexArray:
-        """T^-1 T' x by the open loop's resolvent, of size 1."""
-        M, dM = self._exact(open_loop.s)
-        reach = open_loop.solve(self._B)
-        free = open_loop.solve(x - self._B @ (dM @ (self._C @ x)))
-        u = np.linalg.solve(np.eye(len(M)) - M @ (self._C @ reach), M @ (self._C @ free))
-        x = free + reach @ u
+        """T^-1 T' x, of size 1."""
+        _, dM = self._exact(open_loop.s)
+        x = self._solve(open_loop, x - self._B @ (dM @ (self._C @ x)))
         return np.asarray(x / np.linalg.norm(x))
+
+    def _solve(self, open_loop: Shifted, b: ComplexArray) -> ComplexArray:
+        """T^-1 b by the open loop's resolvent."""
+        M, _ = self._exact(open_loop.s)
+        reach, free = open_loop.solve(self._B), open_loop.solve(b)
+        u = np.linalg.solve(np.eye(len(M)) - M @ (self._C @ reach), M @ (self._C @ free))
+        return np.asarray(free + reach @ u)
 
     def _towards_left(self, open_loop: Shifted, y: ComplexArray) -> ComplexArray:
         M, dM = self._exact(open_loop.s)

@@ -33,19 +33,22 @@ class Elimination:
         self._inner = splu(ordered[:k, :k].tocsc()) if k else None
         rows = 2 * self.row[bus]
         self.rows = np.stack([rows, rows + 1], axis=1)  #: (K, 2) of each device among those that are kept
-        self.kept, self._places = self._with_blocks(ordered[k:, k:] - self._filled(ordered.shape[0] - k))
+        #: what is left of G, with an entry wherever a device has one, and where these are, (K, 2, 2)
+        self.kept, self.places = self._with_blocks(ordered[k:, k:] - self._filled(ordered.shape[0] - k))
 
     def _filled(self, kept: int) -> Any:
         """What the eliminated buses add between those that are kept, in steps of some columns."""
-        if self._inner is None:
+        some = np.flatnonzero(np.diff(self._upper.indptr))  # the others have no eliminated neighbour
+        if self._inner is None or not len(some):
             return sparse.csc_matrix((kept, kept))
+        into = sparse.csr_matrix((np.ones(len(some)), (np.arange(len(some)), some)), shape=(len(some), kept))
         parts = []
-        for first in range(0, kept, 256):
-            columns = self._upper[:, first : first + 256]
+        for first in range(0, len(some), 256):
+            columns = self._upper[:, some[first : first + 256]]
             found = self._lower @ self._inner.solve(columns.toarray())
             scale = np.max(np.abs(found), initial=0.0)
             parts.append(sparse.csc_matrix(np.where(np.abs(found) > 1e-15 * scale, found, 0.0)))
-        return sparse.hstack(parts, format="csc")
+        return (sparse.hstack(parts, format="csc") @ into).tocsc()
 
     def _with_blocks(self, kept: Any) -> tuple[Any, IntArray]:
         """The matrix with an entry wherever a device has one, zero or not, and where these are, (K, 2, 2)."""
@@ -60,18 +63,8 @@ class Elimination:
         pattern.data[np.searchsorted(key, entries.col * n + entries.row)] = entries.data
         return pattern, np.searchsorted(key, j * n + i)
 
-    def less(self, blocks: npt.NDArray[Any]) -> Any:
-        """Return what is kept less (K, 2, 2) of the devices."""
-        data = self.kept.data.astype(np.result_type(blocks, float))
-        np.subtract.at(data, self._places.ravel(), blocks.ravel())
-        return sparse.csc_matrix((data, self.kept.indices, self.kept.indptr), shape=self.kept.shape)
-
-    def reduced(self, current: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return (kept rows, ...) of currents at all buses (2 b, ...), none at the eliminated ones."""
-        return current[self.order[self.first :]]
-
     def everywhere(self, V: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return the voltages at all buses, (2 b, ...), from those that are kept, (rows, ...)."""
+        """Return the voltages at all buses, (2 b, ...), for currents at those that are kept alone."""
         whole = np.zeros((len(self.order), *V.shape[1:]), dtype=V.dtype)
         whole[self.order[self.first :]] = V
         if self._inner is not None:
@@ -88,10 +81,10 @@ class Elimination:
 class Network:
     """N(s), or G, on the buses that are left, factored."""
 
-    def __init__(self, left: Elimination, blocks: npt.NDArray[Any] | None) -> None:
-        """blocks : (K, 2, 2) what the devices take off the diagonal of G; or None."""
-        self._left = left
-        matrix = left.kept if blocks is None else left.less(blocks)
+    def __init__(self, left: Elimination, entries: npt.NDArray[Any]) -> None:
+        """entries : of the matrix, on the pattern of `left.kept`."""
+        kept = left.kept
+        matrix = sparse.csc_matrix((entries, kept.indices, kept.indptr), shape=kept.shape)
         # the order is a good one already, and the diagonal carries the devices: nobody pivots
         self._complex = matrix.dtype.kind == "c"
         self._lu = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
@@ -103,13 +96,6 @@ class Network:
         if np.iscomplexobj(right) and not self._complex:
             return np.asarray(lu.solve(right.real.copy(), mode) + 1j * lu.solve(right.imag.copy(), mode))
         return np.asarray(lu.solve(np.ascontiguousarray(right), mode))
-
-    def at_devices(self, current: npt.NDArray[Any], transposed: bool = False) -> npt.NDArray[Any]:
-        """Return the voltages at the devices, (K, 2, ...), for what they send, (K, 2, ...)."""
-        left, rows = self._left, self._left.rows
-        at = np.zeros((left.kept.shape[0], *current.shape[2:]), dtype=current.dtype)
-        np.add.at(at, rows, current)
-        return np.asarray(self.solve(at, transposed)[rows])
 
     def logarithm(self) -> complex:
         """Log det, its imaginary part up to multiples of 2 pi."""
@@ -131,8 +117,3 @@ def _is_odd(permutation: npt.NDArray[Any]) -> bool:
             j, length = int(permutation[j]), length + 1
         odd ^= length > 0 and length % 2 == 0
     return odd
-
-
-def times(blocks: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Blocks (K, i, j) times x (K, j) or (K, j, columns)."""
-    return np.asarray((blocks @ x[..., None])[..., 0] if x.ndim == 2 else blocks @ x)

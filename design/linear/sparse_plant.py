@@ -27,8 +27,8 @@ from scipy import sparse
 from interarea.models.errors import InterareaError
 from interarea.models.grid.network import assembled
 
-from .modal_devices import Modal
-from .sparse_network import Elimination, Network, times
+from .modal_devices import Modal, scattered
+from .sparse_network import Elimination, Network
 
 Matrix = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -111,55 +111,49 @@ class SparsePlant:
         at = {name: k for k, name in enumerate(self.states)}
         return np.array([at[f"{m}.slip"] for m in self.machines], dtype=np.int64)
 
-    @cached_property
+    @property
     def device_poles(self) -> ComplexArray:
         """Eigenvalues of all A_k, (n,): the devices at fixed voltage."""
-        values = np.linalg.eigvals(self.A)
-        sizes = np.sum(self.place < self.nstates, axis=1)
-        whole = [np.linalg.eigvals(a[:k, :k]) for a, k in zip(self.A, sizes, strict=True) if k < len(a)]
-        full = values[sizes == self.A.shape[1]].ravel()
-        return np.concatenate([full, *whole]).astype(complex)
+        return self.modal.poles
 
     @cached_property
     def modal(self) -> Modal:
         """The devices in coordinates of their own modes."""
-        return Modal(self.A, self.B, self.C)
+        return Modal(self.A, self.B, self.C, self.place, self.nstates, self.elimination)
 
     @cached_property
     def at_rest(self) -> Network:
         """The network with the devices' states held: voltages from currents."""
-        return Network(self.elimination, None)
+        return Network(self.elimination, self.elimination.kept.data)
+
+    @cached_property
+    def devices(self) -> tuple[Any, Any, Any]:
+        """A (n, n), B (n, rows), C (rows, n) of all devices, sparse; rows of what is left of the network."""
+        n, kept, rows = self.nstates, self.elimination.kept.shape[0], self.elimination.rows
+        return (
+            scattered(self.A, self.place, self.place, (n, n)),
+            scattered(self.B, self.place, rows, (n, kept)),
+            scattered(self.C, rows, self.place, (kept, n)),
+        )
 
     def spread(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return the states of each device (K, m, ...) from those of the plant (n, ...)."""
         return np.concatenate([x, np.zeros((1, *x.shape[1:]), dtype=x.dtype)])[self.place]
 
-    def gathered(self, xk: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return the states of the plant (n, ...) from those of each device (K, m, ...)."""
-        x = np.zeros((self.nstates + 1, *xk.shape[2:]), dtype=xk.dtype)
-        x[self.place] = xk
-        return x[:-1]
-
     def voltages(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return the voltage of each bus, (b, 2, ...): real and imaginary part, for states (n, ...)."""
-        current = times(self.C, self.spread(x))
-        at = np.zeros((len(self.bus_names), *current.shape[1:]), dtype=current.dtype)
-        np.add.at(at, self.bus, current)
-        left = self.elimination
-        V = left.everywhere(self.at_rest.solve(left.reduced(at.reshape(-1, *current.shape[2:]))))
+        V = self.elimination.everywhere(self.at_rest.solve(self.devices[2] @ x))
         return np.asarray(V.reshape(-1, 2, *V.shape[1:]))
 
     def times(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return A x (n, ...) for x (n, ...)."""
-        xk = self.spread(x)
-        V = self.at_rest.at_devices(times(self.C, xk))
-        return self.gathered(times(self.A, xk) + times(self.B, V))
+        A, B, C = self.devices
+        return np.asarray(A @ x + B @ self.at_rest.solve(C @ x))
 
     def left_times(self, y: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return A' y (n, ...) for y (n, ...)."""
-        yk = self.spread(y)
-        V = self.at_rest.at_devices(times(np.swapaxes(self.B, 1, 2), yk), transposed=True)
-        return self.gathered(times(np.swapaxes(self.A, 1, 2), yk) + times(np.swapaxes(self.C, 1, 2), V))
+        A, B, C = self.devices
+        return np.asarray(A.T @ y + C.T @ self.at_rest.solve(B.T @ y, transposed=True))
 
     def state_matrix(self) -> Matrix:
         """Return the dense A (n, n); for small plants."""

@@ -15,7 +15,7 @@ from ..linear.resolvent import Loop, OpenLoop
 from ..linear.sparse_plant import SparsePlant
 from .mode_count import Count, OnTheLine, Region, count_modes
 from .mode_search import Pair, Search
-from .modes import Mode, ModeError
+from .modes import Mode, ModeError, Participation
 from .patterns import pattern_parts
 
 RESIDUAL = 1e-9  #: largest |A v - lambda v| / (|lambda| |v|)
@@ -186,8 +186,8 @@ def _counted(exact: _Exact, asked: Region) -> tuple[Region, Count]:
 
 def _turns_freely(plant: SparsePlant) -> bool:
     """Whether only differences of rotor angles act."""
-    unit = np.eye(plant.nstates)[:, plant.angle[:1]][:, 0]
-    together = np.zeros(plant.nstates)
+    unit, together = np.zeros((2, plant.nstates))
+    unit[plant.angle[0]] = 1.0
     together[plant.angle] = 1.0
     alone = np.max(np.abs(plant.times(unit)))
     return bool(np.max(np.abs(plant.times(together))) <= _ROTATION * alone)
@@ -209,8 +209,8 @@ def _named(plant: SparsePlant, pairs: list[Pair], areas: Mapping[str, int]) -> t
             Mode(
                 name=name,
                 eigenvalue=pair.value,
-                shape=dict(zip(plant.machines, (complex(z) for z in speeds), strict=True)),
-                participation=dict(zip(plant.states, (weight / weight.sum()).tolist(), strict=True)),
+                shape=dict(zip(plant.machines, speeds.tolist(), strict=True)),
+                participation=Participation(plant.states, weight / weight.sum()),
                 share=share,
                 right=pair.right,
                 left=pair.left,

@@ -15,12 +15,13 @@ from .mode_count import RIGHT, Region
 
 ComplexArray = npt.NDArray[np.complex128]
 
-_STATES_A_CELL = 400
-_MOST_STEPS, _STEPS_AT_ONCE = 120, 20
+_STATES_A_CELL = 300
+_MOST_STEPS, _STEPS_AT_ONCE = 60, 30
+_CANCELLED = 0.2  # of a step's size: what is left when less is made orthogonal once more
 _SETTLED = 1e-5  # relative error of an eigenvalue that a cell may claim
 _GROWTH = 0.1  # 1/s: how far right of the axis the first search looks
 _EQUAL = 1e-7  # relative: nearer eigenvalues are copies, or one found twice
-_SMALLEST_CELL = 0.02  # of the band's width
+_SMALLEST_CELL = 0.05  # rad/s, from corner to corner
 _CLOSE = 0.5  # 1/s, with half the frequency: eigenpairs that a deflated cell leaves out
 
 
@@ -49,12 +50,34 @@ class _Cell:
     def reach(self) -> float:
         return 0.5 * float(np.hypot(self.real[1] - self.real[0], self.imag[1] - self.imag[0]))
 
+    def within(self, centre: complex, radius: float) -> bool:
+        """Whether a disc holds all of it."""
+        corners = (complex(x, y) - centre for x in self.real for y in self.imag)
+        return all(abs(corner) <= radius for corner in corners)
+
     def halves(self) -> tuple[_Cell, _Cell]:
-        """Cut across: in frequency if taller than half its width, else in damping."""
+        """Cut across the longer side."""
         x, y, z = self.real, self.imag, self.centre
-        if y[1] - y[0] > 0.5 * (x[1] - x[0]):
+        if y[1] - y[0] > x[1] - x[0]:
             return _Cell(x, (y[0], z.imag)), _Cell(x, (z.imag, y[1]))
         return _Cell((x[0], z.real), y), _Cell((z.real, x[1]), y)
+
+
+def _cells(region: Region, wanted: int) -> list[_Cell]:
+    """About so many cells of equal area, nearly square, over a region as far as the first search looks."""
+    (low, high), slope = region.band, region.slope
+    area = (high - low) * (0.5 * slope * (low + high) + _GROWTH) / wanted
+    found, y = [], low
+    while y < high:
+        width = slope * y + _GROWTH
+        columns = max(1, round(width / np.sqrt(area)))
+        top = min(high, y + area * columns / width)
+        if high - top < 0.3 * (top - y):
+            top = high
+        x = np.linspace(-slope * top, _GROWTH, columns + 1)
+        found += [_Cell(sides, (y, top)) for sides in itertools.pairwise(x.tolist())]
+        y = top
+    return found
 
 
 @dataclass
@@ -72,18 +95,18 @@ class Search:
     _random: np.random.Generator = field(default_factory=lambda: np.random.default_rng(7))
 
     def everywhere(self) -> None:
-        """Look once in every cell, smaller ones where they hold many."""
-        low, high = self.region.band
-        slope = self.region.slope
-        cells = max(1, round(self.loop.nstates / _STATES_A_CELL))
-        edges = np.linspace(low, high, cells + 1)
-        todo = [_Cell((-slope * b, _GROWTH), (a, b)) for a, b in itertools.pairwise(edges)]
+        """Look once in every cell; what an ended look did not reach is looked at in smaller ones."""
+        todo = _cells(self.region, max(1, round(self.loop.nstates / _STATES_A_CELL)))
+        discs: list[tuple[complex, float]] = []
         while todo:
             cell = todo.pop()
+            left_out = cell.real[1] < -self.region.slope * cell.imag[1]
+            if left_out or any(cell.within(*disc) for disc in discs):
+                continue
             found, reached = self._ritz(cell, _MOST_STEPS, deflated=False)
             self._keep(found)
-            small = cell.imag[1] - cell.imag[0] < _SMALLEST_CELL * (high - low)
-            if reached >= cell.reach or small:
+            discs.append((cell.centre, reached))
+            if reached >= cell.reach or 2.0 * cell.reach < _SMALLEST_CELL:
                 self._cells.append(cell)
             else:
                 todo += cell.halves()
@@ -112,11 +135,13 @@ class Search:
         for k in range(most):
             w = _without(shifted.solve(Q[k]), near)
             self.solutions += 1
-            for _ in range(2):  # once is not orthogonal enough
+            size = np.inf
+            while (left := float(np.linalg.norm(w))) < _CANCELLED * size:  # once is not orthogonal enough
+                size = left
                 h = np.conj(Q[: k + 1] @ np.conj(w))
                 w -= h @ Q[: k + 1]
                 H[: k + 1, k] += h
-            H[k + 1, k] = np.linalg.norm(w)
+            H[k + 1, k] = left
             ended = bool(abs(H[k + 1, k]) <= 1e-13 * np.linalg.norm(H[: k + 1, k]))
             if not ended:
                 Q[k + 1] = w / H[k + 1, k]

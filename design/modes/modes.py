@@ -7,7 +7,7 @@ against each other inside area k are `local area k`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -34,6 +34,31 @@ class ModeError(UserError):
     """A mode that was asked for is not in the system."""
 
 
+class Participation(Mapping[str, float]):
+    """What each state takes part in a mode; an array with the states' names, of which a grid has many."""
+
+    def __init__(self, states: Sequence[str] = (), factors: Matrix | None = None) -> None:
+        self._states = states
+        self._factors = np.zeros(0) if factors is None else factors
+
+    def __getitem__(self, state: str) -> float:
+        try:
+            return float(self._factors[self._states.index(state)])
+        except ValueError:
+            raise KeyError(state) from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._states)
+
+    def __len__(self) -> int:
+        return len(self._states)
+
+    def most(self, count: int) -> dict[str, float]:
+        """Return the `count` states that take part most."""
+        order = np.argsort(-self._factors, kind="stable")[:count]
+        return {self._states[k]: float(self._factors[k]) for k in order}
+
+
 @dataclass(frozen=True)
 class Mode:
     r"""One oscillatory mode, :math:`A v = \lambda v,\ w^T A = \lambda w^T,\ w^T v = 1`.
@@ -52,7 +77,7 @@ class Mode:
     name: str
     eigenvalue: complex
     shape: Mapping[str, complex]
-    participation: Mapping[str, float]
+    participation: Participation
     share: float
     right: ComplexMatrix
     left: ComplexMatrix
@@ -76,8 +101,7 @@ class Mode:
 
     def most(self, count: int) -> dict[str, float]:
         """Return the `count` states that take part most, by participation."""
-        order = sorted(self.participation, key=lambda state: -self.participation[state])
-        return {state: float(self.participation[state]) for state in order[:count]}
+        return self.participation.most(count)
 
     def sensitivity(self, dA: Matrix) -> complex:
         r"""First-order move of the eigenvalue, :math:`d\lambda = w^T\, dA\, v` (1/s), for dA (n, n)."""
@@ -188,7 +212,7 @@ def modes_of(
             name=name,
             eigenvalue=complex(spectrum.values[i]),
             shape=dict(zip(machines, shape.tolist(), strict=True)),
-            participation=dict(zip(system.state_labels, spectrum.participation[:, i].tolist(), strict=True)),
+            participation=Participation(system.state_labels, spectrum.participation[:, i]),
             share=part,
             right=spectrum.right[:, i],
             left=spectrum.left[:, i],

@@ -76,11 +76,11 @@ def eigenvalue_sensitivity(
     ------
     ValueError : a value or step that is not finite, or a matrix of another size.
 
-    >>> from interarea.design.modes.modes import Mode, Modes
+    >>> from interarea.design.modes.modes import Mode, Modes, Participation
     >>> A = lambda c: np.array([[0.0, 1.0], [-4.0, -c]])  # frequency 2 rad/s, damping c
     >>> lam = -0.2 + 1j * np.sqrt(4.0 - 0.2**2)
     >>> v = np.array([1.0, lam]); w = np.array([lam + 0.4, 1.0])
-    >>> mode = Mode("swing", lam, {}, {}, 1.0, v, w / (w @ v))
+    >>> mode = Mode("swing", lam, {}, Participation(), 1.0, v, w / (w @ v))
     >>> found = eigenvalue_sensitivity(Modes({"swing": mode}, np.array([lam])), A, 0.4, parameter="c")
     >>> bool(abs(found["swing"].derivative - (-0.5 - 0.5j * 0.2 / lam.imag)) < 1e-9)
     True

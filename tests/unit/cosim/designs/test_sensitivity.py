@@ -14,7 +14,7 @@ from interarea.cosim.designs.sensitivities import (
 )
 from interarea.cosim.run.artefacts import sparse_linear_plant
 from interarea.design.modes.all_modes import all_modes as all_modes_of
-from interarea.design.modes.modes import Mode, Modes
+from interarea.design.modes.modes import Mode, Modes, Participation
 from interarea.design.modes.sensitivity import eigenvalue_sensitivity
 from interarea.models.case.case import CaseError, load_case
 from interarea.models.case.parameter_path import parameter_value, with_parameter
@@ -26,7 +26,9 @@ def all_modes(A: np.ndarray) -> Modes:
     """Every eigenvalue of A as a mode."""
     values, right = np.linalg.eig(A)
     left = np.linalg.inv(right)
-    found = {f"{k}": Mode(f"{k}", z, {}, {}, 1.0, right[:, k], left[k]) for k, z in enumerate(values)}
+    found = {
+        f"{k}": Mode(f"{k}", z, {}, Participation(), 1.0, right[:, k], left[k]) for k, z in enumerate(values)
+    }
     return Modes(found, values)
 
 

@@ -18,7 +18,7 @@ from interarea.design.controllers.controller import Controller
 from interarea.design.delay.curves import delayed_loop, track_gain, track_roots
 from interarea.design.delay.signal_conditions import Condition, condition_of, condition_of_many
 from interarea.design.errors import UncertifiedDesign
-from interarea.design.modes.modes import Mode, Modes
+from interarea.design.modes.modes import Mode, Modes, Participation
 
 
 def first_order_plant() -> control.StateSpace:
@@ -91,7 +91,7 @@ def swinging_plant() -> control.StateSpace:
 def swings(**eigenvalue_of: complex) -> Modes:
     zero = np.zeros(4, complex)
     made = {
-        name.replace("_", "-"): Mode(name.replace("_", "-"), z, {}, {}, 1.0, zero, zero)
+        name.replace("_", "-"): Mode(name.replace("_", "-"), z, {}, Participation(), 1.0, zero, zero)
         for name, z in eigenvalue_of.items()
     }
     return Modes(made, np.array(list(eigenvalue_of.values())))

@@ -14,7 +14,7 @@ from interarea.cosim.designs.design_file import load_design, run_design
 from interarea.cosim.errors import ScenarioError
 from interarea.design.delay.signal_conditions import Condition
 from interarea.design.errors import InfeasibleDesign
-from interarea.design.modes.modes import Mode, Modes
+from interarea.design.modes.modes import Mode, Modes, Participation
 from interarea.design.robust.design import design_robust
 from interarea.design.robust.spec import RobustSpec, require_moved
 from interarea.design.synthesis.check import modal_parts
@@ -37,7 +37,7 @@ def resonances(*, reached: float = 1.0, seen: float = 1.0, zeta: float = 0.05) -
 def inter_area(zeta: float = 0.05) -> Modes:
     z = complex(-3.0 * zeta, 3.0 * np.sqrt(1.0 - zeta**2))
     zero = np.zeros(4, complex)
-    return Modes({"inter-area": Mode("inter-area", z, {}, {}, 1.0, zero, zero)}, np.array([z]))
+    return Modes({"inter-area": Mode("inter-area", z, {}, Participation(), 1.0, zero, zero)}, np.array([z]))
 
 
 def test_modal_parts_are_those_of_uncoupled_modes() -> None:
