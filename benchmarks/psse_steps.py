@@ -1,0 +1,200 @@
+"""The plant's equations integrated as PSS/E does it, at the step h of a record; found from the records.
+
+    machines, governors, stabilizers,    x(t + h) = x(t) + h (3 f(t) - f(t - h))/2; at an event f is the mean
+    exciters that see V at once          of the rates before and after it
+    exciters with a voltage transducer   the trapezoidal rule, what they see of the network standing still:
+                                         (1 - h J/2) [x(t + h) - x(t)] = h f(t), then the limits of the states
+    a field voltage that follows the     is made before the network is solved: from the exciter's states of t
+    network at once                      and the network of t - h (behind a last lag with T = 0 all of t - h)
+    HYGOV                                sees the speed of t - h
+    states                               in single precision
+
+Exciters without a transducer need time constants above h.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from fmpy.fmi2 import FMU2Model
+from fmu_run import PlantSlave
+
+from interarea.models.blocks.plant import event_parameters
+from interarea.models.case.case import Case
+from interarea.models.case.schema import Machine
+from interarea.models.devices.instance import Instance
+from interarea.models.grid.equilibrium import operating_point
+
+Array = npt.NDArray[np.float64]
+
+
+class Rates:
+    """The plant in model exchange: rates and variables at any states."""
+
+    def __init__(self, plant: PlantSlave, case: Case, events: list[Any]) -> None:
+        self.references = plant.references
+        self.model = FMU2Model(
+            guid=plant.slave.guid, modelIdentifier=plant.slave.modelIdentifier,
+            unzipDirectory=plant.slave.unzipDirectory, instanceName="psse-steps",
+        )  # fmt: skip
+        self.model.instantiate()
+        for name, value in event_parameters(case, events).items():
+            setter = self.model.setReal if isinstance(value, float) else self.model.setInteger
+            setter([self.references[name]], [value])
+        self.model.setupExperiment(startTime=0.0)
+        self.model.enterInitializationMode()
+        self.model.exitInitializationMode()
+        self.model.newDiscreteStates()
+        self.model.enterContinuousTimeMode()
+        self.size = len(operating_point(case).state_names)
+
+    def start(self) -> Array:
+        """Return the states at rest."""
+        x = np.zeros(self.size)
+        self.model.getContinuousStates(_pointer(x), x.size)
+        return x
+
+    def at(self, x: Array) -> Array:
+        """Return the rates at states `x`; `shown` is about them from then on."""
+        dx = np.zeros_like(x)
+        self.model.setContinuousStates(_pointer(x), x.size)
+        self.model.getDerivatives(_pointer(dx), dx.size)
+        return dx
+
+    def shown(self, names: list[str]) -> Array:
+        """Return variables."""
+        return np.array(self.model.getReal([self.references[name] for name in names]) if names else [])
+
+    def choose_modes(self) -> None:
+        """Let events happen and limiters switch."""
+        self.model.enterEventMode()
+        self.model.newDiscreteStates()
+        self.model.enterContinuousTimeMode()
+
+    def close(self) -> None:
+        """End it."""
+        self.model.terminate()
+        self.model.freeInstance()
+
+
+class FieldVoltages:
+    """Field voltages as the machines of PSS/E have them: made before the network is solved."""
+
+    def __init__(self, rates: Rates, case: Case, states: list[str]) -> None:
+        of = [m for m in case.machines if f"{m.name}.eq1" in states]
+        self.rates, self.names = rates, [f"{m.name}.Efd" for m in of]
+        self.at = [(states.index(f"{m.name}.eq1"), states.index(f"{m.name}.eq2")) for m in of]
+        self.share = [((m.Xd2 - m.Xl) / (m.Xd1 - m.Xl), m.Td01) for m in of]
+        controls = {case.machines[d.machine].name: d for d in operating_point(case).controls.of("exciter")}
+        self.whole = np.array(
+            [_ends_at_once(controls[m.name].rest.instance) for m in of if m.name in controls]
+        )
+        if self.whole.size != len(of):
+            self.whole = np.zeros(len(of), dtype=bool)
+        self.of_machines = np.array([name.count(".") == 1 for name in states])
+
+    def now(self) -> Array:
+        """Return those of the states that `rates` was asked about last."""
+        return self.rates.shown(self.names)
+
+    def made(self, x: Array, before: Array, last: Array) -> Array:
+        """Return those made at `x` with the network of states `before`, whose own are `last`."""
+        self.rates.at(np.where(self.of_machines, before, x))
+        return np.where(self.whole, last, self.now())
+
+    def put(self, dx: Array, made: Array, now: Array) -> None:
+        """Change rates `dx`, found with `now`, to those with `made`."""
+        for change, (eq1, eq2), (share, Td01) in zip(made - now, self.at, self.share, strict=True):
+            dx[eq1] += change / Td01
+            dx[eq2] += share * change / Td01
+
+
+class Trapezoid:
+    """An exciter behind a voltage transducer."""
+
+    def __init__(self, instance: Instance, margins: Any, states: list[str], machine: Machine) -> None:
+        names = [f"{machine.name}.exciter.{name}" for name in instance.state_names]
+        self.at = [states.index(name) for name in names]
+        self.low, self.high = np.full(len(names), -np.inf), np.full(len(names), np.inf)
+        for margin in margins:
+            if margin.signal in instance.state_names:
+                k = instance.state_names.index(margin.signal)
+                self.low[k], self.high[k] = margin.low, margin.high
+
+    def step(self, rates: Rates, x: Array, dx: Array, h: float) -> Array:
+        """Return its states a step on; its rates at `x` are in `dx`."""
+        n = len(self.at)
+        jacobian = np.zeros((n, n))
+        y = x.copy()
+        for column, i in enumerate(self.at):
+            small = 1e-5 * max(1.0, abs(x[i]))
+            y[i] = x[i] + small
+            up = rates.at(y)[self.at]
+            y[i] = x[i] - small
+            jacobian[:, column] = (up - rates.at(y)[self.at]) / (2.0 * small)
+            y[i] = x[i]
+        change = np.linalg.solve(np.eye(n) - 0.5 * h * jacobian, h * dx[self.at])
+        return np.clip(x[self.at] + change, self.low, self.high)
+
+
+def psse_steps(
+    plant: PlantSlave, case: Case, events: list[Any], stop: float, h: float, names: list[str]
+) -> Array:
+    """Return variables `names` at 0, h, 2 h, ..., shape (steps, names)."""
+    rates = Rates(plant, case, events)
+    states = list(operating_point(case).state_names)
+    fields = FieldVoltages(rates, case, states)
+    exciters = [
+        Trapezoid(d.rest.instance, d.rest.margins, states, case.machines[d.machine])
+        for d in operating_point(case).controls.of("exciter")
+        if d.rest.instance.values.get("TR", 0.0) > 0.0
+    ]
+    hydro = [m.name for m in case.machines if m.governor.kind == "hygov"]
+    governed = np.array([name.split(".")[0] in hydro and ".governor." in name for name in states])
+    slips = np.array([name.endswith(".slip") for name in states])
+    x = rates.start()
+    before, dx_before, made_before = x.copy(), np.zeros_like(x), np.zeros(0)
+    switches = {round(t / h) for e in events for t in (e.start_s, getattr(e, "end_s", None)) if t is not None}
+    rows = []
+
+    for k in range(round(stop / h) + 1):
+        rates.model.setTime(k * h)
+        rates.model.setContinuousStates(_pointer(x), x.size)
+        if k not in switches:
+            rates.choose_modes()
+        late = rates.at(np.where(slips, before, x)) if hydro else x
+        dx = rates.at(x)
+        rows.append(rates.shown(names))
+        now = fields.now()
+        made = fields.made(x, before, made_before if k else now)
+        mean = np.where(governed, late, dx)
+        fields.put(mean, made, now)
+        if k in switches:
+            rates.at(x)
+            rates.choose_modes()
+            dx = rates.at(x)
+            rows[-1] = rates.shown(names)
+            after, now, made = dx.copy(), fields.now(), now
+            fields.put(after, made, now)
+            mean = np.where(governed, late, 0.5 * (mean + after))
+        made_before = now
+        new = x + h * (1.5 * mean - 0.5 * dx_before)
+        for exciter in exciters:
+            new[exciter.at] = exciter.step(rates, x, dx, h)
+        before, dx_before, x = x, mean, new.astype(np.float32).astype(float)
+    rates.close()
+    return np.array(rows)
+
+
+def _ends_at_once(instance: Instance) -> bool:
+    """Whether the last element would have a state but for its time constant of 0."""
+    element = instance.model.elements[instance.model.device.output]
+    return bool(element.states()) and not any(instance.on(s.present) for s in element.states())
+
+
+def _pointer(a: Array) -> Any:
+    """Return where `a` lies."""
+    return a.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
