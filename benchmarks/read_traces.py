@@ -66,7 +66,7 @@ def case_of_trace(
     """Return the grid of a record; a control of which only the constants are given takes its place."""
     raw, dyr = folder / trace["raw"], folder / trace["dyr"]
     case = import_psse(raw, dyr, P_exponent=exponents[0], Q_exponent=exponents[1]).case
-    if not as_given:
+    if trace.get("tool") == "PSS/E" and not as_given:
         case = case.with_changes(MADE_WITH.get(trace["id"], {}))
     change: dict[str, Any] = {}
     for place, constants in trace.get("constants", {}).items():
@@ -99,24 +99,29 @@ def events_of_trace(event: dict[str, Any], case: Case) -> list[Any]:
 
 
 def with_low_voltage_load(case: Case, events: list[Any], pieces: int = 6) -> list[Any]:
-    """Return `events` with steps of the load during the fault: OpenIPSL's constant current below 0.5 pu.
+    """Return `events` with ramps of the load during the fault: OpenIPSL's constant current below 0.5 pu.
 
     There it draws I kI(v), kI = a b v^(b - 1) exp(-a v^b), where the plant goes over to constant impedance,
-    I v/0.5; the mean voltage of the load in each piece of the fault decides.
+    I v/0.5; the voltage of the load at the ends of the pieces of the fault decides.
     """
     load, fault = case.loads[0], events[0]
     ends = np.linspace(fault.start_s, fault.end_s, pieces + 1)
-    times = np.concatenate([np.linspace(ends[k], ends[k + 1], 6)[1:-1] for k in range(pieces)])
-    shares = np.zeros(pieces)
+    times = np.clip(ends, fault.start_s + 1e-4, fault.end_s - 1e-4)
+    shares = np.zeros(pieces + 1)
     for _ in range(4):
         rows = [
-            {"kind": "load_step", "load": load.name, "p_pu": share * load.P_mw / case.base_mva, "q_pu": 0.0}
-            | {"start_s": ends[k], "end_s": ends[k + 1]}
-            for k, share in enumerate(shares.tolist())
+            {"kind": "load_step", "load": load.name, "p_pu": change * load.P_mw / case.base_mva, "q_pu": 0.0}
+            | {"start_s": start, "rise_s": rise, "end_s": fault.end_s}
+            for change, start, rise in zip(
+                np.diff(shares, prepend=0.0).tolist(),
+                [ends[0], *ends[:-1]],
+                [0.0, *np.diff(ends)],
+                strict=True,
+            )
         ]
         found = [fault, *events_of(rows, where="load")]
         plant = PlantSlave(case, found, 0.001)
-        v = plant.record([0.0, *times], [f"bus{load.bus}.v"])[1:].reshape(pieces, -1).mean(axis=1)
+        v = plant.record([0.0, *times], [f"bus{load.bus}.v"])[1:, 0]
         plant.close()
         a, b = 1.502, 1.769
         shares = np.where(v < 0.5, a * b * v ** (b - 1.0) * np.exp(-a * v**b) / (v / 0.5) - 1.0, 0.0)
