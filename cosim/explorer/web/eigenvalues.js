@@ -18,6 +18,16 @@ const cAbs = (a) => Math.hypot(a[0], a[1]);
 const SETTLED = 1e-7;     /* 1/s: the last move of a root that is shown */
 const SEEDS = 10;         /* roots that delay brings in from the left */
 
+/* Sum of products of complex numbers in flat arrays. */
+function product(a, b) {
+  let re = 0, im = 0;
+  for (let j = 0; j < a.length; j += 2) {
+    re += a[j] * b[j] - a[j + 1] * b[j + 1];
+    im += a[j] * b[j + 1] + a[j + 1] * b[j];
+  }
+  return [re, im];
+}
+
 /* Modal form with the conjugates filled in; complex rows in flat arrays, [re, im, re, im ...]. */
 class Modal {
   constructor({ poles, c, b, d }, inputScale) {
@@ -26,33 +36,33 @@ class Modal {
     const scale = (i) => (inputScale ? inputScale[i] : 1);
     this.poles = both(poles);
     this.c = c.map((row) => Float64Array.from(both(row).flat()));
-    const inputs = b.map((row, i) => both(row).map(([re, im]) => [re * scale(i), im * scale(i)]));
-    this.residues = c.map((row) => inputs.map((own) => Float64Array.from(both(row).flatMap((z, j) => cMul(z, own[j])))));
+    this.b = b.map((row, i) => both(row).map(([re, im]) => [re * scale(i), im * scale(i)]));
+    this.residues = c.map((row) => this.b.map((own) => Float64Array.from(both(row).flatMap((z, j) => cMul(z, own[j])))));
     this.d = d.map((row) => row.map((x, i) => x * scale(i)));
     this.inverse = new Float64Array(2 * this.poles.length);
+    this.square = new Float64Array(2 * this.poles.length);
   }
 
-  /* Values at s for these outputs, [output][input] of [re, im, re', im']; the derivatives where `slopes`. */
-  at(s, outputs, slopes) {
-    const g = this.inverse;                                       /* 1 / (s - l) */
+  /* Values at s for these outputs and inputs, [output][input] of [re, im, re', im']; the derivatives where `slopes`. */
+  at(s, outputs, inputs, slopes) {
+    const g = this.inverse, h = this.square;                      /* 1 / (s - l), and its derivative */
     for (let j = 0; j < g.length; j += 2) {
-      const l = this.poles[j / 2], x = s[0] - l[0], y = s[1] - l[1], m = x * x + y * y;
-      g[j] = x / m;
-      g[j + 1] = -y / m;
+      const l = this.poles[j / 2], x = s[0] - l[0], y = s[1] - l[1], m = x * x + y * y, re = x / m, im = -y / m;
+      g[j] = re;
+      g[j + 1] = im;
+      h[j] = im * im - re * re;
+      h[j + 1] = -2 * re * im;
     }
-    return outputs.map((o) => this.residues[o].map((r, i) => {
-      let re = this.d[o][i], im = 0, byRe = 0, byIm = 0;
-      for (let j = 0; j < g.length; j += 2) {
-        re += r[j] * g[j] - r[j + 1] * g[j + 1];
-        im += r[j] * g[j + 1] + r[j + 1] * g[j];
-      }
-      for (let j = 0; slopes && j < g.length; j += 2) {
-        const hr = g[j + 1] * g[j + 1] - g[j] * g[j], hi = -2 * g[j] * g[j + 1];   /* its derivative */
-        byRe += r[j] * hr - r[j + 1] * hi;
-        byIm += r[j] * hi + r[j + 1] * hr;
-      }
-      return [re, im, byRe, byIm];
+    return outputs.map((o) => inputs.map((i) => {
+      const r = this.residues[o][i], [re, im] = product(r, g), [byRe, byIm] = slopes ? product(r, h) : [0, 0];
+      return [this.d[o][i] + re, im, byRe, byIm];
     }));
+  }
+
+  /* These outputs at s where the inputs move by u. */
+  moved(s, outputs, inputs, u) {
+    const modes = this.poles.flatMap((l, j) => cDiv(inputs.reduce((z, i, k) => cAdd(z, cMul(this.b[i][j], u[k])), [0, 0]), cSub(s, l)));
+    return outputs.map((o) => cAdd(product(this.c[o], modes), inputs.reduce((z, i, k) => cAdd(z, cMul([this.d[o][i], 0], u[k])), [0, 0])));
   }
 }
 
@@ -100,7 +110,8 @@ function eliminate(M, R) {
 }
 
 class Loop {
-  constructor(plant, point, controller, made, signals) {
+  constructor(plant, point, controller, made, signals, edge) {
+    this.edge = edge;
     this.plant = plant;
     this.controller = controller;
     this.point = point;
@@ -110,29 +121,38 @@ class Loop {
     this.poles = this.open ? plant.poles : [...plant.poles, ...controller.poles];
   }
 
+  /* Plant and controller at s. */
+  values(s, slopes) {
+    const { plant, controller, signals } = this;
+    return [plant.at(s, signals.map((x) => x.output), this.actuators, slopes),
+      controller.at(s, controller.c.map((_, o) => o), signals.map((x) => x.input), slopes)];
+  }
+
   /* I - K E G at s; where `slopes` its derivatives by s and by a common factor on every latency. */
-  matrices(s, slopes) {
-    const G = this.plant.at(s, this.signals.map((x) => x.output), slopes);
-    const K = this.controller.at(s, this.controller.c.map((_, o) => o), slopes);
-    const p = this.actuators.length;
-    const M = [], Ms = [], Mt = [];
+  matrices(s, slopes, values = this.values(s, slopes)) {
+    const [G, K] = values, p = this.actuators.length, M = [], Ms = [], Mt = [];
+    const delays = this.signals.map(({ tau }) => {
+      const size = Math.exp(-s[0] * tau);
+      return [size * Math.cos(s[1] * tau), -size * Math.sin(s[1] * tau)];
+    });
     for (let i = 0; i < p; ++i) {
+      const late = delays.map((e, q) => cMul(e, K[i][q]));
       M.push([]);
       Ms.push([]);
       Mt.push([]);
       for (let j = 0; j < p; ++j) {
-        let v = [i === j ? 1 : 0, 0], w = [0, 0], t = [0, 0];
-        this.signals.forEach(({ input, tau }, q) => {
-          const k = K[i][input], g = G[q][this.actuators[j]];
-          const size = Math.exp(-s[0] * tau), e = [size * Math.cos(s[1] * tau), -size * Math.sin(s[1] * tau)];
-          const k0 = [k[0], k[1]], g0 = [g[0], g[1]], kg = cMul(e, cMul(k0, g0));
-          v = cSub(v, kg);
-          if (!slopes) return;
-          const k1 = [k[2], k[3]], g1 = [g[2], g[3]];
-          w = cSub(w, cAdd(cMul(e, cAdd(cMul(k1, g0), cMul(k0, g1))), [-tau * kg[0], -tau * kg[1]]));
-          t = cAdd(t, cMul(s, [tau * kg[0], tau * kg[1]]));
-        });
-        M[i].push(v);
+        let re = i === j ? 1 : 0, im = 0, w = [0, 0], t = [0, 0];
+        for (let q = 0; q < late.length; ++q) {
+          const k = late[q], g = G[q][j], { tau } = this.signals[q];
+          const kr = k[0] * g[0] - k[1] * g[1], ki = k[0] * g[1] + k[1] * g[0];
+          re -= kr;
+          im -= ki;
+          if (!slopes) continue;
+          const turned = cMul(delays[q], [K[i][q][2], K[i][q][3]]);
+          w = cSub(w, cAdd(cAdd(cMul(turned, g), cMul(k, [g[2], g[3]])), [-tau * kr, -tau * ki]));
+          t = cAdd(t, cMul(s, [tau * kr, tau * ki]));
+        }
+        M[i].push([re, im]);
         Ms[i].push(w);
         Mt[i].push(t);
       }
@@ -140,8 +160,10 @@ class Loop {
     return [M, Ms, Mt];
   }
 
-  det(s) {
-    return this.open ? [1, 0] : eliminate(this.matrices(s, false)[0], null);
+  /* Its determinant; what it takes of plant and controller there is kept: latencies do not move it. */
+  det(s, place) {
+    if (!this.edge.has(place)) this.edge.set(place, this.values(s, false));
+    return eliminate(this.matrices(s, false, this.edge.get(place))[0], null);
   }
 
   /* F'/F at s, and that of det(I - K E G) by the common factor. */
@@ -169,8 +191,7 @@ class Loop {
       });
       x = machines.map((o) => [this.plant.c[o][2 * near], this.plant.c[o][2 * near + 1]]);
     } else {
-      const u = this.nullVector(s), G = this.plant.at(s, machines, false);
-      x = G.map((row) => this.actuators.reduce((z, a, k) => cAdd(z, cMul([row[a][0], row[a][1]], u[k])), [0, 0]));
+      x = this.plant.moved(s, machines, this.actuators, this.nullVector(s));
     }
     let most = [0, 0];
     for (const z of x) if (cAbs(z) > cAbs(most)) most = z;
@@ -182,9 +203,10 @@ class Loop {
     const p = this.actuators.length;
     let u = this.actuators.map((_, k) => [1, 0.1 * k]);
     if (p === 1) return u;
+    const [near] = this.matrices([s[0] + 1e-9, s[1]], false);
     for (let n = 0; n < 3; ++n) {
-      const R = u.map((z) => [z]), M = this.matrices([s[0] + 1e-9, s[1]], false)[0];
-      eliminate(M, R);
+      const R = u.map((z) => [z]);
+      eliminate(near.map((row) => [...row]), R);
       const size = Math.max(...R.map((row) => cAbs(row[0])));
       u = R.map((row) => [row[0][0] / size, row[0][1] / size]);
     }
@@ -198,7 +220,7 @@ function sweep(loop, roots, moves, box, near) {
   let worst = 0;
   for (let k = 0; k < roots.length; ++k) {
     const s = roots[k];
-    if (moves[k] < 1e-12 || (near && !inside(s, near))) continue;
+    if (moves[k] < 1e-9 || (near && !inside(s, near))) continue;
     const newton = cInv(loop.slopes(s)[0]);
     const push = inverses(s, roots, 0);
     let move = cDiv(newton, cSub([1, 0], cMul(newton, push)));
@@ -216,9 +238,14 @@ function inside(s, box) {
   return s[0] > box.left && s[0] < box.right && s[1] > box.low && s[1] < box.high;
 }
 
-/* How often `f` winds around zero along the box, counter-clockwise; null where it is not resolved. */
+/* How often `f` winds around zero along the box, counter-clockwise; null where it is not resolved. f(s, u): at the
+ * place s, which is u sides from the first corner. */
 function winding(f, box) {
   const corners = [[box.left, box.low], [box.right, box.low], [box.right, box.high], [box.left, box.high]];
+  const at = (u) => {
+    const k = Math.min(3, Math.floor(u)), a = corners[k], b = corners[(k + 1) % 4];
+    return f([a[0] + (b[0] - a[0]) * (u - k), a[1] + (b[1] - a[1]) * (u - k)], u);
+  };
   let total = 0, sound = true;
   const walk = (a, fa, b, fb, depth) => {
     const r = cDiv(fb, fa), turn = Math.atan2(r[1], r[0]);
@@ -230,19 +257,14 @@ function winding(f, box) {
       sound = false;
       return;
     }
-    const m = [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2], fm = f(m);
+    const m = (a + b) / 2, fm = at(m);
     walk(a, fa, m, fm, depth + 1);
     walk(m, fm, b, fb, depth + 1);
   };
-  for (let k = 0; k < 4; ++k) {
-    const a = corners[k], b = corners[(k + 1) % 4];
-    let last = a, fl = f(a);
-    for (let i = 1; i <= 24; ++i) {
-      const next = [a[0] + (b[0] - a[0]) * i / 24, a[1] + (b[1] - a[1]) * i / 24], fn = f(next);
-      walk(last, fl, next, fn, 0);
-      last = next;
-      fl = fn;
-    }
+  for (let n = 0, last = at(0); n < 96; ++n) {
+    const next = at((n + 1) / 24);
+    walk(n / 24, last, (n + 1) / 24, next, 0);
+    last = next;
   }
   return sound ? Math.round(total / (2 * Math.PI)) : null;
 }
@@ -289,8 +311,10 @@ class Eigenvalues {
           d: made.modal.d.map((row) => row.map((x) => gain * x)) };
       controller = gain === 1 ? this.modal('k' + made.key, numbers, made.scale) : new Modal(numbers, made.scale);
     }
-    const loop = new Loop(plant, point, controller, made, signals);
-    return { loop, mean, lost, key: number + '/' + (made ? made.key : '') + '/' + signals.map((x) => x.input).join() };
+    const key = number + '/' + (made ? made.key : '') + '/' + signals.map((x) => x.input).join();
+    if (this.edgeOf !== key + '/' + gain) this.edge = new Map();
+    this.edgeOf = key + '/' + gain;
+    return { loop: new Loop(plant, point, controller, made, signals, this.edge), mean, lost, key };
   }
 
   /* What is in sight: the swing modes of this grid with room around them. */
@@ -311,7 +335,7 @@ class Eigenvalues {
 
   solve(loop, box, roots, sweeps, warm) {
     const moves = roots.map(() => 1), near = warm ? { left: box.left - 1.5, right: box.right + 1, low: box.low - 0.15, high: box.high + 4 } : null;
-    for (let n = 0; n < sweeps; ++n) if (sweep(loop, roots, moves, box, near) < 1e-9) break;
+    for (let n = 0; n < sweeps; ++n) if (sweep(loop, roots, moves, box, near) < SETTLED) break;
     return roots.filter((s, k) => moves[k] < SETTLED && inside(s, box));
   }
 
@@ -319,10 +343,17 @@ class Eigenvalues {
   of(state) {
     const { loop, mean, lost, key, why } = this.loop(state);
     if (why) return { why };
+    const asked = JSON.stringify([key, mean, lost, value(this.data, state, 'g'), loop.signals]);
+    if (this.asked !== asked) this.found = this.find(loop, mean, lost, key);
+    this.asked = asked;
+    return this.found;
+  }
+
+  find(loop, mean, lost, key) {
     const { point } = loop, box = this.box(point);
     const open = loop.plant.poles.filter((s) => inside(s, box));
     if (loop.open) return this.result(loop, open, open, box, true, mean, lost);
-    const edge = winding((s) => loop.det(s), box);
+    const edge = winding((s, u) => loop.det(s, u), box);
     const wanted = edge === null ? null : edge + loop.poles.filter((s) => inside(s, box)).length;
     let roots = this.kept.get(key) || this.start(loop);
     let seen = this.solve(loop, box, roots, this.kept.has(key) ? 12 : 60, this.kept.has(key));
