@@ -22,6 +22,8 @@ from interarea.models.grid.equilibrium import operating_point
 PAGE_SOURCE = Path(__file__).resolve().parent / "web" / "page.c"
 #: What these and the container need of a C library: no other is linked.
 LIBRARY = PAGE_SOURCE.parent / "libc"
+#: Steps of runs while a slider moves, which no FMU has.
+DRAWN_STEP = PAGE_SOURCE.parent / "drawn_step.h"
 _READS_FILES = "resource.c"
 
 
@@ -33,9 +35,8 @@ def page_sources(case: Case | None = None) -> dict[str, bytes]:
     layer = tuple(path for path in fmi_sources() if path.name != _READS_FILES)
     plant = plant_sources(case)
     sources = gather_sources((PAGE_SOURCE, *layer, *container_sources(plant), record_source()))
-    sources |= {
-        path.name: path.read_bytes() for path in sorted(LIBRARY.iterdir()) if path.suffix in (".c", ".h")
-    }
+    own = (DRAWN_STEP, *(path for path in sorted(LIBRARY.iterdir()) if path.suffix in (".c", ".h")))
+    sources |= {path.name: path.read_bytes() for path in own}
     if case is not None:
         keys = {device.key for device in operating_point(case).controls.devices}
         sources[HEADER] = with_devices(sources[HEADER].decode("ascii"), keys).encode("ascii")

@@ -66,7 +66,7 @@ WEB_PAGE = Platform(
     "",
     ("wasm32-wasi",),
     ".wasm",
-    ("-Oz", "-msimd128", "-flto"),
+    ("-Oz", "-msimd128", "-flto", '-DLOOP_DRAWN="drawn_step.h"'),
     ("-s", "-Wl,-z,stack-size=262144", "-Wl,--no-entry"),
     "-nostdlib",
 )

@@ -27,7 +27,7 @@ vm.runInContext('this.api = { Container, Eigenvalues, simulate, settingsOf, toml
   const module = new WebAssembly.Module(pieces[2]), container = new api.Container(module, data, pieces.slice(3));
   const eigenvalues = new api.Eigenvalues(data), keys = api.keysOf(data), always = async () => true;
   const run = (state, job) => api.simulate(container, { settings: api.settingsOf(data, state), every: job.every || 1,
-    all: job.all !== false, coarse: Boolean(job.coarse && !job.on), solver: job.coarse ? data.solver.fast : 0 }, always);
+    all: job.all !== false, coarse: Boolean(job.coarse && !job.on), solver: job.coarse ? data.solver : null }, always);
   for (const job of JSON.parse(fs.readFileSync(process.argv[3], 'utf8'))) {
     let answer;
     try {

@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "closed_loop.h"
 #include "instance.h"
 #include "resource.h"
 
@@ -102,12 +103,14 @@ EXPORT(is_open) int page_is_open(const Session *s)
     return s->component != NULL;
 }
 
-/* Back to the start with other parameters; 0, or the FMI status. */
+/* Back to the start with other parameters; 0, or the FMI status. drawn: longest step, s, of a run that is only
+ * looked at (drawn_step.h); 0: the run that the FMU makes. */
 int page_start(Session *s, const fmi2ValueReference *real_references, const double *reals, size_t n_reals,
-               const fmi2ValueReference *integer_references, const int *integers, size_t n_integers, double stop);
+               const fmi2ValueReference *integer_references, const int *integers, size_t n_integers, double stop,
+               double drawn);
 EXPORT(start) int page_start(Session *s, const fmi2ValueReference *real_references, const double *reals,
                              size_t n_reals, const fmi2ValueReference *integer_references, const int *integers,
-                             size_t n_integers, double stop)
+                             size_t n_integers, double stop, double drawn)
 {
     fmi2Status status = fmi2Reset(s->component);
 
@@ -117,6 +120,7 @@ EXPORT(start) int page_start(Session *s, const fmi2ValueReference *real_referenc
     if (status == fmi2OK) status = fmi2SetupExperiment(s->component, fmi2False, 0.0, 0.0, fmi2True, stop);
     if (status == fmi2OK) status = fmi2EnterInitializationMode(s->component);
     if (status == fmi2OK) status = fmi2ExitInitializationMode(s->component);
+    if (status == fmi2OK) ((Instance *)s->component)->block.memory[M_DRAWN] = drawn;
     return (int)status;
 }
 

@@ -82,12 +82,12 @@ class Container {
     return session;
   }
 
-  /* Starts a run; throws the container's own sentence. Parameters that the model does not have, such as those
+  /* Starts a run, with `solver` one that is only looked at; throws the container's own sentence. Parameters that the model does not have, such as those
    * of a channel that nobody listens to, are left out. */
   start(settings, solver) {
     const of = this.data.models.filter((m) => m.controller === settings.controller);
     const model = of.find((m) => m.point === settings.point), names = of.find((m) => m.reals);
-    const parameters = solver ? { ...settings.parameters, 'plant.solver.step': solver } : settings.parameters;
+    const parameters = solver ? { ...settings.parameters, 'plant.solver.step': solver.fast } : settings.parameters;
     const split = (table) => {
       const keys = Object.keys(parameters).filter((key) => key in table);
       return [keys.map((key) => table[key]), keys.map((key) => parameters[key])];
@@ -96,7 +96,7 @@ class Container {
     this.session = this.open(model.part);
     const status = this.exports.start(this.session, this.put('rr', Uint32Array, realReferences),
       this.put('rv', Float64Array, reals), reals.length, this.put('ir', Uint32Array, wholeReferences),
-      this.put('iv', Int32Array, whole), whole.length, this.data.stop);
+      this.put('iv', Int32Array, whole), whole.length, this.data.stop, solver ? solver.drawn : 0);
     if (status !== 0) throw new Error(this.text(this.exports.message(this.session)));
     return names;
   }
@@ -172,7 +172,7 @@ function serve(scope) {
     try {
       if (!first) roots();   /* at once; the first ones are looked for from afar: curves before them */
       const exact = { settings: settingsOf(data, request.state), every: request.every, all: request.all, coarse: request.coarse,
-        solver: request.coarse ? data.solver.fast : 0 };
+        solver: request.coarse ? data.solver : null };
       const result = await simulate(container, exact, goOn);
       if (!result) return scope.postMessage({ dropped: request.run });
       const sent = { result: request.run, ...result, exact: !request.coarse };

@@ -27,7 +27,13 @@ enum { LOOP_ARRAYS = LIMITED_STEP_ARRAYS };   /* of n_x in `work` */
 enum { KIND_PLANT = 0, KIND_CONTROLLER = 1, KIND_CHANNEL = 2, KIND_SUPERVISOR = 3, KIND_COUNT = 4 };
 
 /* Head of `memory`; then what the record says of the loop, read once. */
-enum { M_ORIGIN, M_LAST_EVENT, M_LAST_LENGTH, M_MARK_COUNT, M_SWITCHES_COST, M_MARKS };
+enum {
+    M_ORIGIN, M_LAST_EVENT, M_LAST_LENGTH, M_MARK_COUNT, M_SWITCHES_COST,
+#ifdef LOOP_DRAWN
+    M_DRAWN,                /* longest step of a run that is only looked at, s; 0: of an exact run */
+#endif
+    M_MARKS
+};
 
 typedef struct {
     int kind;
@@ -76,6 +82,7 @@ typedef struct {
     double *state;                          /* SAVED x of all members, one after the other */
     double *members;                        /* SAVED u, integer inputs, memory of each member */
     size_t n_members;
+    int settled;                            /* whether `work` begins with the slopes of the states as they are */
     /* scratch */
     BlockLimits *limits;                    /* of the evaluation under way, or null      */
     double *saved, *saved_state, *saved_iy, *poly, *y0, *slope0, *work;

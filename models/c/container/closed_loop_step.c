@@ -118,20 +118,46 @@ static BlockStatus stage_flow(void *context, double into, BlockLimits *limits, c
     return status;
 }
 
-static BlockStatus integrate(ClosedLoop *l, double begin, double length, BlockMessage *message)
+/* Over `length` from `begin`, which lies `since` after the begin of the channels' polynomials. */
+static BlockStatus integrate(ClosedLoop *l, double begin, double since, double length, BlockMessage *message)
 {
     const long count = runge_kutta_count(length, l->internal_step);
-    Flow f = {l, begin, 0.0, message};
+    Flow f = {l, begin, since, message};
     const LimitedRun run = {l->outer->memory[M_ORIGIN], &l->outer->memory[M_SWITCHES_COST]};
 
     for (long step = 0; step < count; ++step) {
-        f.elapsed = length * ((double)step / (double)count);
-        f.t = begin + f.elapsed;
+        const double into = length * ((double)step / (double)count);
+        f.elapsed = since + into;
+        f.t = begin + into;
         const double h = length / (double)count;
         const BlockStatus status = limited_step(stage_flow, &f, l->n_x, f.t, h, l->state, l->work, &run, message);
         if (status != BLOCK_OK) return status;
     }
     return BLOCK_OK;
+}
+
+#ifdef LOOP_DRAWN          /* a page's runs that are only looked at */
+#include LOOP_DRAWN
+#else
+#define drawn(l) 0
+#define drawn_integrate(l, t, h, message) BLOCK_OK
+#define drawn_settle(l, k, t, dx, message) BLOCK_OK
+#endif
+
+/* dx of member k where it now is, and the slopes of its outputs for those vu of its inputs. */
+static BlockStatus settle_slopes(ClosedLoop *l, size_t k, double t, int plant, double *dx, double *vu,
+                                 BlockMessage *message)
+{
+    Block *inner = &l->block[k];
+    BlockStatus status = l->member[k]->derivatives(inner, t, inner->x, inner->u, dx + l->first_x[k], message);
+
+    if (status != BLOCK_OK) return status;
+    for (size_t i = 0; i < inner->layout.n_u; ++i) {
+        const int32_t from = l->wire[l->first_u[k] + i];
+        vu[i] = from < 0 || plant ? 0.0 : l->slope[from];
+    }
+    return l->member[k]->directional(inner, t, inner->x, inner->u, dx + l->first_x[k], vu, NULL,
+                                     l->slope + l->first_y[k], message);
 }
 
 /* Inputs, outputs and slopes of plant and controller where they now are. */
@@ -150,19 +176,11 @@ static BlockStatus settle(ClosedLoop *l, double t, BlockMessage *message)
     }
     for (int plant = 1; plant >= 0; --plant)
         for (size_t k = 0; k < l->count; ++k) {
-            Block *inner = &l->block[k];
-
             if (!loop_is(l, k, plant)) continue;
-            status = l->member[k]->derivatives(inner, t, inner->x, inner->u, dx + l->first_x[k], message);
-            if (status != BLOCK_OK) return status;
-            for (size_t i = 0; i < inner->layout.n_u; ++i) {
-                const int32_t from = l->wire[l->first_u[k] + i];
-                vu[i] = from < 0 || plant ? 0.0 : l->slope[from];
-            }
-            status = l->member[k]->directional(inner, t, inner->x, inner->u, dx + l->first_x[k], vu, NULL,
-                                               l->slope + l->first_y[k], message);
+            status = drawn(l) ? drawn_settle(l, k, t, dx, message) : settle_slopes(l, k, t, plant, dx, vu, message);
             if (status != BLOCK_OK) return status;
         }
+    l->settled = 1;
     return BLOCK_OK;
 }
 
@@ -279,6 +297,7 @@ static void put_members_back(ClosedLoop *l)
     memcpy(l->members, l->saved, l->n_members * sizeof(double));
     memcpy(l->state, l->saved_state, l->n_x * sizeof(double));
     memcpy(l->outer->iy, l->saved_iy, l->n_iy * sizeof(int));
+    l->settled = 0;
 }
 
 /* Draws what the channels give over the step that they have done. */
@@ -320,7 +339,8 @@ static BlockStatus sweep_once(ClosedLoop *l, double t, double end, int edge, Blo
 
     if (status != BLOCK_OK) return status;
     draw_channels(l, h, edge);
-    if ((status = integrate(l, t, h, message)) != BLOCK_OK) return status;
+    status = drawn(l) ? drawn_integrate(l, t, h, message) : integrate(l, t, 0.0, h, message);
+    if (status != BLOCK_OK) return status;
     return settle(l, end, message);
 }
 
