@@ -83,6 +83,8 @@ typedef struct {
     double *members;                        /* SAVED u, integer inputs, memory of each member */
     size_t n_members;
     int settled;                            /* whether `work` begins with the slopes of the states as they are */
+    int plain, between;                     /* of a page's runs (drawn_step.h)           */
+    size_t source[LOOP_MEMBERS];
     /* scratch */
     BlockLimits *limits;                    /* of the evaluation under way, or null      */
     double *saved, *saved_state, *saved_iy, *poly, *y0, *slope0, *work;

@@ -140,6 +140,7 @@ static BlockStatus integrate(ClosedLoop *l, double begin, double since, double l
 #include LOOP_DRAWN
 #else
 #define drawn(l) 0
+#define drawn_plain(l) 0
 #define drawn_integrate(l, t, h, message) BLOCK_OK
 #define drawn_settle(l, k, t, dx, message) BLOCK_OK
 #endif
@@ -164,7 +165,7 @@ static BlockStatus settle_slopes(ClosedLoop *l, size_t k, double t, int plant, d
 static BlockStatus settle(ClosedLoop *l, double t, BlockMessage *message)
 {
     double *dx = l->work, *vu = l->work + LOOP_ARRAYS * l->n_x, *y = l->outer->y;
-    BlockStatus status = signals(l, t, 1, l->state, y, vu, message);
+    BlockStatus status = signals(l, t, !(l->between && l->plain), l->state, y, vu, message);
 
     if (status != BLOCK_OK) return status;
     for (size_t k = 0; k < l->count; ++k) {
@@ -240,8 +241,11 @@ static double correct(ClosedLoop *l, double h)
         worst = fmax(worst, fabs(value_at(told, h) - y[from]) / scale);
         worst = fmax(worst, h * fabs(slope_at(told, h) - l->slope[from]) / scale / 8.0);
     }
-    for (size_t i = 0; i < l->n_y; ++i)
-        draw(l->poly + 4 * i, l->y0[i], l->slope0[i], y[i], l->slope[i], h, 0);
+    for (size_t k = 0; k < l->count; ++k) {
+        const int32_t i = l->wire[l->first_u[k]];
+        if (l->kind[k] == KIND_CHANNEL && i >= 0)
+            draw(l->poly + 4 * i, l->y0[i], l->slope0[i], y[i], l->slope[i], h, 0);
+    }
     return worst;
 }
 
@@ -413,9 +417,11 @@ BlockStatus closed_loop_advance(ClosedLoop *l, double t, double end, BlockMessag
 {
     t = whole(t);
     end = whole(end);
+    l->plain = drawn(l) && drawn_plain(l);
     while (t < end) {
         const double at = (double)next_point(l, (int64_t)floor(t * 1e9 + 0.5)) / 1e9;
         const double to = at < end ? at : end;
+        l->between = to < end;
         const BlockStatus status = step_once(l, t, to, message);
 
         if (status != BLOCK_OK) return status;

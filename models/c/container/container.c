@@ -224,7 +224,7 @@ static BlockStatus open_loop(ClosedLoop *l, Block *b, BlockMessage *message)
     l->flag = (const int32_t *)(const void *)(b->record->bytes + plan->flag);
     l->step = plan->step;
     l->internal_step = longest_step(plan, b->p[plan->solver]);
-    l->settled = 0;
+    l->settled = l->plain = l->between = 0;
     l->slope = b->memory + LOOP_SAVED;
     l->bend = l->slope + l->n_y;
     l->state = l->bend + 2 * l->n_y;
