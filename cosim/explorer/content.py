@@ -24,9 +24,9 @@ from .models import SLOTS, step_s
 from .subject import Subject
 
 VERSION = 1  #: of the address that a page understands
-#: Longest steps while a slider moves: over the fastest pole, of the classical method (stable up to 2.78) and of
-#: `web/drawn_step.h` (up to 12); s.
-_COARSE, _DRAWN, _COARSEST_S = 2.55, 11.5, 0.01
+#: Longest steps while a slider moves: over the fastest pole, of the classical method (stable up to 2.78) and
+#: of `web/drawn_step.h` (up to 12); s.
+_COARSE, _DRAWN, _COARSEST_S = 2.55, 11.5, 0.02
 PULSES = {"vref_pulse", "pm_pulse"}
 #: what an address may set beside the start value, in the units of the labels; of a channel by the key's end
 RANGES: dict[str, tuple[float, float]] = {
@@ -88,7 +88,7 @@ def content_of(subject: Subject) -> dict[str, Any]:
 
 
 def _solver(subject: Subject) -> dict[str, float]:
-    """Steps, s: of an exact run; while a slider moves, of the steps in which limiters switch and of others."""
+    """Longest steps, s: of an exact run; while a slider moves where limiters switch (fast) and elsewhere."""
     exact = subject.case.solver_step_s or max(min(0.001, shortest_time_s(subject.point)), 1e-6)
     poles = np.linalg.eigvals(subject.linear(subject.points[0]).A)
     fastest = float(np.max(np.abs(poles), initial=1e-3))

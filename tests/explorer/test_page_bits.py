@@ -143,9 +143,12 @@ def test_drawn_step_shows_what_the_exact_one_shows(node: Any, data: dict[str, An
 
 @pytest.mark.slow
 def test_no_drawn_run_loses_synchronism_falsely(node: Any, data: dict[str, Any]) -> None:
-    """Clearing times on both sides of the critical one, with field limits of three sizes."""
+    """Clearing times on both sides of the critical one: field limits of three sizes and none, another place,
+    other controllers (CC's fastest pole: 288 1/s)."""
     fault = data["presets"][5]["state"]
     states = [fault | {"tc": tc, "cl": cl} for cl in (4, 5, 7) for tc in range(50, 501, 30)]
+    states += [fault | {"tc": tc, "k": k} for k in ("none", "cc") for tc in range(65, 501, 60)]
+    states += [fault | {"tc": tc, "cl": 0, "fault": 7} for tc in range(80, 501, 60)]
     exact = [run["kind"] for run in node([{"judge": state} for state in states])]
     assert {"step", "settles"} <= set(exact)
     assert [run["kind"] for run in node([{"judge": state, "coarse": True} for state in states])] == exact

@@ -49,6 +49,21 @@ def test_every_root_in_sight_is_that_of_the_delay_equation(
     assert found["open"]
 
 
+def test_they_are_found_again_where_something_moves_them(node: Any, data: dict[str, Any]) -> None:
+    state = {"k": "wdc", "remote.latency": 200, "local.latency": 100}
+    moved = [{"g": 1.3}, {"remote.latency": 230}, {"remote.lost": 2.0}, {"op": 1}, {"k": "ftc"}]
+    jobs = [{"roots": state}, {"roots": state | {"ev": "fault", "tc": 70}}]
+    for change in moved:
+        jobs += [{"roots": state | change}, {"roots": state}]
+    first, same, *others = node(jobs)
+    assert same == first
+    for other, back in zip(others[::2], others[1::2], strict=True):
+        assert other["proven"] and back["proven"]
+        assert other["roots"] != first["roots"]
+        near = [min(abs(complex(*r["s"]) - complex(*s["s"])) for s in back["roots"]) for r in first["roots"]]
+        assert max(near) < 1e-8
+
+
 def test_without_a_controller_they_are_the_plants(node: Any, data: dict[str, Any], cache: Path) -> None:
     found = node([{"roots": {"k": "none"}}])[0]
     subject = subject_of("two-area-thesis", cache)

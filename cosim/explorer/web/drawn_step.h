@@ -33,8 +33,8 @@ static const DrawnMethod DRAWN_STABLE = {
      0.12505417636490454, 0.2693992608373671}
 };
 
-/* A controller's longest step in a drawn run, times the one it was made with (a tenth of its fastest time constant). */
-static const double DRAWN_CONTROLLERS = 10.0;
+/* A controller's longest step in a drawn run, times the one it was made with (a tenth of its fastest time constant at most). */
+static const double DRAWN_CONTROLLERS = 20.0;
 static const double DRAWN_AHEAD = 1e-7;   /* s: slopes of outputs are differences over that */
 
 /* to = x + h sum of w[j] k_j; two at a time, which the compiler does not see where it saves bytes. */
@@ -104,6 +104,15 @@ static int drawn_plain(ClosedLoop *l)
         l->source[k] = l->first_x[plant] + (size_t)state[(size_t)from - l->first_y[plant]];
     }
     return 1;
+}
+
+/* Before all else: as long between inner communication points as the steps are. */
+static void drawn_begin(ClosedLoop *l)
+{
+    const double times = floor(l->outer->memory[M_DRAWN] * 1e9 / (double)l->step);
+
+    l->plain = drawn_plain(l);
+    if (times > 1.0) l->step *= (int64_t)times;
 }
 
 /* Outputs of a plant that the channels hear, and their slopes. */

@@ -357,7 +357,7 @@ class Explorer {
       limited > 0.05 ? `control at its limit ${digits(limited, 1)} s` : '',
       judged.kind === 'collapse' ? result.why.replace(/^fmi2\w+: /, '') : '',
     ].filter(Boolean).join(' · '));
-    put($('cost'), `${result.exact ? 'exact' : 'coarse'}: solver step ${Number((1000 * (result.exact ? data.solver.exact : data.solver.drawn)).toFixed(2))} ms · ${Math.round((result.rows.length / result.columns.length - 1) * result.h)} s in ${Math.round(result.ms)} ms`);
+    put($('cost'), `${result.exact ? 'exact: solver step' : 'coarse: solver step up to'} ${Number((1000 * (result.exact ? data.solver.exact : data.solver.drawn)).toFixed(2))} ms · ${Math.round((result.rows.length / result.columns.length - 1) * result.h)} s in ${Math.round(result.ms)} ms`);
     if (!result.exact) return;   /* screen readers are told what stays */
     const peak = Math.max(...judged.swing.map(Math.abs));
     this.plots.swing.say(`${data.swing.label} over ${data.stop} s: largest ${digits(peak, 1)} mHz. ${bold} ${rest}`);

@@ -140,7 +140,7 @@ static BlockStatus integrate(ClosedLoop *l, double begin, double since, double l
 #include LOOP_DRAWN
 #else
 #define drawn(l) 0
-#define drawn_plain(l) 0
+#define drawn_begin(l) ((void)0)
 #define drawn_integrate(l, t, h, message) BLOCK_OK
 #define drawn_settle(l, k, t, dx, message) BLOCK_OK
 #endif
@@ -417,7 +417,7 @@ BlockStatus closed_loop_advance(ClosedLoop *l, double t, double end, BlockMessag
 {
     t = whole(t);
     end = whole(end);
-    l->plain = drawn(l) && drawn_plain(l);
+    if (drawn(l)) drawn_begin(l);
     while (t < end) {
         const double at = (double)next_point(l, (int64_t)floor(t * 1e9 + 0.5)) / 1e9;
         const double to = at < end ? at : end;
