@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache as once
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -88,18 +89,19 @@ def save_figures(
     for k, row in enumerate(rows):
         key = row["key"]
         name = f"{'figure-' if key[0].isdigit() else ''}{key.replace('.', '-')}"
-        files[key] = artefact(cache, kind, name, ".svg", partial(_save, row, parts))
-        artefact(cache, kind, name, ".html", partial(_save_for_page, row, parts))
+        drawn = once(partial(_draw, row, parts))
+        files[key] = artefact(cache, kind, name, ".svg", partial(_save, drawn))
+        artefact(cache, kind, name, ".html", partial(_save_for_page, drawn, row))
         progress((k + 1) / len(rows))
     return files
 
 
-def _save(row: Mapping[str, Any], parts: StudyParts, path: Path) -> None:
-    save_figure(_draw(row, parts), path, transparent=True)
+def _save(drawn: Callable[[], Figure], path: Path) -> None:
+    save_figure(drawn(), path, transparent=True)
 
 
-def _save_for_page(row: Mapping[str, Any], parts: StudyParts, path: Path) -> None:
-    path.write_text(page_figure(_draw(row, parts), row["key"], row["title"]), encoding="utf-8")
+def _save_for_page(drawn: Callable[[], Figure], row: Mapping[str, Any], path: Path) -> None:
+    path.write_text(page_figure(drawn(), row["key"], row["title"]), encoding="utf-8")
 
 
 def data_of(row: Mapping[str, Any], spec: Mapping[str, Any]) -> list[str]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import closing
 from dataclasses import dataclass
+from functools import cache as once
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +34,8 @@ from ..results.ringdown import disturbance_end_s
 from ..results.run import Run
 from ..run.artefacts import channel_fmu, plant_fmu
 from ..run.controllers import controller_fmu
-from ..run.run import run_scenario
+from ..run.instance import Fmus
+from ..run.run import system_of
 from ..scenario.scenario import load_scenario
 from ..trajectory import Trajectory
 from .tables import latency_name
@@ -42,6 +46,7 @@ Document = dict[str, Any]
 #: study.json's names of the two wirings -> how scenario names spell them.
 WIRINGS = {"synchronous": "synchronous", "non_synchronous": "non-synchronous"}
 _KEPT = ("trajectory.parquet", "metrics.json")  # of a run, in its folder in the cache
+TOGETHER = 4  #: runs that one process takes at a time and opens FMUs for once
 LATE_S = 4.0  #: after the last disturbance, when only what swings longest is left
 DEFAULT_LIMIT = 0.15  #: of the controllers' output, pu
 MARGIN_GRID_S = 1e-4  #: latencies beside the margin are rounded to this
@@ -142,25 +147,28 @@ def run_all(
 
     controllers : those that the scenarios name, as this study designed them.
     """
-    folders = {name: run_folder(document, controllers, cache) for name, document in documents.items()}
+    folders = run_folders(documents, controllers, cache)
     missing = [name for name, folder in folders.items() if not all(is_whole(folder / f) for f in _KEPT)]
     done = len(documents) - len(missing)
     progress(done / len(documents))
     with temporary_folder() as own:
         # a state-space model of python-control cannot be pickled
         files = {name: controllers[name].save(Path(own) / f"{name}.json") for name in controllers}
-        given = [(documents[n], files.get(documents[n]["controller"]), folders[n], cache) for n in missing]
-        if len(missing) > 2 and processes > 1:
+        alike = sorted(missing, key=lambda name: str(documents[name]["controller"]))
+        given = [(documents[n], files.get(documents[n]["controller"]), folders[n]) for n in alike]
+        parts = [given[k : k + TOGETHER] for k in range(0, len(given), TOGETHER)]
+        if len(parts) > 1 and processes > 1:
             kernel_or_reason()  # compiled once, not by each process
             with ProcessPoolExecutor(processes) as pool:
-                for future in as_completed([pool.submit(_run_into, *each) for each in given]):
+                waiting = {pool.submit(_run_into, part, cache): len(part) for part in parts}
+                for future in as_completed(waiting):
                     future.result()
-                    done += 1
+                    done += waiting[future]
                     progress(done / len(documents))
         else:
-            for each in given:
-                _run_into(*each)
-                done += 1
+            for part in parts:
+                _run_into(part, cache)
+                done += len(part)
                 progress(done / len(documents))
     return {
         name: StudyRun(
@@ -174,26 +182,42 @@ def run_all(
     }
 
 
-def run_folder(document: Document, controllers: Mapping[str, Controller], cache: Path) -> Path:
-    """Return where the results of a scenario are kept: named by all that they come from."""
-    case = load_case(document["case"])
-    parts: list[object] = [document, case.swing, file_hash(plant_fmu(case, cache))]
-    if document["controller"] in controllers:
-        controller = controllers[document["controller"]]
-        parts += [file_hash(controller_fmu(controller, case.omega_b, cache)), file_hash(channel_fmu(cache))]
-    parts += [code_hash(__name__), source_hash("cosim", "*.[ch]")]
-    return cache / "runs" / content_hash(*parts)
+def run_folders(
+    documents: Mapping[str, Document], controllers: Mapping[str, Controller], cache: Path
+) -> dict[str, Path]:
+    """Return where the results of each scenario are kept: named by all that they come from."""
+
+    @once
+    def made_of(case_name: str, controller_name: str) -> list[object]:
+        case = load_case(case_name)
+        parts: list[object] = [case.swing, file_hash(plant_fmu(case, cache))]
+        if controller_name in controllers:
+            controller = controllers[controller_name]
+            parts += [file_hash(controller_fmu(controller, case.omega_b, cache)), file_hash(channel_fmu(cache))]
+        return [*parts, code_hash(__name__), source_hash("cosim", "*.[ch]")]
+
+    return {
+        name: cache / "runs" / content_hash(document, *made_of(document["case"], document["controller"]))
+        for name, document in documents.items()
+    }
 
 
-def _run_into(document: Document, controller: Path | None, folder: Path, cache: Path) -> None:
-    own = None if controller is None else Controller.load(controller)
-    with threadpool_limits(1):
-        run = run_scenario(load_scenario(document), cache=cache, controller=own)
-    artefact(folder.parent, folder.name, "trajectory", ".parquet", run.trajectory.write_parquet)
-    numbers = run.metrics.as_dict()
-    numbers["late_damping"] = _late_damping(run)
-    text = json.dumps(numbers, indent=1, default=str)
-    artefact(folder.parent, folder.name, "metrics", ".json", lambda p: p.write_text(text, encoding="utf-8"))
+def _run_into(given: Sequence[tuple[Document, Path | None, Path]], cache: Path) -> None:
+    """Run scenarios with their controllers and keep each one's results in its folder; FMUs are opened once."""
+    with threadpool_limits(1), closing(Fmus(cache)) as fmus:
+        controllers = {file: Controller.load(file) for _, file, _ in given if file is not None}
+        for document, file, folder in given:
+            own = None if file is None else controllers[file]
+            run = system_of(load_scenario(document), controller=own, cache=cache, fmus=fmus).warned().run()
+            assert isinstance(run, Run)
+            artefact(folder.parent, folder.name, "trajectory", ".parquet", run.trajectory.write_parquet)
+            numbers = run.metrics.as_dict() | {"late_damping": _late_damping(run)}
+            text = json.dumps(numbers, indent=1, default=str)
+            artefact(folder.parent, folder.name, "metrics", ".json", partial(_write, text))
+
+
+def _write(text: str, path: Path) -> None:
+    path.write_text(text, encoding="utf-8")
 
 
 def _late_damping(run: Run) -> float | None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
+from ..linear.norms import frequency_response
 from .characteristic_roots import DelayedLoop, DelayError, rightmost_roots
 
 Matrix = NDArray[np.float64]
@@ -65,7 +66,7 @@ def delay_margin_of(loop: DelayedLoop, signals: tuple[str, ...], *, upto_s: floa
         return np.abs(mu)[order], mu[order]
 
     grid = _resonance_grid(others.undelayed(), loop.undelayed(), upto_s)
-    table = np.array([sizes(w)[0] for w in grid])
+    table = _sizes_on(grid, others, Bs, Cs)
     found: set[tuple[float, float]] = set()
     for branch in range(table.shape[1]):
 
@@ -79,6 +80,23 @@ def delay_margin_of(loop: DelayedLoop, signals: tuple[str, ...], *, upto_s: floa
     if not crossings:
         return DelayMargin(float("inf"), float("nan"), (), upto_s)
     return DelayMargin(crossings[0][0], crossings[0][1], crossings, upto_s)
+
+
+def _sizes_on(grid: Matrix, others: DelayedLoop, Bs: Matrix, Cs: Matrix) -> Matrix:
+    """Sizes (len(grid), k) of the eigenvalues of the cut loop, largest first, from one Schur form.
+
+    The plant's response between the cut's and the closed signals' ends is taken first; the closed signals
+    with their latencies are then a small equation at each frequency.
+    """
+    B = np.column_stack([Bs, *(ch.b for ch in others.channels)])
+    C = np.vstack([Cs, *(ch.c for ch in others.channels)])
+    G = frequency_response(others.A0, B, C, np.zeros((C.shape[0], B.shape[1])), grid)
+    k = Bs.shape[1]
+    late = np.array([ch.latency_s for ch in others.channels])
+    returned = G[:, k:, k:] * np.exp(-1j * grid[:, None] * late)[:, None, :]
+    inside = np.linalg.solve(np.eye(late.size) - returned, G[:, k:, :k])
+    cut = G[:, :k, :k] + (G[:, :k, k:] * np.exp(-1j * grid[:, None] * late)[:, None, :]) @ inside
+    return np.sort(np.abs(np.linalg.eigvals(cut)), axis=1)[:, ::-1]
 
 
 def _resonance_grid(*args: Matrix | float) -> Matrix:

@@ -7,6 +7,7 @@ the Hamiltonian matrix.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import control
@@ -131,20 +132,29 @@ def frequency_response(
     A: Matrix, B: Matrix, C: Matrix, D: Matrix, omega_rad: Matrix | list[float]
 ) -> ComplexMatrix:
     r"""Values :math:`C (j\omega I - A)^{-1} B + D`, shape (len(omega), p, m)."""
-    omega = np.atleast_1d(np.asarray(omega_rad, dtype=float))
+    return transfer_of(A, B, C, D)(omega_rad)
+
+
+def transfer_of(
+    A: Matrix, B: Matrix, C: Matrix, D: Matrix
+) -> Callable[[Matrix | list[float]], ComplexMatrix]:
+    """Return what gives `frequency_response` at one set of frequencies after another, from one Schur form."""
     n = A.shape[0]
-    out = np.empty((omega.size, C.shape[0], B.shape[1]), dtype=complex)
-    if n == 0:
+    if n > 0:
+        balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
+        T, U = schur(np.asarray(balanced, dtype=float), output="complex")
+        left, right = (C * scale) @ U, U.conj().T @ (B / scale[:, None])
+        eye = np.eye(n)
+
+    def values(omega_rad: Matrix | list[float]) -> ComplexMatrix:
+        omega = np.atleast_1d(np.asarray(omega_rad, dtype=float))
+        out = np.empty((omega.size, C.shape[0], B.shape[1]), dtype=complex)
         out[:] = D
+        for k, w in enumerate(omega if n > 0 else ()):
+            out[k] += left @ solve_triangular(1j * w * eye - T, right)
         return out
-    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
-    A = np.asarray(balanced, dtype=float)
-    T, U = schur(A, output="complex")
-    left, right = (C * scale) @ U, U.conj().T @ (B / scale[:, None])
-    eye = np.eye(n)
-    for k, w in enumerate(omega):
-        out[k] = left @ solve_triangular(1j * w * eye - T, right) + D
-    return out
+
+    return values
 
 
 def response(system: control.StateSpace, omega_rad: Matrix) -> ComplexMatrix:
@@ -188,8 +198,10 @@ def hinf_of(A: Matrix, B: Matrix, C: Matrix, D: Matrix, *, tolerance: float = 1e
     A = np.asarray(balanced, dtype=float)
     B, C = B / scale[:, None], C * scale
 
+    transfer = transfer_of(A, B, C, D)
+
     def gain(omega: Matrix) -> Matrix:
-        return np.asarray(np.linalg.svd(frequency_response(A, B, C, D, omega), compute_uv=False)[:, 0])
+        return np.asarray(np.linalg.svd(transfer(omega), compute_uv=False)[:, 0])
 
     trial = np.unique(np.concatenate([[0.0], np.abs(poles.imag), np.abs(poles)]))
     gains = gain(trial)

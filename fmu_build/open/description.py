@@ -140,6 +140,14 @@ def _count(text: str, other: int = 0, *, below: int = 10**7) -> int:
     return int(text) if known else other
 
 
+def _counts(text: str) -> tuple[int, ...]:
+    """`_count` of each word of a list."""
+    words = text.split()
+    if text.isascii() and "".join(words).isdecimal() and max(map(len, words)) <= 7:  # as nearly always
+        return tuple(map(int, words))
+    return tuple(map(_count, words))
+
+
 def _interfaces(root: Any) -> list[str]:
     return [tag for tag in ("ModelExchange", "CoSimulation") if root.find(tag) is not None]
 
@@ -179,6 +187,6 @@ def _unknowns(root: Any, section: str) -> tuple[Unknown, ...]:
         dependencies = e.get("dependencies")
         indices = None
         if dependencies is not None:
-            indices = tuple(_count(d) for d in dependencies.split())
+            indices = _counts(dependencies)
         found.append(Unknown(_count(e.get("index", "")), indices))
     return tuple(found)

@@ -98,6 +98,7 @@ def _source_file(name: str) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
+@forever
 def _imports(package: str, source: bytes) -> list[str]:
     found = []
     todo: list[Any] = list(ast.parse(source).body)

@@ -26,7 +26,7 @@ from interarea.cosim.study.figures import OMEGA, StudyParts, loop_functions, wei
 from interarea.cosim.study.methods import order_rows
 from interarea.cosim.study.packet_loss import monte_carlo_documents
 from interarea.cosim.study.rows import sensitivity_row
-from interarea.cosim.study.runs import run_folder, scenario_documents
+from interarea.cosim.study.runs import run_folders, scenario_documents
 from interarea.cosim.study.spec import SPECIFICATIONS, design_specs, load_study, study_names
 from interarea.cosim.study.study import STAGES, run_study
 from interarea.design.certificates import closed_loop as certificates
@@ -200,8 +200,8 @@ def test_another_weight_changes_what_is_designed_drawn_judged_and_run(
     by_order = {row["order"]: row for row in order_rows(plant, full, modes)}
     assert by_order[4]["norm"] == pytest.approx(norm, rel=1e-3)
 
-    document = scenario_documents(spec, None)["wdc-pulse"]
-    folders = {run_folder(document, {"wdc": K}, cache) for K in (made, replace(made, limit_pu=0.1))}
+    document = {"wdc": scenario_documents(spec, None)["wdc-pulse"]}
+    folders = {run_folders(document, {"wdc": K}, cache)["wdc"] for K in (made, replace(made, limit_pu=0.1))}
     assert len(folders) == 2  # the runs are those of the controller that is handed over
 
 
