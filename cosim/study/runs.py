@@ -193,7 +193,10 @@ def run_folders(
         parts: list[object] = [case.swing, file_hash(plant_fmu(case, cache))]
         if controller_name in controllers:
             controller = controllers[controller_name]
-            parts += [file_hash(controller_fmu(controller, case.omega_b, cache)), file_hash(channel_fmu(cache))]
+            parts += [
+                file_hash(controller_fmu(controller, case.omega_b, cache)),
+                file_hash(channel_fmu(cache)),
+            ]
         return [*parts, code_hash(__name__), source_hash("cosim", "*.[ch]")]
 
     return {

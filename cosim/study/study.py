@@ -74,6 +74,7 @@ STAGES = (
 )
 
 
+@threadpool_limits.wrap(limits=1)
 def run_study(
     name: str, out: Path, progress: StageProgress | None = None, *, second_solver: bool = True
 ) -> dict[str, Any]:
@@ -99,7 +100,7 @@ def run_study(
         told(label, 0.0)
         return lambda done: told(label, done)
 
-    with threadpool_limits(1), ExitStack() as ending:
+    with ExitStack() as ending:
         done = stage("plant")
         # processes beside need nothing but what the cache holds by the time they are asked
         beside = ProcessPoolExecutor(2, initializer=threadpool_limits, initargs=(1,))

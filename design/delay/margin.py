@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import schur
 from scipy.optimize import brentq, minimize_scalar
 
-from ..linear.norms import frequency_response
 from .characteristic_roots import DelayedLoop, DelayError, rightmost_roots
 
 Matrix = NDArray[np.float64]
@@ -85,12 +85,17 @@ def delay_margin_of(loop: DelayedLoop, signals: tuple[str, ...], *, upto_s: floa
 def _sizes_on(grid: Matrix, others: DelayedLoop, Bs: Matrix, Cs: Matrix) -> Matrix:
     """Sizes (len(grid), k) of the eigenvalues of the cut loop, largest first, from one Schur form.
 
-    The plant's response between the cut's and the closed signals' ends is taken first; the closed signals
-    with their latencies are then a small equation at each frequency.
+    The plant's response between the cut's and the closed signals' ends is taken first, at all frequencies
+    together; the closed signals with their latencies are then a small equation at each.
     """
     B = np.column_stack([Bs, *(ch.b for ch in others.channels)])
     C = np.vstack([Cs, *(ch.c for ch in others.channels)])
-    G = frequency_response(others.A0, B, C, np.zeros((C.shape[0], B.shape[1])), grid)
+    T, U = schur(others.A0, output="complex")
+    x = np.empty((len(T), grid.size, B.shape[1]), dtype=complex)
+    right = (U.conj().T @ B)[:, None, :]
+    for i in reversed(range(len(T))):
+        x[i] = (right[i] + np.tensordot(T[i, i + 1 :], x[i + 1 :], 1)) / (1j * grid - T[i, i])[:, None]
+    G = np.moveaxis(np.tensordot(C @ U, x, 1), 1, 0)
     k = Bs.shape[1]
     late = np.array([ch.latency_s for ch in others.channels])
     returned = G[:, k:, k:] * np.exp(-1j * grid[:, None] * late)[:, None, :]
