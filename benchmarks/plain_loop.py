@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from interarea.fmu_build.write.compile import gather_sources
+from interarea.fmu_build.write.sources import gather_sources
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.plant import plant_block
 

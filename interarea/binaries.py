@@ -17,17 +17,9 @@ from pathlib import Path
 
 from interarea.cosim.explorer.wasm import page_sources
 from interarea.cosim.master.kernel.build import kernel_sources
-from interarea.fmu_build.write.compile import (
-    PLATFORMS,
-    WEB_PAGE,
-    Platform,
-    compile_for,
-    gather_sources,
-    record_source,
-    shipped_name,
-    source_files,
-)
+from interarea.fmu_build.write.compile import PLATFORMS, WEB_PAGE, Platform, compile_for, shipped_name
 from interarea.fmu_build.write.lane_library import group_sources
+from interarea.fmu_build.write.sources import gather_sources, record_source, source_files
 from interarea.models.blocks import controller, supervisor
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.concentrator import concentrator_block

@@ -9,7 +9,8 @@ from pathlib import Path
 from fmpy import extract, read_model_description
 from fmpy.fmi2 import FMU2Slave
 
-from interarea.fmu_build.write.compile import compile_library, gather_sources, host_platform
+from interarea.fmu_build.write.compile import compile_library, host_platform
+from interarea.fmu_build.write.sources import gather_sources
 
 HERE = Path(__file__).resolve().parent
 H = 0.01

@@ -5,13 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from interarea.fmu_build.errors import NoCompilerError
-from interarea.fmu_build.write.compile import (
-    WEB_PAGE,
-    compile_for,
-    fmi_sources,
-    gather_sources,
-    record_source,
-)
+from interarea.fmu_build.write.compile import WEB_PAGE, compile_for
+from interarea.fmu_build.write.sources import fmi_sources, gather_sources, record_source
 from interarea.models.blocks.container import container_sources
 from interarea.models.blocks.plant import plant_sources
 from interarea.models.case.case import Case

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 import control
+from threadpoolctl import threadpool_limits
 
 from interarea.design.certificates.closed_loop import certificate
 from interarea.design.controllers.bank import ControllerBank, load_controller
@@ -111,6 +112,7 @@ def designed_anew(
     return _design(case, name, cache, True, specs)
 
 
+@threadpool_limits.wrap(limits=1)  # on two cores the pools of numpy and scipy fight
 def _design(
     case: Case, name: str, cache: Path, reduce: bool, specs: Mapping[str, StudySpec] | None
 ) -> Controller:
@@ -140,6 +142,7 @@ def active_bank(case: Case, cache: Path) -> ControllerBank:
         numerics_versions(),
     )
 
+    @threadpool_limits.wrap(limits=1)
     def make(path: Path) -> Path:
         from interarea.design.certificates.bank_design import design_active
 

@@ -206,7 +206,7 @@ def run_folders(
 
 
 def _run_into(given: Sequence[tuple[Document, Path | None, Path]], cache: Path) -> None:
-    """Run scenarios with their controllers and keep each one's results in its folder; FMUs are opened once."""
+    """Run scenarios with their controllers and keep their results in their folders; FMUs are opened once."""
     with threadpool_limits(1), closing(Fmus(cache)) as fmus:
         controllers = {file: Controller.load(file) for _, file, _ in given if file is not None}
         for document, file, folder in given:

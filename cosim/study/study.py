@@ -106,9 +106,9 @@ def run_study(
         beside = ProcessPoolExecutor(2, initializer=threadpool_limits, initargs=(1,))
         ending.callback(beside.shutdown, cancel_futures=True)
         case = load_case(spec["case"])
-        beside.submit(_compile, spec["case"], "survival" in spec, cache)
         flow = solve_powerflow(case)
         fmus = {"plant": plant_fmu(case, cache), "channel": channel_fmu(cache)}
+        beside.submit(_compile, spec["case"], "survival" in spec, cache)  # most of it is the plant's
         done(0.5)
         full = linear_plant(case, cache)
         done(1.0)

@@ -17,15 +17,16 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from ..errors import BuildError, NoCompilerError
 from .cache import COMPILERS_OWN, artefact, default_cache, host_machine
+from .sources import record_source, source_files, with_includes
 from .universal import universal
 
-_C = Path(__file__).resolve().parents[1] / "c"
 _CODE = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-fno-ident", "-g0")
 _GET_ZIG = "pip install 'interarea[build]'"
 _STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
@@ -101,125 +102,6 @@ def host_platform() -> str:
     return name
 
 
-def fmi_sources() -> tuple[Path, ...]:
-    """Return the C files of the FMI layer, which is the same for every block."""
-    return tuple(sorted(_C.glob("*.c")))
-
-
-def fmi_headers() -> Path:
-    """Return the folder with the standard's headers, shipped by fmpy.
-
-    Raises
-    ------
-    BuildError : fmpy is not installed.
-    """
-    spec = importlib.util.find_spec("fmpy")
-    if spec is None or spec.origin is None:
-        raise BuildError("the FMI 2.0 headers come with fmpy, which is not installed; run `pip install fmpy`")
-    return Path(spec.origin).parent / "c-code"
-
-
-def source_files(block_sources: tuple[Path, ...]) -> dict[str, bytes]:
-    """Return every C file and header of a block's binary, flat, by file name.
-
-    Quoted includes are followed and rewritten to bare names, so that the files
-    compile from one folder (``sources/`` of the FMU) with no include path. A C
-    file that another includes is named ``NAME_c.h`` there.
-
-    Raises
-    ------
-    BuildError : an include that is not there, or two different files of one name.
-    """
-    return gather_sources((*fmi_sources(), *block_sources))
-
-
-_Stamps = tuple[tuple[Path, tuple[int, int]], ...]
-_READ: dict[tuple[Path, ...], tuple[_Stamps, dict[str, bytes]]] = {}
-
-
-def gather_sources(c_files: tuple[Path, ...]) -> dict[str, bytes]:
-    """Return `c_files` and the headers they include, flat, by file name (see `source_files`).
-
-    The files are read again only when one of them has changed.
-    """
-    kept = _READ.get(c_files)
-    if kept is None or any(_stamp(path) != stamp for path, stamp in kept[0]):
-        files, read = _read_sources(c_files)
-        kept = tuple((path, _stamp(path)) for path in read), files
-        _READ[c_files] = kept
-    return dict(kept[1])
-
-
-def _stamp(path: Path) -> tuple[int, int]:
-    try:
-        found = path.stat()
-    except OSError:
-        return -1, -1
-    return found.st_mtime_ns, found.st_size
-
-
-def _read_sources(c_files: tuple[Path, ...]) -> tuple[dict[str, bytes], list[Path]]:
-    """Contents by flat name, and the files they were read from."""
-    files: dict[str, bytes] = {}
-    origin: dict[str, Path] = {}
-    parts: set[Path] = set()
-    to_do = [p.resolve() for p in c_files]
-    # a generated header lies in a folder of its own, and includes what lies beside the others
-    folders = (_C, fmi_headers(), _block_folder(), *dict.fromkeys(p.parent for p in to_do))
-    given = {p.name: p for p in to_do if p.suffix == ".h"}
-    while to_do:
-        path = to_do.pop()
-        name = _flat_name(path, parts)
-        if name in origin:
-            if origin[name] != path:
-                raise BuildError(f"two C files are called {name}: {origin[name]} and {path}; rename one")
-            continue
-        origin[name] = path
-        try:
-            text = path.read_text(encoding="utf-8")
-        except OSError as error:
-            raise BuildError(f"cannot read the C file {path}: {error}") from error
-        lines = []
-        for line in text.splitlines():
-            words = line.split('"')
-            if line.startswith("#include") and len(words) >= 3:
-                included = _included(path, words[1], folders, given)
-                to_do.append(included)
-                if included.suffix == ".c":  # part of this file, not one to compile by itself
-                    parts.add(included)
-                line = f'#include "{_flat_name(included, parts)}"'
-            lines.append(line)
-        files[name] = ("\n".join(lines) + "\n").encode("utf-8")
-    return dict(sorted(files.items())), list(origin.values())
-
-
-def _included(path: Path, name: str, folders: tuple[Path, ...], given: Mapping[str, Path]) -> Path:
-    """The file that `path` includes: beside it, in one of the folders, or a generated header."""
-    for folder in (path.parent, *folders):
-        if (folder / name).is_file():
-            return (folder / name).resolve()
-    if name in given:
-        return given[name].resolve()
-    raise BuildError(f'{path}: #include "{name}" is neither beside it nor among the headers')
-
-
-def _flat_name(path: Path, parts: set[Path]) -> str:
-    """Name in the one folder; a C file that another includes becomes a header: no tool compiles it."""
-    return f"{path.stem}_c.h" if path in parts else path.name
-
-
-def record_source() -> Path:
-    """Return the C file that reads ``resources/model.bin``; every binary has it."""
-    return _block_folder() / "record.c"
-
-
-def _block_folder() -> Path:
-    """Folder of block.h and record.c."""
-    spec = importlib.util.find_spec("interarea.models")
-    assert spec is not None and spec.submodule_search_locations
-    return Path(next(iter(spec.submodule_search_locations))).resolve() / "c" / "block"
-
-
 def compile_binary(
     kind: str, block_sources: tuple[Path, ...], platform: str, *, cache: Path | None = None
 ) -> Path:
@@ -284,14 +166,16 @@ def _compiled(kind: str, sources: dict[str, bytes], to: Platform, cache: Path, c
     flags = _flags(kind, to, zig=zig)
 
     def make(result: Path) -> None:
-        for name, content in sources.items():
-            (result.parent / name).write_bytes(content)
-        c_files = [name for name in sources if name.endswith(".c")]
         slices = []
         for target in to.targets if zig else ("",):
-            aimed = ["-target", target] if target else []
+            aimed = [*command, *(["-target", target] if target else []), *_CODE, *to.compile_flags]
+            one = partial(_object, kind, sources, aimed, to, version, cache)
+            with ThreadPoolExecutor(os.cpu_count()) as pool:
+                objects = dict(pool.map(one, [name for name in sources if name.endswith(".c")]))
+            for name, content in objects.items():  # by one name everywhere: a linker may keep it
+                (result.parent / name).write_bytes(content)
             output = result.parent / f"{kind}{to.suffix}"
-            words = [*command, *flags, *aimed, *c_files, "-I.", "-o", output.name]
+            words = [*aimed, *_link_flags(kind, to, zig=zig), *objects, "-o", output.name]
             _run_compiler(words, result.parent, cache, kind, to.name)
             slices.append(output.read_bytes())
         result.write_bytes(slices[0] if len(slices) == 1 else universal(slices))
@@ -300,9 +184,32 @@ def _compiled(kind: str, sources: dict[str, bytes], to: Platform, cache: Path, c
     return artefact(cache, "binaries", name, to.suffix, make)
 
 
+def _object(
+    kind: str, sources: dict[str, bytes], aimed: list[str], to: Platform, version: str, cache: Path, name: str
+) -> tuple[str, bytes]:
+    """Return a C file's object and its name; binaries of all kinds share those of the same text."""
+    parts = with_includes(name, sources)
+    command = [*aimed, *_STRICT]
+
+    def make(result: Path) -> None:
+        for part in parts:
+            (result.parent / part).write_bytes(sources[part])
+        _run_compiler([*command, "-c", name, "-I.", "-o", result.name], result.parent, cache, kind, to.name)
+
+    made_of = (name, [sources[part] for part in parts], command, version)
+    digest = hashlib.sha256(repr(made_of).encode()).hexdigest()[:24]
+    stem = name.removesuffix(".c")
+    made = artefact(cache, "objects", f"{stem}-{to.name}-{digest}", ".o", make)
+    return f"{stem}.o", made.read_bytes()
+
+
 def _flags(kind: str, to: Platform, *, zig: bool) -> list[str]:
+    return [*_CODE, *_STRICT, *to.compile_flags, *_link_flags(kind, to, zig=zig)]
+
+
+def _link_flags(kind: str, to: Platform, *, zig: bool) -> list[str]:
     named = [f"-Wl,-install_name,@rpath/{kind}.dylib"] if zig and to.name.startswith("darwin") else []
-    return [*_CODE, *_STRICT, *to.compile_flags, to.library, *to.link_flags, *named]
+    return [to.library, *to.link_flags, *named]
 
 
 def _digest(kind: str, sources: dict[str, bytes], flags: list[str], to: Platform, version: str) -> str:
@@ -313,10 +220,11 @@ def _digest(kind: str, sources: dict[str, bytes], flags: list[str], to: Platform
 
 def _run_compiler(command: list[str], folder: Path, cache: Path, kind: str, platform: str) -> None:
     kept = (cache / COMPILERS_OWN).absolute()
+    before = kept.is_dir()
     try:
         _compile(command, folder, kept, kind, platform)
     except BuildError:
-        if "ziglang" not in command or not kept.is_dir():
+        if "ziglang" not in command or not before:
             raise
         # nothing proves what the compiler keeps for itself; if that was damaged it compiles without it
         _compile(command, folder, folder / COMPILERS_OWN, kind, platform)

@@ -13,9 +13,9 @@ import jinja2
 
 from interarea.models.blocks.variables import Block
 
-from .compile import fmi_headers, fmi_sources
 from .description_xml import SI_UNITS, product_version
 from .ports_picture import ports_picture
+from .sources import fmi_headers, fmi_sources
 
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 _COMMENT = re.compile(r"^/\*(.*?)\*/", re.DOTALL | re.MULTILINE)

@@ -11,7 +11,8 @@ from pathlib import Path
 from interarea.models.blocks.plant import GROUP_SOURCES, plant_sources
 
 from ..errors import BuildError
-from .compile import compile_library, fmi_sources, gather_sources, host_platform, record_source
+from .compile import compile_library, host_platform
+from .sources import fmi_sources, gather_sources, record_source
 
 _FOLDER = Path(__file__).resolve().parents[1] / "c" / "group"
 _SOURCES = (_FOLDER / "fmu_group.c", _FOLDER / "device_slopes.c")

@@ -20,9 +20,10 @@ from interarea.models.files import write_whole
 
 from ..errors import BuildError
 from .cache import artefact, content_hash, host_machine, source_hash
-from .compile import PLATFORMS, compile_library, host_platform, record_source, source_files
+from .compile import PLATFORMS, compile_library, host_platform
 from .description_xml import render
 from .documentation import documentation
+from .sources import record_source, source_files
 
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 _EPOCH = (1980, 1, 1, 0, 0, 0)

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from interarea.fmu_build.write.compile import gather_sources, record_source, source_files
 from interarea.fmu_build.write.description_xml import render
+from interarea.fmu_build.write.sources import gather_sources, record_source, source_files
 from interarea.models.blocks.variables import Block
 
 HERE = Path(__file__).resolve().parent

@@ -24,8 +24,9 @@ from interarea.cosim.export.container import container_block
 from interarea.cosim.export.instances import members_of
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller
-from interarea.fmu_build.write.compile import PLATFORMS, fmi_headers
+from interarea.fmu_build.write.compile import PLATFORMS
 from interarea.fmu_build.write.package import build_fmu
+from interarea.fmu_build.write.sources import fmi_headers
 
 pytestmark = [
     pytest.mark.slow,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
-from interarea.fmu_build.write.compile import compile_library, fmi_headers, host_platform
+from interarea.fmu_build.write.compile import compile_library, host_platform
+from interarea.fmu_build.write.sources import fmi_headers
 
 _SOURCE = Path(__file__).parent / "whims.c"
 _DEGREES = (

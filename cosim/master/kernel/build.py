@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from interarea.fmu_build.errors import BuildError
-from interarea.fmu_build.write.compile import compile_library, gather_sources, host_platform
+from interarea.fmu_build.write.compile import compile_library, host_platform
+from interarea.fmu_build.write.sources import gather_sources
 
 _log = logging.getLogger("interarea")
 _SOURCE = Path(__file__).resolve().parent / "kernel.c"

@@ -15,7 +15,8 @@ from interarea.cosim.explorer.wasm import page_sources
 from interarea.fmu_build.errors import BuildError, NoCompilerError
 from interarea.fmu_build.write import compile as compiling
 from interarea.fmu_build.write.cache import COMPILERS_OWN
-from interarea.fmu_build.write.compile import compile_binary, source_files
+from interarea.fmu_build.write.compile import compile_binary
+from interarea.fmu_build.write.sources import fmi_headers, record_source, source_files
 from interarea.models.case.case import load_case
 
 
@@ -54,7 +55,7 @@ def binaries(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_binary_exports_the_standard_and_nothing_else(binaries: Path) -> None:
     elf = Elf(compile_binary("decay", (DECAY_C,), "linux64", cache=binaries).read_bytes())
-    header = (compiling.fmi_headers() / "fmi2Functions.h").read_text()
+    header = (fmi_headers() / "fmi2Functions.h").read_text()
     declared = set(re.findall(r"FMI2_Export\s+fmi2\w+TYPE\s+(fmi2\w+);", header))
     assert elf.exported() == declared
     assert elf.needed() <= {"libc.so.6", "libm.so.6"}
@@ -74,7 +75,7 @@ def test_a_binary_that_came_with_the_package_needs_no_compiler(
     binaries: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is found by what it was compiled from: another source, or a compiler of one's own, is compiled."""
-    sources = source_files((DECAY_C, compiling.record_source()))
+    sources = source_files((DECAY_C, record_source()))
     to = compiling.PLATFORMS["linux64"]
     travels = tmp_path / compiling.shipped_name("decay", sources, to)
     travels.write_bytes(b"of the wheel")
@@ -101,7 +102,7 @@ def test_a_changed_source_is_another_binary(binaries: Path, tmp_path: Path) -> N
 def test_two_machines_make_the_same_bytes(platform: str, cache: Path, tmp_path: Path) -> None:
     """Two caches in two folders, one of them empty but for the compiler's libc, stand for two machines."""
     to = compiling.PLATFORMS.get(platform, compiling.WEB_PAGE)
-    sources = source_files((DECAY_C, compiling.record_source()))
+    sources = source_files((DECAY_C, record_source()))
     if to is compiling.WEB_PAGE:  # which has no libc but what a page's own sources bring
         sources = page_sources(load_case("two-area-thesis"))
     first = compiling.compile_for("decay", sources, to, cache=cache)

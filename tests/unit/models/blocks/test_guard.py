@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from plant_shim import BlockShim
 
-from interarea.fmu_build.write.compile import record_source
+from interarea.fmu_build.write.sources import record_source
 from interarea.models.blocks.controller import Guard, controller_block
 
 LIMIT, THRESHOLD, WASHOUT, LOWPASS = 0.05, 0.002, 3.0, 1.0
