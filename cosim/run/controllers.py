@@ -99,7 +99,8 @@ def design_controller(
     )
 
     def make(path: Path) -> Path:
-        return _design(case, name, cache, reduce, specs).save(path)
+        with threadpool_limits(1):  # on two cores the pools of numpy and scipy fight
+            return _design(case, name, cache, reduce, specs).save(path)
 
     path = artefact(cache, "controllers", f"{name}-{key}", ".json", make)
     return Controller.load(path)
@@ -109,10 +110,10 @@ def designed_anew(
     case: Case, name: str, cache: Path, specs: Mapping[str, StudySpec] | None = None
 ) -> Controller:
     """Design controller `name` (wdc | cc | ftc) of a case again, whatever the cache holds of it."""
-    return _design(case, name, cache, True, specs)
+    with threadpool_limits(1):
+        return _design(case, name, cache, True, specs)
 
 
-@threadpool_limits.wrap(limits=1)  # on two cores the pools of numpy and scipy fight
 def _design(
     case: Case, name: str, cache: Path, reduce: bool, specs: Mapping[str, StudySpec] | None
 ) -> Controller:
@@ -142,12 +143,12 @@ def active_bank(case: Case, cache: Path) -> ControllerBank:
         numerics_versions(),
     )
 
-    @threadpool_limits.wrap(limits=1)
     def make(path: Path) -> Path:
         from interarea.design.certificates.bank_design import design_active
 
         relative = remove_reference(linear_plant(case, cache))
-        return design_active(relative, omega_b=case.omega_b).save(path)
+        with threadpool_limits(1):
+            return design_active(relative, omega_b=case.omega_b).save(path)
 
     return ControllerBank.load(artefact(cache, "controllers", f"active-{key}", ".json", make))
 

@@ -74,7 +74,6 @@ STAGES = (
 )
 
 
-@threadpool_limits.wrap(limits=1)
 def run_study(
     name: str, out: Path, progress: StageProgress | None = None, *, second_solver: bool = True
 ) -> dict[str, Any]:
@@ -100,7 +99,7 @@ def run_study(
         told(label, 0.0)
         return lambda done: told(label, done)
 
-    with ExitStack() as ending:
+    with threadpool_limits(1), ExitStack() as ending:
         done = stage("plant")
         # processes beside need nothing but what the cache holds by the time they are asked
         beside = ProcessPoolExecutor(2, initializer=threadpool_limits, initargs=(1,))
@@ -205,37 +204,37 @@ def run_study(
         second = None if opinion is None else opinion.result()
         done(1.0)
 
-    done = stage("explorer")
-    presets = write_linked_explorer(spec["case"], out / "explorer.html", cache=cache, own=controllers)
-    done(1.0)
+        done = stage("explorer")
+        presets = write_linked_explorer(spec["case"], out / "explorer.html", cache=cache, own=controllers)
+        done(1.0)
 
-    done = stage("report")
-    fmus = {label: complete_fmu(path, cache) for label, path in fmus.items()}
-    study = rows.study_rows(parts, loops, full.nstates)
-    study["packets"] = packets
-    study["survival"] = survival
-    study["methods"] = methods
-    study["pade"] = pade
-    study["explorer"] = presets
-    study["second_solver"] = second
-    study["figures"] = {key: path.relative_to(out).as_posix() for key, path in figures.items()}
-    study["provenance"] = _provenance(name, parts, fmus)
-    study["loops"]["coordinate_table"] = lead_by_coordinates(
-        relative, loops, relative_modes.inter_area.eigenvalue
-    )
-    study["figure_list"] = _figure_list(spec, figures)
-    if "claims" in spec:
-        study |= _judged(Path(spec["claims"]), study)
-    for label, path in fmus.items():
-        place(path, out / "fmus" / f"{label}.fmu")
-    for label, run in runs.items():
-        place(run.trajectory, out / "results" / f"{label}.parquet")
-    write_report(study, shown, out / "report.html")
-    done(0.9)
-    text = json.dumps(study, indent=1, allow_nan=False)
-    write_whole(out / "study.json", f"{text}\n".encode())
-    done(1.0)
-    return study
+        done = stage("report")
+        fmus = {label: complete_fmu(path, cache) for label, path in fmus.items()}
+        study = rows.study_rows(parts, loops, full.nstates)
+        study["packets"] = packets
+        study["survival"] = survival
+        study["methods"] = methods
+        study["pade"] = pade
+        study["explorer"] = presets
+        study["second_solver"] = second
+        study["figures"] = {key: path.relative_to(out).as_posix() for key, path in figures.items()}
+        study["provenance"] = _provenance(name, parts, fmus)
+        study["loops"]["coordinate_table"] = lead_by_coordinates(
+            relative, loops, relative_modes.inter_area.eigenvalue
+        )
+        study["figure_list"] = _figure_list(spec, figures)
+        if "claims" in spec:
+            study |= _judged(Path(spec["claims"]), study)
+        for label, path in fmus.items():
+            place(path, out / "fmus" / f"{label}.fmu")
+        for label, run in runs.items():
+            place(run.trajectory, out / "results" / f"{label}.parquet")
+        write_report(study, shown, out / "report.html")
+        done(0.9)
+        text = json.dumps(study, indent=1, allow_nan=False)
+        write_whole(out / "study.json", f"{text}\n".encode())
+        done(1.0)
+        return study
 
 
 def _compile(case_name: str, lanes: bool, cache: Path) -> None:
