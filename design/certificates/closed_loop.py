@@ -22,8 +22,12 @@ from ..errors import UncertifiedDesign
 from ..linear.linearise import select
 from ..linear.norms import hinf_of
 from ..modes.modes import Modes, damping_ratio
+from ..reduction.gramians import separate_slow
 
 ComplexArray = npt.NDArray[np.complex128]
+
+#: modulus below which a root is the common speed that nothing brings back, 1/s
+STANDING = 1e-6
 
 
 def study_conditions(remote: str, local: str) -> tuple[Condition, ...]:
@@ -181,17 +185,17 @@ def _taken(pole: complex, followed: Mapping[str, complex]) -> str | None:
 
 
 def effort(plant: control.StateSpace, K: control.StateSpace) -> float:
-    """Return the H-infinity norm of K (I - G K)^-1 on the full plant, pu per rad/s."""
+    """Return the H-infinity norm of K (I - G K)^-1 on the full plant, pu per rad/s.
+
+    A common speed that nothing brings back is a root at 0 of the loop too where K lets no constant pass, and
+    then no output shows it: that root is left out of the loop, not of the plant, whose response needs it.
+    """
     G = select(plant, list(K.output_labels), list(K.input_labels))
-    A = closed_loop_matrix(plant, K)
-    return float(
-        hinf_of(
-            A,
-            np.vstack([G.B @ K.D, np.asarray(K.B)]),
-            np.hstack([K.D @ G.C, np.asarray(K.C)]),
-            np.asarray(K.D),
-        ).value
-    )
+    A, D = closed_loop_matrix(plant, K), np.asarray(K.D)
+    B, C = np.vstack([G.B @ K.D, np.asarray(K.B)]), np.hstack([K.D @ G.C, np.asarray(K.C)])
+    if np.abs(np.linalg.eigvals(A)).min(initial=np.inf) < STANDING:
+        A, B, C, D = separate_slow(A, B, C, D, STANDING).stable
+    return float(hinf_of(A, B, C, D).value)
 
 
 def remote_utilisation(K: control.StateSpace, remote: str, omega: float) -> float:
@@ -207,9 +211,11 @@ def loss_criterion(plant: control.StateSpace, K: control.StateSpace, kept: str |
 
     Above 1 the loop that is left with the other signals lost is unstable: this is the loop gain of the kept
     signals, and where an eigenvalue passes 1 at a real s there is a real closed-loop pole. Searched at s = 0
-    and on 400 points from 1e-3 to 1e3 rad/s, then polished between neighbours.
+    and on 400 points from 1e-3 to 1e3 rad/s, then polished between neighbours; without s = 0 where a common
+    speed that nothing brings back has its pole there.
 
-    plant : full plant without reference angle, speeds in rad/s, stable in open loop. kept : names of signals.
+    plant : full plant without reference angle, speeds in rad/s, stable in open loop but for that speed.
+    kept : names of signals.
     """
     names = [kept] if isinstance(kept, str) else list(kept)
     if not names:
@@ -225,7 +231,8 @@ def loss_criterion(plant: control.StateSpace, K: control.StateSpace, kept: str |
         real = values.real[np.abs(values.imag) <= 1e-9 * (1.0 + np.abs(values))]
         return float(real.max(initial=-np.inf))
 
-    grid = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 400)])
+    standing = np.abs(np.linalg.eigvals(np.asarray(G.A))).min(initial=np.inf) < STANDING
+    grid = np.concatenate([[] if standing else [0.0], np.geomspace(1e-3, 1e3, 400)])
     gains = np.array([gain(s) for s in grid])
     k = int(np.argmax(gains))
     low, high = grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]

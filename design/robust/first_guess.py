@@ -7,6 +7,9 @@ first order every eigenvalue of the open loops moves by
 
 its residues times the controller. The gains within bounds that do most for the worst of all these
 eigenvalues are a linear programme: what lead and lag with the right sign do for one mode and one loop.
+With its poles and outputs fixed it is linear in its input gains too. Where a part sees more than two signals
+a second programme looks for those: it finds the sum of signals in which the other modes cancel, and of which
+any one may be lost, which few drawn sums are near. The better of the two is the guess.
 """
 
 from __future__ import annotations
@@ -20,6 +23,8 @@ from .smoothed_objective import Array, Objective
 SLOWEST, FASTEST = 0.6, 12.0
 #: open-loop eigenvalues whose v is lower than the worst by more than this are left out
 REGARDED = 0.4
+#: signals of a part whose sums the drawn inputs of its states cover well enough
+COVERED = 2
 #: the guess's gains are lowered by these factors until the objective is least: first order holds so far only
 FACTORS = np.geomspace(1.0, 1e-3, 25)
 
@@ -27,36 +32,51 @@ FACTORS = np.geomspace(1.0, 1e-3, 25)
 def first_guess(objective: Objective, rng: np.random.Generator, bound: float) -> Array:
     """Return the parameters of a controller with random real poles and the best gains for them.
 
-    bound : of every output gain, pu per rad/s.
+    bound : of every gain that is looked for, pu per rad/s.
     """
     n, p, m = objective.order, objective.n_y, objective.n_u
     slowest = max(SLOWEST, 1.5 * objective.slowest_pole)
     fastest = max(min(FASTEST, objective.fastest_pole / 1.5), 1.1 * slowest)
-    A = -np.diag(np.exp(rng.uniform(np.log(slowest), np.log(fastest), n)))
-    A, B, C, _ = objective.unpack(objective.pack(A, rng.normal(size=(n, p)), np.ones((m, n))))
-    B = B / np.maximum(np.linalg.norm(B, axis=1, keepdims=True), 1e-9)
-    rows, columns = np.nonzero(C)
+    poles = np.exp(rng.uniform(np.log(slowest), np.log(fastest), n))
+    A, B, C, _ = objective.unpack(objective.pack(-np.diag(poles), rng.normal(size=(n, p)), np.ones((m, n))))
+    drawn = B / np.maximum(np.linalg.norm(B, axis=1, keepdims=True), 1e-9)
+    moves, worst = _moves(objective, poles)
+    outputs, inputs = C != 0.0, B != 0.0
+    best = np.zeros_like(C)
+    best[outputs] = _best(np.einsum("ksij,sj->kis", moves, drawn)[:, outputs], worst, bound)
+    tried = [objective.pack(A, drawn, factor * best) for factor in FACTORS]
+    if inputs.sum(axis=1).max() > COVERED:
+        best = np.zeros_like(B)
+        best[inputs] = _best(np.einsum("ksij,is,s->ksj", moves, C, poles)[:, inputs], worst, bound)
+        # a state's share is as large as its input gain over its pole
+        tried += [objective.pack(A, factor * poles[:, None] * best, C) for factor in FACTORS]
+    return tried[int(np.argmin([objective.value(theta) for theta in tried]))]
+
+
+def _moves(objective: Objective, poles: Array) -> tuple[Array, Array]:
+    """Return dv (k, states, outputs, inputs) by C_is B_sj to first order, and v (k,) of the open loops."""
     moves, worst = [], []
     for model in objective.models:
         values, right = np.linalg.eig(model.A)
         left = np.linalg.inv(right)
         v, dv = objective.excess(values)
         for k in np.flatnonzero((v > v.max() - REGARDED) & (values.imag > 0.0)):
-            states = np.linalg.solve(values[k] * np.eye(n) - A, B)
+            states = 1.0 / (values[k] + poles)
             if objective.dc_block:
-                states = states + np.linalg.solve(A, B)
-            seen, reached = states @ (model.C @ right[:, k]), left[k] @ model.B
-            moves.append((dv[k] * reached[rows] * seen[columns]).real)
+                states = states - 1.0 / poles
+            residues = np.outer(left[k] @ model.B, model.C @ right[:, k])
+            moves.append((dv[k] * states[:, None, None] * residues).real)
             worst.append(v[k])
-    # least t with v_k + moves_k c <= t
-    G = np.column_stack([np.array(moves), -np.ones(len(worst))])
+    return np.array(moves), np.array(worst)
+
+
+def _best(moves: Array, worst: Array, bound: float) -> Array:
+    """Return the gains within `bound` of the least t with worst_k + moves_k gains <= t."""
+    count = moves.shape[1]
     found = linprog(
-        np.append(np.zeros(rows.size), 1.0),
-        A_ub=G,
-        b_ub=-np.array(worst),
-        bounds=[(-bound, bound)] * rows.size + [(None, None)],
+        np.append(np.zeros(count), 1.0),
+        A_ub=np.column_stack([moves, -np.ones(len(worst))]),
+        b_ub=-worst,
+        bounds=[(-bound, bound)] * count + [(None, None)],
     )
-    C = np.zeros((m, n))
-    C[rows, columns] = found.x[: rows.size]
-    tried = [objective.pack(A, B, factor * C) for factor in FACTORS]
-    return tried[int(np.argmin([objective.value(theta) for theta in tried]))]
+    return np.asarray(found.x[:count])

@@ -17,7 +17,6 @@ from ..certificates.closed_loop import effort, loss_criterion
 from ..delay.curves import delayed_loop, rightmost_roots
 from ..delay.signal_conditions import Condition
 from ..modes.modes import Modes
-from .design_models import without_common_speed
 
 #: frequencies in which a root counts as a swing, and as the inter-area one where modes have no names, Hz
 SWING_HZ = (0.1, 2.5)
@@ -106,9 +105,7 @@ def judge_family(
     inter = min(row.inter_area for row in rows)
     # the gain from noise on the signals exists only for a stable loop; an unstable row is named anyway
     steady = {row.point for row in rows if row.condition == conditions[0].name and row.stable}
-    # a common speed that stays where it is has no gain at rest; K, which lets no constant pass, leaves it
-    moving = {name: without_common_speed(plant, AT_REST) for name, plant in plants.items()}
-    largest = max((effort(moving[p], K) for p in steady), default=float("nan"))
+    largest = max((effort(plants[p], K) for p in steady), default=float("nan"))
     fastest = float(np.abs(np.linalg.eigvals(np.asarray(K.A))).max(initial=0.0))
     asked = (
         ("worst swing damping", worst, worst >= worst_swing, _asked(rows, "worst_swing", worst_swing)),
@@ -129,7 +126,7 @@ def judge_family(
         fastest,
         violations,
         int(K.nstates),
-        _loss_criteria(moving, K, conditions),
+        _loss_criteria(plants, K, conditions),
     )
 
 

@@ -277,7 +277,10 @@ class Objective:
         return float(f), dA, dB, dC, dD
 
     def excess(self, eigenvalues: npt.NDArray[np.inexact[Any]]) -> tuple[Array, Complex]:
-        """v of every eigenvalue and dv/da - j dv/db; -1 of the common speed, which no controller moves."""
+        """v of every eigenvalue and dv/da - j dv/db; -1 of the common speed, which no controller moves.
+
+        The last axis holds the eigenvalues of one loop: the one nearest to 0 may be that speed, and no other.
+        """
         a, b = eigenvalues.real, eigenvalues.imag
         modulus = np.abs(eigenvalues)
         fast = modulus >= SLOW_RADIUS
@@ -285,7 +288,7 @@ class Objective:
         offset, slope = self.offsets(np.abs(b))
         da = np.where(fast, b**2 / m**3, 1.0 / SLOW_RADIUS)
         db = np.where(fast, -a * b / m**3, 0.0) + slope * np.sign(b)
-        standing = (modulus < COMMON_SPEED) & (a < AT_REST)
+        standing = (modulus < COMMON_SPEED) & (a < AT_REST) & (modulus <= modulus.min(axis=-1, keepdims=True))
         return np.where(standing, -1.0, offset + a / m), np.where(standing, 0.0, da - 1j * db)
 
     def bends(self, eigenvalue: complex) -> tuple[float, float, float]:

@@ -58,6 +58,27 @@ def test_effort_is_the_gain_from_output_disturbance_to_input() -> None:
     assert effort(plant, K) == pytest.approx(np.abs(k / (1.0 - 2.0 / (s + 1.0) * k)).max(), rel=1e-6)
 
 
+def test_effort_and_loss_of_a_plant_whose_common_speed_nothing_brings_back() -> None:
+    # G = 1/s + 2/(s+1) for one signal, K = k s/(s+1)^2: K/(1 - G K) is finite at 0, and there K G = k
+    A, B, C = np.diag([0.0, -1.0]), np.ones((2, 1)), np.array([[1.0, 2.0]])
+    plant = control.ss(A, B, C, 0.0, inputs=["G4_vs"], outputs=["G4_dw"])
+    for k in (-2.0, 0.3, 0.8):
+        K = control.ss(
+            [[-2.0, -1.0], [1.0, 0.0]], [[1.0], [0.0]], [[k, 0.0]], 0.0, inputs=["G4_dw"], outputs=["G4_vs"]
+        )
+
+        def gains(s: np.ndarray, k: float = k) -> tuple[np.ndarray, np.ndarray]:
+            return k * s / (s + 1.0) ** 2, 1.0 / s + 2.0 / (s + 1.0)
+
+        of_K, of_G = gains(1j * np.geomspace(1e-4, 1e3, 100_001))
+        stable = np.linalg.eigvals(closed_loop_matrix(plant, K)).real.max() < 1e-6
+        if stable:
+            assert effort(plant, K) == pytest.approx(np.abs(of_K / (1.0 - of_K * of_G)).max(), rel=1e-5)
+        of_K, of_G = gains(np.geomspace(1e-3, 1e3, 100_001))
+        assert loss_criterion(plant, K, "G4_dw") == pytest.approx((of_K * of_G).max(), abs=1e-6)
+        assert stable == (loss_criterion(plant, K, "G4_dw") < 1.0)
+
+
 def test_remote_utilisation_is_the_share_of_the_gain() -> None:
     assert remote_utilisation(lag_controller(3.0, 4.0), "G2_dw", 3.9) == pytest.approx(0.6)
     assert remote_utilisation(lag_controller(0.0, 4.0), "G2_dw", 3.9) == 0.0

@@ -78,6 +78,14 @@ def test_derivatives_that_do_not_hold_are_refused(plant: Pendulum, says: str) ->
         linearise(plant)
 
 
+def test_a_limit_that_is_near_and_not_reached_is_none() -> None:
+    # within the first steps of the differences (1e-5 of 2.9), not within the smaller ones
+    near = linearise(Pendulum(limit=9.81 * np.sin(0.3) + 4e-5))
+    assert np.array_equal(near.A, linearise(Pendulum()).A)
+    with pytest.raises(LinearisationError, match="limit active"):
+        linearise(Pendulum(limit=9.81 * np.sin(0.3) + 4e-7))
+
+
 def test_a_plant_that_moves_is_refused() -> None:
     plant = Pendulum()
     plant.u0 = plant.u0 + 0.01

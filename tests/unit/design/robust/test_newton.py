@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from interarea.design.robust.design import _descend, balanced_parameters
-from interarea.design.robust.first_guess import first_guess
+from interarea.design.robust.first_guess import _moves, first_guess
 from interarea.design.robust.newton import _trusted, derivatives, newton_descent
 from interarea.design.robust.smoothed_objective import BandOffsets, DesignModel, EffortGrid, Objective
 from interarea.design.robust.stages import Stage, staged_search
@@ -165,6 +165,51 @@ def test_the_first_guess_damps_every_mode_and_turns_with_the_plant(objective: Ob
     assert again[0] == pytest.approx(A)
     assert again[1] == pytest.approx(B)
     assert again[2] == pytest.approx(-C, abs=1e-9)
+
+
+def test_the_first_guess_knows_how_every_gain_moves_every_mode(objective: Objective) -> None:
+    rng = np.random.default_rng(2)
+    poles = np.array([1.0, 2.0, 3.5, 6.0])
+    A, B, C, _ = objective.unpack(
+        objective.pack(-np.diag(poles), rng.normal(size=(4, 2)), rng.normal(size=(2, 4)))
+    )
+    moves, worst = _moves(objective, poles)
+    predicted = np.einsum("ksij,is,sj->k", moves, C, B)
+    small, k = 1e-6, 0
+    for model in objective.models:
+        (loop,) = replace(objective, models=[model]).closed_loops(objective.pack(A, small * B, C))
+        moved = np.linalg.eigvals(loop)
+        for value in np.linalg.eigvals(model.A):
+            if value.imag > 0.0:
+                after = moved[np.argmin(np.abs(moved - value))]
+                v, w = (objective.excess(np.array([each]))[0][0] for each in (value, after))
+                assert v == pytest.approx(worst[k])
+                assert (w - v) / small == pytest.approx(predicted[k], rel=1e-3, abs=1e-4)
+                k += 1
+    assert k == len(worst)
+
+
+def test_the_first_guess_of_many_signals_is_better_than_that_of_drawn_sums(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # one mode to damp, and one that most sums of the three signals drive
+    A = np.zeros((4, 4))
+    for k, omega in enumerate((3.0, 7.0)):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[-0.1, omega], [-omega, -0.1]]
+    B = np.array([[1.0], [0.0], [-4.0], [0.0]])
+    C = np.array([[1.0, 0.0, 1.0, 0.0], [1.0, 0.0, 1.0, 0.0], [1.0, 0.0, -2.0, 0.0]])
+    offsets = BandOffsets((0.0, 5.0, 5.1, 30.0), (0.0, 0.0, 0.02, 0.02))
+    objective = Objective([DesignModel("base: N", A, B, C)], 1, offsets=offsets, rho=200.0)
+
+    def reached(covered: int) -> list[float]:
+        monkeypatch.setattr("interarea.design.robust.first_guess.COVERED", covered)
+        return [
+            objective.value(first_guess(objective, np.random.default_rng(seed), 0.1)) for seed in range(4)
+        ]
+
+    with_inputs, drawn = reached(2), reached(3)
+    assert all(more <= less for more, less in zip(with_inputs, drawn, strict=True))
+    assert sum(with_inputs) < sum(drawn) - 0.02
 
 
 def test_a_stage_looks_at_its_points_and_conditions_only(objective: Objective) -> None:

@@ -308,5 +308,8 @@ def test_design_models_keep_the_common_speed_that_a_loop_feels_near_rest() -> No
     assert at_rest.sum() == 1
     assert excess[at_rest] == -1.0
     assert slope[at_rest] == 0.0
+    # nor is a second root near rest: a loop that has one drifts
+    near = objective.excess(np.array([1e-12 + 0j, -1e-3 + 0j, -0.3 + 4j]))[0]
+    assert near[:2] == pytest.approx([-1.0, objective.offsets.offset[0] - 5e-3])
     # a root as slow that is unstable is no common speed
     assert objective.excess(np.array([0.01 + 0j]))[0] == pytest.approx(objective.offsets.offset[0] + 0.05)
