@@ -37,7 +37,6 @@ from interarea.design.robust.spec import RobustSpec
 from interarea.design.robust.stages import Stage
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case, load_case
-from interarea.models.grid.powerflow import solve_powerflow
 
 WANTED = 0.8
 LATE = ("N", "s150")
@@ -54,10 +53,7 @@ def ranked(case: Case, together: int) -> tuple[LoopSet, ...]:
     """Return every set of `together` actuators, the best score first."""
     plant = sparse_linear_plant(case, default_cache())
     found = all_modes(plant, case.areas, band_hz=(0.1, 2.5), below=0.3)
-    voltages = solve_powerflow(case).voltages
-    return choose_loops(
-        plant, found.modes, case.areas, voltages, kinds=["speed"], together=together, most=100_000
-    ).sets
+    return choose_loops(plant, found.modes, case.areas, kinds=["speed"], together=together, most=100_000).sets
 
 
 def signals_of(chosen: LoopSet, machines: tuple[str, ...]) -> dict[str, tuple[str, ...]]:

@@ -155,9 +155,13 @@ def sparse_linear_plant(case: Case, cache: Path) -> SparsePlant:
     from interarea.design.linear.sparse_plant import sparse_plant
     from interarea.fmu_build.write.device_slopes import DeviceSlopes
     from interarea.models.blocks.plant import plant_block
+    from interarea.models.grid.equilibrium import operating_point
+    from interarea.models.grid.machine_tables import in_plant_order
 
-    block = plant_block(case, event_slots=0)
-    return sparse_plant(DeviceSlopes(block, cache=cache), block.data)
+    case = in_plant_order(case)
+    point = operating_point(case)
+    block = plant_block(case, event_slots=0, point=point)
+    return sparse_plant(DeviceSlopes(block, cache=cache), block.data, point.power_flow.voltages)
 
 
 def _save_linear(system: control.StateSpace, path: Path) -> None:

@@ -76,6 +76,7 @@ class SparsePlant:
     G : (2 b, 2 b) real sparse, real and imaginary part of each bus in turn.
     ends, stamps : (branches, 2) buses and (branches, 4) admittances of the branches in service.
     branches : their names.
+    at_bus : (b,) complex voltages at rest.
     """
 
     machines: tuple[str, ...]
@@ -93,6 +94,7 @@ class SparsePlant:
     ends: IntArray
     stamps: ComplexArray
     branches: tuple[str, ...]
+    at_bus: ComplexArray
 
     @property
     def nstates(self) -> int:
@@ -165,10 +167,11 @@ class SparsePlant:
         return Elimination(self.G, self.bus, len(self.bus_names))
 
 
-def sparse_plant(slopes: Slopes, data: Mapping[str, Any]) -> SparsePlant:
+def sparse_plant(slopes: Slopes, data: Mapping[str, Any], at_bus: ComplexArray) -> SparsePlant:
     """Return the blocks of a plant.
 
     slopes : its devices' derivatives. data : arrays of its record (`models.blocks.plant.plant_block`).
+    at_bus : (b,) complex voltages at rest, pu.
 
     Raises
     ------
@@ -210,6 +213,7 @@ def sparse_plant(slopes: Slopes, data: Mapping[str, Any]) -> SparsePlant:
         ends=ends,
         stamps=stamps,
         branches=tuple(name for name, kept in zip(_words(data["branch.names"]), on, strict=True) if kept),
+        at_bus=at_bus,
     )
 
 

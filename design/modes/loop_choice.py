@@ -100,7 +100,6 @@ def choose_loops(
     plant: SparsePlant,
     modes: Sequence[Mode],
     areas: Mapping[str, int],
-    voltages: ComplexArray,
     *,
     targets: Sequence[str] = (),
     latency_s: float = 0.0,
@@ -114,7 +113,7 @@ def choose_loops(
     Parameters
     ----------
     modes : of the plant (`all_modes`); targets : names among them, default the inter-area ones.
-    areas : machine name -> area number. voltages : (b,) of the buses at rest, pu.
+    areas : machine name -> area number.
     latency_s : of every signal. actuators : inputs of the plant, default all. most : rows that are kept.
 
     Raises
@@ -128,7 +127,7 @@ def choose_loops(
     value = np.array([mode.eigenvalue for mode in modes])
     B = plant.Bu[:, [plant.inputs.index(n) for n in names]].toarray()
     reach = (np.array([mode.left for mode in modes]) @ B) * np.exp(-value * latency_s)[:, None]
-    signals = [s for s in signals_of(plant, V, value, areas, voltages, aimed) if s.kind in kinds]
+    signals = [s for s in signals_of(plant, V, value, areas, aimed) if s.kind in kinds]
     table = _Residues([m.name for m in modes], names, signals, reach)
     table.require(aimed, modes)
     loops = {modes[m].name: tuple(table.ranked(m, most)) for m in aimed}
@@ -176,7 +175,6 @@ def signals_of(
     right: ComplexArray,
     value: ComplexArray,
     areas: Mapping[str, int],
-    voltages: ComplexArray,
     aimed: Sequence[int],
 ) -> list[Signal]:
     """Return every candidate signal with what it shows of each mode: own speeds, differences, branches.
@@ -190,7 +188,7 @@ def signals_of(
     for a, b in _pairs(speeds, machine_area, aimed):
         name = swing_name(plant.machines[a], plant.machines[b])
         found.append(Signal(name, "speed", speeds[a] - speeds[b]))
-    dV = plant.voltages(right)
+    dV, voltages = plant.voltages(right), plant.at_bus
     size2 = np.abs(voltages) ** 2
     theta = (voltages.real[:, None] * dV[:, 1] - voltages.imag[:, None] * dV[:, 0]) / size2[:, None]
     bus_area = _bus_areas(plant, machine_area)
@@ -198,13 +196,13 @@ def signals_of(
         name = f"{plant.bus_names[a]}_{plant.bus_names[b]}"
         found.append(Signal(f"angle_{name}", "angle", theta[a] - theta[b]))
         found.append(Signal(f"frequency_{name}", "frequency", value * (theta[a] - theta[b]) / omega))
-    return found + _branches(plant, dV, voltages)
+    return found + _branches(plant, dV)
 
 
-def _branches(plant: SparsePlant, dV: ComplexArray, voltages: ComplexArray) -> list[Signal]:
+def _branches(plant: SparsePlant, dV: ComplexArray) -> list[Signal]:
     """Active power into each branch at its `from` end, and the size of the current there."""
     a, b = plant.ends.T
-    own, mutual = plant.stamps[:, 0], plant.stamps[:, 1]
+    own, mutual, voltages = plant.stamps[:, 0], plant.stamps[:, 1], plant.at_bus
     current = own * voltages[a] + mutual * voltages[b]
 
     def product(y: ComplexArray, v: npt.NDArray[Any]) -> tuple[Any, Any]:

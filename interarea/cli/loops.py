@@ -102,11 +102,10 @@ def _chosen(case: Case, band_hz: tuple[float, float], below: float, options: dic
     from interarea.design.modes.all_modes import all_modes
     from interarea.design.modes.loop_choice import choose_loops
     from interarea.fmu_build.write.cache import default_cache
-    from interarea.models.grid.powerflow import solve_powerflow
 
     plant = sparse_linear_plant(case, default_cache())
     found = all_modes(plant, case.areas, band_hz=band_hz, below=below)
-    return choose_loops(plant, found.modes, case.areas, solve_powerflow(case).voltages, **options)
+    return choose_loops(plant, found.modes, case.areas, **options)
 
 
 def _as_dict(choice: LoopChoice) -> dict[str, Any]:

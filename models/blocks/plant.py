@@ -130,6 +130,7 @@ def plant_block(
     show: Sequence[str] | None = None,
     more: Sequence[str] = (),
     network: Form | None = None,
+    point: OperatingPoint | None = None,
 ) -> Block:
     """Return the plant of `case` as a block with `event_slots` slots for events.
 
@@ -140,7 +141,7 @@ def plant_block(
     `default_step_s`) and the event slots. A slot that is set anew while the plant runs counts from the next
     event on. `show`: patterns of the outputs wanted, see `shown_of`, which also says what a large grid shows
     without; `more`: of outputs beside those. `network`: solve it so whatever that costs; else the cheaper
-    form is taken.
+    form is taken. `point`: of the case in the plant's order, where it is known.
 
     Raises
     ------
@@ -149,7 +150,7 @@ def plant_block(
     if not 0 <= event_slots <= 1000:
         raise CaseError(f"{case.name}: event_slots = {event_slots}, allowed: 0 to 1000")
     original, case = case, in_plant_order(case)
-    point = operating_point(case)
+    point = operating_point(case) if point is None else point
     step_s = default_step_s(point) if case.solver_step_s is None else case.solver_step_s
     groups = point.controls.running()
     place = {

@@ -25,15 +25,15 @@ def grid(name: str) -> tuple[SparsePlant, AllModes, np.ndarray]:
 
 
 def chosen(name: str, **options) -> LoopChoice:  # type: ignore[no-untyped-def]
-    plant, found, volts = grid(name)
-    return choose_loops(plant, found.modes, load_case(name).areas, volts, **options)
+    plant, found, _ = grid(name)
+    return choose_loops(plant, found.modes, load_case(name).areas, **options)
 
 
 def shown(name: str) -> dict[str, np.ndarray]:
-    plant, found, volts = grid(name)
+    plant, found, _ = grid(name)
     V = np.array([m.right for m in found.modes]).T
     values = np.array([m.eigenvalue for m in found.modes])
-    signals = signals_of(plant, V, values, load_case(name).areas, volts, range(len(values)))
+    signals = signals_of(plant, V, values, load_case(name).areas, range(len(values)))
     assert {s.kind for s in signals} == set(KINDS)
     return {s.name: s.shows for s in signals}
 
@@ -141,12 +141,12 @@ def test_a_mistake_names_itself(options: dict, said: str) -> None:  # type: igno
 
 
 def test_no_inter_area_mode_and_an_unreachable_one_are_told() -> None:
-    plant, found, volts = grid("nets-nyps")
+    plant, found, _ = grid("nets-nyps")
     local = [m for m in found.modes if m.name.startswith("local")]
     with pytest.raises(ModeError, match=r"no inter-area mode in this band .* there are: local"):
-        choose_loops(plant, local, load_case("nets-nyps").areas, volts)
+        choose_loops(plant, local, load_case("nets-nyps").areas)
     blind = SparsePlant(
         **{**{f: getattr(plant, f) for f in plant.__dataclass_fields__}, "Bu": 0.0 * plant.Bu}
     )
     with pytest.raises(ModeError, match="no actuator with a signal reaches and shows it"):
-        choose_loops(blind, found.modes, load_case("nets-nyps").areas, volts)
+        choose_loops(blind, found.modes, load_case("nets-nyps").areas)
