@@ -128,6 +128,11 @@ def choose_loops(
     B = plant.Bu[:, [plant.inputs.index(n) for n in names]].toarray()
     reach = (np.array([mode.left for mode in modes]) @ B) * np.exp(-value * latency_s)[:, None]
     signals = [s for s in signals_of(plant, V, value, areas, aimed) if s.kind in kinds]
+    if not signals:
+        raise ModeError(
+            f"no signal of kind {' or '.join(kinds)}: angles and frequencies are differences between areas, "
+            "and all machines are in one; allow other kinds, or assign machines to areas"
+        )
     table = _Residues([m.name for m in modes], names, signals, reach)
     table.require(aimed, modes)
     loops = {modes[m].name: tuple(table.ranked(m, most)) for m in aimed}
@@ -156,7 +161,7 @@ def _targets(modes: Sequence[Mode], wanted: Sequence[str]) -> list[int]:
     if not found:
         raise ModeError(
             f"no inter-area mode in this band and below this damping ratio; there are: {listed}; widen the "
-            "band, raise the limit, or name the modes"
+            "band, raise the limit, name the modes, or assign machines to areas"
         )
     return found
 

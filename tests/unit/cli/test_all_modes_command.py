@@ -58,6 +58,10 @@ def test_modes_with_a_late_controller(interarea) -> None:  # type: ignore[no-unt
         ),
         (("--controller", "robust", "--latency", "-1"), "latency of G2_dw = -1 s, wanted: 0 or more"),
         (("--controller", "active"), "--controller active: a bank switches between controllers"),
+        (
+            ("--below", "0.2", "--load-scale", "4"),
+            "the power flow does not converge: worst mismatch",
+        ),
         (("--latency", "0.1"), "--latency 0.1 is of a controller's signals; name one with --controller"),
     ],
 )
@@ -71,3 +75,13 @@ def test_a_mistake_is_one_line(interarea, given, said) -> None:  # type: ignore[
 def test_no_inter_area_mode_is_said(interarea) -> None:  # type: ignore[no-untyped-def]
     out = interarea("modes", "two-area-thesis", "--band", "1:2.5", "--below", "0.5")[1]
     assert "no inter-area mode among them" in out
+
+
+def test_a_mode_on_the_counting_line_moves_it_and_that_is_said(interarea) -> None:  # type: ignore[no-untyped-def]
+    found = json.loads(interarea("modes", "two-area-thesis", "--below", "0.2", "--json")[1])
+    ratio = found["modes"][0]["damping_ratio"]
+    code, out, _ = interarea("modes", "two-area-thesis", "--below", repr(ratio))
+    assert code == 0
+    assert f"damping ratio {ratio:.6g} moved to " in out
+    assert "a mode lies on that line" in out
+    assert ": 1, counted independently: 1" in out

@@ -1,8 +1,13 @@
 """`interarea loops --band --below`: every signal at every actuator for every inter-area mode."""
 
 import json
+import re
+from pathlib import Path
 
 import pytest
+
+from interarea.models.case.case import load_case
+from interarea.models.case.write_toml import export_toml
 
 
 def test_tables_of_loops_and_sets(interarea) -> None:  # type: ignore[no-untyped-def]
@@ -39,4 +44,44 @@ def test_a_mistake_is_one_line(interarea, given, said) -> None:  # type: ignore[
     code, _, err = interarea("loops", "two-area-thesis", *given)
     assert code == 2
     assert said in err
+    assert len(err.strip().splitlines()) == 1
+
+
+def one_area(folder: Path) -> str:
+    """A grid whose machines are all of one area: it has no inter-area mode and no differences of areas."""
+    case = load_case("kundur-thyristor-z")
+    machines = tuple(m.model_copy(update={"area": 1}) for m in case.machines)
+    case = case.model_copy(update={"machines": machines, "tie": None, "swing": None, "name": "one-area"})
+    export_toml(case, folder / "one-area.toml")
+    return str(folder / "one-area.toml")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ((), "no inter-area mode .* there are: local area 1.1, .* or assign machines to areas"),
+        (
+            ("--mode", "local area 1.1", "--signals", "angle"),
+            "no signal of kind angle: .* all machines are in one; allow other kinds, or assign machines",
+        ),
+    ],
+)
+def test_one_area_has_nothing_between_areas(interarea, tmp_path, given, said) -> None:  # type: ignore[no-untyped-def]
+    code, _, err = interarea("loops", one_area(tmp_path), "--below", "0.3", *given)
+    assert code == 2
+    assert re.search(said, err)
+    assert len(err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("case", "given", "said"),
+    [
+        ("kundur-manual", (), "no machine has an exciter that takes a signal .* give machines an exciter"),
+        ("two-area-thesis", ("--circuit-out", "7-9"), "branch '7-9' does not exist; did you mean"),
+    ],
+)
+def test_a_grid_without_actuator_or_branch_is_one_line(interarea, case, given, said) -> None:  # type: ignore[no-untyped-def]
+    code, _, err = interarea("loops", case, "--below", "0.9", *given)
+    assert code == 2
+    assert re.search(said, err)
     assert len(err.strip().splitlines()) == 1
