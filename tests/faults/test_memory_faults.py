@@ -1,8 +1,9 @@
 """Memory that runs out at one allocation of many: told as that, never as anything of a file; no harm done.
 
-A run makes some 35 000 allocations, a sweep's folder some 8000: tried are 1, 2 .. and on, each 1.6 or 1.25
-times the one before; all of them in `make fuzz`. Each is tried in a process of its own: here and there it is
-the interpreter that crashes (expat in CPython 3.11), and then the files are as after any kill.
+A run makes some 35 000 allocations, one with a case 1.4 million, a sweep's folder some 8000; tried are 1, 2
+.. and on, each 1.6 or 1.25 times the one before; in `make fuzz` all of them (1000 of a run with a case).
+Each is tried in a process of its own: here and there it is the interpreter that crashes (expat in CPython
+3.11), and then the files are as after any kill.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import pytest
 from file_faults import EVERY, LONG, grid, no_memory
 from fmu_runner import decay_block
 from stored_runs import finished, session
-from test_run_faults import plain, written
+from test_run_faults import OF_A_CASE, WITH_A_CASE, plain, written
 
 from interarea.cli.terminal import complain
 from interarea.cosim.errors import machine_error
@@ -83,6 +84,26 @@ def test_a_run(tmp_path: Path, cache: Path) -> None:
         if clean == CLEAN:
             break
     assert n > 10_000 and seen["told"] > (20_000 if EVERY else 12) and seen["crashed"] < seen["told"] // 4
+
+
+@LONG
+@pytest.mark.slow
+def test_a_run_with_a_case(tmp_path: Path, cache: Path) -> None:
+    """Where no error comes out every file is the same: none is swallowed and taken for a fact of the loop."""
+    whole = written(WITH_A_CASE, tmp_path / "whole", cache, OF_A_CASE)
+    seen, clean, n = Counter[str](), 0, 1
+    while clean < 3:
+        out = tmp_path / str(n)
+        found = outcome_without_memory(n, lambda out=out: written(WITH_A_CASE, out, cache))  # type: ignore[misc]
+        seen[found], clean = seen[found] + 1, clean + 1 if found == "clean" else 0
+        there = [p for p in out.iterdir() if p.suffix != ".partial"] if out.is_dir() else []
+        left = {p.name: p.read_bytes() for p in there}
+        assert left.items() <= whole.items(), (n, found, sorted(left))
+        assert found != "clean" or left.keys() == whole.keys(), n
+        if left and found != "clean":
+            assert written(WITH_A_CASE, out, cache, OF_A_CASE) == whole, n
+        n = max(n + 1, int(n * (1.01 if EVERY else 1.6)))
+    assert n > 1_000_000 and seen["told"] > 20 and seen["crashed"] < seen["told"] // 4
 
 
 @LONG
