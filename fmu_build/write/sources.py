@@ -132,12 +132,14 @@ def _block_folder() -> Path:
 
 
 def with_includes(name: str, sources: Mapping[str, bytes]) -> list[str]:
-    """Return a C file and all of `sources` that it includes, each once."""
+    """Return a C file and all of `sources` that it includes; every header where a macro names one."""
     found: dict[str, None] = {}
     to_do = [name]
     while to_do:
         part = to_do.pop()
         if part in sources and part not in found:
             found[part] = None
-            to_do += re.findall(r'^#include "([^"]+)"', sources[part].decode(), re.MULTILINE)
+            for included in re.findall(r"^#include\s+([\"\w]\S*)", sources[part].decode(), re.MULTILINE):
+                quoted = included.startswith('"')
+                to_do += [included.strip('"')] if quoted else [s for s in sources if s.endswith(".h")]
     return sorted(found)

@@ -16,7 +16,7 @@ from interarea.fmu_build.errors import BuildError, NoCompilerError
 from interarea.fmu_build.write import compile as compiling
 from interarea.fmu_build.write.cache import COMPILERS_OWN
 from interarea.fmu_build.write.compile import compile_binary
-from interarea.fmu_build.write.sources import fmi_headers, record_source, source_files
+from interarea.fmu_build.write.sources import fmi_headers, record_source, source_files, with_includes
 from interarea.models.case.case import load_case
 
 
@@ -162,3 +162,20 @@ def test_two_files_of_one_name_are_refused(tmp_path: Path) -> None:
     other.write_text("int x;\n")
     with pytest.raises(BuildError, match=r"two C files are called solver\.c"):
         source_files((other,))
+
+
+def test_an_object_is_made_of_what_its_file_includes() -> None:
+    """So two binaries share it; a macro may name any header."""
+    sources = {"a.c": b'#include <math.h>\n#include "b.h"\n', "b.h": b"int b;\n", "c.h": b"", "d.c": b""}
+    assert with_includes("a.c", sources) == ["a.c", "b.h"]
+    assert with_includes("a.c", sources | {"b.h": b"#include NAME\n"}) == ["a.c", "b.h", "c.h"]
+
+
+def test_binaries_share_objects(binaries: Path, tmp_path: Path) -> None:
+    compile_binary("decay", (DECAY_C,), "linux64", cache=binaries)
+    before = set((binaries / "objects").iterdir())
+    other = tmp_path / "other.c"
+    other.write_text(DECAY_C.read_text().replace("../../../models/c/block/block.h", "block.h"))
+    compile_binary("other", (other,), "linux64", cache=binaries)
+    made = {p.name.split("-")[0] for p in set((binaries / "objects").iterdir()) - before}
+    assert made == {"other"}
