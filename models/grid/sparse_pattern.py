@@ -62,18 +62,19 @@ class SparsePattern:
 def sparse_pattern(nodes: int, ends: npt.ArrayLike, active: npt.ArrayLike) -> SparsePattern:
     """Return the pattern of a network of `nodes` nodes with branches at `ends` (branches, 2).
 
-    active : nodes where currents enter and voltages are wanted, at least one. Order: minimum degree; the
-    nodes on no path from an active one to the root of the elimination tree come first.
+    active : nodes where currents enter and voltages are wanted, at least one. Order: minimum degree, each
+    branch of the elimination tree at a stretch, so that what a row needs lies near it in memory; the nodes on
+    no path from an active one to the root come first.
     """
     order, rows = _minimum_degree(nodes, np.asarray(ends, dtype=int).reshape(-1, 2))
-    place = np.empty(nodes, dtype=np.int64)
-    place[order] = np.arange(nodes)
+    above = _next_eliminated(order, rows)
     marked = np.zeros(nodes, dtype=bool)
     marked[np.asarray(active, dtype=int)] = True
-    for node, above in zip(order, rows, strict=True):
-        if marked[node] and len(above):
-            marked[above[np.argmin(place[above])]] = True
-    final = np.array([*(k for k in order if not marked[k]), *(k for k in order if marked[k])], dtype=np.int64)
+    for node in order:
+        if marked[node] and above[node] >= 0:
+            marked[above[node]] = True
+    final = _branch_by_branch(order, above)
+    final = np.concatenate([final[~marked[final]], final[marked[final]]])
     row = np.empty(nodes, dtype=np.int64)
     row[final] = np.arange(nodes)
     first = int(np.count_nonzero(~marked))
@@ -95,6 +96,33 @@ def sparse_pattern(nodes: int, ends: npt.ArrayLike, active: npt.ArrayLike) -> Sp
         upper=upper.indptr.astype(np.int64),
         upper_column=upper.indices.astype(np.int64),
     )
+
+
+def _next_eliminated(order: list[int], rows: list[IntArray]) -> list[int]:
+    """Return of each node the first that is eliminated of those it then hangs together with, -1 at a root."""
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    above = [-1] * len(order)
+    for node, found in zip(order, rows, strict=True):
+        if len(found):
+            above[node] = int(found[np.argmin(place[found])])
+    return above
+
+
+def _branch_by_branch(order: list[int], above: list[int]) -> IntArray:
+    """Return the nodes in postorder of the tree `above`; `order` has each node before the one above it."""
+    below = [1] * len(order)  # nodes of the branch that ends at each
+    for node in order:
+        if above[node] >= 0:
+            below[above[node]] += below[node]
+    final = np.empty(len(order), dtype=np.int64)
+    free = [*([0] * len(order)), len(order) - 1]  # last place left below each node; at the end: for roots
+    for node in reversed(order):
+        place = free[above[node]]
+        free[above[node]] -= below[node]
+        free[node] = place - 1
+        final[place] = node
+    return final
 
 
 def _minimum_degree(nodes: int, ends: IntArray) -> tuple[list[int], list[IntArray]]:
