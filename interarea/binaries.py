@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,7 +16,14 @@ from pathlib import Path
 
 from interarea.cosim.explorer.wasm import page_sources
 from interarea.cosim.master.kernel.build import kernel_sources
-from interarea.fmu_build.write.compile import PLATFORMS, WEB_PAGE, Platform, compile_for, shipped_name
+from interarea.fmu_build.write.compile import (
+    PLATFORMS,
+    WEB_PAGE,
+    Platform,
+    compile_for,
+    packed_for_travel,
+    shipped_name,
+)
 from interarea.fmu_build.write.lane_library import group_sources
 from interarea.fmu_build.write.sources import gather_sources, record_source, source_files
 from interarea.models.blocks import controller, supervisor
@@ -69,7 +75,7 @@ def compile_into(folder: Path, platforms: Sequence[str]) -> list[Path]:
 
     def one(job: tuple[str, dict[str, bytes], Platform]) -> Path:
         path = folder / shipped_name(*job)
-        shutil.copyfile(compile_for(*job), path)
+        path.write_bytes(packed_for_travel(compile_for(*job).read_bytes()))
         return path
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -88,7 +94,7 @@ def main(words: Sequence[str] | None = None) -> int:
     if os.environ.pop("CC", ""):
         print("CC is set and not used: what travels is compiled by zig, for every platform", file=sys.stderr)
     files = compile_into(given.folder, given.platforms.split(","))
-    print(f"{len(files)} binaries, {sum(p.stat().st_size for p in files) / 1e6:.1f} MB")
+    print(f"{len(files)} binaries, {sum(p.stat().st_size for p in files) / 1e6:.1f} MB packed")
     return 0
 
 

@@ -160,6 +160,12 @@ class PacketLoop:
             flow = np.eye(size)
             flow[: n + m, : n + m] = expm(hold * (end - start))
             self._flows.append(flow)
+        self._whole = self.step(self.signals)
+        self._differences = []
+        for s in self.signals:
+            D = self._whole - self.step([other for other in self.signals if other != s])
+            U, size, V = np.linalg.svd(D)
+            self._differences.append((s, D, U[:, 0] * size[0], V[0]))
 
     def step(self, arriving: Sequence[str]) -> Matrix:
         """Return A_S: from just before one time stamp to just before the next; `arriving`: S."""
@@ -190,24 +196,31 @@ class PacketLoop:
         floor, gain = self._independent()
         return floor < 1.0 and (gain is None or gain(1.0) < 1.0)
 
-    def _independent(self) -> tuple[float, Callable[[float], float] | None]:
-        """Independent losses: E[z z^T]^+ = M X M^T + sum_j v_j (g_j^T X g_j) f_j f_j^T.
+    def _moved(
+        self, chances: Mapping[str, float]
+    ) -> tuple[Matrix, list[tuple[float, npt.NDArray[np.float64], npt.NDArray[np.float64]]]]:
+        """Return M and (v_j, f_j, g_j): E[z z^T]^+ = M X M^T + sum_j v_j (g_j^T X g_j) f_j f_j^T.
 
-        What reads one packet reads no other, so A_S is affine in the losses and each D_j = f_j g_j^T, the
-        difference that packet j makes, has rank 1. gamma is an eigenvalue when the matrix of
-        v_j g_i^T X_j g_i, with gamma X_j = M X_j M^T + f_j f_j^T, has the spectral radius 1 [Elia2005].
+        chances : of losing each signal's next packet. What reads one packet reads no other, so A_S is affine
+        in the losses and each D_j = f_j g_j^T, the difference that packet j makes, has rank 1 [Elia2005].
+        """
+        mean, parts = self._whole.copy(), []
+        for s, D, f, g in self._differences:
+            p = chances[s]
+            mean -= p * D
+            if p * (1.0 - p) > 0.0:
+                parts.append((p * (1.0 - p), f, g))
+        return mean, parts
+
+    def _independent(self) -> tuple[float, Callable[[float], float] | None]:
+        """Independent losses: how far the spectral radius is from any gamma.
+
+        gamma is an eigenvalue when the matrix of v_j g_i^T X_j g_i, with gamma X_j = M X_j M^T + f_j f_j^T,
+        has the spectral radius 1 [Elia2005].
         Returns the spectral radius of M x M and that matrix's as a falling function of gamma above it (None:
         no losses).
         """
-        whole = self.step(self.signals)
-        mean, parts = whole.copy(), []
-        for s in self.signals:
-            p = self.channels[s].loss_good
-            D = whole - self.step([other for other in self.signals if other != s])
-            mean -= p * D
-            U, size, V = np.linalg.svd(D)
-            if p * (1.0 - p) * size[0] > 0.0:
-                parts.append((p * (1.0 - p), U[:, 0] * size[0], V[0]))
+        mean, parts = self._moved({s: self.channels[s].loss_good for s in self.signals})
         floor = float(np.abs(np.linalg.eigvals(mean)).max()) ** 2
         if not parts:
             return floor, None
@@ -235,9 +248,11 @@ class PacketLoop:
         """One second moment for each state of the chains; Arnoldi on half a second of packets at once."""
         chains = [self.channels[s].chain for s in self.signals]
         modes = list(itertools.product(*(range(len(losses)) for _, losses in chains)))
-        sets = [c for k in range(len(self.signals) + 1) for c in itertools.combinations(self.signals, k)]
-        A = {s: self.step(s) for s in sets}
-        odds = np.array([[self._chance(s, mode, chains) for s in sets] for mode in modes])
+        moved = [
+            self._moved({s: chains[j][1][mode[j]] for j, s in enumerate(self.signals)}) for mode in modes
+        ]
+        means = np.array([mean for mean, _ in moved])
+        turned = np.ascontiguousarray(means.transpose(0, 2, 1))
         moves = np.array(
             [
                 [math.prod(float(chains[j][0][a[j], b[j]]) for j in range(len(chains))) for b in modes]
@@ -249,29 +264,19 @@ class PacketLoop:
         def moment(flat: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
             X = flat.reshape(len(modes), n, n)
             for _ in range(folds):
-                after = np.zeros_like(X)
-                for k in range(len(modes)):
-                    for S, chance in zip(sets, odds[k], strict=True):
-                        if chance > 0.0:
-                            after[k] += chance * (A[S] @ X[k] @ A[S].T)
-                X = np.einsum("ab,aij->bij", moves, after)
+                after = means @ X @ turned
+                for k, (_, parts) in enumerate(moved):
+                    for v, f, g in parts:
+                        after[k] += v * float(g @ X[k] @ g) * np.outer(f, f)
+                X = np.tensordot(moves, after, (0, 0))
             return np.asarray(X.ravel())
 
         # Controllers leave the plant's slowest mode nearly as it is, and its outer product is then nearly the
         # dominant moment: from there Arnoldi is through in a third of the steps
-        values, vectors = np.linalg.eig(A[tuple(self.signals)])
+        values, vectors = np.linalg.eig(self._whole)
         slowest = vectors[:, int(np.argmax(np.abs(values)))]
         near = np.outer(slowest, slowest.conj()).real
         return float(_radius(moment, len(modes), n, near) ** (1.0 / folds))
-
-    def _chance(
-        self,
-        arriving: Sequence[str],
-        mode: Sequence[int],
-        chains: Sequence[tuple[npt.NDArray[np.float64], tuple[float, ...]]],
-    ) -> float:
-        lost = [chains[j][1][mode[j]] for j in range(len(chains))]
-        return math.prod(1.0 - p if s in arriving else p for s, p in zip(self.signals, lost, strict=True))
 
 
 def _radius(

@@ -4,7 +4,7 @@ The compiler is ``$CC`` if that is set, else zig from the ``ziglang`` wheel, whi
 also compiles for the platforms it does not run on. A binary is named in the
 cache by a hash of everything that decides its bytes: sources, headers, flags,
 targets and compiler version. What was compiled of the same when the package's
-wheel was built travels in it (`SHIPPED`) and needs no compiler.
+wheel was built travels in it, packed (`SHIPPED`), and needs no compiler.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import zlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -75,8 +76,9 @@ WEB_PAGE = Platform(
 #: of the compiler's own folder: what it made of libc and the like, apart from what it made of our files
 SYSTEM_LIBRARIES = "system"
 
-#: Folder of the binaries that travel in the wheel, named by `shipped_name`; a checkout has none.
+#: Folder of the binaries that travel in the wheel, packed, named by `shipped_name`; a checkout has none.
 SHIPPED = Path(__file__).resolve().parents[1] / "binaries"
+_PACKED = ".z"
 
 
 def host_platform() -> str:
@@ -136,23 +138,45 @@ def compile_library(
 
 
 def compile_for(kind: str, sources: dict[str, bytes], to: Platform, *, cache: Path | None = None) -> Path:
-    """Return the shipped or cached binary of `sources` for a platform or `WEB_PAGE`; see `compile_library`.
+    """Return the cached binary of `sources` for a platform or `WEB_PAGE`, unpacked where it was shipped.
 
     Raises
     ------
-    BuildError : as `compile_library`, or a compiler that cannot make WebAssembly.
+    BuildError : as `compile_library`, a compiler that cannot make WebAssembly, or a damaged shipped binary.
     """
     chosen = os.environ.get("CC", "").strip()
+    cache = cache or default_cache()
     if not chosen and SHIPPED.is_dir():
-        travelled = SHIPPED / shipped_name(kind, sources, to)
-        if travelled.is_file():
-            return travelled
-    return _compiled(kind, sources, to, cache or default_cache(), chosen)
+        name = shipped_name(kind, sources, to)
+        packed = SHIPPED / name
+        if packed.is_file():
+            return artefact(
+                cache,
+                "binaries",
+                name.removesuffix(_PACKED),
+                to.suffix,
+                lambda result: result.write_bytes(_unpacked(packed)),
+            )
+    return _compiled(kind, sources, to, cache, chosen)
 
 
 def shipped_name(kind: str, sources: dict[str, bytes], to: Platform) -> str:
     """Return the name under which the binary of `sources`, compiled by zig, travels in the wheel."""
-    return f"{kind}-{to.name}-{_digest(kind, sources, _flags(kind, to, zig=True), to, '')}{to.suffix}"
+    return f"{kind}-{to.name}-{_digest(kind, sources, _flags(kind, to, zig=True), to, '')}{_PACKED}"
+
+
+def packed_for_travel(binary: bytes) -> bytes:
+    """Return what lies in the wheel of a binary: a zlib stream, half as large on disk as the libraries."""
+    return zlib.compress(binary, 9)
+
+
+def _unpacked(shipped: Path) -> bytes:
+    try:
+        return zlib.decompress(shipped.read_bytes())
+    except zlib.error as error:
+        raise BuildError(
+            f"{shipped} came with the package and is damaged ({error}); install interarea again"
+        ) from error
 
 
 def _compiled(kind: str, sources: dict[str, bytes], to: Platform, cache: Path, chosen: str) -> Path:

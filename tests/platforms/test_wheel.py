@@ -116,7 +116,7 @@ def test_a_first_run_compiles_nothing(installed: Path, tmp_path: Path) -> None:
     assert done.returncode == 0 and (tmp_path / "loop.fmu").is_file(), done.stderr
     done = call(installed, tmp_path, "explore", "two-area-thesis", "--out", "page.html")
     assert done.returncode == 0 and (tmp_path / "page.html").stat().st_size < 250_000, done.stderr
-    assert not (tmp_path / "cache" / "binaries").exists() and not (tmp_path / "cache" / "zig").exists()
+    assert not (tmp_path / "cache" / "objects").exists() and not (tmp_path / "cache" / "zig").exists()
 
 
 def test_what_did_not_come_along_says_how_to_get_a_compiler(installed: Path, tmp_path: Path) -> None:

@@ -78,13 +78,23 @@ def test_a_binary_that_came_with_the_package_needs_no_compiler(
     sources = source_files((DECAY_C, record_source()))
     to = compiling.PLATFORMS["linux64"]
     travels = tmp_path / compiling.shipped_name("decay", sources, to)
-    travels.write_bytes(b"of the wheel")
+    travels.write_bytes(compiling.packed_for_travel(b"of the wheel"))
     monkeypatch.setattr(compiling, "SHIPPED", tmp_path)
-    assert compile_binary("decay", (DECAY_C,), "linux64", cache=binaries) == travels
+    unpacked = compile_binary("decay", (DECAY_C,), "linux64", cache=tmp_path / "first")
+    assert unpacked.read_bytes() == b"of the wheel" and unpacked.suffix == ".so"
     changed = {**sources, "decay.c": sources["decay.c"] + b"/* changed */\n"}
     assert compiling.compile_library("decay", changed, "linux64", cache=binaries).is_relative_to(binaries)
     monkeypatch.setenv("CC", f"{sys.executable} -m ziglang cc")
-    assert compile_binary("decay", (DECAY_C,), "linux64", cache=binaries).is_relative_to(binaries)
+    assert compile_binary("decay", (DECAY_C,), "linux64", cache=binaries).stat().st_size > 1000
+
+
+def test_a_damaged_binary_of_the_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sources = source_files((DECAY_C, record_source()))
+    travels = tmp_path / compiling.shipped_name("decay", sources, compiling.PLATFORMS["linux64"])
+    travels.write_bytes(compiling.packed_for_travel(b"of the wheel")[:-1] + b"?")
+    monkeypatch.setattr(compiling, "SHIPPED", tmp_path)
+    with pytest.raises(BuildError, match=rf"{travels.name} .* damaged .* install interarea again"):
+        compile_binary("decay", (DECAY_C,), "linux64", cache=tmp_path / "cache")
 
 
 def test_a_changed_source_is_another_binary(binaries: Path, tmp_path: Path) -> None:
