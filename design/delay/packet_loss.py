@@ -164,8 +164,8 @@ class PacketLoop:
         self._differences = []
         for s in self.signals:
             D = self._whole - self.step([other for other in self.signals if other != s])
-            U, size, V = np.linalg.svd(D)
-            self._differences.append((s, D, U[:, 0] * size[0], V[0]))
+            U, scale, V = np.linalg.svd(D)
+            self._differences.append((s, D, U[:, 0] * scale[0], V[0]))
 
     def step(self, arriving: Sequence[str]) -> Matrix:
         """Return A_S: from just before one time stamp to just before the next; `arriving`: S."""
