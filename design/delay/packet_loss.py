@@ -18,6 +18,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import control
@@ -161,11 +162,6 @@ class PacketLoop:
             flow[: n + m, : n + m] = expm(hold * (end - start))
             self._flows.append(flow)
         self._whole = self.step(self.signals)
-        self._differences = []
-        for s in self.signals:
-            D = self._whole - self.step([other for other in self.signals if other != s])
-            U, scale, V = np.linalg.svd(D)
-            self._differences.append((s, D, U[:, 0] * scale[0], V[0]))
 
     def step(self, arriving: Sequence[str]) -> Matrix:
         """Return A_S: from just before one time stamp to just before the next; `arriving`: S."""
@@ -181,6 +177,16 @@ class PacketLoop:
                     jump[row] = 0.0
             total = flow @ jump @ total
         return np.asarray(total)
+
+    @cached_property
+    def _differences(self) -> dict[str, tuple[Matrix, npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
+        """Of each signal D, f and g (`_moved`)."""
+        found = {}
+        for s in self.signals:
+            D = self._whole - self.step([other for other in self.signals if other != s])
+            U, sizes, V = np.linalg.svd(D)
+            found[s] = D, U[:, 0] * sizes[0], V[0]
+        return found
 
     def mean_square(self) -> MeanSquare:
         """Return the spectral radius of the second moment under the channels' losses."""
@@ -205,7 +211,7 @@ class PacketLoop:
         in the losses and each D_j = f_j g_j^T, the difference that packet j makes, has rank 1 [Elia2005].
         """
         mean, parts = self._whole.copy(), []
-        for s, D, f, g in self._differences:
+        for s, (D, f, g) in self._differences.items():
             p = chances[s]
             mean -= p * D
             if p * (1.0 - p) > 0.0:
