@@ -55,6 +55,7 @@ bench: $(VENV)/installed-bench
 	-$(BIN)/python benchmarks/unseen_points.py
 	-$(BIN)/python benchmarks/bench_master.py
 	-$(BIN)/python benchmarks/bench_plant.py
+	-$(BIN)/python benchmarks/bench_devices.py
 	-$(BIN)/python benchmarks/bench_batch.py --case two-area-thesis --case new-england --scenarios 16
 	-$(BIN)/python benchmarks/bench_sweep.py
 	-$(BIN)/python benchmarks/bench_pool.py

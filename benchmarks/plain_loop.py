@@ -23,16 +23,16 @@ FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 
 
 @functools.lru_cache
-def compiled(sources: tuple[Path, ...]) -> ctypes.CDLL:
-    """Compile the loop with the `sources` of a block, once, by the compiler of the FMUs."""
+def compiled(sources: tuple[Path, ...], own: str = "plain_loop.c") -> ctypes.CDLL:
+    """Compile a C file of this folder with the `sources` of a block, once, by the compiler of the FMUs."""
     with tempfile.TemporaryDirectory() as folder:
-        return _compiled(sources, Path(folder))
+        return _compiled((Path(__file__).with_name(own), *sources), Path(folder))
 
 
-def _compiled(block_sources: tuple[Path, ...], folder: Path) -> ctypes.CDLL:
+def _compiled(files: tuple[Path, ...], folder: Path) -> ctypes.CDLL:
     compiler = shlex.split(os.environ.get("CC", "")) or [sys.executable, "-m", "ziglang", "cc"]
     library = folder / "plain_loop.so"
-    for name, text in gather_sources((Path(__file__).with_name("plain_loop.c"), *block_sources)).items():
+    for name, text in gather_sources(files).items():
         (folder / name).write_bytes(text)
     sources = [str(path) for path in sorted(folder.glob("*.c"))]
     command = [*compiler, *FLAGS, "-shared", "-fPIC", "-o", str(library), *sources, "-lm"]

@@ -14,6 +14,7 @@ from interarea.models.case.events import events_of
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import andes_rows
+import bench_devices
 import bench_plant
 import compare_andes
 
@@ -142,3 +143,14 @@ def test_records_for_both_tools_have_no_saturation_and_no_stabilizer_without_an_
     kept = compare_andes.reduced_records(text, compare_andes.FILES["wecc"][1]).splitlines()
     assert [line.split()[:2] for line in kept] == [["1", "'GENROU'"], ["1", "'EXST1'"], ["1", "'ST2CUT'"]]
     assert kept[0].endswith("0.25 0.2 0 0 /") and kept[1].endswith("0 0 1 /")
+
+
+@pytest.mark.slow  # compiles every device three times
+@pytest.mark.parametrize("which", range(3), ids=[d.name for d in bench_devices.DEVICES])
+@pytest.mark.parametrize("together", [False, True])
+def test_devices_by_hand_give_what_generated_ones_give(which: int, together: bool) -> None:
+    """Nine machines: not a whole number of tiles."""
+    pair = bench_devices.Pair(which, 9)
+    by_hand = pair.rates(hand=True)
+    assert np.abs(by_hand).max() > 0.5
+    assert pair.rates(hand=False, together=together) == pytest.approx(by_hand, rel=1e-12, abs=1e-12)
