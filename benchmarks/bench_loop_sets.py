@@ -23,7 +23,7 @@ from typing import Any
 import control
 from scipy.stats import spearmanr
 
-from interarea.cosim.designs.design_file import named_modes
+from interarea.cosim.designs.family import named_modes
 from interarea.cosim.run.artefacts import linear_plant, sparse_linear_plant
 from interarea.design.delay.signal_conditions import condition_of_many
 from interarea.design.errors import InfeasibleDesign

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from interarea.cosim import designs
 from interarea.cosim.designs.acceptance import first_failures, judge_acceptance
-from interarea.cosim.designs.design_file import certify, family_cases, load_design
+from interarea.cosim.designs.design_file import certify, load_design
+from interarea.cosim.designs.family import family_cases
 from interarea.cosim.run.controllers import design_controller
 from interarea.cosim.scenario.names import CONTROLLER_NAMES
 from interarea.design.controllers.json_text import json_text

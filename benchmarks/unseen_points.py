@@ -13,7 +13,8 @@ from typing import Any
 import control
 import numpy as np
 
-from interarea.cosim.designs.design_file import load_design, named_modes
+from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.designs.family import named_modes
 from interarea.cosim.run.artefacts import sparse_linear_plant
 from interarea.design.controllers.bundled import shipped_controller, shipped_names
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad

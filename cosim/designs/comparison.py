@@ -32,7 +32,8 @@ from ..plots.curves import (
     new_figure,
     save_figure,
 )
-from .design_file import DesignTable, family_plants, judge
+from .design_file import DesignTable, judge
+from .family import family_plants
 
 #: s; common latency of every signal along the root loci
 LATENCIES_S = tuple(np.round(np.arange(0.0, 0.301, 0.025), 3).tolist())
@@ -79,7 +80,7 @@ def save_comparison(
 ) -> tuple[Path, ...]:
     """Draw the four figures at the design's first operating point into `folder`; return their files."""
     name, plant = next(iter(family_plants(table, cache).items()))
-    G = speeds_in_rad(plant, table.grid.omega_b)
+    G = speeds_in_rad(plant.searched, table.grid.omega_b)  # of a large one its model
     figures = {
         "root-loci": root_locus_figure(G, alternatives, name),
         "controller-gain": gain_figure(alternatives),

@@ -13,22 +13,19 @@ from pydantic import Field, PrivateAttr, ValidationError, model_validator
 from interarea.design.controllers.bundled import shipped_controller, shipped_names
 from interarea.design.controllers.controller import Controller
 from interarea.design.delay.signal_conditions import Condition, condition_of_many
-from interarea.design.linear.linearise import remove_reference, speeds_in_rad
-from interarea.design.modes.modes import ModeError, Modes, modes_of
 from interarea.design.robust.design import design_robust
 from interarea.design.robust.operating_points import FamilyCertificate, inter_area_band, judge_family
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.spec import RobustSpec, require_moved
 from interarea.models.case.case import Case, load_case
-from interarea.models.case.variants import operating_variant
 from interarea.models.mistakes import mistakes
 from interarea.models.table import Table
 
 from ..errors import ScenarioError, nearest
-from ..run.artefacts import linear_plant
 from ..toml_file import read_toml
 from .acceptance import AcceptanceTable, judge_acceptance
 from .design_tables import AskTable, GuardTable, PartTable, PointTable, Positive, StageTable
+from .family import family_cases, family_plants
 from .first_swing import FaultRow, FaultTable, after_fault, predicted_drive
 from .swing_sensitivity import FirstSwingTable, swing_penalty
 
@@ -237,20 +234,6 @@ def design_names() -> list[str]:
     return sorted(p.stem.removeprefix("design_") for p in folder.glob("design_*.toml"))
 
 
-def family_cases(table: DesignTable) -> dict[str, Case]:
-    """Return operating point -> case of a design."""
-    return {
-        p.name: operating_variant(table.grid, tie_flow_mw=p.tie_flow_mw, out=p.out, load_scale=p.load_scale)
-        for p in table.point
-    }
-
-
-def family_plants(table: DesignTable, cache: Path) -> dict[str, control.StateSpace]:
-    """Return operating point -> full linear plant of its FMU without reference angle, speeds in pu."""
-    cases = family_cases(table)
-    return {name: remove_reference(linear_plant(case, cache)) for name, case in cases.items()}
-
-
 @dataclass(frozen=True)
 class Designed:
     """A certified controller, and the controllers of the starts that were tried on the way to it."""
@@ -275,14 +258,13 @@ def run_design(
     """
     linearising, searching, certifying = DESIGN_STEPS
     progress(linearising, 0.0, "")
-    plants = family_plants(table, cache)
-    omega_b = table.grid.omega_b
-    spec = table.spec()
-    for name, case in family_cases(table).items():
-        require_moved(name, plants[name], spec, modes_of(plants[name], case.areas))
+    found, spec, omega_b = family_plants(table, cache), table.spec(), table.grid.omega_b
+    plants = {name: each.searched for name, each in found.items()}
+    for name, plant in plants.items():
+        require_moved(name, plant, spec, found[name].modes)
     if table.first_swing is not None and table.acceptance is not None:
         penalty = swing_penalty(
-            family_cases(table),
+            {name: each.case for name, each in found.items()},
             table.first_swing,
             table.acceptance,
             table.signals,
@@ -313,14 +295,6 @@ def run_design(
     return Designed(controller, {f"start {k}": K for k, K in enumerate(made.tried, start=1)})
 
 
-def named_modes(plant: control.StateSpace, case: Case) -> Modes | None:
-    """Return the swing modes of an operating point by name; None where the case gives none."""
-    try:
-        return modes_of(plant, case.areas)
-    except ModeError:
-        return None
-
-
 def _recorded(table: DesignTable) -> dict[str, Any]:
     """Everything of a design as JSON; what is asked without a bound is left out, JSON having no infinity."""
     data = table.model_dump(mode="json", exclude_none=True)
@@ -339,19 +313,16 @@ def judge(
 
     progress : called with the share that is done.
     """
-    omega_b = table.grid.omega_b
-    cases = family_cases(table)
-    given = family_plants(table, cache)
-    plants = {name: speeds_in_rad(p, omega_b) for name, p in given.items()}
+    found = family_plants(table, cache)
     return judge_family(
-        plants,
+        {name: each.judged for name, each in found.items()},
         K,
         table.family(),
         worst_swing=table.ask.worst_swing,
         inter_area=table.ask.inter_area,
         effort_cap=table.ask.effort,
         fastest_pole=table.ask.fastest_pole,
-        bands_hz={name: inter_area_band(named_modes(p, cases[name])) for name, p in given.items()},
+        bands_hz={name: inter_area_band(each.modes) for name, each in found.items()},
         progress=progress,
     )
 

@@ -14,6 +14,7 @@ from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.write.lane_library import GroupLibrary, plant_group
 from interarea.models.blocks.plant import plant_sources
+from interarea.models.blocks.plant_shown import shown_of
 from interarea.models.case.case import Case
 
 from ..errors import StepError
@@ -79,6 +80,9 @@ class FaultRuns:
         self._library: GroupLibrary | None = None
         with suppress(BuildError):
             self._library = plant_group(plant_sources(case), cache=cache)
+        angles = {f"{m.name}_delta" for m in case.machines}
+        # a large grid shows them when asked
+        self._show = [] if angles <= {s.variable.name for s in shown_of(case)} else ["*_delta"]
         first, last = case.machines[0].name, case.machines[-1].name
         self._swing = Swing(first, last, "not looked at")
         self._live: dict[tuple[int, int, tuple[str, ...]], dict[str, FmuParticipant]] = {}
@@ -119,7 +123,7 @@ class FaultRuns:
 
     def _master(self, lane: int, run: GridRun) -> Master:
         system = system_of(
-            load_scenario(run.document()),
+            load_scenario(run.document() | ({"show": self._show} if self._show else {})),
             case=self.case,
             controller="none" if run.controller is None else run.controller,
             swing=self._swing,

@@ -6,7 +6,7 @@ followed while the loop's gain rises from 0 to 1, so that a controller's own pol
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -207,12 +207,9 @@ def remote_utilisation(K: control.StateSpace, remote: str, omega: float) -> floa
 
 
 def loss_criterion(plant: control.StateSpace, K: control.StateSpace, kept: str | Sequence[str]) -> float:
-    """Return the largest real eigenvalue of K_kept(s) G_kept(s) over real s >= 0.
+    """Return the largest real eigenvalue of K_kept(s) G_kept(s) over real s >= 0, as `largest_real_gain`.
 
-    Above 1 the loop that is left with the other signals lost is unstable: this is the loop gain of the kept
-    signals, and where an eigenvalue passes 1 at a real s there is a real closed-loop pole. Searched at s = 0
-    and on 400 points from 1e-3 to 1e3 rad/s, then polished between neighbours; without s = 0 where a common
-    speed that nothing brings back has its pole there.
+    Without s = 0 where a common speed that nothing brings back has its pole there.
 
     plant : full plant without reference angle, speeds in rad/s, stable in open loop but for that speed.
     kept : names of signals.
@@ -221,18 +218,34 @@ def loss_criterion(plant: control.StateSpace, K: control.StateSpace, kept: str |
     if not names:
         return 0.0
     G = select(plant, list(K.output_labels), names)
-    columns = [list(K.input_labels).index(name) for name in names]
+    standing = bool(np.abs(np.linalg.eigvals(np.asarray(G.A))).min(initial=np.inf) < STANDING)
+    return largest_real_gain(
+        K,
+        names,
+        lambda s: G.C @ np.linalg.solve(s * np.eye(G.nstates) - G.A, G.B) + G.D,
+        at_rest=not standing,
+    )
+
+
+def largest_real_gain(
+    K: control.StateSpace, kept: Sequence[str], G: Callable[[float], npt.NDArray[Any]], *, at_rest: bool
+) -> float:
+    """Return the largest real eigenvalue of K_kept(s) G(s) over real s.
+
+    Above 1 the loop that is left with the other signals lost is unstable: this is the loop gain of the kept
+    signals, and where an eigenvalue passes 1 at a real s there is a real closed-loop pole. Searched on 400
+    points from 1e-3 to 1e3 rad/s, then polished between neighbours; at_rest : at s = 0 too.
+    """
+    columns = [list(K.input_labels).index(name) for name in kept]
     b, d = np.asarray(K.B)[:, columns], np.asarray(K.D)[:, columns]
 
     def gain(s: float) -> float:
         k = K.C @ np.linalg.solve(s * np.eye(K.nstates) - K.A, b) + d
-        g = G.C @ np.linalg.solve(s * np.eye(G.nstates) - G.A, G.B) + G.D
-        values = np.linalg.eigvals(k @ g)
+        values = np.linalg.eigvals(k @ G(s))
         real = values.real[np.abs(values.imag) <= 1e-9 * (1.0 + np.abs(values))]
         return float(real.max(initial=-np.inf))
 
-    standing = np.abs(np.linalg.eigvals(np.asarray(G.A))).min(initial=np.inf) < STANDING
-    grid = np.concatenate([[] if standing else [0.0], np.geomspace(1e-3, 1e3, 400)])
+    grid = np.concatenate([[0.0] if at_rest else [], np.geomspace(1e-3, 1e3, 400)])
     gains = np.array([gain(s) for s in grid])
     k = int(np.argmax(gains))
     low, high = grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]

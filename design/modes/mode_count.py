@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +30,8 @@ _FIRST, _LONGER = 0.2, 3.0  # 1/s; how much longer the next step may be
 _SHIFT = 1e-6  # for the derivative of log det
 _SHORTEST = 1e-7  # of a step: a mode lies on the line
 _MOVE = 1e-3  # of a line that a mode lies on, relative
+SLOWEST = 1e-4  #: 1/s: what grows more slowly is at rest, as the rotation of all rotors
+_BEYOND = 100.0  # times the fastest pole: there the logarithm has settled
 
 
 class OnTheLine(InterareaError):
@@ -126,6 +129,27 @@ def count_modes(loop: Loop, region: Region, known: Sequence[complex]) -> Count:
     turned = sum(edge.turn(*side) for side in region.sides())
     divided = int(np.sum(region.holds(modes))) - int(np.sum(region.holds(poles)))
     return Count(round(turned / (2.0 * np.pi)) + divided + inner_poles, edge.points)
+
+
+def count_growing(loop: Loop, known: Sequence[complex]) -> Count:
+    """Count what grows faster than `SLOWEST`, swings and real modes of any frequency alike.
+
+    known : modes with imaginary part above 0, which makes it quick. The edge is the upper half of a rectangle
+    over the right half plane, a hundred times as far as the fastest pole; the lower half mirrors it.
+
+    Raises
+    ------
+    OnTheLine : a mode lies on the edge.
+    """
+    far = _BEYOND * float(np.abs(loop.poles).max(initial=1.0))
+    corners = [complex(far, 0.0), complex(far, far), complex(SLOWEST, far), complex(SLOWEST, 0.0)]
+    modes = np.asarray(known, dtype=complex)
+    modes = np.concatenate([modes, modes.conj()])
+    poles, modes = (z[np.abs(z.real - SLOWEST) < _NEAR] for z in (loop.poles, modes))
+    edge = _Edge(loop, poles, modes)
+    turned = sum(edge.turn("right half plane", a, b) for a, b in pairwise(corners))
+    divided = int(np.sum(modes.real > SLOWEST)) - int(np.sum(poles.real > SLOWEST))
+    return Count(round(turned / np.pi) + divided + int(np.sum(loop.poles.real > SLOWEST)), edge.points)
 
 
 def _from_edge(z: ComplexArray, region: Region) -> npt.NDArray[np.float64]:

@@ -8,28 +8,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import control
 import numpy as np
 
 from ..certificates.closed_loop import effort, loss_criterion
+from ..certificates.large_loop import SWING_HZ, WELL_DAMPED, LargePlant
 from ..delay.curves import delayed_loop, rightmost_roots
 from ..delay.signal_conditions import Condition
-from ..modes.modes import Modes
+from ..modes.modes import Mode
 
-#: frequencies in which a root counts as a swing, and as the inter-area one where modes have no names, Hz
-SWING_HZ = (0.1, 2.5)
+#: a plant of either kind: full and dense without reference angle, speeds in rad/s; or sparse blocks
+JudgedPlant: TypeAlias = control.StateSpace | LargePlant
+#: frequencies in which a root counts as the inter-area one where modes have no names, Hz
 INTER_AREA_HZ = (0.3, 0.9)
 #: real part up to which a root at zero is one, 1/s: the common speed where no torque depends on it
 AT_REST = 1e-6
-#: roots damped better than this are filters and the latency's own chain of roots, not swings
-WELL_DAMPED = 0.6
 
 
 @dataclass(frozen=True)
 class FamilyRow:
-    """One operating point under one condition; a damping ratio of 1 where no root swings in the band."""
+    """One operating point under one condition; a damping ratio of 1 where no root swings in the band.
+
+    Of a `LargePlant` the inter-area modes are followed from the open loop, because local ones lie in their
+    band, and `rightmost` is that of the swings.
+    """
 
     point: str
     condition: str
@@ -73,7 +77,7 @@ class FamilyCertificate:
 
 
 def judge_family(
-    plants: Mapping[str, control.StateSpace],
+    plants: Mapping[str, JudgedPlant],
     K: control.StateSpace,
     conditions: Sequence[Condition],
     *,
@@ -88,7 +92,7 @@ def judge_family(
 
     Parameters
     ----------
-    plants : operating point -> full plant without reference angle, speeds in rad/s.
+    plants : operating point -> full plant without reference angle, speeds in rad/s, or a large one as blocks.
     K : inputs named by signal (rad/s), outputs by actuator (pu), u = +K y.
     worst_swing, inter_area : damping ratios asked of every row.
     effort_cap, fastest_pole : pu per rad/s, rad/s.
@@ -105,7 +109,7 @@ def judge_family(
     inter = min(row.inter_area for row in rows)
     # the gain from noise on the signals exists only for a stable loop; an unstable row is named anyway
     steady = {row.point for row in rows if row.condition == conditions[0].name and row.stable}
-    largest = max((effort(plants[p], K) for p in steady), default=float("nan"))
+    largest = max((_effort(plants[p], K) for p in steady), default=float("nan"))
     fastest = float(np.abs(np.linalg.eigvals(np.asarray(K.A))).max(initial=0.0))
     asked = (
         ("worst swing damping", worst, worst >= worst_swing, _asked(rows, "worst_swing", worst_swing)),
@@ -130,6 +134,10 @@ def judge_family(
     )
 
 
+def _effort(plant: JudgedPlant, K: control.StateSpace) -> float:
+    return plant.effort(K) if isinstance(plant, LargePlant) else effort(plant, K)
+
+
 def _asked(rows: Sequence[FamilyRow], of: str, wanted: float) -> str:
     """Return what is asked of a damping, how many rows miss it, and the one that does most."""
     short = [row for row in rows if not getattr(row, of) >= wanted]
@@ -140,17 +148,21 @@ def _asked(rows: Sequence[FamilyRow], of: str, wanted: float) -> str:
 
 
 def _loss_criteria(
-    plants: Mapping[str, control.StateSpace], K: control.StateSpace, conditions: Sequence[Condition]
+    plants: Mapping[str, JudgedPlant], K: control.StateSpace, conditions: Sequence[Condition]
 ) -> dict[str, float]:
     """Return lost signals -> the loss criterion of the rest, the largest over all plants."""
     lost = {" and ".join(c.lost): c.lost for c in conditions if c.lost}
     kept = {name: [s for s in K.input_labels if s not in gone] for name, gone in lost.items()}
-    return {
-        name: max(loss_criterion(plant, K, rest) for plant in plants.values()) for name, rest in kept.items()
-    }
+
+    def gain(plant: JudgedPlant, rest: Sequence[str]) -> float:
+        if isinstance(plant, LargePlant):
+            return plant.loss_criterion(K, rest)
+        return loss_criterion(plant, K, rest)
+
+    return {name: max(gain(plant, rest) for plant in plants.values()) for name, rest in kept.items()}
 
 
-def inter_area_band(modes: Modes | None) -> tuple[float, float]:
+def inter_area_band(modes: Mapping[str, Mode] | None) -> tuple[float, float]:
     """Return the frequencies (Hz) in which a closed loop's roots count as inter-area ones.
 
     From half the slowest such mode of the open loop to between its fastest and the slowest local one;
@@ -168,11 +180,14 @@ def inter_area_band(modes: Modes | None) -> tuple[float, float]:
 
 def _row(
     point: str,
-    plant: control.StateSpace,
+    plant: JudgedPlant,
     K: control.StateSpace,
     condition: Condition,
     inter_area_hz: tuple[float, float],
 ) -> FamilyRow:
+    if isinstance(plant, LargePlant):
+        facts = plant.facts(K, condition)
+        return FamilyRow(point, condition.name, **asdict(facts))
     loop = delayed_loop(plant, K, condition.latency_s_of, lost=condition.lost)
     # roots left of this line are better damped than WELL_DAMPED at the lower end of the inter-area band
     roots = rightmost_roots(loop, right_of=-2.5)

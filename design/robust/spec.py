@@ -12,7 +12,7 @@ import numpy as np
 from ..delay.signal_conditions import Condition
 from ..errors import InfeasibleDesign
 from ..linear.linearise import select
-from ..modes.modes import Modes
+from ..modes.modes import Mode
 from ..synthesis.check import UNREACHABLE_MODE, describe_mode, describe_reach, modal_shares
 from ..synthesis.generalized_plant import check_design_plant
 from .smoothed_objective import COMMON_SPEED, BandOffsets
@@ -158,7 +158,7 @@ def check_plants(plants: Mapping[str, control.StateSpace], spec: RobustSpec) -> 
 
 
 def require_moved(
-    point: str, plant: control.StateSpace, spec: RobustSpec, modes: Modes | None = None
+    point: str, plant: control.StateSpace, spec: RobustSpec, modes: Mapping[str, Mode] | None = None
 ) -> None:
     """Refuse a target mode, or an unstable one, that no actuator moves or no signal shows.
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from interarea.cosim.designs.design_file import family_cases, load_design
+from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.designs.family import family_cases
 from interarea.cosim.designs.first_swing import after_fault
 from interarea.cosim.run.run import run_scenario
 from interarea.design.controllers.bundled import shipped_controller

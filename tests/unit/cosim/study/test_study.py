@@ -15,7 +15,8 @@ from readme_numbers import missing, study_sentences
 from recomputed import recomputed
 from scipy.linalg import expm
 
-from interarea.cosim.designs.design_file import family_plants, load_design
+from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.designs.family import family_plants
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.run.artefacts import linear_plant
 from interarea.cosim.run.controllers import design_controller
@@ -309,7 +310,8 @@ def test_one_wide_area_controller_at_five_operating_points(two_area: Case, cache
     """Order 4, designed at the base point alone, damps better than printed (.291) at every one of them."""
     K = design_controller(two_area, "wdc", cache).system
     assert K.nstates == 4
-    for name, system in family_plants(load_design("robust_linear"), cache).items():
+    for name, point in family_plants(load_design("robust_linear"), cache).items():
+        system = point.searched
         poles = swing_poles(speeds_in_rad(system, two_area.omega_b), K, modes_of(system, two_area.areas))
         inter = poles["inter-area"]
         assert -inter.real / abs(inter) >= 0.291, name

@@ -130,16 +130,18 @@ def test_a_design_names_an_inter_area_mode_that_its_signal_does_not_show(
 ) -> None:
     # the plant of the case with the signals' rows set to zero
     from interarea.cosim.designs import design_file as robust_design
+    from interarea.cosim.designs import family
+    from interarea.cosim.designs.family import FamilyPlant
 
     plants = robust_design.family_plants(load_design("robust_linear"), cache)
 
-    def blind(*_: object) -> dict[str, control.StateSpace]:
+    def blind(*_: object) -> dict[str, FamilyPlant]:
         for plant in plants.values():
             for name in ("G2_dw", "G4_dw"):
-                plant.C[list(plant.output_labels).index(name)] *= 0.0
+                plant.searched.C[list(plant.searched.output_labels).index(name)] *= 0.0
         return plants
 
-    monkeypatch.setattr(robust_design, "modes_of", lambda plant, areas: inter_area())
+    monkeypatch.setattr(family, "modes_of", lambda plant, areas: inter_area())
     monkeypatch.setattr(robust_design, "family_plants", blind)
     with pytest.raises(InfeasibleDesign, match=r"'base'.*mode 'inter-area'"):
         run_design(load_design("robust_linear"), cache)

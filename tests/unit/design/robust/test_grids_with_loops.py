@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from interarea.cosim.designs.design_file import family_plants, load_design, specification_of
+from interarea.cosim.designs.design_file import load_design, specification_of
+from interarea.cosim.designs.family import family_plants
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.delay.signal_conditions import condition_of_many
-from interarea.design.linear.linearise import speeds_in_rad
 from interarea.design.modes.modes import modes_of
 from interarea.design.robust.operating_points import inter_area_band, judge_family
 
@@ -37,9 +37,9 @@ def test_it_raises_the_inter_area_damping_with_any_one_signal_lost(
     name: str, local_share: float, cache: Path
 ) -> None:
     table, K = load_design(name), shipped_controller(name).system
-    pu = family_plants(table, cache)
-    plants = {name: speeds_in_rad(plant, table.grid.omega_b) for name, plant in pu.items()}
-    modes = {name: modes_of(plant, table.grid.areas) for name, plant in pu.items()}
+    points = family_plants(table, cache)
+    plants = {name: point.judged for name, point in points.items()}
+    modes = {name: modes_of(point.searched, table.grid.areas) for name, point in points.items()}
     # latencies between those of the design too
     codes = ("N", "s150", *(f"s{ms}+L:{signal}" for ms in (50, 200) for signal in table.signals))
     found = judge_family(

@@ -1,0 +1,117 @@
+"""The plants of a design's operating points: dense where that is quicker, sparse blocks where it is not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol
+
+import control
+
+from interarea.design.certificates.large_loop import LargePlant
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.design.linear.sparse_plant import SparsePlant
+from interarea.design.modes.modes import Mode, ModeError, modes_of
+from interarea.design.reduction.gramians import ReductionError
+from interarea.design.reduction.low_rank import low_rank_reduction
+from interarea.design.robust.operating_points import JudgedPlant
+from interarea.models.case.case import Case
+from interarea.models.case.variants import operating_variant
+
+from ..run.artefacts import linear_plant, sparse_linear_plant
+from .design_tables import PointTable
+
+#: states above which a condition is judged sooner on the sparse blocks: .3 s against 1 s with 148 states, and
+#: the dense time rises with the third power
+DENSE_STATES = 400
+#: states of the model of a large plant that a search starts from, and its largest error over the peak
+MODEL_STATES, MODEL_ERROR = 120, 1e-4
+
+
+class Family(Protocol):
+    """What of a design says which operating points there are."""
+
+    @property
+    def grid(self) -> Case: ...
+    @property
+    def point(self) -> tuple[PointTable, ...]: ...
+    @property
+    def signals(self) -> tuple[str, ...]: ...
+    @property
+    def actuators(self) -> tuple[str, ...]: ...
+
+
+@dataclass(frozen=True)
+class FamilyPlant:
+    """One operating point. small : dense, without reference angle, speeds in pu; None: too large for that."""
+
+    case: Case
+    signals: tuple[str, ...]
+    actuators: tuple[str, ...]
+    blocks: SparsePlant
+    small: control.StateSpace | None
+
+    @cached_property
+    def judged(self) -> JudgedPlant:
+        """The full plant, as certificates take it."""
+        if self.small is not None:
+            return speeds_in_rad(self.small, self.case.omega_b)
+        return LargePlant(self.blocks, self.case.areas, self.case.omega_b)
+
+    @cached_property
+    def searched(self) -> control.StateSpace:
+        """The plant that design models are made of, speeds in pu: of a large one a model of `MODEL_STATES`.
+
+        Raises
+        ------
+        ReductionError : so many states are not enough for `MODEL_ERROR`.
+        """
+        if self.small is not None:
+            return self.small
+        made = low_rank_reduction(
+            self.blocks,
+            MODEL_STATES,
+            inputs=self.actuators,
+            outputs={name: {name: 1.0} for name in self.signals},
+        )
+        if not made.error <= MODEL_ERROR:
+            raise ReductionError(
+                f"{self.case.name}: {MODEL_STATES} states leave an error of {made.error:.1e} over the peak, "
+                f"allowed: {MODEL_ERROR:g}; take fewer signals or actuators"
+            )
+        return made.system
+
+    @cached_property
+    def modes(self) -> Mapping[str, Mode] | None:
+        """The swing modes by name, of a large plant the inter-area ones; None where the case gives none."""
+        if isinstance(self.judged, LargePlant):
+            return {mode.name: mode for mode in self.judged.inter_area}
+        return named_modes(self.searched, self.case)
+
+
+def named_modes(plant: control.StateSpace, case: Case) -> Mapping[str, Mode] | None:
+    """Return the swing modes of an operating point by name; None where the case gives none."""
+    try:
+        return modes_of(plant, case.areas)
+    except ModeError:
+        return None
+
+
+def family_cases(table: Family) -> dict[str, Case]:
+    """Return operating point -> case of a design."""
+    return {
+        p.name: operating_variant(table.grid, tie_flow_mw=p.tie_flow_mw, out=p.out, load_scale=p.load_scale)
+        for p in table.point
+    }
+
+
+def family_plants(table: Family, cache: Path) -> dict[str, FamilyPlant]:
+    """Return operating point -> its plant."""
+    found = {}
+    for name, case in family_cases(table).items():
+        blocks = sparse_linear_plant(case, cache)
+        small = remove_reference(linear_plant(case, cache)) if blocks.nstates <= DENSE_STATES else None
+        found[name] = FamilyPlant(case, table.signals, table.actuators, blocks, small)
+    return found
