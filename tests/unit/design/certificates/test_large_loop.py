@@ -13,7 +13,7 @@ import pytest
 from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.designs.family import FamilyPlant, family_plants
 from interarea.cosim.run.artefacts import sparse_linear_plant
-from interarea.design.certificates.closed_loop import closed_loop_matrix, effort, loss_criterion
+from interarea.design.certificates.closed_loop import closed_loop_matrix
 from interarea.design.certificates.large_loop import LargePlant
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.delay.signal_conditions import condition_of_many
