@@ -14,11 +14,14 @@ import control
 import numpy as np
 
 from interarea.cosim.designs.design_file import load_design
-from interarea.cosim.designs.family import named_modes
+from interarea.cosim.designs.family import DENSE_STATES, named_modes
 from interarea.cosim.run.artefacts import sparse_linear_plant
+from interarea.design.certificates.large_loop import LargePlant
 from interarea.design.controllers.bundled import shipped_controller, shipped_names
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
-from interarea.design.robust.operating_points import inter_area_band, judge_family
+from interarea.design.linear.sparse_plant import SparsePlant
+from interarea.design.modes.modes import Mode
+from interarea.design.robust.operating_points import JudgedPlant, inter_area_band, judge_family
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case
 from interarea.models.case.variants import operating_variant
@@ -55,12 +58,16 @@ POINTS: Mapping[str, Mapping[str, Change]] = {
         "load -5 %": {"load_scale": 0.95},
         "load +2 %": {"load_scale": 1.02},
     },
+    "wecc-240": {
+        **out("1004-7002", "1201-2901", "1401-2400", "2401-2603", "4201-5001", "6102-6403"),
+        "load -5 %": {"load_scale": 0.95},
+        "load -2 %": {"load_scale": 0.98},
+    },
 }
 
 
-def speeds(case: Case, cache: Path) -> control.StateSpace:
-    """Return the plant of `case` from its sparse blocks, all speeds as outputs (pu), no reference angle."""
-    plant = sparse_linear_plant(case, cache)
+def speeds(plant: SparsePlant) -> control.StateSpace:
+    """Return a plant of sparse blocks as matrices, all speeds as outputs (pu), no reference angle."""
     C = np.eye(plant.nstates)[plant.speed]
     whole = control.ss(
         plant.state_matrix(),
@@ -74,6 +81,16 @@ def speeds(case: Case, cache: Path) -> control.StateSpace:
     return remove_reference(whole)
 
 
+def judged(case: Case, cache: Path) -> tuple[JudgedPlant, Mapping[str, Mode]]:
+    """Return the full plant of `case` as a certificate takes it, and its modes by name."""
+    blocks = sparse_linear_plant(case, cache)
+    if blocks.nstates > DENSE_STATES:
+        large = LargePlant(blocks, case.areas, case.omega_b)
+        return large, {mode.name: mode for mode in large.inter_area}
+    plant = speeds(blocks)
+    return speeds_in_rad(plant, case.omega_b), named_modes(plant, case) or {}
+
+
 def main(names: list[str]) -> None:
     """Print one line per shipped controller and operating point, and how many conditions are unstable."""
     cache = default_cache()
@@ -83,16 +100,15 @@ def main(names: list[str]) -> None:
         for point, change in POINTS[table.grid.name].items():
             if tuple(change.get("out", ())) in seen and len(change) == 1:
                 continue
-            plant = speeds(operating_variant(table.grid, **change), cache)
-            modes = named_modes(plant, table.grid)
+            plant, modes = judged(operating_variant(table.grid, **change), cache)
             found = judge_family(
-                {point: speeds_in_rad(plant, table.grid.omega_b)},
+                {point: plant},
                 controller.system,
                 table.family(),
                 bands_hz={point: inter_area_band(modes)},
             )
             unstable = sum(not row.stable for row in found.rows)
-            alone = min((mode.damping_ratio for mode in (modes or {}).values()), default=1.0)
+            alone = min((mode.damping_ratio for mode in modes.values()), default=1.0)
             print(
                 f"{name:14} {point:20} worst {found.worst_swing:.3f} ({alone:.3f} without) "
                 f"inter-area {found.inter_area:.3f} unstable {unstable} of {len(found.rows)}",

@@ -89,11 +89,13 @@ def test_two_names_for_one_mode_are_no_certificate() -> None:
 
 def test_a_model_of_a_large_grid_answers_as_the_grid_does(cache: Path) -> None:
     """The response of what a search is made on, at frequencies between those where its error was measured."""
-    table = load_design("wecc_240")
-    point = next(iter(family_plants(table, cache).values()))
+    case, signals, actuators = load_case("wecc-240"), ("G2030_G_dw", "G2630_dw"), ("G2030_G_vs", "G5032_C_vs")
+    point = FamilyPlant(case, signals, actuators, sparse_linear_plant(case, cache), None)
     assert isinstance(point.judged, LargePlant)
-    exact = point.judged.response(table.actuators, table.signals)
+    assert point.modes is not None
+    assert sorted(point.modes) == ["inter-area 1", "inter-area 2"]
+    exact = point.judged.response(actuators, signals)
     peak = max(np.linalg.norm(exact(1j * w)) for w in np.linspace(1.0, 9.0, 40))
     for omega in (1.234, 3.456, 5.678, 9.012):
-        model = point.case.omega_b * point.searched(1j * omega)
+        model = case.omega_b * point.searched(1j * omega)
         assert np.linalg.norm(model - exact(1j * omega)) <= 1e-5 * peak
