@@ -125,7 +125,7 @@ class LargePlant:
             step = min(step, 1.0 - gain)
             loop = self.late(K, condition, gain + step)
             end, right, left, residual = loop.exact(s + step * slope, x, y)
-            turned = abs(y @ right) * abs(left @ x) / max(abs(y @ x) * abs(left @ right), 1e-300)
+            turned = abs(complex((y @ right) * (left @ x) / ((y @ x) * (left @ right))))
             off = abs(end - s - step * slope)
             near = off <= _BESIDE * abs(end - s) + 1e-3 * abs(s) and np.sqrt(turned) >= _SAME_SHAPE
             if residual <= RESIDUAL and near:
