@@ -32,6 +32,8 @@ typedef struct {
     BlockGroup group;
     double *u_poly, *elapsed;
     Lane lane[GROUP_MOST_LANES];
+    size_t compared;                                /* lanes whose memory was looked at; 0: one was written */
+    int same;                                       /* and whether it is the same in all of them */
     const Instance *owner[GROUP_MOST_LANES];        /* whose memory the lane holds */
     unsigned long written[GROUP_MOST_LANES];        /* and as of when              */
 } Group;
@@ -137,6 +139,21 @@ static void load_memory(Group *g, const Instance *c, size_t k)
     put(g->group.memory, c->block.memory, g->n_memory, g->lanes, k);
     g->owner[k] = c;
     g->written[k] = c->memory_written;
+    g->compared = 0;
+}
+
+/* Between events of their own the runs of a screening have the same network and the same tables. */
+static void compare_memory(Group *g, size_t n)
+{
+    double *first = g->lane[0].c->block.memory;
+
+    if (g->compared != n) {
+        g->same = 1;
+        for (size_t k = 1; k < n && g->same; ++k)
+            g->same = memcmp(first, g->lane[k].c->block.memory, g->n_memory * sizeof(double)) == 0;
+        g->compared = n;
+    }
+    g->group.alike = g->same ? first : NULL;
 }
 
 /* The event at the end of the stretch; 0 when it cannot be handled here: it fails, or the block remarks on
@@ -221,6 +238,7 @@ static void advance(Group *g, size_t n)
             busy |= runs;
         }
         if (!busy) return;
+        compare_memory(g, n);
         block_group_step(&g->group, lanes);
         for (size_t k = 0; k < n; ++k) {
             Stretch *way = &g->lane[k].way;
@@ -276,6 +294,7 @@ static void finish(Group *g, size_t n, int rates, fmi2Status status[])
         solver_inputs(lane->c, lane->step, lane->c->work);
         put(g->group.u, lane->c->work, l->n_u, lanes, k);
     }
+    compare_memory(g, n);
     block_group_outputs(&g->group, lanes, rates);
     for (size_t k = 0; k < n; ++k) {
         Lane *lane = &g->lane[k];

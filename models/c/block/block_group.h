@@ -13,6 +13,7 @@ typedef struct {
     const BlockLayout *layout;
     const Record *record;   /* that of every block                                */
     double *memory;         /* n_memory of each lane                              */
+    double *alike;          /* n_memory that all lanes have in common, bit for bit; null: they differ */
     double *x, *u, *y;
     double *k;              /* 5 x n_x: stages of a step; its first n_x are dx/dt  */
     double *scratch;        /* n_scratch of each lane                             */

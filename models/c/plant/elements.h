@@ -10,7 +10,7 @@
  * - it leaves the limit when its input lies inside (lag) or its rate points inwards
  *   (integrator, rate-limited lag). */
 
-#ifdef PLANT_LANES
+#if defined PLANT_LANES && !defined PLANT_ALIKE
 #define REAL(a) NUM(a)
 #else
 #define REAL(a) (a)

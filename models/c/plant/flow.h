@@ -68,7 +68,10 @@ static size_t solve_ports(real *memory, const Plan *plan, const num *x, Work *w)
     return stuck < plan->n_port ? stuck + 1 : 0;
 #else
     const MachineStates states = machine_states(x, plan->n_machine, plan->n_sixth);
-#ifdef PLANT_LANES
+#if defined PLANT_ALIKE
+    (void)memory, (void)plan, (void)states, (void)w;   /* never: block_group_fits */
+    return 0;
+#elif defined PLANT_LANES
     const flag failed = port_iterate(memory, plan, states.ed2, w->sine, w->cosine, w->e_re, w->e_im, w->port,
                                      w->newton);
     double *space = (double *)(void *)(w->newton + (PORT_NEWTON + 4 * plan->n_port) * plan->n_port);
@@ -256,7 +259,7 @@ size_t NAME(plant_flow)(real *memory, const int32_t *places, size_t lanes, const
 #ifndef PLANT_HELD
 /* Centres of inertia of the parts of the network, each at the number of its first machine: of several
  * scenarios each has parts of its own. */
-#ifdef PLANT_LANES
+#if defined PLANT_LANES && !defined PLANT_ALIKE
 static inline void add_at(num *centre, real part, num v)
 {
     for (size_t i = 0; i < PLANT_LANES; ++i) centre[(size_t)(ptrdiff_t)part[i]][i] += v[i];

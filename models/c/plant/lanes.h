@@ -7,17 +7,26 @@
 typedef double num __attribute__((vector_size(8 * PLANT_LANES)));
 typedef int64_t flag __attribute__((vector_size(8 * PLANT_LANES)));
 typedef uint64_t word __attribute__((vector_size(8 * PLANT_LANES)));
+#if defined PLANT_TILE      /* tile.h: neighbours in arrays of double */
 typedef num real;
-#ifdef PLANT_TILE   /* tile.h: neighbours in arrays of double */
 typedef double cell;
 typedef double stored;
+#elif defined PLANT_ALIKE   /* lanes_step.h: the scenarios' tables are one */
+typedef double real;
+typedef num cell;
+typedef double stored;
 #else
+typedef num real;
 typedef num cell;
 typedef num stored;
 #endif
 
 #define NUM(a) ((a) - (num){ 0.0 })   /* keeps a zero's sign */
+#ifdef PLANT_ALIKE
+#define FIRST(a) (a)
+#else
 #define FIRST(a) ((a)[0])
+#endif
 
 static inline flag num_above(num a, num b) { return (flag)(a > b); }
 static inline flag num_reaches(num a, num b) { return (flag)(a >= b); }

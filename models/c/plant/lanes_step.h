@@ -13,9 +13,15 @@ static inline num keep_idle(num h, num moved, num x)
 
 static num *lanes_of(double *a) { return (num *)(void *)a; }
 
+#ifdef PLANT_ALIKE   /* one memory for all: a PLANT_LANES-th of what there is to read */
+static real *memory_of(const BlockGroup *g) { return g->alike; }
+#else
+static real *memory_of(const BlockGroup *g) { return lanes_of(g->memory); }
+#endif
+
 static const int32_t *places_of(const BlockGroup *g)
 {
-    return plant_places(g->record, g->memory[H_PATTERN * PLANT_LANES]);
+    return plant_places(g->record, first_at(memory_of(g), H_PATTERN));
 }
 
 /* solver_inputs of the FMU; `at`: 0 begin, 1 middle, 2 end of the step. */
@@ -36,7 +42,7 @@ static BlockStatus lane_flow(void *context, RungeKuttaStage stage, num h, const 
 
     (void)h;
     if (stage != RK_MIDDLE_AGAIN) stage_inputs(g, stage == RK_BEGIN ? 0 : stage == RK_END ? 2 : 1);
-    (void)NAME(plant_flow)(lanes_of(g->memory), places_of(g), 0, x, lanes_of(g->u), k, lanes_of(g->scratch), notes);
+    (void)NAME(plant_flow)(memory_of(g), places_of(g), 0, x, lanes_of(g->u), k, lanes_of(g->scratch), notes);
     return BLOCK_OK;
 }
 
@@ -53,11 +59,11 @@ void LANES_STEP(const BlockGroup *g)
 
 void LANES_OUTPUTS(const BlockGroup *g)
 {
-    (void)NAME(plant_outputs)(lanes_of(g->memory), places_of(g), 0, lanes_of(g->x), lanes_of(g->y), lanes_of(g->scratch));
+    (void)NAME(plant_outputs)(memory_of(g), places_of(g), 0, lanes_of(g->x), lanes_of(g->y), lanes_of(g->scratch));
 }
 
 void LANES_RATES(const BlockGroup *g)
 {
-    (void)NAME(plant_flow)(lanes_of(g->memory), places_of(g), 0, lanes_of(g->x), lanes_of(g->u), lanes_of(g->k),
+    (void)NAME(plant_flow)(memory_of(g), places_of(g), 0, lanes_of(g->x), lanes_of(g->u), lanes_of(g->k),
                            lanes_of(g->scratch), NO_NOTES);
 }

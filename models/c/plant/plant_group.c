@@ -12,20 +12,18 @@ int block_group_fits(const Block *b)
     return plan->n_machine > 0 && plan->n_port == 0;
 }
 
+/* f as wide as the group. Two lanes save too little by a memory in common to have code of their own. */
+#define WIDE(f) \
+    (lanes == 8 ? (g->alike != NULL ? f##_alike_8(g) : f##_8(g)) \
+     : lanes == 4 ? (g->alike != NULL ? f##_alike_4(g) : f##_4(g)) : f##_2(g))
+
 void block_group_step(const BlockGroup *g, size_t lanes)
 {
-    if (lanes == 8) lanes_step_8(g);
-    else if (lanes == 4) lanes_step_4(g);
-    else lanes_step_2(g);
+    WIDE(lanes_step);
 }
 
 void block_group_outputs(const BlockGroup *g, size_t lanes, int rates)
 {
-    if (lanes == 8) lanes_outputs_8(g);
-    else if (lanes == 4) lanes_outputs_4(g);
-    else lanes_outputs_2(g);
-    if (!rates) return;
-    if (lanes == 8) lanes_rates_8(g);
-    else if (lanes == 4) lanes_rates_4(g);
-    else lanes_rates_2(g);
+    WIDE(lanes_outputs);
+    if (rates) WIDE(lanes_rates);
 }

@@ -60,7 +60,7 @@ static inline void port_inject(const real *memory, const Plan *plan, const num *
  * its (2 n_port)^2 for an inverse. */
 enum { PORT_ARRAYS = 4, PORT_NEWTON = 10 };
 
-#ifndef PLANT_TANGENT
+#if !defined PLANT_TANGENT && !defined PLANT_ALIKE
 static inline num num_size(num a) { return num_pick(num_above(NUM(0.0), a), -a, a); }
 
 /* Fills the injected currents e[n_machine..] and w from the EMFs before them. True

@@ -192,7 +192,7 @@ typedef size_t where;
 
 static inline num num_clamp(num a, real low, real high)
 {
-    return num_pick(num_above(low, a), NUM(low), num_pick(num_above(a, high), NUM(high), a));
+    return num_pick(num_above(NUM(low), a), NUM(low), num_pick(num_above(a, NUM(high)), NUM(high), a));
 }
 
 /* Angle of x + j y, -pi to pi, to about 2 ulp, 0 of nothing: half of it by a square root, three times more

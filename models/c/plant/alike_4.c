@@ -1,0 +1,3 @@
+/* Over 4 plants whose memory is the same, bit for bit. */
+#define PLANT_ALIKE
+#include "lanes_4.h"
