@@ -73,7 +73,10 @@ def plant_sources(case: Case | None = None) -> tuple[Path, ...]:
 
 
 #: what FMUs stepped side by side need besides (block/block_group.h)
-GROUP_SOURCES = tuple(_HERE / f"plant/{name}.c" for name in ("lanes_2", "lanes_4", "lanes_8", "alike_4", "alike_8", "plant_group"))
+GROUP_SOURCES = tuple(
+    _HERE / f"plant/{name}.c"
+    for name in ("lanes_2", "lanes_4", "lanes_8", "alike_4", "alike_8", "plant_group")
+)
 
 #: kinds of a scenario that are another one without an end
 _SAME_AS = {"vref_step": "vref_pulse", "pm_step": "pm_pulse"}
