@@ -20,14 +20,12 @@ from ..delay.curves import DelayError, delayed_loop, rightmost_roots, track_gain
 from ..delay.signal_conditions import Condition
 from ..errors import UncertifiedDesign
 from ..linear.linearise import select
+from ..linear.matrices import STANDING
 from ..linear.norms import hinf_of
 from ..modes.modes import Modes, damping_ratio
 from ..reduction.gramians import separate_slow
 
 ComplexArray = npt.NDArray[np.complex128]
-
-#: modulus below which a root is the common speed that nothing brings back, 1/s
-STANDING = 1e-6
 
 
 def study_conditions(remote: str, local: str) -> tuple[Condition, ...]:
@@ -131,7 +129,7 @@ def _condition_row(
         poles = _delayed_poles(plant, K, modes, poles, condition)
     return {
         "condition": condition.name,
-        "stable": bool(rightmost.real < 0.0),
+        "stable": bool(rightmost.real < STANDING),
         "damping_ratio": {name: damping_ratio(p) for name, p in poles.items()},
         "rightmost": [rightmost.real, rightmost.imag],
     }

@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from ..linear.resolvent import Loop, OpenLoop
 from ..linear.sparse_plant import SparsePlant
-from .mode_count import Count, OnTheLine, Region, count_modes
+from ..linear.standing import Standing, standing_of
+from .mode_count import SLOWEST, Count, NearZero, OnTheLine, Region, count_modes, count_near_zero
 from .mode_search import Pair, Search
 from .modes import Mode, ModeError, Participation
 from .patterns import pattern_parts
@@ -21,8 +22,8 @@ from .patterns import pattern_parts
 RESIDUAL = 1e-9  #: largest |A v - lambda v| / (|lambda| |v|)
 COMMON = "common frequency"  #: all machines together, what governors hold
 _MECHANICAL = 0.1  # share of angles and speeds below which a mode is of the controls
-_ROTATION = 1e-6  # of |A r| over the largest term: turning all rotors together moves nothing
 _ROUNDS = 8
+_RIGHT_OF = (SLOWEST, 3.0 * SLOWEST, 0.3 * SLOWEST)  # left of the axis: where the count below the band starts
 
 
 @dataclass(frozen=True)
@@ -36,8 +37,11 @@ class AllModes:
     counted : modes within by the argument principle; always as many as `modes`.
     band_hz, below : the region that was counted. moved : lines that were moved off a mode, in words.
     residual : the largest of any mode.
-    rotation : turning all rotors together moves nothing (no infinite bus): one eigenvalue 0, no instability.
-    cells, factorisations : shifted plants factored by the search, and of N(s) by the count.
+    standing : eigenvalues 0 by the way the plant is built, no instability: the rotation of all rotors,
+        exciters that share a bus, controls that rest.
+    near_zero : eigenvalues slower than the band that do not decay, by a count of their own; those that are
+        more than `standing` grow.
+    searched, factorisations : shifted plants factored by the search, and of N(s) by the counts.
     """
 
     modes: tuple[Mode, ...]
@@ -46,9 +50,20 @@ class AllModes:
     below: float
     moved: tuple[str, ...]
     residual: float
-    rotation: bool
+    standing: Standing
+    near_zero: int
     searched: int
     factorisations: int
+
+    @property
+    def rotation(self) -> bool:
+        """Whether turning all rotors together moves nothing (no infinite bus)."""
+        return self.standing.rotation
+
+    @property
+    def growing_slowly(self) -> int:
+        """Eigenvalues slower than the band that grow, or decay within hours; none of them stands at 0."""
+        return self.near_zero - self.standing.count
 
     @property
     def unstable(self) -> tuple[Mode, ...]:
@@ -58,11 +73,15 @@ class AllModes:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What a table of the modes does not say, in words."""
-        said = [f"largest residual {self.residual:.1e}"]
-        if self.rotation:
+        said = [f"largest residual {self.residual:.1e}", *self.standing.remarks]
+        slow = f"below {self.band_hz[0]:g} Hz, counted independently: {self.near_zero} do not decay, "
+        if self.growing_slowly:
             said.append(
-                "rotation: turning all rotors together moves nothing; its eigenvalue 0 is no instability"
+                f"{slow}of which {self.standing.count} stand at 0 and {self.growing_slowly} grow: unstable; "
+                "a lower --band finds those that swing, a real one is a voltage or a control that runs away"
             )
+        elif self.near_zero > 1:
+            said.append(f"{slow}all of them stand at 0 for the reasons above, none grows")
         if not any(mode.name.startswith("inter-area") for mode in self.modes):
             said.append("no inter-area mode among them; a wider --band, or machines assigned to areas")
         if self.unstable:
@@ -93,6 +112,8 @@ class AllModes:
             "moved": list(self.moved),
             "residual": self.residual,
             "rotation": self.rotation,
+            "standing": self.standing.as_dict(),
+            "near_zero": self.near_zero,
             "unstable": [mode.name for mode in self.unstable],
             "modes": rows,
         }
@@ -138,6 +159,8 @@ def all_modes(
             f"{len(pairs)} modes found but {count.modes} counted between {low:g} and {high:g} Hz below a "
             f"damping ratio of {below:g}; a narrower band or another limit says where they differ"
         )
+    standing = standing_of(plant, loop)
+    slow = _near_zero(exact, region, standing)
     hz = (region.band[0] / (2.0 * np.pi), region.band[1] / (2.0 * np.pi))
     return AllModes(
         modes=_named(plant, pairs, areas),
@@ -146,9 +169,10 @@ def all_modes(
         below=region.below,
         moved=region.moved,
         residual=max((p.residual for p in pairs), default=0.0),
-        rotation=_turns_freely(plant),
+        standing=standing,
+        near_zero=slow.modes,
         searched=search.factorisations,
-        factorisations=count.factorisations,
+        factorisations=count.factorisations + slow.factorisations,
     )
 
 
@@ -184,13 +208,21 @@ def _counted(exact: _Exact, asked: Region) -> tuple[Region, Count]:
     raise ModeError(f"modes lie on every line tried: {'; '.join(region.moved)}; choose another band or limit")
 
 
-def _turns_freely(plant: SparsePlant) -> bool:
-    """Whether only differences of rotor angles act."""
-    unit, together = np.zeros((2, plant.nstates))
-    unit[plant.angle[0]] = 1.0
-    together[plant.angle] = 1.0
-    alone = np.max(np.abs(plant.times(unit)))
-    return bool(np.max(np.abs(plant.times(together))) <= _ROTATION * alone)
+def _near_zero(exact: _Exact, region: Region, standing: Standing) -> Count:
+    """Count what is slower than the band and does not decay."""
+    known = [*(p.value for p in exact.pairs), *(p.value.conjugate() for p in exact.pairs)]
+    for k, left in enumerate(_RIGHT_OF):
+        slow = NearZero(left, region.band[0] * (1.0 - 0.01 * k))
+        try:
+            found = count_near_zero(exact.search.loop, slow, [*known, *([0j] * standing.count)])
+        except OnTheLine:
+            continue
+        if found.modes >= standing.count:
+            return found
+    raise ModeError(
+        f"{standing.count} eigenvalues stand at 0 by the way the plant is built, but could not be counted "
+        f"below {region.band[0] / (2.0 * np.pi):g} Hz; choose another lower end of the band"
+    )
 
 
 def _named(plant: SparsePlant, pairs: list[Pair], areas: Mapping[str, int]) -> tuple[Mode, ...]:

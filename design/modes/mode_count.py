@@ -122,11 +122,18 @@ def count_modes(loop: Loop, region: Region, known: Sequence[complex]) -> Count:
     ------
     OnTheLine : a mode lies on the edge.
     """
+    return _counted(loop, region, known, halves=1)
+
+
+def _counted(loop: Loop, region: Region | NearZero, known: Sequence[complex], *, halves: int) -> Count:
+    """Count within a region whose `sides` are all of its edge, or the upper one of two halves."""
     poles, modes = loop.poles, np.asarray(known, dtype=complex)
     inner_poles = int(np.sum(region.holds(poles)))
-    poles, modes = (z[_from_edge(z, region) < _NEAR] for z in (poles, modes))
+    # of an upper half both of a pair are divided out, so that what is left is as symmetric
+    folded = [z if halves == 1 else z.real + 1j * np.abs(z.imag) for z in (poles, modes)]
+    poles, modes = (z[_from_edge(f, region) < _NEAR] for z, f in zip((poles, modes), folded, strict=True))
     edge = _Edge(loop, poles, modes)
-    turned = sum(edge.turn(*side) for side in region.sides())
+    turned = halves * sum(edge.turn(*side) for side in region.sides())
     divided = int(np.sum(region.holds(modes))) - int(np.sum(region.holds(poles)))
     return Count(round(turned / (2.0 * np.pi)) + divided + inner_poles, edge.points)
 
@@ -152,7 +159,35 @@ def count_growing(loop: Loop, known: Sequence[complex]) -> Count:
     return Count(round(turned / np.pi) + divided + int(np.sum(loop.poles.real > SLOWEST)), edge.points)
 
 
-def _from_edge(z: ComplexArray, region: Region) -> npt.NDArray[np.float64]:
+@dataclass(frozen=True)
+class NearZero:
+    """What is right of -`left` and slower than `low`, rad/s: its upper half, closed by the real axis."""
+
+    left: float
+    low: float
+
+    def holds(self, s: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Return which of s lie within, conjugates too."""
+        z = np.asarray(s, dtype=complex)
+        return np.asarray((np.abs(z.imag) < self.low) & (-self.left < z.real) & (z.real < RIGHT))
+
+    def sides(self) -> list[tuple[str, complex, complex]]:
+        """The upper half of the edge counter-clockwise: name, from, to."""
+        corners = [
+            complex(RIGHT),
+            complex(RIGHT, self.low),
+            complex(-self.left, self.low),
+            complex(-self.left),
+        ]
+        return [(name, corners[k], corners[k + 1]) for k, name in enumerate(("right", "low", "left"))]
+
+
+def count_near_zero(loop: Loop, region: NearZero, known: Sequence[complex]) -> Count:
+    """Count eigenvalues right of the axis or at 0 whose frequency is below a band's; see `count_modes`."""
+    return _counted(loop, region, known, halves=2)
+
+
+def _from_edge(z: ComplexArray, region: Region | NearZero) -> npt.NDArray[np.float64]:
     """Distance of points from the edge of the region."""
     found = np.full(len(z), np.inf)
     for _, a, b in region.sides():
@@ -174,16 +209,18 @@ class _Edge:
         if self._last is not None and self._last[0] == s:
             return self._last[1]
         h = _SHIFT * (1.0 + abs(s)) * 1j
-        one, two = (self._loop.logarithm(z) for z in (s - h, s + h))
-        self.points += 2
+        one, two = (self._divided(z) for z in (s - h, s + h))
         slope = complex((two - one).real, _wrapped((two - one).imag)) / (2.0 * h)
-        middle = one + slope * h
-        with np.errstate(divide="ignore"):
-            value = middle + np.sum(np.log(s - self._poles)) - np.sum(np.log(s - self._modes))
-            slope = slope + np.sum(1.0 / (s - self._poles)) - np.sum(1.0 / (s - self._modes))
-        found = complex(value), complex(slope)
+        found = one + slope * h, slope
         self._last = s, found
         return found
+
+    def _divided(self, s: complex) -> complex:
+        """Log det; many poles and modes at one place would turn it by whole turns within the shift."""
+        self.points += 1
+        with np.errstate(divide="ignore"):
+            known = np.sum(np.log(s - self._poles)) - np.sum(np.log(s - self._modes))
+        return complex(self._loop.logarithm(s) + known)
 
     def turn(self, side: str, start: complex, end: complex) -> float:
         """Return by how much the phase changes from `start` to `end`, rad."""

@@ -11,6 +11,7 @@ from scipy.linalg import matrix_balance, schur, solve_sylvester
 
 from interarea.models.errors import UserError
 
+from ..linear.matrices import STANDING
 from ..linear.norms import gramian_factor
 
 Matrix = NDArray[np.float64]
@@ -84,7 +85,7 @@ def matrices(system: control.StateSpace) -> tuple[Matrix, Matrix, Matrix, Matrix
     return A, B, C, D
 
 
-def mode_name(value: complex, zero: float = 1e-6) -> str:
+def mode_name(value: complex, zero: float = STANDING) -> str:
     """Name an eigenvalue that a reduction keeps or removes."""
     if abs(value) <= zero:
         return "zero mode"
@@ -94,7 +95,13 @@ def mode_name(value: complex, zero: float = 1e-6) -> str:
 
 
 def separate(
-    A: Matrix, B: Matrix, C: Matrix, D: Matrix, keep: NDArray[np.bool_] | None = None, *, margin: float = 1e-6
+    A: Matrix,
+    B: Matrix,
+    C: Matrix,
+    D: Matrix,
+    keep: NDArray[np.bool_] | None = None,
+    *,
+    margin: float = STANDING,
 ) -> Split:
     """Block-diagonalise: eigenvalues with Re < -margin on one side, all others on the other.
 

@@ -18,11 +18,12 @@ import numpy as np
 from scipy.optimize import minimize
 
 from ..errors import InfeasibleDesign
+from ..linear.matrices import STANDING
 from ..linear.norms import gramian_factor
 from ..lmi.solve import one_blas_thread
 from ..reduction.gramians import projections
 from .design_models import build_objective, tightened
-from .smoothed_objective import AT_REST, Array, Gains, Objective
+from .smoothed_objective import Array, Gains, Objective
 from .spec import RobustSpec
 from .stages import Tell, stage_parts, staged_search
 
@@ -95,7 +96,7 @@ def design_robust(
             value = objective(theta)[0]
             tell(what, 1.0, value)
     rightmost, worst = objective.worst(theta)
-    if not rightmost < AT_REST:
+    if not rightmost < STANDING:
         raise InfeasibleDesign(
             f"robust design: no controller of order {spec.order} kept all {len(objective.models)} design "
             f"models stable in {spec.starts} starts (largest real part {rightmost:.3g} 1/s); raise the "

@@ -17,14 +17,13 @@ from ..certificates.closed_loop import effort, loss_criterion
 from ..certificates.large_loop import SWING_HZ, WELL_DAMPED, LargePlant
 from ..delay.curves import delayed_loop, rightmost_roots
 from ..delay.signal_conditions import Condition
+from ..linear.matrices import STANDING
 from ..modes.modes import Mode
 
 #: a plant of either kind: full and dense without reference angle, speeds in rad/s; or sparse blocks
 JudgedPlant: TypeAlias = control.StateSpace | LargePlant
 #: frequencies in which a root counts as the inter-area one where modes have no names, Hz
 INTER_AREA_HZ = (0.3, 0.9)
-#: real part up to which a root at zero is one, 1/s: the common speed where no torque depends on it
-AT_REST = 1e-6
 
 
 @dataclass(frozen=True)
@@ -195,7 +194,7 @@ def _row(
     return FamilyRow(
         point,
         condition.name,
-        bool(rightmost < AT_REST),
+        bool(rightmost < STANDING),
         rightmost,
         _least_damping(roots, SWING_HZ),
         _least_damping(roots, inter_area_hz),

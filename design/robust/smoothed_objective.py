@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..linear.matrices import STANDING
 from .swing_penalty import SwingPenalty
 
 Array = npt.NDArray[np.float64]
@@ -33,8 +34,6 @@ Gains = tuple[Array, Array, Array, Array]
 EFFORT_WEIGHT = 20.0**0.5  #: of the excess over the cap of the effort, before it is squared
 #: modes slower than this are the common speed of all machines, rad/s: no target of a damping controller
 COMMON_SPEED = 0.02
-#: real part up to which the search takes a root that slow for it: one further right is a root to move, rad/s
-AT_REST = 1e-6
 SLOW_RADIUS = 0.2  #: below this modulus damping is measured against the radius, not the modulus (rad/s)
 
 
@@ -288,7 +287,9 @@ class Objective:
         offset, slope = self.offsets(np.abs(b))
         da = np.where(fast, b**2 / m**3, 1.0 / SLOW_RADIUS)
         db = np.where(fast, -a * b / m**3, 0.0) + slope * np.sign(b)
-        standing = (modulus < COMMON_SPEED) & (a < AT_REST) & (modulus <= modulus.min(axis=-1, keepdims=True))
+        standing = (
+            (modulus < COMMON_SPEED) & (a < STANDING) & (modulus <= modulus.min(axis=-1, keepdims=True))
+        )
         return np.where(standing, -1.0, offset + a / m), np.where(standing, 0.0, da - 1j * db)
 
     def bends(self, eigenvalue: complex) -> tuple[float, float, float]:
