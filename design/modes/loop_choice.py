@@ -30,6 +30,7 @@ _ENDS = 6  #: machines or buses of an area whose differences are candidates, tho
 _UNSEEN = 1e-9  # of the largest residue of any mode: less reaches or shows nothing
 _MOST_ACTUATORS = 24  # of which sets are formed
 _MOST_SETS = 200_000
+_LISTED = 12  # names in a message
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,8 @@ def _require(kinds: Sequence[str], latency_s: float, together: int, actuators: S
 
 def _targets(modes: Sequence[Mode], wanted: Sequence[str]) -> list[int]:
     labels = [mode.name for mode in modes]
-    listed = ", ".join(labels) or "none"
+    more = f" and {len(labels) - _LISTED} more" if len(labels) > _LISTED else ""
+    listed = (", ".join(labels[:_LISTED]) or "none") + more
     for name in wanted:
         if name not in labels:
             raise ModeError(
@@ -160,8 +162,8 @@ def _targets(modes: Sequence[Mode], wanted: Sequence[str]) -> list[int]:
     found = [k for k, n in enumerate(labels) if (n in wanted if wanted else n.startswith("inter-area"))]
     if not found:
         raise ModeError(
-            f"no inter-area mode in this band and below this damping ratio; there are: {listed}; widen the "
-            "band, raise the limit, name the modes, or assign machines to areas"
+            f"no inter-area mode in this band and below this damping ratio; there are: {listed}; widen "
+            "--band, raise --below, name targets with --mode, or assign machines to areas"
         )
     return found
 

@@ -1,4 +1,4 @@
-"""The command `loops`: which actuator with which signal, for the inter-area mode or all modes of a band."""
+"""The command `loops`: which actuator with which signal, for the inter-area modes or any of a band."""
 
 from __future__ import annotations
 
@@ -21,9 +21,7 @@ def loops(
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
     band: Annotated[
         str | None,
-        typer.Option(
-            "--band", metavar="LOW:HIGH", help="every signal, every actuator, all modes between so many Hz"
-        ),
+        typer.Option("--band", metavar="LOW:HIGH", help="of the modes, Hz; default 0.1:2.5"),
     ] = None,
     below: Below = None,
     mode: Annotated[
@@ -48,11 +46,7 @@ def loops(
     most: Annotated[int, typer.Option("--most", metavar="N", min=1, help="rows to show")] = 10,
     circuit_out: CircuitsOut = None,
 ) -> None:
-    """Rank actuators and signals for the inter-area mode, or every signal for all modes of a band."""
-    if band is None and below is None:
-        _refuse_alone(mode=mode, latency=latency, signals=signals, actuator=actuator, circuit_out=circuit_out)
-        _inter_area(case, json_)
-        return
+    """Rank every signal at every actuator for the inter-area modes, or others of a band; any grid."""
     loaded = at_point(case, 0.0, circuit_out, 1.0)
     options: dict[str, Any] = {"latency_s": latency, "together": together, "most": most}
     options |= {"targets": mode or (), "actuators": actuator or ()} | ({"kinds": signals} if signals else {})
@@ -62,39 +56,6 @@ def loops(
         typer.echo(json.dumps({"case": loaded.name, **_as_dict(choice)}, indent=2, allow_nan=False))
         return
     _print_choice(loaded.name, choice)
-
-
-def _refuse_alone(**given: object) -> None:
-    """Refuse what needs the modes of a region."""
-    from interarea.design.modes.modes import ModeError
-
-    named = [f"--{name.replace('_', '-')}" for name, value in given.items() if value]
-    if named:
-        raise ModeError(f"{named[0]} needs --band or --below, which say what modes there are")
-
-
-def _inter_area(case: str, as_json: bool) -> None:
-    """Speed differences of a small grid for its inter-area mode, with the geometric index."""
-    from interarea.cosim.study.rows import loop_rows
-    from interarea.grids import load_case
-    from interarea.grids import loops as ranked_loops
-
-    loaded = load_case(case)
-    with busy(f"linearising the plant FMU of {case}"):
-        ranked = loop_rows(ranked_loops(loaded))
-    if as_json:
-        typer.echo(json.dumps({"case": loaded.name, **ranked}, indent=2, allow_nan=False))
-        return
-    print_table(
-        f"{loaded.name}: loops for the inter-area mode",
-        ("actuator", "signal", "index", "geometric"),
-        [
-            (r["actuator"], r["signal"], f"{r['index']:.4f}", f"{r['geometric']:.4f}")
-            for r in ranked["ranking"]
-        ],
-    )
-    for line in ranked["coordinates"].split("; "):  # what the two columns are
-        typer.echo(line)
 
 
 def _chosen(case: Case, band_hz: tuple[float, float], below: float, options: dict[str, Any]) -> LoopChoice:

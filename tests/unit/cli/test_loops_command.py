@@ -1,4 +1,4 @@
-"""`interarea loops --band --below`: every signal at every actuator for every inter-area mode."""
+"""`interarea loops`: every signal at every actuator for every inter-area mode."""
 
 import json
 import re
@@ -35,7 +35,7 @@ def test_the_json_has_the_same(interarea) -> None:  # type: ignore[no-untyped-de
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (("--latency", "0.1"), "--latency needs --band or --below"),
+        (("--latency", "-0.1"), "latency = -0.1 s, wanted: 0 or more"),
         (("--below", "0.01"), "no inter-area mode in this band and below this damping ratio"),
         (("--below", "0.2", "--mode", "x"), "no mode 'x'"),
     ],

@@ -6,11 +6,12 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from interarea.cosim.run.artefacts import linear_matrices, sparse_linear_plant
+from interarea.cosim.run.artefacts import linear_matrices, linear_plant, sparse_linear_plant
 from interarea.design.linear.sparse_plant import SparsePlant
 from interarea.design.modes.all_modes import AllModes, all_modes
 from interarea.design.modes.loop_choice import KINDS, LoopChoice, choose_loops, signals_of
-from interarea.design.modes.modes import ModeError
+from interarea.design.modes.loop_selection import rank_loops
+from interarea.design.modes.modes import ModeError, modes_of
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import load_case
 from interarea.models.grid.powerflow import solve_powerflow
@@ -150,3 +151,21 @@ def test_no_inter_area_mode_and_an_unreachable_one_are_told() -> None:
     )
     with pytest.raises(ModeError, match="no actuator with a signal reaches and shows it"):
         choose_loops(blind, found.modes, load_case("nets-nyps").areas)
+
+
+@pytest.mark.parametrize("name", ["two-area-thesis", "kundur-dc", "new-england"])
+def test_residues_of_speeds_are_those_of_the_dense_plant(name: str) -> None:
+    """Every difference at every actuator: as `rank_loops` has them from the FMU's own matrices."""
+    case = load_case(name)
+    system = linear_plant(case, default_cache())
+    mode = modes_of(system, case.areas).inter_area
+    dense = rank_loops(system, mode, areas=case.areas, own_machine=False).ranking
+    choice = chosen(name, kinds=["speed"], targets=["inter-area"], most=10_000)
+    ours = {(loop.actuator, loop.signal): loop.residue for loop in choice.loops["inter-area"]}
+    both = [
+        (loop, ours[loop.actuator, loop.signal]) for loop in dense if (loop.actuator, loop.signal) in ours
+    ]
+    assert len(both) >= 0.4 * len(dense)  # differences of the ends that show a mode most
+    size = max(abs(loop.residue) for loop in dense)
+    for loop, residue in both:
+        assert residue == pytest.approx(loop.residue, rel=1e-7, abs=1e-9 * size)
