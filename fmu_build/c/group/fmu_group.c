@@ -32,7 +32,7 @@ typedef struct {
     BlockGroup group;
     double *u_poly, *elapsed;
     Lane lane[GROUP_MOST_LANES];
-    size_t compared;                                /* lanes whose memory was looked at; 0: one was written */
+    size_t compared;                                /* lanes whose memory was compared; 0: not yet as it is now */
     int same;                                       /* and whether it is the same in all of them */
     const Instance *owner[GROUP_MOST_LANES];        /* whose memory the lane holds */
     unsigned long written[GROUP_MOST_LANES];        /* and as of when              */
@@ -172,6 +172,7 @@ static int meet_event(Group *g, Lane *lane, size_t k)
     c->run->time = way->time;
     solver_inputs(c, way->to, c->block.u);
     ++c->memory_written;
+    g->compared = 0;   /* an event that fails leaves a memory that is not loaded */
     if (block_event(&c->block, way->event, c->block.x, &message) != BLOCK_OK || message.text[0] != 0) return 0;
     c->run->last_event = way->last_event = way->event;
     put(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
