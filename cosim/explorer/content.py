@@ -174,6 +174,12 @@ def _or_why(make: Any) -> dict[str, Any]:
 def _events(subject: Subject) -> dict[str, Any]:
     """For every kind of event of the page: where it can happen, and the number of that place in the plant."""
     case = subject.case
+    if case.events:
+        from ..errors import ScenarioError
+
+        raise ScenarioError(
+            f"{case.name}: the case has events of its own, such as relays; allowed on a page: none"
+        )
 
     def targets(tables: list[dict[str, Any]]) -> list[dict[str, Any]]:
         places = []

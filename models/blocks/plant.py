@@ -135,15 +135,16 @@ def plant_block(
     network: Form | None = None,
     point: OperatingPoint | None = None,
 ) -> Block:
-    """Return the plant of `case` as a block with `event_slots` slots for events.
+    """Return the plant of `case` as a block with `event_slots` slots for events, after those of its own.
 
     Inputs `G1_vs` .. (pu, at the exciter's summing point); outputs per machine `G1_dw` (pu speed deviation),
     `G1_delta` (rad, against the centre of inertia), `G1_pe` (pu on the base of the case), `G1_vt` (pu), then
     `tie_p`; locals: bus voltages, field voltages, mechanical powers; parameters: gains, times and limits
     of the controls, which keep the equilibrium, `solver.step` (start: the case's `solver_step_s`, else
-    `default_step_s`) and the event slots. A slot that is set anew while the plant runs counts from the next
-    event on. `show`: patterns of the outputs wanted, see `shown_of`, which also says what a large grid shows
-    without; `more`: of outputs beside those. `network`: solve it so whatever that costs; else the cheaper
+    `default_step_s`) and the event slots, the first of which hold the events of the case, such as its
+    relays. A slot that is set anew while the plant runs counts from the next event on. `show`: patterns of
+    the outputs wanted, see `shown_of`, which also says what a large grid shows without; `more`: of outputs
+    beside those. `network`: solve it so whatever that costs; else the cheaper
     form is taken. `point`: of the case in the plant's order, where it is known.
 
     Raises
@@ -165,7 +166,8 @@ def plant_block(
     shown = shown_of(case, show, more)
     variables = state_variables(point) + input_variables(point) + [s.variable for s in shown]
     variables += [parameter_variable(parameter) for *_, parameter in parameters]
-    variables += event_variables(event_slots)
+    event_slots += len(case.events)
+    variables += event_variables(event_slots, _slot_values(case, case.events, 1))
     return Block(
         kind="plant",
         name=_identifier(case.name),
@@ -184,16 +186,22 @@ def plant_block(
 
 
 def event_parameters(case: Case, events: Iterable[Any]) -> dict[str, float | int]:
-    """Return start values of the parameters `event[k].*` (k from 1) for `events` of models.events.
+    """Return start values of the parameters `event[k].*` for `events` of models.events.
+
+    k counts on from the events of the case, whose slots stay as they are.
 
     Raises
     ------
     CaseError : a target that does not exist (with the nearest names).
     """
-    events, case = list(events), in_plant_order(case)
+    case = in_plant_order(case)
+    return _slot_values(case, list(events), len(case.events) + 1)
+
+
+def _slot_values(case: Case, events: Sequence[Any], first: int) -> dict[str, float | int]:
     check_events(case, events)
     values: dict[str, float | int] = {}
-    for k, event in enumerate(events, start=1):
+    for k, event in enumerate(events, start=first):
         code = EVENT_CODES[_SAME_AS.get(event.kind, event.kind)]
         end = getattr(event, "end_s", None)
         size, size_q = _event_size(case, event)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from ..devices.language.device import NO_LIMIT
 from ..grid.control_tables import Parameter
 from ..grid.equilibrium import OperatingPoint
@@ -93,8 +95,8 @@ def parameter_variable(parameter: Parameter) -> Variable:
     )
 
 
-def event_variables(slots: int) -> list[Variable]:
-    """Return the parameters of the event slots."""
+def event_variables(slots: int, given: Mapping[str, float | int]) -> list[Variable]:
+    """Return the parameters of the event slots; `given`: name -> start value in a slot that is not free."""
     items = tuple((name, code, _EVENT_WORDS[name]) for name, code in EVENT_CODES.items())
     kind = Enumeration("EventKind", items)
     texts = {
@@ -114,7 +116,8 @@ def event_variables(slots: int) -> list[Variable]:
     for k in range(1, slots + 1):
         for key, (unit, text, start) in texts.items():
             name = f"event[{k}].{key}"
-            variables.append(Variable(name, "parameter", text, unit=unit, start=start, tunable=True))
+            value = given.get(name, start)
+            variables.append(Variable(name, "parameter", text, unit=unit, start=value, tunable=True))
         name = f"event[{k}].kind"
         variables.append(
             Variable(
@@ -122,7 +125,7 @@ def event_variables(slots: int) -> list[Variable]:
                 "parameter",
                 "what happens",
                 type="Enumeration",
-                start=0,
+                start=given.get(name, 0),
                 enumeration=kind,
                 tunable=True,
             )
@@ -131,5 +134,6 @@ def event_variables(slots: int) -> list[Variable]:
             "number of the bus, branch, machine, load or shunt in the case, from 1; classical machines last"
         )
         name = f"event[{k}].target"
-        variables.append(Variable(name, "parameter", text, type="Integer", start=1, tunable=True))
+        target = given.get(name, 1)
+        variables.append(Variable(name, "parameter", text, type="Integer", start=target, tunable=True))
     return variables

@@ -48,7 +48,7 @@ class CaseTables(Table):
     tie: Tie | None = None  #: the cut whose flow operating points move
     events: tuple[Event, ...] = Field(
         default=(), alias="event"
-    )  #: what happens unless a scenario says otherwise
+    )  #: what belongs to the grid, as its relays: happens in every run, before a scenario's own
 
     @property
     def omega_b(self) -> float:

@@ -21,8 +21,8 @@ H, HZ, LOOK_S = 4.0, 60.0, 0.005
 FORMS = ("dense", "sparse")
 
 
-def grid(more: int = 0) -> Case:
-    """One machine, one line, one load of half its power; `more` machines beside the first."""
+def grid(more: int = 0, events: tuple[dict[str, Any], ...] = ()) -> Case:
+    """One machine, two lines, one load; `more` machines beside the first, `events` of its own."""
     machine = {
         "bus": 1, "model": "classical", "base_mva": 100.0, "H": H, "Xd1": 0.2, "P_mw": 50.0 / (1 + more),
         "V_pu": 1.0,
@@ -38,6 +38,7 @@ def grid(more: int = 0) -> Case:
             "branches": {"1-2": {"from": 1, "to": 2, "x": 0.1}, "1-2 b": {"from": 1, "to": 2, "x": 0.3}},
             "loads": {"L2": {"bus": 2, "P_mw": 50.0, "Q_mvar": 10.0}},
             "machines": {name: machine | {"slack": name == "G1"} for name in names},
+            "event": list(events),
         },
         where="one",
     )
@@ -95,6 +96,18 @@ def test_what_a_relay_sheds_is_a_load_step_of_minus_its_share(form: str) -> None
     step.event(1.5, states[-1])
     for one, other in zip(relay.derivatives(states[-1]), step.derivatives(states[-1]), strict=True):
         assert np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_relays_of_the_case_act_beside_what_happens_in_a_run(form: str) -> None:
+    relay, push = shed(59.0, breaker_s=0.0), pushed(-0.2)
+    case = grid(events=(relay,))
+    own = plant_block(case, network=form)
+    both = BlockShim(own, event_parameters(case, events_of([push], where="test")))
+    assert opened_at(both, 1.5) == opened_at(started(relay, push, form=form), 1.5) > 0.5
+    assert math.isnan(opened_at(BlockShim(own), 1.5))  # the relay alone, nothing that lowers the frequency
+    free = [v for v in own.table.of_role("parameter", integers=True) if v.name.endswith(".kind")]
+    assert [v.start for v in free] == [9, *[0] * 8]
 
 
 def test_a_relay_drops_out_when_the_frequency_comes_back_in_time() -> None:
