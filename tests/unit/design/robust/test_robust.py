@@ -255,7 +255,8 @@ def test_a_design_is_of_one_loop_or_of_parts(tmp_path: Path) -> None:
 def test_an_unknown_design_names_the_bundled_ones() -> None:
     with pytest.raises(
         ScenarioError,
-        match="there are: nets_nyps, new_england, robust, robust_latency, robust_linear, two_actuators",
+        match="there are: nets_nyps, new_england, robust, robust_latency, robust_linear, "
+        "two_actuators, wecc_240",
     ):
         load_design("nothing")
 
