@@ -300,7 +300,9 @@ class _Residues:
     def ranked(self, m: int, most: int) -> list[RankedLoop]:
         """The best loops for mode m; of equal ones those that move other modes less."""
         index = np.outer(self._seen[:, m], self._moved[m])
-        first = np.argsort(-index, axis=None, kind="stable")[: 4 * most]
+        k = min(4 * most, index.size)
+        few = np.flatnonzero(index >= np.partition(index, index.size - k, axis=None)[index.size - k])
+        first = few[np.argsort(-index.ravel()[few], kind="stable")[:k]]
         places = [divmod(int(k), index.shape[1]) for k in first]
         found = [self._loop(m, i, j, float(index[i, j])) for i, j in places]
         return sorted(found, key=lambda loop: (-round(loop.index, 6), loop.beside[1]))[:most]

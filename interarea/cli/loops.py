@@ -42,13 +42,20 @@ def loops(
     actuator: Annotated[
         list[str] | None, typer.Option("--actuator", metavar="INPUT", help="allowed, as G1_vs; default all")
     ] = None,
-    together: Annotated[int, typer.Option("--together", metavar="N", min=1, help="actuators in a set")] = 2,
+    together: Annotated[
+        int | None,
+        typer.Option("--together", metavar="N", min=1, help="actuators in a set; 2, or all that are allowed"),
+    ] = None,
     most: Annotated[int, typer.Option("--most", metavar="N", min=1, help="rows to show")] = 10,
     circuit_out: CircuitsOut = None,
 ) -> None:
     """Rank every signal at every actuator for the inter-area modes, or others of a band; any grid."""
     loaded = at_point(case, 0.0, circuit_out, 1.0)
-    options: dict[str, Any] = {"latency_s": latency, "together": together, "most": most}
+    options: dict[str, Any] = {
+        "latency_s": latency,
+        "together": together or min(len(actuator or "ab"), 2),
+        "most": most,
+    }
     options |= {"targets": mode or (), "actuators": actuator or ()} | ({"kinds": signals} if signals else {})
     with busy(f"loops of {loaded.name}"):
         choice = _chosen(loaded, *region_of(band, below), options)

@@ -32,6 +32,11 @@ def test_the_json_has_the_same(interarea) -> None:  # type: ignore[no-untyped-de
     assert len(found["sets"][0]["actuators"]) == 4
 
 
+def test_a_single_allowed_actuator_is_a_set(interarea) -> None:  # type: ignore[no-untyped-def]
+    given = ("loops", "two-area-thesis", "--signals", "speed", "--actuator", "G2_vs", "--json")
+    assert [one["actuators"] for one in json.loads(interarea(*given)[1])["sets"]] == [["G2_vs"]]
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [
