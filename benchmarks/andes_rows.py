@@ -110,7 +110,7 @@ def _machine(case: Case, m: Machine, power: complex, efd: float) -> list[Row]:
     machine = here | {"idx": f"{m.name} machine", "gen": m.name, "M": 2 * m.number("H"), "D": m.D, "ra": m.Ra}
     machine |= {"fn": case.frequency_hz, "S10": 0.0, "S12": 1.0, "xl": m.Xl, "xd": m.Xd, "xq": m.Xq}
     machine |= {"xd1": m.Xd1, "xq1": m.Xq1, "xd2": m.Xd2, "xq2": m.Xq2}
-    machine |= {"Td10": m.Td01, "Td20": m.Td02, "Tq10": m.Tq01, "Tq20": m.Tq02}
+    machine |= {"Td10": m.Td01, "Td20": m.Td02, "Tq10": m.Tq01 or 1.0, "Tq20": m.Tq02}
     rows.append(("GENROU", machine))
     if m.exciter.kind != "constant":
         rows.append(_exciter(m, efd))

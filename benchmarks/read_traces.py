@@ -149,12 +149,6 @@ def columns(names: Iterable[str], case: Case) -> dict[str, tuple[str, Callable[[
     return found
 
 
-def as_psse_has_it(case: Case, models: list[str]) -> Case:
-    """Return `case` with X'q = 0.98 Xq where a GENROU has X'q = Xq (found from the records of 14 buses)."""
-    change = {m.name: {"Xq1": 0.98 * m.Xq} for m in case.machines if m.Xq1 is not None and m.Xq1 == m.Xq}
-    return case.with_changes({"machines": change}) if change and "GENROU" in models else case
-
-
 def printed_half(texts: list[str]) -> Array:
     """Return half a unit of the last digit printed, for each of a column's numbers."""
     digits = max(len(re.sub(r"[eE].*|[-+.]", "", text).lstrip("0")) for text in texts)
@@ -171,8 +165,6 @@ def compare(
         exponents = (1.0, 1.0)
     case = case_of_trace(trace, folder, exponents, as_given=as_given)
     h = trace.get("nominal_step_s", 0.0)
-    if two_steps:
-        case = as_psse_has_it(case, trace["models"])
     events = events_of_trace(trace.get("event", whole.get("event")), case)
     if "kI(v)" in whole.get("load_model", ""):
         events = with_low_voltage_load(case, events)

@@ -189,7 +189,7 @@ class FluxSaturation(Row):
 
 #: what each machine model must be given
 NEEDED: dict[str, tuple[str, ...]] = {
-    "round_rotor": ("H", "Xd1", "Xd", "Xq", "Xl", "Xq1", "Xd2", "Xq2", "Td01", "Tq01", "Td02", "Tq02"),
+    "round_rotor": ("H", "Xd1", "Xd", "Xq", "Xl", "Xq1", "Xd2", "Xq2", "Td01", "Td02", "Tq02"),
     "classical": ("H", "Xd1"),
     "infinite_bus": ("Xd1",),
     "power_flow": (),
@@ -200,9 +200,11 @@ class Machine(Row):
     """A synchronous machine, its dispatch and its controls; per unit on `base_mva` of its own.
 
     round_rotor: sixth order, needs Xd, Xq, Xl, Xd1, Xq1, Xd2, Xq2, Td01, Tq01, Td02, Tq02 with
-    Xd > Xd1 >= Xd2 > 0, Xq >= Xq1 >= Xq2 > 0, Xd1 > Xl and Xq1 > Xl. Where the air gap counts (saturation of
-    it, or Xd2 not Xq2), Xd2 >= Xl and Xq2 >= Xl as well. Elsewhere the stored energy is positive without
-    them, only the damper's leakage reactance is not: published data have such machines.
+    Xd > Xd1 >= Xd2 > 0, Xq >= Xq1 >= Xq2 > 0, Xd1 > Xl and Xq1 > Xl. Without Tq01 it has one winding on the
+    q axis (GENSAL and GENSAE of PSS/E): Xq1 is Xq then, and saturation acts on that winding.
+    Where the air gap counts (saturation of it, or Xd2 not Xq2), Xd2 >= Xl and Xq2 >= Xl as well. Elsewhere
+    the stored energy is positive without them, only the damper's leakage reactance is not: published data
+    have such machines.
     classical: H and a constant EMF behind Ra + j Xd1.
     infinite_bus: that EMF turns at nominal frequency whatever happens (a classical machine of infinite H).
     power_flow: a dispatch without dynamic data, good for the power flow only.
@@ -225,7 +227,7 @@ class Machine(Row):
     Xd2: Positive | None = None  #: X''d, pu
     Xq2: Positive | None = None  #: X''q, pu
     Td01: Positive | None = None  #: T'd0, s
-    Tq01: Positive | None = None  #: T'q0, s; none: no transient winding on q
+    Tq01: Positive | None = None  #: T'q0, s; none: one winding on the q axis
     Td02: Positive | None = None  #: T''d0, s
     Tq02: Positive | None = None  #: T''q0, s
     saturation: Saturation | None = None  #: as in Kundur's book, exponential in the air-gap flux
@@ -272,6 +274,11 @@ class Machine(Row):
 
     def _check_reactances(self) -> None:
         """Raise ValueError for an order of reactances that leaves no sound equations."""
+        if self.one_q_winding and self.Xq1 != self.Xq:
+            raise ValueError(
+                f"Xq1 = {self.Xq1:g} without Tq01, allowed: Xq1 = Xq = {self.Xq:g} (one winding on the q "
+                "axis), or Tq01 as well"
+            )
         chains: list[tuple[str, ...]] = [
             ("Xd2", "<=", "Xd1", "<", "Xd"),
             ("Xq2", "<=", "Xq1", "<=", "Xq"),
@@ -287,6 +294,11 @@ class Machine(Row):
                     raise ValueError(f"{high} = {b:g} with {low} = {a:g}, allowed: {' '.join(chain)}")
         if self.Xl in (self.Xd2, self.Xq2) and self.Xd2 != self.Xq2:
             raise ValueError(f"Xl = {self.Xl:g} is Xd2 or Xq2, allowed: below both, or all three the same")
+
+    @property
+    def one_q_winding(self) -> bool:
+        """True when the q axis of a round_rotor machine has one winding: ed1 stays 0."""
+        return self.Tq01 is None
 
     @property
     def has_constant_emf(self) -> bool:

@@ -81,10 +81,16 @@ def _machine(m: Machine) -> tuple[str, tuple[float, ...], list[str]]:
     if m.flux_saturation is None and m.saturation is not None:
         use = m.saturation.use
         lost.append(f"{m.name}: saturation of the form Asat exp(Bsat (flux - psiT1)), used as {use!r}")
-    salient = m.Xq1 == m.Xq and _saturates_as_salient(m)
+    salient = m.one_q_winding and _saturates_as_salient(m)
+    if m.one_q_winding and not salient:
+        lost.append(
+            f"{m.name}: saturation on the one winding of its q axis, which GENROU has on the outer of two"
+        )
     exponential = m.flux_saturation is not None and m.flux_saturation.shape == "exponential"
     letter = "E" if exponential else "L" if salient else "U"
-    fields = (*(m.number(key) for key in (_SALIENT if salient else _ROUND)), *_saturation(m))
+    keys = _SALIENT if salient else _ROUND
+    given = (1.0 if key == "Tq01" and m.one_q_winding else m.number(key) for key in keys)
+    fields = (*given, *_saturation(m))
     return ("GENSA" if salient else "GENRO") + letter, fields, lost
 
 

@@ -198,7 +198,7 @@ def _machine_point(
         v, i = (emf - drop) * turn, current * turn
         at_terminal = {"vd": -v.imag, "vq": v.real, "id": -i.imag, "iq": i.real}
         return MachinePoint(delta, 0.0, 0.0, abs(emf), 0.0, abs(emf), power, abs(v), **at_terminal)
-    Xd, Xd1, Xd2, Xq, Xq1, Xq2 = (m.number(key) for key in ("Xd", "Xd1", "Xd2", "Xq", "Xq1", "Xq2"))
+    Xd, Xd1, Xd2, Xq1, Xq2 = (m.number(key) for key in ("Xd", "Xd1", "Xd2", "Xq1", "Xq2"))
     turn = np.exp(-1j * delta)
     e, i = emf * turn, current * turn
     eq2, ed2, iq, id_ = e.real, -e.imag, i.real, -i.imag
@@ -212,8 +212,7 @@ def _machine_point(
     return MachinePoint(
         delta=delta,
         eq1=eq1,
-        # with one damper in the q axis nothing drives ed1
-        ed1=0.0 if Xq1 == Xq and m.flux_saturation else ed2_rotor - (Xq1 - Xq2) * (iq + isq),
+        ed1=0.0 if m.one_q_winding else ed2_rotor - (Xq1 - Xq2) * (iq + isq),
         eq2=eq2_rotor,
         ed2=ed2_rotor,
         efd=eq1 + (Xd - Xd1) * (id_ + isd) + _field_saturation(m, eq1, eq2_rotor, ed2_rotor),

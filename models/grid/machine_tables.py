@@ -84,7 +84,7 @@ def _saturation(m: Machine) -> list[float]:
         return [by_speed, *[0.0] * 6]
     A, B = s.coefficients
     q = (m.number("Xq") - m.number("Xl")) / (m.number("Xd") - m.number("Xl")) if s.axes == "both" else 0.0
-    on_q = (0.0, q) if m.number("Xq1") == m.number("Xq") else (q, 0.0)  # one damper in the q axis: on it
+    on_q = (0.0, q) if m.one_q_winding else (q, 0.0)
     return [by_speed, 1.0 if s.shape == "quadratic" else 2.0, A, B, float(s.of == "transient_emf"), *on_q]
 
 
@@ -95,6 +95,8 @@ def _number(m: Machine, key: str) -> float:
             return math.inf
         key = {"Xd2": "Xd1", "Xq2": "Xd1"}.get(key, key)
         return m.number(key) if key in ("Ra", "H", "D", "Xd1") else 0.0
+    if key == "Tq01" and m.one_q_winding:
+        return 1.0  # nothing drives ed1
     return m.number(key)
 
 

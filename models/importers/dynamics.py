@@ -3,7 +3,7 @@
 How the models map (parameters in the order of the PSS/E model library):
 
 GENROU, GENROE  -> round_rotor; X''q = X''d, Ra from the RAW file; saturation of the subtransient flux.
-GENSAL, GENSAE  -> round_rotor with Xq1 = Xq: then ed1 stays 0 and the one q damper is the outer one;
+GENSAL, GENSAE  -> round_rotor without Tq01: one winding on the q axis;
                    saturation of E'q on the d axis, GENSAE: of the subtransient flux on both axes.
 GENCLS          -> classical behind ZR + jZX of the RAW file; with H = 0 an infinite bus there.
 controls        -> devices of the package, by their `[dyr]` tables (models/devices).
@@ -236,8 +236,7 @@ def _gensae(where: str, *p: float) -> dict[str, Any]:
 def _salient(p: tuple[float, ...]) -> dict[str, Any]:
     keys = ("Td01", "Td02", "Tq02", "H", "D", "Xd", "Xq", "Xd1", "Xd2", "Xl")
     row: dict[str, Any] = dict(zip(keys, p[:10], strict=True))
-    # with Xq1 = Xq nothing drives ed1, so its time constant plays no part
-    return row | {"model": "round_rotor", "Xq1": row["Xq"], "Xq2": row["Xd2"], "Tq01": 1.0}
+    return row | {"model": "round_rotor", "Xq1": row["Xq"], "Xq2": row["Xd2"]}  # no Tq01
 
 
 def _gencls(where: str, H: float, D: float) -> dict[str, Any]:

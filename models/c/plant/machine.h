@@ -125,7 +125,7 @@ static inline void machine_terminal(const Machines *m, size_t first, size_t last
  *     E S(E) = B (E - A)^2 above A (kind 1),  or  B E^(1 + A) (kind 2)
  *
  * S eq2 (or S eq1) adds to the field current, S ed2 (Xq - Xl)/(Xd - Xl) to what drives ed1;
- * with one damper in the q axis (Xq1 = Xq: ed1 stays 0) to what drives ed2. */
+ * with one winding on the q axis (Xq1 = Xq, ed1 stays 0) to what drives ed2. */
 enum { SATURATES_QUADRATIC = 1, SATURATES_EXPONENTIAL };
 
 static inline void machine_saturation(const Machines *m, size_t k, num *d, num *q)

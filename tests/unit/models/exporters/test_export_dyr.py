@@ -65,7 +65,7 @@ def test_machines_of_every_model_come_back(tmp_path: Path) -> None:
             "machines": {
                 "defaults": {"exciter": {"kind": "constant"}, "governor": {"kind": "none"}},
                 "G1": {"model": "classical", "saturation": "none"},
-                "G2": {"Xq1": 1.7, "Tq01": 1.0, "saturation": "none", "torque_by_speed": True},
+                "G2": {"Xq1": 1.7, "Tq01": "none", "saturation": "none", "torque_by_speed": True},
                 "G3": {"model": "infinite_bus", "saturation": "none", "H": "none"},
                 "G4": {
                     "saturation": "none",
@@ -111,10 +111,10 @@ def test_what_a_record_cannot_hold_of_a_machine_is_named(tmp_path: Path) -> None
 def test_a_machine_with_one_damper_on_q_keeps_its_own_saturation(
     tmp_path: Path, saturation: dict[str, object]
 ) -> None:
-    """GENROU with X'q = Xq is no GENSAL, which saturates by another flux on one axis."""
+    """GENROU and GENROE with X'q = Xq keep two windings on the q axis; GENSAL has one."""
     case = imported(tmp_path)
-    # nothing drives ed1 then, and GENSAL has no time constant of it
-    machine = {"Xq1": case.machines[0].Xq, "Tq01": 1.0, "flux_saturation": saturation}
+    windings = {"Tq01": "none"} if saturation.get("axes") == "d" else {}
+    machine = {"Xq1": case.machines[0].Xq, "flux_saturation": saturation} | windings
     case = case.with_changes({"machines": {case.machines[0].name: machine}})
     copy, losses = again(tmp_path, case)
     assert losses == ()
