@@ -73,6 +73,16 @@ def _machine(m: Machine) -> tuple[str, tuple[float, ...], list[str]]:
         return "GENCLS", (0.0, 0.0), []
     if m.model == "classical":
         return "GENCLS", (m.number("H"), m.D), []
+    salient = m.one_q_winding and _saturates_as_salient(m)
+    exponential = m.flux_saturation is not None and m.flux_saturation.shape == "exponential"
+    letter = "E" if exponential else "L" if salient else "U"
+    keys = _SALIENT if salient else _ROUND
+    given = (1.0 if key == "Tq01" and m.one_q_winding else m.number(key) for key in keys)
+    return ("GENSA" if salient else "GENRO") + letter, (*given, *_saturation(m)), _lost(m)
+
+
+def _lost(m: Machine) -> list[str]:
+    """Return what no record holds of a round-rotor machine."""
     lost = []
     if m.Xd2 != m.Xq2:
         lost.append(f"{m.name}: X''q = {m.Xq2:g}, which becomes X''d")
@@ -81,17 +91,11 @@ def _machine(m: Machine) -> tuple[str, tuple[float, ...], list[str]]:
     if m.flux_saturation is None and m.saturation is not None:
         use = m.saturation.use
         lost.append(f"{m.name}: saturation of the form Asat exp(Bsat (flux - psiT1)), used as {use!r}")
-    salient = m.one_q_winding and _saturates_as_salient(m)
-    if m.one_q_winding and not salient:
+    if m.one_q_winding and not _saturates_as_salient(m):
         lost.append(
             f"{m.name}: saturation on the one winding of its q axis, which GENROU has on the outer of two"
         )
-    exponential = m.flux_saturation is not None and m.flux_saturation.shape == "exponential"
-    letter = "E" if exponential else "L" if salient else "U"
-    keys = _SALIENT if salient else _ROUND
-    given = (1.0 if key == "Tq01" and m.one_q_winding else m.number(key) for key in keys)
-    fields = (*given, *_saturation(m))
-    return ("GENSA" if salient else "GENRO") + letter, fields, lost
+    return lost
 
 
 def _saturates_as_salient(m: Machine) -> bool:
