@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import stat
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 
@@ -203,8 +204,13 @@ def _unpack(archive: zipfile.ZipFile, entries: list[zipfile.ZipInfo], folder: Pa
     return True
 
 
+_ZLIB_NO_MEMORY = "Error -4 "  #: Z_MEM_ERROR, which the module zlib tells by its number only
+
+
 def _raise_of_the_machine(error: Exception) -> None:
     """Raise what no archive causes: nothing is known of it then."""
+    if isinstance(error, zlib.error) and str(error).startswith(_ZLIB_NO_MEMORY):
+        raise MemoryError from error
     if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno not in _OF_NAMES):
         raise error
 
