@@ -225,7 +225,7 @@ def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
     typer.echo("; ".join(f"{condition.name}: {condition.in_words}" for condition in table.family()))
     typer.echo(
         "inter-area: least damped root in the band of the open loop's inter-area modes, of whatever mode; "
-        "`interarea run` follows names from the open loop"
+        "above 400 states, and in `interarea run`, the modes themselves, followed from the open loop"
     )
     typer.echo(
         f"worst swing {found.worst_swing:.4f}, inter-area {found.inter_area:.4f}, effort {found.effort:.4f}, "
