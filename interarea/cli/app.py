@@ -48,7 +48,7 @@ COMMANDS = {
     ),
     "loops": (
         "loops:loops",
-        "Rank actuators and signals for the inter-area mode, or every signal for all modes of a band.",
+        "Rank every signal at every actuator for the inter-area modes, or others of a band; any grid.",
     ),
     "run": (
         "run:run",
