@@ -227,7 +227,7 @@ def main(stops: Collection[int] = ()) -> None:
         if ended.code == INTERRUPTED:
             _stopped()
         raise
-    except Exception as error:  # the one place where every error ends as one line
+    except BaseException as error:  # every error ends here as one line; a panic in Rust is no Exception
         if stops:
             _stopped()
         sys.exit(complain(error))

@@ -7,10 +7,12 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import pytest
 
+from interarea.cli import app
 from interarea.cli.app import COMMANDS, load
 from interarea.cosim.run.artefacts import linear_matrices
 from interarea.models.case.case import load_case
@@ -136,3 +138,25 @@ def test_a_stop_that_a_module_makes_an_error_of_is_still_a_stop() -> None:
     """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (130, "interarea: stopped\n")
+
+
+def test_a_panic_of_a_module_in_rust_ends_as_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """pydantic's panics where memory runs out, and what comes out of it is no Exception."""
+
+    class PanicException(BaseException):
+        pass
+
+    def panics(**_: object) -> None:
+        raise PanicException("PyObject pointer is null")
+
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)  # which main sets
+    monkeypatch.setattr(app, "app", panics)
+    with pytest.raises(SystemExit) as ended:
+        app.main()
+    assert ended.value.code == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(
+        "interarea: internal error, please report it: PanicException: PyObject pointer is null"
+    )
