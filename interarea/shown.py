@@ -71,13 +71,13 @@ class SwingModes(Modes):
         return _frame(rows, "mode")
 
     def plot(self, mode: str = "") -> Figure:
-        """Draw the shape of a mode: speed of each machine, size and angle. Default: the inter-area mode."""
-        from interarea.cosim.plots.mode_shapes import mode_shape_plot
+        """Draw the shape of a mode: speed of each machine, size and angle. Default: the inter-area mode.
 
-        chosen = self[mode] if mode else self.inter_area
-        areas = dict.fromkeys(chosen.shape, 1) if self.case is None else self.case.areas
-        title = f"{chosen.name}: {chosen.frequency_hz:.3f} Hz, damping {chosen.damping_ratio:.3f}"
-        return mode_shape_plot(chosen.shape, areas, title)
+        On a map if the case has places of its buses, else as a compass.
+        """
+        from interarea.cosim.plots.mode_map import shape_plot
+
+        return shape_plot(self[mode] if mode else self.inter_area, self.case)
 
     def _repr_html_(self) -> str:
         return _html(f"{self._title}: swing modes", self.to_frame())

@@ -38,12 +38,14 @@ def participation_plot(
 
 
 MANY_ARROWS = 6  #: more than this, and the names go round the rim
+MOST_NAMES, NAMED = 60, 24  #: names that have room there; of more machines so many of the largest are named
 
 
 def mode_shape_plot(shape: Mapping[str, complex], area_of: Mapping[str, int], title: str) -> Figure:
     """Draw the mode shape as a compass: one arrow per machine, scaled so that the longest is 1.
 
-    shape : machine -> complex speed entry of the right eigenvector; area_of : machine -> area number.
+    shape : machine -> complex speed entry of the right eigenvector; area_of : machine -> area number. Of more
+    than `MOST_NAMES` machines the `NAMED` largest have their names.
     """
     scale = max(abs(v) for v in shape.values())
     leader = max(shape.values(), key=abs)
@@ -59,9 +61,13 @@ def mode_shape_plot(shape: Mapping[str, complex], area_of: Mapping[str, int], ti
         axes.spines["polar"].set_visible(False)
         areas = sorted(set(area_of.values()))
         placed: list[complex] = []
-        gap = min(0.2, 6.2 / len(turned))
-        rim = rim_angles([float(np.angle(z)) for z in turned.values()], gap) if many else []
-        for number, (machine, value) in enumerate(turned.items()):
+        named = list(turned)
+        if len(named) > MOST_NAMES:
+            named = sorted(turned, key=lambda m: -abs(turned[m]))[:NAMED]
+        gap = min(0.2, 6.2 / len(named))
+        angles = rim_angles([float(np.angle(turned[m])) for m in named], gap) if many else []
+        rim = dict(zip(named, angles, strict=False))
+        for machine, value in turned.items():
             k = areas.index(area_of[machine])
             colour = SERIES[k % len(SERIES)]
             angle, radius = float(np.angle(value)), abs(value)
@@ -69,10 +75,12 @@ def mode_shape_plot(shape: Mapping[str, complex], area_of: Mapping[str, int], ti
             if radius > 0.03:
                 arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.8, "shrinkA": 0, "shrinkB": 0}
                 axes.annotate("", xy=(angle, radius), xytext=(angle, 0.9 * radius), arrowprops=arrow)
-            spot = complex(1.22 * np.exp(1j * rim[number])) if many else _free_spot(value, placed)
+            if machine not in named:
+                continue
+            spot = complex(1.22 * np.exp(1j * rim[machine])) if many else _free_spot(value, placed)
             placed.append(spot)
             if many:
-                axes.plot([angle, rim[number]], [radius, 1.14], color=colour, linewidth=0.4)
+                axes.plot([angle, rim[machine]], [radius, 1.14], color=colour, linewidth=0.4)
             axes.text(
                 float(np.angle(spot)),
                 abs(spot),

@@ -1,4 +1,4 @@
-"""The command `modes`: swing modes of a case with shapes, participation, sensitivities and compass plots."""
+"""The command `modes`: swing modes of a case with shapes, participation, sensitivities and plots."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def modes(
         bool, typer.Option("--margins", help="how far the controls start from their limits")
     ] = False,
     plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="DIR", help="draw compass plots into it")
+        Path | None, typer.Option("--plot", metavar="DIR", help="draw the shapes into it, on a map if it can")
     ] = None,
     band: Annotated[
         str | None,
@@ -78,20 +78,21 @@ def modes(
     ] = 0.0,
 ) -> None:
     """Linearise the plant FMU of a case, at an operating point of choice, and name its swing modes."""
+    from .destination import folder_for
+
     around = _around(controller, latency, sensitivity)
+    if plot is not None:
+        folder_for(plot, "--plot")
     if any(given is not None for given in (band, below, controller)):
-        _refuse_beside_band(margins=margins, plot=plot)
+        _refuse_beside_band(margins=margins)
         loaded = at_point(case, tie_flow, circuit_out, load_scale)
-        _all_modes(loaded, *region_of(band, below), sensitivity or [], around, participation, shapes, json_)
+        region, paths = region_of(band, below), sensitivity or []
+        _all_modes(loaded, *region, paths, around, participation, shapes, json_, plot)
         return
     from interarea.cosim.run.artefacts import linear_matrices
     from interarea.design.modes.modes import modes_of
     from interarea.fmu_build.write.cache import default_cache
 
-    from .destination import folder_for
-
-    if plot is not None:
-        folder_for(plot, "--plot")
     cache = default_cache()
     with busy(f"linearising the plant FMU of {case}"):
         loaded = at_point(case, tie_flow, circuit_out, load_scale)
@@ -103,7 +104,7 @@ def modes(
             from interarea.cosim.designs.sensitivities import parameter_sensitivities
 
             moved = parameter_sensitivities(loaded, sensitivity, cache)
-    files = _plots(found, loaded, plot) if plot is not None else []
+    files = _plots(found, loaded, plot)
     if json_:
         document = _as_dict(loaded, found, participation, moved, files)
         if margins:
@@ -179,6 +180,7 @@ def _all_modes(
     count: int,
     shapes: bool,
     as_json: bool,
+    plot: Path | None,
 ) -> None:
     """Print every mode of a region with the independent count; around : a controller, and its latency."""
     from interarea.cosim.designs.sensitivities import all_mode_sensitivities
@@ -191,14 +193,17 @@ def _all_modes(
         loop = None if around is None else _with_controller(case, plant, *around, band_hz[1])
         found = all_modes(plant, case.areas, band_hz=band_hz, below=below, loop=loop)
         moved = all_mode_sensitivities(case, found.modes, paths if found.modes else [], default_cache())
+        by_name = {mode.name: mode for mode in found.modes}
+        files = _plots(by_name, case, plot)
     if as_json:
         states = plant.nstates
         document = {"case": case.name, "states": states, **found.as_dict(count, shapes=shapes)}
         document |= {"controller": around and around[0], "latency_s": around and around[1]}
         document["sensitivity"] = _sensitivity_dict(moved)
+        document["plots"] = [str(file) for file in files]
         typer.echo(json.dumps(document, indent=2, allow_nan=False))
         return
-    (low, high), by_name = found.band_hz, {mode.name: mode for mode in found.modes}
+    low, high = found.band_hz
     title = (
         f"{case.name}: {plant.nstates} states, modes from {low:g} to {high:g} Hz below a damping ratio of "
     )
@@ -212,6 +217,8 @@ def _all_modes(
         _print_shapes(by_name, case)
     for path, by_mode in moved.items():
         _print_sensitivity(path, by_mode)
+    for file in files:
+        typer.echo(file)
 
 
 def _with_controller(
@@ -380,15 +387,10 @@ def _print_margins(rows: list[dict[str, Any]]) -> None:
     )
 
 
-def _plots(found: Modes, case: Case, folder: Path) -> list[Path]:
-    """Write one compass plot per mode."""
-    from interarea.cosim.plots.curves import save_figure
-    from interarea.cosim.plots.mode_shapes import mode_shape_plot
+def _plots(found: Mapping[str, Mode], case: Case, folder: Path | None) -> list[Path]:
+    """Write one plot a mode, if a folder is given."""
+    if folder is None:
+        return []
+    from interarea.cosim.plots.mode_map import save_shapes
 
-    folder.mkdir(parents=True, exist_ok=True)
-    files = []
-    for name, mode in found.items():
-        title = f"{name}: {mode.frequency_hz:.3f} Hz, damping {mode.damping_ratio:.3f}"
-        figure = mode_shape_plot(mode.shape, case.areas, title)
-        files.append(save_figure(figure, folder / f"{name.replace(' ', '-')}.svg"))
-    return files
+    return save_shapes(found, case, folder)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from interarea.cosim.plots.label_layout import rim_angles
-from interarea.cosim.plots.mode_shapes import mode_shape_plot
+from interarea.cosim.plots.mode_shapes import NAMED, mode_shape_plot
 
 GAP = 0.2
 
@@ -41,3 +41,10 @@ def test_a_compass_of_many_machines_names_each_once():
     figure = mode_shape_plot(shape, {name: 1 + k % 5 for k, name in enumerate(shape)}, "many")
     words = [text.get_text() for text in figure.axes[0].texts]
     assert sorted(word for word in words if word) == sorted(shape)
+
+
+def test_a_compass_of_a_large_grid_names_the_largest() -> None:
+    shape = {f"G{k}": complex(1.0 / (1 + k)) for k in range(400)}
+    figure = mode_shape_plot(shape, dict.fromkeys(shape, 1), "large")
+    words = {text.get_text() for text in figure.axes[0].texts} - {""}
+    assert words == {f"G{k}" for k in range(NAMED)}
