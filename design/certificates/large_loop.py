@@ -23,7 +23,7 @@ from ..errors import UncertifiedDesign
 from ..linear.resolvent import Shifted
 from ..linear.sparse_plant import SparsePlant
 from ..modes.all_modes import RESIDUAL, all_modes
-from ..modes.mode_count import OnTheLine, count_growing
+from ..modes.mode_count import OnTheLine, all_that_grows, count_modes
 from ..modes.modes import Mode, damping_ratio
 from ..reduction.gramians import matrices
 from ..reduction.low_rank import input_columns, output_rows
@@ -94,7 +94,7 @@ class LargePlant:
                 break
         between = [damping_ratio(s) for s in self.followed(K, condition).values()]
         try:
-            grows = count_growing(loop, swings).modes
+            grows = count_modes(loop, all_that_grows(loop), swings).modes
         except OnTheLine:  # neither growing nor decaying
             grows = 1
         return LoopFacts(

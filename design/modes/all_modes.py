@@ -14,7 +14,7 @@ import numpy.typing as npt
 from ..linear.resolvent import Loop, OpenLoop
 from ..linear.sparse_plant import SparsePlant
 from ..linear.standing import Standing, standing_of
-from .mode_count import SLOWEST, Count, NearZero, OnTheLine, Region, count_modes, count_near_zero
+from .mode_count import RIGHT, SLOWEST, Count, OnTheLine, Rectangle, Region, count_modes
 from .mode_search import Pair, Search
 from .modes import Mode, ModeError, Participation
 from .patterns import pattern_parts
@@ -23,7 +23,7 @@ RESIDUAL = 1e-9  #: largest |A v - lambda v| / (|lambda| |v|)
 COMMON = "common frequency"  #: all machines together, what governors hold
 _MECHANICAL = 0.1  # share of angles and speeds below which a mode is of the controls
 _ROUNDS = 8
-_RIGHT_OF = (SLOWEST, 3.0 * SLOWEST, 0.3 * SLOWEST)  # left of the axis: where the count below the band starts
+_LEFT = (-SLOWEST, -3.0 * SLOWEST, -0.3 * SLOWEST)  # 1/s: where the count below the band starts
 
 
 @dataclass(frozen=True)
@@ -210,11 +210,11 @@ def _counted(exact: _Exact, asked: Region) -> tuple[Region, Count]:
 
 def _near_zero(exact: _Exact, region: Region, standing: Standing) -> Count:
     """Count what is slower than the band and does not decay."""
-    known = [*(p.value for p in exact.pairs), *(p.value.conjugate() for p in exact.pairs)]
-    for k, left in enumerate(_RIGHT_OF):
-        slow = NearZero(left, region.band[0] * (1.0 - 0.01 * k))
+    known = [*(p.value for p in exact.pairs), *([0j] * standing.count)]
+    for k, left in enumerate(_LEFT):
+        slow = Rectangle(left, RIGHT, region.band[0] * (1.0 - 0.01 * k))
         try:
-            found = count_near_zero(exact.search.loop, slow, [*known, *([0j] * standing.count)])
+            found = count_modes(exact.search.loop, slow, known)
         except OnTheLine:
             continue
         if found.modes >= standing.count:

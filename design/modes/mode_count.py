@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -52,6 +51,7 @@ class Region:
     band: tuple[float, float]
     below: float
     moved: tuple[str, ...] = ()
+    halves = 1  # `sides` are all of its edge
 
     @property
     def slope(self) -> float:
@@ -108,6 +108,40 @@ class Region:
 
 
 @dataclass(frozen=True)
+class Rectangle:
+    """What is slower than `top`, rad/s, and between two real parts, 1/s; real eigenvalues and pairs alike.
+
+    Its edge is the upper half of a rectangle, closed by the real axis; the lower half mirrors it.
+    """
+
+    left: float
+    right: float
+    top: float
+    halves = 2  # `sides` are one of two halves of its edge
+
+    def holds(self, s: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Return which of s lie within, conjugates too."""
+        z = np.asarray(s, dtype=complex)
+        return np.asarray((np.abs(z.imag) < self.top) & (self.left < z.real) & (z.real < self.right))
+
+    def sides(self) -> list[tuple[str, complex, complex]]:
+        """The upper half of the edge counter-clockwise: name, from, to."""
+        corners = [
+            complex(self.right),
+            complex(self.right, self.top),
+            complex(self.left, self.top),
+            complex(self.left),
+        ]
+        return [(name, corners[k], corners[k + 1]) for k, name in enumerate(("right", "top", "left"))]
+
+
+def all_that_grows(loop: Loop) -> Rectangle:
+    """Return where eigenvalues grow faster than `SLOWEST`, a hundred times as far as the fastest pole."""
+    far = _BEYOND * float(np.abs(loop.poles).max(initial=1.0))
+    return Rectangle(SLOWEST, far, far)
+
+
+@dataclass(frozen=True)
 class Count:
     """Modes within a region: how many there are, and at how many points N(s) was factored for that."""
 
@@ -115,81 +149,31 @@ class Count:
     factorisations: int
 
 
-def count_modes(loop: Loop, region: Region, known: Sequence[complex]) -> Count:
-    """Count the modes within `region`; `known` are some of them or beside them, which makes it quick.
+def count_modes(loop: Loop, region: Region | Rectangle, known: Sequence[complex]) -> Count:
+    """Count the modes within `region`.
+
+    known : some of them or beside them, imaginary part 0 or above, which makes it quick.
 
     Raises
     ------
     OnTheLine : a mode lies on the edge.
     """
-    return _counted(loop, region, known, halves=1)
-
-
-def _counted(loop: Loop, region: Region | NearZero, known: Sequence[complex], *, halves: int) -> Count:
-    """Count within a region whose `sides` are all of its edge, or the upper one of two halves."""
     poles, modes = loop.poles, np.asarray(known, dtype=complex)
     inner_poles = int(np.sum(region.holds(poles)))
-    # of an upper half both of a pair are divided out, so that what is left is as symmetric
-    folded = [z if halves == 1 else z.real + 1j * np.abs(z.imag) for z in (poles, modes)]
-    poles, modes = (z[_from_edge(f, region) < _NEAR] for z, f in zip((poles, modes), folded, strict=True))
+    if region.halves == 2:  # both of a pair are divided out, so that what is left is as symmetric
+        modes = np.concatenate([modes, modes[modes.imag > 0.0].conj()])
+    poles, modes = (z[_from_edge(z, region) < _NEAR] for z in (poles, modes))
     edge = _Edge(loop, poles, modes)
-    turned = halves * sum(edge.turn(*side) for side in region.sides())
+    turned = region.halves * sum(edge.turn(*side) for side in region.sides())
     divided = int(np.sum(region.holds(modes))) - int(np.sum(region.holds(poles)))
     return Count(round(turned / (2.0 * np.pi)) + divided + inner_poles, edge.points)
 
 
-def count_growing(loop: Loop, known: Sequence[complex]) -> Count:
-    """Count what grows faster than `SLOWEST`, swings and real modes of any frequency alike.
-
-    known : modes with imaginary part above 0, which makes it quick. The edge is the upper half of a rectangle
-    over the right half plane, a hundred times as far as the fastest pole; the lower half mirrors it.
-
-    Raises
-    ------
-    OnTheLine : a mode lies on the edge.
-    """
-    far = _BEYOND * float(np.abs(loop.poles).max(initial=1.0))
-    corners = [complex(far, 0.0), complex(far, far), complex(SLOWEST, far), complex(SLOWEST, 0.0)]
-    modes = np.asarray(known, dtype=complex)
-    modes = np.concatenate([modes, modes.conj()])
-    poles, modes = (z[np.abs(z.real - SLOWEST) < _NEAR] for z in (loop.poles, modes))
-    edge = _Edge(loop, poles, modes)
-    turned = sum(edge.turn("right half plane", a, b) for a, b in pairwise(corners))
-    divided = int(np.sum(modes.real > SLOWEST)) - int(np.sum(poles.real > SLOWEST))
-    return Count(round(turned / np.pi) + divided + int(np.sum(loop.poles.real > SLOWEST)), edge.points)
-
-
-@dataclass(frozen=True)
-class NearZero:
-    """What is right of -`left` and slower than `low`, rad/s: its upper half, closed by the real axis."""
-
-    left: float
-    low: float
-
-    def holds(self, s: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Return which of s lie within, conjugates too."""
-        z = np.asarray(s, dtype=complex)
-        return np.asarray((np.abs(z.imag) < self.low) & (-self.left < z.real) & (z.real < RIGHT))
-
-    def sides(self) -> list[tuple[str, complex, complex]]:
-        """The upper half of the edge counter-clockwise: name, from, to."""
-        corners = [
-            complex(RIGHT),
-            complex(RIGHT, self.low),
-            complex(-self.left, self.low),
-            complex(-self.left),
-        ]
-        return [(name, corners[k], corners[k + 1]) for k, name in enumerate(("right", "low", "left"))]
-
-
-def count_near_zero(loop: Loop, region: NearZero, known: Sequence[complex]) -> Count:
-    """Count eigenvalues right of the axis or at 0 whose frequency is below a band's; see `count_modes`."""
-    return _counted(loop, region, known, halves=2)
-
-
-def _from_edge(z: ComplexArray, region: Region | NearZero) -> npt.NDArray[np.float64]:
+def _from_edge(z: ComplexArray, region: Region | Rectangle) -> npt.NDArray[np.float64]:
     """Distance of points from the edge of the region."""
     found = np.full(len(z), np.inf)
+    if region.halves == 2:
+        z = z.real + 1j * np.abs(z.imag)
     for _, a, b in region.sides():
         along = np.clip(((z - a) * np.conj(b - a)).real / abs(b - a) ** 2, 0.0, 1.0)
         found = np.minimum(found, np.abs(z - a - along * (b - a)))

@@ -19,7 +19,7 @@ from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.delay.signal_conditions import condition_of_many
 from interarea.design.errors import UncertifiedDesign
 from interarea.design.linear.resolvent import OpenLoop
-from interarea.design.modes.mode_count import SLOWEST, count_growing
+from interarea.design.modes.mode_count import SLOWEST, all_that_grows, count_modes
 from interarea.design.robust.operating_points import judge_family
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import load_case
@@ -61,7 +61,8 @@ def test_what_grows_is_counted_as_dense_eigenvalues_count_it(gain: float) -> Non
     turned, normal = scaled(gain), condition_of_many("N", TABLE.signals)
     values = np.linalg.eigvals(closed_loop_matrix(point.judged, turned))
     assert (values.real > SLOWEST).any()
-    assert count_growing(large.late(turned, normal), ()).modes == np.sum(values.real > SLOWEST)
+    loop = large.late(turned, normal)
+    assert count_modes(loop, all_that_grows(loop), ()).modes == np.sum(values.real > SLOWEST)
     assert not judge_family({"base": large}, turned, [normal]).passed
 
 
@@ -69,7 +70,8 @@ def test_a_grid_that_grows_without_control_is_counted_too() -> None:
     case = load_case("nets-nyps-no-pss")
     blocks = sparse_linear_plant(case, default_cache())
     values = np.linalg.eigvals(blocks.state_matrix())
-    assert count_growing(OpenLoop(blocks), ()).modes == np.sum(values.real > SLOWEST) > 0
+    loop = OpenLoop(blocks)
+    assert count_modes(loop, all_that_grows(loop), ()).modes == np.sum(values.real > SLOWEST) > 0
 
 
 def test_no_control_leaves_every_mode_where_it_is() -> None:
