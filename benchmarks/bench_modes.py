@@ -6,8 +6,9 @@ Bundled cases below damping ratios of 0.15 and 0.3, or with FOLDER its published
 `GRIDS` (inverters as constant currents, loads as impedances; a MATPOWER file with devices by the rule of
 `ruled_grid`) below 0.15, from 0.1 to 2 Hz. Dense: numpy's QR
 on the whole state matrix, of grids up to `--dense` states. With `--late` also with three speed differences
-fed back to exciters, so many seconds late: against QR on plant and Chebyshev lines for the delays. Exit code
-1 where found, counted and dense differ, a residual is above 1e-9 or a late mode is off by 1e-7.
+fed back to exciters, where there are some, so many seconds late: against QR on plant and Chebyshev lines for
+the delays. Exit code 1 where found, counted and dense differ, a residual is above 1e-9 or a late mode is off
+by 1e-7.
 """
 
 from __future__ import annotations
@@ -87,12 +88,14 @@ def late(case: Case, latency_s: float, below: float, gain: float) -> dict[str, A
     """Modes with three loops through a washout, and how far they are from those of a discretisation."""
     plant = sparse_linear_plant(case, default_cache())
     names = [u.removesuffix("_vs") for u in plant.inputs]
-    one = [names[len(names) * k // 4] for k in range(3)]
-    other = [names[len(names) * k // 4 + len(names) // 8] for k in range(3)]
-    signals = [f"{name}_dw" for name in (*one, *other)]
-    both = np.hstack([np.eye(3), -np.eye(3)])
+    one = list(dict.fromkeys(names[len(names) * k // 4] for k in range(3)))
+    other = [names[(names.index(name) + max(len(names) // 8, 1)) % len(names)] for name in one]
+    signals = list(dict.fromkeys(f"{name}_dw" for name in (*one, *other)))
+    both, eye = np.zeros((len(one), len(signals))), np.eye(len(one))
+    for k, pair in enumerate(zip(one, other, strict=True)):
+        both[k, [signals.index(f"{name}_dw") for name in pair]] = 1.0, -1.0
     K = control.ss(
-        *(-0.2 * np.eye(3), both, -0.2 * gain * np.eye(3), gain * both),
+        *(-0.2 * eye, both, -0.2 * gain * eye, gain * both),
         inputs=signals,
         outputs=[f"{name}_vs" for name in one],
     )
@@ -154,7 +157,8 @@ def main() -> None:
             f"{row['factorisations']} points of the count",
             flush=True,
         )
-        for latency in options.late if row["states"] <= options.dense else ():
+        plant = sparse_linear_plant(case, default_cache())
+        for latency in options.late if row["states"] <= options.dense and plant.inputs else ():
             row = late(case, latency, below, options.gain)
             rows.append(row)
             wrong += not (row["found"] == row["counted"] == row["dense"])
@@ -164,7 +168,6 @@ def main() -> None:
                 f"{row['dense']} discretised, off by {row['off']:.0e}; {row['cpu_s']:.2f} CPU s",
                 flush=True,
             )
-        plant = sparse_linear_plant(case, default_cache())
         if plant.nstates > 500:
             made = reduction(plant, case, options.reduce)
             rows.append(made)

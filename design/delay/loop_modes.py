@@ -33,9 +33,10 @@ Way = Callable[[ComplexArray], ComplexArray]
 #: frequencies in which a root counts as a swing, Hz
 SWING_HZ = (0.1, 2.5)
 _LEFT, _RIGHT = -12.0, 2.0  # 1/s: at 2.5 Hz a damping ratio of 0.6, and growth faster than any swing's
-_ACROSS, _UP = 48, 96  # points of the grid on which zeros are looked for
+_ACROSS = 48  # points of the grid on which zeros are looked for, half as many as up
 _LARGEST_TURN = 0.7  # rad between two points of the edge
 _SAME = 1e-6
+_ROUNDS = 12  # of Newton's method, each with the zeros of those before divided out
 _ASIDE = 1e-7 + 1e-7j
 _ACCURATE = 1e-9  # of the modal form against a solution of the equations
 
@@ -277,48 +278,88 @@ def zeros_of(
     DelayError : the zeros found are not as many as the phase along the edge says.
     """
     count = _turns(function, real, imag) + int(np.sum(_inside(poles, real, imag)))
+    wide = (real[0] - 0.5, real[1] + 0.5), (max(imag[0] - 0.5, 1e-3), imag[1] + 0.5)
+    near = np.concatenate([poles[_inside(poles, *wide)], np.array(starts, dtype=complex)])
+    roots = np.zeros(0, dtype=complex)
     for finer in (1, 2, 4):
-        x = np.linspace(real[0] - 0.5, real[1] + 0.5, _ACROSS * finer)
-        y = np.linspace(max(imag[0] - 0.5, 1e-3), imag[1] + 0.5, _UP * finer)
-        grid = x[None, :] + 1j * y[:, None]
-        with np.errstate(all="ignore"):
-            size = np.log(np.abs(function.value(grid.ravel()))).reshape(grid.shape)
-            for pole in poles:
-                size += np.log(np.abs(grid - pole))
-        low = size[1:-1, 1:-1]
-        around = [size[1 + i : size.shape[0] - 1 + i, 1 + j : size.shape[1] - 1 + j] for i, j in _AROUND]
-        guesses = grid[1:-1, 1:-1][np.all([low <= other for other in around], axis=0)]
-        near = poles[_inside(poles, (real[0] - 0.5, real[1] + 0.5), (imag[0] - 0.5, imag[1] + 0.5))]
-        guesses = np.concatenate([guesses, near, np.array(starts, dtype=complex)])
-        roots = _distinct(newton_zeros(function, poles, guesses))
-        roots = roots[_inside(roots, real, imag)]
-        if len(roots) == count:
-            return roots
+        guesses = np.concatenate([_minima(function, poles, *wide, finer), near])
+        if finer > 1:
+            guesses = np.concatenate([guesses, _spread(*wide, 4 * finer)])
+        for _ in range(_ROUNDS):
+            reached = newton_zeros(function, poles, guesses, roots)
+            more = _distinct(np.concatenate([roots, reached]))
+            found, roots, before = more[_inside(more, real, imag)], more, len(roots)
+            if len(found) == count:
+                return found
+            if len(roots) == before:
+                break
     raise DelayError(
-        f"{len(roots)} roots found between {imag[0]:.3g} and {imag[1]:.3g} rad/s, {count} counted on the edge"
+        f"{len(found)} roots found between {imag[0]:.3g} and {imag[1]:.3g} rad/s, {count} counted on the edge"
     )
 
 
+def _spread(real: tuple[float, float], imag: tuple[float, float], across: int) -> ComplexArray:
+    """Return points all over a rectangle."""
+    x, y = np.linspace(*real, across), np.linspace(*imag, 2 * across)
+    return np.asarray((x[None, :] + 1j * y[:, None]).ravel())
+
+
+def _minima(
+    function: Characteristic,
+    poles: ComplexArray,
+    real: tuple[float, float],
+    imag: tuple[float, float],
+    finer: int,
+) -> ComplexArray:
+    """Return points of a grid at which the function times its poles is smaller than around them."""
+    grid = _spread(real, imag, _ACROSS * finer).reshape(-1, _ACROSS * finer)
+    with np.errstate(all="ignore"):
+        size = np.log(np.abs(function.value(grid.ravel()))).reshape(grid.shape)
+        for pole in poles:
+            size += np.log(np.abs(grid - pole))
+    low = size[1:-1, 1:-1]
+    around = [size[1 + i : size.shape[0] - 1 + i, 1 + j : size.shape[1] - 1 + j] for i, j in _AROUND]
+    return np.asarray(grid[1:-1, 1:-1][np.all([low <= other for other in around], axis=0)])
+
+
+_NONE: ComplexArray = np.zeros(0, dtype=np.complex128)
 _AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
 
-def newton_zeros(function: Characteristic, poles: ComplexArray, guesses: ComplexArray) -> ComplexArray:
-    """Return the zeros that Newton's method on the function times its poles reaches from the guesses."""
-    found = _newton(function, poles, guesses, 40, 1e-11)
+def newton_zeros(
+    function: Characteristic,
+    poles: ComplexArray,
+    guesses: ComplexArray,
+    known: ComplexArray = _NONE,
+) -> ComplexArray:
+    """Return the zeros that Newton's method on the function times its poles reaches from the guesses.
+
+    known : zeros that are divided out, so that each guess goes to another one.
+    """
+    found = _newton(function, poles, guesses, 40, 1e-11, known)
+    found = found[~np.isnan(found)]
+    if known.size:  # where the quotient is 0 the function is; what is left of the others' rounding goes
+        found = _newton(function, poles, found, 4, 1e-11)
     return np.asarray(found[~np.isnan(found)])
 
 
 def _newton(
-    function: Characteristic, poles: ComplexArray, guesses: ComplexArray, steps: int, tolerance: float
+    function: Characteristic,
+    poles: ComplexArray,
+    guesses: ComplexArray,
+    steps: int,
+    tolerance: float,
+    known: ComplexArray = _NONE,
 ) -> ComplexArray:
-    """Return where each guess converges to; NaN where it does not."""
+    """Return where each guess converges to, zeros that are `known` divided out; NaN where it does not."""
     s = np.array(guesses, dtype=complex) + _ASIDE  # not on a pole itself
     left = np.arange(len(s))
     for _ in range(steps):
         z = s[left]
         away = z[:, None] - poles[None, :]
         with np.errstate(all="ignore"):
-            move = -1.0 / (function.ratio(z) + np.sum(1.0 / away, axis=1))
+            rest = np.sum(1.0 / away, axis=1) - np.sum(1.0 / (z[:, None] - known[None, :]), axis=1)
+            move = -1.0 / (function.ratio(z) + rest)
         on_pole = np.min(np.abs(away), axis=1, initial=np.inf) < 1e-12  # which the loop does not reach
         move[on_pole | np.isnan(move)] = 0.0
         long = np.abs(move) > 1.0

@@ -10,8 +10,9 @@ from scipy.linalg import expm
 from interarea.cosim.run.artefacts import linear_plant
 from interarea.cosim.run.controllers import controller_of
 from interarea.design.certificates.closed_loop import closed_loop_matrix, swing_poles
+from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.controllers.controller import Controller
-from interarea.design.delay.characteristic_roots import DelayError
+from interarea.design.delay.characteristic_roots import DelayError, discretised
 from interarea.design.delay.curves import delayed_loop, rightmost_roots, track_roots
 from interarea.design.delay.loop_modes import SWING_HZ, LoopFunction, SignalWay, zeros_of
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
@@ -118,10 +119,11 @@ def test_lost_packets_act_in_the_mean_as_the_recursion_of_the_mean_does(loss: fl
     assert near.imag == pytest.approx(exact.imag, rel=2e-3)
 
 
-class _Cubic:
-    """Three zeros, one of them where no Newton step from the grid's minima need lead."""
+class _Polynomial:
+    """A function with the zeros that are given."""
 
-    zeros = np.array([-1.0 + 2.0j, -1.0001 + 2.0001j, 0.5 + 9.0j])
+    def __init__(self, *zeros: complex) -> None:
+        self.zeros = np.array(zeros)
 
     def value(self, s: np.ndarray) -> np.ndarray:
         return np.prod(s[:, None] - self.zeros[None, :], axis=1)
@@ -130,12 +132,39 @@ class _Cubic:
         return np.sum(1.0 / (s[:, None] - self.zeros[None, :]), axis=1)
 
 
+def zeros_within(*zeros: complex) -> np.ndarray:
+    return zeros_of(_Polynomial(*zeros), np.zeros(0), (-3.0, 3.0), (0.5, 12.0), [])  # type: ignore[arg-type]
+
+
 def test_zeros_are_complete_or_it_is_said() -> None:
-    cubic = _Cubic()
+    """Two zeros nearer than any grid are both found; a double one is one place, and the count tells."""
+    near = (-1.0 + 2.0j, -1.0001 + 2.0001j, 0.5 + 9.0j)
+    np.testing.assert_allclose(np.sort_complex(zeros_within(*near)), np.sort_complex(near), rtol=1e-9)
     with pytest.raises(DelayError, match=r"2 roots found .* 3 counted"):
-        zeros_of(cubic, np.zeros(0), (-3.0, 3.0), (0.5, 12.0), [])  # type: ignore[arg-type]
-    found = zeros_of(cubic, np.zeros(0), (-3.0, 3.0), (0.5, 12.0), [-1.00011 + 2.00012j])  # type: ignore[arg-type]
-    np.testing.assert_allclose(np.sort(found.imag), np.sort(cubic.zeros.imag), rtol=1e-9)
+        zeros_within(-1.0 + 2.0j, -1.0 + 2.0j, 0.5 + 9.0j)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lost", [None, "G10_dw", "G6_dw"])
+@pytest.mark.parametrize("latency_s", [0.0, 0.15, 0.5])
+def test_all_roots_of_a_grid_with_slow_controls_are_found(latency_s: float, lost: str | None) -> None:
+    """New England: beside the swings its governors and the controller have roots far from every minimum."""
+    case = load_case("new-england")
+    relative = remove_reference(linear_plant(case, default_cache()))
+    grid, modes = speeds_in_rad(relative, case.omega_b), modes_of(relative, case.areas)
+    K = shipped_controller("new_england").system
+    ways = {s: SignalWay(latency_s, lost=s == lost) for s in K.input_labels}
+    found = np.array(LoopFunction(grid, K).modes(ways, poles_of(modes)).roots)
+    late = {s: latency_s for s in K.input_labels if s != lost and latency_s}
+    heard = np.array([name != lost for name in K.input_labels], dtype=float)
+    names = {"inputs": list(K.input_labels), "outputs": list(K.output_labels)}
+    there = control.ss(K.A, K.B * heard, K.C, K.D * heard, **names)
+    if late:
+        values = np.linalg.eigvals(discretised(delayed_loop(grid, there, late).balanced(), 28))
+    else:
+        values = np.linalg.eigvals(closed_loop_matrix(grid, there))
+    exact = in_band(values[(values.real > -12.0) & (values.real < 2.0)])
+    np.testing.assert_allclose(in_band(found), exact, rtol=1e-7)
 
 
 def test_nothing_arrives_over_a_lost_signal(plant: tuple[control.StateSpace, Modes]) -> None:
