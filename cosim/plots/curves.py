@@ -18,6 +18,7 @@ import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -149,6 +150,7 @@ def _magnitude(axes: Axes, omega: Array, magnitude: Array, label: str, k: int) -
 
 
 def _frequency_axis(axes: Axes, omega: Array) -> None:
+    _powers_as_text(axes.xaxis)
     axes.set_xlim(float(omega[0]), float(omega[-1]))
     axes.set_xlabel("frequency (rad/s)")
 
@@ -156,13 +158,28 @@ def _frequency_axis(axes: Axes, omega: Array) -> None:
 def signal_label(name: str) -> str:
     """Return a signal name as a reader writes it: `G2_dw` -> Δω of G2."""
     machine, _, quantity = name.partition("_")
-    return f"$\\Delta\\omega$ of {machine}" if quantity == "dw" else name
+    return f"Δω of {machine}" if quantity == "dw" else name
 
 
 def difference_label(name: str, power: int = 3) -> str:
     """Return the axis label of a speed difference drawn in 10^-power pu: `dw24` -> Δω24."""
-    symbol = rf"\Delta\omega_{{{name[2:]}}}" if name.startswith("dw") else rf"\mathrm{{{name}}}"
-    return rf"${symbol}$ ($10^{{-{power}}}$ pu)"
+    symbol = f"Δω{name[2:].translate(_LOW)}" if name.startswith("dw") else name
+    return f"{symbol} ({_power_of_ten(-power)} pu)"
+
+
+#: digits as indices and exponents; of letters there are too few
+_LOW = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_HIGH = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def _power_of_ten(exponent: int) -> str:
+    return f"10{str(exponent).translate(_HIGH)}"
+
+
+def _powers_as_text(axis: Axis) -> None:
+    """Label the decades of a log axis with text a page can find, which takes no parser of formulas."""
+    axis.set_major_formatter(lambda value, _: _power_of_ten(round(float(np.log10(value)))))
+    axis.set_minor_formatter("")
 
 
 def time_plot(
@@ -317,6 +334,7 @@ def hankel_plot(values: Mapping[str, npt.ArrayLike], kept: Mapping[str, int]) ->
             )
             if label in kept:
                 axes.axvline(kept[label] + 0.5, color=SERIES[k], linewidth=0.9, linestyle=(0, (2, 2)))
+        _powers_as_text(axes.yaxis)
         axes.set_xlabel("state of the balanced plant")
         axes.set_ylabel("Hankel singular value")
         axes.legend()

@@ -68,7 +68,7 @@ def generalised_plant_diagram() -> Figure:
     """Draw the loop of the mixed-sensitivity design: G, K, weight W1 on the outputs, W2 on the control."""
     figure, axes = _canvas(WIDTH * 2.3 / 8.4)
     with mpl.rc_context(STYLE):
-        boxes = {"K(s)": (2.0, 0.0), "G(s)": (4.0, 0.0), "W$_2$(s)": (4.0, 1.0), "W$_1$(s)": (7.0, 0.0)}
+        boxes = {"K(s)": (2.0, 0.0), "G(s)": (4.0, 0.0), "W₂(s)": (4.0, 1.0), "W₁(s)": (7.0, 0.0)}
         for text, (x, y) in boxes.items():
             box = FancyBboxPatch((x - 0.5, y - 0.28), 1.0, 0.56, "round,pad=0.02", fill=False, edgecolor=INK)
             axes.add_patch(box)
@@ -88,11 +88,11 @@ def generalised_plant_diagram() -> Figure:
         axes.plot([3.0, 3.0], [0.0, 1.0], color=INK, linewidth=1.0)
         axes.plot([6.0, 6.0, 1.0, 1.0], [0.0, -0.8, -0.8, 0.0], color=INK, linewidth=1.0)
         for x, y, text in (
-            (2.95, -0.22, "$u$"),
-            (5.72, 0.55, "$w$"),
-            (8.55, 0.0, "$z_1$"),
-            (8.55, 1.0, "$z_2$"),
-            (3.6, -0.66, r"$y = (\Delta\omega_2, \Delta\omega_4)$"),
+            (2.95, -0.22, "u"),
+            (5.72, 0.55, "w"),
+            (8.55, 0.0, "z₁"),
+            (8.55, 1.0, "z₂"),
+            (3.6, -0.66, "y = (Δω₂, Δω₄)"),
         ):
             axes.text(x, y, text, ha="center", va="center")
         axes.autoscale_view()

@@ -6,19 +6,55 @@ latency together with loss by Monte Carlo on the co-simulated nonlinear plant.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import control
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from interarea.design.controllers.controller import Controller
 from interarea.design.delay.packet_loss import LossyChannel, OnLoss, PacketLoop, critical_loss
+from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.design.synthesis.study_designs import StudySpec
+from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
+from interarea.models.case.case import load_case
 
+from ..run.artefacts import linear_plant, plant_fmu
+from ..run.controllers import controller_fmu, design_controller
 from .runs import Document, document_of, run_all
 
 RULES: tuple[OnLoss, ...] = ("zero", "hold")
+
+
+def mean_square_record(
+    case_name: str,
+    names: Sequence[str],
+    packets: Mapping[str, Any],
+    specs: Mapping[str, StudySpec],
+    cache: Path,
+) -> list[dict[str, Any]]:
+    """Return `mean_square_rows` of the named controllers, from `cache` if they are there.
+
+    specs : of controllers that are not as the study has them. All else is found in `cache`, so that a
+    process of its own can make it.
+    """
+    case = load_case(case_name)
+    controllers = {name: design_controller(case, name, cache, specs=specs) for name in names}
+    key = content_hash(
+        plant_fmu(case, cache).name,
+        *(controller_fmu(c, case.omega_b, cache).name for c in controllers.values()),
+        dict(packets),
+        code_hash(__name__),
+    )
+
+    def make() -> list[dict[str, Any]]:
+        plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
+        return mean_square_rows(plant, controllers, packets)
+
+    with threadpool_limits(1):
+        return list(cached_json(cache, "packets", key, make))
 
 
 def mean_square_rows(

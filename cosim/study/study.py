@@ -7,8 +7,8 @@ and found again by the hash of what it came from (`artefacts.py`).
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from importlib.metadata import version
@@ -23,7 +23,7 @@ from interarea.design.linear.linearise import remove_reference, select, speeds_i
 from interarea.design.modes.loop_selection import lead_by_coordinates, rank_loops
 from interarea.design.modes.modes import modes_of
 from interarea.design.reduction.balanced import Reduction, balanced_truncation
-from interarea.design.synthesis.study_designs import WdcSpec
+from interarea.design.synthesis.study_designs import StudySpec, WdcSpec
 from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.open.cross_check import complete_fmu
 from interarea.fmu_build.write.cache import (
@@ -47,7 +47,7 @@ from . import rows
 from .delay import latency_analysis, pade_record, redesigned
 from .figures import StudyParts, data_of, difference_of, save_figures
 from .methods import method_record
-from .packet_loss import mean_latency_s, mean_square_rows, monte_carlo_rows
+from .packet_loss import mean_latency_s, mean_square_record, monte_carlo_rows
 from .printed import printed_rows
 from .report import write_report
 from .runs import run_all, scenario_documents
@@ -134,6 +134,12 @@ def run_study(
 
         names = list(controllers)
         waiting = beside.submit(method_record, spec["case"], names, spec["remote"], specs, cache)
+        losses = (
+            beside.submit(mean_square_record, spec["case"], names, spec["packets"], specs, cache)
+            if "packets" in spec
+            else None
+        )
+        page = beside.submit(_explorer, spec["case"], names, specs, out / "explorer.html", cache)
         folder = ending.enter_context(temporary_folder())
         faults = survival_started(spec, specs, folder, cache, beside)
         opinion = (
@@ -177,7 +183,7 @@ def run_study(
         runs = run_all(scenario_documents(spec, delay["synchronous"]["margin_s"]), controllers, cache, done)
 
         done = stage("packets")
-        packets = _packets(spec, plant, controllers, fmus, cache, done) if "packets" in spec else None
+        packets = None if losses is None else _packets(spec, losses, controllers, cache, done)
 
         done = stage("survival")
         survival = survival_record(spec, faults, done)
@@ -205,7 +211,7 @@ def run_study(
         done(1.0)
 
         done = stage("explorer")
-        presets = write_linked_explorer(spec["case"], out / "explorer.html", cache=cache, own=controllers)
+        presets = page.result()
         done(1.0)
 
         done = stage("report")
@@ -243,6 +249,15 @@ def _compile(case_name: str, lanes: bool, cache: Path) -> None:
         if lanes:
             lanes_here(cache)
         container_wasm(cache, case=load_case(case_name))
+
+
+def _explorer(
+    case_name: str, names: Sequence[str], specs: Mapping[str, StudySpec], page: Path, cache: Path
+) -> list[dict[str, str]]:
+    """Write the explorer with the study's controllers, found in `cache`; return its presets' addresses."""
+    case = load_case(case_name)
+    own = {name: design_controller(case, name, cache, specs=specs) for name in names}
+    return write_linked_explorer(case_name, page, cache=cache, own=own)
 
 
 def _reductions(
@@ -285,24 +300,19 @@ def _judged(claims: Path, study: Mapping[str, Any]) -> dict[str, Any]:
 
 def _packets(
     spec: Mapping[str, Any],
-    plant: control.StateSpace,
+    mean_square: Future[list[dict[str, Any]]],
     controllers: Mapping[str, Controller],
-    fmus: Mapping[str, Path],
     cache: Path,
     progress: Callable[[float], None],
 ) -> dict[str, Any]:
     """Return what packet loss and random latency do: second moments and Monte Carlo, as in study.json."""
     table = spec["packets"]
-    key = content_hash(
-        *(fmus[name].name for name in ("plant", *controllers)),
-        dict(table),
-        code_hash(mean_square_rows.__module__),
-    )
-    rows = cached_json(cache, "packets", key, lambda: mean_square_rows(plant, controllers, table))
-    progress(0.3)
+    runs = monte_carlo_rows(spec, controllers, cache, lambda x: progress(0.7 * x))
+    rows = mean_square.result()
+    progress(1.0)
     return {
         "mean_square": rows,
-        "monte_carlo": monte_carlo_rows(spec, controllers, cache, lambda x: progress(0.3 + 0.7 * x)),
+        "monte_carlo": runs,
         "mean_latency_s": mean_latency_s(table["jitter"]),
         **{key: table[key] for key in ("interval_s", "latency_s", "loss_rates", "bursts", "jitter")},
     }

@@ -29,6 +29,8 @@ from .sources import record_source, source_files, with_includes
 from .universal import universal
 
 _CODE = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-fno-ident", "-g0")
+#: Complex products without a call into the compiler's runtime: the same bits wherever they are finite.
+_ZIG_CODE = ("-fcx-limited-range",)
 _GET_ZIG = "pip install 'interarea[build]'"
 _STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 
@@ -192,7 +194,8 @@ def _compiled(kind: str, sources: dict[str, bytes], to: Platform, cache: Path, c
     def make(result: Path) -> None:
         slices = []
         for target in to.targets if zig else ("",):
-            aimed = [*command, *(["-target", target] if target else []), *_CODE, *to.compile_flags]
+            code = _code_flags(to, zig=zig)
+            aimed = [*command, *(["-target", target] if target else []), *code]
             one = partial(_object, kind, sources, aimed, to, version, cache)
             with ThreadPoolExecutor(os.cpu_count()) as pool:
                 objects = dict(pool.map(one, [name for name in sources if name.endswith(".c")]))
@@ -228,12 +231,22 @@ def _object(
 
 
 def _flags(kind: str, to: Platform, *, zig: bool) -> list[str]:
-    return [*_CODE, *_STRICT, *to.compile_flags, *_link_flags(kind, to, zig=zig)]
+    return [*_code_flags(to, zig=zig), *_STRICT, *_link_flags(kind, to, zig=zig)]
+
+
+def _code_flags(to: Platform, *, zig: bool) -> list[str]:
+    return [*_CODE, *(_ZIG_CODE if zig else ()), *to.compile_flags]
 
 
 def _link_flags(kind: str, to: Platform, *, zig: bool) -> list[str]:
-    named = [f"-Wl,-install_name,@rpath/{kind}.dylib"] if zig and to.name.startswith("darwin") else []
-    return [to.library, *to.link_flags, *named]
+    more = []
+    if zig and to.name.startswith("darwin"):
+        more = [f"-Wl,-install_name,@rpath/{kind}.dylib"]
+    elif zig and to.name.startswith("linux"):
+        # zig would make its own runtime first, 6 s in a new cache, of which no line is ours to need:
+        # a name that nobody defines ends the linking
+        more = ["-rtlib=none", "-Wl,-z,defs"]
+    return [to.library, *to.link_flags, *more]
 
 
 def _digest(kind: str, sources: dict[str, bytes], flags: list[str], to: Platform, version: str) -> str:

@@ -18,6 +18,10 @@ import pytest
 EVERY = bool(os.environ.get("INTERAREA_EVERY_FAULT"))
 LONG = pytest.mark.timeout(0 if EVERY else 900)  #: all of them take hours
 
+#: each of this many tests takes its share, so that processes can have them side by side
+SHARES = 4 if EVERY else 1
+SHARED = pytest.mark.parametrize("share", range(SHARES))
+
 
 def grid(ratio: float = 1.0, step: int = 1) -> Iterator[int]:
     """Yield 1, 2 .. without end, each at least `step` and `ratio` times the one before; with `EVERY` all."""

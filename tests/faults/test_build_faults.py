@@ -9,10 +9,11 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+from itertools import islice
 from pathlib import Path
 
 import pytest
-from file_faults import LONG, Fault, grid
+from file_faults import LONG, SHARED, SHARES, Fault, grid
 from fmu_runner import decay_block
 
 from interarea.cosim.study.spec import load_study
@@ -89,8 +90,9 @@ def left(out: Path) -> dict[str, bytes]:
 
 
 @LONG
+@SHARED
 @pytest.mark.slow
-def test_a_study(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_study(share: int, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What it computes is in the cache, as after a study that has failed at its files."""
     monkeypatch.setenv("INTERAREA_CACHE", str(cache))
     name = small_study(tmp_path)
@@ -100,7 +102,7 @@ def test_a_study(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         run_study(name, tmp_path / "whole", second_solver=False)
     whole, tried = left(tmp_path / "whole"), 0
     assert left(tmp_path / "first") == whole and len(whole) >= 10
-    for n in grid(ratio=3.0):
+    for n in islice(grid(ratio=3.0), share, None, SHARES):
         if n > fault.count:
             break
         out = tmp_path / f"{n}"

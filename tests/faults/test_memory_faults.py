@@ -11,10 +11,11 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable
+from itertools import count, islice
 from pathlib import Path
 
 import pytest
-from file_faults import EVERY, LONG, grid, no_memory
+from file_faults import EVERY, LONG, SHARED, SHARES, grid, no_memory
 from fmu_runner import decay_block
 from stored_runs import finished, session
 from test_run_faults import OF_A_CASE, WITH_A_CASE, plain, written
@@ -88,12 +89,14 @@ def test_a_run(tmp_path: Path, cache: Path) -> None:
 
 
 @LONG
+@SHARED
 @pytest.mark.slow
-def test_a_run_with_a_case(tmp_path: Path, cache: Path) -> None:
+def test_a_run_with_a_case(share: int, tmp_path: Path, cache: Path) -> None:
     """Where no error comes out every file is the same: none is swallowed and taken for a fact of the loop."""
     whole = written(WITH_A_CASE, tmp_path / "whole", cache, OF_A_CASE)
-    seen, clean, n = Counter[str](), 0, 1
-    while clean < 3:
+    seen, clean = Counter[str](), 0
+    ratio = 1.01 if EVERY else 1.6
+    for n in islice((k + int(ratio**k) for k in count()), share, None, SHARES):
         out = tmp_path / str(n)
         found = outcome_without_memory(n, lambda out=out: written(WITH_A_CASE, out, cache))  # type: ignore[misc]
         seen[found], clean = seen[found] + 1, clean + 1 if found == "clean" else 0
@@ -103,7 +106,8 @@ def test_a_run_with_a_case(tmp_path: Path, cache: Path) -> None:
         assert found != "clean" or left.keys() == whole.keys(), n
         if left and found != "clean":
             assert written(WITH_A_CASE, out, cache, OF_A_CASE) == whole, n
-        n = max(n + 1, int(n * (1.01 if EVERY else 1.6)))
+        if clean == 3:
+            break
     assert n > 1_000_000 and seen["told"] > 20 and seen["crashed"] < seen["told"] // 4
 
 

@@ -67,7 +67,7 @@ def test_one_line_diagram_names_every_bus_and_machine() -> None:
 
 def test_generalised_plant_diagram_has_its_four_boxes() -> None:
     words = {text.get_text() for text in generalised_plant_diagram().axes[0].texts}
-    assert {"K(s)", "G(s)", "W$_1$(s)", "W$_2$(s)"} <= words
+    assert {"K(s)", "G(s)", "W₁(s)", "W₂(s)"} <= words
 
 
 def test_a_marks_name_stands_above_the_axes_and_the_legend_beside_no_curve() -> None:
