@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import control
 
+from interarea.cosim.designs.ranked_loops import ranked_loops
 from interarea.cosim.run.artefacts import linear_plant, sparse_linear_plant
 from interarea.design.linear.linearise import remove_reference
-from interarea.design.modes.loop_selection import rank_loops
+from interarea.design.modes.loop_choice import KINDS
 from interarea.design.modes.modes import modes_of
 from interarea.design.reduction.balanced import (
     Reduction,
@@ -99,6 +101,7 @@ def linearise(case: Case | str | Path, *, reference: bool = False) -> control.St
     """Return the plant linearised at its operating point; states, inputs and outputs have names.
 
     Inputs ``G1_vs`` ... in pu; outputs as the plant FMU gives them, speeds ``G1_dw`` ... in pu; time in s.
+    The matrices are dense, of 3000 states at most; `loops`, `reduce` and ``interarea modes --band`` take all.
 
     Parameters
     ----------
@@ -107,7 +110,7 @@ def linearise(case: Case | str | Path, *, reference: bool = False) -> control.St
 
     Raises
     ------
-    UserError : no such case, or no operating point.
+    UserError : no such case, no operating point, or too many states.
 
     Examples
     --------
@@ -135,22 +138,44 @@ def modes(case: Case | str | Path) -> SwingModes:
     return SwingModes.of(modes_of(linear_plant(loaded, default_cache()), loaded.areas), loaded)
 
 
-def loops(case: Case | str | Path) -> RankedLoops:
-    """Rank actuators with speed differences by how well they reach and see the inter-area mode.
+def loops(
+    case: Case | str | Path,
+    *,
+    band_hz: tuple[float, float] = (0.1, 2.5),
+    below: float = 0.2,
+    targets: Sequence[str] = (),
+    signals: Sequence[str] = KINDS,
+    actuators: Sequence[str] = (),
+    latency_s: float = 0.0,
+    together: int | None = None,
+    most: int = 10,
+) -> RankedLoops:
+    """Rank every signal at every actuator by how well the loop reaches and shows a mode; a grid of any size.
+
+    The index of a loop is its residue over the largest of its kind of signal for that mode. Sets of actuators
+    are ranked by the mode that they serve least.
+
+    Parameters
+    ----------
+    band_hz, below : modes are those of this band whose damping ratio is below this.
+    targets : modes to be damped, by name; default the inter-area ones.
+    signals : kinds of them: speed, frequency, angle, power, current. actuators : default all (``G1_vs``).
+    latency_s : of every signal; turns the phase that a controller has to make up.
+    together : actuators in a set, default 2. most : rows of each ranking.
 
     Raises
     ------
-    UserError : no such case, or no inter-area mode.
+    UserError : no such case, mode, signal or actuator, or no inter-area mode.
 
     Examples
     --------
     >>> loops("two-area-thesis").selected.actuator
     'G4_vs'
     """
-    loaded = case_like(case)
-    system = remove_reference(linear_plant(loaded, default_cache()))
-    ranked = rank_loops(system, modes_of(system, loaded.areas).inter_area, areas=loaded.areas)
-    return RankedLoops(ranked.mode, ranked.ranking, ranked.coordinates)
+    options: dict[str, Any] = {"targets": targets, "kinds": signals, "actuators": actuators}
+    options |= {"latency_s": latency_s, "together": together, "most": most}
+    choice = ranked_loops(case_like(case), default_cache(), band_hz=band_hz, below=below, **options)
+    return RankedLoops(**vars(choice))
 
 
 def reduce(

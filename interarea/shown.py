@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from interarea.cosim.sweep.parts import read_plan, read_rows, read_trajectory, summary_of
-from interarea.design.modes.loop_selection import Loops
+from interarea.design.modes.loop_choice import LoopChoice, RankedLoop
 from interarea.design.modes.modes import Modes
 from interarea.progress import notebook_bars
 
@@ -84,31 +84,51 @@ class SwingModes(Modes):
 
 
 @dataclass(frozen=True, repr=False)
-class RankedLoops(Loops):
-    """Actuators with signals for one mode, best first."""
+class RankedLoops(LoopChoice):
+    """Actuators with signals for each target mode, best first (`loops`), and sets of actuators (`sets`)."""
+
+    @property
+    def selected(self) -> RankedLoop:
+        """The best loop for the least damped target."""
+        return self.loops[self.least_damped][0]
 
     def __repr__(self) -> str:
         best = self.selected
-        return f"Loops({self.mode}: {len(self.ranking)}, best {best.actuator} with {best.signal})"
+        return f"Loops({', '.join(self.targets)}: best {best.actuator} with {best.signal})"
 
     def to_frame(self) -> pd.DataFrame:
-        """Return one row a loop: actuator, signal, index, controllability, observability, geometric index."""
-        keys = ("actuator", "signal", "index", "controllability", "observability", "geometric")
-        return _frame([{key: getattr(loop, key) for key in keys} for loop in self.ranking])
+        """Return one row a loop: mode, actuator, signal, kind, index, lead_deg, moves_beside, times."""
+        keys = ("mode", "actuator", "signal", "kind", "index", "lead_deg")
+        rows = []
+        for loop in (loop for some in self.loops.values() for loop in some):
+            beside = {"moves_beside": loop.beside[0], "times": loop.beside[1]}
+            rows.append({key: getattr(loop, key) for key in keys} | beside)
+        return _frame(rows)
 
     def plot(self) -> Figure:
-        """Draw the index of each loop, best first."""
+        """Draw the index of each loop for the least damped target, best first."""
         from interarea.cosim.plots.curves import new_figure
 
-        labels = [f"{loop.actuator.removesuffix('_vs')} with {loop.signal}" for loop in self.ranking]
+        ranked = self.loops[self.least_damped]
+        labels = [f"{loop.actuator.removesuffix('_vs')} with {loop.signal}" for loop in ranked]
         figure, axes = new_figure(height=0.22 * len(labels) + 0.9)
-        axes.barh(labels, [loop.index for loop in self.ranking])
+        axes.barh(labels, [loop.index for loop in ranked])
         axes.invert_yaxis()
-        axes.set_xlabel(f"loop index for the {self.mode} mode")
+        axes.set_xlabel(f"loop index for the {self.least_damped} mode")
         return figure
 
     def _repr_html_(self) -> str:
-        return _html(f"loops for the {self.mode} mode", self.to_frame())
+        sets = [
+            {
+                "actuators": ", ".join(one.actuators),
+                "score": one.score,
+                "each with": ", ".join(f"{a} with {s}" for a, s in one.loops.items()),
+                "reason": one.reason,
+            }
+            for one in self.sets
+        ]
+        loops = _html(f"loops for {', '.join(self.targets)}", self.to_frame())
+        return loops + _html("sets of actuators", _frame(sets))
 
 
 @dataclass(frozen=True, repr=False)

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from interarea.design.linear.sparse_plant import SparsePlant
     from interarea.models.blocks.variables import Block
 
+MOST_DENSE = 3000  #: states of a linear model as matrices: 72 MB each, and a minute for all modes
+_MANY = 100  # machines: below them no grid has so many states
 EVENT_SLOTS = 8  #: of the plant FMU; a scenario with more events gets one of its own
 
 
@@ -110,7 +112,12 @@ def linear_matrices(case: Case, cache: Path) -> LinearMatrices:
     """Return the plant FMU linearised at its operating point, reference angle included, as plain matrices.
 
     Inputs `G1_vs`.. in pu, outputs as the FMU gives them (speeds in pu); all states in s.
+
+    Raises
+    ------
+    UserError : no operating point, or more states than `MOST_DENSE`.
     """
+    _require_dense(case)
     fmu = plant_fmu(case, cache)
     key = content_hash(fmu.name, code_hash("interarea.design.linear.linearise"), numerics_versions())
 
@@ -128,6 +135,23 @@ def linear_matrices(case: Case, cache: Path) -> LinearMatrices:
             [str(s) for s in z["states"]],
             [str(s) for s in z["inputs"]],
             [str(s) for s in z["outputs"]],
+        )
+
+
+def _require_dense(case: Case) -> None:
+    """Refuse a grid whose matrices would fill the memory, before its FMU is built."""
+    from interarea.models.errors import UserError
+
+    if len(case.machines) < _MANY:
+        return
+    from interarea.models.grid.equilibrium import operating_point
+    from interarea.models.grid.machine_tables import in_plant_order
+
+    states = len(operating_point(in_plant_order(case)).states)
+    if states > MOST_DENSE:
+        raise UserError(
+            f"{case.name}: {states} states, allowed for a dense linear model: {MOST_DENSE}; "
+            "`interarea modes --band`, `loops` and `reduce` work on the sparse blocks of a grid of any size"
         )
 
 

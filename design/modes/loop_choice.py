@@ -89,9 +89,13 @@ class LoopSet:
 
 @dataclass(frozen=True)
 class LoopChoice:
-    """Ranked loops of each target mode, best first, and ranked sets."""
+    """Ranked loops of each target mode, best first, and ranked sets.
+
+    least_damped : of the targets.
+    """
 
     targets: tuple[str, ...]
+    least_damped: str
     latency_s: float
     loops: Mapping[str, tuple[RankedLoop, ...]]
     sets: tuple[LoopSet, ...]
@@ -106,7 +110,7 @@ def choose_loops(
     latency_s: float = 0.0,
     actuators: Sequence[str] = (),
     kinds: Sequence[str] = KINDS,
-    together: int = 2,
+    together: int | None = None,
     most: int = 10,
 ) -> LoopChoice:
     """Rank every signal at every actuator for every target mode, and sets of `together` actuators.
@@ -116,6 +120,7 @@ def choose_loops(
     modes : of the plant (`all_modes`); targets : names among them, default the inter-area ones.
     areas : machine name -> area number.
     latency_s : of every signal. actuators : inputs of the plant, default all. most : rows that are kept.
+    together : default 2, or 1 where there is one actuator.
 
     Raises
     ------
@@ -123,6 +128,7 @@ def choose_loops(
     """
     aimed = _targets(modes, targets)
     names = _actuators(plant, actuators)
+    together = min(len(names), 2) if together is None else together
     _require(kinds, latency_s, together, names)
     V = np.array([mode.right for mode in modes]).T
     value = np.array([mode.eigenvalue for mode in modes])
@@ -137,7 +143,9 @@ def choose_loops(
     table = _Residues([m.name for m in modes], names, signals, reach)
     table.require(aimed, modes)
     loops = {modes[m].name: tuple(table.ranked(m, most)) for m in aimed}
-    return LoopChoice(tuple(loops), latency_s, loops, table.sets(aimed, together)[:most])
+    worst = min((modes[m] for m in aimed), key=lambda mode: mode.damping_ratio)
+    sets = table.sets(aimed, together)[:most]
+    return LoopChoice(tuple(loops), worst.name, latency_s, loops, sets)
 
 
 def _require(kinds: Sequence[str], latency_s: float, together: int, actuators: Sequence[str]) -> None:

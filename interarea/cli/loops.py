@@ -51,11 +51,7 @@ def loops(
 ) -> None:
     """Rank every signal at every actuator for the inter-area modes, or others of a band; any grid."""
     loaded = at_point(case, 0.0, circuit_out, 1.0)
-    options: dict[str, Any] = {
-        "latency_s": latency,
-        "together": together or min(len(actuator or "ab"), 2),
-        "most": most,
-    }
+    options: dict[str, Any] = {"latency_s": latency, "together": together, "most": most}
     options |= {"targets": mode or (), "actuators": actuator or ()} | ({"kinds": signals} if signals else {})
     with busy(f"loops of {loaded.name}"):
         choice = _chosen(loaded, *region_of(band, below), options)
@@ -66,14 +62,10 @@ def loops(
 
 
 def _chosen(case: Case, band_hz: tuple[float, float], below: float, options: dict[str, Any]) -> LoopChoice:
-    from interarea.cosim.run.artefacts import sparse_linear_plant
-    from interarea.design.modes.all_modes import all_modes
-    from interarea.design.modes.loop_choice import choose_loops
+    from interarea.cosim.designs.ranked_loops import ranked_loops
     from interarea.fmu_build.write.cache import default_cache
 
-    plant = sparse_linear_plant(case, default_cache())
-    found = all_modes(plant, case.areas, band_hz=band_hz, below=below)
-    return choose_loops(plant, found.modes, case.areas, **options)
+    return ranked_loops(case, default_cache(), band_hz=band_hz, below=below, **options)
 
 
 def _as_dict(choice: LoopChoice) -> dict[str, Any]:

@@ -70,9 +70,29 @@ def test_modes_and_loops_as_tables_and_figures() -> None:
     assert modes.plot("local area 1").axes
     ranking = loops.to_frame()
     assert (ranking.actuator[0], ranking.signal[0]) == ("G4_vs", "dw24")
-    assert np.allclose(ranking["index"], ranking.controllability * ranking.observability)
-    assert len(loops.plot().axes[0].patches) == len(ranking)
-    assert "dw24" in loops._repr_html_()
+    assert (loops.selected.actuator, loops.selected.signal) == ("G4_vs", "dw24")
+    assert len(loops.plot().axes[0].patches) == len(ranking) == 10
+    assert "dw24" in loops._repr_html_() and "sets of actuators" in loops._repr_html_()
+    assert repr(loops) == "Loops(inter-area: best G4_vs with dw24)"
+
+
+def test_the_selected_loop_is_for_the_least_damped_target() -> None:
+    modes = ia.modes("nets-nyps")
+    worst = min((m for n, m in modes.items() if n.startswith("inter-area")), key=lambda m: m.damping_ratio)
+    found = ia.loops("nets-nyps", signals=["speed"], most=3)
+    assert len(found.targets) == 4 and len(found.to_frame()) == 12
+    assert found.selected.mode == found.least_damped
+    assert found.selected is found.loops[found.least_damped][0]
+    near = [m for m in modes.values() if abs(m.damping_ratio - worst.damping_ratio) < 1e-6]
+    assert len(near) == 1 and found.least_damped == near[0].name
+
+
+def test_a_dense_model_of_too_many_states_is_refused_before_it_is_built(monkeypatch) -> None:
+    from interarea.cosim.run import artefacts
+
+    monkeypatch.setattr(artefacts, "MOST_DENSE", 1000)
+    with pytest.raises(ia.UserError, match=r"wecc-240: 1167 states, allowed for a dense linear model: 1000"):
+        ia.linearise("wecc-240")
 
 
 def test_a_linear_and_a_reduced_model() -> None:
