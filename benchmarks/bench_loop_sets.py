@@ -29,7 +29,8 @@ from interarea.design.delay.signal_conditions import condition_of_many
 from interarea.design.errors import InfeasibleDesign
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.modes.all_modes import all_modes
-from interarea.design.modes.loop_choice import LoopSet, choose_loops
+from interarea.design.modes.loop_choice import choose_loops
+from interarea.design.modes.loop_points import LoopSet
 from interarea.design.robust.design import design_robust
 from interarea.design.robust.operating_points import inter_area_band, judge_family
 from interarea.design.robust.smoothed_objective import BandOffsets

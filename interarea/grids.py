@@ -149,6 +149,7 @@ def loops(
     latency_s: float = 0.0,
     together: int | None = None,
     most: int = 10,
+    points: Mapping[str, Case] | None = None,
 ) -> RankedLoops:
     """Rank every signal at every actuator by how well the loop reaches and shows a mode; a grid of any size.
 
@@ -162,6 +163,7 @@ def loops(
     signals : kinds of them: speed, frequency, angle, power, current. actuators : default all (``G1_vs``).
     latency_s : of every signal; turns the phase that a controller has to make up.
     together : actuators in a set, default 2. most : rows of each ranking.
+    points : name -> the grid at another operating point, at which sets are to hold too.
 
     Raises
     ------
@@ -173,7 +175,7 @@ def loops(
     'G4_vs'
     """
     options: dict[str, Any] = {"targets": targets, "kinds": signals, "actuators": actuators}
-    options |= {"latency_s": latency_s, "together": together, "most": most}
+    options |= {"latency_s": latency_s, "together": together, "most": most, "points": points}
     choice = ranked_loops(case_like(case), default_cache(), band_hz=band_hz, below=below, **options)
     return RankedLoops(**vars(choice))
 

@@ -122,6 +122,7 @@ class RankedLoops(LoopChoice):
             {
                 "actuators": ", ".join(one.actuators),
                 "score": one.score,
+                "holds": one.holds,
                 "each with": ", ".join(f"{a} with {s}" for a, s in one.loops.items()),
                 "reason": one.reason,
             }

@@ -24,8 +24,8 @@ FUNCTIONS = {
     "loops": "case: Case | str | Path, *, band_hz: tuple[float, float] = (0.1, 2.5), below: float = 0.2, "
     "targets: Sequence[str] = (), "
     "signals: Sequence[str] = ('speed', 'frequency', 'angle', 'power', 'current'), "
-    "actuators: Sequence[str] = (), latency_s: float = 0.0, together: int | None = None, most: int = 10 "
-    "-> RankedLoops",
+    "actuators: Sequence[str] = (), latency_s: float = 0.0, together: int | None = None, most: int = 10, "
+    "points: Mapping[str, Case] | None = None -> RankedLoops",
     "linearise": "case: Case | str | Path, *, reference: bool = False -> control.StateSpace",
     "reduce": "system: control.StateSpace | Case | str | Path, order: int, *, method: str = 'balanced', "
     "inputs: Sequence[str] = (), outputs: Mapping[str, Mapping[str, float]] | None = None -> Reduction",

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from interarea.models.case.tables import swing_name
 
 from ..linear.sparse_plant import SparsePlant
+from .loop_points import LoopPoint, LoopSet, gone, held
 from .loop_selection import require_actuator
 from .modes import Mode, ModeError
 
@@ -66,32 +67,10 @@ class RankedLoop:
 
 
 @dataclass(frozen=True)
-class LoopSet:
-    """Actuators, each with the signal that serves it best.
-
-    score : least over modes of the largest index. left : the same after the worst loss of one signal.
-    decides : the mode that decides the score. loops : actuator -> signal, for the mode it serves most.
-    """
-
-    actuators: tuple[str, ...]
-    score: float
-    left: float
-    decides: str
-    loops: Mapping[str, str]
-
-    @property
-    def reason(self) -> str:
-        """Why it stands where it does, in words."""
-        return (
-            f"{self.decides} is served least, {self.score:.2f}; {self.left:.2f} when the worst signal is lost"
-        )
-
-
-@dataclass(frozen=True)
 class LoopChoice:
     """Ranked loops of each target mode, best first, and ranked sets.
 
-    least_damped : of the targets.
+    least_damped : of the targets. remarks : targets that are no mode of another operating point.
     """
 
     targets: tuple[str, ...]
@@ -99,6 +78,7 @@ class LoopChoice:
     latency_s: float
     loops: Mapping[str, tuple[RankedLoop, ...]]
     sets: tuple[LoopSet, ...]
+    remarks: tuple[str, ...] = ()
 
 
 def choose_loops(
@@ -112,6 +92,7 @@ def choose_loops(
     kinds: Sequence[str] = KINDS,
     together: int | None = None,
     most: int = 10,
+    points: Sequence[LoopPoint] = (),
 ) -> LoopChoice:
     """Rank every signal at every actuator for every target mode, and sets of `together` actuators.
 
@@ -121,6 +102,7 @@ def choose_loops(
     areas : machine name -> area number.
     latency_s : of every signal. actuators : inputs of the plant, default all. most : rows that are kept.
     together : default 2, or 1 where there is one actuator.
+    points : other operating points at which sets are to hold; ranked by the least score of all.
 
     Raises
     ------
@@ -144,8 +126,10 @@ def choose_loops(
     table.require(aimed, modes)
     loops = {modes[m].name: tuple(table.ranked(m, most)) for m in aimed}
     worst = min((modes[m] for m in aimed), key=lambda mode: mode.damping_ratio)
-    sets = table.sets(aimed, together)[:most]
-    return LoopChoice(tuple(loops), worst.name, latency_s, loops, sets)
+    sets, wanted = table.sets(aimed, together), [modes[m] for m in aimed]
+    if points:
+        sets = held(sets, wanted, names, points)
+    return LoopChoice(tuple(loops), worst.name, latency_s, loops, sets[:most], gone(wanted, points))
 
 
 def _require(kinds: Sequence[str], latency_s: float, together: int, actuators: Sequence[str]) -> None:

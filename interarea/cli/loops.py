@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from math import isfinite, nan
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -48,17 +49,43 @@ def loops(
     ] = None,
     most: Annotated[int, typer.Option("--most", metavar="N", min=1, help="rows to show")] = 10,
     circuit_out: CircuitsOut = None,
+    point: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--point", metavar="KEY=VALUE", help="where sets hold too: out=BRANCH, tie=MW or load=FACTOR"
+        ),
+    ] = None,
 ) -> None:
     """Rank every signal at every actuator for the inter-area modes, or others of a band; any grid."""
     loaded = at_point(case, 0.0, circuit_out, 1.0)
     options: dict[str, Any] = {"latency_s": latency, "together": together, "most": most}
     options |= {"targets": mode or (), "actuators": actuator or ()} | ({"kinds": signals} if signals else {})
+    options["points"] = {words: _variant(loaded, words) for words in point or ()}
     with busy(f"loops of {loaded.name}"):
         choice = _chosen(loaded, *region_of(band, below), options)
     if json_:
         typer.echo(json.dumps({"case": loaded.name, **_as_dict(choice)}, indent=2, allow_nan=False))
         return
     _print_choice(loaded.name, choice)
+
+
+def _variant(case: Case, words: str) -> Case:
+    """Return a case at the operating point that `words` say."""
+    from interarea.models.case.case import CaseError
+    from interarea.models.case.variants import operating_variant
+
+    key, _, value = words.partition("=")
+    if key == "out":
+        return operating_variant(case, out=[value])
+    try:
+        number = float(value)
+    except ValueError:
+        number = nan
+    if key == "tie" and isfinite(number):
+        return operating_variant(case, tie_flow_mw=number)
+    if key == "load" and isfinite(number):
+        return operating_variant(case, load_scale=number)
+    raise CaseError(f"--point {words!r}, wanted out=BRANCH, tie=MW or load=FACTOR")
 
 
 def _chosen(case: Case, band_hz: tuple[float, float], below: float, options: dict[str, Any]) -> LoopChoice:
@@ -77,6 +104,7 @@ def _as_dict(choice: LoopChoice) -> dict[str, Any]:
         "latency_s": choice.latency_s,
         "loops": {mode: [row(loop) for loop in ranked] for mode, ranked in choice.loops.items()},
         "sets": [asdict(one) | {"reason": one.reason} for one in choice.sets],
+        "remarks": list(choice.remarks),
     }
 
 
@@ -110,4 +138,6 @@ def _print_choice(name: str, choice: LoopChoice) -> None:
             for one in choice.sets
         ],
     )
+    for remark in choice.remarks:
+        typer.echo(remark)
     typer.echo("index: residue over the largest of its kind of signal for that mode; score: least over modes")

@@ -37,9 +37,44 @@ def test_a_single_allowed_actuator_is_a_set(interarea) -> None:  # type: ignore[
     assert [one["actuators"] for one in json.loads(interarea(*given)[1])["sets"]] == [["G2_vs"]]
 
 
+def test_sets_are_ranked_over_operating_points(interarea) -> None:  # type: ignore[no-untyped-def]
+    points = ("--point", "out=8-9 a", "--point", "tie=100", "--point", "load=0.9")
+    found = json.loads(interarea("loops", "two-area-thesis", "--signals", "speed", *points, "--json")[1])
+    assert {one["weakest_point"] for one in found["sets"]} <= {"out=8-9 a", "tie=100", "load=0.9"}
+    assert all(0.0 < one["holds"] <= 1.0 for one in found["sets"])
+    assert found["remarks"] == []
+
+
+def twin(folder: Path) -> str:
+    """Kundur's four machines, the first as two equal units: they swing against each other at one bus."""
+    case = load_case("kundur-pss")
+    first = case.machines[0]
+    half = {"base_mva": 0.5 * first.base_mva, "P_mw": 0.5 * first.P_mw}
+    units = (first.model_copy(update=half), first.model_copy(update={**half, "name": "G1b"}))
+    export_toml(
+        case.model_copy(update={"machines": (*units, *case.machines[1:]), "name": "twin"}),
+        folder / "twin.toml",
+    )
+    return str(folder / "twin.toml")
+
+
+def test_a_target_that_no_allowed_signal_shows_is_one_line(interarea, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """Two equal units against each other: nothing beyond their bus moves, only their own speeds show it."""
+    grid, mode = twin(tmp_path), ("--below", "0.5", "--mode", "local area 1.2")
+    code, _, err = interarea("loops", grid, *mode, "--signals", "angle")
+    assert code == 2
+    assert "no actuator with a signal reaches and shows it; allow more actuators or more kinds" in err
+    assert len(err.strip().splitlines()) == 1
+    assert interarea("loops", grid, *mode, "--signals", "speed")[0] == 0
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [
+        (("--point", "x=3"), "--point 'x=3', wanted out=BRANCH, tie=MW or load=FACTOR"),
+        (("--point", "load=much"), "--point 'load=much', wanted out=BRANCH"),
+        (("--point", "load=4"), "the power flow does not converge: worst mismatch"),
+        (("--point", "out=zz"), "branch 'zz' does not exist"),
         (("--latency", "-0.1"), "latency = -0.1 s, wanted: 0 or more"),
         (("--below", "0.01"), "no inter-area mode in this band and below this damping ratio"),
         (("--below", "0.2", "--mode", "x"), "no mode 'x'"),

@@ -1,0 +1,114 @@
+r"""Sets of actuators, and how they hold at other operating points.
+
+A mode there is the one of the base point that it is most alike: with :math:`w^T v = 1` at both points (0, 1)
+
+.. math:: |(w_0^T v_1)(w_1^T v_0)|
+
+is 1 for the same mode, 0 for another, and no unit or size of states moves it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from ..linear.sparse_plant import SparsePlant
+from .modes import Mode, ModeError
+
+_ALIKE = 0.25  # less is another mode
+
+
+@dataclass(frozen=True)
+class LoopSet:
+    """Actuators, each with the signal that serves it best.
+
+    score : least over modes of the largest index. left : the same after the worst loss of one signal.
+    decides : the mode that decides the score. loops : actuator -> signal, for the mode it serves most.
+    holds : the least score at other operating points, at `weakest_point`; None where none were asked for.
+    """
+
+    actuators: tuple[str, ...]
+    score: float
+    left: float
+    decides: str
+    loops: Mapping[str, str]
+    holds: float | None = None
+    weakest_point: str = ""
+
+    @property
+    def reason(self) -> str:
+        """Why it stands where it does, in words."""
+        said = (
+            f"{self.decides} is served least, {self.score:.2f}; {self.left:.2f} when the worst signal is lost"
+        )
+        return said if self.holds is None else f"{said}; {self.holds:.2f} at {self.weakest_point}"
+
+
+@dataclass(frozen=True)
+class LoopPoint:
+    """An operating point beside the base one: its plant and modes (`all_modes`), in words `name`."""
+
+    name: str
+    plant: SparsePlant
+    modes: Sequence[Mode]
+
+    def reach(self, targets: Sequence[Mode], actuators: Sequence[str]) -> npt.NDArray[np.float64]:
+        """Return what each actuator moves each target here, of the most that any does, (targets, actuators).
+
+        Rows of targets that are no mode here are 1: nothing is asked there.
+        """
+        here = [self.like(target) for target in targets]
+        B = self.plant.Bu[:, [self.plant.inputs.index(name) for name in actuators]].toarray()
+        found = np.ones((len(targets), len(actuators)))
+        for row, mode in zip(found, here, strict=True):
+            if mode is not None:
+                moved = np.abs(mode.left @ B)
+                row[:] = moved / max(float(moved.max()), 1e-300)
+        return found
+
+    def like(self, target: Mode) -> Mode | None:
+        """Return the mode here that is most like one of the base point, None where none is.
+
+        Raises
+        ------
+        ModeError : a grid of other machines or devices.
+        """
+        best, most = None, _ALIKE
+        for mode in self.modes:
+            if len(mode.right) != len(target.right):
+                raise ModeError(
+                    f"point {self.name!r} has {len(mode.right)} states, the base one {len(target.right)}; "
+                    "wanted: the same machines and devices at both"
+                )
+            alike = abs((target.left @ mode.right) * (mode.left @ target.right))
+            if alike > most:
+                best, most = mode, float(alike)
+        return best
+
+
+def held(
+    sets: Sequence[LoopSet], targets: Sequence[Mode], actuators: Sequence[str], points: Sequence[LoopPoint]
+) -> tuple[LoopSet, ...]:
+    """Return sets with what is left of their score at the worst point, ranked by the less of both."""
+    reaches = [(point.name, point.reach(targets, actuators)) for point in points]
+    place = {name: k for k, name in enumerate(actuators)}
+    found = []
+    for one in sets:
+        own = [place[name] for name in one.actuators]
+        scores = [(float(reach[:, own].max(axis=1).min()), name) for name, reach in reaches]
+        holds, weakest = min(scores, key=lambda row: row[0])
+        found.append(replace(one, holds=holds, weakest_point=weakest))
+    return tuple(sorted(found, key=lambda one: -min(one.score, one.holds or 0.0)))
+
+
+def gone(targets: Sequence[Mode], points: Sequence[LoopPoint]) -> tuple[str, ...]:
+    """Say which targets are no mode of a point."""
+    return tuple(
+        f"at {point.name}: no mode like {target.name}, or damped better than asked for"
+        for point in points
+        for target in targets
+        if point.like(target) is None
+    )
