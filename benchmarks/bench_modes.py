@@ -1,11 +1,11 @@
 """All modes of grids of any size: found, counted and dense, with seconds; and a reduction to design order.
 
-    python benchmarks/bench_modes.py [FOLDER] [--grid NAME ..] [--dense STATES] [--late S ..] [--json FILE]
+    python benchmarks/bench_modes.py [FOLDER] [--grid NAME ..] [--below RATIO ..] [--late S ..]
 
 Bundled cases below damping ratios of 0.15 and 0.3, or with FOLDER its published files under the names in
 `GRIDS` (inverters as constant currents, loads as impedances; a MATPOWER file with devices by the rule of
-`ruled_grid`) below 0.15, from 0.1 to 2 Hz. Dense: numpy's QR
-on the whole state matrix, of grids up to `--dense` states. With `--late` also with three speed differences
+`ruled_grid`) below those of `--below`, default 0.15, from 0.1 to 2 Hz. Dense: numpy's QR on the whole state
+matrix, of grids up to `--dense` states. With `--late` also with three speed differences
 fed back to exciters, where there are some, so many seconds late: against QR on plant and Chebyshev lines for
 the delays. Exit code 1 where found, counted and dense differ, a residual is above 1e-9 or a late mode is off
 by 1e-7.
@@ -43,6 +43,12 @@ _NODES = 28  # of each line that stands for a delay
 _OFF = 1e-7  # relative, of a late mode
 #: RAW and DYR under FOLDER, or a MATPOWER file
 GRIDS: dict[str, tuple[str, ...]] = {
+    "IEEE14": ("IEEE14/IEEE14_PTIv33.raw", "IEEE14/IEEE14.dyr"),
+    "IEEE39": ("IEEE39/IEEE39.raw", "IEEE39/IEEE39.dyr"),
+    "IEEE145": ("IEEE145/IEEE145.raw", "IEEE145/IEEE145_classicGen.dyr"),
+    "Nordic44": ("Nordic44/N44_BC.raw", "Nordic44/N44_BC.dyr"),
+    "case118": ("matpower/case118.m",),
+    "case300": ("matpower/case300.m",),
     "ACTIVSg200": ("ACTIVSg200/ACTIVSg200.RAW", "ACTIVSg200/ACTIVSg200_dynamics.dyr"),
     "ACTIVSg500": ("ACTIVSg500/ACTIVSg500.RAW", "ACTIVSg500/ACTIVSg500_dynamics.dyr"),
     "WECC240": (
@@ -133,6 +139,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--grid", nargs="*", choices=list(GRIDS), default=list(GRIDS))
+    parser.add_argument("--below", type=float, nargs="*", default=[0.15], metavar="RATIO")
     parser.add_argument("--dense", type=int, default=2000, metavar="STATES")
     parser.add_argument("--reduce", type=int, default=60, metavar="ORDER")
     parser.add_argument("--late", type=float, nargs="*", default=[], metavar="S")
@@ -141,7 +148,7 @@ def main() -> None:
     options = parser.parse_args()
     jobs: list[tuple[Any, float]] = [(load_case(name), z) for name in case_names() for z in (0.15, 0.3)]
     if options.folder:
-        jobs = [(name, 0.15) for name in options.grid]
+        jobs = [(name, z) for name in options.grid for z in options.below]
     rows, wrong = [], 0
     for grid, below in jobs:
         case = imported(options.folder, grid) if isinstance(grid, str) else grid

@@ -25,7 +25,7 @@ _SMALLEST_CELL = 0.05  # rad/s, from corner to corner
 _CLOSE = 0.5  # 1/s, with half the frequency: eigenpairs that a deflated cell leaves out
 
 
-@dataclass
+@dataclass(eq=False)  # two of one value are two
 class Pair:
     """An eigenvalue, 1/s, its vectors with left' right = 1, and |A v - lambda v| / (|lambda| |v|)."""
 

@@ -12,7 +12,7 @@ from interarea.design.linear.resolvent import OpenLoop, Shifted, network_logarit
 from interarea.design.linear.sparse_plant import SparsePlant
 from interarea.design.modes.all_modes import all_modes
 from interarea.design.modes.mode_count import Region, count_modes
-from interarea.design.modes.mode_search import Search
+from interarea.design.modes.mode_search import Pair, Search
 from interarea.design.modes.modes import ModeError, modes_of
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case, load_case
@@ -108,30 +108,38 @@ def test_a_search_that_misses_looks_again(monkeypatch: pytest.MonkeyPatch) -> No
         all_modes(plant_of("nets-nyps"), case_of("nets-nyps").areas, band_hz=(0.1, 2.5), below=0.2)
 
 
-def test_twins_give_a_mode_as_often_as_it_is_there() -> None:
-    """Three equal machines at one bus swing against each other twice at the same eigenvalue."""
+def test_two_pairs_of_one_value_are_two() -> None:
+    """As units of one kind have them to the last digit: told apart by what they are, not by their value."""
+    one, other = (Pair(1j, v, v, 0.0) for v in np.eye(2, dtype=complex))
+    assert one in [other, one]
+    assert one not in [other]
+
+
+@pytest.mark.parametrize("units", [3, 4, 6, 8])
+def test_twins_give_a_mode_as_often_as_it_is_there(units: int) -> None:
+    """So many equal machines at one bus swing against each other once less at the same eigenvalue."""
     case = load_case("kundur-thyristor-z")
     first = case.machines[0]
     parts = tuple(
         first.model_copy(
-            update={"name": f"G1{k}", "base_mva": first.base_mva / 3.0, "P_mw": first.P_mw / 3.0}
+            update={"name": f"G1{k}", "base_mva": first.base_mva / units, "P_mw": first.P_mw / units}
         )
-        for k in "abc"
+        for k in range(units)
     )
     case = case.model_copy(
-        update={"machines": (*parts, *case.machines[1:]), "swing": None, "name": "triplets"}
+        update={"machines": (*parts, *case.machines[1:]), "swing": None, "name": f"units-{units}"}
     )
     plant = sparse_linear_plant(case, default_cache())
     region = Region((0.2 * np.pi, 5.0 * np.pi), 0.5)
     values = np.linalg.eigvals(plant.state_matrix())
     found = all_modes(plant, case.areas, band_hz=(0.1, 2.5), below=0.5)
-    assert found.counted == len(found.modes) == np.sum(region.holds(values)) == 5
+    assert found.counted == len(found.modes) == np.sum(region.holds(values)) == 2 + units
     ours = sorted(mode.eigenvalue.imag for mode in found.modes)
     assert min(b - a for a, b in itertools.pairwise(ours)) < 1e-8  # the pair
     V = np.array([mode.right for mode in found.modes]).T
     W = np.array([mode.left for mode in found.modes])
-    assert np.linalg.matrix_rank(V, tol=1e-3) == 5
-    assert np.max(np.abs(W @ V - np.eye(5))) < 1e-6
+    assert np.linalg.matrix_rank(V, tol=1e-3) == 2 + units
+    assert np.max(np.abs(W @ V - np.eye(2 + units))) < 1e-6
 
 
 def test_a_mode_on_the_line_moves_it_and_says_so() -> None:
