@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import pytest
@@ -54,6 +55,12 @@ def test_a_mode_is_most_like_itself_and_of_two_points_the_worst_counts() -> None
     assert all(base.like(mode) is mode for mode in base.modes)
     swings = [mode for mode in base.modes if mode.name.startswith("inter-area")]
     assert [light.like(mode).name for mode in swings] == [mode.name for mode in swings]  # type: ignore[union-attr]
+    sizes = [10.0 ** (3 * (-1) ** k) for k in range(len(light.modes))]  # what an eigenvector does not fix
+    pairs = zip(light.modes, sizes, strict=True)
+    scaled = LoopPoint(
+        "scaled", light.plant, [replace(m, right=m.right * c, left=m.left / c) for m, c in pairs]
+    )
+    assert [scaled.like(mode).name for mode in swings] == [mode.name for mode in swings]  # type: ignore[union-attr]
     alone = {one.actuators: one.holds for one in chosen(base, light).sets}
     for one in chosen(base, base, light).sets:
         assert one.holds == pytest.approx(min(one.score, alone[one.actuators] or 0.0))
