@@ -81,4 +81,4 @@ def ruled_grid(path: str | Path) -> Case:
     ------
     CaseError, PowerFlowError : as `import_matpower`.
     """
-    return ruled(import_matpower(path).case)
+    return ruled(import_matpower(path, island="all").case)

@@ -46,7 +46,7 @@ def import_case(
     P_exponent: float | None = None,
     Q_exponent: float | None = None,
     strict: bool = False,
-    island: int | None = None,
+    island: int | str | None = None,
     converters: str = "refuse",
     coordinates: str | Path | None = None,
     release_limits: bool = False,
@@ -60,7 +60,7 @@ def import_case(
     frequency_hz : for a file that has none; 60 Hz when not given.
     P_exponent, Q_exponent : of RAW loads against voltage; constant impedance (2) when not given.
     strict : an assumption is an error.
-    island : a bus of the island to keep; the largest with a slack bus when not given.
+    island : a bus of the island to keep, or "all" with a slack bus; the largest of these when not given.
     converters : "refuse", or "current" for inverters and units without dynamic data as constant currents.
     coordinates : CSV with the columns bus, latitude, longitude.
     release_limits : widen the limits beyond which controls would start; what was changed is in the report.

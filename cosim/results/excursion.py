@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from interarea.models.case.case import Case
+from interarea.models.case.checks import islands_of
 
 from ..trajectory import Trajectory
 
@@ -19,8 +20,9 @@ OUT_OF_STEP_DEG = 180.0  #: between two machines: synchronism is lost
 class Excursion:
     """Extremes of a run.
 
-    angle_deg : largest angle between any two machines that run. voltage_pu : lowest of all buses (of the
-        machines' terminals where no bus is shown) from the last event on; `voltage_at` says where.
+    angle_deg : largest angle between any two machines that run in one part of the network. voltage_pu :
+        lowest of all buses (of the machines' terminals where no bus is shown) from the last event on;
+        `voltage_at` says where.
     nadir_hz, zenith_hz : lowest and highest frequency of a machine, of its speed.
     """
 
@@ -56,9 +58,18 @@ def excursion_of(
     lowest = volts.min(axis=1) if volts.shape[1] else np.full(len(seen), np.nan)
     place = int(np.argmin(lowest))
     return Excursion(
-        angle_deg=float(np.degrees(np.ptp(angles, axis=0).max())),
+        angle_deg=max(
+            float(np.degrees(np.ptp(angles[part], axis=0).max())) for part in _parts(case, machines)
+        ),
         voltage_pu=float(lowest[place]),
         voltage_at=seen[place].removesuffix(".v").removesuffix("_vt"),
         nadir_hz=float(case.frequency_hz * (1.0 + slips.min())),
         zenith_hz=float(case.frequency_hz * (1.0 + slips.max())),
     )
+
+
+def _parts(case: Case, machines: list[str]) -> list[list[int]]:
+    """Places of the machines in each part of the network: between parts angles mean nothing."""
+    at = {m.name: m.bus for m in case.machines}
+    found = [[k for k, name in enumerate(machines) if at[name] in part] for part in islands_of(case)]
+    return [places for places in found if places]

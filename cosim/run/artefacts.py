@@ -21,6 +21,7 @@ from interarea.fmu_build.write.cache import (
     source_hash,
 )
 from interarea.models.case.case import Case
+from interarea.models.case.checks import require_one_network
 
 if TYPE_CHECKING:
     import control
@@ -115,8 +116,9 @@ def linear_matrices(case: Case, cache: Path) -> LinearMatrices:
 
     Raises
     ------
-    UserError : no operating point, or more states than `MOST_DENSE`.
+    UserError : no operating point, several parts, or more states than `MOST_DENSE`.
     """
+    require_one_network(case, "each has a rotation of its own")
     _require_dense(case)
     fmu = plant_fmu(case, cache)
     key = content_hash(fmu.name, code_hash("interarea.design.linear.linearise"), numerics_versions())
@@ -174,7 +176,7 @@ def sparse_linear_plant(case: Case, cache: Path) -> SparsePlant:
 
     Raises
     ------
-    UserError : no operating point.
+    UserError : no operating point, or parts that no branch connects.
     """
     from interarea.design.linear.sparse_plant import sparse_plant
     from interarea.fmu_build.write.device_slopes import DeviceSlopes
@@ -182,6 +184,7 @@ def sparse_linear_plant(case: Case, cache: Path) -> SparsePlant:
     from interarea.models.grid.equilibrium import operating_point
     from interarea.models.grid.machine_tables import in_plant_order
 
+    require_one_network(case, "each has a rotation of its own")
     case = in_plant_order(case)
     point = operating_point(case)
     block = plant_block(case, event_slots=0, point=point)

@@ -35,7 +35,7 @@ def import_grid(
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="an assumption is an error")] = False,
     island: Annotated[
-        int | None, typer.Option("--island", metavar="BUS", help="island to keep (else the largest)")
+        str | None, typer.Option("--island", metavar="BUS|all", help="island to keep (else the largest)")
     ] = None,
     converters: Annotated[
         str,
@@ -71,7 +71,7 @@ def import_grid(
         P_exponent=P_exponent,
         Q_exponent=Q_exponent,
         strict=strict,
-        island=island,
+        island=int(island) if island is not None and island.isdecimal() else island,
         converters=converters,
         coordinates=coordinates,
         release_limits=release_limits,

@@ -63,6 +63,9 @@ class Case(CaseTables):
     def __repr__(self) -> str:
         return f"Case({self.name!r}, {len(self.buses)} buses, {len(self.machines)} machines)"
 
+    def __str__(self) -> str:
+        return repr(self)
+
     @cached_property
     def hash(self) -> str:
         """Content hash (hex): changes with any name or number, not with titles and sources."""

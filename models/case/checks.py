@@ -1,4 +1,4 @@
-"""Rules that concern a case as a whole: ids, references, one slack, one connected network."""
+"""Rules that concern a case as a whole: ids, references, one slack in each connected network."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable
 
 from ..errors import CaseError, nearest
+from .schema import Machine
 from .tables import CaseTables
 
 
@@ -17,8 +18,8 @@ def check_whole(case: CaseTables) -> None:
         if twice:
             raise ValueError(f"{table}: id {twice[0]!r} is given twice, allowed: once")
     _check_references(case)
-    _check_slack(case)
-    _check_connection(case)
+    _check_voltages(case)
+    _check_slacks(case)
     machines = [m.name for m in case.machines]
     for name in case.swing or ():
         if name not in machines:
@@ -53,11 +54,7 @@ def _bus(number: int, key: str, known: set[int]) -> None:
         raise ValueError(f"{key} = {number}: no such bus, allowed: the numbers under buses (nearest: {some})")
 
 
-def _check_slack(case: CaseTables) -> None:
-    slacks = [m.name for m in case.machines if m.slack]
-    if len(slacks) != 1:
-        got = f"{len(slacks)} ({', '.join(slacks)})" if slacks else "none"
-        raise ValueError(f"machines: slack = true at {got}, allowed: exactly one machine")
+def _check_voltages(case: CaseTables) -> None:
     for bus in {m.bus for m in case.machines}:
         here = [m for m in case.machines if m.bus == bus]
         for other in here[1:]:
@@ -69,9 +66,9 @@ def _check_slack(case: CaseTables) -> None:
 
 
 def islands_of(case: CaseTables) -> list[set[int]]:
-    """Return the connected sets of buses, the slack's first, under the branches in service."""
+    """Return the connected sets of buses, each where its first bus stands, under the branches in service."""
     links = [(b.from_bus, b.to_bus) for b in case.branches if b.in_service]
-    return connected_parts([case.slack.bus, *(bus.number for bus in case.buses)], links)
+    return connected_parts((bus.number for bus in case.buses), links)
 
 
 def connected_parts(buses: Iterable[int], links: Iterable[tuple[int, int]]) -> list[set[int]]:
@@ -106,15 +103,39 @@ def require_dynamics(case: CaseTables) -> None:
         )
 
 
-def _check_connection(case: CaseTables) -> None:
+def require_one_network(case: CaseTables, what: str) -> None:
+    """Raise CaseError where `case` has parts that no branch connects; `what` takes them one by one."""
     parts = islands_of(case)
-    if len(parts) == 1:
-        return
+    if len(parts) > 1:
+        some = ", ".join(f"bus {min(part)} of {len(part)}" for part in parts[:3])
+        raise CaseError(
+            f"{case.name}: {len(parts)} parts that no branch connects ({some}), allowed: one, since {what}; "
+            "take one of them, as `interarea import --island BUS` does"
+        )
+
+
+def _check_slacks(case: CaseTables) -> None:
+    slacks = [m for m in case.machines if m.slack]
+    if not slacks:
+        raise ValueError("machines: slack = true at none, allowed: one machine in each connected network")
+    parts = islands_of(case)
     for machine in case.machines:
-        if {machine.bus} in parts:
+        if {machine.bus} in parts and len(parts) > 1 and not machine.slack:
             raise ValueError(f"machines.{machine.name}: isolated, bus {machine.bus} has no branch in service")
-    cut = ", ".join(str(b) for b in sorted(parts[1])[:10])
-    raise ValueError(
-        f"branches: buses {cut} have no path in service to the slack at bus {case.slack.bus}, "
-        "allowed: one connected network"
-    )
+    for part in parts:
+        _check_slack_of(part, slacks)
+
+
+def _check_slack_of(part: set[int], slacks: list[Machine]) -> None:
+    mine = [m.name for m in slacks if m.bus in part]
+    if not mine:
+        cut = ", ".join(str(b) for b in sorted(part)[:10])
+        raise ValueError(
+            f"branches: buses {cut} have no path in service to the slack at bus {slacks[0].bus}, "
+            "allowed: one connected network, or a slack in each"
+        )
+    if len(mine) > 1:
+        raise ValueError(
+            f"machines: slack = true at {len(mine)} ({', '.join(mine)}), allowed: one machine in each "
+            "connected network"
+        )

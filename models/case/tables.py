@@ -62,8 +62,13 @@ class CaseTables(Table):
 
     @property
     def slack(self) -> Machine:
-        """The machine that holds the angle reference and balances the power flow."""
-        return next(m for m in self.machines if m.slack)
+        """The machine that holds the angle reference and balances the power flow: the first of `slacks`."""
+        return self.slacks[0]
+
+    @property
+    def slacks(self) -> tuple[Machine, ...]:
+        """The machines that do so, one in each part of the network that branches connect."""
+        return tuple(m for m in self.machines if m.slack)
 
     @property
     def own_devices(self) -> Mapping[str, Model]:

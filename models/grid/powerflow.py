@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..case.case import Case, CaseError
+from ..case.checks import islands_of
 from .network import ComplexArray, branch_stamp, bus_index, load_power, machine_bus_index, sparse_admittance
 from .newton import Iterate, newton
 
@@ -79,11 +80,11 @@ class PowerFlow:
 def solve_powerflow(case: Case) -> PowerFlow:
     r"""Solve the power flow of `case` from the start values of its buses, flat where they have none.
 
-    Slack: voltage and angle given; other machine buses: P and voltage; the rest: P and Q. Loads are constant
-    P and Q, shunts are admittances; `newton` has the equations.
+    Slack, one in each connected part: voltage and angle given; other machine buses: P and voltage; the rest:
+    P and Q. Loads are constant P and Q, shunts are admittances; `newton` has the equations.
 
     Machine reactive limits are not enforced. Machines at one bus have their own `Q_mvar` and share what is
-    left of its Q by their ratings; the slack machine takes what P is left.
+    left of its Q by their ratings; a slack machine takes what P is left.
 
     Raises
     ------
@@ -91,7 +92,7 @@ def solve_powerflow(case: Case) -> PowerFlow:
     """
     Y = sparse_admittance(case)
     machine_bus = machine_bus_index(case)
-    slack = bus_index(case)[case.slack.bus]
+    slack = np.array([bus_index(case)[m.bus] for m in case.slacks])
     load = _load_at_buses(case)
     scheduled = -load
     np.add.at(scheduled, machine_bus, [m.P_mw / case.base_mva for m in case.machines])
@@ -99,11 +100,7 @@ def solve_powerflow(case: Case) -> PowerFlow:
     n = len(case.buses)
     magnitude = np.array([bus.V_pu or 1.0 for bus in case.buses])
     magnitude[machine_bus] = [m.V_pu for m in case.machines]
-    # a start far from the others' helps nobody: angles count from the slack's
-    angle = np.array([np.nan if bus.angle_deg is None else bus.angle_deg for bus in case.buses])
-    given = case.slack.angle_deg if np.isnan(angle[slack]) else angle[slack]
-    angle = np.where(np.isnan(angle), case.slack.angle_deg, angle - given + case.slack.angle_deg)
-    start = magnitude * np.exp(1j * np.deg2rad(angle))
+    start = magnitude * np.exp(1j * np.deg2rad(_start_angles(case)))
     free_angle = np.delete(np.arange(n), slack)
     free_magnitude = np.setdiff1d(np.arange(n), machine_bus)
     best = newton(Y, start, scheduled, free_angle, free_magnitude, tolerance_pu=TOLERANCE_PU)
@@ -115,6 +112,20 @@ def solve_powerflow(case: Case) -> PowerFlow:
         )
         raise PowerFlowError(_no_convergence(case, best, free_angle, free_magnitude), voltages=kept)
     return _solved(case, best, load, slack)
+
+
+def _start_angles(case: Case) -> npt.NDArray[np.float64]:
+    """Angles to start from, (buses,) deg: a start far from the others' helps nobody, so they count from that
+    of the slack of their part."""
+    index = bus_index(case)
+    angle = np.array([np.nan if bus.angle_deg is None else bus.angle_deg for bus in case.buses])
+    own = {m.bus: m.angle_deg for m in case.slacks}
+    for part in islands_of(case):
+        here = np.array([index[bus] for bus in part])
+        slack = next(bus for bus in part if bus in own)
+        given = own[slack] if np.isnan(angle[index[slack]]) else angle[index[slack]]
+        angle[here] = np.where(np.isnan(angle[here]), own[slack], angle[here] - given + own[slack])
+    return angle
 
 
 def _load_at_buses(case: Case) -> ComplexArray:
@@ -144,7 +155,7 @@ def _no_convergence(
     )
 
 
-def _solved(case: Case, best: Iterate, load: ComplexArray, slack: int) -> PowerFlow:
+def _solved(case: Case, best: Iterate, load: ComplexArray, slack: npt.NDArray[np.int_]) -> PowerFlow:
     V = best.voltages
     injections: ComplexArray = V * np.conj(sparse_admittance(case) @ V)
     at_bus = injections + load
@@ -157,9 +168,11 @@ def _solved(case: Case, best: Iterate, load: ComplexArray, slack: int) -> PowerF
     np.subtract.at(left, machine_bus, own_q)
     q = own_q + left[machine_bus] * rating / total[machine_bus]
     generation = np.array([m.P_mw / case.base_mva for m in case.machines]) + 1j * q
-    others = [k for k, m in enumerate(case.machines) if machine_bus[k] == slack and not m.slack]
-    own = next(k for k, m in enumerate(case.machines) if m.slack)
-    generation[own] = complex(at_bus[slack].real - generation[others].real.sum(), generation[own].imag)
+    own = np.array([k for k, m in enumerate(case.machines) if m.slack])
+    generation[own] = 1j * generation[own].imag
+    scheduled = np.zeros(len(V))
+    np.add.at(scheduled, machine_bus, generation.real)
+    generation[own] += at_bus[slack].real - scheduled[slack]
     for array in (V, injections, generation):
         array.flags.writeable = False
     return PowerFlow(case, V, injections, generation, best.iteration, best.mismatch_pu)

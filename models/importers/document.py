@@ -12,6 +12,7 @@ from typing import Any
 from .report import Report
 from .static import StaticBranch, StaticGrid, StaticUnit
 from .stored import Solution
+from .topology import live_islands
 
 
 def unit_names(grid: StaticGrid) -> list[str]:
@@ -106,17 +107,20 @@ def _mark_slack(
     names: list[str],
     volts: Mapping[int, complex],
 ) -> None:
-    """The largest machine at the slack bus, or of all, balances the case."""
-    at_slack = [
-        name
-        for name, unit, (moved, _) in zip(names, grid.units, units, strict=True)
-        if name in machines and solution.slack in (unit.bus, moved.bus)
-    ]
-    candidates = at_slack or list(machines)
-    if candidates:
-        slack = max(candidates, key=lambda name: float(machines[name]["base_mva"]))
-        angle = math.degrees(cmath.phase(volts[machines[slack]["bus"]]))
-        machines[slack] |= {"slack": True, "angle_deg": angle}
+    """The largest machine at the slack bus of an island, or of all in it, balances it."""
+    islands = live_islands(grid)
+    for bus in solution.slacks:
+        at_slack = [
+            name
+            for name, unit, (moved, _) in zip(names, grid.units, units, strict=True)
+            if name in machines and bus in (unit.bus, moved.bus)
+        ]
+        island = next(part for part in islands if bus in part)
+        candidates = at_slack or [name for name, row in machines.items() if row["bus"] in island]
+        if candidates:
+            slack = max(candidates, key=lambda name: float(machines[name]["base_mva"]))
+            angle = math.degrees(cmath.phase(volts[machines[slack]["bus"]]))
+            machines[slack] |= {"slack": True, "angle_deg": angle}
 
 
 def _with_step_up(

@@ -28,7 +28,7 @@ def import_grid(
     P_exponent: float | None = None,
     Q_exponent: float | None = None,
     strict: bool = False,
-    island: int | None = None,
+    island: int | str | None = None,
     converters: str = "refuse",
     coordinates: str | Path | None = None,
     release_limits: bool = False,

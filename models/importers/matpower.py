@@ -16,7 +16,7 @@ from .raw.text import read_lines
 from .report import Report
 from .static import USUAL_HZ, StaticBranch, StaticBus, StaticGrid, StaticLoad, StaticShunt, StaticUnit
 from .stored import solve_stored
-from .topology import settle, slack_of
+from .topology import settle, slacks_of
 
 _COLUMNS = {"bus": 13, "gen": 8, "branch": 11, "dcline": 9}
 #: columns that are read and must be finite; limits, costs and ratings may be Inf
@@ -55,7 +55,7 @@ def import_matpower(
     P_exponent: float | None = None,
     Q_exponent: float | None = None,
     strict: bool = False,
-    island: int | None = None,
+    island: int | str | None = None,
     coordinates: str | Path | None = None,
 ) -> Imported:
     """Return the grid of a MATPOWER `.m` file; its machines have no dynamic data (model power_flow).
@@ -87,7 +87,7 @@ def import_matpower(
     if coordinates is not None:
         read_places(Path(coordinates), grid)
     settle(grid, report, island)
-    solution = solve_stored(grid, slack_of(grid, report).number, report)
+    solution = solve_stored(grid, slacks_of(grid, report), report)
     exponents = load_exponents(P_exponent, Q_exponent, grid, report, str(path))
     document = document_of(grid, solution, name=name or path.name.split(".")[0], exponents=exponents)
     return Imported(case_of(document, where=str(path)), report, solution)

@@ -24,7 +24,7 @@ from .raw.transformers import read_transformers
 from .report import Report
 from .static import USUAL_HZ, StaticGrid
 from .stored import solve_stored
-from .topology import settle, slack_of
+from .topology import settle, slacks_of
 
 
 def import_psse(
@@ -35,7 +35,7 @@ def import_psse(
     P_exponent: float | None = None,
     Q_exponent: float | None = None,
     strict: bool = False,
-    island: int | None = None,
+    island: int | str | None = None,
     converters_as_current: bool = False,
     coordinates: str | Path | None = None,
     frequency_hz: float | None = None,
@@ -46,7 +46,8 @@ def import_psse(
     Without `dyr` the machines have no dynamic data (model power_flow). RAW and DYR do not tell how loads
     follow the voltage: the two exponents do, constant impedance (2) when not given.
 
-    strict : an assumption is an error. island : a bus of the island to keep, when there are several.
+    strict : an assumption is an error. island : a bus of the island to keep, when there are several,
+        or "all" with a slack bus.
     converters_as_current : converters become constant currents instead of being refused. coordinates : CSV
     with bus, latitude, longitude. frequency_hz : for a file that has none; 60 Hz when not given. devices :
     files of devices of one's own, which records of their names (USRMDL or not) become.
@@ -67,7 +68,7 @@ def import_psse(
         read_places(Path(coordinates), grid)
     out = {(unit.home, unit.identity) for unit in grid.units if not unit.on}
     settle(grid, report, island)
-    solution = solve_stored(grid, slack_of(grid, report).number, report)
+    solution = solve_stored(grid, slacks_of(grid, report), report)
     exponents = load_exponents(P_exponent, Q_exponent, grid, report, str(path))
     names = unit_names(grid)
     dynamics = Dynamics({}, {}, {})

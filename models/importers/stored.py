@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,8 @@ from ..grid.network import assembled, series_stamps
 from ..grid.newton import Iterate, newton
 from ..grid.powerflow import PowerFlowError
 from .report import Report
-from .static import LOAD, SLACK, UNIT, StaticGrid
+from .static import LOAD, SLACK, UNIT, StaticBus, StaticGrid
+from .topology import live_islands
 
 GOOD_MVA, FAIR_MVA = 0.1, 5.0  #: mismatch of a solved file, and of one written with few digits
 _TOLERANCE_PU = 1e-11
@@ -22,13 +24,13 @@ _TOLERANCE_PU = 1e-11
 class Solution:
     """Voltages of a grid with P + jQ of each unit, MW.
 
-    stored_mva : largest mismatch of the stored voltages, P where it is not the slack's, Q at load buses.
+    stored_mva : largest mismatch of the stored voltages, P where it is not a slack's, Q at load buses.
     stored_bus : where that is. moved_pu, moved_deg : largest change from the stored voltages.
     """
 
     voltages: dict[int, complex]
     generation: list[complex]
-    slack: int
+    slacks: tuple[int, ...]
     stored_mva: float
     stored_bus: int
     moved_pu: float
@@ -82,18 +84,18 @@ class _Arrays:
         return result
 
 
-def solve_stored(grid: StaticGrid, slack: int, report: Report) -> Solution:
+def solve_stored(grid: StaticGrid, slacks: Sequence[StaticBus], report: Report) -> Solution:
     """Return the solution beside the stored voltages of `grid`, which it also gives to the free Q.
 
     Held: the stored magnitude (not the set-point VS, which a unit at its limit has left; but that where the
     stored voltages are no solution at buses without units) and P of the units at buses of type 2 and 3, angle
-    at the slack; taps, shunts and dc lines stay. Units at load buses keep P and Q.
+    at the slacks, one in each island; taps, shunts and dc lines stay. Units at load buses keep P and Q.
 
     Raises
     ------
     PowerFlowError : Newton's method converges neither from the stored voltages nor from a flat start.
     """
-    arrays, held, free_angle, free_magnitude = _prepared(grid, slack, report)
+    arrays, held, free_angle, free_magnitude = _prepared(grid, [bus.number for bus in slacks], report)
     stored_mva, stored_bus = _largest(arrays, free_angle, free_magnitude)
     start = arrays.start
     if _hold_set_points(grid, arrays, report):
@@ -111,9 +113,13 @@ def solve_stored(grid: StaticGrid, slack: int, report: Report) -> Solution:
     )
     generation = _generation(grid, arrays, V, held)
     change = sum(generation[k].real - grid.units[k].p for k in range(len(grid.units)))
-    report.lines.append(f"slack bus {slack}: takes {change:+.4g} MW more than stored")
+    named = ", ".join(str(bus.number) for bus in slacks)
+    which = f"slack bus {named}: takes" if len(slacks) == 1 else f"slack buses {named}: take"
+    report.lines.append(f"{which} {change:+.4g} MW more than stored")
     voltages = {number: complex(V[k]) for k, number in enumerate(arrays.numbers)}
-    return Solution(voltages, generation, slack, stored_mva, stored_bus, moved_pu, moved_deg)
+    return Solution(
+        voltages, generation, tuple(bus.number for bus in slacks), stored_mva, stored_bus, moved_pu, moved_deg
+    )
 
 
 def _hold_set_points(grid: StaticGrid, arrays: _Arrays, report: Report) -> bool:
@@ -135,7 +141,7 @@ def _hold_set_points(grid: StaticGrid, arrays: _Arrays, report: Report) -> bool:
 
 
 def _prepared(
-    grid: StaticGrid, slack: int, report: Report
+    grid: StaticGrid, slacks: Sequence[int], report: Report
 ) -> tuple[_Arrays, npt.NDArray[np.bool_], npt.NDArray[np.int_], npt.NDArray[np.int_]]:
     """The grid as arrays, which magnitudes are held, which angles and magnitudes are free."""
     sourced = {unit.bus for unit in grid.units}
@@ -146,8 +152,9 @@ def _prepared(
     _free_reactive(grid)
     arrays = _Arrays(grid)
     held = np.array([bus.kind != LOAD for bus in grid.buses.values()])
-    held[arrays.at[slack]] = True
-    free_angle = np.delete(np.arange(len(held)), arrays.at[slack])
+    fixed = [arrays.at[slack] for slack in slacks]
+    held[fixed] = True
+    free_angle = np.delete(np.arange(len(held)), fixed)
     return arrays, held, free_angle, np.flatnonzero(~held)
 
 
@@ -192,9 +199,8 @@ def _newton(
     held: npt.NDArray[np.bool_],
 ) -> npt.NDArray[np.complex128]:
     magnitude = np.where(held, np.abs(arrays.start), 1.0)
-    reference = np.delete(np.angle(arrays.start), free_angle)[0]
     found: list[tuple[float, Iterate, npt.NDArray[np.float64]]] = []
-    for start in (arrays.start, magnitude * np.exp(1j * reference)):
+    for start in (arrays.start, magnitude * np.exp(1j * _flat_angles(arrays, free_angle))):
         result = newton(
             arrays.Y,
             start,
@@ -221,6 +227,16 @@ def _newton(
         f"to {volts[high]:.4g} pu at bus {numbers[high]}",
         voltages=dict(zip(numbers, map(complex, best.voltages), strict=True)),
     )
+
+
+def _flat_angles(arrays: _Arrays, free_angle: npt.NDArray[np.int_]) -> npt.NDArray[np.float64]:
+    """The angle of the slack of its island at each bus, (buses,) rad."""
+    held = set(range(len(arrays.numbers))) - set(free_angle.tolist())
+    angles, stored = np.zeros(len(arrays.numbers)), np.angle(arrays.start)
+    for island in live_islands(arrays.grid):
+        here = [arrays.at[bus] for bus in island]
+        angles[here] = next(stored[k] for k in here if k in held)
+    return angles
 
 
 def _generation(

@@ -13,10 +13,10 @@ from .static import ISOLATED, SLACK, StaticBus, StaticGrid, StaticLoad, StaticSh
 Row = TypeVar("Row", StaticShunt, StaticLoad, StaticUnit)
 
 
-def settle(grid: StaticGrid, report: Report, island: int | None = None) -> None:
-    """Leave in `grid` what is in service: joins nodes, drops isolated parts, keeps one island.
+def settle(grid: StaticGrid, report: Report, island: int | str | None = None) -> None:
+    """Leave in `grid` what is in service: joins nodes, drops isolated parts, keeps one island or all.
 
-    island : a bus of the island to keep; None: the largest with a slack bus.
+    island : a bus of the island to keep; "all": each with a slack bus; None: the largest of these.
 
     Raises
     ------
@@ -110,11 +110,25 @@ def _rewire(rows: list[Row], alias: dict[int, int]) -> None:
         row.bus = alias.get(row.bus, row.bus)
 
 
-def _keep_island(grid: StaticGrid, report: Report, island: int | None) -> None:
-    parts = _islands(grid)
+def _keep_island(grid: StaticGrid, report: Report, island: int | str | None) -> None:
+    parts = live_islands(grid)
     sourced = {unit.bus for unit in grid.units}
     swings = {n for n, bus in grid.buses.items() if bus.kind == SLACK and n in sourced}
-    if island is not None:
+    chosen = _chosen(grid, island, parts, swings, sourced)
+    _report_left_out(grid, report, [part for part in parts if not part <= chosen], swings)
+    if len(chosen) < len(grid.buses):
+        _leave_only(grid, chosen)
+
+
+def _chosen(
+    grid: StaticGrid, island: int | str | None, parts: list[set[int]], swings: set[int], sourced: set[int]
+) -> set[int]:
+    """Return the buses to keep; `island` as in `settle`."""
+    if isinstance(island, str) and island != "all":
+        raise CaseError(f"{grid.source}: island = {island!r}, allowed: the number of a bus, or all")
+    if island == "all" and swings:
+        return set().union(*(part for part in parts if swings & part))
+    if isinstance(island, int):
         wanted = [{grid.alias.get(island, island)}]
         missing = f"island = {island}, allowed: the number of a bus in service"
     else:
@@ -123,9 +137,7 @@ def _keep_island(grid: StaticGrid, report: Report, island: int | None) -> None:
     chosen = _largest_with(wanted, parts)
     if not chosen:
         raise CaseError(f"{grid.source}: {missing}")
-    _report_left_out(grid, report, [part for part in parts if part is not chosen], swings)
-    if len(chosen) < len(grid.buses):
-        _leave_only(grid, chosen)
+    return chosen
 
 
 def _largest_with(wanted: list[set[int]], parts: list[set[int]]) -> set[int]:
@@ -154,22 +166,29 @@ def _leave_only(grid: StaticGrid, chosen: set[int]) -> None:
     grid.units = [row for row in grid.units if row.bus in chosen]
 
 
-def _islands(grid: StaticGrid) -> list[set[int]]:
+def live_islands(grid: StaticGrid) -> list[set[int]]:
+    """Return the sets of buses that branches in service connect."""
     return connected_parts(grid.buses, [(b.first, b.second) for b in grid.branches if b.on])
 
 
-def slack_of(grid: StaticGrid, report: Report) -> StaticBus:
-    """Return the bus that is to balance: the first of type 3 with a unit, else that of the largest unit."""
+def slacks_of(grid: StaticGrid, report: Report) -> list[StaticBus]:
+    """Return the bus that is to balance each island: the first of type 3 with a unit, else that of the
+    largest unit."""
     rating: Counter[int] = Counter()
     for unit in grid.units:
         rating[unit.bus] += int(1000.0 * unit.base)
     if not rating:
         raise CaseError(f"{grid.source}: no unit in service in the island, allowed: at least one")
-    swings = [bus for number, bus in grid.buses.items() if bus.kind == SLACK and number in rating]
+    return [_slack_of(grid, report, part, rating) for part in live_islands(grid)]
+
+
+def _slack_of(grid: StaticGrid, report: Report, part: set[int], rating: Counter[int]) -> StaticBus:
+    sourced = [number for number in rating if number in part]
+    swings = [bus for n, bus in grid.buses.items() if bus.kind == SLACK and n in part and n in rating]
     if swings:
         for other in swings[1:]:
             report.assume("further slack bus holds its stored power", other.where)
         return max(swings, key=lambda bus: rating[bus.number]) if len(swings) > 1 else swings[0]
-    bus = grid.buses[max(rating, key=lambda number: rating[number])]
+    bus = grid.buses[max(sourced, key=lambda number: rating[number])]
     report.assume(f"no slack bus: bus {bus.number}, which has the largest units, is taken", bus.where)
     return bus

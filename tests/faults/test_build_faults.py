@@ -16,11 +16,15 @@ import pytest
 from file_faults import LONG, SHARED, SHARES, Fault, grid
 from fmu_runner import decay_block
 
-from interarea.cosim.study.spec import load_study
+from interarea.cosim.explorer import page
+from interarea.cosim.explorer.subject import subject_of
+from interarea.cosim.run.controllers import design_controller
+from interarea.cosim.study.spec import design_specs, load_study
 from interarea.cosim.study.study import run_study
 from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.write.cache import damaged
 from interarea.fmu_build.write.package import build_fmu
+from interarea.models.case.case import load_case
 from interarea.models.case.write_toml import toml_text
 from interarea.models.errors import InterareaError
 
@@ -85,6 +89,17 @@ def small_study(folder: Path) -> str:
     return str(file)
 
 
+def keep_models_of_the_explorer(
+    name: str, cache: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Compute them once, here: a study's processes are forks of this one. No file is written for them."""
+    spec = load_study(name)
+    case, specs = load_case(spec["case"]), design_specs(spec)
+    own = {c: design_controller(case, c, cache, specs=specs) for c in spec["controllers"]}
+    made = page.models_of(subject_of(spec["case"], cache, own))
+    monkeypatch.setattr(page, "models_of", lambda _: made)
+
+
 def left(out: Path) -> dict[str, bytes]:
     return {p.relative_to(out).as_posix(): p.read_bytes() for p in out.rglob("*") if p.is_file()}
 
@@ -97,6 +112,7 @@ def test_a_study(share: int, cache: Path, tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setenv("INTERAREA_CACHE", str(cache))
     name = small_study(tmp_path)
     run_study(name, tmp_path / "first", second_solver=False)
+    keep_models_of_the_explorer(name, cache, tmp_path, monkeypatch)
     fault = Fault(0, 0)
     with fault.injected():
         run_study(name, tmp_path / "whole", second_solver=False)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from interarea.models.case.case import CaseError, case_names, case_of, load_case
-from interarea.models.case.checks import require_dynamics
+from interarea.models.case.checks import require_dynamics, require_one_network
 from interarea.models.case.variants import operating_variant
 from interarea.models.case.write_toml import export_toml
 from interarea.models.grid.powerflow import solve_powerflow
@@ -44,6 +44,18 @@ def test_base_angular_frequency() -> None:
 def test_branch_on_its_own_base_is_converted() -> None:
     # 0.15 on 900 MVA is 0.15/9 on 100 MVA
     assert load_case("kundur-manual").branch("1-5").x == pytest.approx(0.15 / 9.0, rel=1e-15)
+
+
+def test_parts_that_no_branch_connects_have_a_slack_each() -> None:
+    case = load_case("two-area-thesis")
+    apart = {"8-9 a": {"in_service": False}, "8-9 b": {"in_service": False}}
+    with pytest.raises(CaseError, match="buses 1, 2, 5, 6, 7, 8 have no path in service"):
+        case.with_changes({"branches": apart})
+    two = case.with_changes({"branches": apart, "machines": {"G1": {"slack": True}}})
+    assert [m.name for m in two.slacks] == ["G1", "G3"] and str(two) == repr(two)
+    with pytest.raises(CaseError, match=r"2 parts that no branch connects \(bus 1 of 6, bus 3 of 5\)"):
+        require_one_network(two, "it is a test")
+    require_one_network(case, "it is a test")
 
 
 def test_hash_follows_numbers_not_words() -> None:

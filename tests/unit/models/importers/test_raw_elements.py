@@ -336,6 +336,31 @@ def test_islands_one_is_kept_by_choice(tmp_path: Path) -> None:
     assert [bus.number for bus in of_text(tmp_path, text, island=12).case.buses] == [11, 12]
     with pytest.raises(CaseError, match="island = 77, allowed: the number of a bus in service"):
         of_text(tmp_path, text, island=77)
+    with pytest.raises(CaseError, match="island = 'both', allowed: the number of a bus, or all"):
+        of_text(tmp_path, text, island="both")
+
+
+def test_islands_each_with_a_slack_of_its_own_are_kept_together(tmp_path: Path) -> None:
+    """Voltages as those of each island alone: nothing connects them."""
+    island = ["11,'A',110,3,1,1,1,1.0,0", "12,'B',110,1,1,1,1,1.0,0"]
+    extra = {
+        "bus": [*island, "20,'DEAD',110,1,1,1,1,1.0,0"],
+        "branch": ["11,12,'1',0.01,0.1,0,0,0,0,0,0,0,0,1"],
+        "generator": ["11,'1',5.0,0,9,-9,1.0,0,50.0,0,0.3,0,0,1,1,100,99,0"],
+        "load": ["12,'1',1,1,1,5.0,1.0"],
+    }
+    text = raw_grid(33, extra=extra)
+    every = of_text(tmp_path, text, island="all")
+    assert len(every.case.slacks) == 2 and "slack buses" in every.report.text()
+    assert any("without a slack bus" in what for what in every.report.dropped)
+    together = solve_powerflow(every.case)
+    for bus in (1, 12):
+        alone = solve_powerflow(of_text(tmp_path, text, island=bus).case)
+        for row in alone.case.buses:
+            assert abs(together.voltage(row.number) - alone.voltage(row.number)) < 1e-11
+        for name, power in zip((m.name for m in alone.case.machines), alone.generation, strict=True):
+            at = [m.name for m in every.case.machines].index(name)
+            assert abs(together.generation[at] - power) < 1e-11
 
 
 def test_a_step_up_transformer_inside_a_unit_gets_a_bus(tmp_path: Path) -> None:
