@@ -3,11 +3,10 @@
     python benchmarks/bench_loop_sets.py KEPT.json [--case NAME] [--sets 46] [--first 10] [--together 4]
 
 Sets of actuators ranked by `choose_loops` for all inter-area modes: the first ones, and others evenly spread
-over the rest of the list. For each a controller of four states a loop from its own speed and the machines of
-the speed difference that serves it best is designed shortly (nothing late and everything 150 ms late, two
-first guesses, the same effort for all) and judged on the full plant with exact latency: the least damping
-ratio of any inter-area root. Designs are kept in KEPT.json as they are done; a run that was interrupted goes
-on there. Exit code 1 where the rank correlation is below 0.8 or the best set is not among the first.
+over the rest of the list. For each a controller is designed shortly, as `interarea loops --try` does it, and
+the least damping ratio of any inter-area root found. Designs are kept in KEPT.json as they are done; a run
+that was interrupted goes on there. Exit code 1 where the rank correlation is below 0.8 or the best set is not
+among the first.
 """
 
 from __future__ import annotations
@@ -20,34 +19,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import control
 from scipy.stats import spearmanr
 
-from interarea.cosim.designs.family import named_modes
-from interarea.cosim.run.artefacts import linear_plant, sparse_linear_plant
-from interarea.design.delay.signal_conditions import condition_of_many
-from interarea.design.errors import InfeasibleDesign
-from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.cosim.designs.short_designs import short_designs
+from interarea.cosim.run.artefacts import sparse_linear_plant
 from interarea.design.modes.all_modes import all_modes
 from interarea.design.modes.loop_choice import choose_loops
 from interarea.design.modes.loop_points import LoopSet
-from interarea.design.robust.design import design_robust
-from interarea.design.robust.operating_points import inter_area_band, judge_family
-from interarea.design.robust.smoothed_objective import BandOffsets
-from interarea.design.robust.spec import RobustSpec
-from interarea.design.robust.stages import Stage
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case, load_case
 
 WANTED = 0.8
-LATE = ("N", "s150")
-_STATES = 4  # of each loop
-_CAP = 0.6  # pu per rad/s
-#: rad/s and damping ratio: nothing extra of inter-area modes, of local ones what they have already
-_OFFSETS = BandOffsets(
-    (0.0, 0.2, 0.5, 1.0, 1.8, 5.2, 5.9, 12.0, 16.0, 30.0),
-    (0, 0, -0.12, -0.12, 0, 0, -0.17, -0.17, -0.25, -0.4),
-)
 
 
 def ranked(case: Case, together: int) -> tuple[LoopSet, ...]:
@@ -55,42 +37,6 @@ def ranked(case: Case, together: int) -> tuple[LoopSet, ...]:
     plant = sparse_linear_plant(case, default_cache())
     found = all_modes(plant, case.areas, band_hz=(0.1, 2.5), below=0.3)
     return choose_loops(plant, found.modes, case.areas, kinds=["speed"], together=together, most=100_000).sets
-
-
-def signals_of(chosen: LoopSet, machines: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """Return actuator -> its own speed and those of its best signal."""
-    found = {}
-    for actuator, signal in chosen.loops.items():
-        own = actuator.removesuffix("_vs")
-        words = signal.removesuffix("_dw").removeprefix("dw_").split("_")
-        found[actuator] = tuple(f"{m}_dw" for m in machines if m == own or m in words)
-    return found
-
-
-def reached(chosen: LoopSet, case: Case, plant: control.StateSpace, band_hz: tuple[float, float]) -> float:
-    """Return the least damping ratio of inter-area roots under all of `LATE`; 0 of a design that fails."""
-    sees = signals_of(chosen, tuple(m.name for m in case.machines))
-    signals = tuple(dict.fromkeys(s for some in sees.values() for s in some))
-    conditions = tuple(condition_of_many(code, signals) for code in LATE)
-    spec = RobustSpec(
-        signals=signals,
-        actuators=tuple(sees),
-        conditions=conditions,
-        sees={a: (some, _STATES) for a, some in sees.items()},
-        effort_cap=((0.05, _CAP), (300.0, _CAP)),
-        effort_under=("N",),
-        offsets=_OFFSETS,
-        plant_order=36,
-        pade_order=2,
-        starts=2,
-        stages=(Stage(rho=(80.0,), steps=12),),
-    )
-    try:
-        made = design_robust({"base": plant}, spec, case.omega_b)
-    except InfeasibleDesign:
-        return 0.0
-    in_rad = {"base": speeds_in_rad(plant, case.omega_b)}
-    return judge_family(in_rad, made.system, conditions, bands_hz={"base": band_hz}).inter_area
 
 
 def picked(sets: tuple[LoopSet, ...], count: int, first: int) -> list[int]:
@@ -124,15 +70,13 @@ def main() -> None:
     parser.add_argument("--together", type=int, default=4)
     options = parser.parse_args()
     case = load_case(options.case)
-    plant = remove_reference(linear_plant(case, default_cache()))
-    band_hz = inter_area_band(named_modes(plant, case))
     sets = ranked(case, options.together)
     rows = json.loads(options.kept.read_text()) if options.kept.exists() else {}
     for place in picked(sets, options.sets, options.first):
         name = " ".join(a.removesuffix("_vs") for a in sets[place].actuators)
         if name not in rows:
             begin = time.process_time()
-            damping = reached(sets[place], case, plant, band_hz)
+            damping = short_designs(case, [sets[place]], default_cache())[0].damping
             rows[name] = {"actuators": name, "score": sets[place].score, "left": sets[place].left}
             rows[name] |= {"place": place, "damping": damping, "cpu_s": time.process_time() - begin}
             options.kept.write_text(json.dumps(rows, indent=1) + "\n")

@@ -13,6 +13,9 @@ from .modes import Below, CaseName, CircuitsOut, at_point, region_of
 from .terminal import busy, print_table
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from interarea.cosim.designs.short_designs import ShortDesign
     from interarea.design.modes.loop_choice import LoopChoice
     from interarea.models.case.case import Case
 
@@ -49,6 +52,10 @@ def loops(
     ] = None,
     most: Annotated[int, typer.Option("--most", metavar="N", min=1, help="rows to show")] = 10,
     circuit_out: CircuitsOut = None,
+    tried: Annotated[
+        int,
+        typer.Option("--try", metavar="N", min=0, help="design the best N sets shortly, rank by damping"),
+    ] = 0,
     point: Annotated[
         list[str] | None,
         typer.Option(
@@ -58,15 +65,21 @@ def loops(
 ) -> None:
     """Rank every signal at every actuator for the inter-area modes, or others of a band; any grid."""
     loaded = at_point(case, 0.0, circuit_out, 1.0)
-    options: dict[str, Any] = {"latency_s": latency, "together": together, "most": most}
+    options: dict[str, Any] = {"latency_s": latency, "together": together, "most": max(most, tried)}
     options |= {"targets": mode or (), "actuators": actuator or ()} | ({"kinds": signals} if signals else {})
     options["points"] = {words: _variant(loaded, words) for words in point or ()}
     with busy(f"loops of {loaded.name}"):
         choice = _chosen(loaded, *region_of(band, below), options)
+        designs = _designed(loaded, choice, tried, latency) if tried else ()
     if json_:
-        typer.echo(json.dumps({"case": loaded.name, **_as_dict(choice)}, indent=2, allow_nan=False))
+        found = {"case": loaded.name, **_as_dict(choice)}
+        if tried:
+            found["designs"] = [{"actuators": d.chosen.actuators, "damping": d.damping} for d in designs]
+        typer.echo(json.dumps(found, indent=2, allow_nan=False))
         return
     _print_choice(loaded.name, choice)
+    if tried:
+        _print_designs(loaded.name, designs, latency)
 
 
 def _variant(case: Case, words: str) -> Case:
@@ -93,6 +106,26 @@ def _chosen(case: Case, band_hz: tuple[float, float], below: float, options: dic
     from interarea.fmu_build.write.cache import default_cache
 
     return ranked_loops(case, default_cache(), band_hz=band_hz, below=below, **options)
+
+
+def _designed(case: Case, choice: LoopChoice, tried: int, latency_s: float) -> list[ShortDesign]:
+    """Return short designs of the best sets, the one that reaches most first."""
+    from interarea.cosim.designs.short_designs import LATENCY_S, short_designs
+    from interarea.fmu_build.write.cache import default_cache
+
+    made = short_designs(case, choice.sets[:tried], default_cache(), latency_s=latency_s or LATENCY_S)
+    return sorted(made, key=lambda design: -design.damping)
+
+
+def _print_designs(name: str, designs: Sequence[ShortDesign], latency_s: float) -> None:
+    from interarea.cosim.designs.short_designs import LATENCY_S
+
+    print_table(
+        f"{name}: the same after a short design, least inter-area damping with nothing and everything "
+        f"{latency_s or LATENCY_S:g} s late",
+        ("actuators", "damping", "score"),
+        [(", ".join(d.chosen.actuators), f"{d.damping:.3f}", f"{d.chosen.score:.3f}") for d in designs],
+    )
 
 
 def _as_dict(choice: LoopChoice) -> dict[str, Any]:

@@ -45,6 +45,20 @@ def test_sets_are_ranked_over_operating_points(interarea) -> None:  # type: igno
     assert found["remarks"] == []
 
 
+def test_sets_are_designed_shortly(interarea) -> None:  # type: ignore[no-untyped-def]
+    """The open loop has .081; each set is tried with its own machine and the two of its signal."""
+    given = ("loops", "two-area-thesis", "--signals", "speed", "--together", "1", "--try", "2")
+    found = json.loads(interarea(*given, "--json")[1])
+    dampings = [one["damping"] for one in found["designs"]]
+    assert dampings == sorted(dampings, reverse=True) and dampings[-1] > 0.3
+    tried = {tuple(one["actuators"]) for one in found["designs"]}
+    assert tried == {tuple(one["actuators"]) for one in found["sets"][:2]}
+    out = interarea(*given)[1]
+    assert "after a short design" in out and f"{dampings[0]:.3f}" in out
+    code, _, err = interarea("loops", "two-area-thesis", "--signals", "angle", "--try", "1")
+    assert code == 2 and "rank with speeds alone (--signals speed)" in err
+
+
 def twin(folder: Path) -> str:
     """Kundur's four machines, the first as two equal units: they swing against each other at one bus."""
     case = load_case("kundur-pss")

@@ -1,0 +1,131 @@
+"""Short designs of sets of loops: what damping each reaches, before one is designed in earnest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import pi
+from pathlib import Path
+
+from interarea.design.delay.signal_conditions import condition_of_many
+from interarea.design.errors import InfeasibleDesign
+from interarea.design.linear.linearise import remove_reference
+from interarea.design.modes.loop_points import LoopSet
+from interarea.design.robust.design import design_robust
+from interarea.design.robust.operating_points import inter_area_band, judge_family
+from interarea.design.robust.smoothed_objective import BandOffsets
+from interarea.design.robust.spec import RobustSpec
+from interarea.design.robust.stages import Stage
+from interarea.models.case.case import Case, CaseError
+from interarea.models.case.tables import swing_name
+
+from ..run.artefacts import linear_plant, sparse_linear_plant
+from .family import DENSE_STATES, FamilyPlant
+
+#: of every signal in the second condition of a short design, s
+LATENCY_S = 0.15
+_STATES = 4  # of each loop
+_CAP = 0.6  # pu per rad/s
+
+
+@dataclass(frozen=True)
+class ShortDesign:
+    """A set of loops, and the least damping ratio of any inter-area root with nothing and everything late.
+
+    damping : 0 where no stable controller was found.
+    """
+
+    chosen: LoopSet
+    damping: float
+
+
+def short_designs(
+    case: Case,
+    sets: Sequence[LoopSet],
+    cache: Path,
+    *,
+    latency_s: float = LATENCY_S,
+    told: Callable[[int], None] = lambda _: None,
+) -> tuple[ShortDesign, ...]:
+    """Design a controller for each set shortly, with the same effort for all; return them in their order.
+
+    Each loop has four states and sees its own machine's speed and those of its signal. Nothing late and
+    everything `latency_s` late, two first guesses; judged on the full plant with exact latency.
+    told : called with how many are done.
+
+    Raises
+    ------
+    CaseError : a signal that is no speed of a machine, or parts that no branch connects. ReductionError : a
+    large grid that no small model describes.
+    """
+    for one in sets:
+        _signals_of(one, case)
+    blocks = sparse_linear_plant(case, cache)
+    small = remove_reference(linear_plant(case, cache)) if blocks.nstates <= DENSE_STATES else None
+    found = []
+    for k, one in enumerate(sets):
+        sees = _signals_of(one, case)
+        signals = tuple(dict.fromkeys(s for some in sees.values() for s in some))
+        plant = FamilyPlant(case, signals, tuple(sees), blocks, small)
+        found.append(ShortDesign(one, _reached(plant, sees, latency_s)))
+        told(k + 1)
+    return tuple(found)
+
+
+def _signals_of(chosen: LoopSet, case: Case) -> dict[str, tuple[str, ...]]:
+    """Return actuator -> its own speed and those of its best signal."""
+    machines, found = [m.name for m in case.machines], {}
+    speeds = {f"{name}_dw": {name} for name in machines}
+    speeds |= {swing_name(a, b): {a, b} for a in machines for b in machines if a != b}
+    for actuator, signal in chosen.loops.items():
+        if signal not in speeds:
+            raise CaseError(
+                f"{case.name}: short designs see speeds of machines, not {signal!r}; rank with speeds alone "
+                "(--signals speed)"
+            )
+        seen = speeds[signal] | {actuator.removesuffix("_vs")}
+        found[actuator] = tuple(f"{name}_dw" for name in machines if name in seen)
+    return found
+
+
+def _reached(plant: FamilyPlant, sees: dict[str, tuple[str, ...]], latency_s: float) -> float:
+    signals = plant.signals
+    conditions = tuple(condition_of_many(code, signals) for code in ("N", f"s{round(1e3 * latency_s)}"))
+    band_hz = inter_area_band(plant.modes)
+    spec = RobustSpec(
+        signals=signals,
+        actuators=tuple(sees),
+        conditions=conditions,
+        sees={a: (some, _STATES) for a, some in sees.items()},
+        effort_cap=((0.05, _CAP), (300.0, _CAP)),
+        effort_under=("N",),
+        offsets=_offsets(band_hz),
+        plant_order=36,
+        pade_order=2,
+        starts=2,
+        stages=(Stage(rho=(80.0,), steps=12),),
+    )
+    try:
+        made = design_robust({"base": plant.searched}, spec, plant.case.omega_b)
+    except InfeasibleDesign:
+        return 0.0
+    judged = judge_family({"base": plant.judged}, made.system, conditions, bands_hz={"base": band_hz})
+    return float(judged.inter_area)
+
+
+def _offsets(band_hz: tuple[float, float]) -> BandOffsets:
+    """Ask nothing extra of inter-area modes, of others what they mostly have already."""
+    low, high = (2.0 * pi * hertz for hertz in band_hz)
+    places = (
+        0.0,
+        0.1 * low,
+        0.28 * low,
+        0.55 * low,
+        low,
+        high,
+        1.13 * high,
+        2.3 * high,
+        3.1 * high,
+        5.8 * high,
+    )
+    return BandOffsets(places, (0, 0, -0.12, -0.12, 0, 0, -0.17, -0.17, -0.25, -0.4))
