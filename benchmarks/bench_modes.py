@@ -56,6 +56,7 @@ GRIDS: dict[str, tuple[str, ...]] = {
         "WECC240/240busWECC_2018_PSS.dyr",
     ),
     "ACTIVSg2000": ("ACTIVSg2000/ACTIVSg2000.RAW.xz", "ACTIVSg2000/ACTIVSg2000_dynamics.dyr"),
+    "ACTIVSg2000-ruled": ("matpower/case_ACTIVSg2000.m",),  # of the Python package `matpower`
     "ACTIVSg10k": ("matpower/case_ACTIVSg10k.m.xz",),
 }
 
@@ -138,7 +139,7 @@ def main() -> None:
     """Print a line for each grid."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?")
-    parser.add_argument("--grid", nargs="*", choices=list(GRIDS), default=list(GRIDS))
+    parser.add_argument("--grid", nargs="*", choices=list(GRIDS), help="default: those in FOLDER")
     parser.add_argument("--below", type=float, nargs="*", default=[0.15], metavar="RATIO")
     parser.add_argument("--dense", type=int, default=2000, metavar="STATES")
     parser.add_argument("--reduce", type=int, default=60, metavar="ORDER")
@@ -148,7 +149,8 @@ def main() -> None:
     options = parser.parse_args()
     jobs: list[tuple[Any, float]] = [(load_case(name), z) for name in case_names() for z in (0.15, 0.3)]
     if options.folder:
-        jobs = [(name, z) for name in options.grid for z in options.below]
+        there = [name for name, (file, *_) in GRIDS.items() if (options.folder / file).exists()]
+        jobs = [(name, z) for name in options.grid or there for z in options.below]
     rows, wrong = [], 0
     for grid, below in jobs:
         case = imported(options.folder, grid) if isinstance(grid, str) else grid
