@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -84,13 +86,38 @@ def save_figure(figure: Figure, path: Path, *, transparent: bool = False, outlin
     """
     metadata = {"Date": None, "Creator": "interarea"} if path.suffix == ".svg" else None
     drawn = io.BytesIO()
-    with mpl.rc_context(STYLE | ({} if outlines else {"svg.fonttype": "none"})):
+    with mpl.rc_context(STYLE | ({} if outlines else {"svg.fonttype": "none"})), _nothing_ignored():
         figure.savefig(drawn, format=path.suffix[1:], transparent=transparent, metadata=metadata, dpi=160)
     figure.set_layout_engine("none")  # laid out; saved in another form it need not be again
     data = drawn.getvalue()
     if path.suffix == ".svg":  # a path on one line instead of one line a point
         data = re.sub(rb'(?<= d=")[^"]*', lambda d: b" ".join(d.group().split()), data)
     return write_whole(path, data)
+
+
+@contextmanager
+def _nothing_ignored() -> Iterator[None]:
+    """Raise at the end what the interpreter only printed: a glyph that could not be read is left out."""
+    ignored: list[BaseException] = []
+    printed = sys.unraisablehook
+
+    def keep(what: sys.UnraisableHookArgs) -> None:
+        if what.exc_value is None or isinstance(what.exc_value, MemoryError | OSError):
+            ignored.append(what.exc_value or MemoryError())
+        else:
+            printed(what)
+
+    sys.unraisablehook = keep
+    try:
+        yield
+    except Exception as error:
+        if ignored:  # matplotlib tells what came of it ("failed to load glyph"), this one why
+            raise ignored[0] from error
+        raise
+    finally:
+        sys.unraisablehook = printed
+    if ignored:
+        raise ignored[0]
 
 
 def singular_value_plot(

@@ -31,7 +31,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:This process:DeprecationWarning"),
     pytest.mark.skipif(not hasattr(os, "fork"), reason="forks"),
 ]
-CLEAN = 2000 if EVERY else 5  # attempts in a row without an error: they lie beyond the last allocation
+CLEAN = 2000 // SHARES if EVERY else 5  # in a row without an error: they lie beyond the last allocation
 #: what the interpreter says in place of MemoryError
 _SWALLOWED = ("not PosixPath", "can't allocate")
 
@@ -68,13 +68,14 @@ def outcome_without_memory(n: int, act: Callable[[], object]) -> str:
 
 
 @LONG
-def test_a_run(tmp_path: Path, cache: Path) -> None:
+@SHARED
+def test_a_run(share: int, tmp_path: Path, cache: Path) -> None:
     """One line or none; whole files or none; with memory the same bits; no hidden half stays."""
     build_fmu(decay_block(), tmp_path / "x.fmu", cache=cache)
     table = plain(tmp_path)
     whole = written(table, tmp_path / "whole", cache)
     seen, clean = Counter[str](), 0
-    for n in grid(ratio=1.6):
+    for n in islice(grid(ratio=1.6), share, None, SHARES):
         out = tmp_path / str(n)
         found = outcome_without_memory(n, lambda out=out: written(table, out, cache))  # type: ignore[misc]
         seen[found], clean = seen[found] + 1, clean + 1 if found == "clean" else 0
@@ -85,7 +86,8 @@ def test_a_run(tmp_path: Path, cache: Path) -> None:
         assert {p.name for p in out.iterdir()} == {*whole, "run.json"}, n
         if clean == CLEAN:
             break
-    assert n > 10_000 and seen["told"] > (20_000 if EVERY else 12) and seen["crashed"] < seen["told"] // 4
+    assert n > 10_000 and seen["told"] > (20_000 // SHARES if EVERY else 12)
+    assert seen["crashed"] < seen["told"] // 4
 
 
 @LONG
@@ -112,18 +114,20 @@ def test_a_run_with_a_case(share: int, tmp_path: Path, cache: Path) -> None:
 
 
 @LONG
-def test_the_folder_of_a_sweep(tmp_path: Path) -> None:
+@SHARED
+def test_the_folder_of_a_sweep(share: int, tmp_path: Path) -> None:
     work = [[0, 1, 2, 3], [4, 5, 6, 7, 8]]
     session(tmp_path / "whole", work)  # imports
     seen, clean = Counter[str](), 0
-    for n in grid(ratio=1.25):
+    for n in islice(grid(ratio=1.25), share, None, SHARES):
         folder = tmp_path / str(n)
         found = outcome_without_memory(n, lambda folder=folder: session(folder, work))  # type: ignore[misc]
         seen[found], clean = seen[found] + 1, clean + 1 if found == "clean" else 0
         finished(folder)
         if clean == CLEAN:
             break
-    assert n > 2000 and seen["told"] > (2000 if EVERY else 12) and seen["crashed"] < seen["told"] // 4
+    assert n > 2000 and seen["told"] > (2000 // SHARES if EVERY else 12)
+    assert seen["crashed"] < seen["told"] // 4
 
 
 def test_the_command_line_tells_it(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -116,3 +118,34 @@ def test_two_that_draw_one_figure_at_once_do_not_meet(
     assert plots.save_figure(figure, path) == path
     assert path.read_bytes() == alone.read_bytes()
     assert [p.name for p in path.parent.iterdir()] == ["figure.svg"]
+
+
+@pytest.mark.parametrize("error", [MemoryError(), OSError(errno.EIO, "Input/output error", "DejaVuSans.ttf")])
+def test_a_font_that_cannot_be_read_is_told(
+    error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """matplotlib's reader of fonts lets the interpreter print the error and draws on without the glyph."""
+    draw = Figure.savefig
+
+    def savefig(self: Figure, *arguments: object, **options: object) -> None:
+        _Dies(error)
+        draw(self, *arguments, **options)  # type: ignore[arg-type]
+
+    figure, _ = plots.new_figure(1, 1)
+    monkeypatch.setattr(Figure, "savefig", savefig)
+    hook = sys.unraisablehook
+    with pytest.raises(type(error)) as told:
+        plots.save_figure(figure, tmp_path / "figure.svg")
+    assert told.value is error and not list(tmp_path.iterdir()) and sys.unraisablehook is hook
+    monkeypatch.setattr(Figure, "savefig", draw)
+    assert plots.save_figure(figure, tmp_path / "figure.svg").stat().st_size > 1000
+
+
+class _Dies:
+    """Where an error comes out of the end of an object, the interpreter prints it and goes on."""
+
+    def __init__(self, error: Exception) -> None:
+        self.error = error
+
+    def __del__(self) -> None:
+        raise self.error
