@@ -22,6 +22,7 @@ from typing import Any
 
 import control
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).parent))
 from ruled_grid import ruled_grid
@@ -147,6 +148,7 @@ def main() -> None:
     parser.add_argument("--gain", type=float, default=0.05, help="of the late loops, pu per rad/s")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
+    threadpool_limits(1)  # as the command line has it
     jobs: list[tuple[Any, float]] = [(load_case(name), z) for name in case_names() for z in (0.15, 0.3)]
     if options.folder:
         there = [name for name, (file, *_) in GRIDS.items() if (options.folder / file).exists()]

@@ -15,6 +15,8 @@ def _stop(number: int, frame: FrameType | None) -> None:
 def main() -> None:
     """Run the command line."""
     signal.signal(signal.SIGINT, _stop)
+    for pool in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # numpy's and scipy's fight over small matrices
+        os.environ.setdefault(pool, "1")
     from .cli.app import main as run
 
     stops: list[int] = []

@@ -58,6 +58,7 @@ OF_THE_WIDTH = [
     *("button-name", "link-name", "label", "skip-link", "nested-interactive", "landmark-one-main"),
 ]
 COLOURS = "color-contrast"
+OPTIONS = {"iframes": False, "resultTypes": ["violations"]}  # what passes is counted, not described
 #: Marks the elements with text of their own whose look (tags and classes up to the root, own styles, odd or
 #: even row) is not among the `known`, and returns these looks: colours follow from them, one of each will do.
 MARK_NEW_LOOKS = """known => {
@@ -137,7 +138,7 @@ def findings(tab: Any, page: Path, said: list[str], looks: list[str]) -> list[st
             tab.wait_for_timeout(600)  # the page follows a change of its size after 0.3 s
         tab.emulate_media(color_scheme=scheme)
         tab.wait_for_function("scheme => document.documentElement.dataset.theme === scheme", arg=scheme)
-        violations = Axe().run(tab, place, {"iframes": False} | rules).response["violations"]
+        violations = Axe().run(tab, place, OPTIONS | rules).response["violations"]
         wrong += [f"{view}: {f['id']}: {[n['html'][:160] for n in f['nodes']][:3]}" for f in violations]
         if (wide := tab.evaluate("document.documentElement.scrollWidth")) > width:
             wrong.append(f"{view}: {wide} px wide")

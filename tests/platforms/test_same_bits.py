@@ -24,7 +24,8 @@ from interarea.cosim.export.container import container_block
 from interarea.cosim.export.instances import members_of
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller
-from interarea.fmu_build.write.compile import PLATFORMS
+from interarea.fmu_build.write.cache import COMPILERS_OWN
+from interarea.fmu_build.write.compile import PLATFORMS, SYSTEM_LIBRARIES
 from interarea.fmu_build.write.package import build_fmu
 from interarea.fmu_build.write.sources import fmi_headers
 
@@ -113,14 +114,18 @@ def fmus(cache: Path, by_hand: Controller, folder: Path) -> dict[str, Path]:
 @pytest.fixture(scope="module")
 def drivers(cache: Path, folder: Path) -> dict[str, Path]:
     """Return `driver.c` compiled for each platform."""
-    zig = str((cache / "zig").absolute())
+    kept = (cache / COMPILERS_OWN).absolute()  # the FMUs' own builds left the platforms' libraries there
+    environment = {
+        **os.environ,
+        "ZIG_GLOBAL_CACHE_DIR": str(kept / SYSTEM_LIBRARIES),
+        "ZIG_LOCAL_CACHE_DIR": str(kept / "objects"),
+    }
     made = {}
     for name in ("linux64", *EMULATED):
         made[name] = folder / f"driver-{name}.exe"
         command = [sys.executable, "-m", "ziglang", "cc", "-std=c99", "-O1"]
         command += ["-target", PLATFORMS[name].targets[0]]
         command += [f"-I{fmi_headers()}", str(Path(__file__).with_name("driver.c")), "-o", str(made[name])]
-        environment = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": zig, "ZIG_LOCAL_CACHE_DIR": zig}
         subprocess.run(command, check=True, env=environment, capture_output=True)
     return made
 

@@ -47,6 +47,27 @@ def test_nothing_heavy_is_loaded_for(arguments: tuple[str, ...]) -> None:
     assert not HEAVY & modules
 
 
+def test_numpy_and_scipy_calculate_in_one_thread_unless_more_are_asked_for() -> None:
+    code = (
+        "import atexit, os, sys\n"
+        "def told():\n"
+        "    import numpy, scipy.linalg, threadpoolctl\n"
+        "    pools = {p['num_threads'] for p in threadpoolctl.threadpool_info()}\n"
+        "    print(os.environ['OPENBLAS_NUM_THREADS'], pools, file=sys.stderr)\n"
+        "atexit.register(told)\n"
+        "sys.argv = ['interarea', '--version']\n"
+        "from interarea.__main__ import main\nmain()"
+    )
+    own = {k: v for k, v in os.environ.items() if k not in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")}
+
+    def said(**more: str) -> str:
+        done = subprocess.run([sys.executable, "-c", code], env=own | more, capture_output=True, check=False)
+        return done.stderr.decode().strip()
+
+    assert said() == "1 {1}"
+    assert said(OPENBLAS_NUM_THREADS="7").startswith("7 ")
+
+
 @pytest.mark.parametrize(
     "lines",
     [
