@@ -123,7 +123,8 @@ def drivers(cache: Path, folder: Path) -> dict[str, Path]:
     made = {}
     for name in ("linux64", *EMULATED):
         made[name] = folder / f"driver-{name}.exe"
-        command = [sys.executable, "-m", "ziglang", "cc", "-std=c99", "-O1"]
+        # with another level zig would make the platform's libraries anew
+        command = [sys.executable, "-m", "ziglang", "cc", "-std=c99", "-O2"]
         command += ["-target", PLATFORMS[name].targets[0]]
         command += [f"-I{fmi_headers()}", str(Path(__file__).with_name("driver.c")), "-o", str(made[name])]
         subprocess.run(command, check=True, env=environment, capture_output=True)
