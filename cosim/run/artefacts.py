@@ -22,6 +22,7 @@ from interarea.fmu_build.write.cache import (
 )
 from interarea.models.case.case import Case
 from interarea.models.case.checks import require_one_network
+from interarea.models.memory import build_bytes, require_memory
 
 if TYPE_CHECKING:
     import control
@@ -50,6 +51,11 @@ def plant_fmu(
     def block() -> Block:
         from interarea.models.blocks.plant import plant_block
 
+        require_memory(
+            build_bytes(case),
+            f"{case.name}: the plant of {len(case.buses)} buses and {len(case.machines)} machines",
+            "free some, take a larger machine or a smaller grid",
+        )
         return plant_block(case, event_slots=event_slots, show=show, more=more)
 
     given = [case.model_dump_json(), event_slots, None if show is None else list(show), list(more)]

@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from interarea.fmu_build.write.cache import default_cache
+from interarea.models.memory import MIB, require_memory, run_bytes
 
 from ..errors import MACHINE
 from ..run.controllers import ControllerLike
-from .plan import plan_sweep
+from .lane_batches import lanes_here
+from .plan import SweepPlan, plan_sweep
 from .prepare import prepare
 from .rows import Outcome
 from .spec import Sweep, load_sweep
@@ -73,10 +75,11 @@ def run_sweep(
         if retry == "failed":
             store.forget_failed()
         if store.count < sweep.size:
+            left, count = sweep.size - store.count, workers or cores()
+            if scheduler is None:
+                _require_memory(plan, min(count, left), -(-left // count), store_in)
             files = prepare(plan, store_in)
             if scheduler is None:
-                count = workers or cores()
-                left = sweep.size - store.count
                 outcomes = local_outcomes(
                     plan,
                     store.todo(),
@@ -93,6 +96,19 @@ def run_sweep(
                 )
             _collect(store, outcomes, progress)
         return store.finish()
+
+
+def _require_memory(plan: SweepPlan, workers: int, runs: int, cache: Path) -> None:
+    """Refuse workers whose live plants the memory of this machine would not hold; `runs`: of each."""
+    case = max((plan.case(name) for name in plan.cases), key=run_bytes)
+    beside = max(1, min(lanes_here(cache, case).count, runs))
+    each = run_bytes(case, beside, powers=plan.sweep.show is None)
+    require_memory(
+        workers * each,
+        f"{plan.sweep.name}: {workers} workers with up to {beside} plants of {case.name} at once "
+        f"({len(case.buses)} buses)",
+        f"ask for fewer workers: one needs {each / MIB:.0f} MiB",
+    )
 
 
 def cores() -> int:

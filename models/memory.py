@@ -1,0 +1,90 @@
+"""Memory that large grids will need, against what the machine has: said before any of it is taken.
+
+The prices below are what `benchmarks/plant_memory.py` measures of grids with 2000 and 10 000 buses. They are
+no bound: a grid with more controls on a machine or more outputs takes more.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+from .case.case import Case
+from .errors import UserError
+
+MIB = 1 << 20
+PROCESS = 75 * MIB  #: the interpreter with its libraries
+BUILD_BUS, BUILD_MACHINE = 30_000, 85_000  #: bytes of power flow, start, ordering, tables and description
+#: bytes of an FMU that is open, most of them its description; a power lists all states that it depends on
+OPEN_BUS, OPEN_MACHINE, OPEN_POWER = 20_000, 110_000, 113
+LANE_BUS = 300  #: bytes of each instance: factors, states, the stages of a step
+
+
+def build_bytes(case: Case) -> int:
+    """Return about how much a process takes at most that makes the plant of `case`, bytes."""
+    return PROCESS + BUILD_BUS * len(case.buses) + BUILD_MACHINE * len(case.machines)
+
+
+def run_bytes(case: Case, plants: int = 1, *, powers: bool = True) -> int:
+    """Return about how much a process takes with so many live plants of `case` from one FMU, bytes.
+
+    powers : whether each machine's power is an output, as it is where no outputs are chosen.
+    """
+    buses, machines = len(case.buses), len(case.machines)
+    opened = OPEN_BUS * buses + OPEN_MACHINE * machines + (OPEN_POWER * machines**2 if powers else 0)
+    return PROCESS + opened + plants * LANE_BUS * buses
+
+
+def require_memory(needed: int, what: str, instead: str, *, root: Path = Path("/")) -> None:
+    """Refuse what needs more than the machine has; where nothing tells how much that is, nothing is refused.
+
+    what : what needs it and where. instead : what to do. root : where the machine's files are.
+
+    Raises
+    ------
+    UserError : needed and available memory, and what to do.
+    """
+    available = available_bytes(root)
+    if available is not None and not needed <= available:
+        raise UserError(
+            f"{what}: needs about {needed / MIB:.0f} MiB of memory, allowed: {available / MIB:.0f} MiB, "
+            f"which this machine has available; {instead}"
+        )
+
+
+def available_bytes(root: Path = Path("/")) -> int | None:
+    """Return what this process may still take: of the machine and of its control groups; None: not known."""
+    if not sys.platform.startswith("linux"):
+        return None
+    found = re.search(r"^MemAvailable:\s+(\d+) kB", _text(root / "proc/meminfo"), re.MULTILINE)
+    rest = [int(found[1]) * 1024] if found else []
+    for line in _text(root / "proc/self/cgroup").splitlines():
+        _, controllers, place = line.split(":", 2)
+        if not controllers:
+            names, top = ("memory.max", "memory.current"), root / "sys/fs/cgroup"
+        elif "memory" in controllers.split(","):
+            names = ("memory.limit_in_bytes", "memory.usage_in_bytes")
+            top = root / "sys/fs/cgroup/memory"
+        else:
+            continue
+        here = top / place.lstrip("/")
+        # in a container the group's own folder may be mounted as the root
+        rest += [r for g in (here, *here.parents) if g.is_relative_to(top) for r in _left(g, *names)]
+    return min(rest, default=None)
+
+
+def _left(group: Path, limit: str, usage: str) -> list[int]:
+    """Return what a control group leaves, with the file cache it can drop; empty: it has no limit."""
+    most, used = _text(group / limit).strip(), _text(group / usage).strip()
+    if not (most.isdecimal() and used.isdecimal()):
+        return []
+    dropped = re.search(r"^(?:total_)?inactive_file (\d+)", _text(group / "memory.stat"), re.MULTILINE)
+    return [max(0, int(most) - int(used) + (int(dropped[1]) if dropped else 0))]
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text("ascii", "replace")
+    except OSError:
+        return ""
