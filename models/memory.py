@@ -16,8 +16,8 @@ from .errors import UserError
 MIB = 1 << 20
 PROCESS = 75 * MIB  #: the interpreter with its libraries
 BUILD_BUS, BUILD_MACHINE = 30_000, 85_000  #: bytes of power flow, start, ordering, tables and description
-#: bytes of an FMU that is open, most of them its description; a power lists all states that it depends on
-OPEN_BUS, OPEN_MACHINE, OPEN_POWER = 20_000, 110_000, 113
+#: bytes of case and open FMU, most of them its description; a power lists all states that it depends on
+OPEN_BUS, OPEN_MACHINE, OPEN_POWER = 35_000, 110_000, 113
 LANE_BUS = 300  #: bytes of each instance: factors, states, the stages of a step
 
 
