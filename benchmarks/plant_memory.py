@@ -21,7 +21,7 @@ from ruled_grid import ruled_grid
 from interarea.cosim.run.artefacts import plant_fmu
 from interarea.fmu_build.open.plant import open_plant
 from interarea.fmu_build.write.cache import default_cache
-from interarea.models.memory import MIB, build_bytes, run_bytes
+from interarea.models.grid.memory import MIB, build_bytes, run_bytes
 
 
 def peak_mib() -> float:

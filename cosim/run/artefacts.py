@@ -22,7 +22,7 @@ from interarea.fmu_build.write.cache import (
 )
 from interarea.models.case.case import Case
 from interarea.models.case.checks import require_one_network
-from interarea.models.memory import build_bytes, require_memory
+from interarea.models.grid.memory import build_bytes, require_memory
 
 if TYPE_CHECKING:
     import control

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from interarea.fmu_build.write.cache import default_cache
-from interarea.models.memory import MIB, require_memory, run_bytes
+from interarea.models.grid.memory import MIB, require_memory, run_bytes
 
 from ..errors import MACHINE
 from ..run.controllers import ControllerLike

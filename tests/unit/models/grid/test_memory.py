@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from command_line import invoke
 
-from interarea.models import memory
 from interarea.models.case.case import load_case
 from interarea.models.errors import UserError
-from interarea.models.memory import MIB, available_bytes, require_memory, run_bytes
+from interarea.models.grid import memory
+from interarea.models.grid.memory import MIB, available_bytes, require_memory, run_bytes
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="nothing tells there what memory is available")
 

@@ -10,8 +10,8 @@ import re
 import sys
 from pathlib import Path
 
-from .case.case import Case
-from .errors import UserError
+from ..case.case import Case
+from ..errors import UserError
 
 MIB = 1 << 20
 PROCESS = 75 * MIB  #: the interpreter with its libraries
