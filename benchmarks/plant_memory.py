@@ -21,6 +21,7 @@ from ruled_grid import ruled_grid
 from interarea.cosim.run.artefacts import plant_fmu
 from interarea.fmu_build.open.plant import open_plant
 from interarea.fmu_build.write.cache import default_cache
+from interarea.models.blocks.plant_shown import shows_powers
 from interarea.models.grid.memory import MIB, build_bytes, run_bytes
 
 
@@ -33,7 +34,7 @@ def made(path: Path, folder: Path) -> str:
     """Make the plant of a grid; return the line that says what it took."""
     case = ruled_grid(path)
     plant_fmu(case, folder)
-    wanted = build_bytes(case) / MIB
+    wanted = build_bytes(case, powers=shows_powers(case)) / MIB
     return f"{path.stem}: {len(case.buses)} buses, made {peak_mib():.0f} MiB, estimated {wanted:.0f} MiB"
 
 
@@ -41,7 +42,7 @@ def opened(path: Path, folder: Path) -> str:
     """Open the plant made before; return the line that says what it took."""
     case = ruled_grid(path)
     with open_plant(plant_fmu(case, folder)):
-        wanted = run_bytes(case) / MIB
+        wanted = run_bytes(case, powers=shows_powers(case)) / MIB
         return f"{path.stem}: {len(case.buses)} buses, open {peak_mib():.0f} MiB, estimated {wanted:.0f} MiB"
 
 

@@ -59,14 +59,17 @@ def run_plot(run: Ran) -> Figure:
     with mpl.rc_context(STYLE):
         axes[0].plot(curves.time_s, 1e3 * swing, color=SERIES[0], label=run.swing.name)
         axes[0].set_ylabel(f"{run.swing.name}\n(10⁻³ pu)")
-        for k, machine in enumerate(run.case.machines):
-            speed = 1e3 * np.asarray(curves[f"plant.{machine.name}_dw"])
+        speeds = {m.name: 1e3 * np.asarray(curves[f"plant.{m.name}_dw"]) for m in run.case.machines}
+        names = list(speeds)
+        if len(names) > _MOST:
+            furthest = set(sorted(names, key=lambda n: -float(np.abs(speeds[n]).max()))[:_MOST])
+            names = [n for n in names if n in furthest]
+        for k, name in enumerate(names):
             colour, dash = SERIES[k % len(SERIES)], DASHES[(k + k // len(SERIES)) % len(DASHES)]
-            axes[1].plot(
-                curves.time_s, speed, color=colour, linestyle=dash, linewidth=1.0, label=machine.name
-            )
+            axes[1].plot(curves.time_s, speeds[name], color=colour, linestyle=dash, linewidth=1.0, label=name)
         axes[1].set_ylabel("speed deviation\n(10⁻³ pu)")
-        axes[1].legend(**_BESIDE, ncols=1 + (len(run.case.machines) - 1) // 8)
+        few = f"{_MOST} of {len(speeds)}, the furthest" if len(names) < len(speeds) else None
+        axes[1].legend(**_BESIDE, ncols=1 + (len(names) - 1) // 8, title=few, title_fontsize=7)
         for k, control in enumerate(controls):
             colour, dash = SERIES[k % len(SERIES)], DASHES[k % len(DASHES)]
             label = control.split(".", 1)[1]
@@ -92,6 +95,7 @@ def run_plot(run: Ran) -> Figure:
     return figure
 
 
+_MOST = 24  #: machines whose speeds can be told apart
 _BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "fontsize": 7, "borderaxespad": 0.2}
 
 

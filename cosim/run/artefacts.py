@@ -50,9 +50,10 @@ def plant_fmu(
 
     def block() -> Block:
         from interarea.models.blocks.plant import plant_block
+        from interarea.models.blocks.plant_shown import shows_powers
 
         require_memory(
-            build_bytes(case),
+            build_bytes(case, powers=show is None and shows_powers(case)),
             f"{case.name}: the plant of {len(case.buses)} buses and {len(case.machines)} machines",
             "free some, take a larger machine or a smaller grid",
         )
@@ -146,17 +147,22 @@ def linear_matrices(case: Case, cache: Path) -> LinearMatrices:
         )
 
 
-def _require_dense(case: Case) -> None:
-    """Refuse a grid whose matrices would fill the memory, before its FMU is built."""
-    from interarea.models.errors import UserError
-
+def states_beyond_dense(case: Case) -> int:
+    """Return the number of states of a grid whose matrices would fill the memory, 0 of a smaller one."""
     if len(case.machines) < _MANY:
-        return
+        return 0
     from interarea.models.grid.equilibrium import operating_point
     from interarea.models.grid.machine_tables import in_plant_order
 
     states = len(operating_point(in_plant_order(case)).states)
-    if states > MOST_DENSE:
+    return states if states > MOST_DENSE else 0
+
+
+def _require_dense(case: Case) -> None:
+    """Refuse a grid whose matrices would fill the memory, before its FMU is built."""
+    from interarea.models.errors import UserError
+
+    if states := states_beyond_dense(case):
         raise UserError(
             f"{case.name}: {states} states, allowed for a dense linear model: {MOST_DENSE}; "
             "`interarea modes --band`, `loops` and `reduce` work on the sparse blocks of a grid of any size"

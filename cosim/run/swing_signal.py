@@ -6,13 +6,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from interarea.design.linear.linearise import remove_reference
-from interarea.design.modes.modes import ModeError, modes_of
+from interarea.design.modes.all_modes import all_modes
+from interarea.design.modes.modes import Mode, ModeError, modes_of
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, numerics_versions
 from interarea.models.case.case import Case
+from interarea.models.case.checks import islands_of
 
 from ..errors import ScenarioError, nearest
 from ..results.ringdown import Swing
-from .artefacts import linear_plant, plant_fmu
+from .artefacts import linear_plant, plant_fmu, sparse_linear_plant, states_beyond_dense
+
+#: of a grid too large for matrices: where areas swing against each other, and damping ratios below which they
+#: are sought in turn
+_BAND_HZ, _BELOW = (0.1, 0.9), (0.1, 0.2, 0.4)
 
 
 def swing_of(case: Case, cache: Path, stated: tuple[str, ...] | None = None) -> Swing:
@@ -43,10 +49,16 @@ def _two_of(names: tuple[str, ...], machines: Sequence[str]) -> tuple[str, str]:
 
 def _extremes(case: Case, cache: Path) -> tuple[str, str, str]:
     """Return the two machines that swing furthest against each other, and in which mode."""
+    parts = islands_of(case)
+    if len(parts) > 1:
+        within = [[m.name for m in case.machines if m.bus in part] for part in parts]
+        largest = max(within, key=len)
+        reason = f"first and last machine of the largest of {len(parts)} parts that no branch connects"
+        return largest[0], largest[-1], reason
     try:
-        modes = modes_of(remove_reference(linear_plant(case, cache)), case.areas)
-        between = [m for m in modes.values() if m.name.startswith("inter-area")]
-        mode = min(between or modes.values(), key=lambda m: m.damping_ratio)
+        modes = _modes(case, cache)
+        between = [m for m in modes if m.name.startswith("inter-area")]
+        mode = min(between or modes, key=lambda m: m.damping_ratio)
     except ModeError:
         first, last = case.machines[0].name, case.machines[-1].name
         return first, last, "first and last machine: the case has no mode with a name"
@@ -55,3 +67,24 @@ def _extremes(case: Case, cache: Path) -> tuple[str, str, str]:
     against = min(shape, key=lambda m: (shape[m] * shape[far].conjugate()).real)
     ahead, behind = sorted((far, against), key=list(shape).index)
     return ahead, behind, f"extreme machines of mode {mode.name!r} at {mode.frequency_hz:.3f} Hz"
+
+
+def _modes(case: Case, cache: Path) -> list[Mode]:
+    """Return the named modes of a case, of a grid too large for matrices those of `_BAND_HZ` alone.
+
+    Raises
+    ------
+    ModeError : there are none.
+    """
+    if not states_beyond_dense(case):
+        return list(modes_of(remove_reference(linear_plant(case, cache)), case.areas).values())
+    plant = sparse_linear_plant(case, cache)
+    swings: list[Mode] = []
+    for below in _BELOW:
+        found = all_modes(plant, case.areas, band_hz=_BAND_HZ, below=below).modes
+        swings = [m for m in found if m.name.startswith(("inter-area", "local"))]
+        if any(m.name.startswith("inter-area") for m in swings):
+            break
+    if not swings:
+        raise ModeError(f"{case.name}: no swing between {_BAND_HZ[0]} and {_BAND_HZ[1]} Hz")
+    return swings

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from interarea.fmu_build.write.cache import default_cache
+from interarea.models.blocks.plant_shown import shows_powers
 from interarea.models.grid.memory import MIB, require_memory, run_bytes
 
 from ..errors import MACHINE
@@ -102,7 +103,7 @@ def _require_memory(plan: SweepPlan, workers: int, runs: int, cache: Path) -> No
     """Refuse workers whose live plants the memory of this machine would not hold; `runs`: of each."""
     case = max((plan.case(name) for name in plan.cases), key=run_bytes)
     beside = max(1, min(lanes_here(cache, case).count, runs))
-    each = run_bytes(case, beside, powers=plan.sweep.show is None)
+    each = run_bytes(case, beside, powers=plan.sweep.show is None and shows_powers(case))
     require_memory(
         workers * each,
         f"{plan.sweep.name}: {workers} workers with up to {beside} plants of {case.name} at once "

@@ -20,6 +20,9 @@ KINDS = (
     *("line_i", "bus_angle", "bus_re", "bus_im"),
 )
 MOST_MACHINES = 100  #: of a grid that shows everything unless told otherwise
+#: names of states that outputs which see the network may list altogether, since in FMI an output that lists
+#: nothing may depend on every input: unasked 14 MB of modelDescription.xml, and what a pattern may ask for
+UNASKED_NAMES, MOST_NAMES = 2_000_000, 35_000_000
 
 
 @dataclass(frozen=True)
@@ -37,24 +40,43 @@ def shown_of(case: Case, patterns: Sequence[str] | None = None, more: Sequence[s
     patterns : of names such as `G1_*`, `bus7.v`, `branch[7-8].*`, `tie_p`, with `*`, `?` and `[..]` as in
         file names (a `[` of a name may stand for itself): the outputs, and no locals. None: of a grid of up
         to `MOST_MACHINES` the four outputs of each machine, the tie and, as locals, all bus voltages, field
-        voltages and mechanical powers; of a larger one speed and power of each machine and the tie.
+        voltages and mechanical powers; of a larger one speed and power of each machine and the tie; where
+        the powers would list more than `UNASKED_NAMES` states, some 600 machines, the speeds and the tie.
     more : patterns of outputs beside those.
 
     Raises
     ------
-    CaseError : a pattern that matches nothing, with the nearest names.
+    CaseError : a pattern that matches nothing, with the nearest names, or outputs that list more than
+        `MOST_NAMES`.
     """
     if patterns is not None:
-        return _outputs(case, (*patterns, *more))
+        return _describable(case, _outputs(case, (*patterns, *more)))
     large = len(case.machines) > MOST_MACHINES
-    machines = [s for s in _of_machines(case) if not large or s.kind in ("dw", "pe")]
+    unasked = ("dw", "pe") if shows_powers(case) else ("dw",)
+    machines = [s for s in _of_machines(case) if not large or s.kind in unasked]
     outputs, given = [*machines, *_of_tie(case)], [] if large else _locals(case)
     if more:
         named = {s.variable.name for s in outputs}
         outputs += [s for s in _outputs(case, more) if s.variable.name not in named]
         named = {s.variable.name for s in outputs}
         given = [s for s in given if s.variable.name not in named]
-    return [*outputs, *given]
+    return [*_describable(case, outputs), *given]
+
+
+def shows_powers(case: Case) -> bool:
+    """Return whether a plant of `case` shows the machines' powers unless told otherwise."""
+    return len(case.machines) * len(network_states(case)) <= UNASKED_NAMES
+
+
+def _describable(case: Case, outputs: list[Shown]) -> list[Shown]:
+    names = sum(len(s.variable.depends_on or ()) for s in outputs)
+    if not names <= MOST_NAMES:
+        raise CaseError(
+            f"{case.name}: the {len(outputs)} outputs asked for depend on {names / 1e6:.0f} million states "
+            f"altogether, which modelDescription.xml has to list; allowed: {MOST_NAMES / 1e6:.0f} million; "
+            "show fewer of them (speeds depend on one state each, powers and voltages on all machines)"
+        )
+    return outputs
 
 
 def shown_names(case: Case) -> list[str]:

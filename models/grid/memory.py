@@ -1,7 +1,7 @@
 """Memory that large grids will need, against what the machine has: said before any of it is taken.
 
-The prices below are what `benchmarks/plant_memory.py` measures of grids with 2000 and 10 000 buses. They are
-no bound: a grid with more controls on a machine or more outputs takes more.
+The prices below are what `benchmarks/plant_memory.py` and `bench_large.py` measure of grids with 2000 to 82 000
+buses. They are no bound: a grid with more controls on a machine or more outputs takes more.
 """
 
 from __future__ import annotations
@@ -15,25 +15,30 @@ from ..errors import UserError
 
 MIB = 1 << 20
 PROCESS = 75 * MIB  #: the interpreter with its libraries
-BUILD_BUS, BUILD_MACHINE = 30_000, 85_000  #: bytes of power flow, start, ordering, tables and description
-#: bytes of case and open FMU, most of them its description; a power lists all states that it depends on
-OPEN_BUS, OPEN_MACHINE, OPEN_POWER = 35_000, 110_000, 113
+#: bytes of power flow, start, ordering, tables and description; a power lists all states that it depends on
+BUILD_BUS, BUILD_MACHINE, BUILD_POWER = 3_200, 128_000, 40
+OPEN_MACHINE, OPEN_POWER = 300_000, 113  #: bytes of case and open FMU, most of them its description
 LANE_BUS = 300  #: bytes of each instance: factors, states, the stages of a step
 
 
-def build_bytes(case: Case) -> int:
-    """Return about how much a process takes at most that makes the plant of `case`, bytes."""
-    return PROCESS + BUILD_BUS * len(case.buses) + BUILD_MACHINE * len(case.machines)
+def build_bytes(case: Case, *, powers: bool = True) -> int:
+    """Return about how much a process takes at most that makes the plant of `case`, bytes.
+
+    powers : whether each machine's power is an output.
+    """
+    buses, machines = len(case.buses), len(case.machines)
+    powered = BUILD_POWER * machines**2 if powers else 0
+    return PROCESS + BUILD_BUS * buses + BUILD_MACHINE * machines + powered
 
 
 def run_bytes(case: Case, plants: int = 1, *, powers: bool = True) -> int:
     """Return about how much a process takes with so many live plants of `case` from one FMU, bytes.
 
-    powers : whether each machine's power is an output, as it is where no outputs are chosen.
+    powers : whether each machine's power is an output.
     """
-    buses, machines = len(case.buses), len(case.machines)
-    opened = OPEN_BUS * buses + OPEN_MACHINE * machines + (OPEN_POWER * machines**2 if powers else 0)
-    return PROCESS + opened + plants * LANE_BUS * buses
+    machines = len(case.machines)
+    opened = OPEN_MACHINE * machines + (OPEN_POWER * machines**2 if powers else 0)
+    return PROCESS + opened + plants * LANE_BUS * len(case.buses)
 
 
 def require_memory(needed: int, what: str, instead: str, *, root: Path = Path("/")) -> None:

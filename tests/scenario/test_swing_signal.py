@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from interarea.cosim.errors import ScenarioError
+from interarea.cosim.run import swing_signal
 from interarea.cosim.run.artefacts import linear_plant
 from interarea.cosim.run.run import run_scenario
 from interarea.cosim.run.swing_signal import swing_of
@@ -41,6 +42,30 @@ def test_large_cases_are_judged_between_areas(name: str, cache: Path) -> None:
         a, b = machines.index(swing.ahead), machines.index(swing.behind)
         spread.append(apart[a, b] / apart.max())
     assert spread and max(spread) > 0.9
+
+
+@pytest.mark.parametrize("name", ["two-area-thesis", "new-england"])
+def test_a_grid_too_large_for_matrices_has_the_same_from_its_sparse_blocks(
+    name: str, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = load_case(name)
+    dense = swing_of(case, cache)
+    monkeypatch.setattr(swing_signal, "states_beyond_dense", lambda case: 7)
+    monkeypatch.setattr(swing_signal, "cached_json", lambda cache, kind, key, make: make())
+    monkeypatch.setattr(swing_signal, "linear_plant", None)
+    sparse = swing_of(case, cache)
+    assert (sparse.ahead, sparse.behind) == (dense.ahead, dense.behind)
+    assert (
+        sparse.source.partition(" at ")[2] == dense.source.partition(" at ")[2]
+    )  # names count what was sought
+
+
+def test_parts_that_no_branch_connects_are_judged_within_the_largest(cache: Path) -> None:
+    apart = {"8-9 a": {"in_service": False}, "8-9 b": {"in_service": False}}
+    case = load_case("two-area-thesis").with_changes({"branches": apart, "machines": {"G1": {"slack": True}}})
+    assert swing_of(case, cache).source == "stated by the case"
+    swing = swing_of(case.model_copy(update={"swing": None}), cache)
+    assert (swing.ahead, swing.behind) == ("G1", "G2") and "the largest of 2 parts" in swing.source
 
 
 def test_case_and_scenario_state_their_own(cache: Path) -> None:

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from plant_shim import BlockShim
 
+from interarea.models.blocks import plant_shown
 from interarea.models.blocks.plant import plant_block
 from interarea.models.blocks.plant_shown import MOST_MACHINES, shown_of
 from interarea.models.case.case import Case, CaseError, load_case
-from interarea.models.grid.machine_tables import in_plant_order
+from interarea.models.grid.machine_tables import in_plant_order, network_states
 from interarea.models.grid.powerflow import solve_powerflow
 
 
@@ -79,3 +80,19 @@ def test_a_large_grid_shows_speed_power_and_tie() -> None:
     large = case.model_copy(update={"machines": (*case.machines, *more)})
     assert {n.split("_")[1] for n in names(large)} == {"dw", "pe", "p"}
     assert len(names(large)) == 2 * (MOST_MACHINES + 4) + 1
+
+
+def test_a_huge_grid_shows_no_powers_unasked_and_refuses_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An output that sees the network lists its states: with powers a description grows with the square."""
+    case = load_case("nets-nyps")
+    monkeypatch.setattr(plant_shown, "MOST_MACHINES", 10)
+    listed = len(case.machines) * len(network_states(case))
+    monkeypatch.setattr(plant_shown, "UNASKED_NAMES", listed)
+    assert {n.split("_")[1] for n in names(case)} >= {"dw", "pe"}
+    monkeypatch.setattr(plant_shown, "UNASKED_NAMES", listed - 1)
+    assert {n.split("_")[1] for n in names(case)} - {"p"} == {"dw"}
+    assert "G1_pe" in names(case, "*_pe")
+    monkeypatch.setattr(plant_shown, "MOST_NAMES", listed - 1)
+    assert names(case)
+    with pytest.raises(CaseError, match=r"nets-nyps: the 16 outputs asked for .* show fewer of them"):
+        names(case, "*_pe")
