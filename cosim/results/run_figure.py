@@ -20,6 +20,10 @@ from .ringdown import speeds_of
 from .tally import DRAWN, Curves
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+
     from interarea.models.case.case import Case
 
     from ..scenario.scenario import Scenario
@@ -59,17 +63,7 @@ def run_plot(run: Ran) -> Figure:
     with mpl.rc_context(STYLE):
         axes[0].plot(curves.time_s, 1e3 * swing, color=SERIES[0], label=run.swing.name)
         axes[0].set_ylabel(f"{run.swing.name}\n(10⁻³ pu)")
-        speeds = {m.name: 1e3 * np.asarray(curves[f"plant.{m.name}_dw"]) for m in run.case.machines}
-        names = list(speeds)
-        if len(names) > _MOST:
-            furthest = set(sorted(names, key=lambda n: -float(np.abs(speeds[n]).max()))[:_MOST])
-            names = [n for n in names if n in furthest]
-        for k, name in enumerate(names):
-            colour, dash = SERIES[k % len(SERIES)], DASHES[(k + k // len(SERIES)) % len(DASHES)]
-            axes[1].plot(curves.time_s, speeds[name], color=colour, linestyle=dash, linewidth=1.0, label=name)
-        axes[1].set_ylabel("speed deviation\n(10⁻³ pu)")
-        few = f"{_MOST} of {len(speeds)}, the furthest" if len(names) < len(speeds) else None
-        axes[1].legend(**_BESIDE, ncols=1 + (len(names) - 1) // 8, title=few, title_fontsize=7)
+        _draw_speeds(axes[1], curves, [m.name for m in run.case.machines])
         for k, control in enumerate(controls):
             colour, dash = SERIES[k % len(SERIES)], DASHES[k % len(DASHES)]
             label = control.split(".", 1)[1]
@@ -93,6 +87,20 @@ def run_plot(run: Ran) -> Figure:
         title = run.scenario.title or run.scenario.name
         figure.suptitle(textwrap.fill(title, 90), fontsize=9, x=0.01, ha="left")
     return figure
+
+
+def _draw_speeds(axis: Axes, curves: Trajectory, machines: Sequence[str]) -> None:
+    """Draw the speeds of the machines, of more than `_MOST` those that go furthest."""
+    speeds = {name: 1e3 * np.asarray(curves[f"plant.{name}_dw"]) for name in machines}
+    names, title = list(speeds), None
+    if len(names) > _MOST:
+        furthest = set(sorted(names, key=lambda n: -float(np.abs(speeds[n]).max()))[:_MOST])
+        names, title = [n for n in names if n in furthest], f"{_MOST} of {len(names)}, the furthest"
+    for k, name in enumerate(names):
+        colour, dash = SERIES[k % len(SERIES)], DASHES[(k + k // len(SERIES)) % len(DASHES)]
+        axis.plot(curves.time_s, speeds[name], color=colour, linestyle=dash, linewidth=1.0, label=name)
+    axis.set_ylabel("speed deviation\n(10⁻³ pu)")
+    axis.legend(**_BESIDE, ncols=1 + (len(names) - 1) // 8, title=title, title_fontsize=7)
 
 
 _MOST = 24  #: machines whose speeds can be told apart

@@ -10,6 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from interarea.cosim.errors import ScenarioError
+from interarea.cosim.results import run_figure
+from interarea.cosim.results.run_figure import run_plot
 from interarea.cosim.run import swing_signal
 from interarea.cosim.run.artefacts import linear_plant
 from interarea.cosim.run.run import run_scenario
@@ -66,6 +68,20 @@ def test_parts_that_no_branch_connects_are_judged_within_the_largest(cache: Path
     assert swing_of(case, cache).source == "stated by the case"
     swing = swing_of(case.model_copy(update={"swing": None}), cache)
     assert (swing.ahead, swing.behind) == ("G1", "G2") and "the largest of 2 parts" in swing.source
+
+
+def test_of_many_machines_those_are_drawn_whose_speeds_go_furthest(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = run_scenario({"case": "two-area-thesis", "stop_s": 2.0, "event": [PULSE]}, cache=cache)
+    legend = run_plot(run).axes[1].get_legend()
+    assert [text.get_text() for text in legend.get_texts()] == ["G1", "G2", "G3", "G4"]
+    monkeypatch.setattr(run_figure, "_MOST", 2)
+    legend = run_plot(run).axes[1].get_legend()
+    peaks = {m: float(np.abs(run.trajectory[f"plant.{m}_dw"]).max()) for m in ("G1", "G2", "G3", "G4")}
+    furthest = sorted(peaks, key=lambda m: -peaks[m])[:2]
+    assert [text.get_text() for text in legend.get_texts()] == sorted(furthest)
+    assert legend.get_title().get_text() == "2 of 4, the furthest"
 
 
 def test_case_and_scenario_state_their_own(cache: Path) -> None:
