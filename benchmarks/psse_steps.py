@@ -4,6 +4,8 @@
     exciters that see V at once          of the rates before and after it
     exciters with a voltage transducer   the trapezoidal rule, what they see of the network standing still:
                                          (1 - h J/2) [x(t + h) - x(t)] = h f(t), then the limits of the states
+    exciters with one shorter than h     have none; as machines, but the network stands still for the step:
+                                         x(t + h) = x(t) + h (3 f(x(t)) - f(x(t - h)))/2, both at V(t)
     a field voltage that follows the     is made before the network is solved: from the exciter's states of t
     network at once                      and the network of t - h (behind a last lag with T = 0 all of t - h)
     HYGOV                                sees the speed of t - h
@@ -112,6 +114,31 @@ class FieldVoltages:
             dx[eq2] += share * change / Td01
 
 
+def without_short_transducers(case: Case, h: float) -> Case:
+    """Return `case` with no voltage transducer of an exciter that is shorter than a step of `h` s."""
+    changes = {}
+    for device in operating_point(case).controls.of("exciter"):
+        if 0.0 < device.rest.instance.values.get("TR", 0.0) < h:
+            changes[case.machines[device.machine].name] = {"exciter": {"TR": 0.0}}
+    return case.with_changes({"machines": changes}) if changes else case
+
+
+class Standing:
+    """An exciter without its transducer: the two-step rule, what it sees of the network standing still."""
+
+    def __init__(self, instance: Instance, states: list[str], machine: Machine) -> None:
+        self.at = [states.index(f"{machine.name}.exciter.{name}") for name in instance.state_names]
+        self.before: Array | None = None
+
+    def step(self, rates: Rates, x: Array, dx: Array, h: float) -> Array:
+        """Return its states a step on; its rates at `x` are in `dx`."""
+        y = x.copy()
+        if self.before is not None:
+            y[self.at] = self.before
+        self.before = x[self.at].copy()
+        return x[self.at] + h * (1.5 * dx[self.at] - 0.5 * rates.at(y)[self.at])
+
+
 class Trapezoid:
     """An exciter behind a voltage transducer."""
 
@@ -147,11 +174,13 @@ def psse_steps(
     rates = Rates(plant, case, events)
     states = list(operating_point(case).state_names)
     fields = FieldVoltages(rates, case, states)
-    exciters = [
-        Trapezoid(d.rest.instance, d.rest.margins, states, case.machines[d.machine])
-        for d in operating_point(case).controls.of("exciter")
-        if d.rest.instance.values.get("TR", 0.0) > 0.0
-    ]
+    exciters: list[Trapezoid | Standing] = []
+    for d in operating_point(case).controls.of("exciter"):
+        instance, machine = d.rest.instance, case.machines[d.machine]
+        if instance.values.get("TR", 0.0) > 0.0:
+            exciters.append(Trapezoid(instance, d.rest.margins, states, machine))
+        elif "TR" in instance.values:
+            exciters.append(Standing(instance, states, machine))
     hydro = [m.name for m in case.machines if m.governor.kind == "hygov"]
     governed = np.array([name.split(".")[0] in hydro and ".governor." in name for name in states])
     slips = np.array([name.endswith(".slip") for name in states])

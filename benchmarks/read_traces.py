@@ -29,7 +29,7 @@ import numpy.typing as npt
 sys.path.insert(0, str(Path(__file__).parent))
 from fmpy.fmi1 import FMICallException
 from fmu_run import PlantSlave
-from psse_steps import psse_steps
+from psse_steps import psse_steps, without_short_transducers
 
 from interarea.models.case.case import Case
 from interarea.models.case.events import events_of
@@ -165,6 +165,8 @@ def compare(
         exponents = (1.0, 1.0)
     case = case_of_trace(trace, folder, exponents, as_given=as_given)
     h = trace.get("nominal_step_s", 0.0)
+    if two_steps and h:
+        case = without_short_transducers(case, h)
     events = events_of_trace(trace.get("event", whole.get("event")), case)
     if "kI(v)" in whole.get("load_model", ""):
         events = with_low_voltage_load(case, events)
