@@ -6,10 +6,11 @@ MANIFEST lists records: RAW, DYR, event, CSV with the columns time_s, NAME_unit 
 PowerSimulationsDynamics.jl and PowerDynamics.jl). Of every column that the plant has (bus voltage, rotor
 angle, speed, power, field voltage, mechanical power) the largest difference is printed as a share of the
 column's range; behind a slash what of it lies beyond half a unit of the last digit printed in the record.
-With --psse-steps the same equations are integrated as PSS/E does it, at the record's step (psse_steps.py).
-Three records of PSS/E were not made with the data kept beside them, each by one number; --as-given leaves
-that number as it is. docs/book.md has the tables. Exit code 1 when a column is off by more than 1e-3 of its
-range.
+With --psse-steps the same equations are integrated as PSS/E does it, at the record's step (psse_steps.py);
+those of PowerWorld's record by Heun's rule.
+Three records of PSS/E were not made with the data kept beside them, each by one number, and PowerWorld's has
+another governor than PSS/E's of that name; --as-given leaves number and governor as they are. docs/book.md
+has the tables. Exit code 1 when a column is off by more than 1e-3 of its range.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ import numpy.typing as npt
 sys.path.insert(0, str(Path(__file__).parent))
 from fmpy.fmi1 import FMICallException
 from fmu_run import PlantSlave
-from psse_steps import psse_steps, without_short_transducers
+from psse_steps import heun_steps, psse_steps, without_short_transducers
 
 from interarea.models.case.case import Case
 from interarea.models.case.events import events_of
@@ -76,8 +77,9 @@ def case_of_trace(
             raise CaseError(f"{place}: {model} is not modelled")
         if model == "DEGOV":
             given = {name: value for name, value in constants.items() if name != "TD"}  # 0: no delay
-            change[machine.name] = {"governor": {"kind": "degov"} | given}
-    return case.with_changes({"machines": change}) if change else case
+            change[machine.name] = {"governor": {"kind": "degov" if as_given else "degov_fed_back"} | given}
+    devices = [] if as_given else [Path(__file__).parent / "degov_fed_back.toml"]
+    return case.with_changes({"devices": devices, "machines": change}) if change else case
 
 
 def events_of_trace(event: dict[str, Any], case: Case) -> list[Any]:
@@ -186,9 +188,8 @@ def compare(
     variables = [variable for variable, _ in wanted.values()]
     plant = PlantSlave(case, events, 0.001)
     if two_steps and h:
-        rows = psse_steps(plant, case, events, float(times[-1]), h, variables)[
-            np.round(times / h).astype(int)
-        ]
+        steps = heun_steps if trace.get("tool") == "PowerWorld" else psse_steps
+        rows = steps(plant, case, events, float(times[-1]), h, variables)[np.round(times / h).astype(int)]
     else:
         rows = plant.record(times.tolist(), variables)
     plant.close()
