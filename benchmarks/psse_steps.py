@@ -236,6 +236,48 @@ def heun_steps(
     return np.array(rows)
 
 
+def held_field_steps(
+    plant: PlantSlave,
+    case: Case,
+    events: list[Any],
+    times: Array,
+    names: list[str],
+    held: tuple[Array, Array],
+    h: float = 0.001,
+) -> Array:
+    """Return variables `names` at `times` (rising from 0), shape (times, names), by Runge-Kutta of order 4.
+
+    held : times and values (pu) between which the field voltage of all machines is that, not the exciter's.
+    """
+    rates = Rates(plant, case, events)
+    fields = FieldVoltages(rates, case, list(operating_point(case).state_names))
+    x = rates.start()
+    ends = [t for e in events for t in (e.start_s, getattr(e, "end_s", None)) if t is not None]
+    grid = np.unique(np.round(np.concatenate([np.arange(0.0, times[-1] + h, h), times, ends, held[0]]), 9))
+    rows = []
+    for a, b in zip(grid, np.append(grid[1:], grid[-1] + h), strict=True):
+        rates.model.setTime(a)
+        rates.model.setContinuousStates(_pointer(x), x.size)
+        rates.choose_modes()
+        holds = held[0][0] <= a + 1e-9 and b <= held[0][-1] + 1e-9
+
+        def at(t: float, x: Array, holds: bool = holds) -> Array:
+            rates.model.setTime(t)
+            dx = rates.at(x)
+            if holds:
+                now = fields.now()
+                fields.put(dx, np.full(now.shape, np.interp(t, *held)), now)
+            return dx
+
+        k1 = at(a, x)
+        rows.append(rates.shown(names))
+        k2 = at(0.5 * (a + b), x + 0.5 * (b - a) * k1)
+        k3 = at(0.5 * (a + b), x + 0.5 * (b - a) * k2)
+        x = x + (b - a) / 6.0 * (k1 + 2.0 * (k2 + k3) + at(b, x + (b - a) * k3))
+    rates.close()
+    return np.array(rows)[np.searchsorted(grid, np.round(times, 9))]
+
+
 def _ends_at_once(instance: Instance) -> bool:
     """Whether the last element would have a state but for its time constant of 0."""
     element = instance.model.elements[instance.model.device.output]
