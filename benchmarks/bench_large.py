@@ -1,6 +1,7 @@
 """Large grids: from RAW and DYR to a running FMU, and what 10 s with one fault cost beside GridKit's figures.
 
     python benchmarks/bench_large.py FOLDER [--grid NAME ..] [--json FILE]
+    python benchmarks/bench_large.py FOLDER --power SHARE .. [--grid NAME ..]
     python benchmarks/bench_large.py --ruled FILE.m .. [--stop SECONDS] [--step SECONDS] [--fine SECONDS]
 
 FOLDER holds the published files under the names in `GRIDS`. The fault is that of GridKit's comparison: at
@@ -9,6 +10,9 @@ of `REPEAT` runs; errors are the largest difference of any speed, over the peak 
 `REFERENCE_S`. Every grid runs in a process of its own, whose largest memory is shown. GridKit's seconds are
 those that its authors published, of their machine: the ratio says what order they are of, no more.
 Source: repository ORNL/GridKit, examples/PhasorDynamics/HICSS-60/benchmark.
+
+`--power` tells what loads cost that are constant power by that share: CPU time of half the run above over
+that with impedances, both in turns, the least of `REPEAT` runs.
 
 `--ruled` takes grids of MATPOWER with devices by the rule of `ruled_grid`: what they take to be built, how
 far they drift in a second without a disturbance, what a simulated second costs after a fault of 100 ms
@@ -91,6 +95,33 @@ def as_impedances(case: Case) -> Case:
     """Loads and units without dynamic data as impedances: as constant power ACTIVSg2000's west slips."""
     change = {"P_zip": None, "Q_zip": None, "P_exponent": 2.0, "Q_exponent": 2.0}
     return case.model_copy(update={"loads": tuple(q.model_copy(update=change) for q in case.loads)})
+
+
+def of_power(case: Case, share: float) -> Case:
+    """Every load by that share constant power, the rest impedance."""
+    mix = (1.0 - share, 0.0, share)
+    change = {"P_zip": mix, "Q_zip": mix, "P_exponent": None, "Q_exponent": None}
+    return case.model_copy(update={"loads": tuple(q.model_copy(update=change) for q in case.loads)})
+
+
+def power_price(name: str, folder: Path, share: float, step_s: float = 1.0 / 240.0) -> float:
+    """Return the cost of a run with loads of constant power over that of one with impedances."""
+    raw, dyr, bus, _ = GRIDS[name]
+    case = import_grid(folder / raw, dyr=folder / dyr, converters="current", release_limits=True).case
+    case = as_impedances(case)
+    table = [{"kind": "bus_fault", "bus": bus, "start_s": 1.0, "end_s": 1.15, "x_pu": 0.01}]
+    events = events_of(table, where=name)
+    speeds = [f"{m.name}_dw" for m in case.machines]
+    slaves = [PlantSlave(c, events, step_s) for c in (case, of_power(case, share))]
+    cpu = []
+    for _ in range(REPEAT):
+        for slave in slaves:
+            slave.restart(step_s)
+        cpu.append([slave.cpu_s(STOP_S / 2.0, COMMUNICATION_S, speeds) for slave in slaves])
+    for slave in slaves:
+        slave.close()
+    least = np.min(cpu, axis=0)
+    return float(least[1] / least[0])
 
 
 def measured(name: str, folder: Path) -> dict[str, Any]:
@@ -176,6 +207,7 @@ def main() -> None:
     """Print a line for each run of each grid."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--power", type=float, nargs="+", metavar="SHARE", help="0 to 1, of every load")
     parser.add_argument("--ruled", type=Path, nargs="+", metavar="FILE.m")
     parser.add_argument("--stop", type=float, default=STOP_S, help="of a grid with devices by the rule")
     parser.add_argument("--step", type=float, default=0.005)
@@ -191,7 +223,11 @@ def main() -> None:
         with start.Pool(1) as pool:
             rows.append(pool.apply(measured_ruled, (path, options.stop, options.step, options.fine)))
         print(rows[-1], flush=True)
-    for name in () if options.folder is None else options.grid:
+    for name in options.grid if options.power else ():
+        for share in options.power:
+            ratio = power_price(name, options.folder, share)
+            print(f"{name}: {100 * share:g} % constant power / impedances: {ratio:.2f}", flush=True)
+    for name in () if options.folder is None or options.power else options.grid:
         with start.Pool(1) as pool:
             row = pool.apply(measured, (name, options.folder))
         rows.append(row)

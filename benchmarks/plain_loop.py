@@ -18,6 +18,7 @@ import numpy.typing as npt
 from interarea.fmu_build.write.sources import gather_sources
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.plant import plant_block
+from interarea.models.grid.network_tables import Form
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 
@@ -45,8 +46,10 @@ def _compiled(files: tuple[Path, ...], folder: Path) -> ctypes.CDLL:
 class PlainPlant:
     """One plant at its operating point, stepped by `plain_loop.c`."""
 
-    def __init__(self, case: object, parameters: Mapping[str, float] | None = None) -> None:
-        block = plant_block(case)  # type: ignore[arg-type]
+    def __init__(
+        self, case: object, parameters: Mapping[str, float] | None = None, network: Form | None = None
+    ) -> None:
+        block = plant_block(case, network=network)  # type: ignore[arg-type]
         self._c = compiled(block.sources)
         self._c.plain_open.restype = ctypes.c_void_p
         self._c.plain_run.restype = ctypes.c_double

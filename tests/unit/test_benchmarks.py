@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from interarea.models.blocks.plant import event_parameters
 from interarea.models.case.case import load_case
 from interarea.models.case.events import events_of
 
@@ -130,6 +131,32 @@ def test_the_fmu_gives_the_bits_of_the_plain_loop():
     plant.advance(2.0)
     np.testing.assert_array_equal(loop.states(), plant.outputs(loop.state_names))
     plant.close()
+
+
+@pytest.mark.slow
+def test_steps_of_a_sparse_network_with_ports_follow_the_dense_one():
+    """Within steps ports start where their last voltages point to and end far below the step's own error."""
+    from plain_loop import PlainPlant
+
+    power = {
+        "loads": {q.name: {"P_exponent": 0.0, "Q_exponent": 0.0} for q in load_case("new-england").loads}
+    }
+    case = load_case("new-england").with_changes(power)
+    fault = {"kind": "bus_fault", "bus": 16, "start_s": 0.05, "end_s": 0.12, "x_pu": 0.05}
+    slots = event_parameters(case, events_of([fault], where="test"))
+    found = []
+    for form, step_s in (("dense", 0.005), ("sparse", 0.005), ("dense", 0.0025)):
+        loop, speeds = PlainPlant(case, slots, form), []
+        at = [k for k, name in enumerate(loop.state_names) if name.endswith(".slip")]
+        for begin in np.arange(0.0, 0.99, 0.02):
+            loop.events(float(begin), float(begin) + 0.02, step_s)
+            speeds.append(loop.states()[at])
+        found.append(np.array(speeds))
+    dense, sparse, fine = found
+    assert np.abs(dense).max() > 1e-3
+    off = np.abs(sparse - dense).max()
+    assert off < 1e-6 * np.abs(dense).max()
+    assert off < 0.1 * np.abs(fine - dense).max()
 
 
 def test_records_for_both_tools_have_no_saturation_and_no_stabilizer_without_an_exciter():

@@ -113,6 +113,17 @@ static void saturate_rates(const real *memory, const Plan *plan, const Work *w, 
     }
 }
 
+#if !defined PLANT_TANGENT && !defined PLANT_LANES
+static PortCare port_care(const Work *w)
+{
+    if (w->exact) return PORT_EXACT;
+#ifndef PLANT_HELD
+    if (w->notes.words != NULL) return PORT_STEP;
+#endif
+    return PORT_ALONE;
+}
+#endif
+
 /* The network of a large grid: node voltages into w->v, machine currents. As solve_ports. */
 static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *pattern, const num *x, Work *w)
 {
@@ -131,7 +142,7 @@ static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *patter
 #ifdef PLANT_TANGENT
     solve_sparse_tangent(memory, plan, pattern, ed2, base, w);
 #else
-    const size_t stuck = sparse_port_solve(memory, plan, pattern, w->exact, ed2, w->sine, w->cosine, base, w->e_re,
+    const size_t stuck = sparse_port_solve(memory, plan, pattern, port_care(w), ed2, w->sine, w->cosine, base, w->e_re,
                                            w->e_im, w->port, w->v, base + 2 * plan->n_node);
     if (stuck < plan->n_port) return stuck + 1;
 #endif

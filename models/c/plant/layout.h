@@ -85,7 +85,10 @@ enum {
     H_IDLE,             /* 1: a lane of a batch that has nothing to do  */
     H_PATTERN,          /* sparse network: where its pattern begins in the record */
     H_PARTS, H_DEAD,    /* parts of the network with a machine; buses in parts without one */
-    H_PLAN = 8
+    H_TIME,             /* of the coming evaluation, s                  */
+    H_PORT_RATIO,       /* sparse: by how much a step with the slopes in the factors has brought the ports closer */
+    H_PORT_USED,        /* sparse: solutions with those slopes */
+    H_PLAN
 };
 
 /* FMI parameters of a slot: Reals start, end, size, size_q, r, x, rise and those of a relay; integers kind, target. */
@@ -139,6 +142,7 @@ typedef struct {
     size_t port_v;        /* 2 x 2 n_port: port voltages and `b` as last solved    */
     size_t port_slope;    /* 4 n_port: dJ/dV of the folded network                 */
     size_t port_fold;     /* sparse: 2 n_port, voltages of those slopes            */
+    size_t port_past;     /* sparse: times of the last three solutions, newest first; voltages of the older two */
     size_t port_b;        /* 2 n_machine columns of 2 n_port: from EMFs            */
     size_t port_z;        /* 2 n_port columns of 2 n_port: from what slopes leave  */
     size_t total;
@@ -187,6 +191,7 @@ static inline void plan_offsets(Plan *p)
     p->port_v = at;        at += 4u * ports;
     p->port_slope = at;    at += 4u * ports;
     p->port_fold = at;     at += 2u * ports * sparse;
+    p->port_past = at;     at += ports > 0 ? (3u + 4u * ports) * sparse : 0u;
     p->port_b = at;        at += 4u * ports * n * dense;
     p->port_z = at;        at += 4u * ports * ports * dense;
     p->total = at;

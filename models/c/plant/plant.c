@@ -99,6 +99,14 @@ static BlockStatus not_started(BlockMessage *message)
     return plant_fail(message, BLOCK_ERROR, "plant: used before block_start");
 }
 
+/* Ports start where their last voltages point to. Plants without them differ in what was switched alone, so that
+ * those side by side can read one memory. */
+static void keep_time(const Block *b, double t)
+{
+    Plan own;
+    if (plan_in(b->memory, &own)->n_port > 0) b->memory[H_TIME] = t;
+}
+
 BlockStatus block_derivatives(Block *b, double t, const double *x, const double *u, double *dx,
                               BlockMessage *message)
 {
@@ -108,6 +116,7 @@ BlockStatus block_derivatives(Block *b, double t, const double *x, const double 
     size_t stuck;
 
     if (!(b->memory[H_READY] == READY)) return not_started(message);
+    keep_time(b, t);
     if (limits != NULL) {
         notes.words = b->notes;
         notes.switched = limits->mode == LIMITS_WATCH ? &switched : NULL;
@@ -129,6 +138,7 @@ BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, 
     Plan own;
 
     if (!(b->memory[H_READY] == READY)) return not_started(message);
+    keep_time(b, t);
     size_t stuck = plant_outputs(b->memory, places_of(b), b->lanes, x, y, b->scratch);
     if (b->w != NULL && stuck == 0)
         stuck = plant_locals(b->memory, places_of(b), b->lanes, x, u, b->w, b->scratch,
@@ -140,6 +150,7 @@ BlockStatus block_directional(Block *b, double t, const double *x, const double 
                               const double *vu, double *vdx, double *vy, BlockMessage *message)
 {
     if (!(b->memory[H_READY] == READY)) return not_started(message);
+    keep_time(b, t);
     const size_t stuck = plant_directional(b->memory, places_of(b), &b->layout, x, u, vx, vu, vdx, vy, b->scratch);
     return stuck == 0 ? BLOCK_OK : unsolved(b, stuck, t, message);
 }

@@ -88,27 +88,34 @@ static inline void sparse_row(const real *a, const int32_t *column, size_t count
     *im = (s0 + s1) + (p0 + p1);
 }
 
-/* The same with entries of 2 x 2 real numbers. */
+/* The same with entries of 2 x 2 real numbers: products with the real and the imaginary part are summed apart. */
 static inline void sparse_row_4(const real *a, const int32_t *column, size_t count, const num *v,
                                 num *re, num *im)
 {
-    num r0 = NUM(0.0), i0 = NUM(0.0), r1 = NUM(0.0), i1 = NUM(0.0);
+    num r0 = NUM(0.0), q0 = NUM(0.0), i0 = NUM(0.0), p0 = NUM(0.0);
+    num r1 = NUM(0.0), q1 = NUM(0.0), i1 = NUM(0.0), p1 = NUM(0.0);
     size_t k = 0;
 
     for (; k + 2 <= count; k += 2, a += 8) {
         const num *v0 = v + 2 * column[k], *v1 = v + 2 * column[k + 1];
-        r0 += a[0] * v0[0] + a[1] * v0[1];
-        i0 += a[2] * v0[0] + a[3] * v0[1];
-        r1 += a[4] * v1[0] + a[5] * v1[1];
-        i1 += a[6] * v1[0] + a[7] * v1[1];
+        r0 += a[0] * v0[0];
+        q0 += a[1] * v0[1];
+        i0 += a[2] * v0[0];
+        p0 += a[3] * v0[1];
+        r1 += a[4] * v1[0];
+        q1 += a[5] * v1[1];
+        i1 += a[6] * v1[0];
+        p1 += a[7] * v1[1];
     }
-    for (; k < count; ++k, a += 4) {
+    if (k < count) {
         const num *v0 = v + 2 * column[k];
-        r0 += a[0] * v0[0] + a[1] * v0[1];
-        i0 += a[2] * v0[0] + a[3] * v0[1];
+        r0 += a[0] * v0[0];
+        q0 += a[1] * v0[1];
+        i0 += a[2] * v0[0];
+        p0 += a[3] * v0[1];
     }
-    *re = r0 + r1;
-    *im = i0 + i1;
+    *re = (r0 + r1) + (q0 + q1);
+    *im = (i0 + i1) + (p0 + p1);
 }
 
 /* v = L^-1 v from row `first` on; nothing enters the rows before. */

@@ -5,8 +5,15 @@
 
 enum { MOST = 12, ENOUGH = 5, MOST_STEPS = 40 };
 static const double ACCURACY = 1e-11;   /* of the voltages, estimated error relative to the largest */
+static const double STEP_ACCURACY = 3e-8; /* the same within a step of the integrator: below 1e-7 of what speeds do */
 static const double ROUNDING = 1e-13;   /* what a further step moves when all is said */
 static const double POOR = 0.3;         /* contraction above which other slopes are wanted */
+static const double POORER = 0.004;     /* contraction above which they are wanted when these have been used enough */
+static const double WORTH = 64.0;        /* solutions that pay for other slopes */
+static const double LEAST = 1e-4;       /* contraction that is believed */
+static const double DOUBT = 4.0;        /* how much poorer it may be than a solution before has found it */
+static const double FORGET = 1.1;       /* by what it is taken to be poorer after a solution that did not look */
+static const double SAME_S = 1e-9;      /* times so close are one */
 static const double MOST_FLUX = 1.2;    /* where an iteration may start: psi_I grows exponentially */
 
 /* One problem: everything that stays the same while it is solved. */
@@ -58,6 +65,72 @@ static void start_from_last(const Problem *s)
     }
 }
 
+/* Older solutions move up: the newest is forgotten, or left to be overwritten. */
+static void shift(const Problem *s, int forget)
+{
+    const size_t n = 2 * s->plan->n_port;
+    double *times = s->memory + s->plan->port_past, *newest = s->memory + s->plan->port_v;
+    double *older = times + 3, *oldest = older + n;
+
+    if (forget) {
+        if (times[1] < INFINITY) memcpy(newest, older, n * sizeof(double));
+        memcpy(older, oldest, n * sizeof(double));
+        times[0] = times[1];
+        times[1] = times[2];
+        times[2] = INFINITY;
+    } else {
+        memcpy(oldest, older, n * sizeof(double));
+        memcpy(older, newest, n * sizeof(double));
+        times[2] = times[1];
+        times[1] = times[0];
+    }
+}
+
+/* Where the last solutions point to at this time: along a parabola, a line, or where they stand. A step that is
+ * done again goes back in time. */
+static void start_from_past(const Problem *s)
+{
+    const size_t n = s->plan->n_port;
+    const double *times = s->memory + s->plan->port_past, *newest = s->memory + s->plan->port_v;
+    const double *older = times + 3, *oldest = older + 2 * n, t = s->memory[H_TIME];
+    double w1 = 0.0, w2 = 0.0;
+
+    while (times[0] < INFINITY && times[0] > t + SAME_S) shift(s, 1);
+    const double a = t - times[0], b = times[0] - times[1], c = times[1] - times[2];
+    const int ahead = a > SAME_S && a <= 2.0 * b, bent = ahead && a + b <= 4.0 * c;
+    if (bent) {   /* less than three: b or c is no positive number */
+        w1 = -a * (a + b + c) / (b * c);
+        w2 = a * (a + b) / (c * (b + c));
+    } else if (ahead) {
+        w1 = -a / b;
+    }
+    for (size_t p = 0; p < n; ++p) {
+        s->at.v_re[p] = newest[p];
+        s->at.v_im[p] = newest[n + p];
+        if (ahead) {
+            s->at.v_re[p] += w1 * (older[p] - newest[p]);
+            s->at.v_im[p] += w1 * (older[n + p] - newest[n + p]);
+        }
+        if (bent) {
+            s->at.v_re[p] += w2 * (oldest[p] - newest[p]);
+            s->at.v_im[p] += w2 * (oldest[n + p] - newest[n + p]);
+        }
+    }
+}
+
+static void keep(const Problem *s)
+{
+    double *times = s->memory + s->plan->port_past, *last = s->memory + s->plan->port_v;
+    const double t = s->memory[H_TIME];
+
+    if (!(fabs(t - times[0]) <= SAME_S)) shift(s, 0);
+    times[0] = t;
+    for (size_t p = 0; p < s->plan->n_port; ++p) {
+        last[p] = s->at.v_re[p];
+        last[s->plan->n_port + p] = s->at.v_im[p];
+    }
+}
+
 /* Slopes at the port voltages in s->at into the factors. 0: singular. */
 static int fold(const Problem *s)
 {
@@ -74,20 +147,28 @@ static int fold(const Problem *s)
         at[2 * p + 1] = s->at.v_im[p];
     }
     memory[H_PORT_READY] = sparse_factor(memory, s->plan, s->pattern, s->work) == s->plan->n_node ? 1.0 : 0.0;
+    memory[H_PORT_RATIO] = 1.0;
+    memory[H_PORT_USED] = 0.0;
     return memory[H_PORT_READY] > 0.5;
 }
 
-/* Steps with the same slopes until the next would move nothing worth it; 0: they do not contract. */
+/* Steps with the same slopes until the next would move nothing worth it; 0: they do not contract. How well they
+ * do is known from the solution before, so that a good start needs one. */
 static int iterate(const Problem *s, double accuracy, size_t *port)
 {
-    double before = INFINITY;
+    double *known = s->memory + H_PORT_RATIO, before = INFINITY;
 
     for (int count = 1; count <= MOST; ++count) {
         const double moved = step(s, port), ratio = moved / before;
         if (!(moved < 1e6) || (moved > ROUNDING && !(ratio < POOR) && count > 1)) return 0;
         take(s, 1.0);
         if (count == ENOUGH) s->memory[H_PORT_READY] = 0.0;   /* slow: other slopes the next time */
-        if (moved <= ROUNDING || (count > 1 && moved * ratio <= accuracy)) return 1;
+        if (count > 1) *known = larger(ratio, LEAST);
+        if (moved <= ROUNDING) return 1;
+        if (moved * *known * (count > 1 ? 1.0 : DOUBT) <= accuracy) {
+            if (count == 1) *known *= FORGET;
+            return 1;
+        }
         before = moved;
     }
     return 0;
@@ -161,17 +242,16 @@ static int folded_here(const Problem *s)
     return off <= 1e-12;
 }
 
-size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *pattern, int exact, const double *ed2,
+size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *pattern, PortCare care, const double *ed2,
                          const double *sine, const double *cosine, const double *base, double *e_re, double *e_im,
                          PortWork w, double *v, double *work)
 {
     const Problem problem = { memory, plan, pattern, ed2, sine, cosine, base, e_re, e_im, w, v, work };
     const Problem *s = &problem;
-    const double accuracy = exact ? 0.0 : ACCURACY;
-    double *last = memory + plan->port_v;
+    const double accuracy = care == PORT_EXACT ? 0.0 : care == PORT_STEP ? STEP_ACCURACY : ACCURACY;
     size_t port = 0;
 
-    start_from_last(s);
+    start_from_past(s);
     int solved = memory[H_PORT_READY] > 0.5 && iterate(s, accuracy, &port);
     if (!solved) {
         start_from_last(s);
@@ -182,11 +262,10 @@ size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *patter
         memory[H_PORT_READY] = 0.0;
         return port;
     }
-    if (exact && !folded_here(s) && !fold(s)) return port;
-    sparse_port_inject(memory, plan, ed2, sine, cosine, w, e_re, e_im);
-    for (size_t p = 0; p < plan->n_port; ++p) {
-        last[p] = w.v_re[p];
-        last[plan->n_port + p] = w.v_im[p];
-    }
+    if (care == PORT_EXACT && !folded_here(s) && !fold(s)) return port;
+    if (plan->n_node > plan->n_bus) sparse_port_inject(memory, plan, ed2, sine, cosine, w, e_re, e_im);
+    keep(s);
+    memory[H_PORT_USED] += 1.0;
+    if (memory[H_PORT_RATIO] > POORER && memory[H_PORT_USED] >= WORTH) memory[H_PORT_READY] = 0.0;
     return plan->n_port;
 }

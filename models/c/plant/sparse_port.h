@@ -8,8 +8,8 @@
  *     V = (Y - D)^-1 [y E + J(V, x) - D V],
  *
  * a Newton step with those slopes for each evaluation of the right side: one solution. It is repeated
- * from the ports' voltages found last; where it does not contract, sparse_port.c renews the slopes, then
- * takes damped Newton steps. Of one step at voltages that solve the equations, with the slopes there, the
+ * from where the ports' voltages found last point to; where it does not contract, sparse_port.c renews the
+ * slopes, then takes damped Newton steps. Of one step at voltages that solve the equations, with the slopes there, the
  * tangent is exact. */
 
 /* What every port injects at its node, into e. */
@@ -63,9 +63,13 @@ static inline void sparse_port_machines(const real *memory, const Plan *plan, co
 /* Doubles of work for sparse_port_solve. */
 static inline size_t sparse_port_work(const Plan *plan) { return 4 * plan->n_node + 4 * plan->n_port; }
 
-/* Node voltages v, port voltages and what goes with them into w, injections into e. `exact`: the slopes in
- * the factors become those at the solution. Returns n_port, or the port farthest from a solution. */
-size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *pattern, int exact, const double *ed2,
+/* How well the ports are solved: within a step of the integrator, far below its own error; for whoever asks by
+ * himself or looks for the instant of a switch; to rounding, with the slopes in the factors those at the solution. */
+typedef enum { PORT_STEP, PORT_ALONE, PORT_EXACT } PortCare;
+
+/* Node voltages v, port voltages and what goes with them into w, of machines' ports also injections into e. Starts
+ * where the last solutions point to at memory[H_TIME]. Returns n_port, or the port farthest from a solution. */
+size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *pattern, PortCare care, const double *ed2,
                          const double *sine, const double *cosine, const double *base, double *e_re, double *e_im,
                          PortWork w, double *v, double *work);
 #endif

@@ -142,6 +142,7 @@ BlockStatus sparse_stage(double *memory, const Plan *plan, const Network *net, c
     char name[64];
 
     memory[H_PORT_READY] = 0.0;   /* the slopes are those of another stage */
+    for (size_t k = 0; k < (plan->n_port > 0 ? 3u : 0u); ++k) memory[plan->port_past + k] = INFINITY;
     for (size_t k = 0; k < 4 * plan->n_port; ++k) memory[plan->port_slope + k] = 0.0;
     assemble(memory, plan, net, &s, extra, dead, sum);
     size_t row = sparse_factor(memory, plan, &s, w);
