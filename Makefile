@@ -50,9 +50,9 @@ docs: $(VENV)/installed-docs
 # A benchmark that misses what it wants says so with exit code 1; the others still run.
 bench: $(VENV)/installed-bench
 	-$(BIN)/python benchmarks/bench_cli.py
-	-$(BIN)/python benchmarks/lmi_engine.py
-	-$(BIN)/python benchmarks/lmi_engine.py --ftc
-	-$(BIN)/python benchmarks/unseen_points.py
+	-$(BIN)/python benchmarks/control/lmi_engine.py
+	-$(BIN)/python benchmarks/control/lmi_engine.py --ftc
+	-$(BIN)/python benchmarks/control/unseen_points.py
 	-$(BIN)/python benchmarks/bench_master.py
 	-$(BIN)/python benchmarks/bench_plant.py
 	-$(BIN)/python benchmarks/bench_devices.py
@@ -60,9 +60,9 @@ bench: $(VENV)/installed-bench
 	-$(BIN)/python benchmarks/bench_sweep.py
 	-$(BIN)/python benchmarks/bench_pool.py
 	-$(BIN)/python benchmarks/bench_export.py --cold
-	-$(BIN)/python benchmarks/compare_andes.py
-	-$(BIN)/python benchmarks/compare_tops.py
-	-$(BIN)/python benchmarks/book_readings.py
+	-$(BIN)/python benchmarks/peers/compare_andes.py
+	-$(BIN)/python benchmarks/peers/compare_tops.py
+	-$(BIN)/python benchmarks/records/book_readings.py
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

@@ -12,8 +12,11 @@ import argparse
 import ctypes
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent / "plain"))
 from plain_loop import compiled
 
 from interarea.models.blocks.plant import plant_sources

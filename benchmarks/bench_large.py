@@ -34,8 +34,7 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.extend(str(Path(__file__).resolve().parent / name) for name in (".", "grids", "../tests"))
 from fmu_run import PlantSlave
 from plant_shim import BlockShim
 from ruled_grid import ruled_grid

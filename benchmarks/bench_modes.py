@@ -24,7 +24,7 @@ import control
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).resolve().parent / "grids"))
 from ruled_grid import ruled_grid
 
 from interarea.cosim.run.artefacts import sparse_linear_plant

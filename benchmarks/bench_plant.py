@@ -25,8 +25,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.extend(str(Path(__file__).resolve().parent / name) for name in (".", "peers", "plain", "../tests"))
 from bench_batch import faults
 from compare_andes import FAULT, RUNS, THYRISTOR, TRIP, ask_andes, impedance_loads, two_area
 from fmu_run import PlantSlave

@@ -180,7 +180,7 @@ def test_a_header_declares_what_its_own_file_defines(path: Path) -> None:
         assert defined, f"{_name(path)} declares {name}, which {own.name} does not define"
 
 
-@pytest.mark.parametrize("floor", FLOORS)
+@pytest.mark.parametrize("floor", [*FLOORS, "benchmarks"])
 def test_a_folder_is_taken_in_at_a_glance(floor: str) -> None:
     for folder in {p.parent for p in (ROOT / floor).rglob("*.py")}:
         modules = len(list(folder.glob("*.py")))

@@ -282,7 +282,8 @@ def first_failures(certificate: Mapping[str, Any] | None) -> str:
 def kept_certificate(name: str, case_hash: str) -> dict[str, Any] | None:
     """Return what a controller of the study holds at two points of `robust_latency`; None of any other.
 
-    Found by ``benchmarks/study_certificates.py`` for the case of that design: of another nothing is known.
+    Found by ``benchmarks/control/study_certificates.py`` for the case of that design: nothing is known of
+    another.
     """
     path = Path(__file__).parent / f"certificate_{name}.json"
     if name not in CONTROLLER_NAMES or not path.exists() or case_hash != load_case("two-area-thesis").hash:

@@ -1,7 +1,7 @@
 """Memory that large grids will need, against what the machine has: said before any of it is taken.
 
-The prices below are what `benchmarks/plant_memory.py` and `bench_large.py` measure of grids with 2000 to
-82 000 buses. They are no bound: a grid with more controls on a machine or more outputs takes more.
+The prices below are what `benchmarks/grids/plant_memory.py` and `bench_large.py` measure of grids with 2000
+to 82 000 buses. They are no bound: a grid with more controls on a machine or more outputs takes more.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Other readings of Kundur's Example 12.6: what benchmarks/book_readings.toml and its script say of them."""
+"""Other readings of Kundur's Example 12.6: what book_readings.toml and its script say of them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import printed
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "records"))
 import book_readings
 import book_search
 

@@ -87,7 +87,8 @@ def test_delay_table_is_that_of_the_page_which_a_command_writes() -> None:
 
 def test_every_section_with_numbers_names_its_commands_and_they_exist() -> None:
     named = re.compile(
-        r"`(?:python )?(interarea [a-z]+|make [a-z]+|benchmarks/\w+\.py|pytest [\w/.]+|docs/\w+\.(?:py|md))"
+        r"`(?:python )?"
+        r"(interarea [a-z]+|make [a-z]+|benchmarks/[\w/]+\.py|pytest [\w/.]+|docs/\w+\.(?:py|md))"
     )
     for title, text in sections().items():
         found = named.findall(text) + re.findall(r"\((docs/[\w/]+\.md)\)", text)

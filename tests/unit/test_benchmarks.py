@@ -13,7 +13,7 @@ from interarea.models.blocks.plant import event_parameters
 from interarea.models.case.case import load_case
 from interarea.models.case.events import events_of
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+sys.path.extend(str(Path(__file__).parents[2] / "benchmarks" / name) for name in (".", "peers", "plain"))
 import andes_rows
 import bench_devices
 import bench_plant

@@ -1,4 +1,4 @@
-"""A case to the tables of tops and back (tops itself runs in benchmarks/compare_tops.py only)."""
+"""A case to the tables of tops and back (tops itself runs in benchmarks/peers/compare_tops.py only)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "peers"))
 import compare_tops
 from tops_rows import case_from, tables_of
 

@@ -16,7 +16,7 @@ from interarea.design.lmi.interior_point.operators import AffineMap
 from interarea.design.lmi.interior_point.schur import SchurComplement
 from interarea.design.lmi.problem import BlockLMI, MatrixVariable, Problem, Solution, Term
 
-sys.path.insert(0, str(Path(__file__).parents[4] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[4] / "benchmarks" / "control"))
 from lmi_problems import (
     osborne,
     output_feedback_problem,

@@ -17,7 +17,7 @@ from interarea.models.grid.network import admittance_matrix
 from interarea.models.grid.powerflow import solve_powerflow
 from interarea.models.importers.psse import import_psse
 
-sys.path.insert(0, str(Path(__file__).parents[4] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[4] / "benchmarks" / "peers"))
 from compare_readers import differences, problem_of
 from readers_run import TOOLS
 
@@ -63,7 +63,7 @@ def test_the_power_flow_of_another_reader_has_the_same_voltages_and_flows(
 ) -> None:
     """Shunts, ratios, loads and units of New England, read and solved by them; `compare_readers` has more."""
     pytest.importorskip(
-        package, reason=f"{package} is not installed (benchmarks/compare_readers.py names it)"
+        package, reason=f"{package} is not installed (benchmarks/peers/compare_readers.py names it)"
     )
     case = load_case("new-england")
     path = tmp_path / "grid.raw"

@@ -1,6 +1,6 @@
 """OpenIPSL's record of HYGOV, block by block: each block fed with what the record says of its input.
 
-    python benchmarks/hygov_record.py MANIFEST.toml
+    python benchmarks/records/hygov_record.py MANIFEST.toml
 
 The largest difference from the record's own output of the block, as a share of its range. A block that is off
 there is off in the record, whatever the rest of the model does: the integrator of the gate, beside its limit.

@@ -1,6 +1,6 @@
 """Power flow, eigenvalues and trajectories of the plant FMU against ANDES on the same data.
 
-    python benchmarks/compare_andes.py [--andes-python PYTHON] [--only-files] [--step 0.0020833] [--json FILE]
+    python benchmarks/peers/compare_andes.py [--andes-python PYTHON] [--only-files] [--step S] [--json FILE]
 
 ANDES comes with the extra `bench`; it may live in another environment, whose interpreter
 `--andes-python` names. What remains of the trajectories' difference is the instant of ANDES's events,
@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.extend(str(Path(__file__).resolve().parent / name) for name in (".", ".."))
 from andes_rows import load_mix, rows_of, rows_of_event
 from fmu_run import PlantSlave
 
@@ -257,7 +257,7 @@ def write_trajectories(python: str, file: Path) -> None:
         times = np.arange(0.1, RECORDED_S + 0.05, 0.1)
         dw24 = np.interp(times, found["t"], speed["G2"] - speed["G4"])
         rows.append({"run": name, "machines": controls, "events": table, "dw24": dw24.round(10).tolist()})
-    source = f"ANDES {found['version']}, trapezoidal, 1/1920 s; benchmarks/compare_andes.py --write"
+    source = f"ANDES {found['version']}, trapezoidal, 1/1920 s; benchmarks/peers/compare_andes.py --write"
     file.write_text(json.dumps({"source": source, "step_s": 0.1, "row": rows}, indent=1) + "\n")
 
 

@@ -1,6 +1,6 @@
 """Time records of other programs against the plant: PSS/E, PowerWorld, OpenIPSL, as far as their models go.
 
-    python benchmarks/read_traces.py MANIFEST.toml [--only ID ...] [--psse-steps] [--as-given] [--json FILE]
+    python benchmarks/records/read_traces.py MANIFEST.toml [--only ID ...] [--psse-steps] [--late-limits]
 
 MANIFEST lists records: RAW, DYR, event, CSV with the columns time_s, NAME_unit (formats as in the folders of
 PowerSimulationsDynamics.jl and PowerDynamics.jl). Of every column that the plant has (bus voltage, rotor
@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.extend(str(Path(__file__).resolve().parent / name) for name in (".", ".."))
 from fmpy.fmi1 import FMICallException
 from fmu_run import PlantSlave
 from psse_steps import held_field_steps, heun_steps, psse_steps, without_short_transducers

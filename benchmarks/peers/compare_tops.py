@@ -1,6 +1,6 @@
 """Power flow and swing modes of the plant FMU against tops on the same data.
 
-    python benchmarks/compare_tops.py [--tops-python PYTHON] [--json FILE]
+    python benchmarks/peers/compare_tops.py [--tops-python PYTHON] [--json FILE]
 
 tops, the dynamic simulator of H. Haugdal [Haugdal2024], comes with the extra `bench`; it may live in another
 environment, whose interpreter `--tops-python` names. Each grid is run twice there: with tops's machine and

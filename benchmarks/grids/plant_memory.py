@@ -1,6 +1,6 @@
 """What making and opening the plant of a large grid takes of memory, beside what is estimated beforehand.
 
-    python benchmarks/plant_memory.py FILE.m ..
+    python benchmarks/grids/plant_memory.py FILE.m ..
 
 Grids of MATPOWER with devices by the rule of `ruled_grid`, each in a process of its own: the largest memory
 of the process when the FMU is made (the binary is compiled by another one) and when it is open and started.

@@ -1,6 +1,7 @@
 """What the shipped robust controllers hold at operating points that no design saw.
 
-Run `python benchmarks/unseen_points.py [NAME...]`: full plants, exact latency, conditions of the design.
+Run `python benchmarks/control/unseen_points.py [NAME...]`: full plants, exact latency, conditions
+of the design.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Which constants of exciter and stabilizer would give the stabilized row of Kundur's Example 12.6?
 
-    python benchmarks/book_search.py [--constants 2]
+    python benchmarks/records/book_search.py [--constants 2]
 
 For every choice of that many constants the fit to the three printed modes by least squares, from
 several starts, the others as printed. The number before a choice is the largest distance left of the

@@ -1,6 +1,6 @@
 """Other readings of Kundur's Example 12.6 beside its printed swing modes; the stabilizer those need.
 
-    python benchmarks/book_readings.py [--andes-python PYTHON]
+    python benchmarks/records/book_readings.py [--andes-python PYTHON]
 
 Reads book_readings.toml. The first column of numbers tells how far the farthest of the six printed
 numbers is, in half units of its last digit: 1 or less reaches the digits. Exit code 1 when a mode
@@ -19,6 +19,8 @@ from typing import Any
 
 import control
 import numpy as np
+
+sys.path.extend(str(Path(__file__).resolve().parent / name) for name in ("..", "../peers"))
 from andes_rows import load_mix, rows_of
 from compare_andes import ask, unsaturated
 
@@ -27,8 +29,8 @@ from interarea.design.modes.modes import modes_of
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case, load_case
 
-HERE = Path(__file__).parent
-PRINTED = HERE.parent / "tests" / "published" / "swing_kundur.toml"
+HERE = Path(__file__).resolve().parent
+PRINTED = HERE.parents[1] / "tests" / "published" / "swing_kundur.toml"
 NAMES = ("inter-area", "local area 1", "local area 2")
 #: half units of the last digit of (real, imaginary) part in the printed rows
 HALF = (5e-4, 5e-3)

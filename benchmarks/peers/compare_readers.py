@@ -1,10 +1,10 @@
 """The same RAW files through VeraGrid and pypowsybl: bus voltages and branch flows of the power flow.
 
-    python benchmarks/compare_readers.py FOLDER [--veragrid-python PYTHON] [--pypowsybl-python PYTHON]
+    python benchmarks/peers/compare_readers.py FOLDER [--veragrid-python PYTHON] [--pypowsybl-python PYTHON]
         [--json FILE]
 
 Each tool lies in an environment of its own (pip install veragridengine: 1.4 GB, pip install pypowsybl:
-0.4 GB) and reads every distinct RAW of FOLDER by benchmarks/readers_run.py. Both sides hold the stored
+0.4 GB) and reads every distinct RAW of FOLDER by benchmarks/peers/readers_run.py. Both sides hold the stored
 magnitudes at the units' buses; nothing else moves (limits, taps, shunts). Compared are the buses that both
 have, angles from the slack's, and P and Q into both ends of the branches between each two buses, all circuits
 together; each grid with its largest differences. Exit code 1 where one is above 1e-5 pu or 0.01 % of the
@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.extend(str(Path(__file__).resolve().parent / name) for name in (".", "../grids"))
 from read_grids import grids
 
 from interarea.models.grid.network import series_stamps

@@ -1,6 +1,6 @@
 """Every published grid of a folder: which RAW files are read, which RAW + DYR pairs import and stand still.
 
-    python benchmarks/read_grids.py FOLDER [--still] [--fault] [--export] [--command] [--stop 20]
+    python benchmarks/grids/read_grids.py FOLDER [--still] [--fault] [--export] [--command] [--stop 20]
         [--converters current] [--release-limits] [--json FILE]
 
 FOLDER is searched for .raw and .m files, plain or packed. Each RAW is read, its stored voltages compared with
@@ -36,7 +36,7 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from interarea.models.case.case import Case
 from interarea.models.case.events import events_of
 from interarea.models.errors import CaseError

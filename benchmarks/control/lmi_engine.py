@@ -1,9 +1,9 @@
 """Time the structured interior-point engine against cvxpy + Clarabel on the same problems, in one run.
 
-    python benchmarks/lmi_engine.py                     # every order, Clarabel up to n = 16 (minutes)
-    python benchmarks/lmi_engine.py --clarabel-up-to 11
-    python benchmarks/lmi_engine.py --random 300        # random plants against their Riccati levels
-    python benchmarks/lmi_engine.py --ftc               # every half-step of the study's fault-tolerant design
+    python benchmarks/control/lmi_engine.py                     # every order, Clarabel up to n = 16 (minutes)
+    python benchmarks/control/lmi_engine.py --clarabel-up-to 11
+    python benchmarks/control/lmi_engine.py --random 300    # random plants against their Riccati levels
+    python benchmarks/control/lmi_engine.py --ftc           # every half-step of the fault-tolerant design
 
 Structured: median of `--repeats` runs, interleaved with Clarabel's one run (default settings). Every row says
 whether the point returned is strictly feasible by its own eigenvalues, not by the engine's word.
