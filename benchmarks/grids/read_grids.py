@@ -3,15 +3,15 @@
     python benchmarks/grids/read_grids.py FOLDER [--still] [--fault] [--export] [--command] [--stop 20]
         [--converters current] [--release-limits] [--json FILE]
 
-FOLDER is searched for .raw and .m files, plain or packed. Each RAW is read, its stored voltages compared with
-the network (largest mismatch) and polished by Newton's method; the power flow of the case must then find the
-same voltages. In each folder the first RAW goes with the first DYR; with --still the plant FMU of that pair
-runs without any event and the largest |dw| is shown (expected: below 1e-6 pu). With --fault it also runs
-with a bus at earth through j0.01 pu from 1 s for 50 ms (where that is too long, 25 ms), that of most branches
-without an infinite bus: shown are the peak of |dw| and how far the rotor angles go from where they rest
-(about the centre of inertia; below 180 degrees nobody slips a pole). With --export it is written as RAW + DYR
-and as MATPOWER and read back: how far the voltages are off, and every value of a machine or control that came
-back as another.
+FOLDER is searched for .raw and .m files, plain or packed. Each RAW is read, its stored voltages compared
+with the network (largest mismatch) and polished by Newton's method; the power flow of the case must then
+find the same voltages. Of each DYR file the records without a model are counted. In each folder the first
+RAW goes with the first DYR; with --still the plant FMU of that pair runs without any event and the largest
+|dw| is shown (expected: below 1e-6 pu). With --fault it also runs with a bus at earth through j0.01 pu from
+1 s for 50 ms (where that is too long, 25 ms), that of most branches without an infinite bus: shown are the
+peak of |dw| and how far the rotor angles go from where they rest (about the centre of inertia; below 180
+degrees nobody slips a pole). With --export it is written as RAW + DYR and as MATPOWER and read back: how
+far the voltages are off, and every value of a machine or control that came back as another.
 With --release-limits limits beyond which controls would start are widened, and counted. Time is of reading
 the pair, memory of this process. Exit code 1 when a RAW is not read, or a pair that imports does not stand
 still, does not ride its fault or does not come back.
@@ -39,12 +39,15 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from interarea.models.case.case import Case
 from interarea.models.case.events import events_of
+from interarea.models.devices.dyr import dyr_models
 from interarea.models.errors import CaseError
 from interarea.models.exporters.dyr import dyr_of
 from interarea.models.exporters.matpower import matpower_of
 from interarea.models.exporters.raw import raw_of
 from interarea.models.grid.powerflow import solve_powerflow
 from interarea.models.grid.start import release_limits
+from interarea.models.importers.dynamics import MACHINES
+from interarea.models.importers.dyr import KNOWN, read_dyr
 from interarea.models.importers.imported import Imported
 from interarea.models.importers.matpower import import_matpower
 from interarea.models.importers.psse import import_psse
@@ -84,6 +87,19 @@ def difference(imported: Imported) -> float:
     flow, known = solve_powerflow(imported.case), imported.solution.voltages
     ours = zip(imported.case.buses, flow.voltages, strict=True)
     return float(max(abs(v - known[bus.number]) for bus, v in ours if bus.number in known))
+
+
+def unmodelled(files: Sequence[Path]) -> tuple[int, dict[Path, Counter[str]]]:
+    """Return how many distinct DYR files there are, and which records of each have no model."""
+    known = set(dyr_models()) | set(MACHINES)
+    distinct = {
+        hashlib.sha256("\n".join(read_lines(path)).encode()).digest(): path for path in reversed(files)
+    }
+    found = {
+        path: Counter(row.model for row in read_dyr(path, KNOWN | known).records if row.model not in known)
+        for path in sorted(distinct.values())
+    }
+    return len(found), {path: models for path, models in found.items() if models}
 
 
 def pair(raw: Path, dyr: Path, options: argparse.Namespace) -> dict[str, Any]:
@@ -239,6 +255,11 @@ def main() -> int:
     count = sum(Path(row["file"]) in raws for row in good)
     print(f"RAW files read: {count} of {len(raws)} ({distinct} distinct)")
     print(f"MATPOWER files read: {len(good) - count} of {len(files)}")
+    count, without = unmodelled(grids(options.folder, ".dyr"))
+    for path, models in without.items():
+        named = ", ".join(f"{n} {model}" for model, n in sorted(models.items()))
+        print(f"{path.relative_to(options.folder)}: no model of {named}")
+    print(f"DYR files with every record modelled: {count - len(without)} of {count} distinct")
     first = {p.parent: p for p in reversed(raws)}
     with_dyr = {folder: p for folder in first for p in reversed(grids(folder, ".dyr")) if p.parent == folder}
     pairs = []

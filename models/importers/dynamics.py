@@ -132,7 +132,7 @@ class _Units:
             self.report.drop("relay or meter", record.where)
             return None
         if at not in self.machine_of:
-            if record.model not in _MACHINES and record.model not in records:
+            if record.model not in MACHINES and record.model not in records:
                 raise CaseError(f"{record.where}: {_unknown(record, records)}")
             self.report.assume("DYR record of a unit that the grid does not have left out", record.where)
             return None
@@ -172,13 +172,13 @@ class _Units:
 
 def _row(record: DyrRecord, own: Mapping[str, Model], records: Collection[str]) -> tuple[str, dict[str, Any]]:
     """What a record is, and the keys it gives."""
-    if record.model not in _MACHINES:
+    if record.model not in MACHINES:
         if record.model not in records:
             raise CaseError(f"{record.where}: {_unknown(record, records)}")
         found = device_for_dyr(record, own.values())
         device = found.model.device
         return device.kind, {"kind": device.key} | dict(found.parameters)
-    count, convert = _MACHINES[record.model]
+    count, convert = MACHINES[record.model]
     if len(record.fields) != count:
         less = len(record.fields) < count
         raise CaseError(
@@ -197,8 +197,9 @@ def _unknown(record: DyrRecord, records: Collection[str]) -> str:
         advice = f"; draw it as a device named {model} and give its file with --device"
     elif model in CONVERTERS:
         advice = "; --converters current takes converters as constant currents"
-    near = nearest(model, [*_MACHINES, *records])
-    return f"model {model!r} at bus {record.bus} is not supported; {near}{advice}"
+    elif near := nearest(model, [*MACHINES, *records]):
+        advice = f"; {near}"
+    return f"model {model!r} at bus {record.bus} is not supported{advice}"
 
 
 def _saturation(where: str, S10: float, S12: float, **kind: str) -> dict[str, Any]:
@@ -247,7 +248,7 @@ def _gencls(where: str, H: float, D: float) -> dict[str, Any]:
     return {"model": "classical", "H": H, "D": D}
 
 
-_MACHINES: dict[str, tuple[int, Callable[..., dict[str, Any]]]] = {
+MACHINES: dict[str, tuple[int, Callable[..., dict[str, Any]]]] = {
     "GENROU": (14, _genrou),
     "GENROE": (14, _genroe),
     "GENSAL": (12, _gensal),
