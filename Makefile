@@ -15,7 +15,8 @@ study: $(VENV)/installed
 # Everything that decides whether a change lands.
 test: lint types test-fast test-slow
 
-# Two processes share what is built; a file's tests stay together, so that its fixtures are made once.
+# Two processes share what is built; a file's tests stay together, so that its fixtures are made once. Which slow files
+# come first says tests/conftest.py.
 WORKERS ?= 2
 test-fast test-slow: export INTERAREA_CACHE ?= $(CURDIR)/build/cache
 
@@ -23,7 +24,7 @@ test-fast: $(VENV)/installed-test
 	$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile --durations=15
 
 test-slow: $(VENV)/installed-test
-	$(BIN)/python -m pytest -q -m slow -n $(WORKERS) --dist loadfile --durations=15
+	$(BIN)/python -m pytest -q -m slow -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations=15
 
 # An hour of random FMI calls under sanitizers, then foreign FMUs, every injected fault, 500 kills of sweeps; seeds go on from hour to hour.
 fuzz: $(VENV)/installed-test

@@ -24,6 +24,32 @@ settings.register_profile(
 settings.load_profile("interarea")
 
 
+#: Files whose slow tests take longest, longest first: begun first, or a worker waits for another at the end.
+LONGEST = (
+    "docs/test_site.py",
+    "platforms/test_same_bits.py",
+    "sweep/test_sweep_kills.py",
+    "faults/test_build_faults.py",
+    "conformance/test_check_behaviour.py",
+    "unit/models/importers/test_import_broken.py",
+    "faults/test_run_faults.py",
+    "unit/models/blocks/test_plant.py",
+    "unit/cosim/study/test_study.py",
+    "platforms/test_wheel.py",
+    "explorer/test_page_bits.py",
+    "property/test_synthesis_random.py",
+    "faults/test_memory_faults.py",
+)
+
+
+@pytest.hookimpl(trylast=True)  # what is not slow is deselected by then
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the longest files of slow tests; the others stay as they were collected."""
+    place = {Path(__file__).parent / name: k for k, name in enumerate(LONGEST)}
+    if all(item.get_closest_marker("slow") for item in items):
+        items.sort(key=lambda item: place.get(item.path, len(LONGEST)))
+
+
 @pytest.fixture(scope="session")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the artefact folder: ``$INTERAREA_CACHE`` when set, else one for this session."""
