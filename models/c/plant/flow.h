@@ -9,7 +9,7 @@
 #include "network.h"
 #include "physics.h"
 #include "port.h"
-#include "sparse_port.h"
+#include "sparse_few.h"
 #include "tiles.h"
 
 /* Work arrays, one entry per machine; e also one per port; v: two per row of a sparse network. id_rotor is what the
@@ -54,9 +54,12 @@ static Machines machines_of(const real *memory, const Plan *plan, const num *x, 
 } while (0)
 
 #ifdef PLANT_TANGENT   /* tangent.c: one exact Newton step */
-static size_t port_solve_tangent(const double *memory, const Plan *plan, const num *x, Work *w);
+static size_t port_solve_tangent(const double *memory, const Plan *plan, const num *x, const num *linear, double *space,
+                                 Work *w);
 static void solve_sparse_tangent(const double *memory, const Plan *plan, const Pattern *pattern, const num *ed2,
                                  const num *base, Work *w);
+static size_t solve_few_tangent(const double *memory, const Plan *plan, const Pattern *pattern, const num *x, num *base,
+                                Work *w);
 #endif
 
 /* What the ports inject, into the sources; 0, or 1 + the port where Newton's method
@@ -64,7 +67,7 @@ static void solve_sparse_tangent(const double *memory, const Plan *plan, const P
 static size_t solve_ports(real *memory, const Plan *plan, const num *x, Work *w)
 {
 #ifdef PLANT_TANGENT
-    const size_t stuck = port_solve_tangent(memory, plan, x, w);
+    const size_t stuck = port_solve_tangent(memory, plan, x, NULL, (double *)(void *)w->newton, w);
     return stuck < plan->n_port ? stuck + 1 : 0;
 #else
     const MachineStates states = machine_states(x, plan->n_machine, plan->n_sixth);
@@ -124,6 +127,26 @@ static PortCare port_care(const Work *w)
 }
 #endif
 
+#ifndef PLANT_LANES
+/* Of few ports: as solve_ports, node voltages into w->v, where what the EMFs inject is and in `base`. */
+static size_t solve_few(real *memory, const Plan *plan, const Pattern *pattern, const num *x, num *base, Work *w)
+{
+#ifdef PLANT_TANGENT
+    return solve_few_tangent(memory, plan, pattern, x, base, w);
+#else
+    const num *ed2 = machine_states(x, plan->n_machine, plan->n_sixth).ed2;
+    double *const at[4] = { w->port.v_re, w->port.v_im, w->port.isd, w->port.isq };
+    num *z = base + 2 * plan->n_node, *linear = z + 2 * plan->n_node;
+
+    sparse_few_begin(memory, plan, pattern, w->v, z, linear);
+    const size_t stuck = port_solve_few(memory, plan, ed2, w->sine, w->cosine, w->e_re, w->e_im, at, linear);
+    if (stuck < plan->n_port) return stuck + 1;
+    sparse_few_end(memory, plan, pattern, ed2, w->sine, w->cosine, base, w->e_re, w->e_im, w->port, w->v);
+    return 0;
+#endif
+}
+#endif
+
 /* The network of a large grid: node voltages into w->v, machine currents. As solve_ports. */
 static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *pattern, const num *x, Work *w)
 {
@@ -139,6 +162,11 @@ static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *patter
     const num *ed2 = machine_states(x, plan->n_machine, plan->n_sixth).ed2;
     num *base = w->newton;
     memcpy(base, w->v, 2 * plan->n_node * sizeof(num));
+    if (plan->few > 0) {
+        const size_t alone = solve_few(memory, plan, pattern, x, base, w);
+        if (alone == 0) sparse_port_machines(memory, plan, pattern, w->e_re, w->e_im, w->v, w->i_re, w->i_im);
+        return alone;
+    }
 #ifdef PLANT_TANGENT
     solve_sparse_tangent(memory, plan, pattern, ed2, base, w);
 #else

@@ -88,6 +88,7 @@ enum {
     H_TIME,             /* of the coming evaluation, s                  */
     H_PORT_RATIO,       /* sparse: by how much a step with the slopes in the factors has brought the ports closer */
     H_PORT_USED,        /* sparse: solutions with those slopes */
+    H_PORT_PATH,        /* sparse, few ports: rows of port_path         */
     H_PLAN
 };
 
@@ -131,20 +132,23 @@ typedef struct {
     size_t relay;         /* RELAY_ROWS for each slot (relay.c)                    */
     size_t state_machine; /* n_state: the machine a state belongs to               */
     size_t norton;        /* sparse: 2 x n_machine, admittance of each machine     */
-    size_t width;         /* sparse: numbers of an entry, 2 (complex) or, with ports, 4 (2 x 2 real) */
+    size_t few;           /* sparse: ports so few that they are solved by themselves (sparse_few.h), 1 or 0 */
+    size_t width;         /* sparse: numbers of an entry, 2 (complex) or, with more ports, 4 (2 x 2 real) */
     size_t lower, upper;  /* sparse: width n_fill each, the factors (sparse.h)     */
     size_t pivot;         /* sparse: width n_node, 1 over the diagonal of L        */
-    size_t linear;        /* sparse, with ports: the matrix without them, complex: lower, upper, diagonal */
+    size_t linear;        /* sparse, with width 4: the matrix without them, complex: lower, upper, diagonal */
     size_t y_re, y_im;    /* dense, n_source x n_machine: machine currents from sources */
     size_t v_re, v_im;    /* dense, n_bus x n_source: bus voltages from sources    */
     size_t port;          /* P_ROWS for each port                                  */
-    size_t port_w_re, port_w_im; /* n_source x n_port: port voltages from sources  */
+    size_t port_w_re, port_w_im; /* dense, n_source x n_port: port voltages from sources */
+    size_t port_own_re, port_own_im; /* n_port x n_port: from what the ports inject, the last columns of those */
+    size_t port_path;     /* sparse, few ports: rows between the ports and the last one, rising */
     size_t port_v;        /* 2 x 2 n_port: port voltages and `b` as last solved    */
     size_t port_slope;    /* 4 n_port: dJ/dV of the folded network                 */
     size_t port_fold;     /* sparse: 2 n_port, voltages of those slopes            */
     size_t port_past;     /* sparse: times of the last three solutions, newest first; voltages of the older two */
     size_t port_b;        /* 2 n_machine columns of 2 n_port: from EMFs            */
-    size_t port_z;        /* 2 n_port columns of 2 n_port: from what slopes leave  */
+    size_t port_z;        /* 2 n_port columns of 2 n_port: from what slopes leave; few: the inverse of port.c */
     size_t total;
 } Plan;
 enum { PLAN_ROOM = (sizeof(Plan) + sizeof(double) - 1) / sizeof(double) };   /* of it in memory */
@@ -175,12 +179,13 @@ static inline void plan_offsets(Plan *p)
     p->relay = at;         at += (size_t)RELAY_ROWS * p->n_slot;
     p->state_machine = at; at += p->n_state;
     p->norton = at;        at += 2u * n * sparse;
-    p->width = ports > 0 ? 4 : 2;
+    p->few = ports > 0 && 8u * ports * ports <= p->n_fill ? sparse : 0;
+    p->width = ports > 0 && p->few == 0 ? 4 : 2;
     p->lower = at;         at += p->width * p->n_fill;
     p->upper = at;         at += p->width * p->n_fill;
     p->pivot = at;         at += p->width * p->n_node;
-    p->linear = ports > 0 ? at : p->lower;
-    at += ports > 0 ? 2u * (2u * p->n_fill + p->n_node) : 0u;
+    p->linear = p->width == 4 ? at : p->lower;
+    at += p->width == 4 ? 2u * (2u * p->n_fill + p->n_node) : 0u;
     p->y_re = at;          at += n * sources * dense;
     p->y_im = at;          at += n * sources * dense;
     p->v_re = at;          at += p->n_bus * sources * dense;
@@ -188,12 +193,17 @@ static inline void plan_offsets(Plan *p)
     p->port = at;          at += (size_t)P_ROWS * ports;
     p->port_w_re = at;     at += ports * sources * dense;
     p->port_w_im = at;     at += ports * sources * dense;
+    p->port_own_re = dense ? p->port_w_re + ports * n : at;
+    at += p->few * ports * ports;
+    p->port_own_im = dense ? p->port_w_im + ports * n : at;
+    at += p->few * ports * ports;
+    p->port_path = at;     at += p->few * p->n_node;
     p->port_v = at;        at += 4u * ports;
     p->port_slope = at;    at += 4u * ports;
     p->port_fold = at;     at += 2u * ports * sparse;
-    p->port_past = at;     at += ports > 0 ? (3u + 4u * ports) * sparse : 0u;
+    p->port_past = at;     at += ports > 0 && p->few == 0 ? (3u + 4u * ports) * sparse : 0u;
     p->port_b = at;        at += 4u * ports * n * dense;
-    p->port_z = at;        at += 4u * ports * ports * dense;
+    p->port_z = at;        at += 4u * ports * ports * (dense + p->few);
     p->total = at;
 }
 

@@ -64,8 +64,7 @@ int port_inverse(const double *memory, const Plan *plan, const double *v_re, con
 
     for (size_t k = 0; k < 4 * n * n; ++k) inverse[k] = 0.0;
     for (size_t q = 0; q < n; ++q) {
-        const double *g = memory + plan->port_w_re + (plan->n_machine + q) * n;
-        const double *b = memory + plan->port_w_im + (plan->n_machine + q) * n;
+        const double *g = memory + plan->port_own_re + q * n, *b = memory + plan->port_own_im + q * n;
         double d[4];
         port_slope_at(memory, plan, q, v_re[q], v_im[q], sine, cosine, d);
         for (size_t p = 0; p < n; ++p) {
@@ -98,7 +97,8 @@ static double residual(const Problem *s, double *r)
 
     port_inject(s->memory, s->plan, s->ed2, s->sine, s->cosine, s->at, s->e_re, s->e_im);
     for (size_t p = 0; p < 2 * n; ++p) r[p] = s->linear[p];
-    port_voltages(s->memory, s->plan, s->plan->n_machine, s->plan->n_source, s->e_re, s->e_im, re, im);
+    port_voltages(s->memory + s->plan->port_own_re, s->memory + s->plan->port_own_im, n, n,
+                  s->e_re + s->plan->n_machine, s->e_im + s->plan->n_machine, re, im);
     for (size_t p = 0; p < n; ++p) {
         re[p] = s->at.v_re[p] - re[p];
         im[p] = s->at.v_im[p] - im[p];
@@ -299,11 +299,56 @@ size_t port_solve(double *memory, const Plan *plan, const double *ed2, const dou
     if (fold(&problem, work) && !port_iterate(memory, plan, ed2, sine, cosine, e_re, e_im, at, work)) return n;
 
     for (size_t p = 0; p < 2 * n; ++p) linear[p] = 0.0;
-    port_voltages(memory, plan, 0, plan->n_machine, e_re, e_im, linear, linear + n);
+    port_voltages(memory + plan->port_w_re, memory + plan->port_w_im, n, plan->n_machine, e_re, e_im, linear,
+                  linear + n);
     const size_t stuck = newton_from_many(&problem, last, work + 2 * n);
     memory[H_PORT_READY] = 0.0;
     if (stuck < n) return stuck;
     /* e and w are those of the solution: fold() and what follows only prepare the next call */
     (void)fold(&problem, work + 2 * n);
+    return n;
+}
+
+/* Steps with the inverse of an earlier point from the last voltages, moved by the change of the linear ones. 0: they do
+ * not contract. work: 4 n_port. */
+static int follow(const Problem *s, double *last, double *work)
+{
+    enum { MOST = 12, ENOUGH = 6 };
+    const size_t n = s->plan->n_port;
+    const double *last_linear = last + 2 * n, scale = scale_of(s);
+    double *r = work, *from = work + 2 * n, before = INFINITY;
+
+    for (size_t p = 0; p < n; ++p) {
+        s->at.v_re[p] = last[p] + (s->linear[p] - last_linear[p]);
+        s->at.v_im[p] = last[n + p] + (s->linear[n + p] - last_linear[n + p]);
+    }
+    for (int count = 0; count < MOST; ++count) {
+        const double size = residual(s, r);
+        if (size >= 0.0 && size <= ACCURACY * scale) return 1;
+        if (!(size >= 0.0 && size < 0.3 * before)) return size >= 0.0 && size <= STALLED * scale;
+        if (count == ENOUGH) s->memory[H_PORT_READY] = 0.0;   /* slow: another inverse the next time */
+        copy_voltages(s, from);
+        take_step(s, from, r, 1.0);
+        before = size;
+    }
+    return 0;
+}
+
+size_t port_solve_few(double *memory, const Plan *plan, const double *ed2, const double *sine, const double *cosine,
+                      double *e_re, double *e_im, double *const w[4], double *work)
+{
+    const size_t n = plan->n_port;
+    const PortWork at = { w[0], w[1], w[2], w[3] };
+    const Problem problem = { memory, plan, ed2, sine, cosine, e_re, e_im, at, work, memory + plan->port_z };
+    double *last = memory + plan->port_v;
+
+    if (!(memory[H_PORT_READY] > 0.5 && follow(&problem, last, work + 2 * n))) {
+        const size_t stuck = newton_from_many(&problem, last, work + 2 * n);
+        memory[H_PORT_READY] = 0.0;
+        if (stuck < n) return stuck;
+    }
+    copy_voltages(&problem, last);
+    memcpy(last + 2 * n, work, 2 * n * sizeof(double));
+    if (!(memory[H_PORT_READY] > 0.5) && invert_here(&problem, work + 8 * n)) memory[H_PORT_READY] = 1.0;
     return n;
 }

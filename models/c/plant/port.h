@@ -125,14 +125,12 @@ static inline flag port_iterate(real *memory, const Plan *plan, const num *ed2, 
 #endif
 
 #ifndef PLANT_LANES
-/* v = W s over the sources first .. last - 1, added to what v holds. */
-static inline void port_voltages(const double *memory, const Plan *plan, size_t first, size_t last,
-                                 const num *e_re, const num *e_im, num *v_re, num *v_im)
+/* v = W e over `count` sources, whose columns are w_re + j w_im, added to what v holds. */
+static inline void port_voltages(const double *w_re, const double *w_im, size_t n, size_t count, const num *e_re,
+                                 const num *e_im, num *v_re, num *v_im)
 {
-    const size_t n = plan->n_port;
-
-    for (size_t k = first; k < last; ++k) {
-        const double *g = memory + plan->port_w_re + k * n, *b = memory + plan->port_w_im + k * n;
+    for (size_t k = 0; k < count; ++k) {
+        const double *g = w_re + k * n, *b = w_im + k * n;
         const num er = e_re[k], ei = e_im[k];
         for (size_t p = 0; p < n; ++p) {
             v_re[p] += g[p] * er - b[p] * ei;
@@ -146,6 +144,10 @@ static inline void port_voltages(const double *memory, const Plan *plan, size_t 
  * or the port farthest from a solution. w: arrays of PortWork. */
 size_t port_solve(double *memory, const Plan *plan, const double *ed2, const double *sine,
                   const double *cosine, double *e_re, double *e_im, double *const w[4], double *work);
+/* The same where the network gives the ports the voltages at work + 0 .. 2 n_port - 1 without what they inject, and
+ * W of their own sources alone is kept (sparse_few.h). */
+size_t port_solve_few(double *memory, const Plan *plan, const double *ed2, const double *sine, const double *cosine,
+                      double *e_re, double *e_im, double *const w[4], double *work);
 /* dJ/dV of port p, row by row, a machine's on its base. */
 void port_slope_at(const double *memory, const Plan *plan, size_t p, double v_re, double v_im, const double *sine,
                    const double *cosine, double d[4]);

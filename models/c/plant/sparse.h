@@ -118,38 +118,46 @@ static inline void sparse_row_4(const real *a, const int32_t *column, size_t cou
     *im = (i0 + i1) + (p0 + p1);
 }
 
+/* Row k of v = L^-1 b, where nothing enters the rows before plan->first unless the solution is `whole`. */
+static inline void sparse_forward_row(const real *memory, const Plan *plan, const Pattern *s, int whole, size_t k,
+                                      const num *b, num *v)
+{
+    const size_t width = plan->width, from = (size_t)(whole ? s->lower[k] : s->needed[k]), to = (size_t)s->lower[k + 1];
+    const real *lower = memory + plan->lower + width * from, *d = memory + plan->pivot + width * k;
+    num re, im;
+
+    if (width == 2) sparse_row(lower, s->lower_column + from, to - from, v, &re, &im);
+    else sparse_row_4(lower, s->lower_column + from, to - from, v, &re, &im);
+    re = b[2 * k] - re;
+    im = b[2 * k + 1] - im;
+    v[2 * k] = width == 2 ? d[0] * re - d[1] * im : d[0] * re + d[1] * im;
+    v[2 * k + 1] = width == 2 ? d[0] * im + d[1] * re : d[2] * re + d[3] * im;
+}
+
+/* Row k of v = U^-1 y, the rows after it done. */
+static inline void sparse_backward_row(const real *memory, const Plan *plan, const Pattern *s, size_t k, const num *y,
+                                       num *v)
+{
+    const size_t from = (size_t)s->upper[k], to = (size_t)s->upper[k + 1];
+    const real *upper = memory + plan->upper + plan->width * from;
+    num re, im;
+
+    if (plan->width == 2) sparse_row(upper, s->upper_column + from, to - from, v, &re, &im);
+    else sparse_row_4(upper, s->upper_column + from, to - from, v, &re, &im);
+    v[2 * k] = y[2 * k] - re;
+    v[2 * k + 1] = y[2 * k + 1] - im;
+}
+
 /* v = L^-1 v from row `first` on; nothing enters the rows before. */
 static inline void sparse_forward(const real *memory, const Plan *plan, const Pattern *s, size_t first, num *v)
 {
-    const size_t width = plan->width;
-    const real *lower = memory + plan->lower, *pivot = memory + plan->pivot;
-
-    for (size_t k = first; k < plan->n_node; ++k) {
-        const size_t from = (size_t)(first > 0 ? s->needed[k] : s->lower[k]), to = (size_t)s->lower[k + 1];
-        const real *d = pivot + width * k;
-        num re, im;
-        if (width == 2) sparse_row(lower + 2 * from, s->lower_column + from, to - from, v, &re, &im);
-        else sparse_row_4(lower + 4 * from, s->lower_column + from, to - from, v, &re, &im);
-        re = v[2 * k] - re;
-        im = v[2 * k + 1] - im;
-        v[2 * k] = width == 2 ? d[0] * re - d[1] * im : d[0] * re + d[1] * im;
-        v[2 * k + 1] = width == 2 ? d[0] * im + d[1] * re : d[2] * re + d[3] * im;
-    }
+    for (size_t k = first; k < plan->n_node; ++k) sparse_forward_row(memory, plan, s, first == 0, k, v, v);
 }
 
 /* v = U^-1 v for the rows last - 1 down to first; those from `last` on are done. */
 static inline void sparse_backward(const real *memory, const Plan *plan, const Pattern *s, size_t first,
                                    size_t last, num *v)
 {
-    const real *upper = memory + plan->upper;
-
-    for (size_t k = last; k-- > first;) {
-        const size_t from = (size_t)s->upper[k], to = (size_t)s->upper[k + 1];
-        num re, im;
-        if (plan->width == 2) sparse_row(upper + 2 * from, s->upper_column + from, to - from, v, &re, &im);
-        else sparse_row_4(upper + 4 * from, s->upper_column + from, to - from, v, &re, &im);
-        v[2 * k] -= re;
-        v[2 * k + 1] -= im;
-    }
+    for (size_t k = last; k-- > first;) sparse_backward_row(memory, plan, s, k, v, v);
 }
 #endif

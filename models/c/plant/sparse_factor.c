@@ -92,7 +92,7 @@ size_t sparse_factor(double *memory, const Plan *plan, const Pattern *s, double 
     const size_t width = plan->width;
     double *lower = memory + plan->lower, *upper = memory + plan->upper, *pivot = memory + plan->pivot;
 
-    if (plan->n_port > 0) with_slopes(memory, plan, s);
+    if (width == 4) with_slopes(memory, plan, s);
     for (size_t k = 0; k < plan->n_node; ++k) {
         const size_t row = (size_t)s->lower[k], above = (size_t)s->lower[k + 1];
         const size_t first = (size_t)s->upper[k], last = (size_t)s->upper[k + 1];

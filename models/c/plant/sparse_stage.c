@@ -5,6 +5,7 @@
 #include "failure.h"
 #include "network.h"
 #include "sparse_factor.h"
+#include "sparse_few.h"
 
 static const double RESIDUAL = 1e-6;   /* most by which a solution may miss */
 
@@ -126,6 +127,37 @@ static size_t farthest(const double *memory, const Plan *plan, const Pattern *s,
     return row;
 }
 
+/* Of few ports: the rows from them to the last one, and what their injections give among them. work: 4 n_node. */
+static void few_ports(double *memory, const Plan *plan, const Pattern *s, double *work)
+{
+    const size_t n = plan->n_port;
+    const double *ratio = memory + plan->machine + M_RATIO * plan->n_machine;
+    double *at = work, *v = at + 2 * plan->n_node, *rows = memory + plan->port_path;
+    size_t count = 0;
+
+    for (size_t k = 0; k < 4 * plan->n_node; ++k) work[k] = 0.0;
+    for (size_t p = 0; p < n; ++p) at[2 * s->port[p]] = 1.0;
+    for (size_t k = 0; k < plan->n_node; ++k) {
+        if (!(at[2 * k] > 0.5)) continue;
+        rows[count++] = (double)k;
+        for (int32_t e = s->upper[k]; e < s->upper[k + 1]; ++e) at[2 * s->upper_column[e]] = 1.0;
+    }
+    memory[H_PORT_PATH] = (double)count;
+    for (size_t k = 0; k < 2 * plan->n_node; ++k) at[k] = 0.0;
+    for (size_t q = 0; q < n; ++q) {
+        const double *row = memory + plan->port + P_ROWS * q;
+        const double of = port_is_load(row) ? 1.0 : ratio[index_at(row, P_DEVICE)];
+        at[2 * s->port[q]] = of;
+        sparse_few_forward(memory, plan, s, at, v);
+        at[2 * s->port[q]] = 0.0;
+        sparse_few_backward(memory, plan, s, v, v);
+        for (size_t p = 0; p < n; ++p) {
+            memory[plan->port_own_re + q * n + p] = v[2 * s->port[p]];
+            memory[plan->port_own_im + q * n + p] = v[2 * s->port[p] + 1];
+        }
+    }
+}
+
 /* n_bus: an air gap, whose pivot cannot vanish. */
 static size_t bus_at(const Plan *plan, const Pattern *s, size_t row)
 {
@@ -142,13 +174,16 @@ BlockStatus sparse_stage(double *memory, const Plan *plan, const Network *net, c
     char name[64];
 
     memory[H_PORT_READY] = 0.0;   /* the slopes are those of another stage */
-    for (size_t k = 0; k < (plan->n_port > 0 ? 3u : 0u); ++k) memory[plan->port_past + k] = INFINITY;
+    for (size_t k = 0; k < (plan->width == 4 ? 3u : 0u); ++k) memory[plan->port_past + k] = INFINITY;
     for (size_t k = 0; k < 4 * plan->n_port; ++k) memory[plan->port_slope + k] = 0.0;
     assemble(memory, plan, net, &s, extra, dead, sum);
     size_t row = sparse_factor(memory, plan, &s, w);
     if (row == plan->n_node) {
         row = farthest(memory, plan, &s, sum, &worst);
-        if (worst <= RESIDUAL) return BLOCK_OK;
+        if (worst <= RESIDUAL) {
+            if (plan->few > 0) few_ports(memory, plan, &s, work);
+            return BLOCK_OK;
+        }
     }
     return plant_fail(message, BLOCK_ERROR,
                       "network: the admittance matrix is singular at bus %s; "

@@ -7,13 +7,15 @@
 static const double H = 0x1p-100;
 
 /* Port voltages with their slopes: V fixed as solved, the step moves what the
- * linear network and the injections give; dV = (1 - Z dJ/dV)^-1 of that. */
-static size_t port_solve_tangent(const double *memory, const Plan *plan, const num *x, Work *w)
+ * linear network and the injections give; dV = (1 - Z dJ/dV)^-1 of that. linear: what the network gives without the
+ * ports, or null where the columns of all sources are kept. space: 2 n_machine + 4 n_port^2 + 4 n_port doubles. */
+static size_t port_solve_tangent(const double *memory, const Plan *plan, const num *x, const num *linear, double *space,
+                                 Work *w)
 {
     const size_t n = plan->n_port, m = plan->n_machine;
     const double *v = memory + plan->port_v;
     const MachineStates states = machine_states(x, m, plan->n_sixth);
-    double *sine = (double *)(void *)w->newton, *cosine = sine + m, *inverse = cosine + m;
+    double *sine = space, *cosine = sine + m, *inverse = cosine + m;
     double *order = inverse + 4 * n * n, *moved = order + 2 * n;
 
     for (size_t k = 0; k < m; ++k) {
@@ -26,8 +28,16 @@ static size_t port_solve_tangent(const double *memory, const Plan *plan, const n
         w->port.v_im[p] = v[n + p];
     }
     port_inject(memory, plan, states.ed2, w->sine, w->cosine, w->port, w->e_re, w->e_im);
-    for (size_t p = 0; p < n; ++p) w->port.v_re[p] = w->port.v_im[p] = 0.0;
-    port_voltages(memory, plan, 0, plan->n_source, w->e_re, w->e_im, w->port.v_re, w->port.v_im);
+    for (size_t p = 0; p < n; ++p) {
+        w->port.v_re[p] = linear == NULL ? 0.0 : linear[p];
+        w->port.v_im[p] = linear == NULL ? 0.0 : linear[n + p];
+    }
+    if (linear == NULL)
+        port_voltages(memory + plan->port_w_re, memory + plan->port_w_im, n, plan->n_source, w->e_re, w->e_im,
+                      w->port.v_re, w->port.v_im);
+    else
+        port_voltages(memory + plan->port_own_re, memory + plan->port_own_im, n, n, w->e_re + m, w->e_im + m,
+                      w->port.v_re, w->port.v_im);
     for (size_t p = 0; p < n; ++p) {
         moved[2 * p] = cimag(w->port.v_re[p]);
         moved[2 * p + 1] = cimag(w->port.v_im[p]);
@@ -43,6 +53,20 @@ static size_t port_solve_tangent(const double *memory, const Plan *plan, const n
     }
     port_inject(memory, plan, states.ed2, w->sine, w->cosine, w->port, w->e_re, w->e_im);
     return n;
+}
+
+/* The same on a sparse network whose ports are few. */
+static size_t solve_few_tangent(const double *memory, const Plan *plan, const Pattern *pattern, const num *x, num *base,
+                                Work *w)
+{
+    const num *ed2 = machine_states(x, plan->n_machine, plan->n_sixth).ed2;
+    num *z = base + 2 * plan->n_node, *linear = z + 2 * plan->n_node, *space = linear + 2 * plan->n_port;
+
+    sparse_few_begin(memory, plan, pattern, w->v, z, linear);
+    const size_t stuck = port_solve_tangent(memory, plan, x, linear, (double *)(void *)space, w);
+    if (stuck < plan->n_port) return stuck + 1;
+    sparse_few_end(memory, plan, pattern, ed2, w->sine, w->cosine, base, w->e_re, w->e_im, w->port, w->v);
+    return 0;
 }
 
 /* The same on a sparse network, in whose factors the slopes are those at V: one step is exact. */

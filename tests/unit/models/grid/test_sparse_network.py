@@ -118,6 +118,39 @@ def test_runs_with_ports_agree_through_a_fault() -> None:
     np.testing.assert_allclose(sparse[2], dense[2], rtol=0, atol=1e-7 * swing)
 
 
+def few_ports() -> Case:
+    """New England with one load of constant power and one saturating machine."""
+    power = {"P_exponent": 0.0, "Q_exponent": 0.0}
+    saturates = {"saturation": {"Asat": 0.015, "Bsat": 9.6, "psiT1": 0.9, "use": "total"}}
+    case = load_case("new-england")
+    change = {"loads": {case.loads[3].name: power}, "machines": {case.machines[1].name: saturates}}
+    return case.with_changes(change)
+
+
+def test_few_ports_leave_the_factors_complex() -> None:
+    none, few = (BlockShim(plant_block(c, network="sparse")) for c in (load_case("new-england"), few_ports()))
+    assert len(few.memory) < 1.1 * len(none.memory)
+    many = few_ports().with_changes({"loads": {q.name: {"P_exponent": 1.0} for q in few_ports().loads}})
+    assert len(BlockShim(plant_block(many, network="sparse")).memory) > 1.3 * len(none.memory)
+
+
+@pytest.mark.parametrize("machine", [None, "other", "saturating"])
+def test_both_forms_agree_with_few_ports(machine: str | None) -> None:
+    """They are solved by themselves, over the rows between them; tangents too."""
+    case = few_ports()
+    trip = {"kind": "machine_trip", "machine": case.machines[machine == "saturating"].name, "start_s": 0.0}
+    fault = {"kind": "bus_fault", "bus": case.loads[3].bus, "start_s": 0.0, "end_s": 1.0, "x_pu": 0.05}
+    check_agreement(case, *([trip, fault] if machine else []), iterated=1e-11)
+
+
+def test_runs_with_few_ports_agree_through_a_fault() -> None:
+    fault = {"kind": "bus_fault", "bus": 16, "start_s": 0.02, "end_s": 0.12, "x_pu": 0.002}
+    dense, sparse = (p.run(0.5, 0.005) for p in shims(few_ports(), fault))
+    swing = np.ptp(dense[2], axis=0).max()
+    assert swing > 0.1
+    np.testing.assert_allclose(sparse[2], dense[2], rtol=0, atol=1e-10 * swing)
+
+
 def test_both_forms_agree_beside_phase_shifters_and_buses_without_machine() -> None:
     check_agreement(mesh(6, 5, every=4))
 
