@@ -15,9 +15,9 @@ study: $(VENV)/installed
 # Everything that decides whether a change lands.
 test: lint types test-fast test-slow
 
-# Two processes share what is built; a file's tests stay together, so that its fixtures are made once. Which slow files
-# come first says tests/conftest.py.
-WORKERS ?= 2
+# Three processes, of which one often waits for a browser, an emulator or a disk, share what is built; a file's tests stay
+# together, so that its fixtures are made once. Which slow files come first says tests/conftest.py.
+WORKERS ?= 3
 test-fast test-slow: export INTERAREA_CACHE ?= $(CURDIR)/build/cache
 
 test-fast: $(VENV)/installed-test

@@ -20,11 +20,20 @@ FOLDERS = {kind: _HERE / f"{kind}s" for kind in KINDS}
 
 
 @functools.cache
+def _files() -> dict[str, Path]:
+    """Return the package's device files by key, which is their name, sorted."""
+    return dict(sorted((file.stem, file) for folder in FOLDERS.values() for file in folder.glob("*.toml")))
+
+
+@functools.cache
+def _packaged(key: str) -> Model:
+    return Model(read_device(_files()[key]))
+
+
+@functools.cache
 def library() -> dict[str, Model]:
     """Return the package's devices by key, sorted."""
-    files = sorted(file for folder in FOLDERS.values() for file in folder.glob("*.toml"))
-    models = [Model(read_device(file)) for file in files]
-    return dict(sorted((model.device.key, model) for model in models))
+    return {key: _packaged(key) for key in _files()}
 
 
 def keys_of(kind: str) -> tuple[str, ...]:
@@ -44,7 +53,7 @@ def device_model(key: str, kind: str, own: Mapping[str, Model]) -> Model:
     ------
     DeviceError : there is none of that key and kind; with the nearest ones.
     """
-    model = own.get(key) or library().get(key)
+    model = own.get(key) or (_packaged(key) if key in _files() else None)  # one file, not all
     if model is None or model.device.kind != kind:
         known = [*(k for k, m in own.items() if m.device.kind == kind), *keys_of(kind)]
         raise DeviceError(f"{kind} {key!r} does not exist; {nearest(key, known)}")
@@ -59,7 +68,7 @@ def own_model(text: str, file: str) -> Model:
     DeviceError : the text is wrong, or has the name of a device of the package.
     """
     device = device_of(text, file)
-    if device.key in library():
+    if device.key in _files():
         raise DeviceError(f"{file}: name = {device.name!r} is a device of the package; choose another name")
     model = Model(device)
     _ = model.order  # refuses what would take too many

@@ -81,7 +81,7 @@ MARK_NEW_LOOKS = """known => {
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_pages_have_no_findings_of_accessibility(site: Path, tmp_path: Path) -> None:
-    """Each page is opened once: all rules in light, colours again in dark, then at the width of a phone."""
+    """All rules in light, colours again in dark, and some at the width of a phone, in a tab of that width."""
     if not REQUIRED:
         pytest.importorskip("axe_playwright_python", reason="axe is not installed (extra `tools`)")
         if shutil.which("chromium") is None:
@@ -95,14 +95,18 @@ def test_pages_have_no_findings_of_accessibility(site: Path, tmp_path: Path) -> 
     spoilt.write_text(pages[0].read_text(encoding="utf-8").replace("</article>", pale, 1), encoding="utf-8")
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-        context = browser.new_context(
-            viewport={"width": 1280, "height": 900}, color_scheme="light", reduced_motion="reduce"
-        )
-        tab = context.new_page()
         said: list[str] = []
-        tab.on("console", lambda m: said.append(m.text) if m.type in ("error", "warning") else None)
+        tabs = {}
+        for width in (1280, 390):
+            context = browser.new_context(
+                viewport={"width": width, "height": 900}, color_scheme="light", reduced_motion="reduce"
+            )
+            tabs[width] = context.new_page()
+            tabs[width].on(
+                "console", lambda m: said.append(m.text) if m.type in ("error", "warning") else None
+            )
         looks: list[str] = []
-        found = {str(page.relative_to(site)): findings(tab, page, said, looks) for page in [*pages, spoilt]}
+        found = {str(page.relative_to(site)): findings(tabs, page, said, looks) for page in [*pages, spoilt]}
         browser.close()
     spoils = found.pop("spoilt.html")
     spoilt.unlink()
@@ -111,17 +115,19 @@ def test_pages_have_no_findings_of_accessibility(site: Path, tmp_path: Path) -> 
     assert {page: wrong for page, wrong in found.items() if wrong} == {}
 
 
-def findings(tab: Any, page: Path, said: list[str], looks: list[str]) -> list[str]:
+def findings(tabs: dict[int, Any], page: Path, said: list[str], looks: list[str]) -> list[str]:
     """Return what is wrong with a page in light, in dark and at 390 px.
 
-    `said`: its console; `looks`: those of the pages before, whose colours are known; its own are added.
+    `tabs`: one for each width; `said`: their console; `looks`: those of the pages before, whose colours are
+    known; its own are added.
     """
     from axe_playwright_python.sync_playwright import Axe
 
     said.clear()
-    tab.goto(page.as_uri())
+    for tab in tabs.values():
+        tab.goto(page.as_uri())
     wrong = [*said]
-    fresh = tab.evaluate(MARK_NEW_LOOKS, looks)
+    fresh = tabs[1280].evaluate(MARK_NEW_LOOKS, looks)
     looks += fresh
     new_looks = "[data-new-look]" if fresh else None
     colours = {"runOnly": {"type": "rule", "values": [COLOURS]}}
@@ -133,16 +139,13 @@ def findings(tab: Any, page: Path, said: list[str], looks: list[str]) -> list[st
     ):
         if rules is colours and not fresh:
             continue
-        if width != tab.viewport_size["width"]:
-            tab.set_viewport_size({"width": width, "height": 900})
-            tab.wait_for_timeout(600)  # the page follows a change of its size after 0.3 s
+        tab = tabs[width]
         tab.emulate_media(color_scheme=scheme)
         tab.wait_for_function("scheme => document.documentElement.dataset.theme === scheme", arg=scheme)
         violations = Axe().run(tab, place, OPTIONS | rules).response["violations"]
         wrong += [f"{view}: {f['id']}: {[n['html'][:160] for n in f['nodes']][:3]}" for f in violations]
         if (wide := tab.evaluate("document.documentElement.scrollWidth")) > width:
             wrong.append(f"{view}: {wide} px wide")
-    tab.set_viewport_size({"width": 1280, "height": 900})
     return wrong
 
 

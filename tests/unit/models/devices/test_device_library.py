@@ -15,7 +15,7 @@ from interarea.models.devices.errors import DeviceError
 from interarea.models.devices.header import header_of
 from interarea.models.devices.instance import Instance
 from interarea.models.devices.language.device import KINDS, MBASE
-from interarea.models.devices.library import library
+from interarea.models.devices.library import device_model, library
 from interarea.models.devices.rest import rest_of
 
 PLANT = Path(__import__("interarea.models").models.__file__).parent / "c" / "plant"
@@ -125,6 +125,13 @@ def off_rest(name, seed):
 def test_every_device_has_a_typical_record():
     assert {model.device.key for model, _ in TYPICAL.values()} == set(library())
     assert set(RECORDS) == set(dyr_models())
+
+
+def test_a_device_is_looked_up_by_the_name_of_its_file():
+    assert all(model.device.key == key for key, model in library().items())
+    for name in ("../exciters/sexs", "SEXS.toml", ""):
+        with pytest.raises(DeviceError, match="does not exist"):
+            device_model(name, "exciter", {})
 
 
 @pytest.mark.parametrize("name", TYPICAL)
