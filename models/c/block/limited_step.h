@@ -21,7 +21,7 @@
 /* Arrays of n that a step needs. */
 enum { LIMITED_STEP_ARRAYS = 9 };
 
-/* Evaluations that a run has for finding switches, enough for some 80, beside one for two of its steps. A grid
+/* Evaluations that a run has for finding switches, enough for some 110, beside one for two of its steps. A grid
  * out of step has hundreds a second, none of which matters: it must not take ten times as long for them. */
 static const double LIMITED_FIRST = 2000.0;
 typedef struct { double begin, *spent; } LimitedRun;   /* since when it goes on; how many it has used */
@@ -95,43 +95,62 @@ static inline void limited_between(const LimitedStep *s, double h, double into, 
                + q * q * ((1.0 + 2.0 * r) * s->end[i] - r * h * s->slope[i]);
 }
 
+/* Two highs of the bracket, the lower one first: while a limiter rests on its limit, what is below says nothing. */
+typedef struct { double into, value, past_into, past_value; } LimitedLine;
+
+/* Where to look next: by regula falsi, or, where the low end says nothing, where the line through two highs
+ * ends, a `margin` above that. */
+static inline double limited_aim(const LimitedBracket *b, const LimitedLine *line, double low, double high, double margin)
+{
+    const double end = line->into - line->value * (line->past_into - line->into) / (line->past_value - line->value);
+    const double into = low < 0.0 ? b->low + low / (low - high) * (b->high - b->low)
+                                  : (end < b->low ? b->low : end) + margin;
+
+    return into > b->low && into < b->high ? into : 0.5 * (b->low + b->high);
+}
+
 /* Narrows the bracket to where, on the cubic over h, the first limiter gets beyond its range: regula
  * falsi (Illinois), halving where that gains too little. Gives a root near there and the slope at it. */
 static inline BlockStatus limited_cubic(LimitedStep *s, double h, LimitedBracket *b, double *root, double *slope)
 {
     enum { MOST = 30 };
     double *x = s->work + 4 * s->n, *k = s->work + s->n, last = b->high, at_last = b->at_high;
-    double low = b->at_low, high = b->at_high;   /* weighted */
+    double low = b->at_low, high = b->at_high, margin = 5e-3 * h;   /* low, high: weighted */
+    LimitedLine line = {last, at_last, NAN, NAN};
     int halve = 0;
 
     *slope = (high - low) / (b->high - b->low);
     for (int count = 0; count < MOST; ++count) {
-        const double width = b->high - b->low, share = low / (low - high);
-        const double into = b->low + (halve || !(share > 0.0 && share < 1.0) ? 0.5 : share) * width;
+        const double width = b->high - b->low;
+        const double into = halve ? b->low + 0.5 * width : limited_aim(b, &line, low, high, margin);
         double value;
         limited_between(s, h, into, x);
         const BlockStatus status = limited_overrun(s, into, x, k, &value);
         if (status != BLOCK_OK) return status;
-        const double steep = (value - at_last) / (into - last);
-        const int near = fabs(into - last) <= 0.05 * h;
+        const int rests = !(low < 0.0), near = fabs(into - last) <= 0.05 * h;
+        double steep = (value - at_last) / (into - last);
         last = into;
         at_last = value;
         if (value > 0.0) {
+            line = (LimitedLine){into, value, line.into, line.value};
+            if (rests) steep = (line.past_value - value) / (line.past_into - into);
             b->high = into;
             high = value;
             low *= 0.5;
+            margin = 5e-3 * h;
         } else {
             b->low = into;
             low = value;
             high *= 0.5;
+            margin *= 4.0;
         }
-        halve = !halve && b->high - b->low > 0.5 * width;
+        halve = !halve && low < 0.0 && b->high - b->low > 0.5 * width;
         if (!(steep > 0.0 && steep < INFINITY)) continue;
         *slope = steep;
         *root = into - value / steep;
         const int inside = *root > b->low && *root < b->high;
         /* of two points far apart the slope promises roots that are none */
-        if (inside && near && fabs(value) <= 1e-4 * h * steep) return BLOCK_OK;
+        if (inside && near && fabs(value) <= 1e-2 * h * steep) return BLOCK_OK;
         if (b->high - b->low <= 1e-6 * h) return BLOCK_OK;
     }
     *root = b->high;
@@ -149,7 +168,7 @@ static inline int limited_just(double overrun, double slope, double into, double
 static inline BlockStatus limited_land(LimitedStep *s, double h, double overrun, double *landed)
 {
     enum { MOST = 10 };
-    double low = 0.0, high = h, close = 1e-9 * h, slope, into, last = 0.0, at_last = 0.0;
+    double low = 0.0, high = h, close = 1e-6 * h, slope, into, last = 0.0, at_last = 0.0;
     BlockStatus status = limited_overrun(s, 0.0, s->x, s->work + s->n, &at_last);
     LimitedBracket bracket = {0.0, h, at_last, overrun};
 
