@@ -108,9 +108,16 @@ def compile_shared(sources: tuple[Path, ...], flags: tuple[str, ...] = tuple(FLA
 class BlockShim:
     """One instance of a block; arrays are numpy views that the C side shares."""
 
-    def __init__(self, block: Block, parameters: dict | None = None, *, start: bool = True) -> None:
+    def __init__(
+        self,
+        block: Block,
+        parameters: dict | None = None,
+        *,
+        start: bool = True,
+        flags: tuple[str, ...] = (),
+    ) -> None:
         self.table = block.table
-        self._c = ctypes.CDLL(str(compile_shared(tuple(block.sources))))
+        self._c = ctypes.CDLL(str(compile_shared(tuple(block.sources), (*FLAGS, *flags))))
         self._c.block_next_event.restype = ctypes.c_double
         packed = pack_record(block.data)
         self._bytes = np.frombuffer(packed, dtype=np.uint8).copy()

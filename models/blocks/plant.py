@@ -26,6 +26,7 @@ from ..grid.equilibrium import OperatingPoint, operating_point
 from ..grid.machine_tables import in_plant_order, machine_table
 from ..grid.network import load_power
 from ..grid.network_tables import Form, network_pattern, network_tables
+from ..grid.sparse_pattern import SparsePattern
 from .event_numbers import event_numbers_html
 from .plant_shown import Shown, shown_of, shown_tables
 from .plant_variables import (
@@ -252,6 +253,18 @@ def _parameter_arrays(parameters: list[tuple[int, int, Parameter]]) -> dict[str,
     }
 
 
+def has_sparse_network(case: Case, point: OperatingPoint) -> bool:
+    """Whether the plant of `case` solves its network by sparse factors, and not by a dense product."""
+    return _ports_and_pattern(case, point)[1] is not None
+
+
+def _ports_and_pattern(
+    case: Case, point: OperatingPoint, network: Form | None = None
+) -> tuple[npt.NDArray[np.float64], SparsePattern | None]:
+    ports = port_table(case, point.load_volts, list(range(len(case.machines))), list(point.gaps))
+    return ports, network_pattern(case, ports, network)
+
+
 def _data(
     case: Case,
     point: OperatingPoint,
@@ -267,9 +280,8 @@ def _data(
     groups = point.controls.running()
     before = sum(group.devices[0].word != "exciter" for group, _ in groups)
     counts += [len(groups), before, ties, slots]
-    ports = port_table(case, point.load_volts, list(range(len(case.machines))), list(point.gaps))
+    ports, pattern = _ports_and_pattern(case, point, network)
     counts += [len(case.shunts), len(parameters), len(ports)]
-    pattern = network_pattern(case, ports, network)
     counts += [0, 0, 0] if pattern is None else [len(pattern.row), pattern.fill, pattern.first]
     counts.append(len(seen["tie.branch"]) - ties)
     arrays: dict[str, Any] = {

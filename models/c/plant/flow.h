@@ -194,10 +194,10 @@ static size_t solve_network(real *memory, const Plan *plan, const Pattern *patte
     size_t stuck = 0;
 
     EVERY_MACHINE(machine_emf, plan, w, &machines);
-    if (plan->n_node > 0) stuck = solve_sparse(memory, plan, pattern, x, w);
+    if (is_sparse(plan)) stuck = solve_sparse(memory, plan, pattern, x, w);
     else if (plan->n_port > 0) stuck = solve_ports(memory, plan, x, w);
     if (stuck > 0) return stuck;
-    if (plan->n_node == 0) network_currents(memory, plan, w->e_re, w->e_im, w->i_re, w->i_im);
+    if (!is_sparse(plan)) network_currents(memory, plan, w->e_re, w->e_im, w->i_re, w->i_im);
     solve_terminals(memory, plan, &machines, w);
     return 0;
 }
@@ -373,7 +373,7 @@ static void show(const real *memory, const Plan *plan, const Pattern *pattern, s
         const size_t kind = index_at(kinds, k);
         everywhere |= kind == SHOW_TIE || kind == SHOW_BUS_V || kind >= SHOW_LINE_P;
     }
-    if (everywhere && plan->n_node > 0) sparse_backward(memory, plan, pattern, 0, plan->first, w->v);
+    if (everywhere && is_sparse(plan)) sparse_backward(memory, plan, pattern, 0, plan->first, w->v);
     for (size_t k = first; k < last; ++k)
         to[k - first] = shown(memory, plan, pattern, index_at(kinds, k), index_at(of, k), states, w);
 }
@@ -421,7 +421,7 @@ size_t plant_voltages(double *memory, const int32_t *places, size_t lanes, const
 
     const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
-    if (plan->n_node > 0) sparse_backward(memory, plan, &pattern, 0, plan->first, w.v);
+    if (is_sparse(plan)) sparse_backward(memory, plan, &pattern, 0, plan->first, w.v);
     for (size_t k = 0; k < plan->n_bus; ++k)
         network_voltage(memory, plan, &pattern, k, w.e_re, w.e_im, w.v, &volts[k], &volts[plan->n_bus + k]);
     return 0;

@@ -153,12 +153,23 @@ typedef struct {
 } Plan;
 enum { PLAN_ROOM = (sizeof(Plan) + sizeof(double) - 1) / sizeof(double) };   /* of it in memory */
 
+/* Whether the network is solved by its factors (sparse.h). A web page of a dense one leaves their code out. */
+static inline int is_sparse(const Plan *p)
+{
+#ifdef PLANT_DENSE
+    (void)p;
+    return 0;
+#else
+    return p->n_node > 0;
+#endif
+}
+
 /* Offsets from the counts. */
 static inline void plan_offsets(Plan *p)
 {
     size_t at = H_PLAN + PLAN_ROOM;
     const size_t n = p->n_machine, ports = p->n_port, sources = n + ports;
-    const size_t sparse = p->n_node > 0 ? 1 : 0, dense = 1 - sparse;
+    const size_t sparse = is_sparse(p) ? 1 : 0, dense = 1 - sparse;
     p->n_source = sources;
     p->machine = at;       at += (size_t)M_ROWS * n;
     p->machine_bus = at;   at += n;

@@ -85,7 +85,7 @@ static inline void network_currents(const real *memory, const Plan *plan,
 static inline void network_voltage(const real *memory, const Plan *plan, const Pattern *pattern, size_t bus,
                                    const num *e_re, const num *e_im, const num *v, num *v_re, num *v_im)
 {
-    if (plan->n_node > 0) {
+    if (is_sparse(plan)) {
         *v_re = v[2 * pattern->row[bus]];
         *v_im = v[2 * pattern->row[bus] + 1];
         return;

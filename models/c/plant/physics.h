@@ -37,8 +37,8 @@ size_t plant_device_slopes(double *memory, const int32_t *places, const BlockLay
 
 static inline size_t flow_work(const Plan *plan)
 {
-    const size_t ports = plan->n_node > 0 && plan->few == 0 ? 10 : 16 + 4 * plan->n_port;
-    const size_t nodes = plan->n_node > 0 && plan->n_port > 0 ? 8 : 2;
+    const size_t ports = is_sparse(plan) && plan->few == 0 ? 10 : 16 + 4 * plan->n_port;
+    const size_t nodes = is_sparse(plan) && plan->n_port > 0 ? 8 : 2;
     return 21 * plan->n_machine + nodes * plan->n_node + ports * plan->n_port;
 }
 #endif

@@ -61,7 +61,7 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     for (size_t k = 0; k < plan.total; ++k) memory[k] = 0.0;
     memory[H_OMEGA_B] = record_f64(b->record, "plant.base", &count)[0];
     plan_keep(memory, &plan);
-    memory[H_PATTERN] = plan.n_node > 0 ? (double)((const unsigned char *)net.places - b->record->bytes) : 0.0;
+    memory[H_PATTERN] = is_sparse(&plan) ? (double)((const unsigned char *)net.places - b->record->bytes) : 0.0;
     status = plant_tables(b, &plan, &net, message);
     if (status == BLOCK_OK) rest_prepare(memory, &plan);
     if (status == BLOCK_OK) status = rest_settle(b, &plan, &net, message);

@@ -91,6 +91,7 @@ static const int32_t *read_plan(const Record *record, const BlockLayout *layout,
     plan->n_y = layout->n_y;
     plan->n_w = layout->n_w;
     if (plan->exciters > plan->n_group || !count_devices(record, plan)) return NULL;
+    if (plan->n_node > 0 && !is_sparse(plan)) return NULL;
     plan_offsets(plan);
     return c;
 }
@@ -109,7 +110,7 @@ static void read_network(Reader *r, const Plan *plan, const int32_t *counts, Net
     net->item_bus = integers(r, "shunt.bus", net->n_item, n_bus);
     net->item_status = integers(r, "shunt.status", net->n_item, 2);
     net->item = reals(r, "shunt.table", 2 * net->n_item);
-    net->places = integers(r, "network.pattern", plan->n_node > 0 ? pattern_size(plan) : 0, SIZE_MAX);
+    net->places = integers(r, "network.pattern", is_sparse(plan) ? pattern_size(plan) : 0, SIZE_MAX);
     net->load_bus = integers(r, "load.bus", n_load, n_bus);
     net->load = reals(r, "load.table", L_ROWS * n_load);
     net->bus_names = text_of(r, "bus.names");
@@ -183,7 +184,7 @@ static void check_pattern(Reader *r, const Plan *plan, const int32_t *places)
     const double *table = read_ports(r, plan);
     size_t gaps = 0;
 
-    if (r->bad != NULL || plan->n_node == 0) return;
+    if (r->bad != NULL || !is_sparse(plan)) return;
     const Pattern s = pattern_of(places, plan);
     for (size_t p = 0; p < plan->n_port; ++p) gaps += port_is_load(table + P_ROWS * p) ? 0 : 1;
     if (plan->n_node != plan->n_bus + gaps || plan->first >= plan->n_node || !pattern_fits(&s, plan))

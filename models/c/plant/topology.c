@@ -11,7 +11,7 @@
 size_t topology_work(const Plan *plan)
 {
     const size_t n = plan->n_bus;
-    const size_t stage = plan->n_node > 0 ? 2 * n + sparse_stage_work(plan) : 2 * n * n + 5 * n;
+    const size_t stage = is_sparse(plan) ? 2 * n + sparse_stage_work(plan) : 2 * n * n + 5 * n;
     return stage > 2 * plan->n_machine ? stage : 2 * plan->n_machine;
 }
 
@@ -273,7 +273,7 @@ BlockStatus topology_build(double *memory, const Plan *plan, const Network *net,
     find_parts(memory, plan, net, work, work + 2 * n, dead);
     if (parts > 0.0 || memory[H_PARTS] > 1.0 || memory[H_DEAD] > 0.0)   /* at the start all in one is no news */
         tell_parts(memory, plan, net, dead, parts, buses, message);
-    if (plan->n_node > 0) return sparse_stage(memory, plan, net, extra, dead, work + 2 * n, message);
+    if (is_sparse(plan)) return sparse_stage(memory, plan, net, extra, dead, work + 2 * n, message);
     assemble(memory, plan, net, extra, dead, a);
     const size_t stuck = factor(a, n, order);
     if (stuck < n)

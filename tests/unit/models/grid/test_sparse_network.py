@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from plant_shim import BlockFailure, BlockShim
 
+from interarea.cosim.explorer.wasm import page_sources
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import Case, case_of, load_case
 from interarea.models.case.events import events_of
@@ -238,3 +239,21 @@ def test_constant_power_starts_at_the_voltages_of_the_case(form: str) -> None:
     plant = BlockShim(plant_block(case.with_changes({"loads": loads}), network=form))
     assert np.abs(plant.derivatives(plant.x)[0]).max() < 1e-9
     assert plant.w[: len(case.buses)].min() > 0.9
+
+
+def test_a_page_of_a_dense_network_has_no_other() -> None:
+    """PLANT_DENSE leaves the code of sparse networks out: a dense one keeps its bits, others are refused."""
+    case, alone = mesh(4, 3), ("-DPLANT_DENSE",)
+    whole, dense = (BlockShim(plant_block(case, network="dense"), flags=flags) for flags in ((), alone))
+    x = whole.x + 1e-3
+    for one, other in zip(whole.derivatives(x), dense.derivatives(x), strict=True):
+        assert np.array_equal(one, other)
+    with pytest.raises(BlockFailure, match=r"plant\.counts"):
+        BlockShim(plant_block(case, network="sparse"), flags=alone)
+
+    kept = {
+        name: page_sources(load_case(name))["layout.h"].startswith(b"#define PLANT_DENSE\n")
+        for name in ("two-area-thesis", "new-england")
+    }
+    large = page_sources(mesh(12, 12))["layout.h"]
+    assert all(kept.values()) and not large.startswith(b"#define")
