@@ -97,7 +97,7 @@ def compile_shared(sources: tuple[Path, ...], flags: tuple[str, ...] = tuple(FLA
     path = _folder() / f"{key}.so"
     folders = [f"-I{source.parent}" for source in sources if source.suffix == ".h"]  # generated headers
     code = [str(source) for source in sources if source.suffix == ".c"]
-    folders += [f"-I{source.parent}" for source in sources if source.name == "plant.c"] if folders else []
+    folders += [f"-I{source.parent}" for source in sources if source.name == "flow.c"] if folders else []
     command = [*compiler(), *flags, "-shared", "-fPIC", "-o", str(path), *folders, *code, "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:

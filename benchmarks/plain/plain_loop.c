@@ -7,7 +7,6 @@
 
 #include "block.h"
 #include "limited_step.h"
-#include "layout.h"
 #include "physics.h"
 #include "sparse.h"
 

@@ -43,21 +43,21 @@ SOURCES = tuple(
     _HERE / name
     for name in (
         "plant/plant.c",
-        "plant/tables.c",
-        "plant/flow.c",
-        "plant/held.c",
-        "plant/tile_4.c",
-        "plant/tile_8.c",
-        "plant/tangent.c",
-        "plant/event.c",
-        "plant/relay.c",
-        "plant/topology.c",
-        "plant/sparse_stage.c",
-        "plant/sparse_factor.c",
-        "plant/sparse_port.c",
-        "plant/failure.c",
-        "plant/port.c",
-        "plant/rest.c",
+        "plant/start/tables.c",
+        "plant/flow/flow.c",
+        "plant/flow/held.c",
+        "plant/flow/tile_4.c",
+        "plant/flow/tile_8.c",
+        "plant/flow/tangent.c",
+        "plant/events/event.c",
+        "plant/events/relay.c",
+        "plant/events/topology.c",
+        "plant/events/sparse_stage.c",
+        "plant/network/sparse_factor.c",
+        "plant/network/sparse_port.c",
+        "plant/start/failure.c",
+        "plant/network/port.c",
+        "plant/start/rest.c",
         "block/record.c",
     )
 )
@@ -75,7 +75,7 @@ def plant_sources(case: Case | None = None) -> tuple[Path, ...]:
 
 #: what FMUs stepped side by side need besides (block/block_group.h)
 GROUP_SOURCES = tuple(
-    _HERE / f"plant/{name}.c"
+    _HERE / f"plant/lanes/{name}.c"
     for name in ("lanes_2", "lanes_4", "lanes_8", "alike_4", "alike_8", "plant_group")
 )
 

@@ -14,7 +14,7 @@ from ..case.case import Case, CaseError
 from ..grid.machine_tables import network_states
 from .variables import Variable
 
-#: ShowKind of plant/layout.h
+#: ShowKind of plant/numbers/layout.h
 KINDS = (
     *("dw", "delta", "pe", "vt", "tie", "bus_v", "efd", "pm", "line_p", "line_q"),
     *("line_i", "bus_angle", "bus_re", "bus_im"),

@@ -62,7 +62,7 @@ def _load_at(case: CaseTables, kind: str, bus: int) -> int:
 
 
 def check_events(case: CaseTables, events: Iterable[Any]) -> None:
-    """Check that every target exists; what trips cut off is the plant's concern (plant/topology.c).
+    """Check that every target exists; what trips cut off is the plant's concern (plant/events/topology.c).
 
     Raises
     ------

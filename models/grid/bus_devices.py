@@ -1,6 +1,7 @@
 """Ports of the C plant: loads that are not constant impedance, machines that saturate or have X''d != X''q.
 
-A port is where a nonlinear element meets the linear network (plant/port.h); rows as `P_*` of plant/layout.h.
+A port is where a nonlinear element meets the linear network (plant/network/port.h); rows as `P_*` of
+plant/numbers/layout.h.
 """
 
 from __future__ import annotations

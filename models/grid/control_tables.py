@@ -20,7 +20,7 @@ from .machine_tables import NETWORK, MachinePoint, State
 
 SHORTEST_S = 1e-6  #: least value a time constant may be set to
 NUMBERED = ("exciter", "stabilizer", "compensator", "governor")  #: order of states, inputs and parameters
-#: what a device sees at the operating point, in the order of R_* of plant/plan.h
+#: what a device sees at the operating point, in the order of R_* of plant/numbers/layout.h
 SEEN = ("vt", "vd", "vq", "id", "iq", "pe", "ifd", "vc", "vs", "pm", "efd")
 
 

@@ -64,7 +64,7 @@ def operating_point(case: Case, power_flow: PowerFlow | None = None) -> Operatin
         E_{fd} = e'_q + (X_d - X'_d) i_d .
 
     With saturation, X_q in the angle becomes :math:`X_l + K_s (X_q - X_l)` and the rotor circuits see
-    :math:`i_d + i_{sd}`, :math:`i_q + i_{sq}` (plant/saturation.h).
+    :math:`i_d + i_{sd}`, :math:`i_q + i_{sq}` (plant/machine/saturation.h).
 
     The currents are then taken once more from the EMFs through the network as the plant solves it, so that
     the set-points fit the plant to rounding.  [Kundur1994, sec. 13.3]

@@ -1,6 +1,6 @@
 """Machines of a case as the C plant takes them, and what a state of the plant is.
 
-Row orders are those of the enumerations in plant/plan.h.
+Row orders are those of the enumerations in plant/numbers/layout.h.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def machine_table(case: Case, points: Sequence[MachinePoint]) -> npt.NDArray[np.
 
 
 def _saturation(m: Machine) -> list[float]:
-    """Rows M_BY_SPEED .. M_SAT_Q2 of plant/layout.h."""
+    """Rows M_BY_SPEED .. M_SAT_Q2 of plant/numbers/layout.h."""
     s = m.flux_saturation
     by_speed = float(m.torque_by_speed)
     if s is None:

@@ -110,7 +110,7 @@ def network_tables(
 
 
 def _pattern_array(case: Case, ports: npt.NDArray[np.float64], pattern: SparsePattern | None) -> IntArray:
-    """The parts that plant/sparse.h names, in its order."""
+    """The parts that plant/network/sparse.h names, in its order."""
     if pattern is None:
         return np.zeros(0, dtype=np.int64)
     nodes, branches = network_nodes(case, ports), len(case.branches)

@@ -1,4 +1,4 @@
-"""Order and places of a sparse network's factors, made once for every switching state (plant/sparse.h)."""
+"""Order and places of a sparse network's factors, one for all switching states (plant/network/sparse.h)."""
 
 from __future__ import annotations
 

@@ -2,15 +2,15 @@
  * work to tables.c, flow.c, tangent.c, event.c and topology.c. */
 #include <math.h>
 
-#include "event.h"
-#include "failure.h"
-#include "physics.h"
-#include "processor.h"
-#include "relay.h"
-#include "rest.h"
-#include "sparse.h"
-#include "tables.h"
-#include "topology.h"
+#include "events/event.h"
+#include "start/failure.h"
+#include "flow/physics.h"
+#include "flow/processor.h"
+#include "events/relay.h"
+#include "start/rest.h"
+#include "network/sparse.h"
+#include "start/tables.h"
+#include "events/topology.h"
 
 const int block_is_sampled = 0;
 

@@ -5,7 +5,7 @@
 
 #include "../block/sampled.h"
 #include "../channel/history.h"
-#include "../plant/scalar.h"
+#include "../plant/numbers/scalar.h"
 
 static const double PI = 3.14159265358979312;
 

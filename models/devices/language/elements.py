@@ -1,6 +1,6 @@
 """The elements of diagrams: which states they have, what holds at rest, their equations for numbers.
 
-`c/plant/elements.h` holds the same equations over `num`; `emit` writes the calls.
+`c/plant/flow/elements.h` holds the same equations over `num`; `emit` writes the calls.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     for path, text in zip(sources, (ONE, HEAD + SEVERAL), strict=True):
         path.write_text(text)
     compiler = shlex.split(os.environ.get("CC", "")) or [sys.executable, "-m", "ziglang", "cc"]
-    includes = f"-I{Path(interarea.models.__path__[0]) / 'c' / 'plant'}"
+    includes = f"-I{Path(interarea.models.__path__[0]) / 'c' / 'plant' / 'numbers'}"
     output = folder / "elementary.so"
     command = [*compiler, *FLAGS, includes, "-shared", "-fPIC", "-o", str(output), *map(str, sources), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

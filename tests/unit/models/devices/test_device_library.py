@@ -18,7 +18,7 @@ from interarea.models.devices.language.device import KINDS, MBASE
 from interarea.models.devices.library import device_model, library
 from interarea.models.devices.rest import rest_of
 
-PLANT = Path(__import__("interarea.models").models.__file__).parent / "c" / "plant"
+PLANT = Path(__import__("interarea.models").models.__file__).parent / "c" / "plant" / "flow"
 #: one operating point of a machine; the phasors fit vt, and pe = vd id + vq iq
 SEEN = {"vt": 1.0, "vd": 0.6, "vq": 0.8, "id": 0.7, "iq": 0.5, "pe": 0.82, "slip": 0.0, "ifd": 1.9}
 SEEN |= {"vc": 1.0, "vs": 0.0, "pm": 0.82}

@@ -1,0 +1,442 @@
+/* The right-hand side and the outputs, written once over `num`; flow.c compiles
+ * it as double, tangent.c as double complex. The order is that of the physics:
+ * angles -> EMFs -> network -> terminals -> governors -> stabilizers -> exciters
+ * -> machines. Outputs depend on the states only. */
+#ifndef INTERAREA_FLOW_H
+#define INTERAREA_FLOW_H
+#include "devices.h"
+#include "../machine/machine.h"
+#include "../network/network.h"
+#include "physics.h"
+#include "../network/port.h"
+#include "../network/sparse_few.h"
+#include "tiles.h"
+
+/* Work arrays, one entry per machine; e also one per port; v: two per row of a sparse network. id_rotor is what the
+ * rotor circuits see: id, or id + isd. lanes: how many neighbours go at a time (tiles.h). */
+typedef struct {
+    num *sine, *cosine, *i_re, *i_im, *id, *iq, *vd, *vq, *vt, *vs, *efd, *pm, *id_rotor;
+    num *vc, *pe, *ifd, *saturation_d, *saturation_q, *centre;
+    num *e_re, *e_im, *v;
+    PortWork port;
+    num *newton;
+    size_t lanes;
+    int exact;   /* the ports' slopes are wanted at the solution */
+    Notes notes; /* of the devices' decisions                    */
+} Work;
+
+static Work work_arrays(num *scratch, const Plan *plan, size_t lanes)
+{
+    const size_t n = plan->n_machine;
+    num *e = scratch + 19 * n, *v = e + 2 * plan->n_source, *port = v + 2 * plan->n_node;
+    Work w = { scratch, scratch + n, scratch + 2 * n, scratch + 3 * n, scratch + 4 * n,
+               scratch + 5 * n, scratch + 6 * n, scratch + 7 * n, scratch + 8 * n,
+               scratch + 9 * n, scratch + 10 * n, scratch + 11 * n, scratch + 12 * n,
+               scratch + 13 * n, scratch + 14 * n, scratch + 15 * n, scratch + 16 * n, scratch + 17 * n, scratch + 18 * n,
+               .e_re = e, .e_im = e + plan->n_source, .v = v, .lanes = lanes };
+    w.port = port_arrays(port, plan->n_port);
+    w.newton = port + PORT_ARRAYS * plan->n_port;
+    return w;
+}
+
+static Machines machines_of(const real *memory, const Plan *plan, const num *x, const Work *w)
+{
+    return (Machines){ memory + plan->machine, plan->n_machine, plan->n_sixth, memory[H_OMEGA_B],
+                       machine_states(x, plan->n_machine, plan->n_sixth), w->sine, w->cosine, w->e_re, w->e_im,
+                       w->i_re, w->i_im, w->id, w->iq, w->vd, w->vq, w->vt, w->efd, w->pm, w->id_rotor, w->ifd,
+                       w->saturation_d, w->saturation_q };
+}
+
+/* f of machine.h over the machines of each order. */
+#define EVERY_MACHINE(f, plan, w, m) do { \
+    TILED(f, (w)->lanes, (plan)->n_sixth, m, 0, (plan)->n_sixth); \
+    TILED(f, (w)->lanes, (plan)->n_machine - (plan)->n_sixth, m, (plan)->n_sixth, (plan)->n_machine); \
+} while (0)
+
+#ifdef PLANT_TANGENT   /* tangent.c: one exact Newton step */
+static size_t port_solve_tangent(const double *memory, const Plan *plan, const num *x, const num *linear, double *space,
+                                 Work *w);
+static void solve_sparse_tangent(const double *memory, const Plan *plan, const Pattern *pattern, const num *ed2,
+                                 const num *base, Work *w);
+static size_t solve_few_tangent(const double *memory, const Plan *plan, const Pattern *pattern, const num *x, num *base,
+                                Work *w);
+#endif
+
+/* What the ports inject, into the sources; 0, or 1 + the port where Newton's method
+ * fails (of several scenarios: 0, and NaN in the one that fails). */
+static size_t solve_ports(real *memory, const Plan *plan, const num *x, Work *w)
+{
+#ifdef PLANT_TANGENT
+    const size_t stuck = port_solve_tangent(memory, plan, x, NULL, (double *)(void *)w->newton, w);
+    return stuck < plan->n_port ? stuck + 1 : 0;
+#else
+    const MachineStates states = machine_states(x, plan->n_machine, plan->n_sixth);
+#if defined PLANT_ALIKE
+    (void)memory, (void)plan, (void)states, (void)w;   /* never: block_group_fits */
+    return 0;
+#elif defined PLANT_LANES
+    const flag failed = port_iterate(memory, plan, states.ed2, w->sine, w->cosine, w->e_re, w->e_im, w->port,
+                                     w->newton);
+    double *space = (double *)(void *)(w->newton + (PORT_NEWTON + 4 * plan->n_port) * plan->n_port);
+    for (size_t lane = 0; lane < PLANT_LANES; ++lane)
+        if (failed[lane] != 0)
+            port_rescue(lane, memory, plan, states.ed2, w->sine, w->cosine, w->e_re, w->e_im, w->port, space);
+    return 0;
+#else
+    double *const at[4] = { w->port.v_re, w->port.v_im, w->port.isd, w->port.isq };
+    const size_t stuck = port_solve(memory, plan, states.ed2, w->sine, w->cosine, w->e_re, w->e_im,
+                                    at, w->newton);
+    return stuck < plan->n_port ? stuck + 1 : 0;
+#endif
+#endif
+}
+
+/* Terminals and rotor circuits of the machines that saturate. */
+static void saturate_terminals(const real *memory, const Plan *plan, Work *w)
+{
+    for (size_t k = 0; k < plan->n_machine; ++k) w->id_rotor[k] = w->id[k];
+    for (size_t p = 0; p < plan->n_port; ++p) {
+        const real *row = memory + plan->port + P_ROWS * p;
+        const size_t k = index_at(row, P_DEVICE);
+        if (port_is_load(row)) continue;
+        saturation_terminal(row, k, w->port.isd[p], w->port.isq[p], w->vd, w->vq, w->vt);
+        w->id_rotor[k] += w->port.isd[p];
+    }
+}
+
+static void saturate_rates(const real *memory, const Plan *plan, const Work *w, num *dx)
+{
+    const size_t n = plan->n_machine;
+    for (size_t p = 0; p < plan->n_port; ++p) {
+        const real *row = memory + plan->port + P_ROWS * p;
+        const size_t k = index_at(row, P_DEVICE);
+        if (port_is_load(row)) continue;
+        saturation_rates(memory + plan->machine, n, k, w->id[k], w->iq[k], w->port.isd[p], w->port.isq[p],
+                         machine_rates(dx, n, plan->n_sixth));
+    }
+}
+
+#if !defined PLANT_TANGENT && !defined PLANT_LANES
+static PortCare port_care(const Work *w)
+{
+    if (w->exact) return PORT_EXACT;
+#ifndef PLANT_HELD
+    if (w->notes.words != NULL) return PORT_STEP;
+#endif
+    return PORT_ALONE;
+}
+#endif
+
+#ifndef PLANT_LANES
+/* Of few ports: as solve_ports, node voltages into w->v, where what the EMFs inject is and in `base`. */
+static size_t solve_few(real *memory, const Plan *plan, const Pattern *pattern, const num *x, num *base, Work *w)
+{
+#ifdef PLANT_TANGENT
+    return solve_few_tangent(memory, plan, pattern, x, base, w);
+#else
+    const num *ed2 = machine_states(x, plan->n_machine, plan->n_sixth).ed2;
+    double *const at[4] = { w->port.v_re, w->port.v_im, w->port.isd, w->port.isq };
+    num *z = base + 2 * plan->n_node, *linear = z + 2 * plan->n_node;
+
+    sparse_few_begin(memory, plan, pattern, w->v, z, linear);
+    const size_t stuck = port_solve_few(memory, plan, ed2, w->sine, w->cosine, w->e_re, w->e_im, at, linear);
+    if (stuck < plan->n_port) return stuck + 1;
+    sparse_few_end(memory, plan, pattern, ed2, w->sine, w->cosine, base, w->e_re, w->e_im, w->port, w->v);
+    return 0;
+#endif
+}
+#endif
+
+/* The network of a large grid: node voltages into w->v, machine currents. As solve_ports. */
+static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *pattern, const num *x, Work *w)
+{
+    network_inject(memory, plan, pattern, w->e_re, w->e_im, w->v);
+    if (plan->n_port == 0) {
+        network_solve(memory, plan, pattern, w->v);
+        network_machines(memory, plan, pattern, w->e_re, w->e_im, w->v, w->i_re, w->i_im);
+        return 0;
+    }
+#ifdef PLANT_LANES
+    (void)x;   /* never: block_group_fits */
+#else
+    const num *ed2 = machine_states(x, plan->n_machine, plan->n_sixth).ed2;
+    num *base = w->newton;
+    memcpy(base, w->v, 2 * plan->n_node * sizeof(num));
+    if (plan->few > 0) {
+        const size_t alone = solve_few(memory, plan, pattern, x, base, w);
+        if (alone == 0) sparse_port_machines(memory, plan, pattern, w->e_re, w->e_im, w->v, w->i_re, w->i_im);
+        return alone;
+    }
+#ifdef PLANT_TANGENT
+    solve_sparse_tangent(memory, plan, pattern, ed2, base, w);
+#else
+    const size_t stuck = sparse_port_solve(memory, plan, pattern, port_care(w), ed2, w->sine, w->cosine, base, w->e_re,
+                                           w->e_im, w->port, w->v, base + 2 * plan->n_node);
+    if (stuck < plan->n_port) return stuck + 1;
+#endif
+    sparse_port_machines(memory, plan, pattern, w->e_re, w->e_im, w->v, w->i_re, w->i_im);
+#endif
+    return 0;
+}
+
+/* Terminals of the machines from their currents. */
+static void solve_terminals(const real *memory, const Plan *plan, const Machines *machines, Work *w)
+{
+    EVERY_MACHINE(machine_terminal, plan, w, machines);
+    if (plan->n_port > 0) saturate_terminals(memory, plan, w);
+    else w->id_rotor = w->id;
+}
+
+/* Returns 0, or 1 + the port where Newton's method fails. */
+static size_t solve_network(real *memory, const Plan *plan, const Pattern *pattern, const num *x, Work *w)
+{
+    const Machines machines = machines_of(memory, plan, x, w);
+    size_t stuck = 0;
+
+    EVERY_MACHINE(machine_emf, plan, w, &machines);
+    if (is_sparse(plan)) stuck = solve_sparse(memory, plan, pattern, x, w);
+    else if (plan->n_port > 0) stuck = solve_ports(memory, plan, x, w);
+    if (stuck > 0) return stuck;
+    if (!is_sparse(plan)) network_currents(memory, plan, w->e_re, w->e_im, w->i_re, w->i_im);
+    solve_terminals(memory, plan, &machines, w);
+    return 0;
+}
+
+/* A tripped machine and its controls stand still where they were: they no longer count. */
+static void hold_tripped(const real *memory, const Plan *plan, num *dx)
+{
+    for (size_t k = 0; k < plan->n_state; ++k) {
+        const real running = memory[plan->running + index_at(memory + plan->state_machine, k)];
+        dx[k] = num_pick(num_above(NUM(running), NUM(0.5)), dx[k], NUM(0.0));
+    }
+}
+
+#ifdef PLANT_HELD
+/* Where the overruns of group k begin: every device has as many as its kind decides at most. */
+static Notes notes_each(Notes notes, const double *memory, const Plan *plan, size_t k)
+{
+    const double *row = memory + plan->group;
+    if (notes.each == NULL) return notes;
+    for (size_t before = 0; before < k; ++before, row += G_ROWS)
+        notes.each += index_at(row, G_COUNT) * device_decisions(index_at(row, G_DEVICE));
+    notes.most = device_decisions(index_at(row, G_DEVICE));
+    return notes;
+}
+#else
+#define notes_each(notes, memory, plan, k) (notes)
+#endif
+
+static void run_groups(const real *memory, const Plan *plan, const Work *w, size_t first, size_t last,
+                       const DeviceSignals *signals, const num *x, num *dx)
+{
+    for (size_t k = first; k < last; ++k) {
+        const real *row = memory + plan->group + G_ROWS * k;
+        const size_t state = index_at(row, G_STATE), machine = index_at(row, G_MACHINE);
+        const Notes of = notes_of(&w->notes, machine - plan->device_machine, state);
+        const Notes notes = notes_each(of, memory, plan, k);
+        const DeviceGroup group = { memory + index_at(row, G_TABLE), memory + machine, index_at(row, G_COUNT),
+                                    (uint64_t)index_at(row, G_HAS), notes };
+        TILED_DEVICES(device_run, w->lanes, group.n, index_at(row, G_DEVICE), &group, signals, x + state, dx + state);
+    }
+}
+
+/* Field voltages and mechanical powers of all machines: constants of the operating point,
+ * or what their devices give. Steps of Vref and the inputs act where the exciters add
+ * the stabilizers' signals, a step of Pm on the load reference of a governed machine. */
+static void solve_devices(const real *memory, const Plan *plan, const num *x, const num *u,
+                          num *dx, Work *w)
+{
+    const size_t n = plan->n_machine;
+    const real *table = memory + plan->machine, *of = memory + plan->input_machine;
+    const Machines machines = machines_of(memory, plan, x, w);
+    const DeviceSignals signals = { w->vt, w->vd, w->vq, w->id, w->iq, w->pe, machines.x.slip, w->ifd,
+                                    memory + plan->pm_step, w->vc, w->vs, w->pm, w->efd };
+
+    for (size_t k = 0; k < n; ++k) {
+        w->efd[k] = NUM(table[M_EFD0 * n + k]);
+        w->pm[k] = NUM(table[M_PM0 * n + k] + memory[plan->pm_step + k]);
+        w->vs[k] = NUM(0.0);
+        w->vc[k] = w->vt[k];
+        w->pe[k] = w->vd[k] * w->id[k] + w->vq[k] * w->iq[k];
+    }
+    EVERY_MACHINE(machine_field_currents, plan, w, &machines);
+    run_groups(memory, plan, w, 0, plan->exciters, &signals, x, dx);
+    for (size_t k = 0; k < n; ++k) w->vs[k] += memory[plan->vref_step + k];
+    for (size_t k = 0; k < plan->n_input; ++k) w->vs[index_at(of, k)] += u[k];
+    run_groups(memory, plan, w, plan->exciters, plan->n_group, &signals, x, dx);
+}
+
+/* Rates of machines and controls from the machines' terminals. */
+static void solve_rates(const real *memory, const Plan *plan, const num *x, const num *u, num *dx, Work *w)
+{
+    const size_t n = plan->n_machine, sixth = plan->n_sixth;
+
+    solve_devices(memory, plan, x, u, dx, w);
+    const Machines machines = machines_of(memory, plan, x, w);
+    const MachineRates rates = machine_rates(dx, n, sixth);
+    TILED(machine_derivatives, w->lanes, sixth, &machines, rates, 0, sixth);
+    TILED(machine_derivatives, w->lanes, n - sixth, &machines, rates, sixth, n);
+    if (plan->n_port > 0) saturate_rates(memory, plan, w, dx);
+    if (flag_any(num_above(NUM(memory[H_TRIPPED]), NUM(0.0)))) hold_tripped(memory, plan, dx);
+}
+
+size_t NAME(plant_flow)(real *memory, const int32_t *places, size_t lanes, const num *x, const num *u, num *dx,
+                        num *scratch, Notes notes)
+{
+    Plan own;
+    const Plan *plan = plan_in(memory, &own);
+    const Pattern pattern = pattern_of(places, plan);
+    Work w = work_arrays(scratch, plan, lanes);
+    w.notes = notes;
+
+    const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
+    if (stuck > 0) return stuck;
+    solve_rates(memory, plan, x, u, dx, &w);
+    return 0;
+}
+
+#ifndef PLANT_HELD
+/* Centres of inertia of the parts of the network, each at the number of its first machine: of several
+ * scenarios each has parts of its own. */
+#if defined PLANT_LANES && !defined PLANT_ALIKE
+static inline void add_at(num *centre, real part, num v)
+{
+    for (size_t i = 0; i < PLANT_LANES; ++i) centre[(size_t)(ptrdiff_t)part[i]][i] += v[i];
+}
+
+static inline num value_at(const num *centre, real part)
+{
+    num v = NUM(0.0);
+    for (size_t i = 0; i < PLANT_LANES; ++i) v[i] = centre[(size_t)(ptrdiff_t)part[i]][i];
+    return v;
+}
+#else
+static inline void add_at(num *centre, real part, num v) { centre[(size_t)(ptrdiff_t)part] += v; }
+static inline num value_at(const num *centre, real part) { return centre[(size_t)(ptrdiff_t)part]; }
+#endif
+
+/* Of a bus voltage re + j im, in the frame that turns with rated frequency; its angle is against `centre`. */
+static num bus_shown(size_t kind, num centre, num re, num im)
+{
+    num sine, cosine;
+
+    if (kind == SHOW_BUS_RE) return re;
+    if (kind == SHOW_BUS_IM) return im;
+    if (kind == SHOW_BUS_V) return num_sqrt(re * re + im * im);
+    num_sincos(centre, &sine, &cosine);
+    return num_angle(im * cosine - re * sine, re * cosine + im * sine);
+}
+
+/* What is shown from the solved network; Efd and Pm also need solve_devices. */
+static num shown(const real *memory, const Plan *plan, const Pattern *pattern, size_t kind, size_t of,
+                 MachineStates states, const Work *w)
+{
+    num re = NUM(0.0), im = NUM(0.0);
+
+    switch (kind) {
+    case SHOW_DW: return states.slip[of];
+    case SHOW_DELTA: return states.delta[of] - value_at(w->centre, memory[plan->part + of]);
+    case SHOW_PE:
+        return (w->vd[of] * w->id[of] + w->vq[of] * w->iq[of]) * memory[plan->machine + M_RATIO * plan->n_machine + of];
+    case SHOW_VT: return w->vt[of];
+    case SHOW_TIE: return network_tie_power(memory, plan, pattern, w->e_re, w->e_im, w->v);
+    case SHOW_EFD: return w->efd[of];
+    case SHOW_PM: return w->pm[of];
+    case SHOW_BUS_V:
+    case SHOW_BUS_ANGLE:
+    case SHOW_BUS_RE:
+    case SHOW_BUS_IM:
+        network_voltage(memory, plan, pattern, of, w->e_re, w->e_im, w->v, &re, &im);
+        return bus_shown(kind, value_at(w->centre, memory[plan->bus_part + of]), re, im);
+    case SHOW_LINE_I: {
+        num a_re, a_im;
+        network_line_current(memory, plan, pattern, plan->n_tie + of, w->e_re, w->e_im, w->v, &re, &im, &a_re, &a_im);
+        return num_sqrt(re * re + im * im);
+    }
+    default:
+        network_line_power(memory, plan, pattern, plan->n_tie + of, w->e_re, w->e_im, w->v, &re, &im);
+        return kind == SHOW_LINE_P ? re : im;
+    }
+}
+
+/* Shown variables first .. last - 1, with the rest of a sparse network's voltages if one needs them. */
+static void show(const real *memory, const Plan *plan, const Pattern *pattern, size_t first, size_t last,
+                 MachineStates states, const Work *w, num *to)
+{
+    const real *kinds = memory + plan->show, *of = kinds + plan->n_y + plan->n_w;
+    int everywhere = 0;
+
+    for (size_t k = 0; k < plan->n_machine; ++k) w->centre[k] = NUM(0.0);
+    for (size_t k = 0; k < plan->n_machine; ++k)
+        add_at(w->centre, memory[plan->part + k], memory[plan->coi + k] * states.delta[k]);
+    for (size_t k = first; k < last; ++k) {
+        const size_t kind = index_at(kinds, k);
+        everywhere |= kind == SHOW_TIE || kind == SHOW_BUS_V || kind >= SHOW_LINE_P;
+    }
+    if (everywhere && is_sparse(plan)) sparse_backward(memory, plan, pattern, 0, plan->first, w->v);
+    for (size_t k = first; k < last; ++k)
+        to[k - first] = shown(memory, plan, pattern, index_at(kinds, k), index_at(of, k), states, w);
+}
+
+/* y: what the record says, in its order. */
+size_t NAME(plant_outputs)(real *memory, const int32_t *places, size_t lanes, const num *x, num *y, num *scratch)
+{
+    Plan own;
+    const Plan *plan = plan_in(memory, &own);
+    const Pattern pattern = pattern_of(places, plan);
+    Work w = work_arrays(scratch, plan, lanes);
+
+    const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
+    if (stuck > 0) return stuck;
+    show(memory, plan, &pattern, 0, plan->n_y, machine_states(x, plan->n_machine, plan->n_sixth), &w, y);
+    return 0;
+}
+
+#if !defined PLANT_TANGENT && !defined PLANT_LANES
+/* Locals: what the record says after the outputs. */
+size_t plant_locals(double *memory, const int32_t *places, size_t lanes, const double *x, const double *u,
+                    double *locals, double *scratch, double *dx)
+{
+    Plan own;
+    const Plan *plan = plan_in(memory, &own);
+    const Pattern pattern = pattern_of(places, plan);
+    Work w = work_arrays(scratch, plan, lanes);
+
+    if (plan->n_w == 0) return 0;
+    const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
+    if (stuck > 0) return stuck;
+    solve_devices(memory, plan, x, u, dx, &w);
+    show(memory, plan, &pattern, plan->n_y, plan->n_y + plan->n_w, machine_states(x, plan->n_machine, plan->n_sixth), &w,
+         locals);
+    return 0;
+}
+
+size_t plant_voltages(double *memory, const int32_t *places, size_t lanes, const double *x, double *volts,
+                      double *scratch)
+{
+    Plan own;
+    const Plan *plan = plan_in(memory, &own);
+    const Pattern pattern = pattern_of(places, plan);
+    Work w = work_arrays(scratch, plan, lanes);
+
+    const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
+    if (stuck > 0) return stuck;
+    if (is_sparse(plan)) sparse_backward(memory, plan, &pattern, 0, plan->first, w.v);
+    for (size_t k = 0; k < plan->n_bus; ++k)
+        network_voltage(memory, plan, &pattern, k, w.e_re, w.e_im, w.v, &volts[k], &volts[plan->n_bus + k]);
+    return 0;
+}
+
+/* Solves the ports at x, so that memory holds their voltages there, and their slopes if the network is sparse. */
+size_t plant_settle(double *memory, const int32_t *places, size_t lanes, const double *x, double *scratch)
+{
+    Plan own;
+    const Plan *plan = plan_in(memory, &own);
+    const Pattern pattern = pattern_of(places, plan);
+    Work w = work_arrays(scratch, plan, lanes);
+    w.exact = 1;
+    return plan->n_port > 0 ? solve_network(memory, plan, &pattern, x, &w) : 0;
+}
+#endif
+#endif
+#endif

@@ -1,0 +1,24 @@
+#ifndef INTERAREA_NOTES_H
+#define INTERAREA_NOTES_H
+#include "../numbers/scalar.h"
+/* What the devices' limiters, gates and other kinks decided at the begin of a step (elements.h), a
+ * word for each device, and what becomes of it at other points of the step. All zero: nothing is noted. */
+typedef struct {
+    cell *words;      /* a word for each device, or null                                     */
+    cell *switched;   /* null: words are noted; else 1 where one is another than it was      */
+    double *worst;    /* held: by how much the decision that fits least is overrun           */
+    double *onto;     /* held: states, of which those at a limit are put onto it             */
+    double *each;     /* held: by how much each decision is overrun, `most` of every device, or null */
+    size_t most;
+} Notes;
+#define NO_NOTES ((Notes){ NULL, NULL, NULL, NULL, NULL, 0 })
+
+/* Those of the devices from `device` on, whose states begin at `state`. */
+static inline Notes notes_of(const Notes *all, size_t device, size_t state)
+{
+    Notes n = *all;
+    if (n.words != NULL) n.words += device;
+    if (n.onto != NULL) n.onto += state;
+    return n;
+}
+#endif

@@ -1,0 +1,29 @@
+/* The plant's side of block_group.h. */
+#include "lanes_steps.h"
+#include "../flow/processor.h"
+
+size_t block_group_lanes(void) { return processor_lanes(); }
+
+/* Ports iterate: how often depends on what they start from, which stays in memory. */
+int block_group_fits(const Block *b)
+{
+    Plan own;
+    const Plan *plan = plan_in(b->memory, &own);
+    return plan->n_machine > 0 && plan->n_port == 0;
+}
+
+/* f as wide as the group. Two lanes save too little by a memory in common to have code of their own. */
+#define WIDE(f) \
+    (lanes == 8 ? (g->alike != NULL ? f##_alike_8(g) : f##_8(g)) \
+     : lanes == 4 ? (g->alike != NULL ? f##_alike_4(g) : f##_4(g)) : f##_2(g))
+
+void block_group_step(const BlockGroup *g, size_t lanes)
+{
+    WIDE(lanes_step);
+}
+
+void block_group_outputs(const BlockGroup *g, size_t lanes, int rates)
+{
+    WIDE(lanes_outputs);
+    if (rates) WIDE(lanes_rates);
+}

@@ -1,0 +1,23 @@
+#ifndef INTERAREA_TABLES_H
+#define INTERAREA_TABLES_H
+#include "../numbers/layout.h"
+
+/* The read-only network of the record; pointers live for one call only. */
+typedef struct {
+    const int32_t *machine_bus, *branch_from, *branch_to, *branch_status, *load_bus;
+    const double *branch, *shunt, *load;   /* B_ROWS x n_branch, 2 x n_bus, L_ROWS x n_load */
+    const int32_t *item_bus, *item_status; /* switchable shunts */
+    const double *item;                    /* 2 x n_item: conductance, susceptance */
+    size_t n_item;
+    const int32_t *places;                 /* pattern of a sparse network (sparse.h) */
+    const char *bus_names, *branch_names, *machine_names;  /* one a line */
+} Network;
+
+/* plant_read: the counts and the network; plant_check: every other array, by
+ * its length and what it refers to; plant_tables: numbers and parameters into memory. */
+BlockStatus plant_read(const Record *record, const BlockLayout *layout, Plan *plan, Network *network,
+                       BlockMessage *message);
+BlockStatus plant_check(const Record *record, const BlockLayout *layout, const Plan *plan, const Network *network,
+                        BlockMessage *message);
+BlockStatus plant_tables(Block *b, const Plan *plan, const Network *network, BlockMessage *message);
+#endif
