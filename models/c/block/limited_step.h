@@ -5,8 +5,8 @@
  * As long as they stay where they are at the begin of the step, it is the step of runge_kutta.h, to
  * the bit. Where one is found elsewhere in a later stage, the step is done again with all limiters
  * held, so that its right-hand side is smooth, as far as the instant at which the first of them gets
- * beyond its range; from just after it on the limiters are as they now are. That instant is found
- * on the cubic through values and slopes at both ends, then by short steps that end there.
+ * beyond its range; from just after it on the limiters are as they now are. That instant and
+ * the states at it are found on a quartic through values and slopes at both ends.
  *
  * A step too long for its fastest motion grows until a limiter switches in it; its parts are shorter and keep
  * the growth bounded, so nothing would ever tell. So a step done again tells where it is that long.
@@ -19,9 +19,9 @@
 #include "runge_kutta.h"
 
 /* Arrays of n that a step needs. */
-enum { LIMITED_STEP_ARRAYS = 9 };
+enum { LIMITED_STEP_ARRAYS = 10 };
 
-/* Evaluations that a run has for finding switches, enough for some 110, beside one for two of its steps. A grid
+/* Evaluations that a run has for finding switches, enough for some 190, beside one for two of its steps. A grid
  * out of step has hundreds a second, none of which matters: it must not take ten times as long for them. */
 static const double LIMITED_FIRST = 2000.0;
 typedef struct { double begin, *spent; } LimitedRun;   /* since when it goes on; how many it has used */
@@ -36,6 +36,7 @@ typedef struct {
     double begin, done;       /* of the step: its time; how much of it is done, s       */
     double *work, *x;         /* 5 n of runge_kutta.h; where the part of the step begins */
     double *end, *slope, *at; /* where it ends: states, their slopes; another point      */
+    double *bend;             /* of the quartic between them */
     BlockLimits limits;
     long count;               /* of evaluations after the first try with limiters held */
     BlockMessage *message;
@@ -82,111 +83,87 @@ static inline BlockStatus limited_try(LimitedStep *s, double h, double *overrun)
     return limited_overrun(s, h, s->end, s->slope, overrun);
 }
 
-/* Two points of the cubic: where the limiters are within their ranges, and where one is beyond. */
-typedef struct { double low, high, at_low, at_high; } LimitedBracket;
-
-/* x on the cubic through values and slopes at both ends of h, `into` seconds after its begin. */
+/* x on the quartic through values and slopes at both ends of h, `into` seconds after its begin; bent as
+ * limited_bend found it. */
 static inline void limited_between(const LimitedStep *s, double h, double into, double *x)
 {
-    const double *k1 = s->work, q = into / h, r = 1.0 - q;
+    const double *k1 = s->work, q = into / h, r = 1.0 - q, part = q * q * (3.0 - 2.0 * q);
 
     for (size_t i = 0; i < s->n; ++i)
-        x[i] = r * r * ((1.0 + 2.0 * q) * s->x[i] + q * h * k1[i])
-               + q * q * ((1.0 + 2.0 * r) * s->end[i] - r * h * s->slope[i]);
+        x[i] = s->x[i] + part * (s->end[i] - s->x[i])
+               + q * r * (h * (r * k1[i] - q * s->slope[i]) + q * r * s->bend[i]);
 }
 
-/* Two highs of the bracket, the lower one first: while a limiter rests on its limit, what is below says nothing. */
-typedef struct { double into, value, past_into, past_value; } LimitedLine;
-
-/* Where to look next: by regula falsi, or, where the low end says nothing, where the line through two highs
- * ends, a `margin` above that. */
-static inline double limited_aim(const LimitedBracket *b, const LimitedLine *line, double low, double high, double margin)
+/* By how much more than the cubic the quartic bends, from the slope k at LIMITED_BEND h on the cubic: not in the middle,
+ * where every quartic has the cubic's slope. */
+static const double LIMITED_BEND = 0.4;
+static inline void limited_bend(LimitedStep *s, double h, const double *k)
 {
-    const double end = line->into - line->value * (line->past_into - line->into) / (line->past_value - line->value);
-    const double into = low < 0.0 ? b->low + low / (low - high) * (b->high - b->low)
-                                  : (end < b->low ? b->low : end) + margin;
+    const double *k1 = s->work, q = LIMITED_BEND, r = 1.0 - q;
 
-    return into > b->low && into < b->high ? into : 0.5 * (b->low + b->high);
-}
-
-/* Narrows the bracket to where, on the cubic over h, the first limiter gets beyond its range: regula
- * falsi (Illinois), halving where that gains too little. Gives a root near there and the slope at it. */
-static inline BlockStatus limited_cubic(LimitedStep *s, double h, LimitedBracket *b, double *root, double *slope)
-{
-    enum { MOST = 30 };
-    double *x = s->work + 4 * s->n, *k = s->work + s->n, last = b->high, at_last = b->at_high;
-    double low = b->at_low, high = b->at_high, margin = 5e-3 * h;   /* low, high: weighted */
-    LimitedLine line = {last, at_last, NAN, NAN};
-    int halve = 0;
-
-    *slope = (high - low) / (b->high - b->low);
-    for (int count = 0; count < MOST; ++count) {
-        const double width = b->high - b->low;
-        const double into = halve ? b->low + 0.5 * width : limited_aim(b, &line, low, high, margin);
-        double value;
-        limited_between(s, h, into, x);
-        const BlockStatus status = limited_overrun(s, into, x, k, &value);
-        if (status != BLOCK_OK) return status;
-        const int rests = !(low < 0.0), near = fabs(into - last) <= 0.05 * h;
-        double steep = (value - at_last) / (into - last);
-        last = into;
-        at_last = value;
-        if (value > 0.0) {
-            line = (LimitedLine){into, value, line.into, line.value};
-            if (rests) steep = (line.past_value - value) / (line.past_into - into);
-            b->high = into;
-            high = value;
-            low *= 0.5;
-            margin = 5e-3 * h;
-        } else {
-            b->low = into;
-            low = value;
-            high *= 0.5;
-            margin *= 4.0;
-        }
-        halve = !halve && low < 0.0 && b->high - b->low > 0.5 * width;
-        if (!(steep > 0.0 && steep < INFINITY)) continue;
-        *slope = steep;
-        *root = into - value / steep;
-        const int inside = *root > b->low && *root < b->high;
-        /* of two points far apart the slope promises roots that are none */
-        if (inside && near && fabs(value) <= 1e-2 * h * steep) return BLOCK_OK;
-        if (b->high - b->low <= 1e-6 * h) return BLOCK_OK;
+    for (size_t i = 0; i < s->n; ++i) {
+        const double slope = 6.0 * q * r * (s->end[i] - s->x[i])
+                             + h * (r * (r - 2.0 * q) * k1[i] - q * (2.0 * r - q) * s->slope[i]);
+        s->bend[i] = (h * k[i] - slope) / (2.0 * q * r * (r - q));
     }
-    *root = b->high;
-    return BLOCK_OK;
 }
 
-/* Whether an end `into` a step is just after a switch that is after `low`, as just as `close` says. */
-static inline int limited_just(double overrun, double slope, double into, double low, double close)
+/* Where on the quartic over h the first limiter gets beyond its range: after `low`, before `high`. Another limiter may
+ * be nearest its range at `low`, or one that rests there: only what is beyond tells anything, by the line through
+ * `high` and the high before it. */
+typedef struct { double low, high, at_high, past, at_past, width, reach; int slow; } LimitedSearch;
+
+/* Takes in that a limiter is `value` beyond its range at `into`; whether that is as just after its switch as `close`
+ * says. */
+static inline int limited_found(LimitedSearch *s, double into, double value, double h, double close)
 {
-    return overrun > 0.0 && (overrun <= 4.0 * close * slope || into - low <= 4.0 * close);
+    if (!(value > 0.0)) {
+        s->low = into;
+        s->reach *= 8.0;
+        return 0;
+    }
+    s->past = s->high;
+    s->at_past = s->at_high;
+    s->high = into;
+    s->at_high = value;
+    const double steep = (s->at_past - value) / (s->past - into), above = value / steep;
+    /* of two points far apart the line promises an end that is none */
+    const int near = steep > 0.0 && s->past - into <= 0.05 * h;
+    s->reach = near && above <= 0.01 * h ? 2.0 * close : 0.05 * above;
+    return (near && above <= 4.0 * close) || into - s->low <= 4.0 * close;
 }
 
-/* To just after the first limiter's switch in h, which is overrun there; how far that is. How just
- * it must be is eased with every try, so that rounding does not keep it from arriving. */
+/* Where to look next: `reach` above the end of the line, or in the middle where that says nothing or has
+ * gained too little three times. */
+static inline double limited_aim(LimitedSearch *s)
+{
+    const double end = s->high - s->at_high * (s->past - s->high) / (s->at_past - s->at_high);
+    const double into = (end < s->low ? s->low : end) + s->reach;
+
+    s->slow = s->high - s->low > 0.5 * s->width ? s->slow + 1 : 0;
+    s->width = s->high - s->low;
+    if (into > s->low && into < s->high && s->slow <= 2) return into;
+    s->slow = 0;
+    return 0.5 * (s->low + s->high);
+}
+
+/* Over h, at whose end a limiter is overrun beyond its range, to just after the first switch: s->at, held states
+ * on their limits. They are as exact there as at the end of a step: no step need end there. */
 static inline BlockStatus limited_land(LimitedStep *s, double h, double overrun, double *landed)
 {
-    enum { MOST = 10 };
-    double low = 0.0, high = h, close = 1e-6 * h, slope, into, last = 0.0, at_last = 0.0;
-    BlockStatus status = limited_overrun(s, 0.0, s->x, s->work + s->n, &at_last);
-    LimitedBracket bracket = {0.0, h, at_last, overrun};
+    enum { MOST = 30 };
+    double *x = s->work + 4 * s->n, *k = s->work + s->n, into = LIMITED_BEND * h;
+    LimitedSearch search = {0.0, h, overrun, INFINITY, NAN, h, 0.0, 0};
 
-    if (status == BLOCK_OK) status = limited_cubic(s, h, &bracket, &into, &slope);
-    if (status != BLOCK_OK) return status;
-    into += close;
-    for (int count = 0;; ++count, close *= 4.0) {
-        if (!(into > low && into < high)) into = 0.5 * (low + high);
-        if (count == MOST) into = high < h ? high : bracket.high;
-        if ((status = limited_try(s, into, &overrun)) != BLOCK_OK) return status;
-        if (count == MOST || limited_just(overrun, slope, into, low, close)) break;
-        if (overrun > 0.0) high = into;
-        else low = into;
-        const double steep = (overrun - at_last) / (into - last);
-        if (count > 0 && steep > 0.0 && steep < INFINITY) slope = steep;
-        last = into;
-        at_last = overrun;
-        into += close - overrun / slope;
+    memset(s->bend, 0, s->n * sizeof(double));
+    for (int count = 0;; ++count, into = count < MOST ? limited_aim(&search) : search.high) {
+        double value;
+        limited_between(s, h, into, x);
+        memcpy(s->at, x, s->n * sizeof(double));
+        const BlockStatus status = limited_overrun(s, into, x, k, &value);
+        if (status != BLOCK_OK) return status;
+        if (count == 0) limited_bend(s, h, k);
+        if (limited_found(&search, into, value, h, 1e-7 * h) || count == MOST) break;
     }
     *landed = into;
     return BLOCK_OK;
@@ -312,7 +289,8 @@ static inline BlockStatus limited_step(LimitedFlow *flow, void *context, size_t 
                                        double *work, const LimitedRun *run, BlockMessage *message)
 {
     LimitedStep s = {.flow = flow, .context = context, .n = n, .work = work, .x = work + 5 * n, .end = work + 6 * n,
-                     .slope = work + 7 * n, .at = work + 8 * n, .limits = {.mode = LIMITS_NOTE}, .begin = t,
+                     .slope = work + 7 * n, .at = work + 8 * n, .bend = work + 9 * n,
+                     .limits = {.mode = LIMITS_NOTE}, .begin = t,
                      .message = message};
     BlockStatus status = runge_kutta_stages(limited_stage, &s, n, h, x, work);
 
