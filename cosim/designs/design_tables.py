@@ -53,13 +53,15 @@ class StageTable(Table):
     #: how closely the smoothed worst damping follows the worst, from one value to the next
     rho: tuple[Positive, ...] = Field((60.0, 120.0, 300.0), min_length=1)
     steps: Annotated[int, Field(ge=1)] = 40  #: of the descent at each value of `rho`, at most
+    #: turns of the descent and of L-BFGS at each value of `rho`, at most; many go on for smaller gains
+    turns: Annotated[int, Field(ge=1)] = 3
     #: (rad/s, damping) as `offset` of the design, in this stage alone; none: that of the design
     offset: tuple[tuple[float, float], ...] = ()
 
     def stage(self) -> Stage:
         """Return it as the search takes it."""
         offsets = BandOffsets(*zip(*self.offset, strict=True)) if self.offset else None
-        return Stage(self.points, self.conditions, self.rho, self.steps, offsets)
+        return Stage(self.points, self.conditions, self.rho, self.steps, self.turns, offsets)
 
 
 class GuardTable(Table):

@@ -128,7 +128,7 @@ def planned(spec: RobustSpec, conditions: float, points: int) -> dict[str, float
         for k, stage in enumerate(spec.stages, start=1):
             share = len(stage.points or range(points)) * (len(stage.conditions) or conditions)
             for what in stage_parts(k, len(spec.stages), spec.starts + given):
-                parts[what] = share * len(stage.rho) * (stage.steps + BETWEEN)
+                parts[what] = share * len(stage.rho) * stage.turns * (stage.steps + BETWEEN)
     else:
         tried = conditions * (min(spec.starts_on, points) or points)
         count = spec.starts + given

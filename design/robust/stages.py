@@ -12,8 +12,8 @@ from .first_guess import first_guess
 from .newton import newton_descent
 from .smoothed_objective import Array, BandOffsets, Objective
 
-#: turns of Newton steps and L-BFGS at each rho at most, and what the last must have gained for another
-ALTERNATIONS, WORTHWHILE = 3, 2e-3
+#: what a turn of Newton steps and L-BFGS must have gained for another where three are allowed; of more, less
+WORTHWHILE, TURNS = 2e-3, 3
 
 Descend = Callable[[Objective, Array], tuple[Array, int]]
 Balanced = Callable[[Objective, Array], Array]
@@ -27,6 +27,7 @@ class Stage:
     points, conditions : names of those that are looked at; none: all.
     rho : how closely the smoothed worst follows the worst, from one to the next.
     steps : of the descent at each, at most.
+    turns : of the descent and of L-BFGS at each, at most.
     offsets : how much more than elsewhere a band is wanted in this stage; none: as in the whole.
     """
 
@@ -34,6 +35,7 @@ class Stage:
     conditions: tuple[str, ...] = ()
     rho: tuple[float, ...] = (60.0, 120.0, 300.0)
     steps: int = 40
+    turns: int = TURNS
     offsets: BandOffsets | None = None
 
     def of(self, objective: Objective) -> Objective:
@@ -114,13 +116,13 @@ def _through(
     for k, rho in enumerate(stage.rho):
         smoothed = replace(objective, rho=rho)
         value = smoothed.value(theta)
-        tell(k / len(stage.rho), value)
-        for _ in range(ALTERNATIONS):
+        for turn in range(stage.turns):
+            tell((k + turn / stage.turns) / len(stage.rho), value)
             theta, used = newton_descent(smoothed, theta, stage.steps, balanced=balanced)
             theta, more = descend(smoothed, theta)
             count += used + more
             gained, value = value - smoothed.value(theta), smoothed.value(theta)
-            if not gained > WORTHWHILE:
+            if not gained > WORTHWHILE * TURNS / stage.turns:
                 break
     return theta, count
 

@@ -147,6 +147,34 @@ def test_a_later_stage_goes_on_from_the_one_before(objective: Objective) -> None
     assert objective.value(both) < objective.value(only) - 3e-4
 
 
+def test_many_turns_go_on_for_gains_that_end_few(objective: Objective) -> None:
+    """Three turns end after one that gains less than 2e-3, thirty after one below 2e-4."""
+
+    def values(turns: int) -> tuple[float, list[float]]:
+        seen: list[float] = []
+        stage = Stage(rho=(objective.rho,), steps=1, turns=turns)
+        theta, *_ = staged_search(
+            objective,
+            (stage,),
+            [],
+            1,
+            0.2,
+            np.random.default_rng(1),
+            balanced=balanced_parameters,
+            descend=lambda some, at: _descend(some, at, 1, each=20),
+            progress=lambda what, share, reached: seen.append(reached),
+        )
+        return objective.value(theta), seen[:-1]  # as each turn begins; the last is told once more
+
+    reached = {turns: values(turns) for turns in (3, 30)}
+    assert reached[30][0] < reached[3][0]
+    for turns, wanted in ((3, 2e-3), (30, 2e-4)):
+        end, seen = reached[turns]
+        gains = -np.diff([*seen, end])
+        assert (gains[:-1] > wanted).all()
+        assert len(gains) == turns or (len(gains) < turns and not gains[-1] > wanted)
+
+
 def test_the_value_alone_is_that_with_the_gradient(objective: Objective) -> None:
     theta = _controller(objective, 3)
     assert objective.value(theta) == pytest.approx(objective(theta)[0], rel=1e-12)
