@@ -18,11 +18,13 @@ meet, where they have no derivative: there `stages.py` goes on with L-BFGS for a
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from .smoothed_objective import Array, Complex, Gains, Objective
+from .spectra import eigensystems
 
 #: eigenvalues nearer to one another than this (rad/s) count as so far apart: their derivative has no bound
 APART = 1e-2
@@ -30,6 +32,8 @@ APART = 1e-2
 NEAR_BOUND = 0.1
 #: step of the differences that give the curvature of D, of each unknown's scale
 DIFFERENCE = 1e-5
+#: eigenvalues whose second derivatives are added at once: some ten MB
+TOGETHER = 256
 
 
 def newton_descent(
@@ -65,7 +69,7 @@ def newton_descent(
             ratio = (value - reached) / max(predicted, 1e-300)
             if ratio > 0.05:
                 theta, value = tried, reached
-                radius = min(2.0 * radius, 2.0) if ratio > 0.7 else radius
+                radius = min(4.0 * radius, 2.0) if ratio > 0.7 else radius
                 break
             radius *= 0.35
         gained.append(before - value)
@@ -143,54 +147,90 @@ def _damping(objective: Objective, K: Gains) -> tuple[Array, Array, Array]:
     top = max(float(v.max()) for *_, v in spectra)
     rho = objective.rho
     total = sum(float(np.exp(rho * (v - top)).sum()) for *_, v in spectra)
-    rows: list[Array] = []
-    weights: list[float] = []
     moves = _Moves(objective, K)
-    bent, feed = np.zeros((moves.size, moves.size)), np.zeros(K[3].shape)
+    sums, feed = _Sums(moves), np.zeros(K[3].shape)
     for group, size, loops, v in spectra:
         share = (np.exp(rho * (v - top)) / total).sum(axis=1)
-        for k in map(int, np.flatnonzero(share > 1e-6)):
-            values, right = (each.astype(complex) for each in np.linalg.eig(loops[k]))
-            try:
-                left = np.linalg.inv(right)
-            except np.linalg.LinAlgError:  # a defective matrix: its neighbours carry the derivatives
+        near = np.flatnonzero(share > 1e-6)
+        for k, found in zip(map(int, near), eigensystems(loops[near]), strict=True):
+            if found is None:  # a defective matrix: its neighbours carry the derivatives
                 continue
+            values, right, left = found
             excess, dv = objective.excess(values)
             # of a pair only one is looked at, with the weight of both
             weight = np.exp(rho * (excess - top)) / total * np.where(values.imag > 0.0, 2.0, 1.0)
+            few = np.flatnonzero((weight > 1e-7) & (values.imag >= 0.0))
+            gap = values[few, None] - values
+            size_of_gap = np.maximum(np.abs(gap), 1e-300)
+            inverse = np.conj(gap) / size_of_gap / np.maximum(size_of_gap, APART)
+            inverse[np.arange(few.size), few] = 0.0
+            bends = np.array([objective.bends(complex(value)) for value in values[few]]).reshape(-1, 3)
             reach = (left[:, :size] @ group[k].B).astype(complex)
             seen = group[k].C @ right[:size]
             outs, ins = moves.sides(reach, left[:, size:], seen, right[size:])
-            for i in map(int, np.flatnonzero((weight > 1e-7) & (values.imag >= 0.0))):
-                gap = values[i] - values
-                size_of_gap = np.maximum(np.abs(gap), 1e-300)
-                inverse = np.conj(gap) / size_of_gap / np.maximum(size_of_gap, APART)
-                inverse[i] = 0.0
-                # l_i dA r_j and l_j dA r_i for every j, (j, unknowns)
-                onward, back = (
-                    moves.between(outs[:, i : i + 1], ins),
-                    moves.between(outs, ins[:, :, i : i + 1]),
-                )
-                first = onward[i]
-                second = ((onward * (dv[i] * inverse)[:, None]).T @ back).real
-                bent += weight[i] * (second + second.T)
-                aa, ab, bb = objective.bends(complex(values[i]))
-                da, db = first.real, first.imag
-                cross = np.outer(da, db)
-                bent += weight[i] * (aa * np.outer(da, da) + ab * (cross + cross.T) + bb * np.outer(db, db))
-                rows.append((dv[i] * first).real)
-                weights.append(float(weight[i]))
-                feed += weight[i] * (dv[i] * np.outer(reach[i], seen[:, i])).real
-    G, p = np.array(rows), np.array(weights)
-    gradient = p @ G
-    return gradient, bent + rho * ((G.T * p) @ G - np.outer(gradient, gradient)), feed
+            # sum over j of r_j l_j / (lambda_i - lambda_j), as the controller sees it
+            resolvents = (inverse[:, None, :] * ins.T) @ outs
+            sums.add(weight[few], dv[few], bends, outs[few], ins[few], resolvents)
+            feed += ((reach[few].T * (weight * dv)[few]) @ seen[:, few].T).real
+    return *sums.derivatives(rho), feed
+
+
+class _Sums:
+    """Sums over eigenvalues: p g, p g g^T and p times the second derivatives of v.
+
+    Some hundred eigenvalues are kept and added in one product: it costs a fraction of one for each.
+    """
+
+    def __init__(self, moves: _Moves) -> None:
+        self._moves, self._count = moves, 0
+        self._kept: list[tuple[npt.NDArray[Any], ...]] = []
+        self._gradient = np.zeros(moves.size)
+        self._squares, self._half = np.zeros((2, moves.size, moves.size))
+
+    def add(self, *of_each: npt.NDArray[Any]) -> None:
+        """Add k eigenvalues: weights (k,), dv (k,), bends (k, 3), outs, ins and resolvents of `_Moves`."""
+        self._kept.append(of_each)
+        self._count += len(of_each[0])
+        if self._count >= TOGETHER:
+            self._flush()
+
+    def derivatives(self, rho: float) -> tuple[Array, Array]:
+        """Return gradient (n,) and Hessian (n, n) of the smoothed worst."""
+        self._flush()
+        kinks = self._squares - np.outer(self._gradient, self._gradient)
+        return self._gradient, self._half + self._half.T + rho * kinks
+
+    def _flush(self) -> None:
+        if not self._kept:
+            return
+        weight, dv, bends, outs, ins, resolvents = (
+            np.concatenate(each) for each in zip(*self._kept, strict=True)
+        )
+        self._kept, self._count = [], 0
+        first = self._moves.first(outs, ins)
+        rows = (dv[:, None] * first).real
+        self._gradient += weight @ rows
+        self._squares += (rows.T * weight) @ rows
+        da, db = first.real, first.imag
+        aa, ab, bb = weight * bends.T
+        self._half += self._moves.second(outs * (weight * dv)[:, None], ins, resolvents)
+        self._half += (da.T * (0.5 * aa)) @ da + (da.T * ab) @ db + (db.T * (0.5 * bb)) @ db
+
+
+class _Block(NamedTuple):
+    """Unknowns of one matrix and one part of K: each an entry of a rectangle of rows and columns."""
+
+    of: npt.NDArray[np.intp]  #: the unknowns
+    rows: npt.NDArray[np.intp]  #: places in `outs`
+    columns: npt.NDArray[np.intp]  #: places in `ins`
+    place: npt.NDArray[np.intp]  #: of each unknown in the rectangle, row by row
 
 
 class _Moves:
     """How every unknown moves a closed loop between a left and a right eigenvector: l dA r.
 
     With u = C x + D y, D = C A^-1 B where it is no unknown: an unknown's share is one entry of what the left
-    vector has for it times one of what the right vector has; of A two such products.
+    vector has for it (`outs`) times one of what the right vector has (`ins`); of A the sum of two products.
     """
 
     def __init__(self, objective: Objective, K: Gains) -> None:
@@ -198,52 +238,75 @@ class _Moves:
         n, p, m = A.shape[0], B.shape[1], C.shape[0]
         self._inner = np.linalg.solve(A, B) if objective.dc_block else np.zeros((n, p))
         self._outer = np.linalg.solve(A.T, C.T) if objective.dc_block else np.zeros((n, m))
-        # places in (states' own, states with D's share, actuators) and (states' own, signals, with D's share)
-        own, shared, last = np.arange(0.0, n), np.arange(n, 2.0 * n), np.arange(2.0 * n, 2 * n + m)
-        seen = np.arange(n, n + float(p))
-        late = np.arange(n + p, 2.0 * n + p)
-        self._from = self._places(objective, own, shared, last, last, (n, p, m), rows=True)
-        self._to = self._places(objective, own, seen, late, seen, (n, p, m), rows=False)
-        self.size = self._from.size
-        of_A = objective.pack(np.ones((n, n)), np.zeros((n, p)), np.zeros((m, n)), np.zeros((m, p)))
-        self._of_A = np.flatnonzero(of_A) if objective.dc_block else np.zeros(0, dtype=int)
+        # places in outs: states' own, with D's share, actuators, D's share alone;
+        # in ins: states' own, signals, with D's share, D's share alone
+        own, seen, outputs = np.arange(n), n + np.arange(p), 2 * n + np.arange(m)
+        row = own[:, None], n + own[:, None], outputs[:, None], outputs[:, None]
+        column = own, seen, n + p + own, seen
+        part, parts = np.zeros(n), len(objective.parts)
+        for k, states in enumerate(objective.parts):
+            part[states] = k
+        matrix = part[:, None], parts + part[:, None], 2 * parts + part, np.array(3 * parts)
+        shapes = (n, n), (n, p), (m, n), (m, p)
+        rows, columns, kinds = (
+            objective.pack(*(np.broadcast_to(M, shape) for M, shape in zip(of, shapes, strict=True))).astype(
+                int
+            )
+            for of in (row, column, matrix)
+        )
+        self.size = kinds.size
+        self._blocks: list[_Block] = []
+        for kind in np.unique(kinds):
+            of = np.flatnonzero(kinds == kind)
+            self._add(of, rows[of], columns[of])
+            if objective.dc_block and kind < parts:
+                self._add(of, 2 * n + m + rows[of], 2 * n + p + columns[of])
 
-    @staticmethod
-    def _places(
-        objective: Objective,
-        a: Array,
-        b: Array,
-        c: Array,
-        d: Array,
-        sizes: tuple[int, int, int],
-        *,
-        rows: bool,
-    ) -> npt.NDArray[np.intp]:
-        """Return of every unknown where its row, or its column, stands among what a vector has for it."""
-        n, p, m = sizes
-        shapes = ((n, n), (n, p), (m, n), (m, p))
-        spread = [
-            np.broadcast_to(places[:, None] if rows else places[None, :], shape)
-            for places, shape in zip((a, b, c, d), shapes, strict=True)
-        ]
-        return objective.pack(*spread).astype(np.intp)
+    def _add(self, of: npt.NDArray[np.intp], row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> None:
+        (rows, i), (columns, j) = (np.unique(each, return_inverse=True) for each in (row, column))
+        self._blocks.append(_Block(of, rows, columns, i * len(columns) + j))
 
     def sides(
         self, reach: Complex, states: Complex, seen: Complex, right: Complex
     ) -> tuple[Complex, Complex]:
-        """Return what every eigenvector has for each unknown: left (2, j, unknowns), right (2, unknowns, j).
+        """Return what each eigenvector has for the unknowns: left ones outs (j, .), right ones ins (j, .).
 
         reach (j, m), states (j, n): l B and l at the controller. seen (p, j), right (n, j): C r and r there.
         """
         handed, fed = reach @ self._outer.T, self._inner @ seen
-        outs = np.concatenate([states, states + handed, reach], axis=1)[:, self._from]
-        ins = np.concatenate([right, seen, right + fed], axis=0)[self._to]
-        outs2, ins2 = np.zeros_like(outs), np.zeros_like(ins)
-        k = self._of_A
-        outs2[:, k], ins2[k] = -handed[:, self._from[k]], fed[self._to[k]]
-        return np.stack([outs, outs2]), np.stack([ins, ins2])
+        outs = np.concatenate([states, states + handed, reach, -handed], axis=1)
+        ins = np.concatenate([right, seen, right + fed, fed])
+        return outs, np.ascontiguousarray(ins.T)
 
-    def between(self, outs: Complex, ins: Complex) -> Complex:
-        """Return l dA r of every unknown, (j, unknowns): one left and many right vectors, or the reverse."""
-        turned = ins.transpose(0, 2, 1)
-        return np.asarray(outs[0] * turned[0] + outs[1] * turned[1])
+    def first(self, outs: Complex, ins: Complex) -> Complex:
+        """Return l dA r of k pairs of vectors for every unknown, (k, unknowns)."""
+        found = np.zeros((len(outs), self.size), dtype=complex)
+        for block in self._blocks:
+            found[:, block.of] += _products(outs[:, block.rows], ins[:, block.columns])[:, block.place]
+        return found
+
+    def second(self, outs: Complex, ins: Complex, resolvents: Complex) -> Array:
+        """Return the real part of the sum over k of (l dA S dA' r), (unknowns, unknowns): dA' in columns.
+
+        outs (k, .), ins (k, .): of l and r. resolvents (k, ins, outs): S.
+        """
+        found = np.zeros((self.size, self.size))
+        for a in self._blocks:
+            left, onward = outs[:, a.rows], resolvents[:, a.columns]
+            for b in self._blocks:
+                ends = _products(left, ins[:, b.columns])
+                between = onward[:, :, b.rows].reshape(len(outs), -1)
+                shape = len(a.rows), len(b.columns), len(a.columns), len(b.rows)
+                sums = (ends.T @ between).real.reshape(shape).transpose(0, 2, 3, 1)
+                pairs = sums.reshape(len(a.rows) * len(a.columns), -1)
+                found[np.ix_(a.of, b.of)] += pairs[np.ix_(a.place, b.place)]
+        return found
+
+
+def _products(a: Complex, b: Complex) -> Complex:
+    """Return every product of an entry of a (k, i) and one of b (k, j): (k, i j).
+
+    >>> _products(np.array([[1.0, 2.0]]), np.array([[3.0, 4.0]])).tolist()
+    [[3.0, 4.0, 6.0, 8.0]]
+    """
+    return np.asarray((a[:, :, None] * b[:, None, :]).reshape(len(a), -1))

@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..linear.matrices import STANDING
+from .spectra import eigensystems, eigenvalues
 from .swing_penalty import SwingPenalty
 
 Array = npt.NDArray[np.float64]
@@ -170,10 +171,8 @@ class Objective:
 
     def narrowed(self, theta: Array, within: float) -> Objective:
         """Return the objective over the models that are within `within` (damping) of the worst at `theta`."""
-        tops = [
-            float(self.excess(np.linalg.eigvals(A).astype(complex))[0].max())
-            for A in self.closed_loops(theta)
-        ]
+        spectra = self.spectra(self.unpack(theta))
+        tops = [float(top) for *_, v in spectra for top in v.max(axis=1)]
         names = [model.name for group in self.groups for model in group[0]]
         worst = max(tops)
         near = {name for name, top in zip(names, tops, strict=True) if top >= worst - within}
@@ -185,10 +184,10 @@ class Objective:
 
     def worst(self, theta: Array) -> tuple[float, float]:
         """Return (largest real part, least damping ratio among modes above 0.2 rad/s) over all models."""
-        eigenvalues = np.concatenate([np.linalg.eigvals(A) for A in self.closed_loops(theta)])
-        oscillating = eigenvalues[np.abs(eigenvalues.imag) > SLOW_RADIUS]
+        values = np.concatenate([eigenvalues(loops).ravel() for loops in self.loops(self.unpack(theta))])
+        oscillating = values[np.abs(values.imag) > SLOW_RADIUS]
         damping = -oscillating.real / np.abs(oscillating)
-        return float(eigenvalues.real.max()), float(damping.min(initial=1.0))
+        return float(values.real.max()), float(damping.min(initial=1.0))
 
     def __call__(self, theta: Array) -> tuple[float, Array]:
         """Return f and its gradient."""
@@ -245,7 +244,7 @@ class Objective:
         spectra = []
         for group, A, B, C in self.groups:
             loops = _loops(A, B, C, K)
-            excess = self.excess(np.linalg.eigvals(loops).astype(complex))[0]
+            excess = self.excess(eigenvalues(loops))[0]
             spectra.append((group, A.shape[1], loops, excess))
         return spectra
 
@@ -259,13 +258,12 @@ class Objective:
         for group, size, loops, v in spectra:
             # a model whose weight is below rounding adds nothing to the gradient
             share = (np.exp(self.rho * (v - top)) / total).sum(axis=1)
-            for k in map(int, np.flatnonzero(share > 1e-8)):
-                eigenvalues, right = np.linalg.eig(loops[k])
-                try:
-                    left = np.linalg.inv(right)
-                except np.linalg.LinAlgError:  # a defective matrix: its neighbours carry the gradient
+            few = np.flatnonzero(share > 1e-8)
+            for k, found in zip(map(int, few), eigensystems(loops[few]), strict=True):
+                if found is None:  # a defective matrix: its neighbours carry the gradient
                     continue
-                excess, dv = self.excess(eigenvalues)
+                values, right, left = found
+                excess, dv = self.excess(values)
                 weight = np.exp(self.rho * (excess - top)) / total
                 M = ((right * (weight * dv)) @ left).T.real
                 g = group[k]
@@ -275,13 +273,13 @@ class Objective:
                 dA += M[size:, size:]
         return float(f), dA, dB, dC, dD
 
-    def excess(self, eigenvalues: npt.NDArray[np.inexact[Any]]) -> tuple[Array, Complex]:
+    def excess(self, values: npt.NDArray[np.inexact[Any]]) -> tuple[Array, Complex]:
         """v of every eigenvalue and dv/da - j dv/db; -1 of the common speed, which no controller moves.
 
         The last axis holds the eigenvalues of one loop: the one nearest to 0 may be that speed, and no other.
         """
-        a, b = eigenvalues.real, eigenvalues.imag
-        modulus = np.abs(eigenvalues)
+        a, b = values.real, values.imag
+        modulus = np.abs(values)
         fast = modulus >= SLOW_RADIUS
         m = np.where(fast, modulus, SLOW_RADIUS)
         offset, slope = self.offsets(np.abs(b))

@@ -1,0 +1,44 @@
+"""Eigenvalues and eigenvectors of many closed loops, shared out over the processors.
+
+LAPACK uses one processor for matrices of this size, and a search does little else. The answers do not
+depend on how many there are: each loop is looked at by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
+
+#: matrices that a thread takes at a time: a call costs as much as some microseconds of one
+SHARE = 16
+
+
+def eigenvalues(loops: Array) -> Complex:
+    """Return the eigenvalues (k, n) of stacked matrices (k, n, n)."""
+    shares = [loops[k : k + SHARE] for k in range(0, len(loops), SHARE)]
+    with ThreadPoolExecutor() as pool:
+        found = [each.astype(complex) for each in pool.map(np.linalg.eigvals, shares)]
+    return np.concatenate([np.zeros((0, loops.shape[-1]), dtype=complex), *found])
+
+
+def eigensystems(loops: Sequence[Array] | Array) -> Iterator[tuple[Complex, Complex, Complex] | None]:
+    """Yield of each matrix (n, n) its eigenvalues (n,), right and left eigenvectors (n, n), l r = I.
+
+    None of a defective one.
+    """
+    with ThreadPoolExecutor() as pool:
+        yield from pool.map(_eigensystem, loops)
+
+
+def _eigensystem(loop: Array) -> tuple[Complex, Complex, Complex] | None:
+    values, right = (each.astype(complex) for each in np.linalg.eig(loop))
+    try:
+        return values, right, np.linalg.inv(right)
+    except np.linalg.LinAlgError:
+        return None
