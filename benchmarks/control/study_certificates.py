@@ -1,7 +1,7 @@
 """What WDC, CC and FTC hold over the family of `robust_latency`; writes the certificates beside the designs.
 
 Run `python benchmarks/control/study_certificates.py`; of its operating points the base and the weakest, tie
-+100 MW: full plants with exact latency, then every fault of the acceptance (288), clearing times left out.
++100 MW: full plants with exact latency, then every fault of the acceptance (576), clearing times left out.
 """
 
 from __future__ import annotations

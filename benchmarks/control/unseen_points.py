@@ -1,19 +1,21 @@
 """What the shipped robust controllers hold at operating points that no design saw.
 
-Run `python benchmarks/control/unseen_points.py [NAME...]`: full plants, exact latency, conditions
-of the design.
+Run `python benchmarks/control/unseen_points.py [--faults] [NAME...]`: full plants, exact latency,
+conditions of the design. With `--faults` the non-linear faults of its acceptance there, at places where no
+design had one too.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import control
 import numpy as np
 
+from interarea.cosim.designs.acceptance import FaultPlace, judge_acceptance
 from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.designs.family import DENSE_STATES, named_modes
 from interarea.cosim.run.artefacts import sparse_linear_plant
@@ -70,6 +72,17 @@ POINTS: Mapping[str, Mapping[str, Change]] = {
 }
 
 
+#: faults that no design saw, beside those of its acceptance
+PLACES: Mapping[str, Sequence[FaultPlace]] = {
+    "two-area-thesis": [
+        FaultPlace(bus=6),
+        FaultPlace(bus=10),
+        FaultPlace(bus=7, trip="7-8 b"),
+        FaultPlace(bus=9, trip="8-9 b"),
+    ],
+}
+
+
 def speeds(plant: SparsePlant) -> control.StateSpace:
     """Return a plant of sparse blocks as matrices, all speeds as outputs (pu), no reference angle."""
     C = np.eye(plant.nstates)[plant.speed]
@@ -95,29 +108,65 @@ def judged(case: Case, cache: Path) -> tuple[JudgedPlant, Mapping[str, Mode]]:
     return speeds_in_rad(plant, case.omega_b), named_modes(plant, case) or {}
 
 
-def main(names: list[str]) -> None:
-    """Print one line per shipped controller and operating point, and how many conditions are unstable."""
-    cache = default_cache()
+def unseen(name: str) -> dict[str, Case]:
+    """Return the operating points of `POINTS` that the design `name` has not got."""
+    table = load_design(name)
+    seen = {tuple(point.out) for point in table.point if point.out}
+    return {
+        point: operating_variant(table.grid, **change)
+        for point, change in POINTS[table.grid.name].items()
+        if not (tuple(change.get("out", ())) in seen and len(change) == 1)
+    }
+
+
+def small_signal(name: str, cache: Path) -> None:
+    """Print a line for each operating point, and how many conditions are unstable."""
+    controller, table = shipped_controller(name), load_design(name)
+    for point, case in unseen(name).items():
+        plant, modes = judged(case, cache)
+        found = judge_family(
+            {point: plant},
+            controller.system,
+            table.family(),
+            bands_hz={point: inter_area_band(modes)},
+        )
+        unstable = sum(not row.stable for row in found.rows)
+        alone = min((mode.damping_ratio for mode in modes.values()), default=1.0)
+        print(
+            f"{name:14} {point:20} worst {found.worst_swing:.3f} ({alone:.3f} without) "
+            f"inter-area {found.inter_area:.3f} unstable {unstable} of {len(found.rows)}",
+            flush=True,
+        )
+
+
+def faults(name: str, cache: Path) -> None:
+    """Print a line for each operating point, and what of all faults is lost and gained."""
+    controller, table = shipped_controller(name), load_design(name)
+    if table.acceptance is None:
+        print(f"{name:14} its design names no faults")
+        return
+    count = lost = gained = 0
+    for point, case in unseen(name).items():
+        there = {branch.name for branch in case.branches}
+        places = [*table.acceptance.fault, *PLACES.get(table.grid.name, ())]
+        places = [place for place in places if place.trip is None or place.trip in there]
+        wanted = table.acceptance.model_copy(update={"fault": tuple(places)})
+        found = judge_acceptance(controller, {point: case}, wanted, cache, clearing=False)
+        count, lost, gained = count + found.cases, lost + len(found.lost), gained + len(found.gained)
+        print(
+            f"{name:14} {point:20} {found.cases} faults, {len(found.lost)} lost, {len(found.gained)} gained",
+            *(f"    lost: {each}" for each in found.lost),
+            sep="\n",
+            flush=True,
+        )
+    print(f"{name:14} in all: {count} faults, {lost} lost, {gained} gained")
+
+
+def main(arguments: list[str]) -> None:
+    """Print what each shipped controller that is named holds, or all of them."""
+    names = [name for name in arguments if name != "--faults"]
     for name in names or shipped_names():
-        controller, table = shipped_controller(name), load_design(name)
-        seen = {tuple(point.out) for point in table.point if point.out}
-        for point, change in POINTS[table.grid.name].items():
-            if tuple(change.get("out", ())) in seen and len(change) == 1:
-                continue
-            plant, modes = judged(operating_variant(table.grid, **change), cache)
-            found = judge_family(
-                {point: plant},
-                controller.system,
-                table.family(),
-                bands_hz={point: inter_area_band(modes)},
-            )
-            unstable = sum(not row.stable for row in found.rows)
-            alone = min((mode.damping_ratio for mode in modes.values()), default=1.0)
-            print(
-                f"{name:14} {point:20} worst {found.worst_swing:.3f} ({alone:.3f} without) "
-                f"inter-area {found.inter_area:.3f} unstable {unstable} of {len(found.rows)}",
-                flush=True,
-            )
+        (faults if "--faults" in arguments else small_signal)(name, default_cache())
 
 
 if __name__ == "__main__":

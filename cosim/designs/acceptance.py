@@ -1,9 +1,10 @@
 """Whether a controller keeps a grid together that stays together without it, and for how long a fault.
 
 Eigenvalues do not show it: a controller with good ones can add to the first swing after a fault and lose a
-grid that holds without it, most of all where exciters have ceilings. So every combination of operating point,
-exciter ceiling, fault, lost signal and latency is run through the non-linear plant, beside the same without
-control; and for each point, ceiling and fault the clearing time that is just survived is searched for both.
+grid that holds without it, most of all where exciters have ceilings. So every combination of operating
+point, exciter ceiling, kind of loads, fault, lost signal and latency is run through the non-linear plant,
+beside the same without control; and for each point, ceiling, kind and fault the clearing time that is just
+survived is searched for both.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
@@ -24,6 +26,8 @@ from interarea.models.table import Table
 from ..scenario.names import CONTROLLER_NAMES
 from .fault_runs import FaultRun, FaultRuns, longest_kept
 from .first_swing import Positive, after_clearing
+
+Exponent = Annotated[float, Field(ge=0.0)]
 
 
 class FaultPlace(Table):
@@ -40,6 +44,7 @@ class AcceptanceTable(Table):
     """What a controller must survive: every combination is run.
 
     ceilings : (least, most) field voltage of every exciter that has limits, pu; as the case has them too.
+    loads : exponents of P and Q of every load; as the case has them too.
     latency_s : of every signal. Each signal is lost in turn at `lost_s`, and none.
     clear_cycles : of the fault, periods of the case's frequency.
     """
@@ -47,6 +52,9 @@ class AcceptanceTable(Table):
     fault: tuple[FaultPlace, ...] = Field(min_length=1)  #: the faults, each tried at every operating point
     #: (least, most) field voltage of every exciter that has limits, pu; as the case has them too
     ceilings: tuple[tuple[float, float], ...] = ()
+    #: exponents of P and Q of every load, such as 1 and 2: P of constant current, Q of constant impedance; as
+    #: the case has them too
+    loads: tuple[tuple[Exponent, Exponent], ...] = ()
     #: of every signal, one run for each value
     latency_s: tuple[Annotated[float, Field(ge=0.0)], ...] = Field((0.1,), min_length=1)
     clear_cycles: Positive = 8.0  #: how long the fault lasts, periods of the case's frequency
@@ -67,14 +75,21 @@ class Setting:
     fault: FaultPlace
     lost: tuple[str, ...] = ()
     latency_s: float = 0.0
+    loads: tuple[float, float] | None = None
 
     @property
     def ceilings(self) -> str:
         """The exciters' ceilings in words."""
         return "of the case" if self.ceiling is None else f"{self.ceiling[0]:g}/{self.ceiling[1]:g} pu"
 
+    @property
+    def load_kind(self) -> str:
+        """The loads in words."""
+        return "of the case" if self.loads is None else "P ~ V^{:g}, Q ~ V^{:g}".format(*self.loads)
+
     def __str__(self) -> str:
         limits = "" if self.ceiling is None else f", ceilings {self.ceilings}"
+        limits += "" if self.loads is None else f", loads {self.load_kind}"
         missing = f", {' and '.join(self.lost)} lost" if self.lost else ""
         return f"{self.point}{limits}, fault at {self.fault}{missing}, {1e3 * self.latency_s:g} ms"
 
@@ -88,6 +103,7 @@ class ClearingRow:
     fault: str
     without: float | None
     with_control: float | None
+    loads: str = "of the case"
 
 
 @dataclass(frozen=True)
@@ -122,19 +138,23 @@ Try: TypeAlias = tuple[Setting, bool]
 
 
 def settings_of(
-    table: AcceptanceTable, point: str, ceiling: tuple[float, float] | None, signals: Sequence[str]
+    table: AcceptanceTable,
+    point: str,
+    ceiling: tuple[float, float] | None,
+    signals: Sequence[str],
+    loads: tuple[float, float] | None = None,
 ) -> Iterator[tuple[Setting, list[Setting]]]:
     """Give each setting of an operating point without control and those with control that belong to it."""
     losses: list[tuple[str, ...]] = [(), *((name,) for name in signals)] if len(signals) > 1 else [()]
     for fault in table.fault:
         yield (
-            Setting(point, ceiling, fault),
-            [Setting(point, ceiling, fault, lost, s) for lost in losses for s in table.latency_s],
+            Setting(point, ceiling, fault, loads=loads),
+            [Setting(point, ceiling, fault, lost, s, loads) for lost in losses for s in table.latency_s],
         )
 
 
 class Trial:
-    """Runs the settings of an acceptance at one operating point under one ceiling, side by side."""
+    """Runs the settings of an acceptance in one grid, side by side: an operating point, ceilings, loads."""
 
     def __init__(
         self,
@@ -143,9 +163,11 @@ class Trial:
         table: AcceptanceTable,
         cache: Path,
         ceiling: tuple[float, float] | None = None,
+        loads: tuple[float, float] | None = None,
     ) -> None:
         self.controller, self.table = controller, table
-        self._runs = FaultRuns(case if ceiling is None else with_ceilings(case, *ceiling), cache)
+        case = case if ceiling is None else with_ceilings(case, *ceiling)
+        self._runs = FaultRuns(case if loads is None else with_loads(case, *loads), cache)
 
     def __enter__(self) -> Trial:
         return self
@@ -191,6 +213,12 @@ def with_ceilings(case: Case, least: float, most: float) -> Case:
     return case.with_changes({"machines": change}, name=f"{case.name}-ceilings-{least:g}-{most:g}")
 
 
+def with_loads(case: Case, of_p: float, of_q: float) -> Case:
+    """Return `case` with these exponents of active and reactive power for every load."""
+    kind = {"P_exponent": of_p, "Q_exponent": of_q, "P_zip": None, "Q_zip": None}
+    return case.with_changes({"loads": {load.name: kind for load in case.loads}})
+
+
 def judge_acceptance(
     controller: Controller,
     cases: Mapping[str, Case],
@@ -205,15 +233,15 @@ def judge_acceptance(
     clearing : search the clearing times too, at the first latency with the first signal lost.
     progress : called with the share of the operating points and ceilings that is done.
     """
-    places = [(point, ceiling) for point in cases for ceiling in (None, *table.ceilings)]
+    places = list(product(cases, (None, *table.ceilings), (None, *table.loads)))
     lost: list[str] = []
     gained: list[str] = []
     rows: list[ClearingRow] = []
     largest, count = 0.0, 0
-    for done, (point, ceiling) in enumerate(places):
+    for done, (point, ceiling, loads) in enumerate(places):
         progress(done / len(places))
-        groups = list(settings_of(table, point, ceiling, controller.inputs))
-        with Trial(cases[point], controller, table, cache, ceiling) as trial:
+        groups = list(settings_of(table, point, ceiling, controller.inputs, loads))
+        with Trial(cases[point], controller, table, cache, ceiling, loads) as trial:
             angles = _angles(trial, groups, table.clear_cycles)
             for alone, settings in groups:
                 holds = angles[alone, False] < np.pi
@@ -241,7 +269,14 @@ def _clearing_rows(trial: Trial, groups: Sequence[tuple[Setting, list[Setting]]]
         [each for alone, hard in hardest.items() for each in ((alone, False), (hard, True))]
     )
     return [
-        ClearingRow(alone.point, alone.ceilings, str(alone.fault), found[alone, False], found[hard, True])
+        ClearingRow(
+            alone.point,
+            alone.ceilings,
+            str(alone.fault),
+            found[alone, False],
+            found[hard, True],
+            alone.load_kind,
+        )
         for alone, hard in hardest.items()
     ]
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import control
+import numpy as np
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from interarea.design.controllers.bundled import shipped_controller, shipped_names
@@ -17,6 +18,7 @@ from interarea.design.robust.design import design_robust
 from interarea.design.robust.operating_points import FamilyCertificate, inter_area_band, judge_family
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.spec import RobustSpec, require_moved
+from interarea.models.blocks.plant_shown import shown_of
 from interarea.models.case.case import Case, load_case
 from interarea.models.mistakes import mistakes
 from interarea.models.table import Table
@@ -24,7 +26,7 @@ from interarea.models.table import Table
 from ..errors import ScenarioError, nearest
 from ..toml_file import read_toml
 from .acceptance import AcceptanceTable, judge_acceptance
-from .design_tables import AskTable, GuardTable, PartTable, PointTable, Positive, StageTable
+from .design_tables import AskTable, GuardTable, Offsets, PartTable, PointTable, Positive, StageTable
 from .family import family_cases, family_plants
 from .first_swing import FaultRow, FaultTable, after_fault, predicted_drive
 from .swing_sensitivity import FirstSwingTable, swing_penalty
@@ -62,7 +64,7 @@ class DesignTable(Table):
     effort_cap: tuple[tuple[Positive, Positive], ...] = ((0.05, 0.155), (300.0, 0.155))
     effort_under: tuple[str, ...] = ()  #: conditions under which the search holds that cap; none: all
     #: (rad/s, damping): how much more than elsewhere the optimisation wants there, piecewise linear
-    offset: tuple[tuple[float, float], ...] = Field(tuple(zip(*_OFFSETS, strict=True)), min_length=2)
+    offset: Offsets = Field(tuple(zip(*_OFFSETS, strict=True)), min_length=2)
     rho: Positive = 600.0  #: how closely the smoothed worst damping of the search follows the worst
     limit_pu: Positive = 0.15  #: bound of the magnitude of every output
     guard: GuardTable | None = None  #: limits of the output that fall during a first swing
@@ -180,6 +182,7 @@ class DesignTable(Table):
             effort_under=self.effort_under,
             stages=tuple(stage.stage() for stage in self.stage),
             offsets=BandOffsets(*zip(*self.offset, strict=True)),
+            more={p.name: BandOffsets(*zip(*p.more, strict=True)) for p in self.point if p.more},
             rho=self.rho,
             starts=self.starts,
             evaluations=self.evaluations,
@@ -255,9 +258,11 @@ def run_design(
     Raises
     ------
     InfeasibleDesign : a mode out of reach, or no start that keeps every design model stable.
+    ScenarioError : a guard that follows what the plant does not show.
     """
     linearising, searching, certifying = DESIGN_STEPS
     progress(linearising, 0.0, "")
+    _check_followed(table)
     found, spec, omega_b = family_plants(table, cache), table.spec(), table.grid.omega_b
     plants = {name: each.searched for name, each in found.items()}
     for name, plant in plants.items():
@@ -288,11 +293,31 @@ def run_design(
         "evaluations": made.evaluations,
     }
     guard = None if table.guard is None else table.guard.guard()
-    controller = Controller(table.name, made.system, table.limit_pu, facts, guard=guard)
+    system = made.system if guard is None else _seeing(made.system, guard.follows)
+    controller = Controller(table.name, system, table.limit_pu, facts, guard=guard)
     held = certify(table, controller, cache, progress=lambda _, share: progress(certifying, share, ""))
     progress(certifying, 1.0, "")
     controller = replace(controller, certificate=held.as_dict())
     return Designed(controller, {f"start {k}": K for k, K in enumerate(made.tried, start=1)})
+
+
+def _check_followed(table: DesignTable) -> None:
+    """Refuse a guard that follows what is no output of the plant, before the search."""
+    follows = None if table.guard is None else table.guard.follows
+    shown = [each.variable.name for each in shown_of(table.grid) if each.variable.role == "output"]
+    if follows is not None and follows not in shown:
+        raise ScenarioError(
+            f"design {table.name}: guard.follows = {follows!r} is no output of the plant of "
+            f"{table.case}; {nearest(follows, shown)}"
+        )
+
+
+def _seeing(K: control.StateSpace, signal: str | None) -> control.StateSpace:
+    """Return `K` with an input of this name too, for its guard: the linear part does not answer it."""
+    if signal is None or signal in K.input_labels:
+        return K
+    B, D = (np.hstack([M, np.zeros((M.shape[0], 1))]) for M in (K.B, K.D))
+    return control.ss(K.A, B, K.C, D, inputs=[*K.input_labels, signal], outputs=K.output_labels, name=K.name)
 
 
 def _recorded(table: DesignTable) -> dict[str, Any]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.stages import Stage
@@ -14,6 +15,17 @@ from interarea.models.table import Table
 Positive = Annotated[float, Field(gt=0.0)]
 
 
+def _rising(nodes: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+    for (low, _), (high, _) in pairwise(nodes):
+        if not high > low:
+            raise ValueError(f"has {high:g} rad/s after {low:g} rad/s, allowed: rising ones")
+    return nodes
+
+
+#: (rad/s, damping), straight between the nodes
+Offsets = Annotated[tuple[tuple[float, float], ...], AfterValidator(_rising)]
+
+
 class PointTable(Table):
     """One operating point, as a change to the case (`models.case_variants`)."""
 
@@ -21,6 +33,8 @@ class PointTable(Table):
     tie_flow_mw: float = 0.0  #: load moved across the tie, so that its flow grows by this
     out: tuple[str, ...] = ()  #: branches out of service
     load_scale: Positive = 1.0  #: factor on every load
+    #: (rad/s, damping) wanted here on top of `offset` of the design; none: as much as elsewhere
+    more: Offsets = ()
 
 
 Ratio = Annotated[float, Field(ge=-1.0, lt=1.0)]
@@ -53,15 +67,13 @@ class StageTable(Table):
     #: how closely the smoothed worst damping follows the worst, from one value to the next
     rho: tuple[Positive, ...] = Field((60.0, 120.0, 300.0), min_length=1)
     steps: Annotated[int, Field(ge=1)] = 40  #: of the descent at each value of `rho`, at most
-    #: turns of the descent and of L-BFGS at each value of `rho`, at most; many go on for smaller gains
-    turns: Annotated[int, Field(ge=1)] = 3
     #: (rad/s, damping) as `offset` of the design, in this stage alone; none: that of the design
-    offset: tuple[tuple[float, float], ...] = ()
+    offset: Offsets = ()
 
     def stage(self) -> Stage:
         """Return it as the search takes it."""
         offsets = BandOffsets(*zip(*self.offset, strict=True)) if self.offset else None
-        return Stage(self.points, self.conditions, self.rho, self.steps, self.turns, offsets)
+        return Stage(self.points, self.conditions, self.rho, self.steps, offsets)
 
 
 class GuardTable(Table):
@@ -73,6 +85,9 @@ class GuardTable(Table):
     #: time constant of the washout before it, so that a lasting deviation does not hold the limit shut
     washout_s: Positive = 10.0
     lowpass_s: Positive = 1.0  #: time constant of the low pass on the watched signal
+    #: output of the plant, a power flow, with whose sign the sides turn, such as `tie_p`; none: they stand
+    follows: str | None = None
+    flow_pu: Positive = 0.1  #: slow course of that flow at which the sides are whole
 
     def guard(self) -> Guard:
         """Return it as a controller has it."""

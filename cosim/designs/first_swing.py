@@ -118,8 +118,13 @@ def mean_drive(
 
     K : inputs ``*_dw`` in rad/s, outputs in pu. speeds : machine -> rad/s. lost : read zero.
     """
+    # what only a guard looks at, a flow, drives nothing
+    driving = np.count_nonzero(np.vstack([K.B, K.D]), axis=0)
     u = np.column_stack(
-        [np.zeros_like(time_s) if n in lost else speeds[n.removesuffix("_dw")] for n in K.input_labels]
+        [
+            speeds[name.removesuffix("_dw")] if drives and name not in lost else np.zeros_like(time_s)
+            for name, drives in zip(K.input_labels, list(driving), strict=True)
+        ]
     )
     even = np.arange(time_s[0], time_s[-1], 2e-3)
     u = np.column_stack([np.interp(even, time_s, column) for column in u.T])

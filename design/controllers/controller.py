@@ -295,8 +295,9 @@ def guard_of(data: Any) -> Guard:
     if not isinstance(data, dict) or not set(data) <= set(keys) or not {"watched", "sides"} <= set(data):
         got = list(data) if isinstance(data, dict) else type(data).__name__
         raise ControllerError(f"guard has {got}, allowed: {', '.join(keys)}")
-    numbers = {k: float(data[k]) for k in keys[2:] if k in data}
-    return Guard(dict(data["watched"]), {k: float(v) for k, v in data["sides"].items()}, **numbers)
+    numbers = {k: float(data[k]) for k in keys[2:] if k in data and k != "follows"}
+    sides = {k: float(v) for k, v in data["sides"].items()}
+    return Guard(dict(data["watched"]), sides, follows=data.get("follows"), **numbers)
 
 
 def plain(value: Any) -> Any:

@@ -20,6 +20,9 @@ class Guard:
     sides : output -> share of the limit that falls, above 0 of the upper one, below 0 of the lower one.
     threshold : deviation of the speed from its slow course at which that share has fallen, pu.
     washout_s, lowpass_s : time constants of that slow course and of letting go, s.
+    follows : input, a power flow, with whose sign the sides turn: which side adds to a swing depends on which
+        end of a tie sends. None: they stand.
+    flow_pu : slow course of that flow at which the sides are whole.
     """
 
     watched: Mapping[str, str]
@@ -27,6 +30,8 @@ class Guard:
     threshold: float
     washout_s: float = 10.0
     lowpass_s: float = 1.0
+    follows: str | None = None
+    flow_pu: float = 0.1
 
     def check(self, name: str, inputs: Sequence[str], outputs: Sequence[str]) -> None:
         """Raise ValueError where the guard does not fit a controller with these inputs and outputs."""
@@ -36,10 +41,15 @@ class Guard:
                 f"controller {name}: guard watches {dict(self.watched)} with sides {dict(self.sides)}, "
                 f"allowed: outputs of {list(outputs)}, inputs of {list(inputs)}, the same outputs in both"
             )
+        if self.follows is not None and self.follows not in inputs:
+            raise ValueError(
+                f"controller {name}: guard follows {self.follows!r}, allowed: inputs of {list(inputs)}"
+            )
         for what, value in (
             ("threshold", self.threshold),
             ("washout_s", self.washout_s),
             ("lowpass_s", self.lowpass_s),
+            ("flow_pu", self.flow_pu),
         ):
             if not (value > 0.0 and np.isfinite(value)):
                 raise ValueError(f"controller {name}: guard {what} is {value}, allowed: above 0")
@@ -47,6 +57,7 @@ class Guard:
             raise ValueError(f"controller {name}: guard sides are {dict(self.sides)}, allowed: -1 to 1")
 
 
+COURSE = "flow_course"  #: state of guards that follow a flow
 SOURCE = Path(__file__).resolve().parents[1] / "c" / "controller" / "state_space.c"
 
 
@@ -67,10 +78,13 @@ def _state_variables(states: Sequence[str], inputs: Sequence[str]) -> list[Varia
     ]
 
 
-def _watched(guard: Guard, inputs: Sequence[str], outputs: Sequence[str]) -> npt.NDArray[np.int32]:
-    """Return for each output the position of the input that its guard watches, -1 without one."""
+def _guard_record(
+    guard: Guard, inputs: Sequence[str], outputs: Sequence[str]
+) -> dict[str, npt.NDArray[np.int32]]:
+    """Return which input the guard of each output watches, -1 without one, and which is the flow."""
     places = [inputs.index(guard.watched[y]) if y in guard.watched else -1 for y in outputs]
-    return np.array(places, dtype=np.int32)
+    follows = {} if guard.follows is None else {"guard.follows": [inputs.index(guard.follows)]}
+    return {name: np.array(each, dtype=np.int32) for name, each in ({"guard": places} | follows).items()}
 
 
 def controller_block(
@@ -153,11 +167,11 @@ def controller_block(
         name=name,
         description=f"Linear controller of order {n} with outputs limited to +-{limit:g} pu",
         table=VariableTable(variables),
-        data={} if guard is None else {"guard": _watched(guard, inputs, outputs)},
+        data={} if guard is None else _guard_record(guard, inputs, outputs),
         sources=(SOURCE,),
         internal_step_s=_internal_step_s(matrices["A"]),
         documentation={
-            "Equations": _EQUATIONS if guard is None else _EQUATIONS + _GUARD_EQUATIONS,
+            "Equations": _equations(guard),
             **(documentation or {}),
         },
         provenance=dict(provenance or {}),
@@ -194,6 +208,20 @@ def _with_guard_states(
                     depends_on=seen,
                 )
             )
+    if guard.follows is not None:
+        what = f"Slow course of {guard.follows}, with whose sign the sides of the guards turn"
+        # a start value would be overwritten with the flow at rest
+        states.append(Variable(COURSE, "state", what, unit="pu", start=0.0))
+        derivatives.append(
+            Variable(
+                f"der({COURSE})",
+                "derivative",
+                f"Derivative of {COURSE}",
+                unit="1/s",
+                derivative_of=COURSE,
+                depends_on=(COURSE, guard.follows),
+            )
+        )
     half = len(linear) // 2
     return [*linear[:half], *states, *linear[half:], *derivatives]
 
@@ -204,7 +232,8 @@ def _seen_by(
     """What an output depends on: the filters and the watched signal of its guard too."""
     if guard is None or y not in filters:
         return linear
-    return tuple(dict.fromkeys((*linear, *filters[y], guard.watched[y])))
+    turning = () if guard.follows is None else (COURSE,)
+    return tuple(dict.fromkeys((*linear, *filters[y], *turning, guard.watched[y])))
 
 
 def _guard_parameters(guard: Guard | None, outputs: Sequence[str]) -> list[Variable]:
@@ -224,6 +253,9 @@ def _guard_parameters(guard: Guard | None, outputs: Sequence[str]) -> list[Varia
         ("guard_washout", guard.washout_s, "Time constant of the slow course that is taken off", "s"),
         ("guard_lowpass", guard.lowpass_s, "Time constant with which the guard lets go", "s"),
     ]
+    if guard.follows is not None:
+        text = f"Slow course of {guard.follows} at which the sides are whole; below 0 they are turned"
+        rows.append(("guard_flow", guard.flow_pu, text, "pu"))
     return [
         Variable(
             name,
@@ -249,6 +281,16 @@ _GUARD_EQUATIONS = (
     "Where its guard_side is above 0 the upper limit is limit (1 &minus; q guard_side), where it is below 0 "
     "the lower one &minus;limit (1 + q guard_side): no control on the side that adds to a first swing.</p>"
 )
+_TURNING = (
+    "<p>The sides turn with the slow course c of a flow f, which starts at the flow at rest: "
+    "dc/dt = (f &minus; c) / guard_washout, each guard_side times max(&minus;1, min(1, c / guard_flow)).</p>"
+)
+
+
+def _equations(guard: Guard | None) -> str:
+    if guard is None:
+        return _EQUATIONS
+    return _EQUATIONS + _GUARD_EQUATIONS + ("" if guard.follows is None else _TURNING)
 
 
 def _internal_step_s(A: npt.NDArray[np.float64]) -> float:

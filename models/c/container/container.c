@@ -327,12 +327,37 @@ static BlockStatus collect_marks(const ClosedLoop *l, double t, BlockMessage *me
     return BLOCK_ERROR;
 }
 
+static BlockStatus start_member(ClosedLoop *l, size_t k, double t, BlockMessage *message)
+{
+    size_t count;
+    const double *start = record_f64(&l->record[k], "start.real", &count);
+
+    if (start == NULL || count < l->block[k].layout.n_x) return unfit(message, "a member's `start.real`");
+    memset(l->block[k].memory, 0, l->plan->member[k].n_memory * sizeof(double));
+    memcpy(l->block[k].x, start, l->block[k].layout.n_x * sizeof(double));
+    if (l->block[k].layout.n_iu > 0) {
+        const int32_t *flags = record_i32(&l->record[k], "start.integer", &count);
+        if (flags == NULL || count < l->block[k].layout.n_iu) return unfit(message, "a member's `start.integer`");
+        for (size_t i = 0; i < l->block[k].layout.n_iu; ++i) l->block[k].iu[i] = flags[i];
+    }
+    return l->member[k]->start(&l->block[k], t, message);
+}
+
+/* Whether a controller starts from what it sees at rest. */
+static int starts_from_rest(const ClosedLoop *l)
+{
+    size_t count;
+
+    for (size_t k = 0; k < l->count; ++k)
+        if (l->kind[k] == KIND_CONTROLLER && record_i32(&l->record[k], "guard.follows", &count) != NULL) return 1;
+    return 0;
+}
+
 BlockStatus block_start(Block *b, double t, BlockMessage *message)
 {
     ClosedLoop l;
     LoopPlan plan;
     BlockStatus status = read_loop(&plan, &l, b->record, &b->layout, 0, message);
-    size_t count;
 
     if (status != BLOCK_OK) return status;
     if (!(fabs(t) < 9e6)) {
@@ -344,16 +369,13 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     if ((status = open_loop(&l, b, message)) != BLOCK_OK) return status;
     b->memory[M_ORIGIN] = b->memory[M_LAST_EVENT] = t;
     for (size_t k = 0; k < l.count; ++k) {
-        const double *start = record_f64(&l.record[k], "start.real", &count);
-        if (start == NULL || count < l.block[k].layout.n_x) return unfit(message, "a member's `start.real`");
-        memcpy(l.block[k].x, start, l.block[k].layout.n_x * sizeof(double));
-        if (l.block[k].layout.n_iu > 0) {
-            const int32_t *flags = record_i32(&l.record[k], "start.integer", &count);
-            if (flags == NULL || count < l.block[k].layout.n_iu) return unfit(message, "a member's `start.integer`");
-            for (size_t i = 0; i < l.block[k].layout.n_iu; ++i) l.block[k].iu[i] = flags[i];
-        }
-        if ((status = l.member[k]->start(&l.block[k], t, message)) != BLOCK_OK) return status;
+        if ((status = start_member(&l, k, t, message)) != BLOCK_OK) return status;
         if (l.kind[k] == KIND_PLANT) b->lanes = l.block[k].lanes;
+    }
+    if (starts_from_rest(&l)) {
+        if ((status = closed_loop_refresh(&l, t, message)) != BLOCK_OK) return status;
+        for (size_t k = 0; k < l.count; ++k)
+            if (l.kind[k] != KIND_PLANT && (status = start_member(&l, k, t, message)) != BLOCK_OK) return status;
     }
     return collect_marks(&l, t, message);
 }

@@ -10,10 +10,16 @@
  *     q = min(1, max(|s - w|, |l|) / threshold),
  *     high = limit (1 - q side) where side > 0,   low = limit (1 + q side) where side < 0
  *
+ * Which side adds to a swing depends on which end of a tie sends. Guards that
+ * follow a power flow f have their sides times that of its slow course c, which
+ * starts at the flow at rest:
+ *
+ *     dc/dt = (f - c) / washout,   side = given side * max(-1, min(1, c / flow))
+ *
  * The matrices are parameters of the FMU, rows first, in the order A, B, C, D,
  * limit; then, where the record has `guard` (per output the number of the input
  * that it watches, or -1), side of each guarded output, threshold, washout and
- * lowpass. A limited output moves with its limit only: its directional
+ * lowpass, and where it has `guard.follows` (the number of an input), flow. A limited output moves with its limit only: its directional
  * derivative is that of the limit. On a limit itself the inner side is taken.  */
 #include <math.h>
 #include <stdio.h>
@@ -23,7 +29,8 @@
 
 const int block_is_sampled = 0;
 
-enum { M_GUARDS, M_WATCHED, M_COUNT };   /* outputs with a guard; where in the record they are named */
+/* outputs with a guard, where in the record they are named, input they follow (or none: -1) */
+enum { M_GUARDS, M_WATCHED, M_FOLLOWS, M_COUNT };
 
 typedef struct {
     const double *A, *B, *C, *D;
@@ -32,6 +39,8 @@ typedef struct {
     const int32_t *watched;      /* per output, NULL: no guards                     */
     const double *side;          /* per guard                                       */
     double threshold, washout, lowpass;
+    double flow;                 /* at which the sides are whole                    */
+    int32_t follows;             /* input whose slow course is the last state; -1: none */
 } Gains;
 
 /* What a guard sees: signal behind the washout and its low pass, and their share of the threshold. */
@@ -47,6 +56,15 @@ static size_t guards_of(const Record *record, size_t outputs, const int32_t **wa
     return guards;
 }
 
+/* The input whose sign turns the sides; -1: none. */
+static int32_t followed(const Record *record)
+{
+    size_t count;
+    const int32_t *input = record_i32(record, "guard.follows", &count);
+
+    return input != NULL && count == 1 ? input[0] : -1;
+}
+
 static Gains gains_of(const Block *b)
 {
     const size_t m = b->layout.n_u, p = b->layout.n_y;
@@ -54,7 +72,8 @@ static Gains gains_of(const Block *b)
 
     g.guards = (size_t)b->memory[M_GUARDS];
     g.watched = g.guards == 0 ? NULL : (const int32_t *)(const void *)(b->record->bytes + (size_t)b->memory[M_WATCHED]);
-    g.n = b->layout.n_x - 2 * g.guards;
+    g.follows = (int32_t)b->memory[M_FOLLOWS];
+    g.n = b->layout.n_x - 2 * g.guards - (g.follows >= 0 ? 1u : 0u);
     g.A = b->p;
     g.B = g.A + g.n * g.n;
     g.C = g.B + g.n * m;
@@ -64,6 +83,7 @@ static Gains gains_of(const Block *b)
     g.threshold = g.guards > 0 ? g.side[g.guards] : 1.0;
     g.washout = g.guards > 0 ? g.side[g.guards + 1] : 1.0;
     g.lowpass = g.guards > 0 ? g.side[g.guards + 2] : 1.0;
+    g.flow = g.follows >= 0 ? g.side[g.guards + 3] : 1.0;
     return g;
 }
 
@@ -75,6 +95,18 @@ static Swing swing_of(const Gains *g, const double *x, double signal, size_t gua
     s.slow = x[g->n + 2 * guard + 1];
     s.share = fmin(1.0, fmax(fabs(s.fast), fabs(s.slow)) / g->threshold);
     return s;
+}
+
+/* By what the sides of the guards are multiplied. */
+static double turn_of(const Gains *g, const double *x)
+{
+    return g->follows < 0 ? 1.0 : fmax(-1.0, fmin(1.0, x[g->n + 2 * g->guards] / g->flow));
+}
+
+/* Derivative of that. */
+static double turn_slope(const Gains *g, double turn, const double *vx)
+{
+    return g->follows >= 0 && fabs(turn) < 1.0 ? vx[g->n + 2 * g->guards] / g->flow : 0.0;
 }
 
 /* out = M x + N u */
@@ -94,9 +126,12 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
 {
     const size_t m = layout->n_u, p = layout->n_y;
     const int32_t *watched;
-    const size_t guards = guards_of(record, p, &watched), own = guards > 0 ? guards + 3 : 0;
-    const size_t n = layout->n_x - 2 * guards;
-    int fits = layout->n_x >= 2 * guards && layout->n_iu + layout->n_ip == 0
+    const int32_t follows = followed(record);
+    const size_t guards = guards_of(record, p, &watched), turned = follows >= 0 ? 1u : 0u;
+    const size_t own = guards > 0 ? guards + 3 + turned : 0, extra = 2 * guards + turned;
+    const size_t n = layout->n_x - extra;
+    int fits = layout->n_x >= extra && layout->n_iu + layout->n_ip == 0
+               && turned <= guards && follows < (int32_t)m
                && layout->n_p == n * n + n * m + p * n + p * m + 1 + own;
 
     for (size_t i = 0; watched != NULL && i < p; ++i) fits = fits && watched[i] < (int32_t)m;
@@ -118,17 +153,19 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     (void)t;
     b->memory[M_GUARDS] = (double)guards_of(b->record, b->layout.n_y, &watched);
     b->memory[M_WATCHED] = watched == NULL ? 0.0 : (double)((const unsigned char *)watched - b->record->bytes);
+    b->memory[M_FOLLOWS] = (double)followed(b->record);
     const Gains g = gains_of(b);
     if (!(g.limit > 0.0)) {
         snprintf(message->text, sizeof message->text, "controller: limit is %g, it must be positive", g.limit);
         return BLOCK_ERROR;
     }
-    if (!(g.threshold > 0.0 && g.washout > 0.0 && g.lowpass > 0.0)) {
+    if (!(g.threshold > 0.0 && g.washout > 0.0 && g.lowpass > 0.0 && g.flow > 0.0)) {
         snprintf(message->text, sizeof message->text,
-                 "controller: guard_threshold is %g, guard_washout %g, guard_lowpass %g; all must be positive",
-                 g.threshold, g.washout, g.lowpass);
+                 "controller: guard_threshold is %g, guard_washout %g, guard_lowpass %g, guard_flow %g; "
+                 "all must be positive", g.threshold, g.washout, g.lowpass, g.flow);
         return BLOCK_ERROR;
     }
+    if (g.follows >= 0) b->x[g.n + 2 * g.guards] = b->u[g.follows];
     return BLOCK_OK;
 }
 
@@ -146,6 +183,7 @@ BlockStatus block_derivatives(Block *b, double t, const double *x, const double 
         dx[g.n + 2 * k + 1] = (s.fast - s.slow) / g.lowpass;
         ++k;
     }
+    if (g.follows >= 0) dx[g.n + 2 * g.guards] = (u[g.follows] - x[g.n + 2 * g.guards]) / g.washout;
     return BLOCK_OK;
 }
 
@@ -159,7 +197,7 @@ BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, 
     for (size_t i = 0, k = 0; i < b->layout.n_y; ++i) {
         double high = g.limit, low = g.limit;
         if (g.watched != NULL && g.watched[i] >= 0) {
-            const double taken = swing_of(&g, x, u[g.watched[i]], k).share * g.side[k];
+            const double taken = swing_of(&g, x, u[g.watched[i]], k).share * g.side[k] * turn_of(&g, x);
             high *= 1.0 - fmax(taken, 0.0);
             low *= 1.0 + fmin(taken, 0.0);
             ++k;
@@ -169,22 +207,26 @@ BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, 
     return BLOCK_OK;
 }
 
-/* Derivative of limit (1 - |share side|) on the side that falls. */
-static double limit_slope(const Gains *g, const Swing *s, size_t guard, double vfast, double vslow)
+/* Derivative of limit (1 - |share side turn|) on the side that falls; vturn: of the turn. */
+static double limit_slope(const Gains *g, const Swing *s, size_t guard, double turn, double vfast, double vslow,
+                          double vturn)
 {
-    if (!(s->share < 1.0)) return 0.0;
     const double moved = fabs(s->fast) >= fabs(s->slow) ? copysign(vfast, s->fast * vfast)
                                                         : copysign(vslow, s->slow * vslow);
-    return -g->limit * fabs(g->side[guard]) * moved / g->threshold;
+    const double vshare = s->share < 1.0 ? moved / g->threshold : 0.0;
+
+    return -g->limit * fabs(g->side[guard]) * (fabs(turn) * vshare + s->share * copysign(vturn, turn * vturn));
 }
 
 BlockStatus block_directional(Block *b, double t, const double *x, const double *u, const double *vx,
                               const double *vu, double *vdx, double *vy, BlockMessage *message)
 {
     const Gains g = gains_of(b);
-    const size_t m = b->layout.n_u, p = b->layout.n_y;
+    const size_t m = b->layout.n_u, p = b->layout.n_y, course = g.n + 2 * g.guards;
+    const double turn = turn_of(&g, x), vturn = turn_slope(&g, turn, vx);
 
     (void)t, (void)message;
+    if (vdx != NULL && g.follows >= 0) vdx[course] = (vu[g.follows] - vx[course]) / g.washout;
     if (vdx != NULL) multiply(g.A, g.B, g.n, g.n, m, vx, vu, vdx);
     if (vy != NULL) {
         multiply(g.C, g.D, p, g.n, m, vx, vu, vy);
@@ -199,9 +241,9 @@ BlockStatus block_directional(Block *b, double t, const double *x, const double 
                 vdx[g.n + 2 * k] = vfast / g.washout;
                 vdx[g.n + 2 * k + 1] = (vfast - vslow) / g.lowpass;
             }
-            slope = limit_slope(&g, &s, k, vfast, vslow);
-            high *= 1.0 - fmax(s.share * g.side[k], 0.0);
-            low *= 1.0 + fmin(s.share * g.side[k], 0.0);
+            slope = limit_slope(&g, &s, k, turn, vfast, vslow, vturn);
+            high *= 1.0 - fmax(s.share * g.side[k] * turn, 0.0);
+            low *= 1.0 + fmin(s.share * g.side[k] * turn, 0.0);
             ++k;
         }
         if (vy == NULL) continue;

@@ -111,6 +111,20 @@ def test_container_follows_the_master(name: str, cache: Path, by_hand: Controlle
         assert np.array_equal(found[f"remote_{count}"], np.asarray(master[f"remote.{count}"])[rows]), count
 
 
+def test_a_guard_that_follows_a_flow_starts_from_the_flow_at_rest(cache: Path, tmp_path: Path) -> None:
+    """A fault at once: a slow course that began at 0 would have turned the sides by a fifth."""
+    early = FAULT | {"start_s": 0.05, "end_s": 0.15}
+    table = scenario(early, latency_s=0.05) | {"controller": "two_actuators", "step_s": 0.0025, "stop_s": 1.5}
+    table["channels"] |= {"flow": {"signal": "tie_p", "latency_s": 0.05}}
+    file = write_container(load_scenario(table), tmp_path / "loop.fmu", cache=cache)
+    found = simulate(file, 0.0025, 1.5, ["G2_vs", "G4_vs"])
+    master = run_scenario(table, cache=cache).trajectory
+    rows = np.isin(np.round(master.time_s * 1e9), np.arange(0, 1_500_000_001, 2_500_000))
+    for name, ours in found.items():
+        wanted = np.asarray(master[f"controller.{name}"])[rows]
+        assert np.max(np.abs(ours - wanted)) <= 1e-4 * np.ptp(wanted)
+
+
 def test_supervisor_inside_sees_the_flags_when_they_change(
     cache: Path, hand_controller: Controller, tmp_path: Path
 ) -> None:
