@@ -3,8 +3,9 @@
 The recipe: reduce each operating point's plant, put a Pade model of each latency
 and a washout in, and minimise the smoothed objective of `smoothed_objective.py`:
 with L-BFGS from several random stable starts, or in stages (`stages.py`) with
-Newton steps from first guesses made for the loops. What comes out is only a
-proposal: `operating_points.py` judges it on the full plants with exact delays.
+steps that follow each eigenvalue (`newton.py`), from first guesses made for the
+loops. What comes out is only a proposal: `operating_points.py` judges it on the
+full plants with exact delays.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ from ..reduction.gramians import projections
 from .design_models import build_objective, tightened
 from .smoothed_objective import Array, Gains, Objective
 from .spec import RobustSpec
-from .stages import Tell, stage_parts, staged_search
+from .stages import TURNS, Tell, stage_parts, staged_search
 
 #: evaluations between two balancings of the controller
 ROUND = 300
-#: evaluations of L-BFGS between Newton steps
-BETWEEN = 100
+#: evaluations of L-BFGS between steps of a stage, and what one of these costs
+BETWEEN, STEP = 60, 5
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ def planned(spec: RobustSpec, conditions: float, points: int) -> dict[str, float
         for k, stage in enumerate(spec.stages, start=1):
             share = len(stage.points or range(points)) * (len(stage.conditions) or conditions)
             for what in stage_parts(k, len(spec.stages), spec.starts + given):
-                parts[what] = share * len(stage.rho) * stage.turns * (stage.steps + BETWEEN)
+                parts[what] = share * len(stage.rho) * TURNS * (stage.steps * STEP + BETWEEN)
     else:
         tried = conditions * (min(spec.starts_on, points) or points)
         count = spec.starts + given

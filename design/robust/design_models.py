@@ -29,7 +29,7 @@ def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, 
     check_plants(plants, spec)
     models: list[DesignModel] = []
     efforts: list[EffortGrid] = []
-    omega = np.geomspace(0.3, 300.0, 60)
+    omega = np.geomspace(0.1, 300.0, 70)
     for point, plant in plants.items():
         full = select(speeds_in_rad(plant, omega_b), list(spec.actuators), list(spec.signals))
         swinging, standing = without_common_speed(full), _common_speed(full)
@@ -42,7 +42,7 @@ def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, 
         response = frequency_response(full.A, full.B, full.C, full.D, omega)
         for condition in spec.conditions:
             name = f"{point}: {condition.name}"
-            models.append(_design_model(name, small, spec, condition))
+            models.append(replace(_design_model(name, small, spec, condition), more=spec.more.get(point)))
             held = not spec.effort_under or condition.name in spec.effort_under
             if spec.effort_cap is not None and held:
                 efforts.append(_effort_grid(name, omega, response, spec, condition))

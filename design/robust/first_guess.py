@@ -59,7 +59,7 @@ def _moves(objective: Objective, poles: Array) -> tuple[Array, Array]:
     for model in objective.models:
         values, right = np.linalg.eig(model.A)
         left = np.linalg.inv(right)
-        v, dv = objective.excess(values)
+        (v,), (dv,) = objective.excess(values[None], [model])
         for k in np.flatnonzero((v > v.max() - REGARDED) & (values.imag > 0.0)):
             states = 1.0 / (values[k] + poles)
             if objective.dc_block:

@@ -1,39 +1,49 @@
-r"""Trust-region Newton descent of the smoothed worst damping, with the second derivatives of the eigenvalues.
+r"""Steps of the smoothed worst damping that follow every nearly worst eigenvalue by itself.
 
-The objective has a valley with a kink wherever two eigenvalues are equally bad, and a designed loop has
-dozens of them: a quasi-Newton method needs thousands of evaluations along them. With
-:math:`p_k \propto e^{\rho v_k}` the Hessian is
+A designed loop has dozens of eigenvalues that are equally bad, and the objective a kink wherever two of them
+are: a quadratic of it, or the memory of a quasi-Newton method, holds for a fraction of the way to the next.
+Each eigenvalue alone runs nearly straight. With :math:`v_k` what is left of its damping, :math:`g_k` its
+gradient and :math:`p_k \propto e^{\rho v_k}`, a step is the least value over :math:`x` of
 
-.. math:: H = \rho \sum_k p_k (g_k - g)(g_k - g)^T + \sum_k p_k \nabla^2 v_k,\qquad g = \sum_k p_k g_k,
+.. math:: \frac1\rho \log \sum_k e^{\rho (v_k + g_k^T x)} + \tfrac12 x^T |H| x
+    + \sum_j \max(0, h_j + r_j^T x)^2 + \tfrac\sigma2 |x|^2 ,\qquad H = \sum_k p_k \nabla^2 v_k ,
 
-whose first part is the kinks and whose second follows from
+the second derivatives from
 
 .. math:: d^2\lambda_k = l_k\, d^2\!A\, r_k
     + 2 \sum_{j \ne k} \frac{(l_k\, dA\, r_j)(l_j\, dA\, r_k)}{\lambda_k - \lambda_j} .
 
-A step costs a few evaluations of the gradient; some tens of steps replace thousands, until two eigenvalues
-meet, where they have no derivative: there `stages.py` goes on with L-BFGS for a while.
+The sum is convex: of H the magnitudes of its eigenvalues are taken, so that a direction is held back as much
+where the worst would fall faster than straight as where it would rise: there, as when two eigenvalues meet,
+the straight line is trusted no further. :math:`h_j` are the bounds of effort and poles; :math:`\sigma` grows
+where a step falls short of what was foreseen.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import cho_factor, cho_solve
 
 from .smoothed_objective import Array, Complex, Gains, Objective
 from .spectra import eigensystems
 
 #: eigenvalues nearer to one another than this (rad/s) count as so far apart: their derivative has no bound
 APART = 1e-2
-#: bounds of poles (natural logarithm) and effort (relative) that are so near count in the Hessian
-NEAR_BOUND = 0.1
+#: eigenvalues within this of the worst (damping), or so many times 1 / rho, are followed by themselves
+NEAR_WORST, SHARE = 0.05, 8.0
+#: bounds of poles (natural logarithm) and effort (relative) that are so near are followed too
+NEAR_BOUND = 0.5
 #: step of the differences that give the curvature of D, of each unknown's scale
 DIFFERENCE = 1e-5
 #: eigenvalues whose second derivatives are added at once: some ten MB
 TOGETHER = 256
+#: a step counts that gains this share of what was foreseen; the next one is held back less, more
+ACCEPTED, FREER, HELD = 0.05, 0.8, 0.2
 
 
 def newton_descent(
@@ -42,36 +52,41 @@ def newton_descent(
     steps: int,
     *,
     balanced: Callable[[Objective, Array], Array],
-    radius: float = 0.1,
+    held: float = 1e-2,
     least: float = 2e-5,
+    progress: Callable[[float, float], object] | None = None,
 ) -> tuple[Array, int]:
     """Return the parameters after at most `steps` steps from `start`, and evaluations.
 
     balanced : gives equivalent parameters in better coordinates; called every few steps.
-    radius : of the first trust region, relative to the scale of the unknowns.
+    held : sigma of the first step, in units of the unknowns' scale.
     least : ends where five steps gain less than this in all.
+    progress : called before each step with the share of the steps that is done and the objective.
     """
     theta = balanced(objective, start)
-    value, count = objective(theta)[0], 1
+    value, count = objective.value(theta), 1
     gained: list[float] = []
     for step in range(steps):
+        if progress is not None:
+            progress(step / steps, value)
         if step % 5 == 4:
             theta = balanced(objective, theta)
         scale = _scale(objective, theta)
-        gradient, hessian = derivatives(objective, theta, scale)
-        curvature, directions = np.linalg.eigh(hessian * np.outer(scale, scale))
-        slope = directions.T @ (gradient * scale)
-        before = value
-        while radius > 1e-7:
-            move, predicted = _trusted(slope, curvature, radius)
-            tried = theta + scale * (directions @ move)
-            reached, count = _value(objective, tried), count + 1
-            ratio = (value - reached) / max(predicted, 1e-300)
-            if ratio > 0.05:
+        near = expansion(objective, theta, scale).convex()
+        before, tries, ratio = value, 0, 0.0
+        while held < 1e9:
+            move, foreseen = near.least(held)
+            tried = theta + scale * move
+            reached, count, tries = _value(objective, tried), count + 1, tries + 1
+            ratio = (value - reached) / max(foreseen, 1e-300)
+            if ratio > ACCEPTED:
                 theta, value = tried, reached
-                radius = min(4.0 * radius, 2.0) if ratio > 0.7 else radius
                 break
-            radius *= 0.35
+            held *= 4.0
+        if tries == 1 and ratio > FREER:
+            held = max(0.2 * held, 1e-9)
+        elif not ratio > HELD:
+            held *= 2.0
         gained.append(before - value)
         if not sum(gained[-5:]) > least and (len(gained) >= 5 or not gained[-1] > 0.0):
             break
@@ -101,82 +116,151 @@ def _scale(objective: Objective, theta: Array) -> Array:
     )
 
 
-def _trusted(slope: Array, curvature: Array, radius: float) -> tuple[Array, float]:
-    """Return the step of least model value within `radius`, in the Hessian's axes, and what it predicts."""
-    # beyond its last digit, so that no curvature is left at zero
-    low = max(0.0, -float(curvature.min()) * (1.0 + 1e-12)) + 1e-12
-    shift = low
-    if np.linalg.norm(slope / (curvature + low)) > radius:
-        high = low + float(np.linalg.norm(slope)) / radius
-        for _ in range(60):
-            shift = 0.5 * (low + high)
-            if np.linalg.norm(slope / (curvature + shift)) > radius:
-                low = shift
-            else:
-                high = shift
-        shift = high
-    move = -slope / (curvature + shift)
-    return move, float(-(slope @ move) - 0.5 * (curvature * move**2).sum())
+@dataclass(frozen=True)
+class Expansion:
+    """What the objective is near one controller, over moves in units of the unknowns' scale.
 
-
-def derivatives(objective: Objective, theta: Array, scale: Array) -> tuple[Array, Array]:
-    """Return gradient (n,) and Hessian (n, n) of the objective, a penalty on the first swing left out of it.
-
-    scale : (n,) of the unknowns, for the differences that give the curvature of D where it follows from the
-        others.
+    A penalty on the first swing is left out of it.
     """
+
+    rho: float
+    values: Array  #: (k,) v of the eigenvalues that are followed
+    rows: Array  #: (k, n) their gradients
+    counts: Array  #: (k,) 2 for a pair, of which one is there
+    curvature: Array  #: (n, n) mean of their second derivatives
+    hinges: Array  #: (h,) by how much bounds are exceeded, below 0 where they are near
+    bounds: Array  #: (h, n) their gradients
+
+    def convex(self) -> Expansion:
+        """Return it with the magnitudes of the curvature's eigenvalues."""
+        values, directions = np.linalg.eigh(self.curvature)
+        return replace(self, curvature=(directions * np.abs(values)) @ directions.T)
+
+    def value(self, move: Array) -> float:
+        """Return the objective as it is foreseen."""
+        worst, _ = self._weighed(move)
+        over = np.maximum(self.hinges + self.bounds @ move, 0.0)
+        return worst + 0.5 * float(move @ self.curvature @ move) + float(over @ over)
+
+    def derivatives(self, move: Array) -> tuple[Array, Array]:
+        """Return gradient (n,) and Hessian (n, n) of `value`."""
+        _, share = self._weighed(move)
+        some = share > 1e-12
+        rows, share = self.rows[some], share[some]
+        mean = share @ rows
+        over = self.hinges + self.bounds @ move
+        active, bent = self.bounds[over > 0.0], self.curvature @ move
+        gradient = mean + bent + 2.0 * over[over > 0.0] @ active
+        # rounding must not leave a product of the rows with itself unsymmetrical
+        kinks = (rows - mean) * np.sqrt(share)[:, None]
+        return gradient, self.curvature + self.rho * kinks.T @ kinks + 2.0 * active.T @ active
+
+    def least(self, held: float) -> tuple[Array, float]:
+        """Return the move of least value, `held` / 2 times its square added, and by how much `value` falls.
+
+        The curvature has no negative eigenvalue (`convex`).
+        """
+        n = self.curvature.shape[0]
+        move = np.zeros(n)
+        for rho in (0.125 * self.rho, 0.35 * self.rho, self.rho):
+            smooth = replace(self, rho=rho)
+            here = smooth.value(move) + 0.5 * held * float(move @ move)
+            for _ in range(30):
+                slope, hessian = smooth.derivatives(move)
+                slope = slope + held * move
+                step = -cho_solve(cho_factor(hessian + held * np.eye(n)), slope)
+                fall = -float(slope @ step)
+                if not fall > 1e-9:
+                    break
+                length = 1.0
+                while length > 1e-6:
+                    tried = move + length * step
+                    there = smooth.value(tried) + 0.5 * held * float(tried @ tried)
+                    if there <= here - 0.1 * length * fall:
+                        break
+                    length *= 0.5
+                else:
+                    break
+                move, here = tried, there
+        return move, self.value(np.zeros(n)) - self.value(move)
+
+    def _weighed(self, move: Array) -> tuple[float, Array]:
+        """Return the smoothed worst and each eigenvalue's share of it (k,)."""
+        v = self.values + self.rows @ move
+        top = float(v.max())
+        weight = self.counts * np.exp(self.rho * (v - top))
+        total = float(weight.sum())
+        return top + float(np.log(total)) / self.rho, weight / total
+
+
+def expansion(objective: Objective, theta: Array, scale: Array) -> Expansion:
+    """Return the expansion of the objective at `theta`, its unknowns in units of `scale` (n,)."""
     K = objective.unpack(theta)
-    gradient, hessian, feed = _damping(objective, K)
-    if objective.dc_block:
-        A, B, C, _ = (np.zeros_like(M) for M in K)
-        here, bent = objective.pack_gradient(K, A, B, C, feed), np.empty_like(hessian)
-        for k, h in enumerate(DIFFERENCE * scale):
-            moved = theta.copy()
-            moved[k] += h
-            bent[k] = (objective.pack_gradient(objective.unpack(moved), A, B, C, feed) - here) / h
-        hessian += 0.5 * (bent + bent.T)
-    # of the squares of hinges the first part, which is never negative: where poles meet the second has no
-    # bound. Of bounds that are near too, else every other step runs into one
-    rows = objective.hinges(K, NEAR_BOUND)[1]
-    return gradient + objective.penalties(K)[1], hessian + 2.0 * rows.T @ rows
-
-
-def _damping(objective: Objective, K: Gains) -> tuple[Array, Array, Array]:
-    """Return gradient and Hessian of the smoothed worst, D taken as linear, and its gradient over D."""
     spectra = objective.spectra(K)
-    top = max(float(v.max()) for *_, v in spectra)
-    rho = objective.rho
+    top, rho = max(float(v.max()) for *_, v in spectra), objective.rho
     total = sum(float(np.exp(rho * (v - top)).sum()) for *_, v in spectra)
+    within = top - max(NEAR_WORST, SHARE / rho)
     moves = _Moves(objective, K)
-    sums, feed = _Sums(moves), np.zeros(K[3].shape)
+    bent, feed = _Curvature(moves), np.zeros(K[3].shape)
+    found: list[tuple[Array, Array, Array]] = []
     for group, size, loops, v in spectra:
-        share = (np.exp(rho * (v - top)) / total).sum(axis=1)
-        near = np.flatnonzero(share > 1e-6)
-        for k, found in zip(map(int, near), eigensystems(loops[near]), strict=True):
-            if found is None:  # a defective matrix: its neighbours carry the derivatives
+        near = np.flatnonzero(v.max(axis=1) > within)
+        for k, system in zip(map(int, near), eigensystems(loops[near]), strict=True):
+            if system is None:  # a defective matrix: its neighbours carry the derivatives
                 continue
-            values, right, left = found
-            excess, dv = objective.excess(values)
+            values, right, left = system
+            (excess,), (dv,) = objective.excess(values[None], [group[k]])
             # of a pair only one is looked at, with the weight of both
-            weight = np.exp(rho * (excess - top)) / total * np.where(values.imag > 0.0, 2.0, 1.0)
-            few = np.flatnonzero((weight > 1e-7) & (values.imag >= 0.0))
+            counts = np.where(values.imag > 0.0, 2.0, 1.0)
+            weight = counts * np.exp(rho * (excess - top)) / total
+            some = np.flatnonzero((excess > within) & (values.imag >= 0.0))
+            if not some.size:
+                continue
+            reach = (left[:, :size] @ group[k].B).astype(complex)
+            seen = group[k].C @ right[:size]
+            outs, ins = moves.sides(reach[some], left[some, size:], seen[:, some], right[size:, some])
+            first = moves.first(outs, ins)
+            found.append((excess[some], (dv[some, None] * first).real * scale, counts[some]))
+            feed += ((reach[some].T * (weight * dv)[some]) @ seen[:, some].T).real
+            heavy = np.flatnonzero(weight[some] > 1e-7)
+            if not heavy.size:
+                continue
+            few = some[heavy]
             gap = values[few, None] - values
             size_of_gap = np.maximum(np.abs(gap), 1e-300)
             inverse = np.conj(gap) / size_of_gap / np.maximum(size_of_gap, APART)
             inverse[np.arange(few.size), few] = 0.0
-            bends = np.array([objective.bends(complex(value)) for value in values[few]]).reshape(-1, 3)
-            reach = (left[:, :size] @ group[k].B).astype(complex)
-            seen = group[k].C @ right[:size]
-            outs, ins = moves.sides(reach, left[:, size:], seen, right[size:])
+            bends = np.array([objective.bends(complex(value)) for value in values[few]])
             # sum over j of r_j l_j / (lambda_i - lambda_j), as the controller sees it
-            resolvents = (inverse[:, None, :] * ins.T) @ outs
-            sums.add(weight[few], dv[few], bends, outs[few], ins[few], resolvents)
-            feed += ((reach[few].T * (weight * dv)[few]) @ seen[:, few].T).real
-    return *sums.derivatives(rho), feed
+            all_outs, all_ins = moves.sides(reach, left[:, size:], seen, right[size:])
+            resolvents = (inverse[:, None, :] * all_ins.T) @ all_outs
+            bent.add(weight[few], dv[few], bends, first[heavy], outs[heavy], ins[heavy], resolvents)
+    curvature = bent.total()
+    if objective.dc_block:
+        curvature += _curvature_of_feedthrough(objective, theta, scale, feed)
+    excesses, rows, counted = (np.concatenate(each) for each in zip(*found, strict=True))
+    hinges, bounds = objective.hinges(K, NEAR_BOUND)
+    return Expansion(rho, excesses, rows, counted, curvature * np.outer(scale, scale), hinges, bounds * scale)
 
 
-class _Sums:
-    """Sums over eigenvalues: p g, p g g^T and p times the second derivatives of v.
+def _curvature_of_feedthrough(objective: Objective, theta: Array, scale: Array, feed: Array) -> Array:
+    """Return the part of the curvature that is D's own, which follows from the others: D = C A^-1 B.
+
+    feed : gradient over D.
+    """
+    K = objective.unpack(theta)
+    A, B, C, _ = (np.zeros_like(M) for M in K)
+    here = objective.pack_gradient(K, A, B, C, feed)
+    bent = np.empty((theta.size, theta.size))
+    for k, h in enumerate(DIFFERENCE * scale):
+        moved = theta.copy()
+        moved[k] += h
+        bent[k] = (objective.pack_gradient(objective.unpack(moved), A, B, C, feed) - here) / h
+    return 0.5 * (bent + bent.T)
+
+
+class _Curvature:
+    """Sum over eigenvalues of p times the second derivatives of v.
 
     Some hundred eigenvalues are kept and added in one product: it costs a fraction of one for each.
     """
@@ -184,33 +268,27 @@ class _Sums:
     def __init__(self, moves: _Moves) -> None:
         self._moves, self._count = moves, 0
         self._kept: list[tuple[npt.NDArray[Any], ...]] = []
-        self._gradient = np.zeros(moves.size)
-        self._squares, self._half = np.zeros((2, moves.size, moves.size))
+        self._half = np.zeros((moves.size, moves.size))
 
     def add(self, *of_each: npt.NDArray[Any]) -> None:
-        """Add k eigenvalues: weights (k,), dv (k,), bends (k, 3), outs, ins and resolvents of `_Moves`."""
+        """Add k eigenvalues: weights, dv (k,), bends (k, 3), first, outs, ins, resolvents of `_Moves`."""
         self._kept.append(of_each)
         self._count += len(of_each[0])
         if self._count >= TOGETHER:
             self._flush()
 
-    def derivatives(self, rho: float) -> tuple[Array, Array]:
-        """Return gradient (n,) and Hessian (n, n) of the smoothed worst."""
+    def total(self) -> Array:
+        """Return the sum, (n, n)."""
         self._flush()
-        kinks = self._squares - np.outer(self._gradient, self._gradient)
-        return self._gradient, self._half + self._half.T + rho * kinks
+        return self._half + self._half.T
 
     def _flush(self) -> None:
         if not self._kept:
             return
-        weight, dv, bends, outs, ins, resolvents = (
+        weight, dv, bends, first, outs, ins, resolvents = (
             np.concatenate(each) for each in zip(*self._kept, strict=True)
         )
         self._kept, self._count = [], 0
-        first = self._moves.first(outs, ins)
-        rows = (dv[:, None] * first).real
-        self._gradient += weight @ rows
-        self._squares += (rows.T * weight) @ rows
         da, db = first.real, first.imag
         aa, ab, bb = weight * bends.T
         self._half += self._moves.second(outs * (weight * dv)[:, None], ins, resolvents)

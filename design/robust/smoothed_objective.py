@@ -6,10 +6,11 @@ One controller :math:`K = (A_K, B_K, C_K, D_K)` is judged on a family of design 
 
 .. math::
     f(K) = \frac1\rho \log \sum e^{\rho v}, \qquad
-    v = t(|b|) - z, \qquad z = \frac{-a}{\max(|\lambda|, 0.2)} ,
+    v = t(|b|) - z + \max(a, 0)^2, \qquad z = \frac{-a}{\max(|\lambda|, 0.2)} ,
 
 so that minimising *f* raises the least damping ratio *z* over all models; the
-band offsets *t* ask more of the inter-area band than of the rest. All
+band offsets *t* ask more of the inter-area band than of the rest. The square is
+for real roots that run away: their damping ratio is -1, however fast they are. All
 eigenvalues count: there is no sorting and no mode tracking. Penalties keep the
 control effort below a cap over frequency and the controller's poles in a band.
 """
@@ -39,26 +40,6 @@ SLOW_RADIUS = 0.2  #: below this modulus damping is measured against the radius,
 
 
 @dataclass(frozen=True)
-class DesignModel:
-    """One plant with its losses and latencies: x' = A x + B u, y = C x (rad/s in y, pu in u)."""
-
-    name: str
-    A: Array
-    B: Array
-    C: Array
-
-
-@dataclass(frozen=True)
-class EffortGrid:
-    """Plant response on a frequency grid, and the cap on |(I - K G)^-1 K| there."""
-
-    name: str
-    omega: Array  #: (f,) rad/s
-    response: Complex  #: (f, p, m) G(j omega), filters in series with K and latencies included
-    cap: Array  #: (f,)
-
-
-@dataclass(frozen=True)
 class BandOffsets:
     """Piecewise-linear t(|Im lambda|): how much more (or less) damping a band must have."""
 
@@ -71,6 +52,27 @@ class BandOffsets:
         slopes = np.append(np.diff(values) / np.diff(nodes), 0.0)
         k = np.clip(np.searchsorted(nodes, omega, side="right") - 1, 0, len(nodes) - 1)
         return np.interp(omega, nodes, values), slopes[k]
+
+
+@dataclass(frozen=True)
+class DesignModel:
+    """One plant with its losses and latencies: x' = A x + B u, y = C x (rad/s in y, pu in u)."""
+
+    name: str
+    A: Array
+    B: Array
+    C: Array
+    more: BandOffsets | None = None  #: damping wanted on top of the objective's offsets
+
+
+@dataclass(frozen=True)
+class EffortGrid:
+    """Plant response on a frequency grid, and the cap on |(I - K G)^-1 K| there."""
+
+    name: str
+    omega: Array  #: (f,) rad/s
+    response: Complex  #: (f, p, m) G(j omega), filters in series with K and latencies included
+    cap: Array  #: (f,)
 
 
 @dataclass(frozen=True)
@@ -244,7 +246,7 @@ class Objective:
         spectra = []
         for group, A, B, C in self.groups:
             loops = _loops(A, B, C, K)
-            excess = self.excess(eigenvalues(loops))[0]
+            excess = self.excess(eigenvalues(loops), group)[0]
             spectra.append((group, A.shape[1], loops, excess))
         return spectra
 
@@ -263,7 +265,7 @@ class Objective:
                 if found is None:  # a defective matrix: its neighbours carry the gradient
                     continue
                 values, right, left = found
-                excess, dv = self.excess(values)
+                (excess,), (dv,) = self.excess(values[None], [group[k]])
                 weight = np.exp(self.rho * (excess - top)) / total
                 M = ((right * (weight * dv)) @ left).T.real
                 g = group[k]
@@ -273,29 +275,39 @@ class Objective:
                 dA += M[size:, size:]
         return float(f), dA, dB, dC, dD
 
-    def excess(self, values: npt.NDArray[np.inexact[Any]]) -> tuple[Array, Complex]:
+    def excess(
+        self, values: npt.NDArray[np.inexact[Any]], models: Sequence[DesignModel] = ()
+    ) -> tuple[Array, Complex]:
         """v of every eigenvalue and dv/da - j dv/db; -1 of the common speed, which no controller moves.
 
         The last axis holds the eigenvalues of one loop: the one nearest to 0 may be that speed, and no other.
+        models : (k,) of the loops, `values` then (k, n); none: no model asks more than another.
         """
         a, b = values.real, values.imag
         modulus = np.abs(values)
         fast = modulus >= SLOW_RADIUS
         m = np.where(fast, modulus, SLOW_RADIUS)
         offset, slope = self.offsets(np.abs(b))
-        da = np.where(fast, b**2 / m**3, 1.0 / SLOW_RADIUS)
+        for k, model in enumerate(models):
+            if model.more is not None:
+                extra, bend = model.more(np.abs(b[k]))
+                offset[k] += extra
+                slope[k] += bend
+        away = np.maximum(a, 0.0)
+        da = np.where(fast, b**2 / m**3, 1.0 / SLOW_RADIUS) + 2.0 * away
         db = np.where(fast, -a * b / m**3, 0.0) + slope * np.sign(b)
         standing = (
             (modulus < COMMON_SPEED) & (a < STANDING) & (modulus <= modulus.min(axis=-1, keepdims=True))
         )
-        return np.where(standing, -1.0, offset + a / m), np.where(standing, 0.0, da - 1j * db)
+        return np.where(standing, -1.0, offset + a / m + away**2), np.where(standing, 0.0, da - 1j * db)
 
     def bends(self, eigenvalue: complex) -> tuple[float, float, float]:
         """Second derivatives of v: over a twice, over a and b, over b twice."""
         a, b, m = eigenvalue.real, eigenvalue.imag, abs(eigenvalue)
+        away = 2.0 if a > 0.0 else 0.0
         if m < SLOW_RADIUS:
-            return 0.0, 0.0, 0.0
-        return -3.0 * a * b**2 / m**5, b * (2.0 * a**2 - b**2) / m**5, a * (2.0 * b**2 - a**2) / m**5
+            return away, 0.0, 0.0
+        return away - 3.0 * a * b**2 / m**5, b * (2.0 * a**2 - b**2) / m**5, a * (2.0 * b**2 - a**2) / m**5
 
     def pole_hinges(self, K: Gains, margin: float = 0.0) -> tuple[Array, Array]:
         """Return by how much poles of K are out of their bounds (h,), and the gradients (h, parameters)."""

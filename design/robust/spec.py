@@ -30,8 +30,8 @@ class RobustSpec:
     sees : actuator -> (signals, order) of a decentralised controller; empty = one full controller.
     effort_cap : (omega, cap) nodes in rad/s and pu per rad/s, log-log interpolated; None = no cap.
     effort_under : names of the conditions under which it holds; none = all.
-    stages : of the search, each with more of the conditions, by Newton steps from a first guess that is made
-        for the loops; none = L-BFGS on all of them from random starts.
+    stages : of the search, each with more of the conditions, by steps that follow each eigenvalue from a
+        first guess made for the loops; none = L-BFGS on all of them from random starts.
     washout_s : time constant of sT/(1+sT) in series with each output; 0 = none.
     dc_block : K(0) = 0 by D = C A^-1 B instead of a washout in series: no state is spent on it.
     slowest_pole, fastest_pole : rad/s, of the controller; with `dc_block` the slowest is the least corner of
@@ -52,6 +52,8 @@ class RobustSpec:
     slowest_pole: float = 0.3
     fastest_pole: float = 280.0
     offsets: BandOffsets = field(default_factory=BandOffsets)
+    #: operating point -> damping wanted there on top of `offsets`
+    more: Mapping[str, BandOffsets] = field(default_factory=dict)
     rho: float = 600.0  #: how closely the smoothed worst follows the worst
     plant_order: int = 16
     pade_order: int = 3

@@ -12,7 +12,7 @@ from .first_guess import first_guess
 from .newton import newton_descent
 from .smoothed_objective import Array, BandOffsets, Objective
 
-#: what a turn of Newton steps and L-BFGS must have gained for another where three are allowed; of more, less
+#: what a turn of steps and L-BFGS must have gained for another, and how many there are at most
 WORTHWHILE, TURNS = 2e-3, 3
 
 Descend = Callable[[Objective, Array], tuple[Array, int]]
@@ -27,7 +27,6 @@ class Stage:
     points, conditions : names of those that are looked at; none: all.
     rho : how closely the smoothed worst follows the worst, from one to the next.
     steps : of the descent at each, at most.
-    turns : of the descent and of L-BFGS at each, at most.
     offsets : how much more than elsewhere a band is wanted in this stage; none: as in the whole.
     """
 
@@ -35,7 +34,6 @@ class Stage:
     conditions: tuple[str, ...] = ()
     rho: tuple[float, ...] = (60.0, 120.0, 300.0)
     steps: int = 40
-    turns: int = TURNS
     offsets: BandOffsets | None = None
 
     def of(self, objective: Objective) -> Objective:
@@ -111,18 +109,21 @@ def _through(
     descend: Descend,
     tell: Callable[[float, float], object],
 ) -> tuple[Array, int]:
-    """Newton steps at each rho, and some of `descend` where they end: two eigenvalues may have met."""
+    """Steps at each rho, and some of `descend` where they end: two eigenvalues may have met."""
     count = 0
     for k, rho in enumerate(stage.rho):
         smoothed = replace(objective, rho=rho)
         value = smoothed.value(theta)
-        for turn in range(stage.turns):
-            tell((k + turn / stage.turns) / len(stage.rho), value)
-            theta, used = newton_descent(smoothed, theta, stage.steps, balanced=balanced)
+        for turn in range(TURNS):
+
+            def within(share: float, reached: float, done: float = k + turn / TURNS) -> None:
+                tell((done + share / TURNS) / len(stage.rho), reached)
+
+            theta, used = newton_descent(smoothed, theta, stage.steps, balanced=balanced, progress=within)
             theta, more = descend(smoothed, theta)
             count += used + more
             gained, value = value - smoothed.value(theta), smoothed.value(theta)
-            if not gained > WORTHWHILE * TURNS / stage.turns:
+            if not gained > WORTHWHILE:
                 break
     return theta, count
 

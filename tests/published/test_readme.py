@@ -56,6 +56,8 @@ def test_acceptance_of_the_guarded_controllers() -> None:
         "{worst:.1f} shorter at worst",
         "robust_latency": "{lost} of {cases} lost and {gained} gained that the grid alone does not survive, "
         "{mean:.1f} longer, {worst:.1f} shorter at worst",
+        "two_actuators": "{lost} of {cases} lost and {gained} gained, {mean:.1f} longer, "
+        "{worst:.1f} shorter at worst",
     }
     for name, text in told.items():
         held = json.loads((ROOT / "design" / "controllers" / f"{name}.json").read_text(encoding="utf-8"))

@@ -34,15 +34,17 @@ def test_the_json_holds_what_the_table_has(interarea) -> None:  # type: ignore[n
 
 def test_modes_with_a_late_controller(interarea) -> None:  # type: ignore[no-untyped-def]
     """The inter-area mode of the certificate's row, 200 ms late, to the digits that it has."""
-    given = ("new-england", "--band", "0.1:0.8", "--controller", "new_england", "--latency", "0.2")
+    given = ("new-england", "--band", "0.3:0.8", "--below", "0.3", "--controller", "new_england")
+    given = (*given, "--latency", "0.2")
     found = json.loads(interarea("modes", *given, "--json")[1])
     assert (found["controller"], found["latency_s"]) == ("new_england", 0.2)
     rows = shipped_controller("new_england").certificate["rows"]
     row = next(r for r in rows if (r["point"], r["condition"]) == ("base", "s200"))
-    assert found["counted"] == len(found["modes"]) == 1
-    assert found["modes"][0]["damping_ratio"] == pytest.approx(row["inter_area"], abs=1e-6)
+    assert found["counted"] == len(found["modes"]) >= 2
+    least = min(mode["damping_ratio"] for mode in found["modes"])
+    assert least == pytest.approx(row["inter_area"], abs=1e-6)
     out = interarea("modes", *given)[1]
-    assert "counted independently: 1; with new_england, signals 0.2 s late" in out
+    assert f"counted independently: {found['counted']}; with new_england, signals 0.2 s late" in out
 
 
 @pytest.mark.parametrize(

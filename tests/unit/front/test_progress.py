@@ -118,13 +118,13 @@ def test_the_whole_of_a_design_is_known_before_it_begins() -> None:
     assert [parts["start 1 of 6"], parts["polish 6 of 6"]] == [2 * 600.0, 4 * 900.0] and len(parts) == 8
     stages = (
         Stage(points=("a",), conditions=("N",), rho=(60.0,), steps=10),
-        Stage(rho=(60.0, 120.0), steps=10, turns=5),
+        Stage(rho=(60.0, 120.0), steps=10),
     )
     parts = planned(RobustSpec(("y",), ("u",), conditions, starts=2, stages=stages), 2.0, 2)
     assert parts == {
         "stage 1 of 2, start 1 of 2": 3 * 110.0,
         "stage 1 of 2, start 2 of 2": 3 * 110.0,
-        "stage 2 of 2": 4 * 2 * 5 * 110.0,
+        "stage 2 of 2": 4 * 2 * 3 * 110.0,
     }
 
 

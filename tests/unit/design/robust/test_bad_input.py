@@ -114,6 +114,12 @@ def test_contradictory_specifications(change: dict[str, Any], word: str) -> None
         ("fastest_pole = 300.0", "fastest_pole = 0.2", r"ask\.fastest_pole = 0\.2 contradicts slowest_pole"),
         ("worst_swing = 0.24", "worst_swing = 1.2", r"ask\.worst_swing = 1\.2"),
         ("slowest_pole = 0.3", "slowest_pole = 281.0", "contradict each other"),
+        (
+            'name = "base"',
+            'name = "base"\nmore = [[2.0, 0.1], [1.0, 0.1]]',
+            r"point\.0\.more.* 1 rad/s after 2 rad/s, allowed: rising ones",
+        ),
+        ("seed = ", "offset = [[0.0, 0.1], [nan, 0.1]]\nseed = ", "finite"),
     ],
 )
 def test_contradictory_design_files(tmp_path: Path, old: str, new: str, word: str) -> None:
@@ -123,6 +129,14 @@ def test_contradictory_design_files(tmp_path: Path, old: str, new: str, word: st
     path.write_text(text.replace(old, new), encoding="utf-8")
     with pytest.raises(ScenarioError, match=word):
         load_design(path)
+
+
+def test_a_guard_that_follows_no_output_is_refused_before_the_search(tmp_path: Path, cache: Path) -> None:
+    text = (TEMPLATES / "design_two_actuators.toml").read_text()
+    path = tmp_path / "bad.toml"
+    path.write_text(text.replace('follows = "tie_p"', 'follows = "tie_power"'), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"guard\.follows = 'tie_power' is no output .*tie_p"):
+        run_design(load_design(path), cache)
 
 
 def test_a_design_names_an_inter_area_mode_that_its_signal_does_not_show(

@@ -20,7 +20,7 @@ from interarea.cosim.run.controller_fmu import controller_from_fmu
 from interarea.cosim.run.controllers import controller_fmu
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.delay.signal_conditions import condition_of, condition_of_many
-from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.design.linear.linearise import remove_reference, select, speeds_in_rad
 from interarea.design.modes.modes import modes_of
 from interarea.design.robust.design import design_robust
 from interarea.design.robust.design_models import build_objective, without_common_speed
@@ -83,8 +83,9 @@ def test_shipped_controllers_hold_their_figures_on_the_independent_model(
 @pytest.mark.slow
 def test_two_actuators_hold_with_any_one_signal_lost() -> None:
     plants = {name: speeds_in_rad(p, OMEGA_B) for name, p in independent_family().items()}
-    K = shipped_controller("two_actuators").system
     signals = ("G1_dw", "G2_dw", "G3_dw", "G4_dw")
+    K = shipped_controller("two_actuators").system
+    K = select(K, list(signals), list(K.output_labels))  # its guard looks at the tie's flow too
     losses = ["", *(f"+L:{name}" for name in signals)]
     conditions = [condition_of_many(late + lost, signals) for late in ("N", "s100") for lost in losses]
     found = judge_family(
@@ -100,9 +101,10 @@ def test_each_of_two_actuators_sees_its_own_area_only() -> None:
     K = shipped_controller("two_actuators").system
     assert K.nstates == 8
     gain = np.abs(np.array([K(1j * w) for w in (0.5, 3.9, 7.5)]))
-    own = np.array([[True, True, False, False], [False, False, True, True]])
+    # no linear part sees the tie's flow, its guard alone
+    own = np.array([[True, True, False, False, False], [False, False, True, True, False]])
     assert list(K.output_labels) == ["G2_vs", "G4_vs"]
-    assert list(K.input_labels) == ["G1_dw", "G2_dw", "G3_dw", "G4_dw"]
+    assert list(K.input_labels) == ["G1_dw", "G2_dw", "G3_dw", "G4_dw", "tie_p"]
     assert gain[:, own].min() > 1e-4
     assert gain[:, ~own].max() == 0.0
     assert np.abs(K(0.0)).max() < 1e-9
@@ -313,4 +315,9 @@ def test_design_models_keep_the_common_speed_that_a_loop_feels_near_rest() -> No
     near = objective.excess(np.array([1e-12 + 0j, -1e-3 + 0j, -0.3 + 4j]))[0]
     assert near[:2] == pytest.approx([-1.0, objective.offsets.offset[0] - 5e-3])
     # a root as slow that is unstable is no common speed
-    assert objective.excess(np.array([0.01 + 0j]))[0] == pytest.approx(objective.offsets.offset[0] + 0.05)
+    away = objective.excess(np.array([0.01 + 0j]))[0]
+    assert away == pytest.approx(objective.offsets.offset[0] + 0.05 + 0.01**2)
+    # however fast a real root runs away, its damping ratio is -1: the slope says where to go
+    slow, fast = (objective.excess(np.array([each + 0j])) for each in (0.5, 2.0))
+    assert fast[0] > slow[0] > objective.offsets.offset[0] + 1.0
+    assert fast[1].real == pytest.approx(4.0)
