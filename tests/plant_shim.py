@@ -40,6 +40,7 @@ class _Needs(ctypes.Structure):
         ("n_scratch", ctypes.c_size_t),
         ("n_notes", ctypes.c_size_t),
         ("n_decisions", ctypes.c_size_t),
+        ("n_warm", ctypes.c_size_t),
     )
 
 

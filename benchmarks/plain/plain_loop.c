@@ -27,7 +27,7 @@ void *plain_open(const void *bytes, size_t size, const size_t counts[9], const d
                  const double *parameters, const int *integers)
 {
     Plain *c = calloc(1, sizeof *c);
-    BlockNeeds needs = {0, 0, 0, 0};
+    BlockNeeds needs = {0};
     const char *why;
     if (c == NULL || record_open(&c->record, bytes, size, &why) != 0) return NULL;
     Block *b = &c->block;

@@ -54,7 +54,7 @@ static fmi2Status output_slopes(Instance *c, double *slopes, const char *call)
     Block *b = &c->block;
     BlockMessage message = {{0}};
     BlockStatus status;
-    fmi2Status refreshed = block_is_sampled ? instance_refresh_outputs(c, call)
+    fmi2Status refreshed = block_is_sampled ? instance_refresh_outputs(c, 1, call)
                                             : instance_refresh_derivatives(c, call);
     if (refreshed != fmi2OK) return refreshed;
     if (block_is_sampled) {
@@ -191,7 +191,7 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real communication_point, fmi
     b = &c->block;
     length = step_length(c, communication_point, step);
     for (size_t i = 0; i < b->layout.n_u; ++i) c->u_poly[4 * i] = b->u[i];
-    if (c->undo != NULL) memcpy(c->undo, c->run, c->saved_size);
+    if (c->undo != NULL) instance_undo_begin(c);
 
     if (block_is_sampled) {
         status = block_step(b, c->run->time, length, c->u_poly, c->y_slope, &message);
@@ -200,8 +200,7 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real communication_point, fmi
     }
     if (status == BLOCK_OK) c->run->time = communication_point + step;
     if (status == BLOCK_DISCARD) {
-        if (c->undo != NULL) memcpy(c->run, c->undo, c->saved_size);
-        ++c->memory_written;
+        if (c->undo != NULL) instance_undo(c);
         c->run->mode = MODE_STEP_FAILED;
     }
     if (status != BLOCK_OK) return instance_report_block(c, status, call, &message);
@@ -209,7 +208,7 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real communication_point, fmi
     step_consume_inputs(c, step);
     c->run->outputs_fresh = block_is_sampled;
     c->run->derivatives_fresh = 0;
-    result = instance_refresh_outputs(c, call);
+    result = instance_refresh_outputs(c, 0, call);
     return result == fmi2OK ? instance_check_finite(c, call) : result;
 }
 

@@ -108,12 +108,15 @@ static int allocate(Instance *c, const BlockNeeds *needs)
     const BlockLayout *n = &c->block.layout;
     const int exchange = c->type == fmi2ModelExchange;   /* there what limiters decided is part of the state */
     const size_t decided = exchange ? needs->n_notes + needs->n_decisions : 0;
-    const size_t doubles = c->n_real + n->n_x + 5 * n->n_u + n->n_y + decided + needs->n_memory;
+    const size_t doubles = c->n_real + n->n_x + 5 * n->n_u + n->n_y + decided;
+    const size_t integers = (c->n_integer + n->n_u + 1) / 2;   /* two to a double */
     const size_t work = SOLVER_ARRAYS * n->n_x + 2 * n->n_u + n->n_y;
     Block *b = &c->block;
     double *d;
 
-    c->saved_size = sizeof(RunState) + doubles * sizeof(double) + (c->n_integer + n->n_u) * sizeof(int);
+    c->front_size = sizeof(RunState) + (doubles + integers) * sizeof(double);
+    c->saved_size = c->front_size + needs->n_memory * sizeof(double);
+    c->warm_size = needs->n_warm * sizeof(double);
     c->run = instance_allocate(&c->callbacks, c->saved_size);
     if (!block_is_sampled) c->undo = instance_allocate(&c->callbacks, c->saved_size);
     c->work = instance_allocate(&c->callbacks,
@@ -134,8 +137,8 @@ static int allocate(Instance *c, const BlockNeeds *needs)
     c->y_slope = c->u_poly + 4 * n->n_u;
     c->overrun = c->y_slope + n->n_y;
     c->n_decisions = exchange ? needs->n_decisions : 0;
-    b->memory = c->overrun + decided;
-    c->integer = (int *)(b->memory + needs->n_memory);
+    c->integer = (int *)(c->overrun + decided);
+    b->memory = c->overrun + decided + integers;
     b->iu = c->integer;
     b->iy = b->iu + n->n_iu;
     b->iw = b->iy + n->n_iy;
@@ -172,7 +175,7 @@ static int read_record(Instance *c, fmi2String location, fmi2String guid, char *
 static int prepare(Instance *c, fmi2String location, fmi2String guid, char *why)
 {
     BlockMessage message = {{0}};
-    BlockNeeds needs = {0, 0, 0, 0};
+    BlockNeeds needs = {0};
 
     if (block_is_sampled && c->type == fmi2ModelExchange) {
         snprintf(why, WHY_SIZE, "this FMU offers co-simulation only");

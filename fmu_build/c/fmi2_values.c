@@ -13,13 +13,13 @@ static fmi2Status refresh(Instance *c, int outputs, int locals, int derivatives,
 
     if (locals && c->run->outputs_fresh == FRESH_BUT_LOCALS && c->run->mode != MODE_ERROR) {
         c->run->outputs_fresh = STALE;
-        status = instance_refresh_outputs(c, call);
+        status = instance_refresh_outputs(c, 1, call);
     }
     if (status != fmi2OK || c->run->mode == MODE_TERMINATED || c->run->mode == MODE_ERROR) return status;
     if (c->run->mode == MODE_INITIALIZATION && !c->run->outputs_fresh)
         status = instance_initialise(c, call);
     else if (outputs)
-        status = instance_refresh_outputs(c, call);
+        status = instance_refresh_outputs(c, locals, call);
     if (status == fmi2OK && derivatives) status = instance_refresh_derivatives(c, call);
     return status;
 }

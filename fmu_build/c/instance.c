@@ -178,13 +178,39 @@ void instance_reset_values(Instance *c)
     memcpy(c->x_start, c->block.x, c->block.layout.n_x * sizeof(double));
 }
 
+void instance_undo_begin(Instance *c)
+{
+    const size_t cold = c->saved_size - c->warm_size;
+
+    memcpy(c->undo, c->run, c->front_size);
+    if (c->warm_size > 0) memcpy((char *)c->undo + cold, (const char *)c->run + cold, c->warm_size);
+    c->undo_whole = 0;
+}
+
+void instance_undo_event(Instance *c)
+{
+    const size_t at = c->front_size;
+
+    if (!c->undo_whole) memcpy((char *)c->undo + at, (const char *)c->run + at, c->saved_size - c->warm_size - at);
+    c->undo_whole = 1;
+}
+
+void instance_undo(Instance *c)
+{
+    const size_t cold = c->saved_size - c->warm_size;
+
+    memcpy(c->run, c->undo, c->undo_whole ? c->saved_size : c->front_size);
+    if (c->warm_size > 0) memcpy((char *)c->run + cold, (const char *)c->undo + cold, c->warm_size);
+    ++c->memory_written;
+}
+
 /* Start of the run from the values set so far; may be repeated. */
 fmi2Status instance_initialise(Instance *c, const char *call)
 {
     Block *b = &c->block;
     BlockMessage message = {{0}};
     BlockStatus status;
-    BlockNeeds needs = {0, 0, 0, 0};
+    BlockNeeds needs = {0};
 
     memcpy(b->x, c->x_start, b->layout.n_x * sizeof(double));
     if ((status = block_needs(b->record, &b->layout, &needs, &message)) != BLOCK_OK)
@@ -198,24 +224,27 @@ fmi2Status instance_initialise(Instance *c, const char *call)
     instance_remark(c, &message);
     c->run->last_event = c->run->time;
     c->run->outputs_fresh = c->run->derivatives_fresh = c->run->indicated = 0;
-    return instance_refresh_outputs(c, call);
+    return instance_refresh_outputs(c, 1, call);
 }
 
-fmi2Status instance_refresh_outputs(Instance *c, const char *call)
+fmi2Status instance_refresh_outputs(Instance *c, int locals, const char *call)
 {
     Block *b = &c->block;
     BlockMessage message = {{0}};
     BlockStatus status;
+    double *const w = b->w;
 
     if (c->run->outputs_fresh) return fmi2OK;
     if (block_is_sampled) {
         for (size_t i = 0; i < b->layout.n_u; ++i) c->u_poly[4 * i] = b->u[i];
         status = block_step(b, c->run->time, 0.0, c->u_poly, c->y_slope, &message);
     } else {
+        if (!locals) b->w = NULL;
         status = block_outputs(b, c->run->time, b->x, b->u, b->y, &message);
+        b->w = w;
     }
     if (status != BLOCK_OK) return instance_report_block(c, status, call, &message);
-    c->run->outputs_fresh = 1;
+    c->run->outputs_fresh = locals || block_is_sampled ? FRESH : FRESH_BUT_LOCALS;
     return fmi2OK;
 }
 

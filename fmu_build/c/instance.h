@@ -68,6 +68,9 @@ typedef struct {
     size_t n_decisions;
 
     RunState *undo;             /* copy of the saved piece: a step to take back */
+    size_t front_size;          /* of the saved piece before block.memory, which only events and starts change ... */
+    size_t warm_size;           /* ... but for its last part, which evaluations change */
+    int undo_whole;             /* whether `undo` holds all of the memory            */
     double *work;               /* solver: SOLVER_ARRAYS n_x + n_u, directional: 2 n_x + n_u + n_y */
 
     const double *start_real, *min_real, *max_real, *nominal_x;
@@ -95,10 +98,15 @@ void *instance_allocate(const fmi2CallbackFunctions *callbacks, size_t bytes);
 void instance_release(const fmi2CallbackFunctions *callbacks, void *memory);
 void instance_reset_values(Instance *c);
 fmi2Status instance_initialise(Instance *c, const char *call);
-fmi2Status instance_refresh_outputs(Instance *c, const char *call);
+/* y, and unless `locals` is 0 w. */
+fmi2Status instance_refresh_outputs(Instance *c, int locals, const char *call);
 fmi2Status instance_refresh_derivatives(Instance *c, const char *call);
 /* Takes the decisions of limiters as they are where the instance now is, its states onto those limits. */
 fmi2Status instance_decide(Instance *c, const char *call);
+/* Keeps what a step may have to be taken back to: at its begin, before its events; and goes back there. */
+void instance_undo_begin(Instance *c);
+void instance_undo_event(Instance *c);
+void instance_undo(Instance *c);
 fmi2Status instance_check_finite(Instance *c, const char *call);
 
 #endif

@@ -71,6 +71,7 @@ BlockStatus solver_advance(Instance *c, double stop, double length, BlockMessage
         solver_inputs(c, s.to, b->u);
         instance_log_event(c, "event at time %.9g s", s.event);
         ++c->memory_written;
+        instance_undo_event(c);
         if ((status = block_event(b, s.event, b->x, message)) != BLOCK_OK) return status;
         instance_remark(c, message);
         run->last_event = s.last_event = s.event;

@@ -25,7 +25,7 @@ from ..grid.control_tables import Group, Parameter
 from ..grid.equilibrium import OperatingPoint, operating_point
 from ..grid.machine_tables import in_plant_order, machine_table
 from ..grid.network import load_power
-from ..grid.network_tables import Form, network_pattern, network_tables
+from ..grid.network_tables import Form, is_reduced, network_pattern, network_tables
 from ..grid.sparse_pattern import SparsePattern
 from .event_numbers import event_numbers_html
 from .plant_shown import Shown, shown_of, shown_tables
@@ -282,7 +282,11 @@ def _data(
     counts += [len(groups), before, ties, slots]
     ports, pattern = _ports_and_pattern(case, point, network)
     counts += [len(case.shunts), len(parameters), len(ports)]
-    counts += [0, 0, 0] if pattern is None else [len(pattern.row), pattern.fill, pattern.first]
+    if pattern is None:
+        counts += [0, 0, 0, 0]
+    else:
+        reduced = is_reduced(pattern, len(case.machines), len(ports), network)
+        counts += [len(pattern.row), pattern.fill, pattern.first, int(reduced)]
     counts.append(len(seen["tie.branch"]) - ties)
     arrays: dict[str, Any] = {
         "plant.counts": _int(counts),

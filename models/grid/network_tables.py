@@ -14,7 +14,8 @@ from .bus_devices import LOAD
 from .network import branch_stamps, bus_index, load_power, machine_bus_index, shunt_admittance
 from .sparse_pattern import SPARSE_PRICE, IntArray, SparsePattern, sparse_pattern
 
-Form = Literal["dense", "sparse"]
+#: a product over the machines; factors for every evaluation; factors for voltages and a product for rates
+Form = Literal["dense", "sparse", "reduced"]
 SMALLEST_PU = 1e-4  #: least reactance beside an air gap that is a node of its own
 
 
@@ -53,15 +54,25 @@ def network_pattern(
     """
     m, n = len(case.machines), len(ports)
     nodes = network_nodes(case, ports)
-    # multiplications of a right-hand side: the product, and where something iterates some three rounds
-    dense, rounds = m * (m + n) + n * (m + 3 * n), 3 if n else 1
+    # multiplications of a right-hand side: the product, and where something iterates some three rounds. Without
+    # ports a sparse network takes the product as well (is_reduced), and what is dear is the dense one's events
+    dense, price = m * (m + n) + n * (m + 3 * n), 3 * SPARSE_PRICE if n else 1.25
     active = np.unique(np.concatenate([nodes.machine, nodes.port]))
-    if form == "dense" or (form is None and dense <= SPARSE_PRICE * rounds * len(active)):
+    if form == "dense" or (form is None and dense <= price * len(active)):
         return None  # a solution takes at least one multiplication at each active node
     if any(_has_no_gap(case.machines[int(k)]) for kind, k in ports[:, :2] if kind != LOAD):
         return None
     pattern = sparse_pattern(nodes.count, nodes.ends, active)
-    return pattern if form or dense > SPARSE_PRICE * rounds * pattern.multiplications else None
+    return pattern if form or dense > price * pattern.multiplications else None
+
+
+def is_reduced(pattern: SparsePattern, machines: int, ports: int, form: Form | None = None) -> bool:
+    """Whether rates take the machines' currents from a dense product, made of the pattern's solutions.
+
+    form : the one to take whatever the cost; where ports iterate a product alone does not do.
+    """
+    cheap = machines**2 <= SPARSE_PRICE * pattern.multiplications
+    return ports == 0 and (form == "reduced" or (form is None and cheap))
 
 
 def _has_no_gap(machine: Machine) -> bool:

@@ -11,7 +11,7 @@ from scipy import sparse
 
 IntArray = npt.NDArray[np.int64]
 
-#: complex multiplications of a sparse solution that cost as much as one of the dense product, measured
+#: complex multiplications of the dense product that cost as much as one of a sparse solution, measured
 SPARSE_PRICE = 3.5
 
 

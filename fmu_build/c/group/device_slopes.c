@@ -29,7 +29,7 @@ static size_t doubles_of(const BlockLayout *l, const BlockNeeds *needs)
 size_t interarea_devices_size(const void *record, size_t bytes, const BlockLayout *layout, BlockMessage *message)
 {
     Record opening;
-    BlockNeeds needs = {0, 0, 0, 0};
+    BlockNeeds needs = {0};
 
     if (!opened(&opening, record, bytes, message)) return 0;
     if (block_needs(&opening, layout, &needs, message) != BLOCK_OK) return 0;
@@ -57,7 +57,7 @@ int interarea_devices_open(void *work, const void *record, size_t bytes, const B
     Devices *d = work;
     Block *b = &d->block;
     double *at = (double *)(void *)(d + 1);
-    BlockNeeds needs = {0, 0, 0, 0};
+    BlockNeeds needs = {0};
 
     if (!opened(&d->record, record, bytes, message)) return 1;
     if (block_needs(&d->record, layout, &needs, message) != BLOCK_OK) return 1;

@@ -63,7 +63,7 @@ size_t interarea_group_size(fmi2Component like, size_t lanes)
 {
     const Instance *c = like;
     const BlockLayout *l;
-    BlockNeeds needs = {0, 0, 0, 0};
+    BlockNeeds needs = {0};
     size_t guid;
 
     if (c == NULL || (lanes != 2 && lanes != 4 && lanes != 8) || c->type != fmi2CoSimulation) return 0;
@@ -84,7 +84,7 @@ void interarea_group_open(void *work, fmi2Component like, size_t lanes)
     Group *g = work;
     const BlockLayout *l = &g->layout;
     double *at = (double *)work + head_size();
-    BlockNeeds needs = {0, 0, 0, 0};
+    BlockNeeds needs = {0};
     size_t size;
     const char *guid = record_text(&c->record, "guid", &size);
 
@@ -167,7 +167,10 @@ static int meet_event(Group *g, Lane *lane, size_t k)
     if (lane->events == MOST_EVENTS) return 0;
     lane->told[lane->events] = way->event;
     if (way->end > way->time) way->time = way->end;
-    if (lane->events++ == 0) memcpy(c->undo, c->run, c->saved_size);
+    if (lane->events++ == 0) {
+        instance_undo_begin(c);
+        instance_undo_event(c);
+    }
     get(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     c->run->time = way->time;
     solver_inputs(c, way->to, c->block.u);
@@ -277,10 +280,7 @@ static fmi2Status repeat_alone(Lane *lane)
 {
     Instance *c = lane->c;
 
-    if (lane->events > 0) {
-        memcpy(c->run, c->undo, c->saved_size);
-        ++c->memory_written;
-    }
+    if (lane->events > 0) instance_undo(c);
     c->run->switches_cost = lane->switches_cost;
     return fmi2DoStep(c, lane->point, lane->step, fmi2True);
 }

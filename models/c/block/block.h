@@ -71,11 +71,11 @@ typedef struct {
     size_t lanes;           /* of this machine, from block_start; 0: one number in each operation */
 } Block;
 
-/* What the runner must provide besides the variables (n_notes and n_decisions are 0 unless the block sets
- * them); read from the record,
+/* What the runner must provide besides the variables; read from the record,
  * checked once at instantiation (sizes that disagree with the layout, unknown
- * format: BLOCK_ERROR). */
-typedef struct { size_t n_memory, n_scratch, n_notes, n_decisions; } BlockNeeds;
+ * format: BLOCK_ERROR). What the block does not set is 0. n_warm: so many numbers at the end of memory are written
+ * by evaluations as well, the others by block_start and block_event only (and all by block_step). */
+typedef struct { size_t n_memory, n_scratch, n_notes, n_decisions, n_warm; } BlockNeeds;
 BlockStatus block_needs(const Record *record, const BlockLayout *layout,
                         BlockNeeds *needs, BlockMessage *message);
 
@@ -87,7 +87,7 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message);
 BlockStatus block_derivatives(Block *b, double t, const double *x,
                               const double *u, double *dx, BlockMessage *message);
 
-/* Outputs y, locals w (into b->w) and integer outputs (b->iy, b->iw). */
+/* Outputs y, locals w (into b->w, unless that is null: nobody asks) and integer outputs (b->iy, b->iw). */
 BlockStatus block_outputs(Block *b, double t, const double *x,
                           const double *u, double *y, BlockMessage *message);
 

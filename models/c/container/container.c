@@ -58,7 +58,7 @@ static int layout_of(const Record *record, BlockLayout *n)
 static BlockStatus read_member(LoopMemberPlan *m, const Record *record, size_t k, int kind, int check, size_t *n_scratch,
                                BlockMessage *message)
 {
-    BlockNeeds needs = {0, 0, 0, 0};
+    BlockNeeds needs = {0};
     BlockStatus status;
 
     if (kind < 0 || kind >= KIND_COUNT) return unfit(message, "`loop.kinds`");

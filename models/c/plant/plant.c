@@ -46,6 +46,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
     needs->n_scratch = scratch_of(&plan, layout);
     needs->n_notes = plan.n_device;
     needs->n_decisions = plan.n_decision;
+    needs->n_warm = plan.n_port > 0 ? plan.total : 0;
     return BLOCK_OK;
 }
 

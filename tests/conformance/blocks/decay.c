@@ -43,7 +43,7 @@ BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, 
 {
     (void)t, (void)message;
     y[0] = x[0];
-    b->w[0] = b->p[RATE] * x[0] - u[0];
+    if (b->w != NULL) b->w[0] = b->p[RATE] * x[0] - u[0];
     b->iy[0] = (int)b->memory[0];
     return BLOCK_OK;
 }

@@ -22,6 +22,7 @@ typedef struct {
     num *newton;
     size_t lanes;
     int exact;   /* the ports' slopes are wanted at the solution */
+    int rates;   /* and only currents of the network: no voltages */
     Notes notes; /* of the devices' decisions                    */
 } Work;
 
@@ -147,9 +148,20 @@ static size_t solve_few(real *memory, const Plan *plan, const Pattern *pattern, 
 }
 #endif
 
+/* I = Y E; sources beyond the EMFs are what the ports inject. */
+static void solve_dense(const real *memory, const Plan *plan, Work *w)
+{
+    TILED(num_product_complex, w->lanes, plan->n_machine, memory + plan->y_re, memory + plan->y_im, plan->n_machine,
+          plan->n_source, w->e_re, w->e_im, w->i_re, w->i_im);
+}
+
 /* The network of a large grid: node voltages into w->v, machine currents. As solve_ports. */
 static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *pattern, const num *x, Work *w)
 {
+    if (w->rates && plan->reduced > 0) {
+        solve_dense(memory, plan, w);
+        return 0;
+    }
     network_inject(memory, plan, pattern, w->e_re, w->e_im, w->v);
     if (plan->n_port == 0) {
         network_solve(memory, plan, pattern, w->v);
@@ -197,7 +209,7 @@ static size_t solve_network(real *memory, const Plan *plan, const Pattern *patte
     if (is_sparse(plan)) stuck = solve_sparse(memory, plan, pattern, x, w);
     else if (plan->n_port > 0) stuck = solve_ports(memory, plan, x, w);
     if (stuck > 0) return stuck;
-    if (!is_sparse(plan)) network_currents(memory, plan, w->e_re, w->e_im, w->i_re, w->i_im);
+    if (!is_sparse(plan)) solve_dense(memory, plan, w);
     solve_terminals(memory, plan, &machines, w);
     return 0;
 }
@@ -288,6 +300,7 @@ size_t NAME(plant_flow)(real *memory, const int32_t *places, size_t lanes, const
     const Pattern pattern = pattern_of(places, plan);
     Work w = work_arrays(scratch, plan, lanes);
     w.notes = notes;
+    w.rates = 1;
 
     const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
     if (stuck > 0) return stuck;

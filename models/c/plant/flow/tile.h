@@ -20,3 +20,14 @@ void NAME(device_run)(size_t device, const DeviceGroup *g, const DeviceSignals *
 {
     device_run(device, g, in, x, dx);
 }
+
+void NAME(num_product)(const double *from, const double *M, size_t rows, size_t columns, const double *s, double *to)
+{
+    num_product(from, M, rows, columns, s, to);
+}
+
+void NAME(num_product_complex)(const double *g, const double *b, size_t rows, size_t columns, const double *s_re,
+                               const double *s_im, double *to_re, double *to_im)
+{
+    num_product_complex(g, b, rows, columns, s_re, s_im, to_re, to_im);
+}

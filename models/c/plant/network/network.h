@@ -59,28 +59,6 @@ static inline void network_machines(const real *memory, const Plan *plan, const 
     }
 }
 
-/* I = Y E, one dense complex product. Sources beyond the machines' EMFs are what
- * the ports inject (port.h); without ports there are none. */
-static inline void network_currents(const real *memory, const Plan *plan,
-                                    const num *e_re, const num *e_im, num *i_re, num *i_im)
-{
-    const size_t n = plan->n_machine;
-    const real *y_re = memory + plan->y_re, *y_im = memory + plan->y_im;
-
-    for (size_t j = 0; j < n; ++j) {
-        i_re[j] = NUM(0.0);
-        i_im[j] = NUM(0.0);
-    }
-    for (size_t k = 0; k < plan->n_source; ++k) {   /* Y by columns: the inner loop has stride 1 */
-        const real *g = y_re + k * n, *b = y_im + k * n;
-        const num er = e_re[k], ei = e_im[k];
-        for (size_t j = 0; j < n; ++j) {
-            i_re[j] += g[j] * er - b[j] * ei;
-            i_im[j] += g[j] * ei + b[j] * er;
-        }
-    }
-}
-
 /* Voltage of one bus from the EMFs, or where the network is sparse from its solution v. */
 static inline void network_voltage(const real *memory, const Plan *plan, const Pattern *pattern, size_t bus,
                                    const num *e_re, const num *e_im, const num *v, num *v_re, num *v_im)

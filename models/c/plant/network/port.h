@@ -2,6 +2,7 @@
 #define INTERAREA_PORT_H
 #include "../machine/load.h"
 #include "../machine/saturation.h"
+#include "../numbers/products.h"
 /* Ports: where nonlinear elements meet the linear network. Port p injects a
  * current J_p(V_p, x) that depends on its own voltage; with the EMFs E
  *
@@ -98,8 +99,7 @@ static inline flag port_iterate(real *memory, const Plan *plan, const num *ed2, 
             rest[p] = e_re[m + p] - (d[0] * w.v_re[p] + d[1] * w.v_im[p]);
             rest[n + p] = e_im[m + p] - (d[2] * w.v_re[p] + d[3] * w.v_im[p]);
         }
-        for (size_t p = 0; p < 2 * n; ++p) next[p] = b[p];
-        num_add_product(from_j, 2 * n, 2 * n, rest, next);
+        num_product(b, from_j, 2 * n, 2 * n, rest, next);
         for (size_t p = 0; p < n; ++p) {
             moved += num_size(next[p] - w.v_re[p]) + num_size(next[n + p] - w.v_im[p]);
             w.v_re[p] = num_pick(open, next[p], w.v_re[p]);

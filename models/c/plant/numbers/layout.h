@@ -110,6 +110,7 @@ typedef struct {
     size_t n_y, n_w;      /* outputs, locals                                       */
     size_t n_node, n_fill, first;  /* sparse network: rows, entries of L and of U, first row a current enters;
                                       n_node is 0 where the network is dense */
+    size_t reduced;       /* sparse, without ports: rates take the currents from a dense product, 1 or 0 */
     size_t exciters;      /* groups before this one run before the inputs are added */
     size_t n_source;      /* n_machine + n_port: EMFs, then what the ports inject  */
     /* offsets into memory, in doubles */
@@ -137,7 +138,7 @@ typedef struct {
     size_t lower, upper;  /* sparse: width n_fill each, the factors (sparse.h)     */
     size_t pivot;         /* sparse: width n_node, 1 over the diagonal of L        */
     size_t linear;        /* sparse, with width 4: the matrix without them, complex: lower, upper, diagonal */
-    size_t y_re, y_im;    /* dense, n_source x n_machine: machine currents from sources */
+    size_t y_re, y_im;    /* dense or reduced, n_source x n_machine: machine currents from sources */
     size_t v_re, v_im;    /* dense, n_bus x n_source: bus voltages from sources    */
     size_t port;          /* P_ROWS for each port                                  */
     size_t port_w_re, port_w_im; /* dense, n_source x n_port: port voltages from sources */
@@ -197,8 +198,8 @@ static inline void plan_offsets(Plan *p)
     p->pivot = at;         at += p->width * p->n_node;
     p->linear = p->width == 4 ? at : p->lower;
     at += p->width == 4 ? 2u * (2u * p->n_fill + p->n_node) : 0u;
-    p->y_re = at;          at += n * sources * dense;
-    p->y_im = at;          at += n * sources * dense;
+    p->y_re = at;          at += n * sources * (dense + p->reduced);
+    p->y_im = at;          at += n * sources * (dense + p->reduced);
     p->v_re = at;          at += p->n_bus * sources * dense;
     p->v_im = at;          at += p->n_bus * sources * dense;
     p->port = at;          at += (size_t)P_ROWS * ports;

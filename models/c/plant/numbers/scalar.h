@@ -210,25 +210,4 @@ static inline num num_angle(num y, num x)
     const num turn = num_pick(num_above(NUM(0.0), y), NUM(-3.14159265358979312), NUM(3.14159265358979312));
     return num_pick(num_above(NUM(0.0), x), turn - angle, angle);
 }
-
-/* y += M s, the columns of M one after the other, `rows` numbers each. Four columns
- * go at a time where that pays (eight lanes wait for memory, not for the sums); each
- * sum adds them in order, so that the bits are those of one at a time. */
-static inline void num_add_product(const real *M, size_t rows, size_t columns, const num *s, num *y)
-{
-    size_t k = 0;
-
-#if !defined PLANT_LANES || PLANT_LANES < 8
-    for (; k + 4 <= columns; k += 4, M += 4 * rows) {
-        const real *m1 = M + rows, *m2 = m1 + rows, *m3 = m2 + rows;
-        const num s0 = s[k], s1 = s[k + 1], s2 = s[k + 2], s3 = s[k + 3];
-        for (size_t i = 0; i < rows; ++i)
-            y[i] = (((y[i] + M[i] * s0) + m1[i] * s1) + m2[i] * s2) + m3[i] * s3;
-    }
-#endif
-    for (; k < columns; ++k, M += rows) {
-        const num s0 = s[k];
-        for (size_t i = 0; i < rows; ++i) y[i] += M[i] * s0;
-    }
-}
 #endif

@@ -9,7 +9,7 @@
 
 enum {
     C_MACHINE, C_SIXTH, C_BUS, C_BRANCH, C_LOAD, C_GROUP, C_EXCITERS,
-    C_TIE, C_SLOT, C_ITEM, C_PARAMETER, C_PORT, C_NODE, C_FILL, C_FIRST, C_LINE, C_COUNTS
+    C_TIE, C_SLOT, C_ITEM, C_PARAMETER, C_PORT, C_NODE, C_FILL, C_FIRST, C_REDUCED, C_LINE, C_COUNTS
 };
 
 /* Everything the record must hold; `bad` keeps the first array that does not fit. */
@@ -87,11 +87,13 @@ static const int32_t *read_plan(const Record *record, const BlockLayout *layout,
     plan->n_node = (size_t)c[C_NODE];
     plan->n_fill = (size_t)c[C_FILL];
     plan->first = (size_t)c[C_FIRST];
+    plan->reduced = c[C_REDUCED] > 0 ? 1 : 0;
     plan->n_line = (size_t)c[C_LINE];
     plan->n_y = layout->n_y;
     plan->n_w = layout->n_w;
     if (plan->exciters > plan->n_group || !count_devices(record, plan)) return NULL;
     if (plan->n_node > 0 && !is_sparse(plan)) return NULL;
+    if (plan->reduced > 0 && (!is_sparse(plan) || plan->n_port > 0)) return NULL;
     plan_offsets(plan);
     return c;
 }

@@ -65,21 +65,22 @@ def mesh(columns: int, rows: int, every: int = 1) -> Case:
 
 
 def shims(case: Case, *events: dict) -> list[BlockShim]:
-    """The plant with the dense and with the sparse network."""
+    """The plant with the dense, the sparse and the reduced network."""
     slots = event_parameters(case, events_of(list(events), where="test"))
-    return [BlockShim(plant_block(case, network=form), slots) for form in ("dense", "sparse")]
+    return [BlockShim(plant_block(case, network=form), slots) for form in ("dense", "sparse", "reduced")]
 
 
 def check_agreement(case: Case, *events: dict, iterated: float = 1e-12) -> None:
-    dense, sparse = shims(case, *events)
+    dense, *others = shims(case, *events)
     x = dense.x + 0.02 * np.random.default_rng(3).standard_normal(len(dense.x))
-    for one, other in zip(dense.derivatives(x), sparse.derivatives(x), strict=True):
-        np.testing.assert_allclose(other, one, rtol=0, atol=iterated * (1.0 + np.abs(one).max()))
-    np.testing.assert_allclose(sparse.w, dense.w, rtol=0, atol=iterated * dense.w.max())
     v = np.random.default_rng(4).standard_normal(len(dense.x) + len(dense.u))
-    one, other = (p.directional(v[: len(x)], v[len(x) :], x) for p in (dense, sparse))
-    for a, b in zip(one, other, strict=True):
-        np.testing.assert_allclose(b, a, rtol=0, atol=1e-12 * (1.0 + np.abs(a).max()))
+    wanted, slopes = dense.derivatives(x), dense.directional(v[: len(x)], v[len(x) :], x)
+    for plant in others:
+        for one, other in zip(wanted, plant.derivatives(x), strict=True):
+            np.testing.assert_allclose(other, one, rtol=0, atol=iterated * (1.0 + np.abs(one).max()))
+        np.testing.assert_allclose(plant.w, dense.w, rtol=0, atol=iterated * dense.w.max())
+        for a, b in zip(slopes, plant.directional(v[: len(x)], v[len(x) :], x), strict=True):
+            np.testing.assert_allclose(b, a, rtol=0, atol=1e-12 * (1.0 + np.abs(a).max()))
 
 
 @pytest.mark.parametrize("name", ["two-area-thesis", "kundur-thyristor-z", "new-england"])
@@ -113,7 +114,7 @@ def test_runs_with_ports_agree_through_a_fault() -> None:
     case = load_case("nets-nyps")
     power = {"loads": {q.name: {"P_zip": [0.0, 0.0, 1.0], "Q_zip": [0.0, 0.0, 1.0]} for q in case.loads[:12]}}
     fault = {"kind": "bus_fault", "bus": 28, "start_s": 0.02, "end_s": 0.12, "x_pu": 0.002}
-    dense, sparse = (p.run(0.5, 0.005) for p in shims(case.with_changes(power), fault))
+    dense, sparse, _ = (p.run(0.5, 0.005) for p in shims(case.with_changes(power), fault))
     swing = np.ptp(dense[2], axis=0).max()
     assert swing > 0.1
     np.testing.assert_allclose(sparse[2], dense[2], rtol=0, atol=1e-7 * swing)
@@ -146,7 +147,7 @@ def test_both_forms_agree_with_few_ports(machine: str | None) -> None:
 
 def test_runs_with_few_ports_agree_through_a_fault() -> None:
     fault = {"kind": "bus_fault", "bus": 16, "start_s": 0.02, "end_s": 0.12, "x_pu": 0.002}
-    dense, sparse = (p.run(0.5, 0.005) for p in shims(few_ports(), fault))
+    dense, sparse, _ = (p.run(0.5, 0.005) for p in shims(few_ports(), fault))
     swing = np.ptp(dense[2], axis=0).max()
     assert swing > 0.1
     np.testing.assert_allclose(sparse[2], dense[2], rtol=0, atol=1e-10 * swing)
@@ -159,7 +160,7 @@ def test_both_forms_agree_beside_phase_shifters_and_buses_without_machine() -> N
 def test_an_event_is_felt_when_it_comes() -> None:
     """The factors are renewed: during a fault the voltage there is low, afterwards it is back."""
     fault = {"kind": "bus_fault", "bus": 16, "start_s": 0.02, "end_s": 0.04, "x_pu": 0.001}
-    dense, sparse = (p.run(0.06, 0.01) for p in shims(load_case("new-england"), fault))
+    dense, sparse, _ = (p.run(0.06, 0.01) for p in shims(load_case("new-england"), fault))
     np.testing.assert_allclose(sparse[1], dense[1], rtol=0, atol=1e-11)
     assert np.abs(sparse[2][:, 3::4] - sparse[2][0, 3::4])[2:4].max() > 0.05
 
@@ -198,14 +199,17 @@ def test_pattern_holds_all_that_elimination_fills() -> None:
 
 
 def test_the_cheaper_form_is_taken() -> None:
-    """Few machines: dense; many on a wide grid: sparse; and what is counted is what is done."""
+    """Few machines: dense; more: reduced; many on a wide grid: sparse; and what is counted is what is done."""
     assert network_pattern(load_case("nets-nyps"), np.zeros((0, 18))) is None
     wide = mesh(20, 6)
     pattern = network_pattern(wide, np.zeros((0, 18)))
     assert pattern is not None and len(wide.machines) ** 2 > SPARSE_PRICE * pattern.multiplications
     assert pattern.multiplications == 2 * pattern.fill + 120  # a machine at every bus: no row is left out
-    assert plant_block(wide).data["plant.counts"][-4] == 120
+    assert plant_block(wide).data["plant.counts"][-5] == 120
     assert network_pattern(wide, np.zeros((0, 18)), "dense") is None
+    between = mesh(12, 6, every=2)
+    counts = [plant_block(between, network=form).data["plant.counts"] for form in (None, "sparse", "dense")]
+    assert [c[-2] for c in counts] == [1, 0, 0] and [c[-5] for c in counts] == [72, 72, 0]
 
 
 @pytest.mark.parametrize("k", [0, 45, -1])

@@ -1,0 +1,111 @@
+#ifndef INTERAREA_PRODUCTS_H
+#define INTERAREA_PRODUCTS_H
+#include "scalar.h"
+/* Products with matrices whose columns lie one after the other, `rows` numbers each. Every sum adds its columns in
+ * order, so that one row at a time, tiles of rows (flow/tiles.h) and several scenarios give the same bits. What they
+ * read and what they write lies apart. */
+
+#ifdef PLANT_TILE
+/* Sums stay in registers, of four tiles, or of two complex ones, at a time: an addition need not wait for the one
+ * before. At least as many rows as a tile is wide. */
+static inline void num_product(const double *from, const double *M, size_t rows, size_t columns, const double *s,
+                               double *to)
+{
+    enum { WIDE = PLANT_LANES };
+    size_t i = 0;
+
+    for (; i + 4 * WIDE <= rows; i += 4 * WIDE) {
+        const double *m = M + i;
+        num a = num_at(from + i), b = num_at(from + i + WIDE);
+        num c = num_at(from + i + 2 * WIDE), d = num_at(from + i + 3 * WIDE);
+        for (size_t k = 0; k < columns; ++k, m += rows) {
+            a += num_at(m) * s[k];
+            b += num_at(m + WIDE) * s[k];
+            c += num_at(m + 2 * WIDE) * s[k];
+            d += num_at(m + 3 * WIDE) * s[k];
+        }
+        put_at(to + i, a);
+        put_at(to + i + WIDE, b);
+        put_at(to + i + 2 * WIDE, c);
+        put_at(to + i + 3 * WIDE, d);
+    }
+    for (size_t left = i; left < rows; left += WIDE) {
+        const size_t at = left + WIDE > rows ? rows - WIDE : left;
+        const double *m = M + at;
+        num a = num_at(from + at);
+        for (size_t k = 0; k < columns; ++k, m += rows) a += num_at(m) * s[k];
+        put_at(to + at, a);
+    }
+}
+
+static inline void num_product_complex(const double *g, const double *b, size_t rows, size_t columns,
+                                       const double *s_re, const double *s_im, double *to_re, double *to_im)
+{
+    enum { WIDE = PLANT_LANES };
+    size_t i = 0;
+
+    for (; i + 2 * WIDE <= rows; i += 2 * WIDE) {
+        const double *p = g + i, *q = b + i;
+        num re = NUM(0.0), im = NUM(0.0), more_re = NUM(0.0), more_im = NUM(0.0);
+        for (size_t k = 0; k < columns; ++k, p += rows, q += rows) {
+            re += num_at(p) * s_re[k] - num_at(q) * s_im[k];
+            im += num_at(p) * s_im[k] + num_at(q) * s_re[k];
+            more_re += num_at(p + WIDE) * s_re[k] - num_at(q + WIDE) * s_im[k];
+            more_im += num_at(p + WIDE) * s_im[k] + num_at(q + WIDE) * s_re[k];
+        }
+        put_at(to_re + i, re);
+        put_at(to_im + i, im);
+        put_at(to_re + i + WIDE, more_re);
+        put_at(to_im + i + WIDE, more_im);
+    }
+    for (size_t left = i; left < rows; left += WIDE) {
+        const size_t at = left + WIDE > rows ? rows - WIDE : left;
+        const double *p = g + at, *q = b + at;
+        num re = NUM(0.0), im = NUM(0.0);
+        for (size_t k = 0; k < columns; ++k, p += rows, q += rows) {
+            re += num_at(p) * s_re[k] - num_at(q) * s_im[k];
+            im += num_at(p) * s_im[k] + num_at(q) * s_re[k];
+        }
+        put_at(to_re + at, re);
+        put_at(to_im + at, im);
+    }
+}
+#else
+/* to = from + M s. Four columns go at a time where that pays: eight lanes wait for memory, not for the sums. */
+static inline void num_product(const num *from, const real *M, size_t rows, size_t columns, const num *s, num *to)
+{
+    size_t k = 0;
+
+    for (size_t i = 0; i < rows; ++i) to[i] = from[i];
+#if !defined PLANT_LANES || PLANT_LANES < 8
+    for (; k + 4 <= columns; k += 4, M += 4 * rows) {
+        const real *m1 = M + rows, *m2 = m1 + rows, *m3 = m2 + rows;
+        const num s0 = s[k], s1 = s[k + 1], s2 = s[k + 2], s3 = s[k + 3];
+        for (size_t i = 0; i < rows; ++i)
+            to[i] = (((to[i] + M[i] * s0) + m1[i] * s1) + m2[i] * s2) + m3[i] * s3;
+    }
+#endif
+    for (; k < columns; ++k, M += rows) {
+        const num s0 = s[k];
+        for (size_t i = 0; i < rows; ++i) to[i] += M[i] * s0;
+    }
+}
+
+/* to = (g + j b) s. */
+static inline void num_product_complex(const real *g, const real *b, size_t rows, size_t columns, const num *s_re,
+                                       const num *s_im, num *to_re, num *to_im)
+{
+    for (size_t i = 0; i < rows; ++i) {
+        to_re[i] = NUM(0.0);
+        to_im[i] = NUM(0.0);
+    }
+    for (size_t k = 0; k < columns; ++k, g += rows, b += rows) {   /* the inner loop has stride 1 */
+        const num re = s_re[k], im = s_im[k];
+        for (size_t i = 0; i < rows; ++i) {
+            to_re[i] += g[i] * re - b[i] * im;
+            to_im[i] += g[i] * im + b[i] * re;
+        }
+    }
+}
+#endif
+#endif
