@@ -16,10 +16,12 @@ from interarea.cosim.run.artefacts import plant_fmu
 from interarea.fmu_build.open.fmi2 import CallFailed, Instance, Library
 from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.lane_library import GroupLibrary, GroupWork, plant_group
-from interarea.models.blocks.plant import event_parameters
+from interarea.fmu_build.write.package import build_fmu
+from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import events_of
 from interarea.models.case.write_toml import toml_text
+from interarea.models.grid.network_tables import Form
 
 Array = npt.NDArray[np.float64]
 _STEP = ctypes.CFUNCTYPE(
@@ -82,9 +84,17 @@ class _Run:
 class PlantLanes:
     """Runs of the plant FMU of a case; `lanes` = 1 lets each fmi2DoStep be called by itself."""
 
-    def __init__(self, case: Case, cache: Path, more: Sequence[str] = ()) -> None:
+    def __init__(
+        self, case: Case, cache: Path, more: Sequence[str] = (), network: Form | None = None
+    ) -> None:
+        """`network` : the form to take, whatever is cheaper."""
         self.group: GroupLibrary = plant_group(cache=cache)
-        self.file = FmuFile(plant_fmu(case, cache, more=more))
+        if network is None:
+            fmu = plant_fmu(case, cache, more=more)
+        else:
+            fmu = cache / f"{case.name}-{network}.fmu"
+            build_fmu(plant_block(case, network=network), fmu, cache=cache)
+        self.file = FmuFile(fmu)
         self.outputs = [v for v in self.file.model.variables if v.causality == "output"]
 
     def run(
@@ -104,7 +114,7 @@ class PlantLanes:
         ended = [0.0] * len(rows)
         self._record(runs, y[0])
         width = self.group.lanes if lanes is None else lanes
-        works: dict[int, GroupWork | None] = {}
+        works: dict[tuple[int, ...], GroupWork | None] = {}  # each knows the instances that it had last
         for k in range(steps):
             for (at, number, name), value in (inputs or {}).items():
                 if at == k:
@@ -112,9 +122,10 @@ class PlantLanes:
             alive = [r for r in runs if not r.error]
             for first in range(0, len(alive), width):
                 some = alive[first : first + width]
-                if len(some) not in works and width > 1:
-                    works[len(some)] = self.group.work(some[0].fmu.component, len(some))
-                self._step(some, works.get(len(some)), k * step_s, step_s)
+                who = tuple(id(r) for r in some)
+                if who not in works and width > 1:
+                    works[who] = self.group.work(some[0].fmu.component, len(some))
+                self._step(some, works.get(who), k * step_s, step_s)
             if record:
                 self._record(runs, y[k + 1])
             ended = [(k + 1) * step_s if not r.error else e for r, e in zip(runs, ended, strict=True)]

@@ -54,9 +54,10 @@ def network_pattern(
     """
     m, n = len(case.machines), len(ports)
     nodes = network_nodes(case, ports)
-    # multiplications of a right-hand side: the product, and where something iterates some three rounds. Without
-    # ports a sparse network takes the product as well (is_reduced), and what is dear is the dense one's events
-    dense, price = m * (m + n) + n * (m + 3 * n), 3 * SPARSE_PRICE if n else 1.25
+    # complex multiplications of a right-hand side: products for currents and ports, or a solution; each iteration, of
+    # which there are some three for two evaluations, takes another. Without ports a sparse network takes the product
+    # as well (is_reduced), and what is dear is the dense one's events
+    dense, price = m * (m + n) + n * m + 1.5 * n * n, 3 * SPARSE_PRICE if n else 1.25
     active = np.unique(np.concatenate([nodes.machine, nodes.port]))
     if form == "dense" or (form is None and dense <= price * len(active)):
         return None  # a solution takes at least one multiplication at each active node

@@ -18,7 +18,8 @@ typedef struct {
     Instance *c;            /* whose step it is                                    */
     size_t place;           /* in the caller's arrays                              */
     int failed;             /* repeats its step alone                              */
-    int events;             /* how many it has handled: then c->undo holds the step's start */
+    int events;             /* how many it has handled                             */
+    int kept;               /* whether c->undo holds the step's start               */
     double told[MOST_EVENTS];   /* when: what a relay has seen since decides which come next */
     double point, step;     /* as the caller gave them                             */
     double switches_cost;   /* of the run as the step begins                       */
@@ -30,12 +31,13 @@ typedef struct {
     BlockLayout layout;
     char guid[GUID_ROOM];
     BlockGroup group;
-    double *u_poly, *elapsed;
+    double *u_poly, *begin, *elapsed, *warm_before;   /* warm_before: as the Runge-Kutta step begins */
     Lane lane[GROUP_MOST_LANES];
     size_t compared;                                /* lanes whose memory was compared; 0: not yet as it is now */
     int same;                                       /* and whether it is the same in all of them */
     const Instance *owner[GROUP_MOST_LANES];        /* whose memory the lane holds */
     unsigned long written[GROUP_MOST_LANES];        /* and as of when              */
+    double stamp[GROUP_MOST_LANES];
 } Group;
 
 static size_t aligned(size_t doubles)
@@ -71,11 +73,12 @@ size_t interarea_group_size(fmi2Component like, size_t lanes)
     (void)record_text(&c->record, "guid", &guid);
     if (guid > GUID_ROOM) return 0;
     l = &c->block.layout;
-    /* a number of each lane: memory; x and k; u and its polynomial; y; scratch; notes; h, switched; elapsed */
+    /* a number of each lane: memory; x and k; u and its polynomial; y; scratch; notes; warm twice; h, switched, begin;
+     * elapsed */
     return sizeof(double)
            * (head_size() + lanes * (needs.n_memory + 6 * l->n_x + 5 * l->n_u + l->n_y + needs.n_scratch + needs.n_notes
-                         + 2 + ELAPSED)
-              + 11 * ALIGNMENT);
+                         + 2 * needs.n_warm + 3 + ELAPSED)
+              + 14 * ALIGNMENT);
 }
 
 void interarea_group_open(void *work, fmi2Component like, size_t lanes)
@@ -104,10 +107,15 @@ void interarea_group_open(void *work, fmi2Component like, size_t lanes)
     g->group.notes = at;    at += aligned(lanes * needs.n_notes);
     g->group.h = at;        at += aligned(lanes);
     g->group.switched = at; at += aligned(lanes);
+    g->group.warm = at;     at += aligned(lanes * needs.n_warm);
+    g->warm_before = at;    at += aligned(lanes * needs.n_warm);
+    g->begin = at;          at += aligned(lanes);
     g->u_poly = at;         at += aligned(lanes * 4 * l->n_u);
     g->elapsed = at;        at += aligned(lanes * ELAPSED);
     memset((double *)work + head_size(), 0, (size_t)((char *)at - (char *)((double *)work + head_size())));
+    g->group.n_warm = needs.n_warm;
     g->group.u_poly = g->u_poly;
+    g->group.begin = g->begin;
     g->group.elapsed = g->elapsed;
 }
 
@@ -135,11 +143,30 @@ static int belongs(const Group *g, const Instance *c, size_t k)
 /* Puts the instance's memory into lane k unless it is there. */
 static void load_memory(Group *g, const Instance *c, size_t k)
 {
-    if (g->owner[k] == c && g->written[k] == c->memory_written) return;
+    const double stamp = block_group_stamp(&c->block);
+
+    if (g->owner[k] == c && g->written[k] == c->memory_written && g->stamp[k] == stamp) return;
     put(g->group.memory, c->block.memory, g->n_memory, g->lanes, k);
     g->owner[k] = c;
     g->written[k] = c->memory_written;
+    g->stamp[k] = stamp;
     g->compared = 0;
+}
+
+static double *warm_of(const Group *g, const Instance *c) { return c->block.memory + g->n_memory - g->group.n_warm; }
+
+/* What the lane's ports have come to into its instance, whose own code goes on there, and back. */
+static void warm_out(Group *g, Lane *lane, const double *warm, size_t k)
+{
+    if (!lane->kept) instance_undo_begin(lane->c);
+    if (g->group.n_warm > 0) instance_undo_event(lane->c);   /* alone an evaluation may change the rest as well */
+    lane->kept = 1;
+    get(warm, warm_of(g, lane->c), g->group.n_warm, g->lanes, k);
+}
+
+static void warm_in(Group *g, const Lane *lane, size_t k)
+{
+    put(g->group.warm, warm_of(g, lane->c), g->group.n_warm, g->lanes, k);
 }
 
 /* Between events of their own the runs of a screening have the same network and the same tables. */
@@ -150,7 +177,7 @@ static void compare_memory(Group *g, size_t n)
     if (g->compared != n) {
         g->same = 1;
         for (size_t k = 1; k < n && g->same; ++k)
-            g->same = memcmp(first, g->lane[k].c->block.memory, g->n_memory * sizeof(double)) == 0;
+            g->same = memcmp(first, g->lane[k].c->block.memory, (g->n_memory - g->group.n_warm) * sizeof(double)) == 0;
         g->compared = n;
     }
     g->group.alike = g->same ? first : NULL;
@@ -167,10 +194,9 @@ static int meet_event(Group *g, Lane *lane, size_t k)
     if (lane->events == MOST_EVENTS) return 0;
     lane->told[lane->events] = way->event;
     if (way->end > way->time) way->time = way->end;
-    if (lane->events++ == 0) {
-        instance_undo_begin(c);
-        instance_undo_event(c);
-    }
+    ++lane->events;
+    warm_out(g, lane, g->group.warm, k);
+    instance_undo_event(c);
     get(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     c->run->time = way->time;
     solver_inputs(c, way->to, c->block.u);
@@ -180,6 +206,7 @@ static int meet_event(Group *g, Lane *lane, size_t k)
     c->run->last_event = way->last_event = way->event;
     put(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     load_memory(g, c, k);
+    warm_in(g, lane, k);
     return 1;
 }
 
@@ -203,6 +230,9 @@ static void begin_lane(Group *g, Lane *lane, size_t k)
     put(g->u_poly, c->u_poly, 4 * g->layout.n_u, g->lanes, k);
     put(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     load_memory(g, c, k);
+    warm_in(g, lane, k);
+    g->begin[k] = c->run->time;
+    lane->kept = 0;
     lane->way = stretch_begin(c->run->time, lane->point + lane->step, step_length(c, lane->point, lane->step),
                               *c->internal_step, c->run->last_event);
     lane->events = 0;
@@ -219,8 +249,11 @@ static void step_alone(Group *g, Lane *lane, size_t k)
     double *x = c->work + (SOLVER_ARRAYS - 1) * g->layout.n_x;
 
     get(g->group.x, x, g->layout.n_x, g->lanes, k);
+    warm_out(g, lane, g->warm_before, k);
     lane->failed = solver_step(c, &lane->way, x, &message) != BLOCK_OK || message.text[0] != 0;
     put(g->group.x, x, g->layout.n_x, g->lanes, k);
+    load_memory(g, c, k);
+    warm_in(g, lane, k);
     if (lane->failed) lane->way.count = lane->way.done = 0;
 }
 
@@ -243,6 +276,7 @@ static void advance(Group *g, size_t n)
         }
         if (!busy) return;
         compare_memory(g, n);
+        memcpy(g->warm_before, g->group.warm, lanes * g->group.n_warm * sizeof(double));
         block_group_step(&g->group, lanes);
         for (size_t k = 0; k < n; ++k) {
             Stretch *way = &g->lane[k].way;
@@ -269,6 +303,7 @@ static void accept(Group *g, const Lane *lane, size_t k)
     for (int i = 0; i < lane->events; ++i) instance_log_event(c, "event at time %.9g s", lane->told[i]);
     get(g->group.x, c->block.x, g->layout.n_x, g->lanes, k);
     get(g->group.y, c->block.y, g->layout.n_y, g->lanes, k);
+    get(g->group.warm, warm_of(g, c), g->group.n_warm, g->lanes, k);
     c->run->time = lane->point + lane->step;
     step_consume_inputs(c, lane->step);
     c->run->outputs_fresh = FRESH_BUT_LOCALS;
@@ -280,7 +315,7 @@ static fmi2Status repeat_alone(Lane *lane)
 {
     Instance *c = lane->c;
 
-    if (lane->events > 0) instance_undo(c);
+    if (lane->kept) instance_undo(c);
     c->run->switches_cost = lane->switches_cost;
     return fmi2DoStep(c, lane->point, lane->step, fmi2True);
 }
@@ -294,6 +329,8 @@ static void finish(Group *g, size_t n, int rates, fmi2Status status[])
         Lane *lane = &g->lane[k];
         solver_inputs(lane->c, lane->step, lane->c->work);
         put(g->group.u, lane->c->work, l->n_u, lanes, k);
+        g->begin[k] = lane->point + lane->step;
+        g->elapsed[k] = 0.0;
     }
     compare_memory(g, n);
     block_group_outputs(&g->group, lanes, rates);

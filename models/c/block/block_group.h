@@ -13,7 +13,9 @@ typedef struct {
     const BlockLayout *layout;
     const Record *record;   /* that of every block                                */
     double *memory;         /* n_memory of each lane                              */
-    double *alike;          /* n_memory that all lanes have in common, bit for bit; null: they differ */
+    double *alike;          /* n_memory that all lanes have in common, bit for bit but for its end; null: they differ */
+    double *warm;           /* n_warm of each lane, in place of the end of memory: what evaluations change */
+    size_t n_warm;
     double *x, *u, *y;
     double *k;              /* 5 x n_x: stages of a step; its first n_x are dx/dt  */
     double *scratch;        /* n_scratch of each lane                             */
@@ -21,13 +23,16 @@ typedef struct {
     double *switched;       /* a lane in which a limiter switches: 1, and x is as it was (limited_step.h) */
     double *h;              /* step of each lane, 0 where it has nothing to do    */
     const double *u_poly;   /* [4*i+k]: k-th derivative of input i, or null: u is constant */
-    const double *elapsed;  /* with u_poly: times of begin, middle and end of the step */
+    const double *begin;    /* time from which `elapsed` counts                   */
+    const double *elapsed;  /* times of begin, middle and end of the step         */
 } BlockGroup;
 
 /* Lanes of the widest vectors that this processor has: 2, 4 or 8. */
 size_t block_group_lanes(void);
 /* Whether a started block can go beside others of its record. */
 int block_group_fits(const Block *b);
+/* Another number whenever evaluations have changed the rest of a block's memory, which they rarely do. */
+double block_group_stamp(const Block *b);
 /* One step of the classical Runge-Kutta method in each lane; changes x, except in lanes `switched`. */
 void block_group_step(const BlockGroup *g, size_t lanes);
 /* Outputs y at x, and unless `rates` is 0 dx/dt at (x, u) into the first n_x of k. */

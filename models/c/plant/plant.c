@@ -46,7 +46,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
     needs->n_scratch = scratch_of(&plan, layout);
     needs->n_notes = plan.n_device;
     needs->n_decisions = plan.n_decision;
-    needs->n_warm = plan.n_port > 0 ? plan.total : 0;
+    needs->n_warm = plan.folded > 0 ? plan.total - plan.warm : plan.n_port > 0 ? plan.total : 0;
     return BLOCK_OK;
 }
 
@@ -59,6 +59,7 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
 
     if (status != BLOCK_OK) return status;
     double *memory = b->memory;
+    b->lanes = processor_lanes();
     for (size_t k = 0; k < plan.total; ++k) memory[k] = 0.0;
     memory[H_OMEGA_B] = record_f64(b->record, "plant.base", &count)[0];
     plan_keep(memory, &plan);
@@ -70,7 +71,6 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
     relay_start(memory, &plan);
     if (status == BLOCK_OK) status = event_apply(b, &plan, &net, EVENT_SWITCHES, t, message);
     if (status == BLOCK_OK) memory[H_READY] = READY;
-    b->lanes = processor_lanes();
     return status;
 }
 
@@ -105,7 +105,8 @@ static BlockStatus not_started(BlockMessage *message)
 static void keep_time(const Block *b, double t)
 {
     Plan own;
-    if (plan_in(b->memory, &own)->n_port > 0) b->memory[H_TIME] = t;
+    const Plan *plan = plan_in(b->memory, &own);
+    if (plan->n_port > 0) b->memory[plan->folded > 0 ? plan->warm + W_TIME : H_TIME] = t;
 }
 
 BlockStatus block_derivatives(Block *b, double t, const double *x, const double *u, double *dx,
@@ -126,9 +127,9 @@ BlockStatus block_derivatives(Block *b, double t, const double *x, const double 
         notes.each = limits->each;
     }
     if (limits != NULL && limits->mode == LIMITS_HOLD)
-        stuck = plant_flow_held(b->memory, places_of(b), b->lanes, x, u, dx, b->scratch, notes);
+        stuck = plant_flow_held(b->memory, places_of(b), b->lanes, x, u, dx, b->scratch, notes, NULL);
     else
-        stuck = plant_flow(b->memory, places_of(b), b->lanes, x, u, dx, b->scratch, notes);
+        stuck = plant_flow(b->memory, places_of(b), b->lanes, x, u, dx, b->scratch, notes, NULL);
     if (switched > 0.0) limits->switched = 1;
     return stuck == 0 ? BLOCK_OK : unsolved(b, stuck, t, message);
 }
@@ -140,7 +141,7 @@ BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, 
 
     if (!(b->memory[H_READY] == READY)) return not_started(message);
     keep_time(b, t);
-    size_t stuck = plant_outputs(b->memory, places_of(b), b->lanes, x, y, b->scratch);
+    size_t stuck = plant_outputs(b->memory, places_of(b), b->lanes, x, y, b->scratch, NULL);
     if (b->w != NULL && stuck == 0)
         stuck = plant_locals(b->memory, places_of(b), b->lanes, x, u, b->w, b->scratch,
                              b->scratch + flow_work(plan_in(b->memory, &own)));

@@ -324,7 +324,7 @@ BlockStatus event_apply(Block *b, const Plan *plan, const Network *net, EventRea
         double *row = memory + plan->port + P_ROWS * k;
         if (!port_is_load(row)) row[P_ON] = memory[plan->running + index_at(row, P_DEVICE)];
     }
-    const BlockStatus status = topology_build(memory, plan, net, extra, work, message);
+    const BlockStatus status = topology_build(memory, plan, net, b->lanes, extra, work, message);
     if (status == BLOCK_OK) centre_of_inertia(memory, plan, work, work + plan->n_machine);
     return status;
 }

@@ -6,13 +6,15 @@
 
 #include "../start/failure.h"
 #include "../network/network.h"
+#include "../network/port.h"
 #include "sparse_stage.h"
 
 size_t topology_work(const Plan *plan)
 {
     const size_t n = plan->n_bus;
-    const size_t stage = is_sparse(plan) ? 2 * n + sparse_stage_work(plan) : 2 * n * n + 5 * n;
-    return stage > 2 * plan->n_machine ? stage : 2 * plan->n_machine;
+    const size_t stage = is_sparse(plan) ? sparse_stage_work(plan) : 2 * n * n + 3 * n;
+    const size_t ports = plan->n_port * plan->folded, fold = 2 * plan->n_machine + (6 + 8 * ports) * ports;
+    return 2 * n + (stage > fold ? stage : fold);
 }
 
 static void add(double *a, size_t n, size_t row, size_t col, double re, double im)
@@ -262,18 +264,13 @@ static void tell_parts(const double *memory, const Plan *plan, const Network *ne
                        memory[H_DEAD] > 0.0 ? "the rest goes on" : "all buses hang together again");
 }
 
-BlockStatus topology_build(double *memory, const Plan *plan, const Network *net,
-                        const double *extra, double *work, BlockMessage *message)
+static BlockStatus dense_stage(double *memory, const Plan *plan, const Network *net, const double *extra,
+                               const double *dead, double *work, BlockMessage *message)
 {
     const size_t n = plan->n_bus, m = plan->n_machine;
-    double *dead = work + n, *a = work + 2 * n, *order = a + 2 * n * n, *v = order + n;
+    double *a = work, *order = a + 2 * n * n, *v = order + n;
     char name[64];
 
-    const double parts = memory[H_PARTS], buses = memory[H_DEAD];
-    find_parts(memory, plan, net, work, work + 2 * n, dead);
-    if (parts > 0.0 || memory[H_PARTS] > 1.0 || memory[H_DEAD] > 0.0)   /* at the start all in one is no news */
-        tell_parts(memory, plan, net, dead, parts, buses, message);
-    if (is_sparse(plan)) return sparse_stage(memory, plan, net, extra, dead, work + 2 * n, message);
     assemble(memory, plan, net, extra, dead, a);
     const size_t stuck = factor(a, n, order);
     if (stuck < n)
@@ -282,7 +279,6 @@ BlockStatus topology_build(double *memory, const Plan *plan, const Network *net,
                           "check branches, shunts and faults there",
                           plant_name(net->bus_names, stuck, name));
 
-    memory[H_PORT_READY] = 0.0;
     for (size_t k = 0; k < plan->n_source; ++k) {
         double re, im;
         size_t machine;
@@ -304,4 +300,20 @@ BlockStatus topology_build(double *memory, const Plan *plan, const Network *net,
         port_row(memory, plan, net, k, machine, v);
     }
     return BLOCK_OK;
+}
+
+BlockStatus topology_build(double *memory, const Plan *plan, const Network *net, size_t lanes, const double *extra,
+                           double *work, BlockMessage *message)
+{
+    const size_t n = plan->n_bus;
+    const double parts = memory[H_PARTS], buses = memory[H_DEAD];
+    double *dead = work + n, *more = work + 2 * n;
+
+    find_parts(memory, plan, net, work, more, dead);
+    if (parts > 0.0 || memory[H_PARTS] > 1.0 || memory[H_DEAD] > 0.0)   /* at the start all in one is no news */
+        tell_parts(memory, plan, net, dead, parts, buses, message);
+    const BlockStatus status = is_sparse(plan) ? sparse_stage(memory, plan, net, extra, dead, more, message)
+                                               : dense_stage(memory, plan, net, extra, dead, more, message);
+    if (status == BLOCK_OK && plan->folded > 0) port_fold_at_rest(memory, plan, lanes, more);
+    return status;
 }

@@ -16,24 +16,26 @@
  * rotor circuits see: id, or id + isd. lanes: how many neighbours go at a time (tiles.h). */
 typedef struct {
     num *sine, *cosine, *i_re, *i_im, *id, *iq, *vd, *vq, *vt, *vs, *efd, *pm, *id_rotor;
-    num *vc, *pe, *ifd, *saturation_d, *saturation_q, *centre;
+    num *vc, *pe, *ifd, *saturation_d, *saturation_q, *centre, *turn;
     num *e_re, *e_im, *v;
     PortWork port;
     num *newton;
     size_t lanes;
     int exact;   /* the ports' slopes are wanted at the solution */
-    int rates;   /* and only currents of the network: no voltages */
+    int rates;   /* only currents of the network are: no voltages */
+    const Warm *own; /* of lanes: what of the ports they keep       */
     Notes notes; /* of the devices' decisions                    */
 } Work;
 
 static Work work_arrays(num *scratch, const Plan *plan, size_t lanes)
 {
     const size_t n = plan->n_machine;
-    num *e = scratch + 19 * n, *v = e + 2 * plan->n_source, *port = v + 2 * plan->n_node;
+    num *e = scratch + 20 * n, *v = e + 2 * plan->n_source, *port = v + 2 * plan->n_node;
     Work w = { scratch, scratch + n, scratch + 2 * n, scratch + 3 * n, scratch + 4 * n,
                scratch + 5 * n, scratch + 6 * n, scratch + 7 * n, scratch + 8 * n,
                scratch + 9 * n, scratch + 10 * n, scratch + 11 * n, scratch + 12 * n,
                scratch + 13 * n, scratch + 14 * n, scratch + 15 * n, scratch + 16 * n, scratch + 17 * n, scratch + 18 * n,
+               scratch + 19 * n,
                .e_re = e, .e_im = e + plan->n_source, .v = v, .lanes = lanes };
     w.port = port_arrays(port, plan->n_port);
     w.newton = port + PORT_ARRAYS * plan->n_port;
@@ -43,7 +45,7 @@ static Work work_arrays(num *scratch, const Plan *plan, size_t lanes)
 static Machines machines_of(const real *memory, const Plan *plan, const num *x, const Work *w)
 {
     return (Machines){ memory + plan->machine, plan->n_machine, plan->n_sixth, memory[H_OMEGA_B],
-                       machine_states(x, plan->n_machine, plan->n_sixth), w->sine, w->cosine, w->e_re, w->e_im,
+                       machine_states(x, plan->n_machine, plan->n_sixth), plan->folded > 0 ? w->turn : NULL, w->sine, w->cosine, w->e_re, w->e_im,
                        w->i_re, w->i_im, w->id, w->iq, w->vd, w->vq, w->vt, w->efd, w->pm, w->id_rotor, w->ifd,
                        w->saturation_d, w->saturation_q };
 }
@@ -59,34 +61,39 @@ static size_t port_solve_tangent(const double *memory, const Plan *plan, const n
                                  Work *w);
 static void solve_sparse_tangent(const double *memory, const Plan *plan, const Pattern *pattern, const num *ed2,
                                  const num *base, Work *w);
-static size_t solve_few_tangent(const double *memory, const Plan *plan, const Pattern *pattern, const num *x, num *base,
-                                Work *w);
 #endif
 
-/* What the ports inject, into the sources; 0, or 1 + the port where Newton's method
- * fails (of several scenarios: 0, and NaN in the one that fails). */
-static size_t solve_ports(real *memory, const Plan *plan, const num *x, Work *w)
+#if !defined PLANT_TANGENT && !defined PLANT_LANES
+static PortCare port_care(const Work *w)
+{
+    if (w->exact) return PORT_EXACT;
+#ifndef PLANT_HELD
+    if (w->notes.words != NULL) return PORT_STEP;
+#endif
+    return PORT_ALONE;
+}
+#endif
+
+/* What the ports inject, into the sources; linear: of few ports on a sparse network their voltages without that. 0, or
+ * 1 + the port where Newton's method fails; of several scenarios 0, and NaN in the one for which port.c must help. */
+static size_t solve_ports(real *memory, const Plan *plan, const num *x, const num *linear, num *work, Work *w)
 {
 #ifdef PLANT_TANGENT
-    const size_t stuck = port_solve_tangent(memory, plan, x, NULL, (double *)(void *)w->newton, w);
+    const size_t stuck = port_solve_tangent(memory, plan, x, linear, (double *)(void *)work, w);
     return stuck < plan->n_port ? stuck + 1 : 0;
 #else
-    const MachineStates states = machine_states(x, plan->n_machine, plan->n_sixth);
-#if defined PLANT_ALIKE
-    (void)memory, (void)plan, (void)states, (void)w;   /* never: block_group_fits */
-    return 0;
-#elif defined PLANT_LANES
-    const flag failed = port_iterate(memory, plan, states.ed2, w->sine, w->cosine, w->e_re, w->e_im, w->port,
-                                     w->newton);
-    double *space = (double *)(void *)(w->newton + (PORT_NEWTON + 4 * plan->n_port) * plan->n_port);
-    for (size_t lane = 0; lane < PLANT_LANES; ++lane)
-        if (failed[lane] != 0)
-            port_rescue(lane, memory, plan, states.ed2, w->sine, w->cosine, w->e_re, w->e_im, w->port, space);
+    const num *ed2 = machine_states(x, plan->n_machine, plan->n_sixth).ed2;
+#ifdef PLANT_LANES
+    const PortCare care = w->rates && w->notes.words != NULL ? PORT_STEP : PORT_ALONE;
+    num *b = work, *more = b + 2 * plan->n_port;
+    port_given(memory, plan, 0, w->e_re, w->e_im, linear, b, more);
+    const flag failed = port_iterate(memory, plan, 0, care, w->own->warm, w->own->keep, b, ed2, w->sine, w->cosine,
+                                     w->e_re, w->e_im, w->port, more);
+    w->e_re[plan->n_machine] = num_pick(failed, NUM(NAN), w->e_re[plan->n_machine]);
     return 0;
 #else
-    double *const at[4] = { w->port.v_re, w->port.v_im, w->port.isd, w->port.isq };
-    const size_t stuck = port_solve(memory, plan, states.ed2, w->sine, w->cosine, w->e_re, w->e_im,
-                                    at, w->newton);
+    const size_t stuck = port_solve(memory, plan, w->lanes, port_care(w), ed2, w->sine, w->cosine, w->e_re, w->e_im,
+                                    linear, w->port, work);
     return stuck < plan->n_port ? stuck + 1 : 0;
 #endif
 #endif
@@ -117,36 +124,17 @@ static void saturate_rates(const real *memory, const Plan *plan, const Work *w, 
     }
 }
 
-#if !defined PLANT_TANGENT && !defined PLANT_LANES
-static PortCare port_care(const Work *w)
-{
-    if (w->exact) return PORT_EXACT;
-#ifndef PLANT_HELD
-    if (w->notes.words != NULL) return PORT_STEP;
-#endif
-    return PORT_ALONE;
-}
-#endif
-
-#ifndef PLANT_LANES
 /* Of few ports: as solve_ports, node voltages into w->v, where what the EMFs inject is and in `base`. */
 static size_t solve_few(real *memory, const Plan *plan, const Pattern *pattern, const num *x, num *base, Work *w)
 {
-#ifdef PLANT_TANGENT
-    return solve_few_tangent(memory, plan, pattern, x, base, w);
-#else
-    const num *ed2 = machine_states(x, plan->n_machine, plan->n_sixth).ed2;
-    double *const at[4] = { w->port.v_re, w->port.v_im, w->port.isd, w->port.isq };
     num *z = base + 2 * plan->n_node, *linear = z + 2 * plan->n_node;
 
     sparse_few_begin(memory, plan, pattern, w->v, z, linear);
-    const size_t stuck = port_solve_few(memory, plan, ed2, w->sine, w->cosine, w->e_re, w->e_im, at, linear);
-    if (stuck < plan->n_port) return stuck + 1;
-    sparse_few_end(memory, plan, pattern, ed2, w->sine, w->cosine, base, w->e_re, w->e_im, w->port, w->v);
+    const size_t stuck = solve_ports(memory, plan, x, linear, linear + 2 * plan->n_port, w);
+    if (stuck > 0) return stuck;
+    sparse_few_end(memory, plan, pattern, base, w->e_re, w->e_im, w->v);
     return 0;
-#endif
 }
-#endif
 
 /* I = Y E; sources beyond the EMFs are what the ports inject. */
 static void solve_dense(const real *memory, const Plan *plan, Work *w)
@@ -168,10 +156,6 @@ static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *patter
         network_machines(memory, plan, pattern, w->e_re, w->e_im, w->v, w->i_re, w->i_im);
         return 0;
     }
-#ifdef PLANT_LANES
-    (void)x;   /* never: block_group_fits */
-#else
-    const num *ed2 = machine_states(x, plan->n_machine, plan->n_sixth).ed2;
     num *base = w->newton;
     memcpy(base, w->v, 2 * plan->n_node * sizeof(num));
     if (plan->few > 0) {
@@ -179,6 +163,8 @@ static size_t solve_sparse(real *memory, const Plan *plan, const Pattern *patter
         if (alone == 0) sparse_port_machines(memory, plan, pattern, w->e_re, w->e_im, w->v, w->i_re, w->i_im);
         return alone;
     }
+#ifndef PLANT_LANES   /* block_group_fits */
+    const num *ed2 = machine_states(x, plan->n_machine, plan->n_sixth).ed2;
 #ifdef PLANT_TANGENT
     solve_sparse_tangent(memory, plan, pattern, ed2, base, w);
 #else
@@ -199,15 +185,52 @@ static void solve_terminals(const real *memory, const Plan *plan, const Machines
     else w->id_rotor = w->id;
 }
 
+/* Centres of inertia of the parts of the network, each at the number of its first machine: of several
+ * scenarios each has parts of its own. */
+#if defined PLANT_LANES && !defined PLANT_ALIKE
+static inline void add_at(num *centre, real part, num v)
+{
+    for (size_t i = 0; i < PLANT_LANES; ++i) centre[(size_t)(ptrdiff_t)part[i]][i] += v[i];
+}
+
+static inline num value_at(const num *centre, real part)
+{
+    num v = NUM(0.0);
+    for (size_t i = 0; i < PLANT_LANES; ++i) v[i] = centre[(size_t)(ptrdiff_t)part[i]][i];
+    return v;
+}
+#else
+static inline void add_at(num *centre, real part, num v) { centre[(size_t)(ptrdiff_t)part] += v; }
+static inline num value_at(const num *centre, real part) { return centre[(size_t)(ptrdiff_t)part]; }
+#endif
+
+/* Mean of the machines' angles in each part, less those at `rest` unless that is null. */
+static void find_centres(const real *memory, const Plan *plan, MachineStates states, const real *rest, num *centre)
+{
+    for (size_t k = 0; k < plan->n_machine; ++k) centre[k] = NUM(0.0);
+    for (size_t k = 0; k < plan->n_machine; ++k) {
+        const num angle = rest == NULL ? states.delta[k] : states.delta[k] - rest[k];
+        add_at(centre, memory[plan->part + k], memory[plan->coi + k] * angle);
+    }
+}
+
+/* The frame in which folded ports are solved turns with the centre of inertia of each part. */
+static void turn_frame(const real *memory, const Plan *plan, MachineStates states, Work *w)
+{
+    find_centres(memory, plan, states, memory + plan->delta_rest, w->centre);
+    for (size_t k = 0; k < plan->n_machine; ++k) w->turn[k] = value_at(w->centre, memory[plan->part + k]);
+}
+
 /* Returns 0, or 1 + the port where Newton's method fails. */
 static size_t solve_network(real *memory, const Plan *plan, const Pattern *pattern, const num *x, Work *w)
 {
     const Machines machines = machines_of(memory, plan, x, w);
     size_t stuck = 0;
 
+    if (plan->folded > 0) turn_frame(memory, plan, machines.x, w);
     EVERY_MACHINE(machine_emf, plan, w, &machines);
     if (is_sparse(plan)) stuck = solve_sparse(memory, plan, pattern, x, w);
-    else if (plan->n_port > 0) stuck = solve_ports(memory, plan, x, w);
+    else if (plan->n_port > 0) stuck = solve_ports(memory, plan, x, NULL, w->newton, w);
     if (stuck > 0) return stuck;
     if (!is_sparse(plan)) solve_dense(memory, plan, w);
     solve_terminals(memory, plan, &machines, w);
@@ -293,7 +316,7 @@ static void solve_rates(const real *memory, const Plan *plan, const num *x, cons
 }
 
 size_t NAME(plant_flow)(real *memory, const int32_t *places, size_t lanes, const num *x, const num *u, num *dx,
-                        num *scratch, Notes notes)
+                        num *scratch, Notes notes, const Warm *own_ports)
 {
     Plan own;
     const Plan *plan = plan_in(memory, &own);
@@ -301,6 +324,7 @@ size_t NAME(plant_flow)(real *memory, const int32_t *places, size_t lanes, const
     Work w = work_arrays(scratch, plan, lanes);
     w.notes = notes;
     w.rates = 1;
+    w.own = own_ports;
 
     const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
@@ -309,35 +333,19 @@ size_t NAME(plant_flow)(real *memory, const int32_t *places, size_t lanes, const
 }
 
 #ifndef PLANT_HELD
-/* Centres of inertia of the parts of the network, each at the number of its first machine: of several
- * scenarios each has parts of its own. */
-#if defined PLANT_LANES && !defined PLANT_ALIKE
-static inline void add_at(num *centre, real part, num v)
+/* Of the voltage re + j im of a bus: shown in the frame that turns with rated frequency, its angle against the centre
+ * of inertia. */
+static num bus_shown(const real *memory, const Plan *plan, size_t kind, size_t bus, num re, num im, const Work *w)
 {
-    for (size_t i = 0; i < PLANT_LANES; ++i) centre[(size_t)(ptrdiff_t)part[i]][i] += v[i];
-}
-
-static inline num value_at(const num *centre, real part)
-{
-    num v = NUM(0.0);
-    for (size_t i = 0; i < PLANT_LANES; ++i) v[i] = centre[(size_t)(ptrdiff_t)part[i]][i];
-    return v;
-}
-#else
-static inline void add_at(num *centre, real part, num v) { centre[(size_t)(ptrdiff_t)part] += v; }
-static inline num value_at(const num *centre, real part) { return centre[(size_t)(ptrdiff_t)part]; }
-#endif
-
-/* Of a bus voltage re + j im, in the frame that turns with rated frequency; its angle is against `centre`. */
-static num bus_shown(size_t kind, num centre, num re, num im)
-{
+    const real part = memory[plan->bus_part + bus];
+    const num turn = plan->folded > 0 ? value_at(w->turn, part) : NUM(0.0);
     num sine, cosine;
 
-    if (kind == SHOW_BUS_RE) return re;
-    if (kind == SHOW_BUS_IM) return im;
     if (kind == SHOW_BUS_V) return num_sqrt(re * re + im * im);
-    num_sincos(centre, &sine, &cosine);
-    return num_angle(im * cosine - re * sine, re * cosine + im * sine);
+    if (kind != SHOW_BUS_ANGLE && plan->folded == 0) return kind == SHOW_BUS_RE ? re : im;
+    num_sincos((kind == SHOW_BUS_ANGLE ? value_at(w->centre, part) : NUM(0.0)) - turn, &sine, &cosine);
+    const num along = re * cosine + im * sine, across = im * cosine - re * sine;
+    return kind == SHOW_BUS_RE ? along : kind == SHOW_BUS_IM ? across : num_angle(across, along);
 }
 
 /* What is shown from the solved network; Efd and Pm also need solve_devices. */
@@ -360,7 +368,7 @@ static num shown(const real *memory, const Plan *plan, const Pattern *pattern, s
     case SHOW_BUS_RE:
     case SHOW_BUS_IM:
         network_voltage(memory, plan, pattern, of, w->e_re, w->e_im, w->v, &re, &im);
-        return bus_shown(kind, value_at(w->centre, memory[plan->bus_part + of]), re, im);
+        return bus_shown(memory, plan, kind, of, re, im, w);
     case SHOW_LINE_I: {
         num a_re, a_im;
         network_line_current(memory, plan, pattern, plan->n_tie + of, w->e_re, w->e_im, w->v, &re, &im, &a_re, &a_im);
@@ -379,9 +387,7 @@ static void show(const real *memory, const Plan *plan, const Pattern *pattern, s
     const real *kinds = memory + plan->show, *of = kinds + plan->n_y + plan->n_w;
     int everywhere = 0;
 
-    for (size_t k = 0; k < plan->n_machine; ++k) w->centre[k] = NUM(0.0);
-    for (size_t k = 0; k < plan->n_machine; ++k)
-        add_at(w->centre, memory[plan->part + k], memory[plan->coi + k] * states.delta[k]);
+    find_centres(memory, plan, states, NULL, w->centre);
     for (size_t k = first; k < last; ++k) {
         const size_t kind = index_at(kinds, k);
         everywhere |= kind == SHOW_TIE || kind == SHOW_BUS_V || kind >= SHOW_LINE_P;
@@ -392,12 +398,14 @@ static void show(const real *memory, const Plan *plan, const Pattern *pattern, s
 }
 
 /* y: what the record says, in its order. */
-size_t NAME(plant_outputs)(real *memory, const int32_t *places, size_t lanes, const num *x, num *y, num *scratch)
+size_t NAME(plant_outputs)(real *memory, const int32_t *places, size_t lanes, const num *x, num *y, num *scratch,
+                           const Warm *own_ports)
 {
     Plan own;
     const Plan *plan = plan_in(memory, &own);
     const Pattern pattern = pattern_of(places, plan);
     Work w = work_arrays(scratch, plan, lanes);
+    w.own = own_ports;
 
     const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
@@ -435,8 +443,12 @@ size_t plant_voltages(double *memory, const int32_t *places, size_t lanes, const
     const size_t stuck = solve_network(memory, plan, &pattern, x, &w);
     if (stuck > 0) return stuck;
     if (is_sparse(plan)) sparse_backward(memory, plan, &pattern, 0, plan->first, w.v);
-    for (size_t k = 0; k < plan->n_bus; ++k)
-        network_voltage(memory, plan, &pattern, k, w.e_re, w.e_im, w.v, &volts[k], &volts[plan->n_bus + k]);
+    for (size_t k = 0; k < plan->n_bus; ++k) {
+        double re, im;
+        network_voltage(memory, plan, &pattern, k, w.e_re, w.e_im, w.v, &re, &im);
+        volts[k] = bus_shown(memory, plan, SHOW_BUS_RE, k, re, im, &w);
+        volts[plan->n_bus + k] = bus_shown(memory, plan, SHOW_BUS_IM, k, re, im, &w);
+    }
     return 0;
 }
 

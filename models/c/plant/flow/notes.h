@@ -11,6 +11,9 @@ typedef struct {
     double *each;     /* held: by how much each decision is overrun, `most` of every device, or null */
     size_t most;
 } Notes;
+/* Of several scenarios side by side: what their ports keep (port.h), and in which it is brought up to date. Alone that
+ * lies in memory, and this is null. */
+typedef struct { cell *warm; flag keep; } Warm;
 #define NO_NOTES ((Notes){ NULL, NULL, NULL, NULL, NULL, 0 })
 
 /* Those of the devices from `device` on, whose states begin at `state`. */

@@ -7,11 +7,12 @@
  * where Newton's method fails. Of memory they change only the ports' warm start. places: the pattern of a
  * sparse network (sparse.h). lanes: width of the tiles (tiles.h), 0 for none. scratch: flow_work(plan) numbers. */
 size_t plant_flow(double *memory, const int32_t *places, size_t lanes, const double *x, const double *u, double *dx,
-                  double *scratch, Notes notes);
+                  double *scratch, Notes notes, const Warm *own);
 /* With the devices' decisions as they were noted. */
 size_t plant_flow_held(double *memory, const int32_t *places, size_t lanes, const double *x, const double *u, double *dx,
-                       double *scratch, Notes notes);
-size_t plant_outputs(double *memory, const int32_t *places, size_t lanes, const double *x, double *y, double *scratch);
+                       double *scratch, Notes notes, const Warm *own);
+size_t plant_outputs(double *memory, const int32_t *places, size_t lanes, const double *x, double *y, double *scratch,
+                     const Warm *own);
 size_t plant_locals(double *memory, const int32_t *places, size_t lanes, const double *x, const double *u,
                     double *locals, double *scratch, double *dx);
 /* Voltages of all buses, n_bus real parts, then imaginary ones. */
@@ -21,8 +22,9 @@ size_t plant_settle(double *memory, const int32_t *places, size_t lanes, const d
 
 #ifdef PLANT_TANGENT
 size_t plant_flow_tangent(double *memory, const int32_t *places, size_t lanes, const num *x, const num *u, num *dx,
-                          num *scratch, Notes notes);
-size_t plant_outputs_tangent(double *memory, const int32_t *places, size_t lanes, const num *x, num *y, num *scratch);
+                          num *scratch, Notes notes, const Warm *own);
+size_t plant_outputs_tangent(double *memory, const int32_t *places, size_t lanes, const num *x, num *y, num *scratch,
+                             const Warm *own);
 #endif
 /* The complex step itself; scratch as for the functions above, complex. */
 size_t plant_directional(double *memory, const int32_t *places, const BlockLayout *layout, const double *x, const double *u,
@@ -37,8 +39,8 @@ size_t plant_device_slopes(double *memory, const int32_t *places, const BlockLay
 
 static inline size_t flow_work(const Plan *plan)
 {
-    const size_t ports = is_sparse(plan) && plan->few == 0 ? 10 : 16 + 4 * plan->n_port;
+    const size_t ports = plan->folded == 0 ? 10 : 20 + 8 * plan->n_port;
     const size_t nodes = is_sparse(plan) && plan->n_port > 0 ? 8 : 2;
-    return 21 * plan->n_machine + nodes * plan->n_node + ports * plan->n_port;
+    return 22 * plan->n_machine + nodes * plan->n_node + ports * plan->n_port;
 }
 #endif

@@ -27,7 +27,7 @@ static size_t port_solve_tangent(const double *memory, const Plan *plan, const n
         w->port.v_re[p] = v[p];
         w->port.v_im[p] = v[n + p];
     }
-    port_inject(memory, plan, states.ed2, w->sine, w->cosine, w->port, w->e_re, w->e_im);
+    port_inject(memory, plan, 0, states.ed2, w->sine, w->cosine, w->port, w->e_re, w->e_im);
     for (size_t p = 0; p < n; ++p) {
         w->port.v_re[p] = linear == NULL ? 0.0 : linear[p];
         w->port.v_im[p] = linear == NULL ? 0.0 : linear[n + p];
@@ -51,22 +51,8 @@ static size_t port_solve_tangent(const double *memory, const Plan *plan, const n
         w->port.v_re[p] = with_slope(v[p], re);
         w->port.v_im[p] = with_slope(v[n + p], im);
     }
-    port_inject(memory, plan, states.ed2, w->sine, w->cosine, w->port, w->e_re, w->e_im);
+    port_inject(memory, plan, 0, states.ed2, w->sine, w->cosine, w->port, w->e_re, w->e_im);
     return n;
-}
-
-/* The same on a sparse network whose ports are few. */
-static size_t solve_few_tangent(const double *memory, const Plan *plan, const Pattern *pattern, const num *x, num *base,
-                                Work *w)
-{
-    const num *ed2 = machine_states(x, plan->n_machine, plan->n_sixth).ed2;
-    num *z = base + 2 * plan->n_node, *linear = z + 2 * plan->n_node, *space = linear + 2 * plan->n_port;
-
-    sparse_few_begin(memory, plan, pattern, w->v, z, linear);
-    const size_t stuck = port_solve_tangent(memory, plan, x, linear, (double *)(void *)space, w);
-    if (stuck < plan->n_port) return stuck + 1;
-    sparse_few_end(memory, plan, pattern, ed2, w->sine, w->cosine, base, w->e_re, w->e_im, w->port, w->v);
-    return 0;
 }
 
 /* The same on a sparse network, in whose factors the slopes are those at V: one step is exact. */
@@ -100,11 +86,11 @@ size_t plant_directional(double *memory, const int32_t *places, const BlockLayou
     for (size_t k = 0; k < layout->n_x; ++k) z[k] = with_slope(x[k], H * vx[k]);
     for (size_t k = 0; k < layout->n_u; ++k) input[k] = with_slope(u[k], H * vu[k]);
     if (vdx != NULL) {
-        stuck = plant_flow_tangent(memory, places, 0, z, input, rates, work, NO_NOTES);
+        stuck = plant_flow_tangent(memory, places, 0, z, input, rates, work, NO_NOTES, NULL);
         for (size_t k = 0; k < layout->n_x; ++k) vdx[k] = cimag(rates[k]) / H;
     }
     if (vy != NULL && stuck == 0) {
-        stuck = plant_outputs_tangent(memory, places, 0, z, outputs, work);
+        stuck = plant_outputs_tangent(memory, places, 0, z, outputs, work, NULL);
         for (size_t k = 0; k < layout->n_y; ++k) vy[k] = cimag(outputs[k]) / H;
     }
     return stuck;
@@ -166,7 +152,7 @@ static void inject_apart(const double *memory, const Plan *plan, const num *ed2,
             move_gap(memory, plan, p, ed2[k], v_re[k], v_im[k], w);
         }
     }
-    if (plan->n_port > 0) port_inject(memory, plan, ed2, w->sine, w->cosine, w->port, w->e_re, w->e_im);
+    if (plan->n_port > 0) port_inject(memory, plan, 0, ed2, w->sine, w->cosine, w->port, w->e_re, w->e_im);
     for (size_t p = 0; p < plan->n_port; ++p) {   /* a machine's acts like j x J in its EMF */
         const double *row = memory + plan->port + P_ROWS * p;
         const size_t k = index_at(row, P_DEVICE);
@@ -213,6 +199,7 @@ size_t plant_device_slopes(double *memory, const int32_t *places, const BlockLay
     for (size_t k = 0; k < 2 * sources; ++k) volts[k] = with_slope(creal(volts[k]), H * vv[k]);
     for (size_t k = 0; k < layout->n_x; ++k) z[k] = with_slope(x[k], H * vx[k]);
     for (size_t k = 0; k < layout->n_u; ++k) input[k] = with_slope(u[k], H * vu[k]);
+    /* the frame has turned by nothing at rest, and stands while the states move */
     EVERY_MACHINE(machine_emf, plan, &w, &machines);
     inject_apart(memory, plan, machines.x.ed2, volts, volts + sources, &w);
     solve_terminals(memory, plan, &machines, &w);

@@ -35,14 +35,23 @@ static void stage_inputs(const BlockGroup *g, size_t at)
         u[i] = p[0] + elapsed * (p[1] + elapsed / 2.0 * (p[2] + elapsed / 3.0 * p[3]));
 }
 
+/* What the ports keep, at a time of the step: begin, middle or end. Only lanes that run bring it up to date. */
+static Warm stage_warm(const BlockGroup *g, size_t at, flag runs)
+{
+    num *warm = lanes_of(g->warm);
+    if (g->n_warm > 0) warm[W_TIME] = *(const num *)(const void *)g->begin + ((const num *)(const void *)g->elapsed)[at];
+    return (Warm){ warm, runs };
+}
+
 static BlockStatus lane_flow(void *context, RungeKuttaStage stage, num h, const num *x, num *k)
 {
     const BlockGroup *g = context;
     const Notes notes = { lanes_of(g->notes), stage == RK_BEGIN ? NULL : lanes_of(g->switched), NULL, NULL, NULL, 0 };
+    const size_t at = stage == RK_BEGIN ? 0 : stage == RK_END ? 2 : 1;
+    const Warm warm = stage_warm(g, at, num_above(h, NUM(0.0)));
 
-    (void)h;
-    if (stage != RK_MIDDLE_AGAIN) stage_inputs(g, stage == RK_BEGIN ? 0 : stage == RK_END ? 2 : 1);
-    (void)NAME(plant_flow)(memory_of(g), places_of(g), 0, x, lanes_of(g->u), k, lanes_of(g->scratch), notes);
+    if (stage != RK_MIDDLE_AGAIN) stage_inputs(g, at);
+    (void)NAME(plant_flow)(memory_of(g), places_of(g), 0, x, lanes_of(g->u), k, lanes_of(g->scratch), notes, &warm);
     return BLOCK_OK;
 }
 
@@ -59,11 +68,13 @@ void LANES_STEP(const BlockGroup *g)
 
 void LANES_OUTPUTS(const BlockGroup *g)
 {
-    (void)NAME(plant_outputs)(memory_of(g), places_of(g), 0, lanes_of(g->x), lanes_of(g->y), lanes_of(g->scratch));
+    const Warm warm = stage_warm(g, 0, num_above(NUM(0.0), NUM(1.0)));
+    (void)NAME(plant_outputs)(memory_of(g), places_of(g), 0, lanes_of(g->x), lanes_of(g->y), lanes_of(g->scratch), &warm);
 }
 
 void LANES_RATES(const BlockGroup *g)
 {
+    const Warm warm = stage_warm(g, 0, num_above(NUM(0.0), NUM(1.0)));
     (void)NAME(plant_flow)(memory_of(g), places_of(g), 0, lanes_of(g->x), lanes_of(g->u), lanes_of(g->k),
-                           lanes_of(g->scratch), NO_NOTES);
+                           lanes_of(g->scratch), NO_NOTES, &warm);
 }

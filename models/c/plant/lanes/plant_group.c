@@ -4,13 +4,15 @@
 
 size_t block_group_lanes(void) { return processor_lanes(); }
 
-/* Ports iterate: how often depends on what they start from, which stays in memory. */
+/* Many ports on a sparse network have slopes of their own in the factors: nothing is left to share. */
 int block_group_fits(const Block *b)
 {
     Plan own;
     const Plan *plan = plan_in(b->memory, &own);
-    return plan->n_machine > 0 && plan->n_port == 0;
+    return plan->n_machine > 0 && (plan->n_port == 0 || plan->folded > 0);
 }
+
+double block_group_stamp(const Block *b) { return b->memory[H_PORT_FOLDS]; }
 
 /* f as wide as the group. Two lanes save too little by a memory in common to have code of their own. */
 #define WIDE(f) \

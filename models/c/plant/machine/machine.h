@@ -37,6 +37,7 @@ typedef struct {
     size_t n, sixth;
     stored omega_b;
     MachineStates x;
+    const cell *turn;   /* by how much the network's frame has turned at each, or null: by nothing */
     cell *sine, *cosine, *e_re, *e_im, *i_re, *i_im, *id, *iq, *vd, *vq, *vt, *efd, *pm, *id_rotor, *ifd;
     cell *saturation_d, *saturation_q;
 } Machines;
@@ -76,14 +77,15 @@ static inline MachineRates machine_rates(cell *dx, size_t n, size_t sixth)
 
 /* The functions below take the machines first .. last - 1, all of one order. */
 
-/* Subtransient EMF in the network frame: E = (eq2 - j ed2) exp(j delta). */
+/* Subtransient EMF in the network's frame: E = (eq2 - j ed2) exp(j (delta - turn)). */
 static inline void machine_emf(const Machines *m, size_t first, size_t last)
 {
     const stored *emf = m->table + M_EFD0 * m->n;
 
     EACH(k, first, last) {
-        num sine, cosine;
-        num_sincos(AT(m->x.delta, k), &sine, &cosine);
+        num sine, cosine, angle = AT(m->x.delta, k);
+        if (m->turn != NULL) angle = angle - AT(m->turn, k);
+        num_sincos(angle, &sine, &cosine);
         PUT(m->sine, k, sine);
         PUT(m->cosine, k, cosine);
         if (first >= m->sixth) {

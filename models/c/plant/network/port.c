@@ -83,10 +83,12 @@ int port_inverse(const double *memory, const Plan *plan, const double *v_re, con
 typedef struct {
     double *memory;
     const Plan *plan;
+    size_t lanes;
     const double *ed2, *sine, *cosine;
     double *e_re, *e_im;
     PortWork at;
-    double *linear, *inverse;
+    const double *linear;
+    double *inverse;   /* and its columns */
 } Problem;
 
 /* r = v - W E - Z J(v); returns its largest part, -1 when it is not finite. */
@@ -95,7 +97,7 @@ static double residual(const Problem *s, double *r)
     const size_t n = s->plan->n_port;
     double *re = r, *im = r + n, worst = 0.0;
 
-    port_inject(s->memory, s->plan, s->ed2, s->sine, s->cosine, s->at, s->e_re, s->e_im);
+    port_inject(s->memory, s->plan, 0, s->ed2, s->sine, s->cosine, s->at, s->e_re, s->e_im);
     for (size_t p = 0; p < 2 * n; ++p) r[p] = s->linear[p];
     port_voltages(s->memory + s->plan->port_own_re, s->memory + s->plan->port_own_im, n, n,
                   s->e_re + s->plan->n_machine, s->e_im + s->plan->n_machine, re, im);
@@ -213,51 +215,71 @@ static size_t newton(const Problem *s, int free, double *work)
     return farthest(r, n);
 }
 
-/* One column of the folded network: the inverse times a column (g, b) of port_w, or
- * times j (g, b). */
-static void fold_column(const double *inverse, size_t n, const double *g, const double *b, int turned,
-                        double *column)
+/* Columns of an inverse that has the parts of each port in turn: all real parts, then all imaginary ones. */
+static void columns_of(const double *inverse, size_t n, double *columns)
 {
-    for (size_t p = 0; p < 2 * n; ++p) {
-        const double *row = inverse + 2 * n * p;
-        double sum = 0.0;
-        for (size_t q = 0; q < n; ++q)
-            sum += turned ? row[2 * q + 1] * g[q] - row[2 * q] * b[q] : row[2 * q] * g[q] + row[2 * q + 1] * b[q];
-        column[p % 2 == 0 ? p / 2 : n + p / 2] = sum;
+    for (size_t c = 0; c < 2 * n; ++c)
+        for (size_t r = 0; r < 2 * n; ++r)
+            columns[2 * n * c + r] = inverse[2 * n * (r < n ? 2 * r : 2 * (r - n) + 1) + (c < n ? 2 * c : 2 * (c - n) + 1)];
+}
+
+/* Columns `turned` = 0: W times the columns g + j b of n numbers, 1: W times j (g + j b). work: 4 n. */
+static void fold_columns(const Plan *plan, size_t lanes, const double *W, size_t count, const double *g, const double *b,
+                         int turned, double *to, double *work)
+{
+    const size_t n = plan->n_port;
+    double *zero = work, *column = work + 2 * n;
+
+    for (size_t p = 0; p < 2 * n; ++p) zero[p] = 0.0;
+    for (size_t k = 0; k < count; ++k, g += n, b += n, to += 2 * n) {
+        for (size_t p = 0; p < n; ++p) {
+            column[p] = turned ? -b[p] : g[p];
+            column[n + p] = turned ? g[p] : b[p];
+        }
+        TILED(num_product, lanes, 2 * n, zero, W, 2 * n, 2 * n, column, to);
     }
 }
 
-/* Folds the network with the slopes at the voltages in s->at, which become the start
- * of the next iteration. 0: singular. */
-static int fold(const Problem *s, double *work)
+/* Folds the network with the slopes at the voltages v. 0: singular. space: 8 n_port^2; work: 4 n_port. */
+static int fold(double *memory, const Plan *plan, size_t lanes, const double *v, const double *sine,
+                const double *cosine, double *space, double *work)
 {
-    const Plan *plan = s->plan;
     const size_t n = plan->n_port, m = plan->n_machine;
-    double *memory = s->memory, *last = memory + plan->port_v, *b = last + 2 * n;
+    double *columns = space + 4 * n * n, *last = memory + plan->port_b, *z = memory + plan->port_z;
 
-    if (!invert_here(s, work)) return 0;
-    for (size_t p = 0; p < n; ++p) {
-        port_slope_at(memory, plan, p, s->at.v_re[p], s->at.v_im[p], s->sine, s->cosine,
-                   memory + plan->port_slope + 4 * p);
-        last[p] = s->at.v_re[p];
-        last[n + p] = s->at.v_im[p];
-        b[p] = b[n + p] = 0.0;
+    memory[H_PORT_READY] = 0.0;
+    if (!port_inverse(memory, plan, v, v + n, sine, cosine, space, work)) return 0;
+    for (size_t p = 0; p < n; ++p)
+        port_slope_at(memory, plan, p, v[p], v[n + p], sine, cosine, memory + plan->port_slope + 4 * p);
+    columns_of(space, n, plan->few > 0 ? last : columns);
+    if (plan->few == 0) {
+        const double *g = memory + plan->port_w_re, *b = memory + plan->port_w_im;
+        fold_columns(plan, lanes, columns, m, g, b, 0, last, work);
+        fold_columns(plan, lanes, columns, m, g, b, 1, last + 2 * n * m, work);
+    } else {
+        columns = last;
     }
-    for (size_t k = 0; k < plan->n_source; ++k) {
-        const double *g = memory + plan->port_w_re + k * n, *h = memory + plan->port_w_im + k * n;
-        double *to = k < m ? memory + plan->port_b + 4 * n * k : NULL;
-        if (k < m) {
-            fold_column(s->inverse, n, g, h, 0, to);
-            fold_column(s->inverse, n, g, h, 1, to + 2 * n);
-            for (size_t p = 0; p < 2 * n; ++p) b[p] += to[p] * s->e_re[k] + to[2 * n + p] * s->e_im[k];
-        } else {   /* injections: all real parts, then all imaginary parts */
-            to = memory + plan->port_z + 2 * n * (k - m);
-            fold_column(s->inverse, n, g, h, 0, to);
-            fold_column(s->inverse, n, g, h, 1, to + 2 * n * n);
-        }
-    }
-    memory[H_PORT_READY] = 1.0;
+    fold_columns(plan, lanes, columns, n, memory + plan->port_own_re, memory + plan->port_own_im, 0, z, work);
+    fold_columns(plan, lanes, columns, n, memory + plan->port_own_re, memory + plan->port_own_im, 1, z + 2 * n * n, work);
+    for (size_t k = W_FIRST; k <= W_THIRD; ++k) memory[plan->warm + k] = INFINITY;
+    memory[plan->warm + W_RATIO] = memory[H_PORT_READY] = 1.0;
     return 1;
+}
+
+void port_fold_at_rest(double *memory, const Plan *plan, size_t lanes, double *work)
+{
+    const size_t m = plan->n_machine;
+    double *sine = work, *cosine = sine + m, *more = cosine + m;
+
+    for (size_t k = 0; k < m; ++k) real_sincos(memory[plan->delta_rest + k], &sine[k], &cosine[k]);
+    (void)fold(memory, plan, lanes, memory + plan->port_rest, sine, cosine, more + 6 * plan->n_port, more);
+}
+
+/* The same with those at v: an iteration from there. */
+static int fold_here(const Problem *s, const double *v, double *work)
+{
+    s->memory[H_PORT_FOLDS] += 1.0;
+    return fold(s->memory, s->plan, s->lanes, v, s->sine, s->cosine, s->inverse, work);
 }
 
 /* From the last voltages, then from those of the linear network, then from low ones: near collapse
@@ -283,72 +305,35 @@ static size_t newton_from_many(const Problem *s, const double *last, double *wor
     return stuck;
 }
 
-size_t port_solve(double *memory, const Plan *plan, const double *ed2, const double *sine,
-                  const double *cosine, double *e_re, double *e_im, double *const w[4], double *work)
+size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care, const double *ed2, const double *sine,
+                  const double *cosine, double *e_re, double *e_im, const double *linear, PortWork w, double *work)
 {
     const size_t n = plan->n_port;
-    double *linear = work, *last = memory + plan->port_v;
-    const PortWork at = { w[0], w[1], w[2], w[3] };
-    const Problem problem = { memory, plan, ed2, sine, cosine, e_re, e_im, at, linear, work + PORT_NEWTON * n };
-
-    if (!port_iterate(memory, plan, ed2, sine, cosine, e_re, e_im, at, work)) return n;
-    for (size_t p = 0; p < n; ++p) {   /* with the slopes of the last solution */
-        at.v_re[p] = last[p];
-        at.v_im[p] = last[n + p];
-    }
-    if (fold(&problem, work) && !port_iterate(memory, plan, ed2, sine, cosine, e_re, e_im, at, work)) return n;
-
-    for (size_t p = 0; p < 2 * n; ++p) linear[p] = 0.0;
-    port_voltages(memory + plan->port_w_re, memory + plan->port_w_im, n, plan->n_machine, e_re, e_im, linear,
-                  linear + n);
-    const size_t stuck = newton_from_many(&problem, last, work + 2 * n);
-    memory[H_PORT_READY] = 0.0;
-    if (stuck < n) return stuck;
-    /* e and w are those of the solution: fold() and what follows only prepare the next call */
-    (void)fold(&problem, work + 2 * n);
-    return n;
-}
-
-/* Steps with the inverse of an earlier point from the last voltages, moved by the change of the linear ones. 0: they do
- * not contract. work: 4 n_port. */
-static int follow(const Problem *s, double *last, double *work)
-{
-    enum { MOST = 12, ENOUGH = 6 };
-    const size_t n = s->plan->n_port;
-    const double *last_linear = last + 2 * n, scale = scale_of(s);
-    double *r = work, *from = work + 2 * n, before = INFINITY;
-
-    for (size_t p = 0; p < n; ++p) {
-        s->at.v_re[p] = last[p] + (s->linear[p] - last_linear[p]);
-        s->at.v_im[p] = last[n + p] + (s->linear[n + p] - last_linear[n + p]);
-    }
-    for (int count = 0; count < MOST; ++count) {
-        const double size = residual(s, r);
-        if (size >= 0.0 && size <= ACCURACY * scale) return 1;
-        if (!(size >= 0.0 && size < 0.3 * before)) return size >= 0.0 && size <= STALLED * scale;
-        if (count == ENOUGH) s->memory[H_PORT_READY] = 0.0;   /* slow: another inverse the next time */
-        copy_voltages(s, from);
-        take_step(s, from, r, 1.0);
-        before = size;
-    }
-    return 0;
-}
-
-size_t port_solve_few(double *memory, const Plan *plan, const double *ed2, const double *sine, const double *cosine,
-                      double *e_re, double *e_im, double *const w[4], double *work)
-{
-    const size_t n = plan->n_port;
-    const PortWork at = { w[0], w[1], w[2], w[3] };
-    const Problem problem = { memory, plan, ed2, sine, cosine, e_re, e_im, at, work, memory + plan->port_z };
+    double *b = work, *more = b + 2 * n, *own = more + 8 * n, *warm = memory + plan->warm;
     double *last = memory + plan->port_v;
+    const Problem problem = { memory, plan, lanes, ed2, sine, cosine, e_re, e_im, w, linear == NULL ? own : linear,
+                              work + PORT_NEWTON * n };
+    const int keep = care == PORT_STEP;
 
-    if (!(memory[H_PORT_READY] > 0.5 && follow(&problem, last, work + 2 * n))) {
-        const size_t stuck = newton_from_many(&problem, last, work + 2 * n);
+    port_given(memory, plan, lanes, e_re, e_im, linear, b, more);
+    int failed = port_iterate(memory, plan, lanes, care, warm, keep, b, ed2, sine, cosine, e_re, e_im, w, more);
+    if (failed && fold_here(&problem, last, more)) {
+        port_given(memory, plan, lanes, e_re, e_im, linear, b, more);
+        failed = port_iterate(memory, plan, lanes, care, warm, keep, b, ed2, sine, cosine, e_re, e_im, w, more);
+    }
+    if (failed) {
+        if (linear == NULL) {
+            for (size_t p = 0; p < 2 * n; ++p) own[p] = 0.0;
+            port_voltages(memory + plan->port_w_re, memory + plan->port_w_im, n, plan->n_machine, e_re, e_im, own, own + n);
+        }
+        const size_t stuck = newton_from_many(&problem, last, more);
         memory[H_PORT_READY] = 0.0;
         if (stuck < n) return stuck;
+        /* e and w are those of the solution: what follows only prepares the next call */
+        memcpy(last, w.v_re, 2 * n * sizeof(double));
+        (void)fold_here(&problem, last, more);
+    } else if (care == PORT_EXACT) {
+        memcpy(last, w.v_re, 2 * n * sizeof(double));
     }
-    copy_voltages(&problem, last);
-    memcpy(last + 2 * n, work, 2 * n * sizeof(double));
-    if (!(memory[H_PORT_READY] > 0.5) && invert_here(&problem, work + 8 * n)) memory[H_PORT_READY] = 1.0;
     return n;
 }

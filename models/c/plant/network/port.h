@@ -1,31 +1,32 @@
 #ifndef INTERAREA_PORT_H
 #define INTERAREA_PORT_H
+#include "../flow/tiles.h"
 #include "../machine/load.h"
 #include "../machine/saturation.h"
-#include "../numbers/products.h"
 /* Ports: where nonlinear elements meet the linear network. Port p injects a
  * current J_p(V_p, x) that depends on its own voltage; with the EMFs E
  *
- *     V_p = sum_k W_pk E_k + sum_q Z_pq J_q,   (W, Z) = port_w, by columns, per stage.
+ *     V_p = sum_k W_pk E_k + sum_q Z_pq J_q.
  *
  * A load's port is its bus. A machine's port is the air-gap node, and its current
  * acts like the EMF j (Xd2 - Xl) J added to its own: topology.c folds that into the
  * columns, so that everything behind the ports sees n_source = n_machine + n_port
  * sources.
  *
- * With the slopes D = dJ/dV of some earlier point (2 x 2 for each port, in real and
- * imaginary parts) the same equations read
+ * With any slopes D (2 x 2 for each port, in real and imaginary parts) the same equations read
  *
  *     V = b(E) + Zf [J(V, x) - D V],  b(E) = (1 - Z D)^-1 W E,  Zf = (1 - Z D)^-1 Z,
  *
- * a Newton step with those slopes for each evaluation of the right side, one real
- * matrix product. port_iterate repeats it from the voltages found last, moved by
- * the change of b: near the earlier point a few times give rounding. Where it does
- * not contract, port.c takes damped Newton steps with slopes of their own and folds
- * the network anew. Tangents take one exact Newton step (tangent.c). */
+ * and repeating that converges as fast as D is near dJ/dV. Here the network is folded once for each of its stages,
+ * with the slopes at rest: the same numbers for every run, whatever has happened in it, so that runs side by side
+ * read one table. They stay good since the network is solved in a frame that has turned with the machines since
+ * then (flow.h): J turns with V, so only what ports have turned against each other counts. What is left,
+ * r = V - b, is small and smooth: the iteration starts where its last three values point to. Where it does not
+ * contract, port.c folds with the slopes where the voltages are, or takes damped Newton steps. Many ports on a
+ * sparse network are sparse_port.h's. Tangents take one exact Newton step (tangent.c). */
 
 /* What the physics needs at the ports besides sources: air-gap or bus voltages,
- * and at a machine's port its isd, isq. n_port each. */
+ * and at a machine's port its isd, isq. n_port each, one after the other. */
 typedef struct { num *v_re, *v_im, *isd, *isq; } PortWork;
 
 static inline PortWork port_arrays(num *scratch, size_t n)
@@ -33,13 +34,13 @@ static inline PortWork port_arrays(num *scratch, size_t n)
     return (PortWork){ scratch, scratch + n, scratch + 2 * n, scratch + 3 * n };
 }
 
-/* Injected current of every port into the sources at n_machine.. */
-static inline void port_inject(const real *memory, const Plan *plan, const num *ed2, const num *sine,
+/* Injected current of the ports from `first` on into the sources at n_machine.. */
+static inline void port_inject(const real *memory, const Plan *plan, size_t first, const num *ed2, const num *sine,
                                const num *cosine, PortWork w, num *e_re, num *e_im)
 {
     const size_t n = plan->n_machine;
 
-    for (size_t p = 0; p < plan->n_port; ++p) {
+    for (size_t p = first; p < plan->n_port; ++p) {
         const real *row = memory + plan->port + P_ROWS * p;
         num *re = e_re + n + p, *im = e_im + n + p;
         if (port_is_load(row)) {
@@ -57,69 +58,150 @@ static inline void port_inject(const real *memory, const Plan *plan, const num *
     }
 }
 
-/* Work arrays: those of PortWork, and numbers of port_solve for each port besides
- * its (2 n_port)^2 for an inverse. */
-enum { PORT_ARRAYS = 4, PORT_NEWTON = 10 };
-
-#if !defined PLANT_TANGENT && !defined PLANT_ALIKE
-static inline num num_size(num a) { return num_pick(num_above(NUM(0.0), a), -a, a); }
-
-/* Fills the injected currents e[n_machine..] and w from the EMFs before them. True
- * where that failed and port.c must help; an idle lane never asks for it and keeps
- * its memory. work: 6 n_port. */
-static inline flag port_iterate(real *memory, const Plan *plan, const num *ed2, const num *sine,
-                                const num *cosine, num *e_re, num *e_im, PortWork w, num *work)
+/* Ports of loads come before those of machines. */
+static inline size_t port_loads(const real *memory, const Plan *plan)
 {
-    enum { MOST = 12, ENOUGH = 6 };
-    const size_t n = plan->n_port, m = plan->n_machine;
-    const real *from_e = memory + plan->port_b, *from_j = memory + plan->port_z;
-    const real *slope = memory + plan->port_slope;
-    real *last = memory + plan->port_v, *last_b = last + 2 * n;
-    num *b = work, *rest = work + 2 * n, *next = work + 4 * n;
-    num size = NUM(1.0), before = NUM(1e30);
-    const flag idle = num_above(NUM(memory[H_IDLE]), NUM(0.5)), busy = flag_not(idle);
-    flag open = busy & num_above(NUM(memory[H_PORT_READY]), NUM(0.5));
-    flag failed = busy & flag_not(open), tired = open & failed;
+    size_t count = 0;
+    while (count < plan->n_port && port_is_load(memory + plan->port + P_ROWS * count)) ++count;
+    return count;
+}
 
-    for (size_t p = 0; p < 2 * n; ++p) b[p] = NUM(0.0);
-    for (size_t k = 0; k < m; ++k) {
-        const real *re = from_e + 4 * n * k, *im = re + 2 * n;
-        for (size_t p = 0; p < 2 * n; ++p) b[p] += re[p] * e_re[k] + im[p] * e_im[k];
+/* How well the ports are solved: within a step of the integrator, far below its own error; for whoever asks by
+ * himself or looks for the instant of a switch; to rounding, as tangents need it. */
+typedef enum { PORT_STEP, PORT_ALONE, PORT_EXACT } PortCare;
+
+/* Work arrays: those of PortWork, and numbers of port_solve for each port besides
+ * its 2 x (2 n_port)^2 for an inverse and its columns. */
+enum { PORT_ARRAYS = 4, PORT_NEWTON = 12 };
+
+#if !defined PLANT_TANGENT
+static inline num num_size(num a) { return num_pick(num_above(NUM(0.0), a), -a, a); }
+static inline num num_larger(num a, num b) { return num_pick(num_above(b, a), b, a); }
+
+/* b from the EMFs, or of few ports from their voltages without what they inject. work: 4 n_port. */
+static inline void port_given(const real *memory, const Plan *plan, size_t lanes, const num *e_re, const num *e_im,
+                              const num *linear, num *b, num *work)
+{
+    const size_t n = 2 * plan->n_port, m = plan->n_machine;
+    const real *from = memory + plan->port_b;
+    num *zero = work, *part = work + n;
+
+    for (size_t p = 0; p < n; ++p) zero[p] = NUM(0.0);
+    if (linear != NULL) {
+        TILED(num_product, lanes, n, zero, from, n, n, linear, b);
+        return;
     }
-    for (size_t p = 0; p < 2 * n; ++p) size += num_size(b[p]);
-    for (size_t p = 0; p < n; ++p) {
-        w.v_re[p] = last[p] + (b[p] - last_b[p]);
-        w.v_im[p] = last[n + p] + (b[n + p] - last_b[n + p]);
+    TILED(num_product, lanes, n, zero, from, n, m, e_re, part);
+    TILED(num_product, lanes, n, part, from + n * m, n, m, e_im, b);
+}
+
+static const double PORT_SAME_S = 1e-9;   /* times so close are one */
+
+/* Where the last solutions point to at this time, along a parabola, a line, or where they stand, into v. Where
+ * `keep` says so, what a step done again has seen later is forgotten. */
+static inline void port_predict(num *warm, size_t n, flag keep, const num *b, num *v)
+{
+    num *last = warm + W_V, *r0 = last + n, *r1 = r0 + n, *r2 = r1 + n, *times = warm + W_FIRST;
+    const num t = warm[W_TIME], never = NUM(INFINITY);
+
+    for (int count = 0; count < 3; ++count) {
+        const flag back = keep & num_above(times[0], t + PORT_SAME_S) & num_above(never, times[0]);
+        if (!flag_any(back)) break;
+        for (size_t k = 0; k < n; ++k) {
+            r0[k] = num_pick(back, r1[k], r0[k]);
+            r1[k] = num_pick(back, r2[k], r1[k]);
+        }
+        times[0] = num_pick(back, times[1], times[0]);
+        times[1] = num_pick(back, times[2], times[1]);
+        times[2] = num_pick(back, never, times[2]);
     }
+    const num a = t - times[0], h = times[0] - times[1], g = times[1] - times[2];
+    const flag known = num_above(never, times[0]);
+    const flag ahead = num_above(a, NUM(PORT_SAME_S)) & num_reaches(2.0 * h, a);
+    const flag bent = ahead & num_reaches(4.0 * g, a + h);   /* less than three: h or g is no positive number */
+    const num line = num_pick(ahead, -num_ratio(a, h), NUM(0.0));
+    const num w1 = num_pick(bent, -num_ratio(a * (a + h + g), h * g), line);
+    const num w2 = num_pick(bent, num_ratio(a * (a + h), g * (h + g)), NUM(0.0));
+    for (size_t k = 0; k < n; ++k)
+        v[k] = num_pick(known, b[k] + (r0[k] + w1 * (r1[k] - r0[k]) + w2 * (r2[k] - r0[k])), last[k]);
+}
+
+/* The solution v at this time becomes the newest. */
+static inline void port_keep(num *warm, size_t n, flag keep, const num *b, const num *v)
+{
+    num *last = warm + W_V, *r0 = last + n, *r1 = r0 + n, *r2 = r1 + n, *times = warm + W_FIRST;
+    const num t = warm[W_TIME];
+    const flag moves = keep & flag_not(num_reaches(NUM(PORT_SAME_S), num_size(t - times[0])));
+
+    times[2] = num_pick(moves, times[1], times[2]);
+    times[1] = num_pick(moves, times[0], times[1]);
+    times[0] = num_pick(keep, t, times[0]);
+    for (size_t k = 0; k < n; ++k) {
+        r2[k] = num_pick(moves, r1[k], r2[k]);
+        r1[k] = num_pick(moves, r0[k], r1[k]);
+        r0[k] = num_pick(keep, v[k] - b[k], r0[k]);
+        last[k] = num_pick(keep, v[k], last[k]);
+    }
+}
+
+/* Fills the injected currents e[n_machine..] and w from b. True where that failed and port.c must help; the memory of
+ * what was is changed only where `keep` says so. Steps go on until the next would move less than is asked for: how
+ * much closer one brings is known from the solution before, so that a good start needs one. work: 4 n_port. */
+static inline flag port_iterate(const real *memory, const Plan *plan, size_t lanes, PortCare care, num *warm, flag keep,
+                                const num *b, const num *ed2, const num *sine, const num *cosine, num *e_re, num *e_im,
+                                PortWork w, num *work)
+{
+    enum { MOST = 16 };
+    const double accuracy = care == PORT_STEP ? 1e-9 : care == PORT_ALONE ? 1e-12 : 0.0;
+    const double rounding = 1e-13, poor_from = 0.3, least = 1e-4, doubt = 4.0, forget = 1.1;
+    const size_t n = plan->n_port, m = plan->n_machine;
+    const real *slope = memory + plan->port_slope;
+    num *v = w.v_re, *rest = work, *next = work + 2 * n, before = NUM(INFINITY), known = warm[W_RATIO], scale = NUM(1.0);
+    flag open = num_above(NUM(memory[H_PORT_READY]), NUM(0.5)), failed = flag_not(open);
+
+    for (size_t p = 0; p < 2 * n; ++p) {
+        scale = num_larger(scale, num_size(b[p]));
+        rest[p] = NUM(0.0);
+    }
+    port_predict(warm, 2 * n, keep, b, v);
     for (int count = 1; count <= MOST && flag_any(open); ++count) {
         num moved = NUM(0.0);
-        port_inject(memory, plan, ed2, sine, cosine, w, e_re, e_im);
+        port_inject(memory, plan, 0, ed2, sine, cosine, w, e_re, e_im);
         for (size_t p = 0; p < n; ++p) {
             const real *d = slope + 4 * p;
-            rest[p] = e_re[m + p] - (d[0] * w.v_re[p] + d[1] * w.v_im[p]);
-            rest[n + p] = e_im[m + p] - (d[2] * w.v_re[p] + d[3] * w.v_im[p]);
+            rest[p] = num_pick(open, e_re[m + p] - (d[0] * v[p] + d[1] * v[n + p]), rest[p]);
+            rest[n + p] = num_pick(open, e_im[m + p] - (d[2] * v[p] + d[3] * v[n + p]), rest[n + p]);
         }
-        num_product(b, from_j, 2 * n, 2 * n, rest, next);
-        for (size_t p = 0; p < n; ++p) {
-            moved += num_size(next[p] - w.v_re[p]) + num_size(next[n + p] - w.v_im[p]);
-            w.v_re[p] = num_pick(open, next[p], w.v_re[p]);
-            w.v_im[p] = num_pick(open, next[n + p], w.v_im[p]);
+        TILED(num_product, lanes, 2 * n, b, memory + plan->port_z, 2 * n, 2 * n, rest, next);
+        for (size_t p = 0; p < 2 * n; ++p) {
+            const num off = num_size(next[p] - v[p]);
+            moved = num_pick(num_reaches(moved, off), moved, off);   /* NaN as well */
+            v[p] = num_pick(open, next[p], v[p]);
         }
-        open = open & flag_not(num_reaches(1e-13 * size, moved));
-        const flag poor = open & flag_not(num_reaches(0.3 * before, moved));   /* NaN is poor as well */
+        const num ratio = num_ratio(moved, before);
+        const flag quiet = num_reaches(rounding * scale, moved), first = num_above(NUM(1.5), NUM((double)count));
+        const flag contracts = num_above(NUM(poor_from), ratio) | first | quiet;
+        const flag poor = open & flag_not(num_above(NUM(1e6), moved) & contracts);
         failed = failed | poor;
         open = open & flag_not(poor);
+        known = num_pick(open & flag_not(first), num_larger(ratio, NUM(least)), known);
+        const num after = num_pick(first, doubt * known, known) * moved;
+        const flag enough = open & (quiet | num_reaches(NUM(accuracy), after));
+        known = num_pick(enough & first & flag_not(quiet), known * forget, known);
+        open = open & flag_not(enough);
         before = moved;
-        if (count == ENOUGH) tired = open;   /* slow: fold anew the next time */
     }
     failed = failed | open;
-    port_inject(memory, plan, ed2, sine, cosine, w, e_re, e_im);
-    memory[H_PORT_READY] = num_pick(failed | tired, NUM(0.0), NUM(memory[H_PORT_READY]));
-    for (size_t p = 0; p < 2 * n; ++p) {
-        const num v = p < n ? w.v_re[p] : w.v_im[p - n];
-        last[p] = num_pick(failed | idle, NUM(last[p]), v);
-        last_b[p] = num_pick(failed | idle, NUM(last_b[p]), b[p]);
+    /* what the voltages were made from; a machine's isd and isq are wanted at the voltages themselves */
+    for (size_t p = 0; p < n; ++p) {
+        const real *d = slope + 4 * p;
+        e_re[m + p] = rest[p] + (d[0] * v[p] + d[1] * v[n + p]);
+        e_im[m + p] = rest[n + p] + (d[2] * v[p] + d[3] * v[n + p]);
     }
+    port_inject(memory, plan, port_loads(memory, plan), ed2, sine, cosine, w, e_re, e_im);
+    keep = keep & flag_not(failed);
+    port_keep(warm, 2 * n, keep, b, v);
+    warm[W_RATIO] = num_pick(keep, known, warm[W_RATIO]);
     return failed;
 }
 #endif
@@ -140,14 +222,13 @@ static inline void port_voltages(const double *w_re, const double *w_im, size_t 
 }
 #endif
 
-/* port.c: as port_iterate, with damped Newton steps where that fails. Returns n_port,
- * or the port farthest from a solution. w: arrays of PortWork. */
-size_t port_solve(double *memory, const Plan *plan, const double *ed2, const double *sine,
-                  const double *cosine, double *e_re, double *e_im, double *const w[4], double *work);
-/* The same where the network gives the ports the voltages at work + 0 .. 2 n_port - 1 without what they inject, and
- * W of their own sources alone is kept (sparse_few.h). */
-size_t port_solve_few(double *memory, const Plan *plan, const double *ed2, const double *sine, const double *cosine,
-                      double *e_re, double *e_im, double *const w[4], double *work);
+/* port.c: as port_iterate, with slopes where the voltages are and damped Newton steps where that fails. Returns n_port,
+ * or the port farthest from a solution. linear: of few ports their voltages without what they inject; null: of
+ * the EMFs' columns. w: arrays of PortWork, which lie one after the other. work: PORT_NEWTON n_port + 8 n_port^2. */
+size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care, const double *ed2, const double *sine,
+                  const double *cosine, double *e_re, double *e_im, const double *linear, PortWork w, double *work);
+/* The network of a new stage folded with the slopes at rest. work: 2 n_machine + 6 n_port + 8 n_port^2. */
+void port_fold_at_rest(double *memory, const Plan *plan, size_t lanes, double *work);
 /* dJ/dV of port p, row by row, a machine's on its base. */
 void port_slope_at(const double *memory, const Plan *plan, size_t p, double v_re, double v_im, const double *sine,
                    const double *cosine, double d[4]);
@@ -155,35 +236,4 @@ void port_slope_at(const double *memory, const Plan *plan, size_t p, double v_re
  * each port in turn). 0: singular. work: 2 n_port doubles. */
 int port_inverse(const double *memory, const Plan *plan, const double *v_re, const double *v_im,
                  const double *sine, const double *cosine, double *inverse, double *work);
-
-#ifdef PLANT_LANES
-/* port.c for one lane: its memory and the port's surroundings travel to `space` and
- * back. A lane without solution becomes NaN, which its driver finds. */
-static inline void port_rescue(size_t lane, num *memory, const Plan *plan, const num *ed2, const num *sine,
-                               const num *cosine, num *e_re, num *e_im, PortWork w, double *space)
-{
-    const size_t m = plan->n_machine, n = plan->n_port;
-    double *own = space, *own_ed2 = own + plan->total, *own_sine = own_ed2 + m, *own_cosine = own_sine + m;
-    double *own_re = own_cosine + m, *own_im = own_re + plan->n_source, *ports = own_im + plan->n_source;
-    double *const at[4] = { ports, ports + n, ports + 2 * n, ports + 3 * n };
-    num *const to[4] = { w.v_re, w.v_im, w.isd, w.isq };
-
-    for (size_t k = 0; k < plan->total; ++k) own[k] = memory[k][lane];
-    for (size_t k = 0; k < m; ++k) {
-        own_ed2[k] = k < plan->n_sixth ? ed2[k][lane] : 0.0;
-        own_sine[k] = sine[k][lane];
-        own_cosine[k] = cosine[k][lane];
-        own_re[k] = e_re[k][lane];
-        own_im[k] = e_im[k][lane];
-    }
-    const size_t stuck = port_solve(own, plan, own_ed2, own_sine, own_cosine, own_re, own_im, at, ports + 4 * n);
-    for (size_t k = plan->port_v; k < plan->total; ++k) memory[k][lane] = own[k];
-    memory[H_PORT_READY][lane] = own[H_PORT_READY];
-    for (size_t p = 0; p < n; ++p) {
-        e_re[m + p][lane] = stuck < n ? NAN : own_re[m + p];
-        e_im[m + p][lane] = own_im[m + p];
-        for (size_t a = 0; a < 4; ++a) to[a][p][lane] = at[a][p];
-    }
-}
-#endif
 #endif

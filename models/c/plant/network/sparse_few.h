@@ -41,11 +41,11 @@ static inline void sparse_few_begin(const real *memory, const Plan *plan, const 
     }
 }
 
-/* Node voltages with what the ports inject at w, into v and e; base: what the EMFs inject, and then all. */
-static inline void sparse_few_end(const real *memory, const Plan *plan, const Pattern *s, const num *ed2,
-                                  const num *sine, const num *cosine, num *base, num *e_re, num *e_im, PortWork w, num *v)
+/* Node voltages with what the ports inject, e, into v; base: what the EMFs inject, and then all. */
+static inline void sparse_few_end(const real *memory, const Plan *plan, const Pattern *s, num *base, num *e_re, num *e_im,
+                                  num *v)
 {
-    sparse_port_inject(memory, plan, ed2, sine, cosine, w, e_re, e_im);
+    sparse_port_scale(memory, plan, e_re, e_im);
     for (size_t p = 0; p < plan->n_port; ++p) {
         base[2 * s->port[p]] += e_re[plan->n_machine + p];
         base[2 * s->port[p] + 1] += e_im[plan->n_machine + p];

@@ -12,19 +12,25 @@
  * slopes, then takes damped Newton steps. Of one step at voltages that solve the equations, with the slopes there, the
  * tangent is exact. */
 
-/* What every port injects at its node, into e. */
-static inline void sparse_port_inject(const real *memory, const Plan *plan, const num *ed2, const num *sine,
-                                      const num *cosine, PortWork w, num *e_re, num *e_im)
+/* A machine's injection, which is on its base, on the system's. */
+static inline void sparse_port_scale(const real *memory, const Plan *plan, num *e_re, num *e_im)
 {
     const real *ratio = memory + plan->machine + M_RATIO * plan->n_machine;
 
-    port_inject(memory, plan, ed2, sine, cosine, w, e_re, e_im);
-    for (size_t p = 0; p < plan->n_port; ++p) {   /* a machine's is on its base */
+    for (size_t p = 0; p < plan->n_port; ++p) {
         const real *row = memory + plan->port + P_ROWS * p;
         if (port_is_load(row)) continue;
         e_re[plan->n_machine + p] *= ratio[index_at(row, P_DEVICE)];
         e_im[plan->n_machine + p] *= ratio[index_at(row, P_DEVICE)];
     }
+}
+
+/* What every port injects at its node, into e. */
+static inline void sparse_port_inject(const real *memory, const Plan *plan, const num *ed2, const num *sine,
+                                      const num *cosine, PortWork w, num *e_re, num *e_im)
+{
+    port_inject(memory, plan, 0, ed2, sine, cosine, w, e_re, e_im);
+    sparse_port_scale(memory, plan, e_re, e_im);
 }
 
 /* One step from the port voltages in w: node voltages into v. base: what the EMFs inject. */
@@ -63,11 +69,7 @@ static inline void sparse_port_machines(const real *memory, const Plan *plan, co
 /* Doubles of work for sparse_port_solve. */
 static inline size_t sparse_port_work(const Plan *plan) { return 4 * plan->n_node + 4 * plan->n_port; }
 
-/* How well the ports are solved: within a step of the integrator, far below its own error; for whoever asks by
- * himself or looks for the instant of a switch; to rounding, with the slopes in the factors those at the solution. */
-typedef enum { PORT_STEP, PORT_ALONE, PORT_EXACT } PortCare;
-
-/* Node voltages v, port voltages and what goes with them into w, of machines' ports also injections into e. Starts
+/* With PORT_EXACT the slopes in the factors are those at the solution. Node voltages v, port voltages and what goes with them into w, of machines' ports also injections into e. Starts
  * where the last solutions point to at memory[H_TIME]. Returns n_port, or the port farthest from a solution. */
 size_t sparse_port_solve(double *memory, const Plan *plan, const Pattern *pattern, PortCare care, const double *ed2,
                          const double *sine, const double *cosine, const double *base, double *e_re, double *e_im,

@@ -81,8 +81,8 @@ enum {  /* tie branch: buses of its measured and its other end, admittances seen
 enum {
     H_READY, H_OMEGA_B,
     H_TRIPPED,          /* machines that are tripped                    */
-    H_PORT_READY,       /* 1: port_b and port_z are good for this stage */
-    H_IDLE,             /* 1: a lane of a batch that has nothing to do  */
+    H_PORT_READY,       /* 1: port_b and port_z, or the factors, are good for this stage */
+    H_PORT_FOLDS,       /* how often slopes other than those at rest were wanted (port.h) */
     H_PATTERN,          /* sparse network: where its pattern begins in the record */
     H_PARTS, H_DEAD,    /* parts of the network with a machine; buses in parts without one */
     H_TIME,             /* of the coming evaluation, s                  */
@@ -91,6 +91,11 @@ enum {
     H_PORT_PATH,        /* sparse, few ports: rows of port_path         */
     H_PLAN
 };
+
+/* What evaluations change where ports are folded (port.h): the time of the coming one, s; by how much the last
+ * solution's steps brought it closer; times of the last three solutions, newest first, INFINITY: none; then port
+ * voltages of the newest and what they hold beyond `b` of all three, 2 n_port each. */
+enum { W_TIME, W_RATIO, W_FIRST, W_SECOND, W_THIRD, W_V };
 
 /* FMI parameters of a slot: Reals start, end, size, size_q, r, x, rise and those of a relay; integers kind, target. */
 enum {
@@ -134,6 +139,7 @@ typedef struct {
     size_t state_machine; /* n_state: the machine a state belongs to               */
     size_t norton;        /* sparse: 2 x n_machine, admittance of each machine     */
     size_t few;           /* sparse: ports so few that they are solved by themselves (sparse_few.h), 1 or 0 */
+    size_t folded;        /* ports as port.h has them: of a dense network, or few of a sparse one, 1 or 0 */
     size_t width;         /* sparse: numbers of an entry, 2 (complex) or, with more ports, 4 (2 x 2 real) */
     size_t lower, upper;  /* sparse: width n_fill each, the factors (sparse.h)     */
     size_t pivot;         /* sparse: width n_node, 1 over the diagonal of L        */
@@ -144,12 +150,16 @@ typedef struct {
     size_t port_w_re, port_w_im; /* dense, n_source x n_port: port voltages from sources */
     size_t port_own_re, port_own_im; /* n_port x n_port: from what the ports inject, the last columns of those */
     size_t port_path;     /* sparse, few ports: rows between the ports and the last one, rising */
-    size_t port_v;        /* 2 x 2 n_port: port voltages and `b` as last solved    */
+    size_t port_rest;     /* folded: 2 n_port, voltages at rest                    */
+    size_t delta_rest;    /* folded: n_machine, rotor angles at rest               */
     size_t port_slope;    /* 4 n_port: dJ/dV of the folded network                 */
-    size_t port_fold;     /* sparse: 2 n_port, voltages of those slopes            */
-    size_t port_past;     /* sparse: times of the last three solutions, newest first; voltages of the older two */
-    size_t port_b;        /* 2 n_machine columns of 2 n_port: from EMFs            */
-    size_t port_z;        /* 2 n_port columns of 2 n_port: from what slopes leave; few: the inverse of port.c */
+    size_t port_fold;     /* not folded: 2 n_port, voltages of those slopes        */
+    size_t port_past;     /* not folded: times of the last three solutions, newest first; voltages of the older two */
+    size_t port_b;        /* folded, columns of 2 n_port: of the EMFs' real parts, then of their imaginary ones;
+                             few: of the ports' voltages without what they inject  */
+    size_t port_z;        /* folded: 2 n_port columns of 2 n_port, from what slopes leave */
+    size_t warm;          /* folded: W_V + 8 n_port, what evaluations change; the last of memory */
+    size_t port_v;        /* 2 n_port: port voltages as last solved                */
     size_t total;
 } Plan;
 enum { PLAN_ROOM = (sizeof(Plan) + sizeof(double) - 1) / sizeof(double) };   /* of it in memory */
@@ -191,7 +201,8 @@ static inline void plan_offsets(Plan *p)
     p->relay = at;         at += (size_t)RELAY_ROWS * p->n_slot;
     p->state_machine = at; at += p->n_state;
     p->norton = at;        at += 2u * n * sparse;
-    p->few = ports > 0 && 8u * ports * ports <= p->n_fill ? sparse : 0;
+    p->few = ports > 0 && ports * ports <= 2u * p->n_fill ? sparse : 0;
+    p->folded = ports > 0 ? dense + p->few : 0;
     p->width = ports > 0 && p->few == 0 ? 4 : 2;
     p->lower = at;         at += p->width * p->n_fill;
     p->upper = at;         at += p->width * p->n_fill;
@@ -210,12 +221,15 @@ static inline void plan_offsets(Plan *p)
     p->port_own_im = dense ? p->port_w_im + ports * n : at;
     at += p->few * ports * ports;
     p->port_path = at;     at += p->few * p->n_node;
-    p->port_v = at;        at += 4u * ports;
+    p->port_rest = at;     at += 2u * ports * p->folded;
+    p->delta_rest = at;    at += n * p->folded;
     p->port_slope = at;    at += 4u * ports;
-    p->port_fold = at;     at += 2u * ports * sparse;
-    p->port_past = at;     at += ports > 0 && p->few == 0 ? (3u + 4u * ports) * sparse : 0u;
-    p->port_b = at;        at += 4u * ports * n * dense;
-    p->port_z = at;        at += 4u * ports * ports * (dense + p->few);
+    p->port_fold = at;     at += ports > 0 ? 2u * ports * (1u - p->folded) : 0u;
+    p->port_past = at;     at += ports > 0 ? (3u + 4u * ports) * (1u - p->folded) : 0u;
+    p->port_b = at;        at += 4u * ports * (n * dense + ports * p->few);
+    p->port_z = at;        at += 4u * ports * ports * p->folded;
+    p->warm = at;          at += W_V * p->folded;
+    p->port_v = at;        at += (2u + 6u * p->folded) * ports;
     p->total = at;
 }
 

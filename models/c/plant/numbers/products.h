@@ -70,21 +70,72 @@ static inline void num_product_complex(const double *g, const double *b, size_t 
         put_at(to_im + at, im);
     }
 }
+#elif defined PLANT_LANES
+/* Rows whose sums stay in registers together: one cache line of a table that the scenarios share. */
+enum { PRODUCT_ROWS = 8, PRODUCT_COMPLEX_ROWS = 4 };
+
+static inline void product_rows(size_t count, const num *from, const real *M, size_t rows, size_t columns, const num *s,
+                                num *to)
+{
+    num sum[PRODUCT_ROWS];
+
+    for (size_t i = 0; i < count; ++i) sum[i] = from[i];
+    for (size_t k = 0; k < columns; ++k, M += rows)
+        for (size_t i = 0; i < count; ++i) sum[i] += M[i] * s[k];
+    for (size_t i = 0; i < count; ++i) to[i] = sum[i];
+}
+
+/* to = from + M s. */
+static inline void num_product(const num *from, const real *M, size_t rows, size_t columns, const num *s, num *to)
+{
+    size_t i = 0;
+
+    for (; i + PRODUCT_ROWS <= rows; i += PRODUCT_ROWS)
+        product_rows(PRODUCT_ROWS, from + i, M + i, rows, columns, s, to + i);
+    for (; i + 2 <= rows; i += 2) product_rows(2, from + i, M + i, rows, columns, s, to + i);
+    for (; i < rows; ++i) product_rows(1, from + i, M + i, rows, columns, s, to + i);
+}
+
+static inline void product_complex_rows(size_t count, const real *g, const real *b, size_t rows, size_t columns,
+                                        const num *s_re, const num *s_im, num *to_re, num *to_im)
+{
+    num re[PRODUCT_COMPLEX_ROWS], im[PRODUCT_COMPLEX_ROWS];
+
+    for (size_t i = 0; i < count; ++i) re[i] = im[i] = NUM(0.0);
+    for (size_t k = 0; k < columns; ++k, g += rows, b += rows)
+        for (size_t i = 0; i < count; ++i) {
+            re[i] += g[i] * s_re[k] - b[i] * s_im[k];
+            im[i] += g[i] * s_im[k] + b[i] * s_re[k];
+        }
+    for (size_t i = 0; i < count; ++i) {
+        to_re[i] = re[i];
+        to_im[i] = im[i];
+    }
+}
+
+/* to = (g + j b) s. */
+static inline void num_product_complex(const real *g, const real *b, size_t rows, size_t columns, const num *s_re,
+                                       const num *s_im, num *to_re, num *to_im)
+{
+    size_t i = 0;
+
+    for (; i + PRODUCT_COMPLEX_ROWS <= rows; i += PRODUCT_COMPLEX_ROWS)
+        product_complex_rows(PRODUCT_COMPLEX_ROWS, g + i, b + i, rows, columns, s_re, s_im, to_re + i, to_im + i);
+    for (; i < rows; ++i) product_complex_rows(1, g + i, b + i, rows, columns, s_re, s_im, to_re + i, to_im + i);
+}
 #else
-/* to = from + M s. Four columns go at a time where that pays: eight lanes wait for memory, not for the sums. */
+/* to = from + M s, four columns at a time. */
 static inline void num_product(const num *from, const real *M, size_t rows, size_t columns, const num *s, num *to)
 {
     size_t k = 0;
 
     for (size_t i = 0; i < rows; ++i) to[i] = from[i];
-#if !defined PLANT_LANES || PLANT_LANES < 8
     for (; k + 4 <= columns; k += 4, M += 4 * rows) {
         const real *m1 = M + rows, *m2 = m1 + rows, *m3 = m2 + rows;
         const num s0 = s[k], s1 = s[k + 1], s2 = s[k + 2], s3 = s[k + 3];
         for (size_t i = 0; i < rows; ++i)
             to[i] = (((to[i] + M[i] * s0) + m1[i] * s1) + m2[i] * s2) + m3[i] * s3;
     }
-#endif
     for (; k < columns; ++k, M += rows) {
         const num s0 = s[k];
         for (size_t i = 0; i < rows; ++i) to[i] += M[i] * s0;

@@ -312,7 +312,12 @@ static void read_tables(const Record *record, const Plan *plan, const Network *n
     copy_integers(memory + plan->show + plan->n_y + plan->n_w,
                   integers(&r, "show.of", plan->n_y + plan->n_w, SIZE_MAX), plan->n_y + plan->n_w);
     copy_reals(memory + plan->port, read_ports(&r, plan), P_ROWS * plan->n_port);
-    copy_reals(memory + plan->port_v, reals(&r, "port.rest", 2 * plan->n_port), 2 * plan->n_port);
+    const double *volts = reals(&r, "port.rest", 2 * plan->n_port);
+    copy_reals(memory + plan->port_v, volts, 2 * plan->n_port);
+    if (plan->folded == 0) return;
+    copy_reals(memory + plan->port_rest, volts, 2 * plan->n_port);
+    copy_reals(memory + plan->delta_rest, reals(&r, "state.rest", plan->n_state), n);
+    for (size_t k = W_FIRST; k <= W_THIRD; ++k) memory[plan->warm + k] = INFINITY;
 }
 
 static void read_tie(const Record *record, const Plan *plan, const Network *net, double *memory)

@@ -252,23 +252,21 @@ def test_a_cancelled_run_stops_where_it_is_and_can_go_on(masters: list[Master], 
     assert [bits(m) for m in masters[:3]] == alone[:3]
 
 
-def test_plants_whose_network_iterates_go_one_by_one(cache: Path, library: GroupLibrary) -> None:
-    loads = {"P_exponent": 1.0, "Q_exponent": 2.0}
-    case = load_case("two-area-thesis").with_changes({"loads": {"L7": loads, "L9": loads}})
-    from interarea.cosim.run.artefacts import plant_fmu
-
-    file = FmuFile(plant_fmu(case, cache))
+def test_plants_with_ports_have_the_bits_of_each_alone(
+    cache: Path, by_hand: Controller, library: GroupLibrary
+) -> None:
+    """Loads of constant current and saturation: what the ports keep goes from the lanes to the instances and back."""
+    chosen = [RUNS[k] | {"case": "kundur-thyristor"} for k in (0, 2, 3, 5, 6)]
     found = []
-    for group in (None, library):
-        masters = [Master([FmuParticipant("plant", file, {}, group=group)], [], stop_s=0.3) for _ in range(3)]
-        assert advance_together(masters) == [None] * 3
-        if group is not None:
-            component = masters[0].participants["plant"].component  # type: ignore[attr-defined]
-            assert group.work(component, 3) is None
-        found.append([bits(m) for m in masters])
-        for master in masters:
-            master.close()
-    assert found[0] == found[1]
+    for changes in chosen:
+        with loop_of(changes, cache, by_hand) as loop:
+            loop.master.advance()
+            found.append(bits(loop.master))
+    with side_by_side(chosen, cache, by_hand, library) as masters:
+        assert advance_together(masters) == [None] * len(chosen)
+        component = masters[0].participants["plant"].component  # type: ignore[attr-defined]
+        assert library.work(component, 4) is not None
+        assert [bits(m) for m in masters] == found
 
 
 def test_locals_read_after_a_group_step_are_those_of_the_step(

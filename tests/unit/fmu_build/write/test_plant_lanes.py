@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import fmpy
@@ -11,8 +12,9 @@ from plant_lanes import PlantLanes
 
 from interarea.models.blocks.plant import event_parameters
 from interarea.models.blocks.plant_variables import EVENT_CODES
-from interarea.models.case.case import load_case
+from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import events_of
+from interarea.models.grid.network_tables import Form
 
 CASE = "two-area-thesis"
 
@@ -74,13 +76,57 @@ def test_an_input_reaches_its_own_plant(plants: PlantLanes) -> None:
     assert np.abs(moved.of("G1_vt")[7:, 1] - rest.of("G1_vt")[7:, 1]).max() > 1e-4
 
 
-def test_plants_whose_network_iterates_go_one_by_one(cache: Path) -> None:
-    plants = PlantLanes(load_case("kundur-thyristor"), cache)
-    fault = {"kind": "bus_fault", "bus": 8, "start_s": 0.02, "end_s": 0.07, "x_pu": 0.01}
-    rows = [event_parameters(load_case("kundur-thyristor"), events_of([fault], where="test")), {}]
-    beside, alone = plants.run(rows, stop_s=0.2), plants.run(rows, stop_s=0.2, lanes=1)
-    assert np.all(np.isfinite(alone.outputs))
-    np.testing.assert_array_equal(beside.outputs, alone.outputs)
+def saturated() -> Case:
+    return load_case("kundur-thyristor")
+
+
+def with_power() -> Case:
+    """A load of constant current and one of constant power."""
+    power = {"L7": {"P_exponent": 1.0, "Q_exponent": 2.0}, "L9": {"P_exponent": 0.0, "Q_exponent": 0.5}}
+    return load_case(CASE).with_changes({"loads": power})
+
+
+def few_ports() -> Case:
+    """New England with one load of constant power and one saturating machine."""
+    case = load_case("new-england")
+    saturates = {"saturation": {"Asat": 0.015, "Bsat": 9.6, "psiT1": 0.9, "use": "total"}}
+    loads = {case.loads[3].name: {"P_exponent": 0.0, "Q_exponent": 0.0}}
+    return case.with_changes({"loads": loads, "machines": {case.machines[1].name: saturates}})
+
+
+def hard_rows(case: Case, count: int) -> list[dict]:
+    """Faults at every other place, some so near that loads become impedances and slopes at rest no longer do; a machine
+    and a branch that trip; one run at rest."""
+    rows: list[dict] = [{}]
+    for k in range(count - 1):
+        bus = case.buses[(5 * k + 4) % len(case.buses)].number
+        end = 0.15 + 0.0137 * (k % 3)
+        fault = {"kind": "bus_fault", "bus": bus, "start_s": 0.05, "end_s": end, "x_pu": 10.0 ** -(1 + k % 4)}
+        events = [fault, {"kind": "load_step", "load": case.loads[k % 2].name, "start_s": 0.21, "size_pu": -0.4}]
+        if k % 3 == 0:
+            events.append({"kind": "machine_trip", "machine": case.machines[1].name, "start_s": 0.31})
+        rows.append(event_parameters(case, events_of(events, where="test")))
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("make", "network"), [(saturated, None), (with_power, None), (few_ports, "sparse"), (few_ports, "dense")]
+)
+def test_ports_side_by_side_have_the_bits_of_each_alone(
+    make: Callable[[], Case], network: Form | None, cache: Path
+) -> None:
+    case = make()
+    plants = PlantLanes(case, cache, network=network)
+    rows = hard_rows(case, 11)
+    alone = plants.run(rows, stop_s=0.6, lanes=1)
+    ended = np.array([error != "" for error in alone.errors])  # constant power beside a near fault
+    swing = np.ptp(alone.of("G1_dw"), axis=0)
+    assert ended.sum() <= 1 and swing[0] < 1e-9 and np.all(swing[1:][~ended[1:]] > 1e-5)
+    for lanes in (2, 4, 8):
+        if lanes <= plants.group.lanes:
+            beside = plants.run(rows, stop_s=0.6, lanes=lanes)
+            assert beside.errors == alone.errors
+            np.testing.assert_array_equal(beside.outputs, alone.outputs)
 
 
 def test_a_run_that_fails_says_why_and_leaves_the_others_alone(plants: PlantLanes) -> None:
