@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import CaseError, nearest
-from .tables import CaseTables
+
+if TYPE_CHECKING:  # names are looked up in an `outline` too
+    from .tables import CaseTables
 
 
 def target_index(case: CaseTables, event: Any) -> int:
@@ -33,12 +35,17 @@ def target_index(case: CaseTables, event: Any) -> int:
     name = getattr(event, table)
     if name not in names:
         raise CaseError(f"{case.name}: {event.kind}: {table} {name!r} does not exist; {nearest(name, names)}")
-    if event.kind.startswith("vref") and case.machine(name).exciter.kind == "constant":
+    if event.kind.startswith("vref") and _excitation(case.machines[names.index(name)]) == "constant":
         raise CaseError(
             f"{case.name}: {event.kind}: machine {name!r} has constant excitation, so no voltage set-point, "
             "allowed: a machine whose exciter regulates"
         )
     return names.index(name)
+
+
+def _excitation(machine: Any) -> Any:
+    exciter = getattr(machine, "exciter", None)  # an outline has none where the file has none
+    return "constant" if exciter is None else exciter.kind
 
 
 def _check_threshold(case: CaseTables, event: Any) -> None:
