@@ -35,17 +35,6 @@ def delta(reference: bytes, target: bytes) -> bytes:
     return bytes(out + _piece(copied, literal))
 
 
-def apply_delta(reference: bytes, changes: bytes) -> bytes:
-    """Return the target of `delta`."""
-    out, at = bytearray(), 0
-    while at < len(changes):
-        start, length, given = struct.unpack_from("<3I", changes, at)
-        at += 12
-        out += reference[start : start + length] + changes[at : at + given]
-        at += given
-    return bytes(out)
-
-
 def _piece(copied: tuple[int, int], literal: bytearray) -> bytes:
     return struct.pack("<3I", *copied, len(literal)) + bytes(literal)
 
