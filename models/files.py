@@ -12,6 +12,7 @@ import contextlib
 import lzma
 import os
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -226,3 +227,12 @@ def _remove_if_left(folder: Path) -> bool:
     with file:
         shutil.rmtree(folder, ignore_errors=True)
     return True
+
+
+def default_cache() -> Path:
+    """Return ``$INTERAREA_CACHE``, else the user's cache folder."""
+    if os.environ.get("INTERAREA_CACHE"):
+        return Path(os.environ["INTERAREA_CACHE"])
+    if sys.platform == "win32" and os.environ.get("LOCALAPPDATA"):
+        return Path(os.environ["LOCALAPPDATA"]) / "interarea"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "interarea"

@@ -89,7 +89,7 @@ def two_machines(names: Sequence[str], machines: Sequence[str]) -> tuple[str, st
 
 def wrong_targets(case: Case, events: Iterable[Any], where: str) -> list[str]:
     """Return a line for each event, a table or an object, whose target the case does not have."""
-    from interarea.models.case.event_targets import target_index
+    from interarea.models.case.checks import target_index
     from interarea.models.case.events import event_of
 
     wrong = Collected()

@@ -86,7 +86,7 @@ from pydantic import (
     model_validator,
 )
 
-from interarea.models.case.cycles import in_seconds
+from interarea.models.documents import in_seconds
 from interarea.models.errors import Collected, UserError
 from interarea.models.mistakes import mistakes
 from interarea.models.table import ShortName, Table, Title

@@ -33,13 +33,12 @@ from typing import Any, Self
 
 from pydantic import ValidationError, model_validator
 
-from ..devices.errors import DeviceError
 from ..devices.language.structure import Model
 from ..devices.library import own_models
-from ..errors import CaseError, Collected, nearest
+from ..documents import in_seconds
+from ..errors import CaseError, Collected, DeviceError, nearest
 from ..mistakes import mistakes
-from .checks import check_whole
-from .cycles import in_seconds
+from .checks import check_events, check_whole
 from .document import (
     REMOVED,
     ROW_TABLES,
@@ -49,7 +48,6 @@ from .document import (
     rows_of,
     with_device_texts,
 )
-from .event_targets import check_events
 from .events import events_of
 from .tables import CaseTables
 

@@ -10,10 +10,9 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_args
 
-from ..documents import DocumentError, parse_toml
+from ..documents import DocumentError, other_kind, parse_toml
 from ..errors import CaseError, nearest, reason
 from ..files import read_text, toml_files
-from .file_kind import other_kind
 
 #: table in the file -> field that holds the row's key
 ROW_TABLES = {"buses": "number", "branches": "name", "shunts": "name", "loads": "name", "machines": "name"}
@@ -191,8 +190,8 @@ def with_device_texts(table: Mapping[str, Any], folder: Path, where: str) -> dic
     names = table.get("devices")
     if not isinstance(names, list | tuple):
         return dict(table)
-    from ..devices.errors import DeviceError
     from ..devices.language.read import device_text
+    from ..errors import DeviceError
 
     texts: dict[str, str] = {}
     for name in names:

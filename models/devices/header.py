@@ -8,8 +8,7 @@ import re
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from ..cache_folder import default_cache
-from ..files import write_whole
+from ..files import default_cache, write_whole
 from .emit import devices_header
 from .language.structure import Model
 from .library import library

@@ -16,9 +16,8 @@ from interarea.cli.app import main
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.explorer.address import link_of
 from interarea.cosim.explorer.layout import bus_positions
-from interarea.cosim.explorer.models import models_of
+from interarea.cosim.explorer.models import delta, models_of
 from interarea.cosim.explorer.page import explorer_page, page_data
-from interarea.cosim.explorer.records import delta
 from interarea.cosim.explorer.subject import subject_of
 from interarea.cosim.export.container import container_block
 from interarea.cosim.scenario.channels import GilbertElliottLoss
