@@ -91,13 +91,12 @@ from interarea.models.errors import Collected, UserError
 from interarea.models.mistakes import mistakes
 from interarea.models.table import ShortName, Table, Title
 
-from ..clock import on_tick
+from ..clock import event_on_ticks, on_tick, roundings
 from ..errors import ScenarioError, nearest
 from ..stepping_words import Early, Inputs, Loops, early_word
 from ..toml_file import read_toml
 from .channels import Seconds
 from .names import NAMED_CONTROLLERS, beside, grid_of, wrong_names
-from .rounding import event_on_ticks, roundings
 from .ways import ChannelTable, ConcentratorTable, Way, ways_of
 
 if TYPE_CHECKING:  # the file is checked before what a case takes is loaded
