@@ -58,7 +58,7 @@ def grid_of(folder: Path, named: str) -> Any:
     from interarea.models.case.document import outline
 
     place = beside(folder, named)
-    if isinstance(place, str):
+    if isinstance(place, str) or not place.exists():  # which is told before models of pydantic are loaded
         return outline(place)
     from interarea.models.case.case import load_case
 

@@ -26,7 +26,7 @@ def case_names() -> list[str]:
     return list(toml_files(BUNDLED))
 
 
-def outline(name: str) -> Any:
+def outline(name: str | Path) -> Any:
     """Return the rows of a bundled case, attributes by key as in its file: a `Case` takes longer to build.
 
     >>> [m.name for m in outline("two-area-thesis").machines]
@@ -37,7 +37,7 @@ def outline(name: str) -> Any:
     CaseError : unknown name, with the nearest ones.
     """
     raw = case_document(name)
-    rows = {table: rows_of(raw.get(table, {}), table, key, name)[0] for table, key in ROW_TABLES.items()}
+    rows = {table: rows_of(raw.get(table, {}), table, key, str(name))[0] for table, key in ROW_TABLES.items()}
     tables = {table: [_attributes(row) for row in of] for table, of in rows.items()}
     return SimpleNamespace(**{**raw, **tables})
 
