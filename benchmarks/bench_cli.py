@@ -20,7 +20,12 @@ import time
 from pathlib import Path
 
 PYTHON = sys.executable
-MISTAKE = 'case = "two-area-thesis"\nstop_s = 2.0\nstp_s = 0.01\n'
+#: scenarios with a mistake: in a key, in a name that the schema does not know, in the language
+MISTAKES = {
+    "KEY": 'case = "two-area-thesis"\nstop_s = 2.0\nstp_s = 0.01\n',
+    "NAME": 'case = "two-area-thesis"\ncontroller = "robst"\nstop_s = 2.0\n',
+    "TOML": 'case = "two-area-thesis"\nstop_s = = 2.0\n',
+}
 #: name -> (command, what it is measured against, wanted ratio)
 BASES = {
     "typer, rich": [PYTHON, "-c", "import typer, rich"],
@@ -36,7 +41,7 @@ OURS = {
     "interarea --version": ("typer, rich", 1.5),
     "interarea --help": ("typer, rich", 1.5),
     "interarea list": ("typer, rich", 1.5),
-    "interarea run MISTAKE.toml --out out": ("typer, rich, pydantic", 1.5),
+    **{f"interarea run {name}.toml --out out": ("typer, rich, pydantic", 1.5) for name in MISTAKES},
     "interarea modes two-area-thesis": ("scipy.linalg, pandas", 2.0),
 }
 PEERS = {"andes": ["andes", "--version"], "fmpy": [PYTHON, "-m", "fmpy", "--help"]}
@@ -55,9 +60,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=9)
     runs = parser.parse_args().runs
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "MISTAKE.toml").write_text(MISTAKE, encoding="utf-8")
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        for name, text in MISTAKES.items():
+            (folder / f"{name}.toml").write_text(text, encoding="utf-8")
         commands = dict(BASES)
         commands |= {ours: [PYTHON, "-m", *ours.split()] for ours in OURS}
         for module, command in PEERS.items():

@@ -11,16 +11,19 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
+
+from pydantic import BaseModel
 
 from .errors import ScenarioError
 
 if TYPE_CHECKING:  # a scenario is checked without numpy: it takes as long as all else together
     import numpy as np
     import numpy.typing as npt
+
 
 TICKS_PER_SECOND = 1_000_000_000
 _MAX_SECONDS = 9.0e6  # 9e15 ticks: whole ticks are still exact as doubles
@@ -199,3 +202,37 @@ class Steps(Sequence[Step]):
         k = range(len(self))[k]
         start = self.ends[k - 1] if k else self.start
         return Step(start, self.ends[k], bool(self.edge[k]), bool(self.recorded[k]))
+
+
+def event_on_ticks(event: Any, where: str) -> Any:
+    """Return an event with its instants on ticks of the clock.
+
+    Raises
+    ------
+    ScenarioError : it would begin and end at the same tick.
+    """
+    given = {key: getattr(event, key, None) for key in ("start_s", "end_s")}
+    used = {key: on_tick(at, f"{where} ({event.kind}): {key}") for key, at in given.items() if at is not None}
+    if "end_s" in used and not used["end_s"] > used["start_s"]:
+        raise ScenarioError(
+            f"{where} ({event.kind}): start_s = {given['start_s']!r} and end_s = {given['end_s']!r} fall "
+            "on one tick of the clock (1 ns), allowed: at least 1e-9 apart"
+        )
+    same = all(used[key] == given[key] for key in used)
+    return event if same else event.model_copy(update=used)
+
+
+def roundings(given: Any, used: Any, where: str = "") -> list[str]:
+    """Return a line for each time of a table that is not taken as it was written."""
+    if isinstance(given, BaseModel):
+        given = dict(given)
+    if isinstance(given, Mapping):
+        fields = used if isinstance(used, Mapping) else dict(used) if isinstance(used, BaseModel) else {}
+        pairs = [(f"{where}.{k}" if where else str(k), value, fields.get(k)) for k, value in given.items()]
+    elif isinstance(given, list | tuple) and isinstance(used, list | tuple):
+        pairs = [(f"{where} {k}", a, b) for k, (a, b) in enumerate(zip(given, used, strict=False), start=1)]
+    elif isinstance(given, float) and isinstance(used, float) and moved(given, used):
+        return [f"{where} = {given!r} s is taken as {used!r} s, a tick of the clock"]
+    else:
+        return []
+    return [line for name, a, b in pairs for line in roundings(a, b, name)]

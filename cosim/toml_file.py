@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from interarea.models.case.file_kind import other_kind
-from interarea.models.documents import DocumentError, parse_toml
+from interarea.models.documents import DocumentError, other_kind, parse_toml
 
 
 def read_toml(path: Path, wanted: str, error: type[Exception]) -> dict[str, Any]:

@@ -17,6 +17,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, _stop)
     for pool in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # numpy's and scipy's fight over small matrices
         os.environ.setdefault(pool, "1")
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # looking for some takes 10 ms
     from .cli.app import main as run
 
     stops: list[int] = []

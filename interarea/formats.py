@@ -282,7 +282,7 @@ def _example_files(kind: str) -> list[Mapping[str, Any]]:
     from interarea.cosim.scenario.scenario import BUNDLED as scenarios
     from interarea.cosim.study.spec import SPECIFICATIONS
     from interarea.models import devices
-    from interarea.models.case.case import BUNDLED as cases
+    from interarea.models.case.document import BUNDLED as cases
 
     designs = Path(design_file.__file__).parent
     if kind == "controller":

@@ -8,8 +8,7 @@ from typing import NoReturn
 _TABLE = """
 models -> models.case: case case_schema:schema case_schema_controls:control_schema
     case_checks:checks case_parameter:parameter_path case_variants:variants events export_toml:write_toml
-    toml_kind:file_kind
-models -> models: case_errors:errors
+models -> models: case_errors:errors toml_kind:documents
 models -> models.grid: network powerflow equilibrium plant_ports:bus_devices plant_tables:machine_tables
     plant_controls:control_tables
 models -> models.blocks: variables record:binary_table plant_block:plant plant_protocol:linear_plant
@@ -45,8 +44,8 @@ design -> design.robust: robust:design robust_check:spec smoothed:smoothed_objec
 design -> design.certificates: certificate:closed_loop switching active:bank_design
 design -> design.controllers: controller bank shipped:bundled
 cosim -> cosim: interpolation:polynomials
-cosim -> cosim.master: master stepping wiring node signals graph timing:step_choice
-    initialise:initial_values loops:algebraic_loop secant:broyden saved:snapshot together:lockstep
+cosim -> cosim.master: master stepping wiring:stepping node signals graph timing:step_choice
+    initialise:algebraic_loop loops:algebraic_loop secant:algebraic_loop saved:records together:lockstep
     worker:isolated instances
 cosim -> fmu_build.open: fmu_file
 cosim -> cosim.master.kernel: kernel kernel_build:build
@@ -60,11 +59,11 @@ cosim -> cosim.designs: robust_design:design_file design_comparison:comparison b
     sensitivities synchronism:first_swing
 cosim -> cosim.sweep: sweep_spec:spec sweep_values:values sweep_point:point sweep_plan:plan
     sweep_prepare:prepare sweep_run:runner sweep_forks:shared_start sweep_group:lane_batches
-    sweep_live:live_instances sweep_rows:rows sweep_store:store sweep_search:bisection sweep_engine:front
+    sweep_live:live_instances sweep_rows:rows sweep_store:store sweep_search:values sweep_engine:front
 cosim -> cosim.sweep.workers: sweep_local:pool sweep_worker:worker
     sweep_cluster:dask_cluster heap:malloc_tuning
 cosim -> cosim.maps: maps:page maps_data:page_data maps_figures:page_figures
-cosim -> cosim.plots: plots:curves compass:label_layout diagrams
+cosim -> cosim.plots: plots:curves compass:mode_shapes diagrams
 cosim -> cosim.study: study study_delay:delay study_figures:figures study_loss:packet_loss study_rows:rows
     study_runs:runs report
 cosim -> cosim.study: claims:verdicts published:printed

@@ -1,14 +1,17 @@
-"""Documents of the user's, TOML and JSON: read strictly, so that what is no number is never taken for one.
+"""Documents of the user's, TOML and JSON: read strictly, told apart, times in cycles as seconds.
 
 A byte-order mark is read over. Refused by place and value: numbers that arithmetic would overflow on,
 integers beyond 64 bits, NaN and infinity in JSON, a JSON key given twice, tables without end.
+
+A time is a number of seconds or terms joined by +: `1.5 s`, `8 cycles`, and `start`: its table's `start_s`.
 """
 
 from __future__ import annotations
 
 import json
+import re
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from .errors import UserError
@@ -91,3 +94,78 @@ def _check_numbers(value: Any, where: str) -> None:
         raise DocumentError(f"{where} = {text}, allowed: integers of 64 bits")
     elif isinstance(value, float) and LARGEST < abs(value) < float("inf"):
         raise DocumentError(f"{where} = {value:g}, allowed: numbers up to {LARGEST:g}")
+
+
+#: kind -> (keys of which one is in every file of it and in no other kind, the command that takes it)
+KINDS: Mapping[str, tuple[frozenset[str], str]] = {
+    "study": (frozenset({"published", "disturbance"}), "interarea study"),
+    "claims": (frozenset({"statement", "correction"}), "interarea study, as `claims` in its file"),
+    "sweep": (frozenset({"parameters"}), "interarea sweep"),
+    "design": (frozenset({"conditions", "ask"}), "interarea design"),
+    "case": (frozenset({"machines", "buses", "branches", "base", "change"}), "interarea modes"),
+    "device": (frozenset({"diagram"}), "interarea device"),
+    "scenario": (frozenset({"stop_s", "event", "channels", "connections"}), "interarea run"),
+}
+
+
+def other_kind(table: Mapping[str, Any], wanted: str) -> str | None:
+    """Return what `table` is, as the end of a sentence about its file, where it plainly is not a `wanted`.
+
+    >>> other_kind({"case": "two-area-thesis", "stop_s": 20.0}, "sweep")
+    'is a scenario (`interarea run`), wanted: a sweep'
+    >>> other_kind({}, "sweep")
+    'is empty, wanted: a sweep'
+    >>> other_kind({"parameters": {}, "stop_s": 1.0}, "sweep") is None
+    True
+    """
+    if not table:
+        return f"is empty, wanted: a {wanted}"
+    keys = set(table)
+    if keys & KINDS[wanted][0]:
+        return None
+    for kind, (signs, command) in KINDS.items():
+        if kind != wanted and keys & signs:
+            return f"is a {kind} (`{command}`), wanted: a {wanted}"
+    return None
+
+
+_TERM = re.compile(r"(?P<number>\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*(?P<unit>s|cycles?)")
+
+
+def in_seconds(table: Mapping[str, Any], frequency_hz: Callable[[], float]) -> dict[str, Any]:
+    """Return a table with every time in seconds; words that are no time stay, to be refused.
+
+    frequency_hz : asked only where cycles are named, Hz.
+
+    >>> in_seconds({"event": [{"start_s": 1.0, "end_s": "start + 6 cycles"}]}, lambda: 60.0)
+    {'event': [{'start_s': 1.0, 'end_s': 1.1}]}
+    """
+    return {key: _moved(key, value, table, frequency_hz) for key, value in table.items()}
+
+
+def _moved(key: str, value: Any, table: Mapping[str, Any], frequency_hz: Callable[[], float]) -> Any:
+    if isinstance(value, Mapping):
+        return in_seconds(value, frequency_hz)
+    if isinstance(value, list | tuple):
+        return type(value)(_moved(key, part, table, frequency_hz) for part in value)
+    if isinstance(value, str) and key.endswith("_s"):
+        return _seconds(value, table, frequency_hz)
+    return value
+
+
+def _seconds(text: str, table: Mapping[str, Any], frequency_hz: Callable[[], float]) -> str | float:
+    total = 0.0
+    for part in text.split("+"):
+        word = part.strip()
+        if word == "start" and table.get("start_s") != text:
+            start = table.get("start_s")
+            start = _seconds(start, table, frequency_hz) if isinstance(start, str) else start
+            if not isinstance(start, int | float) or isinstance(start, bool):
+                return text
+            total += start
+        elif found := _TERM.fullmatch(word):
+            number = float(found["number"])
+            total += number if found["unit"] == "s" else number / frequency_hz()
+        else:
+            return text
+    return total

@@ -12,6 +12,7 @@ import contextlib
 import lzma
 import os
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -75,7 +76,7 @@ class Partial:
             try:
                 os.close(handle)
                 self._partial, self._path = Path(name), path
-                file = _locked(self._partial, make=True)
+                file = locked(self._partial, make=True)
             except BaseException:
                 os.unlink(name)  # noqa: PTH108 - a path needs memory, of which there may be none
                 raise
@@ -110,7 +111,7 @@ def remove_left(folder: Path) -> None:
             with contextlib.suppress(OSError):
                 if fcntl is None:  # such a system removes no open file
                     partial.unlink()
-                elif (file := _locked(partial)) is not None:
+                elif (file := locked(partial)) is not None:
                     with file:
                         partial.unlink()
 
@@ -168,7 +169,7 @@ class _Own:
         lock = None
         while lock is None:  # a sweep may take a folder for a left one before it is locked
             self.folder = Path(tempfile.mkdtemp(dir=root, prefix=f"{_PREFIX}{os.getpid()}-"))
-            lock = _locked(self.folder / _LOCK, make=True)
+            lock = locked(self.folder / _LOCK, make=True)
         self._lock: IO[bytes] = lock
         # children of multiprocessing end without atexit, but not without this
         Finalize(None, self.close, exitpriority=_LAST)
@@ -183,7 +184,7 @@ _own: dict[tuple[int, Path], _Own] = {}
 _looked: set[Path] = set()  #: folders in which this process has removed what was left
 
 
-def _locked(path: Path, *, make: bool = False) -> IO[bytes] | None:
+def locked(path: Path, *, make: bool = False) -> IO[bytes] | None:
     """Return the file opened and locked; None when another process has it or has removed it.
 
     On a file system without locks nothing is taken for left: OSError, or with `make` the file without one.
@@ -220,9 +221,18 @@ def _remove_if_left(folder: Path) -> bool:
         lock.unlink()
         shutil.rmtree(folder, ignore_errors=True)
         return True
-    file = _locked(lock)
+    file = locked(lock)
     if file is None:
         return False
     with file:
         shutil.rmtree(folder, ignore_errors=True)
     return True
+
+
+def default_cache() -> Path:
+    """Return ``$INTERAREA_CACHE``, else the user's cache folder."""
+    if os.environ.get("INTERAREA_CACHE"):
+        return Path(os.environ["INTERAREA_CACHE"])
+    if sys.platform == "win32" and os.environ.get("LOCALAPPDATA"):
+        return Path(os.environ["LOCALAPPDATA"]) / "interarea"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "interarea"

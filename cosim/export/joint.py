@@ -23,7 +23,7 @@ from ..results.tally import Tally
 from ..run.controllers import ControllerLike
 from ..run.run import system_of
 from ..run.swing_signal import swing_of
-from ..scenario.delays import Delays
+from ..scenario.channels import Delays
 from ..scenario.scenario import Scenario, load_scenario
 from ..trajectory import TIME, Trajectory
 from .container import container_block

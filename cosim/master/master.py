@@ -9,7 +9,7 @@ One step from t to t + H, all times whole ticks (`clock`), every known event a c
    (value and three derivatives) or, where an FMU takes none, as means over parts of the step;
 4. a loop without a channel is stepped on predicted signals; when what comes out differs from what was
    predicted by more than the tolerance, the FMU states are put back and the step is repeated with a
-   better guess (`broyden`), until it agrees;
+   better guess (`algebraic_loop`), until it agrees;
 5. outputs are recorded.
 
 Modes ``hold-jacobi`` and ``hold-gauss-seidel`` hold inputs instead, as most masters do; the delay that
@@ -33,19 +33,16 @@ from ..errors import GraphError, ScenarioError, StepError
 from ..participant import Participant
 from ..stepping_words import EARLY, INPUTS, LOOPS, Early, Inputs, Loops, early_word
 from ..trajectory import Trajectory
-from .algebraic_loop import iterate_loop
+from .algebraic_loop import initialise, iterate_loop
 from .graph import Graph, LoopSet, build_graph
-from .initial_values import initialise
 from .instances import FmuParticipant
 from .kernel.build import kernel_or_reason
 from .kernel.kernel import Kernel, run_kernels, why_not
 from .node import Node
-from .records import Records, Sink
+from .records import Fork, Records, Saved, Sink
 from .signals import Signal
-from .snapshot import Fork, Saved
 from .step_choice import clock_of, latency_ticks, step_and_reason
-from .stepping import Stepping
-from .wiring import make_nodes, make_signals
+from .stepping import Stepping, make_nodes, make_signals
 
 Progress = Callable[[float, float], object]
 Engine = Literal["auto", "kernel", "python"]

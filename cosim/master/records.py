@@ -1,10 +1,16 @@
-"""What a master records: every output at every recorded point, kept to the end or handed on in parts."""
+"""What a master records: every output at every recorded point, kept to the end or handed on in parts.
+
+And a run between two steps: what is needed to go back to there, or to go on from there in another run.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from array import array
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from ..clock import seconds
 from ..participant import Participant
@@ -57,3 +63,24 @@ class Records:
         if self.sink is not None and self.count:
             self.sink(self.trajectory(engine))
             self.count = 0
+
+
+@dataclass(frozen=True)
+class Saved:
+    """A master between two steps: states of all participants and what the master itself remembers."""
+
+    index: int
+    states: Mapping[str, object]
+    signals: tuple[tuple[object, ...], ...]
+    rows: int
+
+
+@dataclass(frozen=True)
+class Fork:
+    """A beginning that several masters can share: the state after it, what was recorded and counted."""
+
+    saved: Saved
+    ends: array[int]
+    times: npt.NDArray[np.float64]
+    records: npt.NDArray[np.float64]
+    counts: tuple[float, int, int, str]

@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 
 from ..master.graph import Connection
 from ..master.master import Master
-from ..scenario.delays import Delays
+from ..scenario.channels import Delays
 from ..trajectory import Trajectory
 from .tally import Tally
 

@@ -29,7 +29,7 @@ from ..clock import Clock, seconds, to_ticks
 from ..master.graph import Connection, End
 from ..master.master import Master
 from ..participant import Participant
-from ..scenario.delays import Delays
+from ..scenario.channels import Delays
 from .delay_ledger import delay_ledger
 
 TOLERANCE_S = 1e-6

@@ -180,26 +180,6 @@ def robust_ring_down(
     return RingDown(modes, first.window_s, error, "variable projection")
 
 
-def match_modes(
-    found: RingDown, shapes: Mapping[str, Sequence[complex]], *, least_agreement: float = 0.7
-) -> dict[str, RingDownMode]:
-    """Name ring-down modes by shape: the assurance criterion |phi^H psi|^2 / (|phi|^2 |psi|^2).
-
-    shapes : mode name -> expected complex amplitude of each signal, in the order of the fit.
-    Among fits that agree at least `least_agreement` the strongest is taken.
-    """
-    named: dict[str, RingDownMode] = {}
-    for name, shape in shapes.items():
-        psi = np.asarray(shape, dtype=complex)
-        for mode in found.modes:
-            phi = np.array(mode.amplitudes)
-            agreement = abs(np.vdot(phi, psi)) ** 2 / (np.vdot(phi, phi).real * np.vdot(psi, psi).real)
-            if agreement >= least_agreement and mode not in named.values():
-                named[name] = mode
-                break
-    return named
-
-
 def settling_time_s(time_s: Array, signal: Array, start_s: float, *, band: float = 0.02) -> float | None:
     """Return how long after `start_s` |signal| last exceeds `band` of its peak; None: it still does.
 

@@ -21,7 +21,7 @@ from interarea.fmu_build.write.package import block_fmu
 from interarea.models.case.case import Case
 
 from ..errors import ScenarioError, nearest
-from ..scenario.names import CONTROLLER_NAMES, NAMED_CONTROLLERS
+from ..scenario.names import CONTROLLER_NAMES, NAMED_CONTROLLERS, no_controller
 from .artefacts import linear_plant, plant_fmu
 from .controller_fmu import controller_from_fmu
 
@@ -61,10 +61,7 @@ def controller_of(
     if path.suffix == ".fmu":
         return controller_from_fmu(path, case.omega_b)
     if not path.is_file():
-        raise ScenarioError(
-            f"controller = {name!r} is neither a name nor a file; {nearest(name, NAMED_CONTROLLERS)} "
-            "(or the path of a controller file)"
-        )
+        raise ScenarioError(no_controller(name))
     return load_controller(path)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from interarea.design.linear.linearise import remove_reference
@@ -12,8 +11,8 @@ from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
 from interarea.models.case.case import Case
 from interarea.models.case.checks import islands_of
 
-from ..errors import ScenarioError, nearest
 from ..results.ringdown import Swing
+from ..scenario.names import two_machines
 from .artefacts import linear_plant, plant_fmu, sparse_linear_plant, states_beyond_dense
 
 #: of a grid too large for matrices: where areas swing against each other, and damping ratios below which they
@@ -29,22 +28,15 @@ def swing_of(case: Case, cache: Path, stated: tuple[str, ...] | None = None) -> 
     """
     machines = [m.name for m in case.machines]
     if stated is not None:
-        return Swing(*_two_of(stated, machines), "stated by the scenario")
+        return Swing(*two_machines(stated, machines), "stated by the scenario")
     if case.swing is not None:
-        return Swing(*_two_of(case.swing, machines), "stated by the case")
+        return Swing(*two_machines(case.swing, machines), "stated by the case")
     if len(machines) == 1:
         return Swing(machines[0], "", "the only machine")
     key = content_hash(
         plant_fmu(case, cache).name, case.areas, code_hash(modes_of.__module__), numerics_versions()
     )
     return Swing(*cached_json(cache, "swing", key, lambda: _extremes(case, cache)))
-
-
-def _two_of(names: tuple[str, ...], machines: Sequence[str]) -> tuple[str, str]:
-    for name in names:
-        if name not in machines:
-            raise ScenarioError(f"swing: machine {name!r} does not exist; {nearest(name, machines)}")
-    return names[0], names[1]
 
 
 def _extremes(case: Case, cache: Path) -> tuple[str, str, str]:

@@ -37,7 +37,7 @@ from interarea.models.case.events import event_of
 from interarea.models.errors import CaseError
 from interarea.models.mistakes import mistakes
 
-from ..clock import on_tick
+from ..clock import event_on_ticks, on_tick, roundings
 from ..errors import GraphError, ScenarioError, ScenarioWarning, nearest
 from ..master.graph import end_of, pairs_of
 from ..master.instances import FmuParticipant, Value
@@ -53,10 +53,8 @@ from ..results.result import Result
 from ..results.ringdown import Swing, control_limit_pu
 from ..results.run import Run
 from ..results.tally import Curves, Tally
-from ..scenario.channels import ChannelLine, hold_packets, points_of
+from ..scenario.channels import ChannelLine, Delays, hold_packets, points_of
 from ..scenario.concentrators import ConcentratorLine
-from ..scenario.delays import Delays
-from ..scenario.rounding import event_on_ticks, roundings
 from ..scenario.scenario import Scenario
 from .artefacts import EVENT_SLOTS
 from .controllers import ControllerLike, controller_of

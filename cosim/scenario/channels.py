@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal, Protocol, Self
 
 from pydantic import Field, field_validator, model_validator
@@ -14,11 +15,39 @@ from interarea.models.table import Table
 
 from ..clock import TICKS_PER_SECOND, Clock, on_tick, seconds, to_ticks
 from ..errors import ScenarioError
-from .delays import Delays, derived_seed
 
 if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
     from ..master.instances import Value
     from ..participant import Participant
+
+
+@dataclass(frozen=True)
+class Delays:
+    """What is known of a channel instance, s: the request, the parts that meet it, and `waiting_s`, how long
+    an arrival waits for the next communication point on average; of a PMU its group delay `measuring_s`."""
+
+    requested_s: float
+    network_s: float
+    reporting_s: float = 0.0
+    jitter_mean_s: float = 0.0
+    waiting_s: float = 0.0
+    seed: int | None = None  #: of the random numbers, where anything is random
+    measuring_s: float = 0.0
+
+    def seed_of(self, name: str) -> str:
+        """Return in words which random numbers channel `name` takes, "" where nothing is random."""
+        if self.seed is None:
+            return ""
+        return f"seed {self.seed}{', made of its name' if self.seed == derived_seed(0, name) else ''}"
+
+
+def derived_seed(seed: int, name: str) -> int:
+    """Return the seed of channel `name` in a run with `seed`: 31 bits, different for each channel.
+
+    A channel whose table gives no seed has that of seed 0, so that no two channels lose the same packets.
+    """
+    return int.from_bytes(hashlib.sha256(f"{seed}/{name}".encode()).digest()[:4], "little") % 2**31
+
 
 Seconds = Annotated[float, Field(ge=0.0)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]

@@ -10,8 +10,7 @@ from interarea.models.blocks.sizes import MOST_SIGNALS
 from interarea.models.table import Table
 
 from ..clock import TICKS_PER_SECOND, Clock, on_tick, seconds
-from .channels import Probability, Seconds
-from .delays import Delays, derived_seed
+from .channels import Delays, Probability, Seconds, derived_seed
 
 if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
     from interarea.models.blocks.concentrator import FrameSets

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from interarea.design.controllers.bundled import shipped_names
 from interarea.models.errors import Collected, UserError
 
-from ..errors import nearest
+from ..errors import ScenarioError, nearest
 
 if TYPE_CHECKING:  # the file is checked before what a case takes is loaded
     from interarea.models.case.case import Case
@@ -35,18 +35,34 @@ def wrong_names(table: Mapping[str, Any], where: str, folder: Path) -> list[str]
     ]
     if not isinstance(named, str) or not named:
         return lines
-    from interarea.models.case.case import load_case
-
     try:
-        case = load_case(beside(folder, named))
+        case = grid_of(folder, named)
     except (UserError, OSError) as error:
         return [
             *lines,
             *(f"{where}: {line}" for line in (error.args if isinstance(error, UserError) else ())),
         ]
-    events = table.get("event", ())
-    lines += wrong_targets(case, events if isinstance(events, list | tuple) else (), where)
-    return [*lines, *_wrong_rows(case, table, where), *_wrong_signals(case, table, where)]
+    events = table.get("event")
+    if events and isinstance(events, list | tuple):
+        lines += wrong_targets(case, events, where)
+    return [*lines, *_wrong_rows(case, table, where), *_wrong_signals(case, table, where, folder)]
+
+
+def grid_of(folder: Path, named: str) -> Any:
+    """Return the case that a file names; of a bundled one, in which nothing is wrong, only its `outline`.
+
+    Raises
+    ------
+    CaseError : as `load_case`.
+    """
+    from interarea.models.case.document import outline
+
+    place = beside(folder, named)
+    if isinstance(place, str) or not place.exists():  # which is told before models of pydantic are loaded
+        return outline(place)
+    from interarea.models.case.case import load_case
+
+    return load_case(place)
 
 
 def wrong_controller(name: Any, where: str, folder: Path) -> Iterator[str]:
@@ -54,16 +70,26 @@ def wrong_controller(name: Any, where: str, folder: Path) -> Iterator[str]:
     if not isinstance(name, str) or not name or name in NAMED_CONTROLLERS:
         return
     if not (folder / name).exists():
-        hint = nearest(name, NAMED_CONTROLLERS)
-        yield (
-            f"{where}: controller = {name!r} is neither a name nor a file; {hint} "
-            "(or the path of a controller file)"
-        )
+        yield f"{where}: {no_controller(name)}"
+
+
+def no_controller(name: str) -> str:
+    """Return the line of a controller that is neither a name nor a file."""
+    hint = nearest(name, NAMED_CONTROLLERS)
+    return f"controller = {name!r} is neither a name nor a file; {hint} (or the path of a controller file)"
+
+
+def two_machines(names: Sequence[str], machines: Sequence[str]) -> tuple[str, str]:
+    """Return the two of `swing`; ScenarioError where one is none of the `machines`."""
+    for name in names:
+        if name not in machines:
+            raise ScenarioError(f"swing: machine {name!r} does not exist; {nearest(name, machines)}")
+    return names[0], names[1]
 
 
 def wrong_targets(case: Case, events: Iterable[Any], where: str) -> list[str]:
     """Return a line for each event, a table or an object, whose target the case does not have."""
-    from interarea.models.case.event_targets import target_index
+    from interarea.models.case.checks import target_index
     from interarea.models.case.events import event_of
 
     wrong = Collected()
@@ -94,7 +120,7 @@ def _wrong_rows(case: Case, table: Mapping[str, Any], where: str) -> Iterator[st
                 yield f"{where}: {key} has {name!r}; {nearest(name, known)}"
 
 
-def _wrong_signals(case: Case, table: Mapping[str, Any], where: str) -> Iterator[str]:
+def _wrong_signals(case: Case, table: Mapping[str, Any], where: str, folder: Path) -> Iterator[str]:
     """Yield a line for each signal that the plant of the case does not put out, and each PMU at no bus."""
     speeds = {f"{m.name}_dw" for m in case.machines}  # told without the plant, which takes numpy
     known: list[str] = []
@@ -106,8 +132,9 @@ def _wrong_signals(case: Case, table: Mapping[str, Any], where: str) -> Iterator
                 yield f"{where}: {place}.pmu.bus = {bus} does not exist; {nearest(str(bus), buses)}"
         elif isinstance(signal, str) and signal and signal not in speeds:
             from interarea.models.blocks.plant_shown import shown_names
+            from interarea.models.case.case import load_case
 
-            known = known or shown_names(case)
+            known = known or shown_names(load_case(beside(folder, table["case"])))
             if signal not in known:
                 hint = nearest(signal, known)
                 yield f"{where}: {place}.signal = {signal!r} is no output of the plant; {hint}"

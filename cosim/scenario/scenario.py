@@ -86,18 +86,17 @@ from pydantic import (
     model_validator,
 )
 
-from interarea.models.case.cycles import in_seconds
+from interarea.models.documents import in_seconds
 from interarea.models.errors import Collected, UserError
 from interarea.models.mistakes import mistakes
 from interarea.models.table import ShortName, Table, Title
 
-from ..clock import on_tick
+from ..clock import event_on_ticks, on_tick, roundings
 from ..errors import ScenarioError, nearest
 from ..stepping_words import Early, Inputs, Loops, early_word
 from ..toml_file import read_toml
 from .channels import Seconds
-from .names import NAMED_CONTROLLERS, beside, wrong_names
-from .rounding import event_on_ticks, roundings
+from .names import NAMED_CONTROLLERS, beside, grid_of, wrong_names
 from .ways import ChannelTable, ConcentratorTable, Way, ways_of
 
 if TYPE_CHECKING:  # the file is checked before what a case takes is loaded
@@ -272,7 +271,7 @@ class Scenario(Table):
             return
         if self.event or self.controller != "none":
             yield "event and controller need a case; FMUs of one's own come under fmus"
-        if self.plant or self.show or self.operating_point != OperatingPointTable():
+        if self.plant or self.show or not self.as_in_file:
             yield "plant, show and operating_point need a case"
 
     def _names(self) -> Iterator[str]:
@@ -342,21 +341,24 @@ class Scenario(Table):
         """The case as `load_case` takes it: a bundled name, or a file beside the scenario."""
         return beside(self.folder, self.case)
 
+    @property
+    def as_in_file(self) -> bool:
+        """Whether the case is at the operating point of its file."""
+        return self.operating_point == OperatingPointTable()
+
     def load_case(self) -> Case:
         """Return the case at its operating point here; CaseError as `load_case` and `operating_variant`."""
         from interarea.models.case.case import load_case
         from interarea.models.case.variants import operating_variant
 
         case = load_case(self.case_path)
-        if self.operating_point == OperatingPointTable():
-            return case
-        return operating_variant(case, **self.operating_point.model_dump())
+        return case if self.as_in_file else operating_variant(case, **self.operating_point.model_dump())
 
     def as_given(self, case: Case) -> Case:
         """Return `case`, which `load_case` gave, without the change of `operating_point`."""
         from interarea.models.case.case import load_case
 
-        return case if self.operating_point == OperatingPointTable() else load_case(self.case_path)
+        return case if self.as_in_file else load_case(self.case_path)
 
     @property
     def controller_path(self) -> Path | None:
@@ -400,13 +402,11 @@ def scenario_names() -> list[str]:
 
 def _frequency_hz(table: Mapping[str, Any], where: str, folder: Path) -> float:
     """Rated frequency of the case that a table names, which times in cycles are of."""
-    from interarea.models.case.case import load_case
-
     named = table.get("case")
     if not isinstance(named, str) or not named:
         raise ScenarioError(f"{where}: a time in cycles is of a case's frequency; name one (case = ...)")
     try:
-        return load_case(beside(folder, named)).frequency_hz
+        return float(grid_of(folder, named).frequency_hz)
     except UserError as error:
         raise ScenarioError(*(f"{where}: {line}" for line in error.args)) from None
 

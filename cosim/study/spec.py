@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 from interarea.design.synthesis.study_designs import SPECIFICATIONS as DESIGNS
 from interarea.design.synthesis.study_designs import StudySpec
 from interarea.models.case.case import load_case
-from interarea.models.case.cycles import in_seconds
+from interarea.models.documents import in_seconds
 from interarea.models.errors import Collected
 from interarea.models.mistakes import mistakes
 

@@ -40,11 +40,6 @@ class Progress:
     rate: float
     forked: int = 0
 
-    @property
-    def left_s(self) -> float | None:
-        """Time left at the present rate, s; None before the first runs."""
-        return (self.size - self.done) / self.rate if self.rate > 0.0 else None
-
 
 def run_sweep(
     source: Sweep | str | Path | Mapping[str, Any],

@@ -29,7 +29,7 @@ from interarea.models.case.case import Case
 from interarea.models.case.variants import operating_variant
 
 from ..errors import SweepError, nearest
-from ..scenario.delays import derived_seed
+from ..scenario.channels import derived_seed
 from ..scenario.document import scenario_document
 from ..scenario.scenario import MasterTable, Scenario, load_scenario
 from ..scenario.ways import ChannelTable, ConcentratorTable, SignalTable

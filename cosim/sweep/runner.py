@@ -21,7 +21,6 @@ from ..results.metrics import SYNCHRONISM
 from ..run.artefacts import EVENT_SLOTS
 from ..run.run import system_of
 from ..trajectory import Trajectory
-from .bisection import edge_of
 from .lane_batches import PlantKey, by_plant, common_s, has_lanes, how_many, lanes_here, plant_key
 from .live_instances import KEPT, Kept, LiveFmus, TimeUpError, controller_start, watch_of
 from .plan import SweepPlan
@@ -36,7 +35,7 @@ from .shared_start import (
     place_of,
     places_to_save,
 )
-from .values import Search, Value
+from .values import Search, Value, edge_of
 
 
 class Runner:

@@ -17,7 +17,7 @@ from ..clock import seconds, to_ticks
 from ..master.instances import FmuParticipant
 from ..master.instances import Value as Start
 from ..master.master import Master
-from ..master.snapshot import Fork
+from ..master.records import Fork
 from ..run.instance import Instance
 from ..scenario.scenario import Scenario
 from .point import Point

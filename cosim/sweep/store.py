@@ -25,17 +25,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from interarea.models.files import write_whole
+from interarea.models.files import locked, write_whole
 
 from ..errors import SweepError
 from .parts import CURVES, FORKED, ROWS, check_part, curves_of, number_of, parts_of, summary_of, write_part
 from .plan import FORMAT, SweepPlan
 from .rows import Outcome, schema_of
-
-try:
-    import fcntl
-except ImportError:  # no such locks on this system: two sweeps in one folder go unnoticed
-    fcntl = None  # type: ignore[assignment]
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 _WORK, _LOCK = ".work", ".lock"
@@ -58,7 +53,9 @@ class SweepStore:
         self.dropped: list[str] = []  #: parts that could not be read; their runs are done again
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            self._lock = _locked(folder / _LOCK)
+            self._lock = locked(folder / _LOCK, make=True)  # Windows: two sweeps in one folder go unnoticed
+            if self._lock is None:
+                raise SweepError(f"{folder}: another process is writing to this folder; wait for it")
             try:
                 self._open()
             except BaseException:
@@ -295,16 +292,3 @@ def _anything(folder: Path) -> bool:
     """Whether a folder without a manifest holds anything but what a sweep leaves that was killed at once."""
     ours = (_LOCK, _WORK, ROWS, CURVES, "sweep.json")
     return any(p.name not in ours for p in folder.iterdir()) or bool(parts_of(folder))
-
-
-def _locked(path: Path) -> Any:
-    file = path.open("a+")
-    if fcntl is not None:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.close()
-            raise SweepError(
-                f"{path.parent}: another process is writing to this folder; wait for it"
-            ) from None
-    return file

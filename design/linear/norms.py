@@ -99,33 +99,12 @@ def gramian_factor(A: Matrix, B: Matrix) -> Matrix:
     return np.asarray(triangle[:n].T)
 
 
-def gramians(system: control.StateSpace) -> tuple[Matrix, Matrix]:
-    """Controllability and observability Gramians (n, n) of a stable system."""
-    A, B, C = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C))
-    Lc, Lo = gramian_factor(A, B), gramian_factor(A.T, C.T)
-    return Lc @ Lc.T, Lo @ Lo.T
-
-
 def hankel_singular_values(system: control.StateSpace) -> Matrix:
     """Hankel singular values (n,) of a stable system, largest first."""
     A, B, C = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C))
     if A.shape[0] == 0:
         return np.zeros(0)
     return np.asarray(np.linalg.svd(gramian_factor(A.T, C.T).T @ gramian_factor(A, B), compute_uv=False))
-
-
-def hankel_norm(system: control.StateSpace) -> float:
-    """Largest Hankel singular value of a stable system."""
-    values = hankel_singular_values(system)
-    return float(values[0]) if values.size else 0.0
-
-
-def h2_norm(system: control.StateSpace) -> float:
-    r"""H2 norm :math:`\sqrt{\mathrm{tr}(C P C^T)}` of a stable system; infinite when D is not zero."""
-    if np.any(np.asarray(system.D) != 0.0):
-        return float("inf")
-    A, B, C = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C))
-    return float(np.linalg.norm(C @ gramian_factor(A, B)))
 
 
 def frequency_response(

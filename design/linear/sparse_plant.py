@@ -152,11 +152,6 @@ class SparsePlant:
         A, B, C = self.devices
         return np.asarray(A @ x + B @ self.at_rest.solve(C @ x))
 
-    def left_times(self, y: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return A' y (n, ...) for y (n, ...)."""
-        A, B, C = self.devices
-        return np.asarray(A.T @ y + C.T @ self.at_rest.solve(B.T @ y, transposed=True))
-
     def state_matrix(self) -> Matrix:
         """Return the dense A (n, n); for small plants."""
         return np.asarray(self.times(np.eye(self.nstates)))

@@ -80,31 +80,6 @@ def hinf(M: Affine, Bw: Affine, Cz: Affine, D: Affine | Matrix, gamma: Scalar | 
     )
 
 
-def generalized_h2(
-    M: Affine, N: Affine, Bw: Affine, Cz: Affine, peak: Scalar | float
-) -> tuple[Affine, Affine]:
-    r"""Energy of w to peak of z: ``sup |z(t)|^2 <= peak * integral |w|^2`` (D = 0 needed). [Scherer1997]
-
-    Two inequalities: ``-[[M + M', Bw], [Bw', -I]] >= 0`` and ``[[N, Cz'], [Cz, peak I]] >= 0``.
-    `peak` is the square of the generalized H2 norm.
-    """
-    inputs, outputs = Bw.shape[1], Cz.shape[0]
-    energy = bmat([[-(M + M.T), -Bw], [-Bw.T, np.eye(inputs)]])
-    return energy, bmat([[N, Cz.T], [Cz, _times_identity(peak, outputs)]])
-
-
-def h2(M: Affine, N: Affine, Bw: Affine, Cz: Affine, Q: Affine) -> tuple[Affine, Affine]:
-    """H2 norm squared below trace(Q), Q a symmetric unknown of the size of z (D = 0 needed)."""
-    energy = bmat([[-(M + M.T), -Bw], [-Bw.T, np.eye(Bw.shape[1])]])
-    return energy, bmat([[N, Cz.T], [Cz, Q]])
-
-
-def initial_state(X: Affine, x0: Matrix) -> Affine:
-    """Plant state x0 (n,), controller at rest, lies in x' P x <= 1: ``1 - x0' X x0 >= 0``."""
-    x = np.atleast_2d(np.asarray(x0, dtype=float))
-    return affine(np.eye(1)) - affine(x) @ X @ x.T
-
-
 def below(V: Affine, bound: float) -> Affine:
     """V <= bound I, written ``I - V / bound >= 0`` so that its size does not depend on the bound."""
     if not bound > 0.0:

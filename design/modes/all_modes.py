@@ -9,7 +9,6 @@ from math import degrees
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ..linear.resolvent import Loop, OpenLoop
 from ..linear.sparse_plant import SparsePlant
@@ -264,10 +263,3 @@ def _kind(plant: SparsePlant, pair: Pair, area_of: list[int]) -> tuple[str, floa
         del parts["inter-area"]
     kind = max(parts, key=lambda name: parts[name])
     return kind, parts[kind] / max(sum(parts.values()), 1e-300)
-
-
-def machine_participation(plant: SparsePlant, mode: Mode) -> npt.NDArray[np.float64]:
-    """Return what each machine with its controls takes part in a mode, (machines,); sums to 1."""
-    weight = np.abs(mode.left * mode.right)
-    each = plant.spread(weight).sum(axis=1)
-    return np.asarray(each / each.sum())

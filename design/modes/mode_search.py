@@ -89,7 +89,6 @@ class Search:
     tolerance: float
     pairs: list[Pair] = field(default_factory=list)
     beside: list[complex] = field(default_factory=list)  #: eigenvalues out of the region, about right
-    solutions: int = 0
     factorisations: int = 0
     _cells: list[_Cell] = field(default_factory=list)
     _random: np.random.Generator = field(default_factory=lambda: np.random.default_rng(7))
@@ -134,7 +133,6 @@ class Search:
         Q[0] = start / np.linalg.norm(start)
         for k in range(most):
             w = _without(shifted.solve(Q[k]), near)
-            self.solutions += 1
             size = np.inf
             while (left := float(np.linalg.norm(w))) < _CANCELLED * size:  # once is not orthogonal enough
                 size = left
@@ -177,7 +175,6 @@ class Search:
                 right = _without(shifted.solve(right), copies)
                 left = _without_left(shifted.solve_left(left), copies)
                 right, left = right / np.linalg.norm(right), left / np.linalg.norm(left)
-                self.solutions += 2
             moved = self.loop.times(right)
             scale = left @ right
             if not abs(scale) > 1e-14:

@@ -47,11 +47,6 @@ class Sensitivity:
         size = abs(z)
         return float(-d.real / size + z.real * (z.conjugate() * d).real / size**3)
 
-    @property
-    def per_percent(self) -> complex:
-        """Move of the eigenvalue, 1/s, for 1 % more of the parameter."""
-        return self.derivative * self.value / 100.0
-
 
 def eigenvalue_sensitivity(
     modes: Modes,

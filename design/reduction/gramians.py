@@ -99,7 +99,6 @@ def separate(
     B: Matrix,
     C: Matrix,
     D: Matrix,
-    keep: NDArray[np.bool_] | None = None,
     *,
     margin: float = STANDING,
 ) -> Split:

@@ -140,9 +140,7 @@ def fault_tolerant(
         raise UncertifiedDesign(f"{what}: {error}") from error
     poles_of, norm_of = checked(P, K, pattern_of, region_of, last.gamma, what=what)
     return Synthesis(
-        controller=control.ss(
-            *K, np.zeros((P.B2.shape[1], P.C2.shape[0])), inputs=list(P.outputs), outputs=list(P.inputs)
-        ),
+        controller=P.controller(*K),
         gamma=last.gamma,
         norm_of=norm_of,
         poles_of=poles_of,

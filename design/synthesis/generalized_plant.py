@@ -52,6 +52,11 @@ class GeneralizedPlant:
         """Number of states."""
         return int(self.A.shape[0])
 
+    def controller(self, A: Matrix, B: Matrix, C: Matrix) -> control.StateSpace:
+        """Return the strictly proper controller of these matrices, y in and u out by their names."""
+        D = np.zeros((self.B2.shape[1], self.C2.shape[0]))
+        return control.ss(A, B, C, D, inputs=list(self.outputs) or None, outputs=list(self.inputs) or None)
+
 
 def check_design_plant(G: control.StateSpace) -> None:
     """Refuse a plant the formulas do not hold for.

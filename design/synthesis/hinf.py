@@ -183,7 +183,7 @@ def hinf_region(
             refusal = error if refusal is None else refusal
             continue
         return Synthesis(
-            controller=control.ss(*K, np.zeros((P.B2.shape[1], P.C2.shape[0])), **_names(P)),
+            controller=P.controller(*K),
             gamma=gamma,
             norm_of=norm_of,
             poles_of=poles_of,
@@ -323,13 +323,3 @@ def _recover(P: GeneralizedPlant, solution: Solution, what: str) -> tuple[Matrix
         return recover(P.A, P.B2, P.C2, v["X"], v["Y"], v["A^"], v["B^"], v["C^"])
     except ValueError as error:
         raise UncertifiedDesign(f"{what}: {error}") from error
-
-
-def _names(P: GeneralizedPlant) -> dict[str, list[str]]:
-    """Signal names of the controller: y in, u out."""
-    names = {}
-    if P.outputs:
-        names["inputs"] = list(P.outputs)
-    if P.inputs:
-        names["outputs"] = list(P.inputs)
-    return names

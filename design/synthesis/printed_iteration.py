@@ -102,9 +102,7 @@ def printed_iteration(
     region_of = dict.fromkeys(patterns, PoleRegion(_SLACK * math.cos(step.theta), None, None))
     poles_of, norm_of = checked(P, K, patterns, region_of, None, what=what)
     return Synthesis(
-        controller=control.ss(
-            *K, np.zeros((P.B2.shape[1], P.C2.shape[0])), inputs=list(P.outputs), outputs=list(P.inputs)
-        ),
+        controller=P.controller(*K),
         gamma=max(norm_of.values()),
         norm_of=norm_of,
         poles_of=poles_of,

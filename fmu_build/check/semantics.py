@@ -20,7 +20,7 @@ def check_semantics(d: ModelDescription, folder: Path, report: Report) -> None:
     """Add findings about identity, interfaces, values, aliases, ModelStructure and listed files."""
     _identity(d, report)
     for v in d.variables:
-        _values(d, v, report)
+        _values(v, report)
         _type(d, v, report)
     _aliases(d, report)
     _structure(d, report)
@@ -80,7 +80,7 @@ def _identity(d: ModelDescription, report: Report) -> None:
             )
 
 
-def _values(d: ModelDescription, v: ScalarVariable, report: Report) -> None:
+def _values(v: ScalarVariable, report: Report) -> None:
     where = f"{_WHERE}:{v.line} {v.name}"
     numbers = {k: v.number(k) for k in ("min", "max", "start", "nominal")}
     for attribute, value in numbers.items():

@@ -138,7 +138,7 @@ class _Check:
         file = self.file(component.get("source", ""), where)
         description = None
         if file is not None and component.get("type", _FMU) == _FMU:
-            description = self.fmu(file, where)
+            description = self.fmu(file)
         if description is None:
             return connectors
         implementation = component.get("implementation", "any")
@@ -169,7 +169,7 @@ class _Check:
             return target
         return None
 
-    def fmu(self, file: Path, where: str) -> ModelDescription | None:
+    def fmu(self, file: Path) -> ModelDescription | None:
         """Check an FMU once and return its description if it can be read."""
         if file not in self.fmus:
             found = self.check_fmu(file)

@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from interarea.models.cache_folder import default_cache as default_cache
+from interarea.models.files import default_cache as default_cache
 from interarea.models.files import settle, temporary_folder, write_whole
 
 _log = logging.getLogger("interarea")

@@ -15,9 +15,11 @@ import importlib.util
 import os
 import shlex
 import shutil
+import struct
 import subprocess
 import sys
 import zlib
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -26,7 +28,6 @@ from pathlib import Path
 from ..errors import BuildError, NoCompilerError
 from .cache import COMPILERS_OWN, artefact, default_cache, host_machine
 from .sources import record_source, source_files, with_includes
-from .universal import universal
 
 _CODE = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-fno-ident", "-g0")
 #: Complex products without a call into the compiler's runtime: the same bits wherever they are finite.
@@ -311,3 +312,35 @@ def _compiler_of(chosen: str) -> tuple[list[str], str]:
     from importlib.metadata import version
 
     return [sys.executable, "-m", "ziglang", "cc"], f"ziglang {version('ziglang')}"
+
+
+_FAT, _THIN = 0xCAFEBABE, 0xFEEDFACF  #: first words of <mach-o/fat.h> and of a 64-bit Mach-O file
+_PAGE = 14  #: log2 of the largest page of memory, 16 KiB on arm64: a slice begins on one
+
+
+def universal(slices: Sequence[bytes]) -> bytes:
+    """Return one library that holds `slices`, thin 64-bit Mach-O libraries, in that order.
+
+    Raises
+    ------
+    BuildError : a slice that is no such library, or two for one processor.
+    """
+    machines = []
+    for content in slices:
+        if len(content) < 12 or struct.unpack_from("<I", content)[0] != _THIN:
+            raise BuildError("a slice of a universal library is no 64-bit Mach-O file; compile it again")
+        machines.append(struct.unpack_from("<II", content, 4))
+    if len({machine for machine, _ in machines}) != len(machines):
+        raise BuildError("a universal library holds one slice for each processor; two are for the same")
+    header = struct.pack(">II", _FAT, len(slices))
+    content, body = b"", b""
+    start = _aligned(len(header) + 20 * len(slices))
+    for (machine, kind), slice_ in zip(machines, slices, strict=True):
+        header += struct.pack(">IIIII", machine, kind, start + len(body), len(slice_), _PAGE)
+        body += slice_
+        body += bytes(_aligned(len(body)) - len(body))
+    return header + bytes(start - len(header)) + body
+
+
+def _aligned(size: int) -> int:
+    return -(-size >> _PAGE) << _PAGE

@@ -74,10 +74,12 @@ def run(
     if foreign and _GUARDED not in os.environ:
         note(f"{', '.join(foreign)}: not built here, so the run has a process of its own, which it may crash")
         raise typer.Exit(_run_beside(foreign, out))
+    from interarea.cosim.run.names import refuse_wrong_names
     from interarea.cosim.scenario.scenario import load_scenario
 
     given = {"record": tuple(record) if record else None, "every": every, "strict": strict}
     loaded = load_scenario(scenario).model_copy(update={k: v for k, v in given.items() if v is not None})
+    refuse_wrong_names(loaded)
     tested = None
     if self_test:
         with busy(f"measuring the connections of {scenario}"):
@@ -153,13 +155,17 @@ def _not_built_here(scenario: Path) -> list[str]:
     """Names of the FMUs that this program did not write and that have no process of their own.
 
     Looks at the file itself: what checks and runs scenarios is loaded by the process that does.
-    """
-    from interarea.models.documents import DocumentError, parse_toml
 
-    try:
-        table = parse_toml(scenario.read_bytes())
-    except (OSError, DocumentError):  # a bundled name; or what is wrong is said when it is loaded
+    Raises
+    ------
+    ScenarioError : the file is no TOML, or plainly of another kind.
+    """
+    from interarea.cosim.errors import ScenarioError
+    from interarea.cosim.toml_file import read_toml
+
+    if not scenario.exists():  # a bundled name; or what is wrong is said when it is loaded
         return []
+    table = read_toml(scenario, "scenario", ScenarioError)
     tables = table.get("fmus")
     rows = tables.items() if isinstance(tables, dict) else ()
     files = {n: row.get("file") for n, row in rows if isinstance(row, dict) and not row.get("isolate")}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..case.case import Case, CaseError
-from ..case.event_targets import check_events, target_index
+from ..case.checks import check_events, target_index
 from ..case.tables import SOLVER_STEP_S
 from ..devices.document import devices_html
 from ..devices.emit import decisions
@@ -27,7 +28,6 @@ from ..grid.machine_tables import in_plant_order, machine_table
 from ..grid.network import load_power
 from ..grid.network_tables import Form, is_reduced, network_pattern, network_tables
 from ..grid.sparse_pattern import SparsePattern
-from .event_numbers import event_numbers_html
 from .plant_shown import Shown, shown_of, shown_tables
 from .plant_variables import (
     EVENT_CODES,
@@ -347,3 +347,38 @@ def _int(values: Iterable[int]) -> npt.NDArray[np.int32]:
 def _lines(names: Iterable[str]) -> bytes:
     """One name a line, zero at the end, as C reads it."""
     return "\n".join(names).encode("ascii", "replace") + b"\0"
+
+
+#: what an event acts on -> rows of the case, and which kinds of event act on it
+_ACTS_ON = {
+    "bus": ("buses", "bus_fault"),
+    "branch": ("branches", "branch_trip, branch_reclose"),
+    "machine": ("machines", "vref_pulse, pm_pulse, machine_trip, frequency_trip"),
+    "load": ("loads", "load_step, frequency_shed"),
+    "shunt": ("shunts", "shunt_switch"),
+}
+
+
+def event_numbers(case: Case) -> dict[str, list[str]]:
+    """Return what there is to act on -> names in the order of their numbers, which begin at 1.
+
+    case : with its machines as the plant has them (`in_plant_order`).
+    """
+    return {
+        what: [str(row.number if what == "bus" else row.name) for row in getattr(case, table)]
+        for what, (table, _) in _ACTS_ON.items()
+    }
+
+
+def event_numbers_html(case: Case) -> str:
+    """Return the table as HTML."""
+    rows = "".join(_row(what, names) for what, names in event_numbers(case).items() if names)
+    return (
+        "<p>An event slot says by <code>event[k].target</code> what it acts on: a number from 1.</p>"
+        f"<table><tr><th>kind</th><th>target</th><th>numbers</th></tr>{rows}</table>"
+    )
+
+
+def _row(what: str, names: Sequence[Any]) -> str:
+    listed = ", ".join(f"{k}&nbsp;=&nbsp;{html.escape(name)}" for k, name in enumerate(names, start=1))
+    return f"<tr><td>{_ACTS_ON[what][1]}</td><td>{what}</td><td>{listed}</td></tr>"

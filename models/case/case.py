@@ -26,35 +26,34 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self, get_args
+from typing import Any, Self
 
 from pydantic import ValidationError, model_validator
 
-from ..documents import DocumentError, parse_toml
-from ..errors import CaseError, Collected, nearest, reason
-from ..files import read_text, toml_files
-from ..mistakes import meant, mistakes
-from .checks import check_whole
-from .cycles import in_seconds
-from .device_files import devices_of, with_device_texts
-from .event_targets import check_events
+from ..devices.language.structure import Model
+from ..devices.library import own_models
+from ..documents import in_seconds
+from ..errors import CaseError, Collected, DeviceError, nearest
+from ..mistakes import mistakes
+from .checks import check_events, check_whole
+from .document import (
+    REMOVED,
+    ROW_TABLES,
+    apply_change,
+    case_document,
+    case_names,
+    rows_of,
+    with_device_texts,
+)
 from .events import events_of
-from .file_kind import other_kind
 from .tables import CaseTables
 
-__all__ = ["Case", "CaseError", "apply_change", "case_names", "case_of", "load_case", "merge", "nearest"]
+__all__ = ["Case", "CaseError", "case_names", "case_of", "devices_of", "load_case", "nearest"]
 
-#: table in the file -> field that holds the row's key
-ROW_TABLES = {"buses": "number", "branches": "name", "shunts": "name", "loads": "name", "machines": "name"}
-
-
-RESERVED = ("source", "defaults")  #: keys of a table of rows that are not ids
-
-REMOVED = "none"  #: what stands in place of a row, a stabilizer, a tie that is taken out
-BUNDLED = Path(__file__).resolve().parents[1] / "cases"  #: folder of the cases that come with the package
+_DEVICES = 'allowed: a list of device files such as ["my_avr.toml"], or a table of what they hold by name'
 
 
 class Case(CaseTables):
@@ -123,11 +122,6 @@ class Case(CaseTables):
         return self
 
 
-def case_names() -> list[str]:
-    """Return the names of the bundled cases, sorted."""
-    return list(toml_files(BUNDLED))
-
-
 def load_case(name_or_path: str | Path) -> Case:
     """Load a bundled case by name, or a case file (a path that ends in .toml).
 
@@ -138,7 +132,7 @@ def load_case(name_or_path: str | Path) -> Case:
     ------
     CaseError : unknown name (with the nearest ones), unreadable file, or any rule of the case broken.
     """
-    return case_of(_document(name_or_path, seen=()), where=str(name_or_path))
+    return case_of(case_document(name_or_path), where=str(name_or_path))
 
 
 def case_of(document: Mapping[str, Any], *, where: str) -> Case:
@@ -149,7 +143,7 @@ def case_of(document: Mapping[str, Any], *, where: str) -> Case:
     raw = {k: v for k, v in with_device_texts(document, Path(), where).items() if v != REMOVED}
     sources = dict(raw.get("sources", {}))
     for table, key in ROW_TABLES.items():
-        rows, source = _rows(raw.get(table, {}), table, key, where)
+        rows, source = rows_of(raw.get(table, {}), table, key, where)
         raw[table] = rows
         if source:
             sources[table] = source
@@ -169,153 +163,27 @@ def case_of(document: Mapping[str, Any], *, where: str) -> Case:
     return case
 
 
+def devices_of(texts: Any, where: str) -> Mapping[str, Model]:
+    """Return the devices of a case by key; `texts`: its entry `devices`, `where` names the case in errors.
+
+    Raises
+    ------
+    CaseError : not such an entry, or a device file that is wrong.
+    """
+    if not isinstance(texts, Mapping) or not all(isinstance(v, str) for kv in texts.items() for v in kv):
+        raise CaseError(f"{where}: devices = {str(texts)[:60]!r}, {_DEVICES}")
+    try:
+        return own_models(texts)
+    except DeviceError as error:
+        raise CaseError(f"{where}: devices: {error}") from None
+
+
 def _checked(raw: dict[str, Any], own: Any, where: str) -> Case:
     try:
         return Case.model_validate(raw, context=own)
     except ValidationError as error:
         lines = mistakes(error, Case, path_of=lambda location: _path(location, raw))
         raise CaseError(*(f"{where}: {line}" for line in lines)) from None
-
-
-def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `base` with `change` merged in table by table.
-
-    Values replace values; a table whose `kind` differs replaces the old one.
-    """
-    result = dict(base)
-    for key, value in change.items():
-        old = result.get(key)
-        if isinstance(value, Mapping) and isinstance(old, Mapping):
-            other_kind = "kind" in value and value["kind"] != old.get("kind", value["kind"])
-            result[key] = dict(value) if other_kind else merge(old, value)
-        else:
-            result[key] = value
-    return result
-
-
-def apply_change(document: Mapping[str, Any], change: Mapping[str, Any], *, where: str) -> dict[str, Any]:
-    """Return `document` with `change` merged in; the `defaults` of a changed table reach every row of it.
-
-    Raises
-    ------
-    CaseError : a row that is not there, of which `change` does not give enough for a new one either.
-    """
-    wrong = [f"{where}: {line}" for line in _strangers(document, change)]
-    if wrong:
-        raise CaseError(*wrong)
-    result = merge(document, change)
-    for table in ROW_TABLES:
-        part = change.get(table)
-        if not isinstance(part, Mapping):
-            continue
-        every = part.get("defaults")
-        if not isinstance(every, Mapping) or not isinstance(document.get(table), Mapping):
-            continue
-        for key, row in document[table].items():
-            if key not in RESERVED and isinstance(row, Mapping):
-                own = part.get(key, {})
-                result[table][key] = merge(merge(row, every), own) if isinstance(own, Mapping) else own
-    return result
-
-
-def _strangers(document: Mapping[str, Any], change: Mapping[str, Any]) -> Iterator[str]:
-    """Tell each row of `change` that `document` lacks and that is no whole row by itself: a name misspelt."""
-    for table in ROW_TABLES:
-        there, part = document.get(table, {}), change.get(table)
-        if not isinstance(part, Mapping) or not isinstance(there, Mapping):
-            continue
-        known = [name for name in there if name not in RESERVED]
-        given = {*there.get("defaults", {}), *part.get("defaults", {})}
-        new = {name: row for name, row in part.items() if name not in {*there, *RESERVED}}
-        for name, row in new.items():
-            nearby = f"{table}.{name}: there is no {name!r} to change; {nearest(name, known)}"
-            if row == REMOVED or (table == "buses" and name not in _ends(change)):
-                yield nearby
-            elif isinstance(row, Mapping) and (missing := _needed(table, {*given, *row})):
-                yield f"{nearby} (a new one needs {', '.join(missing)})"
-
-
-def _needed(table: str, given: Set[str]) -> list[str]:
-    """Keys that every row of a table has, but for its id and those that are `given`."""
-    row = get_args(Case.model_fields[table].annotation)[0]
-    needed = [field.alias or name for name, field in row.model_fields.items() if field.is_required()]
-    return [key for key in needed if key != ROW_TABLES[table] and key not in given]
-
-
-def _ends(change: Mapping[str, Any]) -> set[str]:
-    """Buses that the branches of a change lead to: a new bus is one of them."""
-    branches = change.get("branches")
-    rows = branches.values() if isinstance(branches, Mapping) else ()
-    return {str(row.get(end)) for row in rows if isinstance(row, Mapping) for end in ("from", "to")}
-
-
-def _document(name_or_path: str | Path, seen: tuple[str, ...], beside: Path | None = None) -> dict[str, Any]:
-    text, where, folder = _text(name_or_path, beside)
-    try:
-        raw = parse_toml(text)
-    except DocumentError as error:
-        raise CaseError(f"{where}: {error}") from None
-    raw = with_device_texts(raw, folder or BUNDLED, where)
-    other = other_kind(raw, "case")
-    if other is not None:
-        raise CaseError(f"{where}: {other}")
-    if "base" not in raw:
-        return raw
-    if where in seen:
-        raise CaseError(f"{where}: base = {raw['base']!r} leads back to the case itself")
-    keys = ("base", "change", "name", "title", "source")
-    extra = sorted(set(raw) - set(keys))
-    if extra:
-        inside = extra[0] in Case.model_fields or extra[0] == "event"
-        hint = "" if inside else f"; {meant(extra[0], keys)}"
-        raise CaseError(
-            f"{where}: {extra[0]} stands outside [change]; a variant holds {', '.join(keys)}{hint}"
-        )
-    base = _document(raw["base"], (*seen, where), folder)
-    change = with_device_texts(raw.get("change", {}), folder or BUNDLED, where)
-    changed = apply_change(base, change, where=where)
-    return changed | {k: raw[k] for k in ("name", "title", "source") if k in raw}
-
-
-def _text(name_or_path: str | Path, beside: Path | None) -> tuple[str, str, Path | None]:
-    name = str(name_or_path)
-    if name.endswith(".toml"):
-        path = Path(name) if beside is None else beside / name
-        try:
-            return path.read_text(encoding="utf-8"), str(path), path.parent
-        except (OSError, UnicodeDecodeError) as error:
-            raise CaseError(f"{path}: the case file cannot be read: {reason(error)}") from None
-    known = case_names()
-    if name not in known:
-        hint = "(or give the path of a .toml file)"
-        there = Path(name).exists()
-        what = f"{name}: is no .toml file, so no case" if there else f"case {name!r} does not exist"
-        raise CaseError(f"{what}; {nearest(name, known)} {hint}")
-    return read_text(toml_files(BUNDLED)[name]), name, None
-
-
-def _rows(table: Any, name: str, key: str, where: str) -> tuple[list[dict[str, Any]], str]:
-    if not isinstance(table, Mapping):
-        raise CaseError(f"{where}: {name} must be a table keyed by {key}, got {type(table).__name__}")
-    defaults = table.get("defaults", {})
-    rows: list[dict[str, Any]] = []
-    for identity, row in table.items():
-        if identity in RESERVED or row == REMOVED:
-            continue
-        if not isinstance(row, Mapping):
-            raise CaseError(f"{where}: {name}.{identity} = {row!r}, allowed: a table with the row's values")
-        whole = {k: v for k, v in merge(defaults, row).items() if v != REMOVED}
-        rows.append({key: _number(identity, f"{where}: {name}") if key == "number" else identity, **whole})
-    source = table.get("source", "")
-    if not isinstance(source, str):
-        raise CaseError(f"{where}: {name}.source = {source!r}, allowed: a string such as 'KEY, Table n'")
-    return rows, source
-
-
-def _number(text: str, what: str) -> int:
-    if not text.isdecimal():
-        raise CaseError(f"{what}.{text}: a bus is named by its number, allowed: 1, 2, ...")
-    return int(text)
 
 
 def _to_case_base(row: dict[str, Any], case_base: Any, where: str) -> None:

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationInfo
 from pydantic_core import PydanticCustomError
 
-from ..devices.errors import DeviceError
 from ..devices.language.structure import Model
 from ..devices.library import NONE, device_model
 from ..devices.rows import numbers_of, row_of
+from ..errors import DeviceError
 from ..table import Table
 
 Number = Annotated[float, Field(strict=True)]

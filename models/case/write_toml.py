@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ..files import write_whole
-from .case import ROW_TABLES, Case
+from .case import Case
+from .document import ROW_TABLES
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 

@@ -7,8 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from ..errors import nearest
-from .errors import DeviceError
+from ..errors import DeviceError, nearest
 from .language.device import DyrModel
 from .language.expression import evaluate
 from .language.structure import Model

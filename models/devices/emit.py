@@ -7,8 +7,8 @@ import re
 import zlib
 from collections.abc import Iterable, Iterator
 
+from ..errors import DeviceError
 from .c_expression import ExpressionWriter
-from .errors import DeviceError
 from .language.device import KINDS
 from .language.element import Condition, Element, resolved
 from .language.elements import Integrator, Lag, Pi, Plain

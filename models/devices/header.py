@@ -8,8 +8,7 @@ import re
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from ..cache_folder import default_cache
-from ..files import write_whole
+from ..files import default_cache, write_whole
 from .emit import devices_header
 from .language.structure import Model
 from .library import library
@@ -28,8 +27,10 @@ def devices_file(own: Iterable[Model] = (), keys: Collection[str] | None = None)
     It is written when it is not there. keys : only these can be run (`with_devices`); a third of the time to
     compile, or less.
     """
-    text = _text(tuple(own))
-    return _written(text if keys is None else with_devices(text, keys))
+    text = _text(tuple(own)) if keys is None else with_devices(_text(tuple(own)), keys)
+    digest = hashlib.sha256(text.encode("ascii")).hexdigest()[:24]
+    path = default_cache() / "devices" / digest / HEADER  # content names the folder
+    return path if path.is_file() else write_whole(path, text)
 
 
 def with_devices(header: str, keys: Collection[str]) -> str:
@@ -44,17 +45,6 @@ def with_devices(header: str, keys: Collection[str]) -> str:
     if missing:
         raise ValueError(f"devices {sorted(missing)} are not in the generated header")
     return ways.sub(lambda way: way.group() if way.group(1) in kept else "", header)
-
-
-def header_of(models: Iterable[Model]) -> Path:
-    """Return `devices.h` of `models` alone, as `devices_file`."""
-    return _written(devices_header(models))
-
-
-def _written(text: str) -> Path:
-    digest = hashlib.sha256(text.encode("ascii")).hexdigest()[:24]
-    path = default_cache() / "devices" / digest / HEADER  # content names the folder
-    return path if path.is_file() else write_whole(path, text)
 
 
 def signature(own: Iterable[Model] = ()) -> int:

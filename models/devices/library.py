@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from ..errors import nearest
-from .errors import DeviceError
+from ..errors import DeviceError, nearest
 from .language.device import KINDS
 from .language.read import device_of, read_device
 from .language.structure import Model

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from .errors import BeyondLimit, DeviceError
+from ..errors import BeyondLimit, DeviceError
 from .language.expression import evaluate, parse
 from .language.structure import Model
 from .rest import rest_of

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.integrate
 
-from .errors import DeviceError
+from ..errors import DeviceError
 from .language.device import KINDS
 from .language.structure import Model
 from .rest import RestPoint, rest_of

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from .errors import BeyondLimit, DeviceError
+from ..errors import BeyondLimit, DeviceError
 from .instance import Instance, Margin
 from .language.device import MBASE
 from .language.element import Equation

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..errors import nearest
-from .errors import DeviceError
+from ..errors import DeviceError, nearest
 from .language.device import MBASE, NO_LIMIT, Device, Parameter
 from .language.expression import evaluate
 

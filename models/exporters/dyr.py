@@ -8,9 +8,9 @@ from ..case.case import Case
 from ..case.control_schema import Control, control_model, control_numbers
 from ..case.schema import Machine
 from ..devices.dyr import dyr_fields
-from ..devices.errors import DeviceError
 from ..devices.language.device import NO_LIMIT
 from ..devices.language.structure import Model
+from ..errors import DeviceError
 from .raw import machine_identities
 from .written import Written, named
 

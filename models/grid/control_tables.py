@@ -11,11 +11,11 @@ import numpy.typing as npt
 from ..case.case import Case, CaseError
 from ..case.control_schema import Control, control_model, control_numbers
 from ..devices.c_expression import given_rows
-from ..devices.errors import DeviceError
 from ..devices.language.device import KINDS
 from ..devices.language.expression import Node
 from ..devices.language.structure import Model
 from ..devices.rest import RestPoint, rest_of
+from ..errors import DeviceError
 from .machine_tables import NETWORK, MachinePoint, State
 
 SHORTEST_S = 1e-6  #: least value a time constant may be set to

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from ..case.case import Case, CaseError
+from ..case.case import Case
 from ..case.schema import Branch, Load, Shunt
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -105,32 +105,6 @@ def admittance_matrix(case: Case, *, without: Iterable[str] = (), shunts: bool =
     """
     dense: ComplexArray = sparse_admittance(case, without=without, shunts=shunts).toarray()
     return dense
-
-
-def kron_reduction(Y: npt.ArrayLike, keep: Sequence[int]) -> ComplexArray:
-    r"""Return the admittance seen at the buses `keep` when no current enters the others.
-
-    .. math:: Y_{red} = Y_{kk} - Y_{ke} Y_{ee}^{-1} Y_{ek}
-
-    Y : (n, n); keep : positions of the kept buses, in the order of the result.
-
-    Raises
-    ------
-    CaseError : the eliminated part is singular (a bus without any admittance).
-    """
-    Y = np.asarray(Y, dtype=complex)
-    kept = list(keep)
-    rest = [k for k in range(len(Y)) if k not in set(kept)]
-    try:
-        inner = np.linalg.solve(Y[np.ix_(rest, rest)], Y[np.ix_(rest, kept)])
-    except np.linalg.LinAlgError:
-        dead = [k for k in rest if not np.any(Y[k])]
-        raise CaseError(
-            f"network: the admittance of the eliminated buses is singular (without any: {dead}); "
-            "every bus needs a branch, a load or a shunt"
-        ) from None
-    reduced: ComplexArray = Y[np.ix_(kept, kept)] - Y[np.ix_(kept, rest)] @ inner
-    return reduced
 
 
 def machine_norton_admittance(case: Case) -> ComplexArray:

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..case.case import Case, case_of
-from ..case.device_files import devices_of, with_device_texts
+from ..case.case import Case, case_of, devices_of
+from ..case.document import with_device_texts
 from ..errors import CaseError
 from .document import document_of, load_exponents, unit_names
 from .dynamics import Dynamics, machine_dynamics

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from interarea.cosim.errors import ScenarioError, SweepError
-from interarea.cosim.scenario.delays import derived_seed
+from interarea.cosim.scenario.channels import derived_seed
 from interarea.cosim.sweep.plan import plan_of_document, plan_sweep
 from interarea.cosim.sweep.point import point_of
 from interarea.cosim.sweep.spec import load_sweep, split_path

@@ -1,6 +1,6 @@
 #ifndef INTERAREA_KERNEL_BROYDEN_H
 #define INTERAREA_KERNEL_BROYDEN_H
-/* broyden.py, line by line. `work` holds n n + 6 n doubles: the inverse, residual,
+/* Broyden of algebraic_loop.py, line by line. `work` holds n n + 6 n doubles: the inverse, residual,
  * step, predicted, row, supposed values, present residual. */
 #include <string.h>
 

@@ -5,7 +5,7 @@
  * kernel.py fills these structures, which build.py mirrors field by field, and owns
  * all memory they point to; nothing is allocated while stepping and there are no
  * globals. The arithmetic is that of polynomials.py, signals.py, node.py,
- * algebraic_loop.py and broyden.py, operation by operation, so that the results are the
+ * algebraic_loop.py, operation by operation, so that the results are the
  * same bits.                                                                  */
 #include <stddef.h>
 #include <stdint.h>

@@ -94,8 +94,7 @@ def _placed_terms(problem: Problem, names: list[str], columns: list[_Columns]) -
 class _Products:
     """Rows of U and W of one pair of variables: where to gather them, and their weights."""
 
-    def __init__(self, left: tuple[int, int], right: tuple[int, int]) -> None:
-        self.left_shape, self.right_shape = left, right
+    def __init__(self) -> None:
         self._u: list[Index] = []
         self._w: list[Index] = []
         self._weights: list[float] = []
@@ -142,8 +141,8 @@ class _Pair:
         v1, v2 = first.variable, second.variable
         self.shape = (v1.rows, v1.cols, v2.rows, v2.cols)
         p, q, r, s = self.shape
-        self.direct = _Products((p, r), (q, s))
-        self.crossed = _Products((p, s), (q, r))
+        self.direct = _Products()
+        self.crossed = _Products()
         self.fold_rows, self.fold_cols = v1.symmetric and p > 1, v2.symmetric and r > 1
         self._halve_rows = np.flatnonzero(first.upper[0] == first.upper[1])
         self._halve_cols = np.flatnonzero(second.upper[0] == second.upper[1])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..errors import DeviceError
+from ...errors import DeviceError
 from .device import NO_LIMIT, Device, Line
 from .element import Element, Equation, On, State, Values, nonzero, positive, real_part, times
 from .expression import ONE, ZERO, Node, evaluate, number

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from ...errors import nearest
-from ..errors import DeviceError
+from ...errors import DeviceError, nearest
 
 LONGEST_LINE = 240  #: characters
 DEEPEST = 40

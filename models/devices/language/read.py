@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ...documents import DocumentError, parse_toml
-from ...errors import nearest, reason
-from ..errors import DeviceError
+from ...errors import DeviceError, nearest, reason
 from .device import KINDS, MBASE, Check, Computed, Device, DyrModel, Line
 from .diagram import Diagram
 from .expression import COMPARISONS, NAME, Node, parse

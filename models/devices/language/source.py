@@ -6,7 +6,7 @@ import keyword
 import math
 from typing import Any
 
-from ..errors import DeviceError
+from ...errors import DeviceError
 from .device import MBASE, NO_LIMIT
 from .expression import NAME
 

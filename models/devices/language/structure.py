@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from ..errors import DeviceError
+from ...errors import DeviceError
 from .device import Device
 from .element import Condition, Element, On, State, conditions_in, names_passed
 from .elements import element_of

@@ -76,6 +76,10 @@ def test_numpy_and_scipy_calculate_in_one_thread_unless_more_are_asked_for() -> 
         '[[event]]\nkind = "vref_pulze"',
         '[channels.remote]\nsignal = "G2_dw"\nlatency_s = "long"',
         "[concentrators.pdc]\nsignals = []",
+        'controller = "wdcc"',
+        'controller = "robust"\n[[event]]\nkind = "vref_step"\nmachine = "G9"\nsize_pu = 0.1\nstart_s = 1.0',
+        'swing = ["G1", "G9"]',
+        '[operating_point]\nout = ["8-9"]',
     ],
 )
 def test_a_mistake_in_a_scenario_is_told_before_numbers_are_loaded(tmp_path: Path, lines: str) -> None:
@@ -83,8 +87,20 @@ def test_a_mistake_in_a_scenario_is_told_before_numbers_are_loaded(tmp_path: Pat
     file = tmp_path / "wrong.toml"
     file.write_text(f'case = "two-area-thesis"\n{stop}{lines}\n', encoding="utf-8")
     done, modules = _loaded("run", str(file), "--out", str(tmp_path / "out"))
-    assert done.returncode == 2 and "wrong.toml" in done.stderr
+    assert done.returncode == 2 and "interarea: " in done.stderr
     assert not (HEAVY - {"pydantic"}) & modules
+
+
+def test_a_wrong_name_is_told_with_what_only_the_fmus_know_to_be_wrong(interarea, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    file = tmp_path / "wrong.toml"
+    file.write_text(
+        'case = "two-area-thesis"\nstop_s = 2.0\nrecord = ["plant.G9_*"]\n'
+        '[[event]]\nkind = "vref_step"\nmachine = "G9"\nsize_pu = 0.1\nstart_s = 1.0\n',
+        encoding="utf-8",
+    )
+    code, _, err = interarea("run", str(file), "--out", str(tmp_path / "out"))
+    assert code == 2
+    assert "machine 'G9' does not exist" in err and "plant.G9_*" in err
 
 
 def test_modes_of_a_case_known_already_take_no_library_of_systems_and_no_plots(cache: Path) -> None:

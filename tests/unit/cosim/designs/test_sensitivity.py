@@ -64,7 +64,6 @@ def test_damping_ratio_and_frequency_slopes_are_those_of_their_formulas():
         assert s.frequency_slope == pytest.approx(
             -up * c / 4 / np.sqrt(1 - c * c / 4) / (2 * np.pi), abs=1e-9
         )
-        assert s.per_percent == pytest.approx(s.derivative * c / 100)
 
 
 def test_a_parameter_that_is_zero_is_moved_upwards_only():

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from interarea.cosim.plots.label_layout import rim_angles
-from interarea.cosim.plots.mode_shapes import NAMED, mode_shape_plot
+from interarea.cosim.plots.mode_shapes import NAMED, mode_shape_plot, rim_angles
 
 GAP = 0.2
 

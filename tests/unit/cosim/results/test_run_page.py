@@ -15,7 +15,7 @@ import pytest
 from interarea.cosim.results.run import Run
 from interarea.cosim.results.run_page import run_page
 from interarea.cosim.run.run import run_scenario
-from interarea.cosim.scenario.delays import derived_seed
+from interarea.cosim.scenario.channels import derived_seed
 from interarea.design.controllers.controller import Controller
 
 VOID = {"meta", "br", "path", "rect", "use", "link", "circle"}

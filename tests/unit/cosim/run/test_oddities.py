@@ -12,7 +12,7 @@ import pytest
 from interarea.cosim.errors import ScenarioError, ScenarioWarning
 from interarea.cosim.run.oddities import outputs_used
 from interarea.cosim.run.run import run_scenario, system_of
-from interarea.cosim.scenario.delays import derived_seed
+from interarea.cosim.scenario.channels import derived_seed
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller
 

@@ -97,7 +97,7 @@ def test_integral_exciters_that_share_a_bus_trade_output(tmp_path: Path, names: 
     plant, standing, found, values = seen(case)
     machines = tuple(f"G1{k}" for k in names)
     assert standing.shared_bus == {"1": (machines, len(names) - 1)}
-    assert np.max(np.abs(plant.left_times(standing.rows.T.toarray()))) < 1e-12
+    assert np.max(np.abs(standing.rows.toarray() @ plant.state_matrix())) < 1e-12
     near = (values.real > -1e-4) & (np.abs(values.imag) < 0.2 * np.pi)
     assert standing.count == found.near_zero == np.sum(near) == 2 + len(names) - 1
     assert np.sum(np.abs(values[near]) < STANDING) >= len(names) - 1

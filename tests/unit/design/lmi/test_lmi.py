@@ -142,35 +142,6 @@ def test_hinf_norm_of_a_resonance(engine: str) -> None:
     assert solution.scalars["g"] == pytest.approx(1 / (2 * z * np.sqrt(1 - z**2)), rel=1e-5)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_h2_and_generalized_h2_of_a_lag(engine: str) -> None:
-    """b / (s + a): squared H2 norm and squared energy-to-peak gain are both b^2 / (2 a)."""
-    a, b = 1.5, 2.0
-    for which in ("h2", "generalized"):
-        program = Program()
-        P, g = program.symmetric("P", 1), program.scalar("g")
-        M, Bw, Cz = P @ [[-a]], P @ [[b]], affine([[1.0]])
-        if which == "h2":
-            blocks = regions.h2(M, P, Bw, Cz, g * np.eye(1))
-        else:
-            blocks = regions.generalized_h2(M, P, Bw, Cz, g)
-        for k, block in enumerate(blocks):
-            program.require(f"{which} {k}", block)
-        program.minimise(g)
-        assert solve(program.problem(), engine).scalars["g"] == pytest.approx(b**2 / (2 * a), rel=1e-5)
-
-
-def test_peak_of_a_decaying_state_is_bounded_by_its_start() -> None:
-    """x' = -x from x0: |x| <= |x0|, and the LMIs find that bound."""
-    x0, program = 2.0, Program()
-    P, bound = program.symmetric("P", 1), program.scalar("b")
-    program.require("decays", regions.shift(P @ [[-1.0]], P, 0.0))
-    program.require("start", regions.initial_state(P, np.array([x0])))
-    program.require("peak", bmat([[P, np.eye(1)], [np.eye(1), bound * np.eye(1)]]))
-    program.minimise(bound)
-    assert solve(program.problem()).scalars["b"] == pytest.approx(x0**2, rel=1e-5)
-
-
 def test_engines_agree_and_multipliers_close_the_gap() -> None:
     program, M, N, _ = random_loop(4, 2)
     program.require("Lyapunov matrix", N)

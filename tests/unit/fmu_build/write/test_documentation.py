@@ -18,11 +18,9 @@ from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.write.compile import host_platform
-from interarea.fmu_build.write.documentation import equations_of, references_in
+from interarea.fmu_build.write.documentation import equations_of, ports_picture, references_in
 from interarea.fmu_build.write.package import build_fmu
-from interarea.fmu_build.write.ports_picture import ports_picture
-from interarea.models.blocks.event_numbers import event_numbers
-from interarea.models.blocks.plant import event_parameters, plant_block
+from interarea.models.blocks.plant import event_numbers, event_parameters, plant_block
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import event_of
 

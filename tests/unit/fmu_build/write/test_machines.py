@@ -15,9 +15,8 @@ from interarea.fmu_build.errors import BuildError, FmuFileError
 from interarea.fmu_build.open.fmu_file import FmuFile, host_folders
 from interarea.fmu_build.open.images import read_image
 from interarea.fmu_build.write.cache import artefacts_in, host_machine
-from interarea.fmu_build.write.compile import host_platform
+from interarea.fmu_build.write.compile import host_platform, universal
 from interarea.fmu_build.write.package import build_fmu
-from interarea.fmu_build.write.universal import universal
 from interarea.models.case.case import Case
 
 #: system and processor as Python names them -> platform, folders in their order

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from interarea.models.case.case import CaseError, load_case
-from interarea.models.case.event_targets import check_events, target_index
+from interarea.models.case.checks import check_events, target_index
 from interarea.models.case.events import EVENT_KINDS, event_of, events_of
 
 GOOD = [

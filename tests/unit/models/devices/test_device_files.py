@@ -12,13 +12,13 @@ import pytest
 from interarea.models.devices.document import ELEMENTS as ELEMENT_WORDS
 from interarea.models.devices.document import OPTIONS
 from interarea.models.devices.emit import devices_header
-from interarea.models.devices.errors import DeviceError
 from interarea.models.devices.language.device import ELEMENTS
 from interarea.models.devices.language.expression import FUNCTIONS
 from interarea.models.devices.language.read import device_of
 from interarea.models.devices.language.structure import Model
 from interarea.models.devices.library import library, own_model
 from interarea.models.devices.schema import device_schema
+from interarea.models.errors import DeviceError
 
 GOOD = '''name = "MY_AVR"
 kind = "exciter"

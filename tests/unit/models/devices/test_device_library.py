@@ -11,12 +11,12 @@ from plant_shim import compile_shared
 
 from interarea.models.devices.c_expression import given_rows
 from interarea.models.devices.dyr import device_for_dyr, dyr_fields, dyr_models
-from interarea.models.devices.errors import DeviceError
-from interarea.models.devices.header import header_of
+from interarea.models.devices.emit import devices_header
 from interarea.models.devices.instance import Instance
 from interarea.models.devices.language.device import KINDS, MBASE
 from interarea.models.devices.library import device_model, library
 from interarea.models.devices.rest import rest_of
+from interarea.models.errors import DeviceError
 
 PLANT = Path(__import__("interarea.models").models.__file__).parent / "c" / "plant" / "flow"
 #: one operating point of a machine; the phasors fit vt, and pe = vd id + vq iq
@@ -215,7 +215,8 @@ class Driver:
         source.write_text(DRIVER)
         held = folder / "held.c"
         held.write_text(HELD)
-        header = header_of(self.models)
+        header = folder / "devices.h"
+        header.write_text(devices_header(self.models))
         flags = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion")
         tiles = (PLANT / "tile_4.c", PLANT / "tile_8.c")
         path = compile_shared((source, held, header, *tiles), (*flags, "-Werror", f"-I{PLANT}"))

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from interarea.models.devices.drawing import diagram_svg
-from interarea.models.devices.errors import DeviceError
 from interarea.models.devices.language.read import device_of
 from interarea.models.devices.library import library
 from interarea.models.devices.response import missing, response_of
+from interarea.models.errors import DeviceError
 
 SEXS = {"TA_TB": 0.1, "TB": 10.0, "K": 100.0, "TE": 0.05, "EMIN": -5.0, "EMAX": 5.0}
 OWN = '''name = "MY_AVR"

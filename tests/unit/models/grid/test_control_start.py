@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from interarea.models.case.case import load_case
-from interarea.models.devices.errors import DeviceError
 from interarea.models.devices.library import library
 from interarea.models.devices.release import released
+from interarea.models.errors import DeviceError
 from interarea.models.grid.control_tables import StartError
 from interarea.models.grid.equilibrium import operating_point
 from interarea.models.grid.start import release_limits, start_of

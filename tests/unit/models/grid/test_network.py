@@ -1,4 +1,4 @@
-"""Admittances: stamps by hand, laws of the bus matrix, Kron reduction."""
+"""Admittances: stamps by hand, laws of the bus matrix."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from interarea.models.case.schema import Branch
 from interarea.models.grid.network import (
     admittance_matrix,
     branch_stamp,
-    kron_reduction,
     machine_norton_admittance,
 )
 
@@ -49,29 +48,6 @@ def test_two_equal_circuits_less_one_leave_half() -> None:
     assert with_one[7, 8] == pytest.approx(0.5 * with_both[7, 8], rel=1e-14)
     with pytest.raises(CaseError, match="did you mean 8-9 a"):
         admittance_matrix(case, without=["8-9a"])
-
-
-def test_kron_of_two_series_admittances_by_hand() -> None:
-    y1, y2 = 2.0 - 1.0j, 0.5 - 4.0j
-    Y = np.array([[y1, -y1, 0], [-y1, y1 + y2, -y2], [0, -y2, y2]])
-    series = y1 * y2 / (y1 + y2)
-    assert kron_reduction(Y, [0, 2]) == pytest.approx(
-        np.array([[series, -series], [-series, series]]), rel=1e-14
-    )
-
-
-def test_kron_keeps_the_currents_of_the_kept_buses() -> None:
-    Y = admittance_matrix(load_case("new-england"))
-    keep = [29, 30, 31, 38]
-    current = np.zeros(39, dtype=complex)
-    current[keep] = [1.0, 0.5 - 1.0j, -0.7j, 0.2]
-    V = np.linalg.solve(Y, current)
-    assert kron_reduction(Y, keep) @ V[keep] == pytest.approx(current[keep], abs=1e-10)
-
-
-def test_kron_names_a_bus_without_admittance() -> None:
-    with pytest.raises(CaseError, match=r"singular \(without any: \[1\]\)"):
-        kron_reduction(np.diag([1.0, 0.0]), [0])
 
 
 def test_machine_admittance_is_on_the_base_of_the_case() -> None:

@@ -319,15 +319,21 @@ def test_switches_and_lines_without_impedance_join_their_ends(tmp_path: Path) ->
     assert [bus.number for bus in of_text(tmp_path, apart).case.buses] == [1, 2, 3, 5]
 
 
+#: two buses with a slack of their own, and a third without
+ISLAND = {
+    "bus": [
+        "11,'A',110,3,1,1,1,1.0,0",
+        "12,'B',110,1,1,1,1,1.0,0",
+        "20,'DEAD',110,1,1,1,1,1.0,0",
+    ],
+    "branch": ["11,12,'1',0.01,0.1,0,0,0,0,0,0,0,0,1"],
+    "generator": ["11,'1',5.0,0,9,-9,1.0,0,50.0,0,0.3,0,0,1,1,100,99,0"],
+    "load": ["12,'1',1,1,1,5.0,1.0"],
+}
+
+
 def test_islands_one_is_kept_by_choice(tmp_path: Path) -> None:
-    island = ["11,'A',110,3,1,1,1,1.0,0", "12,'B',110,1,1,1,1,1.0,0"]
-    extra = {
-        "bus": [*island, "20,'DEAD',110,1,1,1,1,1.0,0"],
-        "branch": ["11,12,'1',0.01,0.1,0,0,0,0,0,0,0,0,1"],
-        "generator": ["11,'1',5.0,0,9,-9,1.0,0,50.0,0,0.3,0,0,1,1,100,99,0"],
-        "load": ["12,'1',1,1,1,5.0,1.0"],
-    }
-    text = raw_grid(33, extra=extra)
+    text = raw_grid(33, extra=ISLAND)
     kept = of_text(tmp_path, text)
     assert [bus.number for bus in kept.case.buses] == [1, 2, 3]
     assert any(
@@ -342,14 +348,7 @@ def test_islands_one_is_kept_by_choice(tmp_path: Path) -> None:
 
 def test_islands_each_with_a_slack_of_its_own_are_kept_together(tmp_path: Path) -> None:
     """Voltages as those of each island alone: nothing connects them."""
-    island = ["11,'A',110,3,1,1,1,1.0,0", "12,'B',110,1,1,1,1,1.0,0"]
-    extra = {
-        "bus": [*island, "20,'DEAD',110,1,1,1,1,1.0,0"],
-        "branch": ["11,12,'1',0.01,0.1,0,0,0,0,0,0,0,0,1"],
-        "generator": ["11,'1',5.0,0,9,-9,1.0,0,50.0,0,0.3,0,0,1,1,100,99,0"],
-        "load": ["12,'1',1,1,1,5.0,1.0"],
-    }
-    text = raw_grid(33, extra=extra)
+    text = raw_grid(33, extra=ISLAND)
     every = of_text(tmp_path, text, island="all")
     assert len(every.case.slacks) == 2 and "slack buses" in every.report.text()
     assert any("without a slack bus" in what for what in every.report.dropped)
