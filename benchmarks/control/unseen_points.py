@@ -21,6 +21,7 @@ from interarea.cosim.designs.family import DENSE_STATES, named_modes
 from interarea.cosim.run.artefacts import sparse_linear_plant
 from interarea.design.certificates.large_loop import LargePlant
 from interarea.design.controllers.bundled import shipped_controller, shipped_names
+from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.linear.sparse_plant import SparsePlant
 from interarea.design.modes.modes import Mode
@@ -119,6 +120,20 @@ def unseen(name: str) -> dict[str, Case]:
     }
 
 
+def answered(controller: Controller) -> control.StateSpace:
+    """Return the linear part of `controller` without an input that only its guard looks at."""
+    system, guard = controller.system, controller.guard
+    kept = [k for k, name in enumerate(system.input_labels) if guard is None or name != guard.follows]
+    return control.ss(
+        system.A,
+        system.B[:, kept],
+        system.C,
+        system.D[:, kept],
+        inputs=[system.input_labels[k] for k in kept],
+        outputs=system.output_labels,
+    )
+
+
 def small_signal(name: str, cache: Path) -> None:
     """Print a line for each operating point, and how many conditions are unstable."""
     controller, table = shipped_controller(name), load_design(name)
@@ -126,7 +141,7 @@ def small_signal(name: str, cache: Path) -> None:
         plant, modes = judged(case, cache)
         found = judge_family(
             {point: plant},
-            controller.system,
+            answered(controller),
             table.family(),
             bands_hz={point: inter_area_band(modes)},
         )

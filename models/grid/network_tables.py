@@ -54,9 +54,9 @@ def network_pattern(
     """
     m, n = len(case.machines), len(ports)
     nodes = network_nodes(case, ports)
-    # complex multiplications of a right-hand side: products for currents and ports, or a solution; each iteration, of
-    # which there are some three for two evaluations, takes another. Without ports a sparse network takes the product
-    # as well (is_reduced), and what is dear is the dense one's events
+    # complex multiplications of a right-hand side: products for currents and ports, or a solution; each
+    # iteration, of which there are some three for two evaluations, takes another. Without ports a sparse
+    # network takes the product as well (is_reduced), and what is dear is the dense one's events
     dense, price = m * (m + n) + n * m + 1.5 * n * n, 3 * SPARSE_PRICE if n else 1.25
     active = np.unique(np.concatenate([nodes.machine, nodes.port]))
     if form == "dense" or (form is None and dense <= price * len(active)):

@@ -1,8 +1,8 @@
 #ifndef INTERAREA_PORT_H
 #define INTERAREA_PORT_H
-#include "../flow/tiles.h"
 #include "../machine/load.h"
 #include "../machine/saturation.h"
+#include "../numbers/tiled.h"
 /* Ports: where nonlinear elements meet the linear network. Port p injects a
  * current J_p(V_p, x) that depends on its own voltage; with the EMFs E
  *

@@ -63,15 +63,21 @@ static int count_devices(const Record *record, Plan *plan)
     return 1;
 }
 
+/* Counts that can belong together. */
+static int counts_fit(const int32_t *c)
+{
+    for (size_t k = 0; k < C_COUNTS; ++k)
+        if (c[k] < 0 || c[k] > 100000000) return 0;
+    if (c[C_NODE] > 0 && c[C_NODE] < c[C_BUS]) return 0;
+    if (c[C_REDUCED] > 0 && (c[C_NODE] == 0 || c[C_PORT] > 0)) return 0;
+    return c[C_MACHINE] >= 1 && c[C_SIXTH] <= c[C_MACHINE] && c[C_BUS] >= 1;
+}
+
 static const int32_t *read_plan(const Record *record, const BlockLayout *layout, Plan *plan)
 {
     size_t count;
     const int32_t *c = record_i32(record, "plant.counts", &count);
-    if (count != C_COUNTS) return NULL;
-    for (size_t k = 0; k < C_COUNTS; ++k)
-        if (c[k] < 0 || c[k] > 100000000) return NULL;
-    if (c[C_NODE] > 0 && c[C_NODE] < c[C_BUS]) return NULL;
-    if (c[C_MACHINE] < 1 || c[C_SIXTH] > c[C_MACHINE] || c[C_BUS] < 1) return NULL;
+    if (count != C_COUNTS || !counts_fit(c)) return NULL;
     plan->n_machine = (size_t)c[C_MACHINE];
     plan->n_sixth = (size_t)c[C_SIXTH];
     plan->n_bus = (size_t)c[C_BUS];
@@ -93,7 +99,6 @@ static const int32_t *read_plan(const Record *record, const BlockLayout *layout,
     plan->n_w = layout->n_w;
     if (plan->exciters > plan->n_group || !count_devices(record, plan)) return NULL;
     if (plan->n_node > 0 && !is_sparse(plan)) return NULL;
-    if (plan->reduced > 0 && (!is_sparse(plan) || plan->n_port > 0)) return NULL;
     plan_offsets(plan);
     return c;
 }

@@ -13,12 +13,10 @@ import pytest
 from scenario_loop import Loop
 
 from interarea.cosim.errors import StepError
-from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.master.lockstep import advance_together
 from interarea.cosim.master.master import Master
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller
-from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.lane_library import GroupLibrary, plant_group
 from interarea.models.blocks.plant import plant_block
 from interarea.models.case.case import load_case
@@ -255,7 +253,7 @@ def test_a_cancelled_run_stops_where_it_is_and_can_go_on(masters: list[Master], 
 def test_plants_with_ports_have_the_bits_of_each_alone(
     cache: Path, by_hand: Controller, library: GroupLibrary
 ) -> None:
-    """Loads of constant current and saturation: what the ports keep goes from the lanes to the instances and back."""
+    """Constant current and saturation: what ports keep goes from lanes to instances and back."""
     chosen = [RUNS[k] | {"case": "kundur-thyristor"} for k in (0, 2, 3, 5, 6)]
     found = []
     for changes in chosen:

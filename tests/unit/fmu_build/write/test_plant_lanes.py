@@ -95,14 +95,16 @@ def few_ports() -> Case:
 
 
 def hard_rows(case: Case, count: int) -> list[dict]:
-    """Faults at every other place, some so near that loads become impedances and slopes at rest no longer do; a machine
-    and a branch that trip; one run at rest."""
+    """A run at rest; faults at other places, some so near that slopes at rest do no longer; a trip."""
     rows: list[dict] = [{}]
     for k in range(count - 1):
         bus = case.buses[(5 * k + 4) % len(case.buses)].number
         end = 0.15 + 0.0137 * (k % 3)
         fault = {"kind": "bus_fault", "bus": bus, "start_s": 0.05, "end_s": end, "x_pu": 10.0 ** -(1 + k % 4)}
-        events = [fault, {"kind": "load_step", "load": case.loads[k % 2].name, "start_s": 0.21, "size_pu": -0.4}]
+        events = [
+            fault,
+            {"kind": "load_step", "load": case.loads[k % 2].name, "start_s": 0.21, "size_pu": -0.4},
+        ]
         if k % 3 == 0:
             events.append({"kind": "machine_trip", "machine": case.machines[1].name, "start_s": 0.31})
         rows.append(event_parameters(case, events_of(events, where="test")))

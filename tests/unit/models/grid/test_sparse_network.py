@@ -199,7 +199,7 @@ def test_pattern_holds_all_that_elimination_fills() -> None:
 
 
 def test_the_cheaper_form_is_taken() -> None:
-    """Few machines: dense; more: reduced; many on a wide grid: sparse; and what is counted is what is done."""
+    """Few machines: dense; more: reduced; many on a wide grid: sparse; what is counted is done."""
     assert network_pattern(load_case("nets-nyps"), np.zeros((0, 18))) is None
     wide = mesh(20, 6)
     pattern = network_pattern(wide, np.zeros((0, 18)))
