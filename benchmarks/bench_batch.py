@@ -3,8 +3,8 @@
     python benchmarks/bench_batch.py [--scenarios 64] [--repeat 5] [--case two-area-thesis --case new-england]
 
 Every scenario has a fault of its own. The widths alternate within one process and the least CPU time of
-the repeats counts, so that other load of the machine cancels. All widths give the same bits. A plant whose
-loads or saturation need the Newton solve goes one at a time, whatever is asked.
+the repeats counts, so that other load of the machine cancels. All widths give the same bits. A plant with
+many ports (loads that are no impedances) on a sparse network goes one at a time, whatever is asked.
 """
 
 from __future__ import annotations

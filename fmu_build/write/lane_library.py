@@ -43,7 +43,7 @@ class GroupLibrary:
     def work(self, component: int, count: int) -> GroupWork | None:
         """Return the memory in which up to `count` instances like `component` are stepped at once.
 
-        None: they go one by one (a plant whose network iterates, a component of another kind, one alone).
+        None: they go one by one (many ports on a sparse network, a component of another kind, one alone).
         component : address of an instance made with this library, initialised.
         """
         lanes = next((n for n in (2, 4, 8) if n >= min(count, self.lanes)), self.lanes)

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from interarea.cosim.sweep import runner as runner_module
 from interarea.cosim.sweep.lane_batches import by_plant, common_s, how_many, lanes_here
 from interarea.cosim.sweep.live_instances import TimeUpError
 from interarea.cosim.sweep.plan import plan_sweep
@@ -156,9 +157,13 @@ def test_runs_of_one_grid_follow_each_other(sweep: Any) -> None:
     assert how_many(by_plant(jobs), 8) == 3
 
 
-def test_plants_whose_network_iterates_are_found_to_gain_nothing(
-    document: Any, cache: Path, tmp_path: Path
+@pytest.mark.parametrize("gains", [True, False])
+def test_plants_that_cannot_go_side_by_side_are_found_out(
+    gains: bool, document: Any, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Loads of constant current can; many of them on a sparse network, for which False stands, cannot."""
+    if not gains:
+        monkeypatch.setattr(runner_module, "has_lanes", lambda _: False)
     case = {"path": "case.loads.L7.P_exponent", "values": [1.0]}
     sizes = {"path": "event.1.size_pu", "values": [0.01, 0.02, 0.03]}
     table = document({"stop_s": 0.8}, parameters={"load": case, "size": sizes})
@@ -171,4 +176,4 @@ def test_plants_whose_network_iterates_are_found_to_gain_nothing(
             rows = [o.row for o in runner.outcomes(range(3))]
             assert [row["status"] for row in rows] == ["ok"] * 3
     if lanes_here(cache).count > 2:
-        assert begun == [(0, 1, 2), (0,), (1,), (2,)]
+        assert begun == [(0, 1, 2), *([(0, 1, 2)] if gains else [(0,), (1,), (2,)])]
