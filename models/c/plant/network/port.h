@@ -152,7 +152,7 @@ static inline flag port_iterate(const real *memory, const Plan *plan, size_t lan
                                 PortWork w, num *work)
 {
     enum { MOST = 16 };
-    const double accuracy = care == PORT_STEP ? 1e-9 : care == PORT_ALONE ? 1e-12 : 0.0;
+    const double accuracy = care == PORT_EXACT ? 0.0 : 1e-12;
     const double rounding = 1e-13, poor_from = 0.3, least = 1e-4, doubt = 4.0, forget = 1.1;
     const size_t n = plan->n_port, m = plan->n_machine;
     const real *slope = memory + plan->port_slope;
