@@ -22,6 +22,17 @@ from .node import Node
 from .signals import Signal
 
 
+def _product(matrix: list[list[float]], vector: list[float]) -> list[float]:
+    """Return matrix times vector, every sum in the order of the columns, as the kernel has it."""
+    found = [0.0] * len(vector)
+    for i, row in enumerate(matrix):
+        total = 0.0
+        for j, value in enumerate(vector):
+            total += row[j] * value
+        found[i] = total
+    return found
+
+
 class Broyden:
     """Corrections for n unknowns. Plain loops over doubles, so a kernel can repeat them to the bit."""
 
@@ -38,12 +49,7 @@ class Broyden:
         n, inverse = self._n, self._inverse
         if self._residual is not None:
             change = [self._residual[i] - residual[i] for i in range(n)]
-            predicted = [0.0] * n
-            for i in range(n):
-                total = 0.0
-                for j in range(n):
-                    total += inverse[i][j] * change[j]
-                predicted[i] = total
+            predicted = _product(inverse, change)
             denominator = 0.0
             for i in range(n):
                 denominator += self._step[i] * predicted[i]
@@ -58,12 +64,7 @@ class Broyden:
                     factor = (self._step[i] - predicted[i]) / denominator
                     for j in range(n):
                         inverse[i][j] += factor * row[j]
-        step = [0.0] * n
-        for i in range(n):
-            total = 0.0
-            for j in range(n):
-                total += inverse[i][j] * residual[j]
-            step[i] = total
+        step = _product(inverse, residual)
         self._residual, self._step = list(residual), step
         return [x[i] + step[i] for i in range(n)]
 
