@@ -70,13 +70,13 @@ double plain_run(void *plant, long steps, double h)
     const clock_t begin = clock();
 
     for (long step = 0; step < steps; ++step) {
-        plant_flow(b->memory, places, b->lanes, b->x, b->u, k1, b->scratch, NO_NOTES);
+        plant_flow(b->memory, places, b->lanes, b->x, b->u, k1, b->scratch, NO_NOTES, NULL);
         for (size_t i = 0; i < n; ++i) x[i] = b->x[i] + h / 2.0 * k1[i];
-        plant_flow(b->memory, places, b->lanes, x, b->u, k2, b->scratch, NO_NOTES);
+        plant_flow(b->memory, places, b->lanes, x, b->u, k2, b->scratch, NO_NOTES, NULL);
         for (size_t i = 0; i < n; ++i) x[i] = b->x[i] + h / 2.0 * k2[i];
-        plant_flow(b->memory, places, b->lanes, x, b->u, k3, b->scratch, NO_NOTES);
+        plant_flow(b->memory, places, b->lanes, x, b->u, k3, b->scratch, NO_NOTES, NULL);
         for (size_t i = 0; i < n; ++i) x[i] = b->x[i] + h * k3[i];
-        plant_flow(b->memory, places, b->lanes, x, b->u, k4, b->scratch, NO_NOTES);
+        plant_flow(b->memory, places, b->lanes, x, b->u, k4, b->scratch, NO_NOTES, NULL);
         for (size_t i = 0; i < n; ++i) b->x[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
     }
     return (double)(clock() - begin) / CLOCKS_PER_SEC;
