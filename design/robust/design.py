@@ -26,7 +26,7 @@ from ..reduction.gramians import projections
 from .design_models import build_objective, tightened
 from .smoothed_objective import Array, Gains, Objective
 from .spec import RobustSpec
-from .stages import TURNS, Tell, stage_parts, staged_search
+from .stages import TURNS, Tell, stabilised, stage_parts, staged_search
 
 #: evaluations between two balancings of the controller
 ROUND = 300
@@ -81,7 +81,7 @@ def design_robust(
                 0.2 * min((cap for _, cap in spec.effort_cap or ()), default=0.5),
                 rng,
                 balanced=balanced_parameters,
-                descend=lambda some, theta: _descend(some, theta, 1, each=BETWEEN),
+                descend=_descend_briefly,
                 progress=tell,
             )
         else:
@@ -170,14 +170,15 @@ def _from_random(
     starts += [_stable_start(easier, rng) for _ in range(spec.starts)]
     for k, start in enumerate(starts):
         what = f"start {k + 1} of {len(starts)}"
+        start, before = stabilised(easier, start, _descend_briefly)
         theta, used = _descend(
             easier, start, spec.evaluations // ROUND, spec.within, tell=partial(tell, what)
         )
-        count += used
+        count += before + used
         found.append((easier(theta)[0], theta))
         tell(what, 1.0, found[-1][0])
-    theta = min(found, key=lambda each: each[0])[1]
-    value = objective(theta)[0]
+    theta, used = stabilised(objective, min(found, key=lambda each: each[0])[1], _descend_briefly)
+    count, value = count + used, objective(theta)[0]
     for k in range(0, spec.polishes, 3):
         what = f"polish {k + 3} of {spec.polishes}"
         theta, used = _descend(objective, theta, 3, spec.within, tell=partial(tell, what))
@@ -277,6 +278,11 @@ def _descend(
         else:
             within *= 2.0
     return best, count
+
+
+def _descend_briefly(objective: Objective, start: Array) -> tuple[Array, int]:
+    """L-BFGS for a few evaluations, between steps of a stage or until a start is stable."""
+    return _descend(objective, start, 1, each=BETWEEN)
 
 
 def balanced_parameters(objective: Objective, theta: Array) -> Array:

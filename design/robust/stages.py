@@ -8,12 +8,15 @@ from functools import partial
 
 import numpy as np
 
+from ..linear.matrices import STANDING
 from .first_guess import first_guess
 from .newton import newton_descent
 from .smoothed_objective import Array, BandOffsets, Objective
 
 #: what a turn of steps and L-BFGS must have gained for another, and how many there are at most
 WORTHWHILE, TURNS = 2e-3, 3
+#: rounds of L-BFGS in which a start is to become stable, at most
+STABILISING = 10
 
 Descend = Callable[[Objective, Array], tuple[Array, int]]
 Balanced = Callable[[Objective, Array], Array]
@@ -91,6 +94,21 @@ def staged_search(
     return theta, count, reached
 
 
+def stabilised(objective: Objective, theta: Array, descend: Descend) -> tuple[Array, int]:
+    """Return parameters from `theta` on that keep every model stable, if `descend` finds them, and evaluations.
+
+    The effort has no bound where an eigenvalue crosses the imaginary axis: to one that is on the wrong side its
+    penalty is a wall before the right one. It is left out until all are there.
+    """
+    free, count = replace(objective, efforts=(), swing=None), 0
+    for _ in range(STABILISING):
+        if objective.worst(theta)[0] < STANDING:
+            break
+        theta, used = descend(free, theta)
+        count += used
+    return theta, count
+
+
 def stage_parts(k: int, stages: int, starts: int) -> list[str]:
     """Return what stage `k` is made of: the first of each start.
 
@@ -110,7 +128,7 @@ def _through(
     tell: Callable[[float, float], object],
 ) -> tuple[Array, int]:
     """Steps at each rho, and some of `descend` where they end: two eigenvalues may have met."""
-    count = 0
+    theta, count = stabilised(objective, theta, descend)
     for k, rho in enumerate(stage.rho):
         smoothed = replace(objective, rho=rho)
         value = smoothed.value(theta)
