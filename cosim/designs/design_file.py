@@ -288,7 +288,6 @@ def run_design(
     progress(searching, 1.0, "")
     facts = {
         "method": "smoothed worst damping over operating points, losses and latencies",
-        "specification": _recorded(table),
         "objective": made.objective,
         "evaluations": made.evaluations,
     }
@@ -297,8 +296,8 @@ def run_design(
     controller = Controller(table.name, system, table.limit_pu, facts, guard=guard)
     held = certify(table, controller, cache, progress=lambda _, share: progress(certifying, share, ""))
     progress(certifying, 1.0, "")
-    controller = replace(controller, certificate=held.as_dict())
-    return Designed(controller, {f"start {k}": K for k, K in enumerate(made.tried, start=1)})
+    tried = {f"start {k}": K for k, K in enumerate(made.tried, start=1)}
+    return Designed(judged_by(table, controller, held), tried)
 
 
 def _check_followed(table: DesignTable) -> None:
@@ -419,6 +418,12 @@ def certify(
         faults=tuple(asdict(run) for run in runs),
         violations=(*found.violations, *(missed if table.ask.synchronism else ())),
     )
+
+
+def judged_by(table: DesignTable, controller: Controller, found: FamilyCertificate) -> Controller:
+    """Return `controller` with the design that judged it, and what was `found`, in its record."""
+    design = {**controller.design, "specification": _recorded(table)}
+    return replace(controller, design=design, certificate=found.as_dict())
 
 
 def specification_of(controller: Controller) -> DesignTable | None:

@@ -138,6 +138,15 @@ def certify(
             "--acceptance", help="every fault of the design's acceptance and its clearing times too"
         ),
     ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="FILE.json",
+            help="file for the controller with what it was judged by, and the result, in its record",
+            show_default=False,
+        ),
+    ] = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
     """Recompute a controller's certificate on full linear plants, exact latency; exit code 1 if it fails.
@@ -146,16 +155,23 @@ def certify(
     record: the FMU alone is enough.
     """
     from interarea.cosim.designs.design_file import certify as recompute
-    from interarea.cosim.designs.design_file import load_design, specification_of, steps_of
+    from interarea.cosim.designs.design_file import judged_by, load_design, specification_of, steps_of
     from interarea.design.controllers.bank import ControllerBank
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.case import load_case
+    from interarea.models.errors import UserError
 
+    from .destination import file_for
+
+    if out is not None:
+        file_for(out)
     table = load_design(spec or "robust")
     if case is not None:
         table = table.model_copy(update={"case": case})
     made = _named(controller, load_case(table.case))
     if isinstance(made, ControllerBank):
+        if out is not None:
+            raise UserError(f"--out {out}: {made.name} is a bank, allowed: one controller")
         _certify_bank(made, load_case(table.case), json_)
         return
     own = specification_of(made) if spec is None else None
@@ -165,6 +181,9 @@ def certify(
         table = own if case is None else own.model_copy(update={"case": case})
     with stage_progress(steps_of(table, acceptance=acceptance)) as report:
         found = recompute(table, made, default_cache(), acceptance=acceptance, progress=report)
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        judged_by(table, made, found).save(out)
     if json_:
         typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
     else:
@@ -222,7 +241,12 @@ def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
             for row in found.rows
         ],
     )
-    typer.echo("; ".join(f"{condition.name}: {condition.in_words}" for condition in table.family()))
+    single = [condition for condition in table.family() if "+" not in condition.name]
+    print_table(
+        "conditions; joined by +: both",
+        ("condition", "signals"),
+        [(condition.name, condition.in_words) for condition in single],
+    )
     typer.echo(
         "inter-area: least damped root in the band of the open loop's inter-area modes, of whatever mode; "
         "above 400 states, and in `interarea run`, the modes themselves, followed from the open loop"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,11 @@ from interarea.cosim.run.artefacts import linear_plant
 from interarea.cosim.run.controller_fmu import controller_from_fmu
 from interarea.cosim.run.controllers import controller_fmu
 from interarea.design.controllers.bundled import shipped_controller
+from interarea.design.controllers.controller import Controller
 from interarea.design.delay.signal_conditions import condition_of, condition_of_many
 from interarea.design.linear.linearise import remove_reference, select, speeds_in_rad
 from interarea.design.modes.modes import modes_of
-from interarea.design.robust.design import design_robust
+from interarea.design.robust.design import design_robust, given_start
 from interarea.design.robust.design_models import build_objective, without_common_speed
 from interarea.design.robust.operating_points import inter_area_band, judge_family
 from interarea.design.robust.spec import RobustSpec
@@ -158,6 +160,19 @@ def test_a_small_design_raises_the_damping_of_every_model(rest: dict[str, Any]) 
     assert np.abs(at_rest).max() < 1e-12
 
 
+def test_a_start_that_later_conditions_find_unstable_is_brought_back() -> None:
+    """The effort is infinite where an eigenvalue crosses the axis: with its penalty the search stays outside."""
+    table = load_design("robust_latency")
+    plants = independent_family()
+    spec = replace(table.spec(), starts=0, polishes=0, evaluations=300)
+    objective = build_objective(plants, spec, OMEGA_B)
+    start = given_start(objective, spec)
+    assert objective.worst(start)[0] > 0.05
+    made = design_robust(plants, spec, OMEGA_B)
+    assert made.rightmost < -0.1
+    assert made.objective < -0.2
+
+
 def test_design_models_carry_loss_and_latency() -> None:
     conditions = tuple(condition_of(code, "G4_dw", "G2_dw") for code in ("N", "L", "s100"))
     spec = RobustSpec(("G2_dw", "G4_dw"), ("G4_vs",), conditions)
@@ -205,10 +220,10 @@ def test_certificate_from_the_fmu_alone(cache: Path) -> None:
     assert specification_of(again) == load_design("robust_linear")
 
 
-def test_certify_judges_an_fmu_by_its_own_record(cache: Path) -> None:
+def test_certify_judges_an_fmu_by_its_own_record(cache: Path, tmp_path: Path) -> None:
     shipped = shipped_controller("robust_linear")
-    path = controller_fmu(shipped, OMEGA_B, cache)
-    found = CliRunner().invoke(app, ["certify", str(path), "--json"])
+    path, out = controller_fmu(shipped, OMEGA_B, cache), tmp_path / "new" / "judged.json"
+    found = CliRunner().invoke(app, ["certify", str(path), "--json", "--out", str(out)])
     assert found.exit_code == 0, found.output
     record = json.loads(found.stdout)
     assert record["passed"] is True
@@ -218,6 +233,10 @@ def test_certify_judges_an_fmu_by_its_own_record(cache: Path) -> None:
     assert record["predicted"] == "lost"
     assert [run["point"] for run in record["faults"] if not run["synchronism"]] == ["tie +100"]
     assert max(record["loss_criterion"].values()) < 1.0
+    again = Controller.load(out)
+    assert again.certificate == record
+    assert specification_of(again) == load_design("robust_linear")
+    assert again.system.A == pytest.approx(shipped.system.A, rel=1e-12)
     failed = CliRunner().invoke(app, ["certify", "wdc_that_is_not_there.json"])
     assert failed.exit_code != 0
 
