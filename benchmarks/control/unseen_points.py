@@ -29,6 +29,7 @@ from interarea.design.robust.operating_points import JudgedPlant, inter_area_ban
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case
 from interarea.models.case.variants import operating_variant
+from interarea.models.grid.powerflow import PowerFlowError
 
 Change = Mapping[str, Any]
 
@@ -138,7 +139,11 @@ def small_signal(name: str, cache: Path) -> None:
     """Print a line for each operating point, and how many conditions are unstable."""
     controller, table = shipped_controller(name), load_design(name)
     for point, case in unseen(name).items():
-        plant, modes = judged(case, cache)
+        try:
+            plant, modes = judged(case, cache)
+        except PowerFlowError as error:
+            print(f"{name:14} {point:20} no operating point: {error}", flush=True)
+            continue
         found = judge_family(
             {point: plant},
             answered(controller),

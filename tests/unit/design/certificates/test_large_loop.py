@@ -26,7 +26,7 @@ from interarea.models.case.case import load_case
 
 TABLE, K = load_design("new_england"), shipped_controller("new_england").system
 #: none late, all late, one lost; the last asks for a delay that is none of the design's
-CODES = ("N", "s200", "L:G10_dw", "s130+L:G6_dw")
+CODES = ("N", "s150", "L:G10_dw", "s130+L:G6_dw")
 
 
 @once
