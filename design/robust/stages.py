@@ -95,10 +95,10 @@ def staged_search(
 
 
 def stabilised(objective: Objective, theta: Array, descend: Descend) -> tuple[Array, int]:
-    """Return parameters from `theta` on that keep every model stable, if `descend` finds them, and evaluations.
+    """Return parameters that keep every model stable, if `descend` finds them from `theta`, and evaluations.
 
-    The effort has no bound where an eigenvalue crosses the imaginary axis: to one that is on the wrong side its
-    penalty is a wall before the right one. It is left out until all are there.
+    The effort has no bound where an eigenvalue crosses the imaginary axis: to one that is on the wrong
+    side its penalty is a wall before the right one. It is left out until all are there.
     """
     free, count = replace(objective, efforts=(), swing=None), 0
     for _ in range(STABILISING):

@@ -155,11 +155,10 @@ def certify(
     record: the FMU alone is enough.
     """
     from interarea.cosim.designs.design_file import certify as recompute
-    from interarea.cosim.designs.design_file import judged_by, load_design, specification_of, steps_of
+    from interarea.cosim.designs.design_file import judged_by, load_design, steps_of
     from interarea.design.controllers.bank import ControllerBank
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.case import load_case
-    from interarea.models.errors import UserError
 
     from .destination import file_for
 
@@ -170,15 +169,10 @@ def certify(
         table = table.model_copy(update={"case": case})
     made = _named(controller, load_case(table.case))
     if isinstance(made, ControllerBank):
-        if out is not None:
-            raise UserError(f"--out {out}: {made.name} is a bank, allowed: one controller")
-        _certify_bank(made, load_case(table.case), json_)
+        _certify_bank(made, load_case(table.case), json_, out)
         return
-    own = specification_of(made) if spec is None else None
-    if own is None and spec is None:
-        typer.echo(f"{controller} names no family of its own: judged by that of `robust`", err=True)
-    if own is not None:
-        table = own if case is None else own.model_copy(update={"case": case})
+    if spec is None:
+        table = _own_family(made, controller, case) or table
     with stage_progress(steps_of(table, acceptance=acceptance)) as report:
         found = recompute(table, made, default_cache(), acceptance=acceptance, progress=report)
     if out is not None:
@@ -197,13 +191,27 @@ def certify(
         raise typer.Exit(1)
 
 
-def _certify_bank(bank: ControllerBank, case: Case, json_: bool) -> None:
+def _own_family(made: Controller, name: str, case: str | None) -> DesignTable | None:
+    """Return the design in a controller's record, for another case if one is given; None is told."""
+    from interarea.cosim.designs.design_file import specification_of
+
+    own = specification_of(made)
+    if own is None:
+        typer.echo(f"{name} names no family of its own: judged by that of `robust`", err=True)
+        return None
+    return own if case is None else own.model_copy(update={"case": case})
+
+
+def _certify_bank(bank: ControllerBank, case: Case, json_: bool, out: Path | None) -> None:
     """Print what is proven for every sequence of losses; exit code 1 where a pause between them is needed."""
     from interarea.cosim.designs.bank_certificate import certify_bank
     from interarea.cosim.run.artefacts import linear_plant
     from interarea.design.linear.linearise import remove_reference, speeds_in_rad
     from interarea.fmu_build.write.cache import default_cache
+    from interarea.models.errors import UserError
 
+    if out is not None:
+        raise UserError(f"--out {out}: {bank.name} is a bank, allowed: one controller")
     with busy(f"certifying {bank.name}"):
         plant = speeds_in_rad(remove_reference(linear_plant(case, default_cache())), case.omega_b)
         found = certify_bank(plant, bank)
@@ -221,6 +229,15 @@ def _certify_bank(bank: ControllerBank, case: Case, json_: bool) -> None:
             f"(slowest loop alone: {found.slowest:.4f} 1/s)"
         )
     typer.echo("lost is what a channel marks as lost; a signal that is stuck or wrong is not detected")
+
+
+def _show_conditions(table: DesignTable) -> None:
+    single = [condition for condition in table.family() if "+" not in condition.name]
+    print_table(
+        "conditions; joined by +: both",
+        ("condition", "signals"),
+        [(condition.name, condition.in_words) for condition in single],
+    )
 
 
 def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
@@ -241,12 +258,7 @@ def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
             for row in found.rows
         ],
     )
-    single = [condition for condition in table.family() if "+" not in condition.name]
-    print_table(
-        "conditions; joined by +: both",
-        ("condition", "signals"),
-        [(condition.name, condition.in_words) for condition in single],
-    )
+    _show_conditions(table)
     typer.echo(
         "inter-area: least damped root in the band of the open loop's inter-area modes, of whatever mode; "
         "above 400 states, and in `interarea run`, the modes themselves, followed from the open loop"

@@ -129,12 +129,14 @@ static void get(const double *group, double *lane, size_t n, size_t lanes, size_
     for (size_t i = 0; i < n; ++i) lane[i] = group[i * lanes + k];
 }
 
-/* Whether an instance can go in lane k: it is of the FMU that the group was opened for. */
+/* Whether an instance can go in lane k: it is of the FMU that the group was opened for, and its memory such as others
+ * have. One that has a memory of its own would have all lanes read as many. */
 static int belongs(const Group *g, const Instance *c, size_t k)
 {
     size_t size;
     const char *guid;
 
+    if (block_group_stamp(&c->block) > 0.0) return 0;
     if (g->owner[k] == c) return 1;
     guid = record_text(&c->record, "guid", &size);
     return size <= GUID_ROOM && memcmp(guid, g->guid, size) == 0 && block_group_fits(&c->block);

@@ -31,7 +31,8 @@ typedef struct {
 size_t block_group_lanes(void);
 /* Whether a started block can go beside others of its record. */
 int block_group_fits(const Block *b);
-/* Another number whenever evaluations have changed the rest of a block's memory, which they rarely do. */
+/* Another number whenever evaluations have changed the rest of a block's memory, which they rarely do; 0 where they
+ * have not since the last event. */
 double block_group_stamp(const Block *b);
 /* One step of the classical Runge-Kutta method in each lane; changes x, except in lanes `switched`. */
 void block_group_step(const BlockGroup *g, size_t lanes);

@@ -6,6 +6,7 @@
 #include "start/failure.h"
 #include "flow/physics.h"
 #include "flow/processor.h"
+#include "network/port.h"
 #include "events/relay.h"
 #include "start/rest.h"
 #include "network/sparse.h"
@@ -176,6 +177,8 @@ BlockStatus block_event(Block *b, double t, double *x, BlockMessage *message)
     const size_t stuck = relay_look(b, &plan, &net, x, t);
     if (stuck > 0) return unsolved(b, stuck, t, message);
     const EventReach reach = event_reach(b, &plan, t);
+    if (reach != EVENT_SWITCHES && port_rest_due(b->memory, &plan, t))   /* if it is too early: later the next time */
+        port_fold_at_rest(b->memory, &plan, b->lanes, 2.0 * b->memory[plan.warm + W_WAIT], b->scratch);
     if (reach == EVENT_LOOKS) return BLOCK_OK;
     status = event_apply(b, &plan, &net, reach, t, message);
     if (status == BLOCK_OK) relay_tell(b, &plan, &net, t, message);

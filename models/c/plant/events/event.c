@@ -5,6 +5,7 @@
 
 #include <math.h>
 
+#include "../network/port.h"
 #include "../start/failure.h"
 #include "relay.h"
 #include "topology.h"
@@ -133,7 +134,8 @@ static double slot_next(const double *p, double t)
 
 double event_next(const Block *b, const Plan *plan, double t)
 {
-    double next = relay_next(b, plan, t);
+    const double relay = relay_next(b, plan, t), ports = port_rest_next(b->memory, plan, t);
+    double next = relay < ports ? relay : ports;
     for (size_t k = 0; k < plan->n_slot; ++k) {
         if (slot_integers(b, plan, k)[SLOT_KIND] == EVENT_NONE) continue;
         const double own = slot_next(slot_reals(b, plan, k), t);
@@ -152,7 +154,7 @@ static int slot_acts(const double *p, double t)
 EventReach event_reach(const Block *b, const Plan *plan, double t)
 {
     EventReach reach = EVENT_SWITCHES;   /* a time that is no slot's: somebody set one anew */
-    int looks = relay_looks(b, plan, t), steps = 0;
+    int looks = relay_looks(b, plan, t) || port_rest_due(b->memory, plan, t), steps = 0;
 
     for (size_t k = 0; k < plan->n_slot; ++k) {
         const int kind = slot_integers(b, plan, k)[SLOT_KIND];

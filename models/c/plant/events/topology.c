@@ -9,6 +9,8 @@
 #include "../network/port.h"
 #include "sparse_stage.h"
 
+static const double REST_AGAIN_S = 0.25;   /* ports' slopes other than those at rest are kept so long (port.h) */
+
 size_t topology_work(const Plan *plan)
 {
     const size_t n = plan->n_bus;
@@ -314,6 +316,6 @@ BlockStatus topology_build(double *memory, const Plan *plan, const Network *net,
         tell_parts(memory, plan, net, dead, parts, buses, message);
     const BlockStatus status = is_sparse(plan) ? sparse_stage(memory, plan, net, extra, dead, more, message)
                                                : dense_stage(memory, plan, net, extra, dead, more, message);
-    if (status == BLOCK_OK && plan->folded > 0) port_fold_at_rest(memory, plan, lanes, more);
+    if (status == BLOCK_OK && plan->folded > 0) port_fold_at_rest(memory, plan, lanes, REST_AGAIN_S, more);
     return status;
 }

@@ -26,6 +26,11 @@ void NAME(num_product)(const double *from, const double *M, size_t rows, size_t 
     num_product(from, M, rows, columns, s, to);
 }
 
+void NAME(num_products)(const double *M, size_t rows, size_t columns, size_t count, const double *s, double *to)
+{
+    num_products(M, rows, columns, count, s, to);
+}
+
 void NAME(num_product_complex)(const double *g, const double *b, size_t rows, size_t columns, const double *s_re,
                                const double *s_im, double *to_re, double *to_im)
 {

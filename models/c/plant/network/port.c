@@ -223,20 +223,21 @@ static void columns_of(const double *inverse, size_t n, double *columns)
             columns[2 * n * c + r] = inverse[2 * n * (r < n ? 2 * r : 2 * (r - n) + 1) + (c < n ? 2 * c : 2 * (c - n) + 1)];
 }
 
-/* Columns `turned` = 0: W times the columns g + j b of n numbers, 1: W times j (g + j b). work: 4 n. */
+/* Columns `turned` = 0: W times the columns g + j b of n numbers, 1: W times j (g + j b). work: 4 n^2. */
 static void fold_columns(const Plan *plan, size_t lanes, const double *W, size_t count, const double *g, const double *b,
                          int turned, double *to, double *work)
 {
-    const size_t n = plan->n_port;
-    double *zero = work, *column = work + 2 * n;
+    const size_t n = plan->n_port, most = 2 * n;
 
-    for (size_t p = 0; p < 2 * n; ++p) zero[p] = 0.0;
-    for (size_t k = 0; k < count; ++k, g += n, b += n, to += 2 * n) {
-        for (size_t p = 0; p < n; ++p) {
-            column[p] = turned ? -b[p] : g[p];
-            column[n + p] = turned ? g[p] : b[p];
-        }
-        TILED(num_product, lanes, 2 * n, zero, W, 2 * n, 2 * n, column, to);
+    for (size_t first = 0; first < count; first += most, to += 2 * n * most) {
+        const size_t some = count - first < most ? count - first : most;
+        double *column = work;
+        for (size_t k = 0; k < some; ++k, g += n, b += n, column += 2 * n)
+            for (size_t p = 0; p < n; ++p) {
+                column[p] = turned ? -b[p] : g[p];
+                column[n + p] = turned ? g[p] : b[p];
+            }
+        TILED(num_products, lanes, 2 * n, W, 2 * n, 2 * n, some, work, to);
     }
 }
 
@@ -254,31 +255,37 @@ static int fold(double *memory, const Plan *plan, size_t lanes, const double *v,
     columns_of(space, n, plan->few > 0 ? last : columns);
     if (plan->few == 0) {
         const double *g = memory + plan->port_w_re, *b = memory + plan->port_w_im;
-        fold_columns(plan, lanes, columns, m, g, b, 0, last, work);
-        fold_columns(plan, lanes, columns, m, g, b, 1, last + 2 * n * m, work);
+        fold_columns(plan, lanes, columns, m, g, b, 0, last, space);
+        fold_columns(plan, lanes, columns, m, g, b, 1, last + 2 * n * m, space);
     } else {
         columns = last;
     }
-    fold_columns(plan, lanes, columns, n, memory + plan->port_own_re, memory + plan->port_own_im, 0, z, work);
-    fold_columns(plan, lanes, columns, n, memory + plan->port_own_re, memory + plan->port_own_im, 1, z + 2 * n * n, work);
+    fold_columns(plan, lanes, columns, n, memory + plan->port_own_re, memory + plan->port_own_im, 0, z, space);
+    fold_columns(plan, lanes, columns, n, memory + plan->port_own_re, memory + plan->port_own_im, 1, z + 2 * n * n, space);
     for (size_t k = W_FIRST; k <= W_THIRD; ++k) memory[plan->warm + k] = INFINITY;
     memory[plan->warm + W_RATIO] = memory[H_PORT_READY] = 1.0;
     return 1;
 }
 
-void port_fold_at_rest(double *memory, const Plan *plan, size_t lanes, double *work)
+void port_fold_at_rest(double *memory, const Plan *plan, size_t lanes, double wait, double *work)
 {
     const size_t m = plan->n_machine;
     double *sine = work, *cosine = sine + m, *more = cosine + m;
 
     for (size_t k = 0; k < m; ++k) real_sincos(memory[plan->delta_rest + k], &sine[k], &cosine[k]);
     (void)fold(memory, plan, lanes, memory + plan->port_rest, sine, cosine, more + 6 * plan->n_port, more);
+    memory[H_PORT_FOLDS] = 0.0;
+    memory[plan->warm + W_REST] = INFINITY;
+    memory[plan->warm + W_WAIT] = wait;
 }
 
 /* The same with those at v: an iteration from there. */
 static int fold_here(const Problem *s, const double *v, double *work)
 {
+    double *rest = s->memory + s->plan->warm + W_REST;
+
     s->memory[H_PORT_FOLDS] += 1.0;
+    if (!(*rest < INFINITY)) *rest = s->memory[s->plan->warm + W_TIME] + s->memory[s->plan->warm + W_WAIT];
     return fold(s->memory, s->plan, s->lanes, v, s->sine, s->cosine, s->inverse, work);
 }
 

@@ -22,8 +22,9 @@
  * read one table. They stay good since the network is solved in a frame that has turned with the machines since
  * then (flow.h): J turns with V, so only what ports have turned against each other counts. What is left,
  * r = V - b, is small and smooth: the iteration starts where its last three values point to. Where it does not
- * contract, port.c folds with the slopes where the voltages are, or takes damped Newton steps. Many ports on a
- * sparse network are sparse_port.h's. Tangents take one exact Newton step (tangent.c). */
+ * contract, port.c folds with the slopes where the voltages are, or takes damped Newton steps; after a while, an event
+ * like others, it is tried with those at rest again, since only runs that have these can go side by side on one memory.
+ * Many ports on a sparse network are sparse_port.h's. Tangents take one exact Newton step (tangent.c). */
 
 /* What the physics needs at the ports besides sources: air-gap or bus voltages,
  * and at a machine's port its isd, isq. n_port each, one after the other. */
@@ -56,6 +57,19 @@ static inline void port_inject(const real *memory, const Plan *plan, size_t firs
             w.isq[p] = num_pick(on, w.isq[p], NUM(0.0));
         }
     }
+}
+
+/* Whether the slopes at rest are to be folded again at time t, and the next time after t at which they are. One that
+ * has gone by within a step of whoever integrates is made good later. */
+static inline int port_rest_due(const double *memory, const Plan *plan, double t)
+{
+    return plan->folded > 0 && memory[plan->warm + W_REST] <= t;
+}
+
+static inline double port_rest_next(const double *memory, const Plan *plan, double t)
+{
+    if (plan->folded == 0) return INFINITY;
+    return port_rest_due(memory, plan, t) ? t + memory[plan->warm + W_WAIT] : memory[plan->warm + W_REST];
 }
 
 /* Ports of loads come before those of machines. */
@@ -227,8 +241,9 @@ static inline void port_voltages(const double *w_re, const double *w_im, size_t 
  * the EMFs' columns. w: arrays of PortWork, which lie one after the other. work: PORT_NEWTON n_port + 8 n_port^2. */
 size_t port_solve(double *memory, const Plan *plan, size_t lanes, PortCare care, const double *ed2, const double *sine,
                   const double *cosine, double *e_re, double *e_im, const double *linear, PortWork w, double *work);
-/* The network of a new stage folded with the slopes at rest. work: 2 n_machine + 6 n_port + 8 n_port^2. */
-void port_fold_at_rest(double *memory, const Plan *plan, size_t lanes, double *work);
+/* The network folded with the slopes at rest; others, where they are wanted, are kept for `wait` seconds.
+ * work: 2 n_machine + 6 n_port + 8 n_port^2. */
+void port_fold_at_rest(double *memory, const Plan *plan, size_t lanes, double wait, double *work);
 /* dJ/dV of port p, row by row, a machine's on its base. */
 void port_slope_at(const double *memory, const Plan *plan, size_t p, double v_re, double v_im, const double *sine,
                    const double *cosine, double d[4]);

@@ -82,7 +82,7 @@ enum {
     H_READY, H_OMEGA_B,
     H_TRIPPED,          /* machines that are tripped                    */
     H_PORT_READY,       /* 1: port_b and port_z, or the factors, are good for this stage */
-    H_PORT_FOLDS,       /* how often slopes other than those at rest were wanted (port.h) */
+    H_PORT_FOLDS,       /* how often slopes other than those at rest were wanted since those were last folded (port.h) */
     H_PATTERN,          /* sparse network: where its pattern begins in the record */
     H_PARTS, H_DEAD,    /* parts of the network with a machine; buses in parts without one */
     H_TIME,             /* of the coming evaluation, s                  */
@@ -93,9 +93,10 @@ enum {
 };
 
 /* What evaluations change where ports are folded (port.h): the time of the coming one, s; by how much the last
- * solution's steps brought it closer; times of the last three solutions, newest first, INFINITY: none; then port
- * voltages of the newest and what they hold beyond `b` of all three, 2 n_port each. */
-enum { W_TIME, W_RATIO, W_FIRST, W_SECOND, W_THIRD, W_V };
+ * solution's steps brought it closer; when the slopes at rest are tried again, INFINITY: they are in use, and how long
+ * others are kept, s; times of the last three solutions, newest first, INFINITY: none; then port voltages of the newest
+ * and what they hold beyond `b` of all three, 2 n_port each. */
+enum { W_TIME, W_RATIO, W_REST, W_WAIT, W_FIRST, W_SECOND, W_THIRD, W_V };
 
 /* FMI parameters of a slot: Reals start, end, size, size_q, r, x, rise and those of a relay; integers kind, target. */
 enum {

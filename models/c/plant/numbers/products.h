@@ -38,6 +38,30 @@ static inline void num_product(const double *from, const double *M, size_t rows,
     }
 }
 
+/* `count` products at once, of columns s and into columns `to` that lie one after the other: M is read once for eight
+ * of them. */
+static inline void num_products(const double *M, size_t rows, size_t columns, size_t count, const double *s, double *to)
+{
+    enum { WIDE = PLANT_LANES, TOGETHER = 8 };
+
+    for (size_t q = 0; q < count; q += TOGETHER, s += TOGETHER * columns, to += TOGETHER * rows) {
+        const size_t some = count - q < TOGETHER ? count - q : TOGETHER;
+        for (size_t left = 0; left < rows; left += WIDE) {
+            const size_t at = left + WIDE > rows ? rows - WIDE : left;
+            const double *m = M + at;
+            num sum[TOGETHER];
+            for (size_t p = 0; p < TOGETHER; ++p) sum[p] = NUM(0.0);
+            if (some == TOGETHER)
+                for (size_t k = 0; k < columns; ++k, m += rows)
+                    for (size_t p = 0; p < TOGETHER; ++p) sum[p] += num_at(m) * s[p * columns + k];
+            else
+                for (size_t k = 0; k < columns; ++k, m += rows)
+                    for (size_t p = 0; p < some; ++p) sum[p] += num_at(m) * s[p * columns + k];
+            for (size_t p = 0; p < some; ++p) put_at(to + p * rows + at, sum[p]);
+        }
+    }
+}
+
 static inline void num_product_complex(const double *g, const double *b, size_t rows, size_t columns,
                                        const double *s_re, const double *s_im, double *to_re, double *to_im)
 {
@@ -140,6 +164,17 @@ static inline void num_product(const num *from, const real *M, size_t rows, size
         const num s0 = s[k];
         for (size_t i = 0; i < rows; ++i) to[i] += M[i] * s0;
     }
+}
+
+/* `count` products at once, of columns s and into columns `to` that lie one after the other. */
+static inline void num_products(const real *M, size_t rows, size_t columns, size_t count, const num *s, num *to)
+{
+    for (size_t q = 0; q < count; ++q, s += columns, to += rows)
+        for (size_t i = 0; i < rows; ++i) {
+            num sum = NUM(0.0);
+            for (size_t k = 0; k < columns; ++k) sum += M[k * rows + i] * s[k];
+            to[i] = sum;
+        }
 }
 
 /* to = (g + j b) s. */

@@ -9,8 +9,9 @@ import fmpy
 import numpy as np
 import pytest
 from plant_lanes import PlantLanes
+from plant_shim import BlockShim
 
-from interarea.models.blocks.plant import event_parameters
+from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.blocks.plant_variables import EVENT_CODES
 from interarea.models.case.case import Case, load_case
 from interarea.models.case.events import events_of
@@ -129,6 +130,24 @@ def test_ports_side_by_side_have_the_bits_of_each_alone(
             beside = plants.run(rows, stop_s=0.6, lanes=lanes)
             assert beside.errors == alone.errors
             np.testing.assert_array_equal(beside.outputs, alone.outputs)
+
+
+def test_slopes_at_rest_are_tried_again_and_change_nothing_but_the_way_to_the_solution() -> None:
+    """A fault that lasts: 0.25 s after other slopes were wanted an event, and then none but the end."""
+    case = with_power()
+    fault = {"kind": "bus_fault", "bus": case.buses[8].number, "start_s": 0.05, "end_s": 5.0, "x_pu": 0.1}
+    plant = BlockShim(plant_block(case), event_parameters(case, events_of([fault], where="test")))
+    x = plant.x.copy()
+    plant.event(0.05, x)
+    before, y = plant.derivatives(x, t=0.05)
+    again = plant.next_event(0.05)
+    assert again == pytest.approx(0.3)
+    assert plant.next_event(0.5) > 0.5  # one that was stepped over is made good later
+    plant.event(again, x)
+    after, y_after = plant.derivatives(x, t=again)
+    assert plant.next_event(again) == 5.0
+    np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(y_after, y, rtol=1e-9, atol=1e-11)
 
 
 def test_a_run_that_fails_says_why_and_leaves_the_others_alone(plants: PlantLanes) -> None:
