@@ -49,6 +49,10 @@ POINTS: Mapping[str, Mapping[str, Change]] = {
         "7-8 out": {"out": ["7-8 b"]},
         "tie -300, 7-8 out": {"tie_flow_mw": -300.0, "out": ["7-8 a"]},
         "load -5 %, tie +50": {"load_scale": 0.95, "tie_flow_mw": 50.0},
+        "tie -100": {"tie_flow_mw": -100.0},
+        "load +4 %": {"load_scale": 1.04},
+        "load -7 %": {"load_scale": 0.93},
+        "tie +50, 8-9 out": {"tie_flow_mw": 50.0, "out": ["8-9 a"]},
     },
     "new-england": {  # every branch that may be missing: without the others a machine stands alone
         **out("1-2", "1-39", "2-3", "2-25", "3-4", "3-18", "4-5", "4-14", "5-8", "6-5", "6-7", "6-11", "7-8"),
