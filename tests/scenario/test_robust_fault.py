@@ -62,7 +62,7 @@ def test_two_actuators_keep_synchronism_whichever_signal_is_lost(cache: Path) ->
     assert table.fault is not None
     assert K.certificate is not None
     said = {(run["point"], *run["lost"]): run["passed"] for run in K.certificate["faults"]}
-    assert len(said) == 20
+    assert len(said) == len(table.point) * len(table.signals)
     cases = family_cases(table)
     for point in ("circuit out", "tie +100", "tie reversed"):
         for lost in table.signals:
