@@ -24,7 +24,7 @@ from interarea.design.controllers.bundled import shipped_controller, shipped_nam
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.linear.sparse_plant import SparsePlant
-from interarea.design.modes.modes import Mode
+from interarea.design.modes.modes import Mode, ModeError
 from interarea.design.robust.operating_points import JudgedPlant, inter_area_band, judge_family
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case
@@ -145,8 +145,8 @@ def small_signal(name: str, cache: Path) -> None:
     for point, case in unseen(name).items():
         try:
             plant, modes = judged(case, cache)
-        except PowerFlowError as error:
-            print(f"{name:14} {point:20} no operating point: {error}", flush=True)
+        except (PowerFlowError, ModeError) as error:
+            print(f"{name:14} {point:20} not judged: {error}", flush=True)
             continue
         found = judge_family(
             {point: plant},
