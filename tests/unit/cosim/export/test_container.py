@@ -122,7 +122,7 @@ def test_a_guard_that_follows_a_flow_starts_from_the_flow_at_rest(cache: Path, t
     rows = np.isin(np.round(master.time_s * 1e9), np.arange(0, 1_500_000_001, 2_500_000))
     for name, ours in found.items():
         wanted = np.asarray(master[f"controller.{name}"])[rows]
-        assert np.max(np.abs(ours - wanted)) <= 2e-4 * np.ptp(wanted)
+        assert np.max(np.abs(ours - wanted)) <= 1e-4 * np.ptp(wanted)
 
 
 def test_supervisor_inside_sees_the_flags_when_they_change(

@@ -91,7 +91,7 @@ def test_two_actuators_hold_with_any_one_signal_lost() -> None:
     losses = ["", *(f"+L:{name}" for name in signals)]
     conditions = [condition_of_many(late + lost, signals) for late in ("N", "s100") for lost in losses]
     found = judge_family(
-        plants, K, conditions, worst_swing=0.255, inter_area=0.255, effort_cap=0.16, fastest_pole=300.0
+        plants, K, conditions, worst_swing=0.26, inter_area=0.26, effort_cap=0.16, fastest_pole=300.0
     )
     assert found.violations == ()
     assert len(found.rows) == 50
