@@ -10,6 +10,10 @@ BlockStatus solver_advance(Instance *c, double stop, double length, BlockMessage
 void solver_inputs(const Instance *c, double elapsed, double *u);
 /* The Runge-Kutta step of a stretch that is next, of states x. */
 BlockStatus solver_step(Instance *c, const Stretch *s, double *x, BlockMessage *message);
+/* The same where somebody has taken its stages, with the slopes of the first in c->work and its notes in the block, and
+ * found that limiters switch; and whether the run still looks for such instants. */
+BlockStatus solver_switched(Instance *c, const Stretch *s, double *x, BlockMessage *message);
+int solver_affords(const Instance *c, const Stretch *s);
 enum { SOLVER_MAX_SUBSTEPS = 1000000 };
 /* Arrays of n_x in Instance.work: those of a step, and states for one that is not the instance's own. */
 enum { SOLVER_ARRAYS = 10 };

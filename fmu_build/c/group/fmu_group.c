@@ -27,7 +27,7 @@ typedef struct {
 } Lane;
 
 typedef struct {
-    size_t lanes, n_memory;
+    size_t lanes, n_memory, n_notes;
     BlockLayout layout;
     char guid[GUID_ROOM];
     BlockGroup group;
@@ -95,6 +95,7 @@ void interarea_group_open(void *work, fmi2Component like, size_t lanes)
     memset(g, 0, sizeof *g);
     g->lanes = lanes;
     g->n_memory = needs.n_memory;
+    g->n_notes = needs.n_notes;
     g->layout = c->block.layout;
     memcpy(g->guid, guid, size < GUID_ROOM ? size : GUID_ROOM);
     g->group.layout = l;
@@ -242,18 +243,37 @@ static void begin_lane(Group *g, Lane *lane, size_t k)
     next_stretch(g, lane, k);
 }
 
-/* A limiter switches in the step that the lane is at: alone, as it would go alone. What there is to remark
- * on the FMU's own code tells. */
+static int finite_lane(const double *x, size_t n, size_t lanes, size_t k)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < n; ++i) sum += fabs(x[i * lanes + k]);
+    return sum <= 1e300;
+}
+
+/* A limiter switches in the step that the lane is at: alone, as it would go alone. The stages that it would take first
+ * are there, unless the lane could not solve one of them: that is in all later ones. What there is to remark on the
+ * FMU's own code tells. */
 static void step_alone(Group *g, Lane *lane, size_t k)
 {
+    enum { LAST_STAGE = 3 };
     Instance *c = lane->c;
     BlockMessage message = {{0}};
-    double *x = c->work + (SOLVER_ARRAYS - 1) * g->layout.n_x;
+    const size_t n = g->layout.n_x;
+    double *x = c->work + (SOLVER_ARRAYS - 1) * n;
+    const int known = finite_lane(g->group.k + LAST_STAGE * n * g->lanes, n, g->lanes, k) && solver_affords(c, &lane->way);
+    BlockStatus status;
 
-    get(g->group.x, x, g->layout.n_x, g->lanes, k);
-    warm_out(g, lane, g->warm_before, k);
-    lane->failed = solver_step(c, &lane->way, x, &message) != BLOCK_OK || message.text[0] != 0;
-    put(g->group.x, x, g->layout.n_x, g->lanes, k);
+    get(g->group.x, x, n, g->lanes, k);
+    warm_out(g, lane, known ? g->group.warm : g->warm_before, k);
+    if (known) {
+        get(g->group.k, c->work, n, g->lanes, k);
+        get(g->group.notes, c->block.notes, g->n_notes, g->lanes, k);
+        status = solver_switched(c, &lane->way, x, &message);
+    } else {
+        status = solver_step(c, &lane->way, x, &message);
+    }
+    lane->failed = status != BLOCK_OK || message.text[0] != 0;
+    put(g->group.x, x, n, g->lanes, k);
     load_memory(g, c, k);
     warm_in(g, lane, k);
     if (lane->failed) lane->way.count = lane->way.done = 0;
@@ -288,13 +308,6 @@ static void advance(Group *g, size_t n)
             if (way->event < INFINITY) next_stretch(g, &g->lane[k], k);
         }
     }
-}
-
-static int finite_lane(const double *x, size_t n, size_t lanes, size_t k)
-{
-    double sum = 0.0;
-    for (size_t i = 0; i < n; ++i) sum += fabs(x[i * lanes + k]);
-    return sum <= 1e300;
 }
 
 /* Writes the end of the step into the instance. */

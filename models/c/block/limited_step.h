@@ -283,23 +283,33 @@ static inline void limited_pay(const LimitedRun *run, const LimitedStep *s)
                        s->begin, LIMITED_FIRST);
 }
 
-/* One step of n states over h from time t. work: LIMITED_STEP_ARRAYS n numbers. Where the flow does not return
+/* A step of n states over h from time t. work: LIMITED_STEP_ARRAYS n numbers. Where the flow does not return
  * BLOCK_OK, or the step is beyond stability, x is left as it was and the message says why. */
+static inline LimitedStep limited_of(LimitedFlow *flow, void *context, size_t n, double t, double *work,
+                                     BlockMessage *message)
+{
+    return (LimitedStep){.flow = flow, .context = context, .n = n, .work = work, .x = work + 5 * n, .end = work + 6 * n,
+                         .slope = work + 7 * n, .at = work + 8 * n, .bend = work + 9 * n,
+                         .limits = {.mode = LIMITS_NOTE}, .begin = t, .message = message};
+}
+
+/* The step where somebody has found that limiters switch in it, and that the run affords it: the first n numbers of
+ * `work` hold the slopes at its begin, the block's notes what limiters are at there. */
+static inline BlockStatus limited_switched(LimitedStep *s, double h, double *x, const LimitedRun *run)
+{
+    const BlockStatus status = limited_again(s, h, x);
+    if (status == BLOCK_OK) limited_pay(run, s);
+    return status;
+}
+
 static inline BlockStatus limited_step(LimitedFlow *flow, void *context, size_t n, double t, double h, double *x,
                                        double *work, const LimitedRun *run, BlockMessage *message)
 {
-    LimitedStep s = {.flow = flow, .context = context, .n = n, .work = work, .x = work + 5 * n, .end = work + 6 * n,
-                     .slope = work + 7 * n, .at = work + 8 * n, .bend = work + 9 * n,
-                     .limits = {.mode = LIMITS_NOTE}, .begin = t,
-                     .message = message};
-    BlockStatus status = runge_kutta_stages(limited_stage, &s, n, h, x, work);
+    LimitedStep s = limited_of(flow, context, n, t, work, message);
+    const BlockStatus status = runge_kutta_stages(limited_stage, &s, n, h, x, work);
 
     if (status != BLOCK_OK) return status;
-    if (s.limits.switched && limited_affords(run, t, h)) {
-        status = limited_again(&s, h, x);
-        if (status == BLOCK_OK) limited_pay(run, &s);
-        return status;
-    }
+    if (s.limits.switched && limited_affords(run, t, h)) return limited_switched(&s, h, x, run);
     runge_kutta_move(n, h, x, work);
     return BLOCK_OK;
 }
