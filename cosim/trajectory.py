@@ -58,12 +58,11 @@ class Trajectory:
         """Return the trajectory of recorded outputs; integers and Booleans get their own types."""
         table = np.empty((1 + len(columns), len(times_s)))
         table[0], table[1:] = times_s, records.T
-        typed = (_typed(row, port) for row, port in zip(table[1:], ports, strict=True))
-        units = {TIME: "s"}
-        for name, port in zip(columns, ports, strict=True):
-            units[name] = port.unit.name if port.unit is not None else "1"
+        data = dict(zip(columns, table[1:], strict=True))
+        data |= {n: _typed(data[n], p) for n, p in zip(columns, ports, strict=True) if p.type != "Real"}
+        units = {n: "1" if p.unit is None else p.unit.name for n, p in zip(columns, ports, strict=True)}
         texts = {n: p.description for n, p in zip(columns, ports, strict=True)}
-        return cls({TIME: table[0], **dict(zip(columns, typed, strict=True))}, units, texts, engine)
+        return cls({TIME: table[0]} | data, {TIME: "s"} | units, texts, engine)
 
     @cached_property
     def data(self) -> pd.DataFrame:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import time
 from collections.abc import Mapping, Sequence
 from ctypes import c_double, c_int, c_size_t, c_void_p
 from dataclasses import dataclass, field
@@ -68,6 +69,7 @@ class Runs:
     names: tuple[str, ...]
     errors: list[str]  #: why a run ended early, "" when it did not
     ended_s: list[float]
+    cpu_s: float  #: of the steps alone: not of beginning the runs
 
     def of(self, name: str) -> Array:
         """Return one output, (steps + 1, runs)."""
@@ -112,6 +114,7 @@ class PlantLanes:
         runs = [self._started(row) for row in rows]
         y = np.full((steps + 1, len(self.outputs), len(rows)), np.nan)
         ended = [0.0] * len(rows)
+        cpu_s = 0.0
         self._record(runs, y[0])
         width = self.group.lanes if lanes is None else lanes
         works: dict[tuple[int, ...], GroupWork | None] = {}  # each knows the instances that it had last
@@ -125,14 +128,16 @@ class PlantLanes:
                 who = tuple(id(r) for r in some)
                 if who not in works and width > 1:
                     works[who] = self.group.work(some[0].fmu.component, len(some))
+                begin = time.process_time()
                 self._step(some, works.get(who), k * step_s, step_s)
+                cpu_s += time.process_time() - begin
             if record:
                 self._record(runs, y[k + 1])
             ended = [(k + 1) * step_s if not r.error else e for r, e in zip(runs, ended, strict=True)]
         for r in runs:
             r.fmu.free()
         names = tuple(v.name for v in self.outputs)
-        return Runs(step_s * np.arange(steps + 1), y, names, [r.error for r in runs], ended)
+        return Runs(step_s * np.arange(steps + 1), y, names, [r.error for r in runs], ended, cpu_s)
 
     def _started(self, row: Mapping[str, float | int]) -> _Run:
         log: list[str] = []

@@ -54,7 +54,7 @@ def excursion_of(
     seen = buses if f"plant.{buses[0]}" in trajectory else [f"{name}_vt" for name in machines]
     # an event's instant is recorded twice, before and after: only what follows counts
     after = trajectory.time_s > from_s
-    volts = np.array([trajectory[f"plant.{name}"][after] for name in seen])
+    volts = np.array([trajectory[f"plant.{name}"] for name in seen])[:, after]
     lowest = volts.min(axis=1) if volts.shape[1] else np.full(len(seen), np.nan)
     place = int(np.argmin(lowest))
     return Excursion(
@@ -70,6 +70,8 @@ def excursion_of(
 
 def _parts(case: Case, machines: list[str]) -> list[list[int]]:
     """Places of the machines in each part of the network: between parts angles mean nothing."""
+    if sum(m.slack for m in case.machines) == 1:  # each part has one
+        return [list(range(len(machines)))]
     at = {m.name: m.bus for m in case.machines}
     found = [[k for k, name in enumerate(machines) if at[name] in part] for part in islands_of(case)]
     return [places for places in found if places]

@@ -192,9 +192,12 @@ def system_of(
 def _start_plant(system: System, scenario: Scenario) -> None:
     """Give the plant's parameters the start values of the scenario."""
     plant = system.parts[PLANT]
-    names = [v.name for v in plant.file.variables.values() if v.causality == "parameter"]
+    variables = plant.file.variables
     wrong = Collected()
     for name in scenario.plant:
+        if name in variables and variables[name].causality == "parameter":
+            continue
+        names = [v.name for v in variables.values() if v.causality == "parameter"]
         with wrong:
             _known(name, names, f"{scenario.name}: plant.{name} is no parameter of the plant")
     wrong.end(ScenarioError)

@@ -28,6 +28,7 @@ from ..results.ringdown import control_limit_pu, disturbance_end_s
 from ..run.artefacts import EVENT_SLOTS, plant_fmu
 from ..run.instance import Fmus
 from ..run.system import System
+from ..trajectory import Trajectory
 from .plan import SweepPlan, own_fmu
 from .point import CaseChange, Point
 from .rows import Row, excursion_row, measured, packet_counts
@@ -140,21 +141,22 @@ class Kept:
         """Return the metrics of the run that has come to its end, by column."""
         judge = self.system.gathered(self.master, wanted=wanted).judge
         assert judge is not None  # a sweep's scenario has a case
-        judge.add(self.master.trajectory)
+        trajectory = self.master.trajectory
+        judge.add(trajectory)
         roots = self.system.linear_swings() if {"least", "damping", "frequency"} & set(wanted) else ""
         metrics = judge.metrics(control_limit_pu(self.master), roots)
         packets = [packet_counts(self.master.participants[name]) for name in self.system.channels]
         row = measured(metrics, wanted, modes, packets)
         if SYNCHRONISM in wanted:
-            row |= excursion_row(self.excursion())
+            row |= excursion_row(self.excursion(trajectory))
         return row
 
-    def excursion(self) -> Excursion:
-        """Return the extremes of the run that has come to its end."""
+    def excursion(self, trajectory: Trajectory) -> Excursion:
+        """Return the extremes of the run that has come to its end, of its `trajectory`."""
         scenario = self.system.scenario
         assert scenario is not None
         tripped = tuple(e.machine for e in scenario.event if e.kind in ("machine_trip", "frequency_trip"))
-        return excursion_of(self.master.trajectory, self.system.case, disturbance_end_s(scenario), tripped)
+        return excursion_of(trajectory, self.system.case, disturbance_end_s(scenario), tripped)
 
     def start(self, job: Job, instances: Instances, left: Sequence[Beginning]) -> bool:
         """Start a job; return whether it starts from the last of what other jobs `left`."""

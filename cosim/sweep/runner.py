@@ -118,7 +118,8 @@ class Runner:
         if SYNCHRONISM not in self.plan.sweep.metrics:
             return bool(self.simulate(values, seed=seed)[0].measure(("stable",), ())["stable"])
         try:
-            return self.simulate(values, seed=seed)[0].excursion().synchronous
+            kept, trajectory = self.simulate(values, seed=seed)
+            return kept.excursion(trajectory).synchronous
         except StepError:  # voltages have collapsed
             self._free_instances()
             return False

@@ -264,7 +264,7 @@ static void step_alone(Group *g, Lane *lane, size_t k)
     BlockStatus status;
 
     get(g->group.x, x, n, g->lanes, k);
-    warm_out(g, lane, known ? g->group.warm : g->warm_before, k);
+    if (g->group.n_warm > 0) warm_out(g, lane, known ? g->group.warm : g->warm_before, k);
     if (known) {
         get(g->group.k, c->work, n, g->lanes, k);
         get(g->group.notes, c->block.notes, g->n_notes, g->lanes, k);
