@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 ComplexMatrix = NDArray[np.complex128]
-_AS_WELL = 0.8  #: a fit this near to the best one is as good
+_AS_WELL = 0.75  #: a fit this near to the best one is as good
 
 
 def pattern_energies(shape: ComplexMatrix, area_of: list[int]) -> dict[str, float]:

@@ -166,7 +166,7 @@ def certify(
         file_for(out)
     table = load_design(spec or "robust")
     if case is not None:
-        table = table.model_copy(update={"case": case})
+        table = table.on(case)
     made = _named(controller, load_case(table.case))
     if isinstance(made, ControllerBank):
         _certify_bank(made, load_case(table.case), json_, out)
@@ -199,7 +199,7 @@ def _own_family(made: Controller, name: str, case: str | None) -> DesignTable | 
     if own is None:
         typer.echo(f"{name} names no family of its own: judged by that of `robust`", err=True)
         return None
-    return own if case is None else own.model_copy(update={"case": case})
+    return own if case is None else own.on(case)
 
 
 def _certify_bank(bank: ControllerBank, case: Case, json_: bool, out: Path | None) -> None:

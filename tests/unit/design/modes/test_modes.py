@@ -173,7 +173,7 @@ def test_a_name_that_fits_another_mode_as_well_is_told() -> None:
     """At twice its gain a controller and the machines swing as one: what was not followed is in doubt."""
     open_loop = plant()
     differing = 0
-    for name, lost in itertools.product(("robust_linear", "robust_latency"), ((), ("G2_dw",))):
+    for name, lost in itertools.product(("robust", "robust_linear", "robust_latency"), ((), ("G2_dw",))):
         closed, K = closed_loop(open_loop, name, 2.0, lost)
         followed = swing_poles(open_loop, K, modes_of(open_loop, AREAS), lost=lost)
         found = modes_of(closed, AREAS)
