@@ -10,7 +10,7 @@ of `REPEAT` runs; errors are the largest difference of any speed from steps of `
 speed, and that of the voltages of about `BUSES` buses over the whole grid, over the largest. Every grid runs
 in a process of its own, whose largest memory is shown. GridKit's seconds are those that its authors
 published, of their machine: the ratio says what order they are of, no more. Side by side go as many runs as
-the processor has lanes, at the longest step whose error of speeds is below `ERROR`.
+the processor has lanes, at the longest step whose errors are below `ERROR`.
 Source: repository ORNL/GridKit, examples/PhasorDynamics/HICSS-60/benchmark.
 
 `--power` tells what loads cost that are constant power by that share: CPU time of half the run above over
@@ -66,11 +66,12 @@ GRIDS = {
     ),
 }
 STOP_S = 10.0
-COMMUNICATION_S = 1.0 / 24.0
+COMMUNICATION_S = 1.0 / 24.0  #: between the points that are compared
+TIMED_S = 0.25  #: communication step of runs that are timed: GridKit's time is without output
 REFERENCE_S = 0.0005
 STEPS_S = (0.001, 1.0 / 240.0, 1.0 / 168.0, 1.0 / 144.0)
 REPEAT = 3
-ERROR = 1e-5  #: of speeds, at the step with which runs go side by side
+ERROR = 1e-5  #: most of speeds and voltages at the step with which runs go side by side
 BUSES = 50  #: whose voltages are looked at
 ROUNDS = 200  #: of right-hand sides that are timed
 
@@ -137,7 +138,7 @@ def side_by_side(case: Case, bus: int, step_s: float) -> float:
         fault = {"kind": "bus_fault", "bus": bus, "start_s": 1.0 + 0.004 * k, "x_pu": 0.01}
         events = events_of([fault | {"end_s": fault["start_s"] + 0.15}], where="bench_large")
         rows.append(event_parameters(case, events) | {"solver.step": step_s})
-    runs = [plants.run(rows, stop_s=STOP_S, step_s=COMMUNICATION_S, record=False) for _ in range(REPEAT)]
+    runs = [plants.run(rows, stop_s=STOP_S, step_s=TIMED_S, record=False) for _ in range(REPEAT)]
     return min(run.cpu_s for run in runs) / len(rows)
 
 
@@ -166,7 +167,7 @@ def measured(name: str, folder: Path) -> dict[str, Any]:
         cpu = []
         for _ in range(REPEAT):
             slave.restart(step_s)
-            cpu.append(slave.cpu_s(STOP_S, COMMUNICATION_S, speeds))
+            cpu.append(slave.cpu_s(STOP_S, TIMED_S, speeds))
         looked_at.restart(step_s)
         off = np.abs(looked_at.record(times, [*speeds, *voltages]) - reference)
         of_speed, of_voltage = (
@@ -183,7 +184,8 @@ def measured(name: str, folder: Path) -> dict[str, Any]:
         found["runs"].append(run)
     slave.close()
     looked_at.close()
-    chosen = max((run for run in found["runs"] if run["error"] <= ERROR), key=lambda run: run["step_s"])
+    exact = [run for run in found["runs"] if max(run["error"], run["voltage_error"]) <= ERROR]
+    chosen = max(exact, key=lambda run: run["step_s"])
     each_s = side_by_side(case, bus, chosen["step_s"])
     found["lanes"] = {"step_s": chosen["step_s"], "cpu_s": each_s, "gridkit_ratio": each_s / published}
     fault = event_parameters(case, events)
