@@ -31,6 +31,8 @@ import multiprocessing
 import resource
 import sys
 import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -233,6 +235,12 @@ def measured_ruled(path: Path, stop_s: float, step_s: float, fine_s: float) -> d
     return found
 
 
+def apart(measure: Callable[..., dict[str, Any]], *options: Any) -> dict[str, Any]:
+    """Call `measure` in a process of its own, which ends by itself: what it left on the disk goes with it."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(measure, *options).result()
+
+
 def main() -> None:
     """Print a line for each run of each grid."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -246,20 +254,17 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     rows = []
-    start = multiprocessing.get_context("spawn")
     if (options.folder is None) == (options.ruled is None):
         parser.error("give FOLDER, or --ruled with files of MATPOWER")
     for path in options.ruled or ():
-        with start.Pool(1) as pool:
-            rows.append(pool.apply(measured_ruled, (path, options.stop, options.step, options.fine)))
+        rows.append(apart(measured_ruled, path, options.stop, options.step, options.fine))
         print(rows[-1], flush=True)
     for name in options.grid if options.power else ():
         for share in options.power:
             ratio = power_price(name, options.folder, share)
             print(f"{name}: {100 * share:g} % constant power / impedances: {ratio:.2f}", flush=True)
     for name in () if options.folder is None or options.power else options.grid:
-        with start.Pool(1) as pool:
-            row = pool.apply(measured, (name, options.folder))
+        row = apart(measured, name, options.folder)
         rows.append(row)
         print(
             f"{name}: {row['buses']} buses, {row['machines']} machines; import {row['import_s']:.1f} s, FMU "

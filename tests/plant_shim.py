@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import ctypes
 import hashlib
 import os
@@ -12,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 from functools import cache
+from multiprocessing.util import Finalize
 from pathlib import Path
 
 import numpy as np
@@ -87,7 +87,8 @@ def compiler() -> list[str]:
 @cache
 def _folder() -> Path:
     folder = tempfile.mkdtemp(prefix="plant-shim-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    # at the end of a child process too, where `atexit` is not heard
+    Finalize(None, shutil.rmtree, (folder,), {"ignore_errors": True}, exitpriority=0)
     return Path(folder)
 
 
