@@ -82,7 +82,11 @@ class Runner:
         callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(fmpy.free)
         self.callbacks = callbacks
         self.live = False
-        self.fmu.instantiate(callbacks=callbacks)
+        try:
+            self.fmu.instantiate(callbacks=callbacks)
+        except Exception:  # one that refuses leaves no folder behind
+            self.__exit__()
+            raise
         self.live = True
 
     def __enter__(self) -> Runner:
