@@ -4,8 +4,8 @@
 
 Every scenario has a fault of its own. The widths alternate within one process and the least CPU time of
 the steps counts, not that of beginning the runs, so that other load of the machine cancels. All widths give
-the same bits. A plant with
-many ports (loads that are no impedances) on a sparse network goes one at a time, whatever is asked.
+the same bits. A plant with many ports (loads that are no impedances) on a sparse network goes one at a time,
+whatever is asked.
 """
 
 from __future__ import annotations

@@ -99,6 +99,12 @@ def right_hand_side(case: Case, form: Any, fault: dict[str, float | int]) -> tup
     return each, time.process_time() - begin
 
 
+def fault_at(bus: int, start_s: float = 1.0) -> list[Any]:
+    """Return the events of GridKit's fault."""
+    fault = {"kind": "bus_fault", "bus": bus, "start_s": start_s, "end_s": start_s + 0.15, "x_pu": 0.01}
+    return list(events_of([fault], where="bench_large"))
+
+
 def as_impedances(case: Case) -> Case:
     """Loads and units without dynamic data as impedances: as constant power ACTIVSg2000's west slips."""
     change = {"P_zip": None, "Q_zip": None, "P_exponent": 2.0, "Q_exponent": 2.0}
@@ -117,8 +123,7 @@ def power_price(name: str, folder: Path, share: float, step_s: float = 1.0 / 240
     raw, dyr, bus, _ = GRIDS[name]
     case = import_grid(folder / raw, dyr=folder / dyr, converters="current", release_limits=True).case
     case = as_impedances(case)
-    table = [{"kind": "bus_fault", "bus": bus, "start_s": 1.0, "end_s": 1.15, "x_pu": 0.01}]
-    events = events_of(table, where=name)
+    events = fault_at(bus)
     speeds = [f"{m.name}_dw" for m in case.machines]
     slaves = [PlantSlave(c, events, step_s) for c in (case, of_power(case, share))]
     cpu = []
@@ -135,11 +140,8 @@ def power_price(name: str, folder: Path, share: float, step_s: float = 1.0 / 240
 def side_by_side(case: Case, bus: int, step_s: float) -> float:
     """Return the CPU seconds of one of as many runs as go side by side; their faults are 4 ms apart."""
     plants = PlantLanes(case, default_cache())
-    rows = []
-    for k in range(plants.group.lanes):
-        fault = {"kind": "bus_fault", "bus": bus, "start_s": 1.0 + 0.004 * k, "x_pu": 0.01}
-        events = events_of([fault | {"end_s": fault["start_s"] + 0.15}], where="bench_large")
-        rows.append(event_parameters(case, events) | {"solver.step": step_s})
+    faults = [fault_at(bus, 1.0 + 0.004 * k) for k in range(plants.group.lanes)]
+    rows = [event_parameters(case, events) | {"solver.step": step_s} for events in faults]
     runs = [plants.run(rows, stop_s=STOP_S, step_s=TIMED_S, record=False) for _ in range(REPEAT)]
     return min(run.cpu_s for run in runs) / len(rows)
 
@@ -152,9 +154,7 @@ def measured(name: str, folder: Path) -> dict[str, Any]:
     case = as_impedances(case)
     found: dict[str, Any] = {"grid": name, "buses": len(case.buses), "machines": len(case.machines)}
     found["import_s"] = time.process_time() - begin
-    events = events_of(
-        [{"kind": "bus_fault", "bus": bus, "start_s": 1.0, "end_s": 1.15, "x_pu": 0.01}], where=name
-    )
+    events = fault_at(bus)
     begin = time.process_time()
     slave = PlantSlave(case, events)
     found["fmu_s"] = time.process_time() - begin

@@ -33,6 +33,12 @@ static BlockStatus flow(void *context, double into, BlockLimits *limits, const d
     return status;
 }
 
+/* What the run may still spend on finding switches. */
+static LimitedRun run_of(const Instance *c)
+{
+    return (LimitedRun){c->run->start_time, &c->run->switches_cost};
+}
+
 static Flow flow_of(Instance *c, const Stretch *s, BlockMessage *message)
 {
     return (Flow){c, s->begin, stretch_elapsed(s), c->work + SOLVER_ARRAYS * c->block.layout.n_x, message};
@@ -41,21 +47,21 @@ static Flow flow_of(Instance *c, const Stretch *s, BlockMessage *message)
 BlockStatus solver_step(Instance *c, const Stretch *s, double *x, BlockMessage *message)
 {
     Flow f = flow_of(c, s, message);
-    const LimitedRun run = {c->run->start_time, &c->run->switches_cost};
+    const LimitedRun run = run_of(c);
 
     return limited_step(flow, &f, c->block.layout.n_x, f.begin + f.elapsed, stretch_h(s), x, c->work, &run, message);
 }
 
 int solver_affords(const Instance *c, const Stretch *s)
 {
-    const LimitedRun run = {c->run->start_time, &c->run->switches_cost};
+    const LimitedRun run = run_of(c);
     return limited_affords(&run, s->begin + stretch_elapsed(s), stretch_h(s));
 }
 
 BlockStatus solver_switched(Instance *c, const Stretch *s, double *x, BlockMessage *message)
 {
     Flow f = flow_of(c, s, message);
-    const LimitedRun run = {c->run->start_time, &c->run->switches_cost};
+    const LimitedRun run = run_of(c);
     LimitedStep step = limited_of(flow, &f, c->block.layout.n_x, f.begin + f.elapsed, c->work, message);
 
     return limited_switched(&step, stretch_h(s), x, &run);

@@ -158,7 +158,6 @@ def certify(
     from interarea.cosim.designs.design_file import judged_by, load_design, steps_of
     from interarea.design.controllers.bank import ControllerBank
     from interarea.fmu_build.write.cache import default_cache
-    from interarea.models.case.case import load_case
 
     from .destination import file_for
 
@@ -167,9 +166,10 @@ def certify(
     table = load_design(spec or "robust")
     if case is not None:
         table = table.on(case)
-    made = _named(controller, load_case(table.case))
+    grid = table.grid
+    made = _named(controller, grid)
     if isinstance(made, ControllerBank):
-        _certify_bank(made, load_case(table.case), json_, out)
+        _certify_bank(made, grid, json_, out)
         return
     if spec is None:
         table = _own_family(made, controller, case) or table
@@ -185,7 +185,7 @@ def certify(
         if not acceptance:
             from interarea.cosim.designs.acceptance import first_failures, kept_certificate
 
-            known = kept_certificate(controller, load_case(table.case).hash) or made.certificate
+            known = kept_certificate(controller, table.grid.hash) or made.certificate
             typer.echo(f"on record: {first_failures(known)}")
     if not found.passed:
         raise typer.Exit(1)

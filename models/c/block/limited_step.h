@@ -283,8 +283,7 @@ static inline void limited_pay(const LimitedRun *run, const LimitedStep *s)
                        s->begin, LIMITED_FIRST);
 }
 
-/* A step of n states over h from time t. work: LIMITED_STEP_ARRAYS n numbers. Where the flow does not return
- * BLOCK_OK, or the step is beyond stability, x is left as it was and the message says why. */
+/* A step of n states from time t, not taken yet. work: LIMITED_STEP_ARRAYS n numbers. */
 static inline LimitedStep limited_of(LimitedFlow *flow, void *context, size_t n, double t, double *work,
                                      BlockMessage *message)
 {
@@ -302,6 +301,8 @@ static inline BlockStatus limited_switched(LimitedStep *s, double h, double *x, 
     return status;
 }
 
+/* One step over h of states x. Where the flow does not return BLOCK_OK, or the step is beyond stability, x is left as it
+ * was and the message says why. */
 static inline BlockStatus limited_step(LimitedFlow *flow, void *context, size_t n, double t, double h, double *x,
                                        double *work, const LimitedRun *run, BlockMessage *message)
 {
