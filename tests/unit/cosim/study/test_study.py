@@ -11,7 +11,7 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
-from readme_numbers import missing, study_sentences
+from page_numbers import missing, study_sentences
 from recomputed import recomputed
 from scipy.linalg import expm
 

@@ -1,4 +1,4 @@
-"""README's numbers as the commands that it names give them, in the digits that it shows."""
+"""The numbers of the pages as the commands that they name give them, in the digits that the pages show."""
 
 from __future__ import annotations
 
@@ -7,18 +7,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-README = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
-TEXT = " ".join(README.split())
+ROOT = Path(__file__).resolve().parents[1]
+NAMES = ("README.md", "docs/controllers.md", "docs/benchmarks.md", "docs/study_page.md")
+PAGES = {name: (ROOT / name).read_text(encoding="utf-8") for name in NAMES}
+TEXT = " ".join(" ".join(PAGES.values()).split())
 
 
-def row(start: str) -> list[str]:
-    """Return the cells of the one table row whose first cell begins with `start`."""
-    (line,) = [x for x in README.splitlines() if x.startswith(f"| {start}")]
+def row(page: str, start: str) -> list[str]:
+    """Return the cells of the one table row of a page whose first cell begins with `start`."""
+    (line,) = [x for x in PAGES[page].splitlines() if x.startswith(f"| {start}")]
     return [cell.strip() for cell in line.strip().strip("|").split(" | ")]
 
 
 def study_sentences(study: Mapping[str, Any]) -> list[str]:
-    """Return what README says of `interarea study`, written with the numbers of study.json."""
+    """Return what the pages say of `interarea study`, written with the numbers of study.json."""
     inter = study["modes"]["inter-area"]
     lead = {r["coordinates"]: r["lead"] for r in study["loops"]["coordinate_table"]}
     zeta = {
@@ -47,10 +49,10 @@ def study_sentences(study: Mapping[str, Any]) -> list[str]:
     critical = {(r["controller"], r["on_loss"]): r["critical_loss"] for r in study["packets"]["mean_square"]}
     assert all(critical[name, "zero"] == 1.0 for name in ("wdc", "cc", "ftc"))
     return [
-        f"{inter['frequency_hz']:.4f} Hz, {inter['damping_ratio']:.4f} | `study.json`",
+        f"{inter['frequency_hz']:.4f} Hz, {inter['damping_ratio']:.4f} | `modes`",
         f"ahead of dw14 by {100 * lead['pole vectors (free of coordinates)']:.1f} %",
         f"{zeta['wdc'][0]:.3f} (sector 0.28), and {shared:.3f} of a root",
-        f"weighted norm from {price['norm'][0]:.3f} to {price['norm'][1]:.3f}, its effort from "
+        f"raises the weighted norm from {price['norm'][0]:.3f} to {price['norm'][1]:.3f}, the effort from "
         f"{price['effort'][0]:.3f} to {price['effort'][1]:.3f}",
         f"{zeta['cc'][0]:.3f} / {zeta['cc'][1]:.3f}, linear loop stable | `controllers.cc`",
         f"{zeta['ftc'][0]:.3f} / {zeta['ftc'][1]:.3f}, linear loop stable | `controllers.ftc`",
@@ -59,20 +61,20 @@ def study_sentences(study: Mapping[str, Any]) -> list[str]:
         f"{late['least_damping_undelayed']:.3f} without delay and {late['least_damping_remote_lost']:.3f}",
         f"damped up to 0.5 s ({half:.2f})",
         f"({alone:.0f}° between machines at most, {ceiled:.0f}° with exciter ceilings of ±5 pu)",
-        f"kept up to {ftc['critical_cycles']:.1f} cycles instead of "
+        f"stable up to {ftc['critical_cycles']:.1f} cycles instead of "
         f"{fault['none', 'none', 'nothing lost']['critical_cycles']:.1f}",
-        f"kept up to {wdc['critical_cycles']:.1f} cycles, and not even for 1",
-        f"holding the last value instead does from {100 * critical['cc', 'hold']:.0f} % (CC) and "
+        f"stable up to {wdc['critical_cycles']:.1f} cycles, and not even for 1",
+        f"Holding the last value destabilises them from {100 * critical['cc', 'hold']:.0f} % (CC) and "
         f"{100 * critical['ftc', 'hold']:.0f} % (FTC)",
     ]
 
 
 def missing(sentences: list[str]) -> list[str]:
-    """Return those of the sentences that README does not have."""
+    """Return those of the sentences that no page has."""
     return [sentence for sentence in sentences if " ".join(sentence.split()) not in TEXT]
 
 
-def sections() -> dict[str, str]:
-    """Return title -> text of README's sections."""
-    parts = re.split(r"^## (.+)\n", README, flags=re.MULTILINE)
+def sections(page: str) -> dict[str, str]:
+    """Return title -> text of a page's sections."""
+    parts = re.split(r"^## (.+)\n", PAGES[page], flags=re.MULTILINE)
     return dict(zip(parts[1::2], parts[2::2], strict=True))
