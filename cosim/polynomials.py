@@ -45,6 +45,15 @@ def line(v0: float, v1: float, h: float) -> Polynomial:
     return (v0, (v1 - v0) / h, 0.0, 0.0)
 
 
+def after_jump(v1: float, s1: float, h: float) -> Polynomial:
+    """Return the line of slope s1 that ends at v1: a step of length h whose signal jumped at its start.
+
+    >>> after_jump(3.0, 2.0, 0.5)
+    (2.0, 2.0, 0.0, 0.0)
+    """
+    return (v1 - h * s1, s1, 0.0, 0.0)
+
+
 def continued(d: Polynomial, h: float, v: float, s: float) -> Polynomial:
     """Return value v and slope s at the end of a step of length h, bending on as the cubic d did over it."""
     return (v, s, d[2] + h * d[3], d[3])

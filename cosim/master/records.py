@@ -42,7 +42,7 @@ class Records:
         """Take the present outputs."""
         row: list[float] = []
         for p, n in self._sources:
-            row += p.y[:n]
+            row.extend(p.y[:n])  # not +=: buffers may be arrays, which would add
         self.values[self.count] = row
         self.times[self.count] = seconds(tick)
         self.count += 1

@@ -10,8 +10,11 @@ How it is drawn between the ends is its kind:
 * ``held``     the value at the start of the step, all along it;
 * ``newest``   the newest value there is, all along the step (Gauss-Seidel).
 
-On a step of one tick beside an event a signal may jump: it is then a straight
-line between its two values, and nothing before is used after.
+On a step of one tick beside an event a signal may jump. Where it does, its readers are given
+the value after the jump all along, with the slope that the owner reports, none if it reports
+none: a line across the jump would have a slope of 1e9 times the jump, which a reader with direct
+feedthrough passes on as the slope of its own output. Where it does not jump it is a straight
+line between its two values. Nothing before is used after.
 """
 
 from __future__ import annotations
@@ -22,6 +25,10 @@ from .. import polynomials as ip
 from ..clock import seconds
 
 Kind = Literal["hermite", "points", "linear", "held", "newest"]
+
+#: A change within one tick (1 ns) beyond this share of the largest value so far is a jump: as a motion it
+#: would have a time constant below 1e-9 s / 1e-6 = 1 ms, faster than any communication step.
+JUMP = 1e-6
 
 
 class Signal:
@@ -76,7 +83,9 @@ class Signal:
             self.d = (value, 0.0, 0.0, 0.0)
             return
         h = seconds(end - tick)
-        if edge or self.kind == "linear":
+        if edge and abs(value - self.v0) > JUMP * max(self.peak, abs(value)):
+            self.d = ip.after_jump(value, slope if self.kind == "hermite" else 0.0, h)
+        elif edge or self.kind == "linear":
             self.d = ip.line(self.v0, value, h)
         elif self.kind == "hermite":
             self.d = ip.hermite(self.v0, self.s0, value, slope, h)

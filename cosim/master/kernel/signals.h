@@ -6,6 +6,8 @@
 
 #include "structures.h"
 
+static const double JUMP = 1e-6;
+
 static double seconds(int64_t ticks)
 {
     return (double)ticks / 1e9;
@@ -110,7 +112,10 @@ static void signal_know(KernelSignal *s, int64_t tick, double h, int edge, doubl
         s->d[0] = value; /* the others are zero since the step began */
         return;
     }
-    if (edge || s->kind == KIND_LINEAR) {
+    if (edge && fabs(value - s->v0) > JUMP * fmax(s->peak, fabs(value))) {
+        const double s1 = s->kind == KIND_HERMITE ? slope : 0.0;
+        polynomial(s->d, value - h * s1, s1, 0.0, 0.0);
+    } else if (edge || s->kind == KIND_LINEAR) {
         polynomial(s->d, s->v0, (value - s->v0) / h, 0.0, 0.0);
     } else if (s->kind == KIND_HERMITE) {
         hermite(s->d, s->v0, s->s0, value, slope, h);
