@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -39,15 +41,15 @@ class Excursion:
 
 
 def excursion_of(
-    trajectory: Trajectory, case: Case, from_s: float, tripped: tuple[str, ...] = ()
+    trajectory: Trajectory, case: Case, from_s: float, machines: Sequence[str] | None = None
 ) -> Excursion:
-    """Return the extremes of a run whose last event is at `from_s`; `tripped` machines do not count.
+    """Return the extremes of a run whose last event is at `from_s`, of `machines` (default: all).
 
     Raises
     ------
     KeyError : the plant does not show its machines' angles and speeds.
     """
-    machines = [m.name for m in case.machines if m.name not in tripped]
+    machines = machines_judged(case, ()) if machines is None else machines
     angles = np.array([trajectory[f"plant.{name}_delta"] for name in machines])
     slips = np.array([trajectory[f"plant.{name}_dw"] for name in machines])
     buses = [f"bus{b.number}.v" for b in case.buses]
@@ -59,7 +61,7 @@ def excursion_of(
     place = int(np.argmin(lowest))
     return Excursion(
         angle_deg=max(
-            float(np.degrees(np.ptp(angles[part], axis=0).max())) for part in _parts(case, machines)
+            float(np.degrees(np.ptp(angles[part], axis=0).max())) for part in parts_of(case, machines)
         ),
         voltage_pu=float(lowest[place]),
         voltage_at=seen[place].removesuffix(".v").removesuffix("_vt"),
@@ -68,10 +70,16 @@ def excursion_of(
     )
 
 
-def _parts(case: Case, machines: list[str]) -> list[list[int]]:
+def parts_of(case: Case, machines: Sequence[str]) -> list[list[int]]:
     """Places of the machines in each part of the network: between parts angles mean nothing."""
     if sum(m.slack for m in case.machines) == 1:  # each part has one
         return [list(range(len(machines)))]
     at = {m.name: m.bus for m in case.machines}
     found = [[k for k, name in enumerate(machines) if at[name] in part] for part in islands_of(case)]
     return [places for places in found if places]
+
+
+def machines_judged(case: Case, events: Iterable[Any]) -> list[str]:
+    """Return the machines whose angles count: those that no event may trip."""
+    tripped = {e.machine for e in events if e.kind in ("machine_trip", "frequency_trip")}
+    return [m.name for m in case.machines if m.name not in tripped]

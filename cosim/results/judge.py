@@ -11,10 +11,12 @@ import numpy.typing as npt
 
 from interarea.design.delay.loop_modes import LoopModes
 from interarea.design.modes.modes import damping_ratio
+from interarea.models.case.events import instants
 
 from ..scenario.scenario import Scenario
 from ..trajectory import Trajectory
 from . import metrics as m
+from .excursion import machines_judged, parts_of
 from .ringdown import (
     Swing,
     disturbance_end_s,
@@ -25,7 +27,8 @@ from .ringdown import (
     samples_of,
     speeds_of,
 )
-from .tally import Curves, Quarters, Settling, Squares, Tally
+from .tally import Curves, Settling, Squares, Tally
+from .verdict import RULE, Motion
 
 if TYPE_CHECKING:
     from interarea.models.case.case import Case
@@ -59,7 +62,7 @@ class Judge:
         self._samples = samples_of(case, self.window, step_s)
         self._settling, self._energy = Settling(end, _BAND), Squares()
         self._effort: dict[str, Squares] = {}
-        self._swing_in, self._controls_in = Quarters(end, stop_s), Quarters(end, stop_s)
+        self._motion = motion_of(case, scenario, stop_s)
         self._last: dict[str, Array] = {}
 
     def add(self, part: Trajectory) -> None:
@@ -67,18 +70,28 @@ class Judge:
         time = self._joined("time", part.time_s)
         signal = self._joined("swing", self.swing.of(part))
         self._settling.add(time, signal)
-        if "stable" in self.wanted:
-            self._swing_in.add(time, signal)
         if "energy" in self.wanted:
             self._energy.add(time, signal)
-        for name in part.reals_of("controller"):
-            control = self._joined(name, part[name])
-            if "effort" in self.wanted:
+        controls = {name: self._joined(name, part[name]) for name in part.reals_of("controller")}
+        if "effort" in self.wanted:
+            for name, control in controls.items():
                 self._effort.setdefault(name, Squares()).add(time, control)
+        if self._fits or "stable" in self.wanted:
+            speeds = {c: self._joined(f"of {c}", part[c]) for c in speeds_of(self.case)}
+            if self._fits:
+                self._samples.add(time, list(speeds.values()))
             if "stable" in self.wanted:
-                self._controls_in.add(time, control)
-        if self._fits:
-            self._samples.add(time, [self._joined(f"of {c}", part[c]) for c in speeds_of(self.case)])
+                self._move(part, time, speeds, controls)
+
+    def _move(
+        self, part: Trajectory, time: Array, speeds: Mapping[str, Array], controls: Mapping[str, Array]
+    ) -> None:
+        """Take what the verdict is judged by."""
+        names = [f"plant.{name}" for name in self._motion.machines]
+        angles = None
+        if all(f"{name}_delta" in part for name in names):
+            angles = np.array([self._joined(f"{name}_delta", part[f"{name}_delta"]) for name in names])
+        self._motion.add(time, np.array([speeds[f"{name}_dw"] for name in names]), angles, controls)
 
     def metrics(
         self,
@@ -101,7 +114,7 @@ class Judge:
             least_damping_ratio=swings.least[0],
             least_frequency_hz=swings.least[1],
             least_mode=swings.least[2],
-            stable=asked("stable", lambda: m.decays(self._swing_in, self._controls_in, peak, limit_pu)),
+            verdict=asked("stable", lambda: self._motion.verdict(limit_pu, self._root(roots))),
             damping_ratio={n: damping_ratio(z) for n, z in swings.named.items()},
             frequency_hz={n: hertz(z) for n, z in swings.named.items()},
             ring_down={n: mode.damping_ratio for n, mode in swings.fitted.items()},
@@ -116,15 +129,23 @@ class Judge:
                 "damping_ratio": swings.how,
                 "frequency_hz": swings.how,
                 "ring_down": swings.fit,
-                "stable": f"largest |{name}| in quarters of the time after {end:g} s: the last below the "
-                "second, and 0.5 % below the third or within 2 % of the peak; no control at its limit in the "
-                "last",
+                "verdict": RULE,
                 "settling_time_s": f"from {end:g} s to the last time |{name}| exceeds 2 % of its peak",
                 "peak_pu": f"largest |{name}| of the run",
                 "energy_pu2s": f"integral of {name}^2 over the run, trapezoids",
                 "effort_pu2s": "sum over controller outputs of the integral of their square, trapezoids",
             },
         )
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether nothing moved, so that the linear loop alone can tell what the grid does."""
+        return "stable" in self.wanted and self._motion.at_rest
+
+    def _root(self, roots: LoopModes | str) -> complex | None:
+        """The least damped root of the loop that the verdict is of; None where another loop is linearised."""
+        begin, end = self._motion.window_s
+        return roots.least if isinstance(roots, LoopModes) and begin <= self.window[0] < end else None
 
     @property
     def _fits(self) -> bool:
@@ -159,6 +180,14 @@ class Judge:
         least = known.least
         told = (damping_ratio(least), hertz(least), known.name_of(least)) if least is not None else _NOTHING
         return _Swings(known.named, told, fitted, fit.error, _ROOTS, text)
+
+
+def motion_of(case: Case, scenario: Scenario, stop_s: float) -> Motion:
+    """Return what takes the motion of all machines of a case through a scenario, for its verdict."""
+    machines = machines_judged(case, scenario.event)
+    events = [t for e in scenario.event for t in instants(e)]
+    lines = [t for line in scenario.lines.values() for t in line.marks_s]
+    return Motion(machines, parts_of(case, machines), events, [*events, *lines], stop_s, case.omega_b)
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from . import matrix_pencil as pencil
-from .tally import Quarters, Samples, Settling, Squares
-from .variable_projection import refined
+from .tally import Samples, Settling, Squares
+from .verdict import Verdict
 
 Array = npt.NDArray[np.float64]
 METRICS = (
@@ -27,9 +27,6 @@ SYNCHRONISM = "synchronism"  #: of a run with a fault, where it is asked for: `E
 _FEW_MODES = 6
 RING_DOWN = "ring_down"  #: wanted beside them in a single run: its ring-down, to compare with the roots
 GOOD_FIT = 0.02  #: largest misfit over the largest signal with which a fit still names modes
-_SUSTAINED = 0.005  #: share by which a swing must shrink from one quarter to the next
-_SETTLED = 0.02  #: of the peak: what remains within is no swing any more
-_AT_LIMIT = 1e-3  #: how near to its limit a control counts as at it
 
 
 @dataclass(frozen=True)
@@ -69,7 +66,7 @@ class Metrics:
 
     least_damping_ratio : of everything that swings; negative where something grows. least_frequency_hz : of
         that swing. least_mode : its name; "" for one that controller or latency brought in, or none.
-    stable : the swing decays, is no sustained oscillation, and no control ends at its limit (`is_stable`).
+    verdict : what the run came to, and what that was judged by.
     damping_ratio, frequency_hz : mode -> of its root in the closed loop where that is known, else of the
         ring-down; `methods` says which. ring_down : mode -> damping ratio by the ring-down alone, where its
         fit is good to 2 %.
@@ -83,7 +80,7 @@ class Metrics:
     least_damping_ratio: float | None
     least_frequency_hz: float | None
     least_mode: str
-    stable: bool | None
+    verdict: Verdict | None
     damping_ratio: Mapping[str, float]
     frequency_hz: Mapping[str, float]
     ring_down: Mapping[str, float]
@@ -94,10 +91,15 @@ class Metrics:
     fit_error: float | None
     methods: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def stable(self) -> bool | None:
+        """Whether the verdict is a success: settled, or settling slowly. None where it was not asked for."""
+        return None if self.verdict is None else self.verdict.stable
+
     def as_dict(self) -> dict[str, object]:
         """Return plain types, for JSON."""
         plain = {k: dict(v) if isinstance(v, Mapping) else v for k, v in asdict(self).items()}
-        return plain | {f"peak_{self.signal}_pu": self.peak_pu}
+        return plain | {"stable": self.stable, f"peak_{self.signal}_pu": self.peak_pu}
 
 
 def uniform(
@@ -168,7 +170,7 @@ def robust_ring_down(
     used = scale > 0.0
     if not poles.size or not np.any(used):
         return first
-    found = refined(time_s, values[:, used] / np.max(scale), poles)
+    found = pencil.refined(time_s, values[:, used] / np.max(scale), poles)
     amplitudes, misfit = pencil.amplitudes_of(time_s, values, found)
     error = float(np.max(np.abs(misfit) / np.where(used, scale, 1.0)))
     strength = np.max(np.abs(amplitudes), axis=1)
@@ -195,41 +197,3 @@ def energy(time_s: Array, signal: Array, start_s: float = 0.0) -> float:
     squares = Squares(start_s)
     squares.add(time_s, signal)
     return squares.total
-
-
-def is_stable(
-    time_s: Array,
-    signal: Array,
-    start_s: float,
-    *,
-    controls: Sequence[Array] = (),
-    limit_pu: float | None = None,
-) -> bool:
-    """Whether a swing decays after `start_s`, of which the second, third and last quarters are compared.
-
-    Its largest value in the last quarter is below that in the second (below 1e-9 is nothing any more); it is
-    no sustained oscillation: the last quarter is at least 0.5 % below the third, unless it lies within 2 % of
-    the run's peak; and no control is at its limit in the last quarter, where a swing would neither grow nor
-    decay.
-
-    Parameters
-    ----------
-    controls : control signals, pu, on the same points. limit_pu : of their magnitude; None: they have none.
-    """
-    swing, control = Quarters(start_s, time_s[-1]), Quarters(start_s, time_s[-1])
-    swing.add(time_s, signal)
-    for u in controls:
-        control.add(time_s, u)
-    return decays(swing, control, float(np.max(np.abs(signal))), limit_pu)
-
-
-def decays(swing: Quarters, controls: Quarters, peak: float, limit_pu: float | None) -> bool:
-    """Judge as `is_stable` does by the largest values in the quarters, and in the whole run."""
-    a2, a3, a4 = swing.largest
-    if a2 is None or a3 is None or a4 is None:
-        return True
-    used = controls.largest[2]
-    if limit_pu is not None and used is not None and used >= (1.0 - _AT_LIMIT) * limit_pu:
-        return False
-    settled = _SETTLED * peak
-    return bool(a4 < 1e-9 or (a4 < a2 and (a4 <= settled or a4 <= (1.0 - _SUSTAINED) * a3)))

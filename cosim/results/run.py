@@ -16,6 +16,7 @@ from .record import write_json
 from .result import Result
 from .ringdown import Swing, fit_window, ring_down_of
 from .trajectory_files import TrajectoryFiles
+from .verdict import Verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,12 +50,11 @@ class Run(Result):
         named = ", ".join(f"{n} {m.damping_ratio[n]:.3f} at {m.frequency_hz[n]:.2f} Hz" for n in shown)
         if len(order) > _SHOWN:
             named += f" and {len(order) - _SHOWN} more"
+        within = "not within 2 %" if settled is None else f"within 2 % after {settled:.2f} s"
         return (
             f"{self.case.name}, controller {Path(self.scenario.controller).name}, "
-            f"{float(self.trajectory.time_s[-1]):g} s: {self.swing.name} "
-            f"{'stable' if self.stable else 'not stable'}, "
-            f"{self.least_in_words}; {f'{named}; ' if named else ''}"
-            f"{'not settled' if settled is None else f'settled in {settled:.2f} s'}"
+            f"{float(self.trajectory.time_s[-1]):g} s: {self.verdict}; "
+            f"{self.least_in_words}; {f'{named}; ' if named else ''}{self.swing.name} {within}"
         )
 
     @property
@@ -114,9 +114,20 @@ class Run(Result):
         return run_html(self)
 
     @property
+    def verdict(self) -> Verdict:
+        """What the run came to: settled, settling slowly, standing swing, growing or synchronism lost."""
+        assert self.metrics.verdict is not None  # a single run is always judged
+        return self.metrics.verdict
+
+    @property
     def stable(self) -> bool:
-        """Whether the swing signal decays, and is no oscillation that goes on (`is_stable`)."""
-        return bool(self.metrics.stable)
+        """Whether the machines stayed together and what is left of the disturbance falls (`verdict`)."""
+        return self.verdict.stable
+
+    @property
+    def synchronous(self) -> bool:
+        """Whether no two machines of an island came half a turn apart."""
+        return self.verdict.synchronous
 
     def damping_ratio(
         self, mode: str = "inter-area", *, start_s: float | None = None, stop_s: float | None = None

@@ -122,21 +122,6 @@ class Settling:
         return float(t + (t_next - t) * (x - limit) / (x - x_next) - self.start_s)
 
 
-class Quarters:
-    """Largest |value| in the second, third and last quarter of the time from `start_s` to `stop_s`."""
-
-    def __init__(self, start_s: float, stop_s: float) -> None:
-        self._edges = [start_s + k * (stop_s - start_s) for k in (0.25, 0.5, 0.75)]
-        self.largest: list[float | None] = [None, None, None]
-
-    def add(self, time_s: Array, values: Array) -> None:
-        second, third, last = (time_s >= edge for edge in self._edges)
-        for k, part in enumerate((second & ~third, third & ~last, last)):
-            if np.any(part):
-                largest = float(np.max(np.abs(values[part])))
-                self.largest[k] = max(largest, -np.inf if (old := self.largest[k]) is None else old)
-
-
 class Samples:
     """Signals on a uniform grid from `start_s` to `stop_s`, on straight lines between their points."""
 

@@ -47,6 +47,7 @@ class Compared:
         return {
             "controller": self.name,
             "stable": self.run.stable,
+            "verdict": self.run.verdict.name,
             "least_damping_ratio": m.least_damping_ratio,
             "least_frequency_hz": m.least_frequency_hz,
             "least_mode": m.least_mode,

@@ -77,7 +77,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import (
-    AliasChoices,
     BaseModel,
     BeforeValidator,
     Field,
@@ -96,6 +95,7 @@ from ..errors import ScenarioError, nearest
 from ..stepping_words import Early, Inputs, Loops, early_word
 from ..toml_file import read_toml
 from .channels import Seconds
+from .expectation import Expectation
 from .names import NAMED_CONTROLLERS, beside, grid_of, wrong_names
 from .ways import ChannelTable, ConcentratorTable, Way, ways_of
 
@@ -155,18 +155,6 @@ class OperatingPointTable(Table):
     tie_flow_mw: float = 0.0  #: load moved across the tie, so that its flow grows by this
     load_scale: Annotated[float, Field(gt=0.0)] = 1.0  #: factor on every load
     out: tuple[str, ...] = ()  #: names of branches
-
-
-class Expectation(Table):
-    """The stated outcome: `damping_ratio` and `settling_time_s` as [least, most]."""
-
-    stable: bool | None = None  #: whether the run ends stable
-    damping_ratio: Mapping[str, tuple[float, float]] = {}  #: mode -> [least, most]
-    settling_time_s: tuple[float, float] | None = None  #: [least, most]
-    #: [least, most] of the swing signal
-    peak_pu: Annotated[
-        tuple[float, float] | None, Field(validation_alias=AliasChoices("peak_pu", "peak_dw24"))
-    ] = None
 
 
 class Scenario(Table):

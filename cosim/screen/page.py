@@ -23,8 +23,10 @@ from ..maps.page import plain
 from ..plots.curves import DASHES, MUTED, SERIES, STYLE, WIDTH
 from ..plots.html import page_environment, page_figure
 from ..results.excursion import OUT_OF_STEP_DEG
+from ..results.verdict import GROWING, STANDING
 from .screening import PLACE, Found, Screening
 
+NO_SUCCESS = (STANDING, GROWING)  #: together, but not settling
 SHOWN = 300  #: disturbances on the page; all are in the files beside it
 
 
@@ -100,6 +102,7 @@ def _counts(found: Sequence[Found], controller: str) -> dict[str, Any]:
     kept = [one for one in mine if one.verdict == "kept"]
     return {
         **{verdict: sum(one.verdict == verdict for one in mine) for verdict in ("kept", "lost", "failed")},
+        "swinging": sum(one.came_to in NO_SUCCESS for one in kept),
         "voltage": min((v for one in kept if (v := one.voltage_pu) is not None), default=None),
         "nadir": min((f for one in kept if (f := one.nadir_hz) is not None), default=None),
         "zenith": max((f for one in kept if (f := one.zenith_hz) is not None), default=None),

@@ -116,7 +116,7 @@ class Screening:
             "title": f"Screening of {case.name}",
             "scenario": scenario,
             "parameters": parameters,
-            "metrics": ["synchronism"],
+            "metrics": ["synchronism"] if clearing else ["stable", "synchronism"],
             "time_limit_s": 3600.0,
         }
         return sweep_of(table, "screening", Path())
@@ -124,7 +124,11 @@ class Screening:
 
 @dataclass(frozen=True)
 class Found:
-    """What one disturbance did under one controller; numbers are None where the run failed."""
+    """What one disturbance did under one controller; numbers are None where the run failed.
+
+    verdict : whether synchronism was kept. came_to : what the run came to (`results.verdict`), "" where it
+    failed.
+    """
 
     place: str
     outage: str
@@ -138,6 +142,7 @@ class Found:
     reason: str
     #: longest fault that keeps synchronism, s: 0 not one cycle, inf as long as was tried; None: not searched
     critical_s: float | None = None
+    came_to: str = ""
 
 
 def run_screening(
@@ -233,4 +238,5 @@ def _found(
         float(row["zenith_hz"]),
         "",
         critical.get(key),
+        str(row.get("verdict") or ""),
     )

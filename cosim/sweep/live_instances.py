@@ -22,7 +22,7 @@ from ..errors import ScenarioError
 from ..master.instances import FmuParticipant
 from ..master.instances import Value as Start
 from ..master.master import Master
-from ..results.excursion import Excursion, excursion_of
+from ..results.excursion import Excursion, excursion_of, machines_judged
 from ..results.metrics import SYNCHRONISM
 from ..results.ringdown import control_limit_pu, disturbance_end_s
 from ..run.artefacts import EVENT_SLOTS, plant_fmu
@@ -143,7 +143,8 @@ class Kept:
         assert judge is not None  # a sweep's scenario has a case
         trajectory = self.master.trajectory
         judge.add(trajectory)
-        roots = self.system.linear_swings() if {"least", "damping", "frequency"} & set(wanted) else ""
+        linear = bool({"least", "damping", "frequency"} & set(wanted)) or judge.at_rest
+        roots = self.system.linear_swings() if linear else ""
         metrics = judge.metrics(control_limit_pu(self.master), roots)
         packets = [packet_counts(self.master.participants[name]) for name in self.system.channels]
         row = measured(metrics, wanted, modes, packets)
@@ -155,8 +156,10 @@ class Kept:
         """Return the extremes of the run that has come to its end, of its `trajectory`."""
         scenario = self.system.scenario
         assert scenario is not None
-        tripped = tuple(e.machine for e in scenario.event if e.kind in ("machine_trip", "frequency_trip"))
-        return excursion_of(trajectory, self.system.case, disturbance_end_s(scenario), tripped)
+        case = self.system.case
+        return excursion_of(
+            trajectory, case, disturbance_end_s(scenario), machines_judged(case, scenario.event)
+        )
 
     def start(self, job: Job, instances: Instances, left: Sequence[Beginning]) -> bool:
         """Start a job; return whether it starts from the last of what other jobs `left`."""

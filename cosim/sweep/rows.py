@@ -15,6 +15,7 @@ import pyarrow as pa
 from ..results.delay_ledger import PACKET_COUNTS
 from ..results.excursion import Excursion
 from ..results.metrics import SYNCHRONISM, Metrics
+from ..results.verdict import NOT_JUDGED, RULE, VERDICTS
 from ..trajectory import Trajectory
 from .plan import SweepPlan
 from .spec import Sweep
@@ -104,14 +105,15 @@ def _measured_fields(plan: SweepPlan, signal: str) -> list[pa.Field]:
             _field("frequency_least", pa.float64(), "Hz", f"frequency {text}"),
         ]
     if "stable" in wanted:
-        fields.append(
+        fields += [
             _field(
                 "stable",
                 pa.bool_(),
                 "",
-                f"{signal} decays (does not just go on) and no control ends at its limit",
-            )
-        )
+                "the machines stay together and the swing falls: the first two verdicts",
+            ),
+            _field("verdict", pa.string(), "", f"{', '.join(VERDICTS)} or {NOT_JUDGED}; {RULE}"),
+        ]
     for kind, unit in (("damping", "1"), ("frequency", "Hz")):
         if kind in wanted:
             text = f"{kind} of the mode: its root in the loop, else in the ring-down; null: it does not show"
@@ -157,7 +159,7 @@ def measured(
     if "least" in wanted:
         row |= {"damping_least": metrics.least_damping_ratio, "frequency_least": metrics.least_frequency_hz}
     if "stable" in wanted:
-        row["stable"] = metrics.stable
+        row |= {"stable": metrics.stable, "verdict": None if (v := metrics.verdict) is None else v.name}
     for name, found in (("damping", metrics.damping_ratio), ("frequency", metrics.frequency_hz)):
         if name in wanted:
             row |= {column_of_mode(name, mode): found.get(mode) for mode in modes}

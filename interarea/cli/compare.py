@@ -75,11 +75,8 @@ def compare(
     else:
         print_table(
             f"{loaded.title or loaded.name} (roots of the linear loop where known)",
-            ("controller", "stable", *_COLUMNS.values()),
-            [
-                (r["controller"], "yes" if r["stable"] else "NO", *map(_cell, (r[k] for k in _COLUMNS)))
-                for r in rows
-            ],
+            ("controller", "verdict", *_COLUMNS.values()),
+            [(r["controller"], r["verdict"], *map(_cell, (r[k] for k in _COLUMNS))) for r in rows],
         )
     for file in files:
         (note if json_ else typer.echo)(file)

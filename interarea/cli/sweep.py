@@ -228,10 +228,14 @@ def screen(
 
 def _tell_losses(found: Sequence[Found]) -> None:
     """Print with each controller how many of the events lose synchronism."""
+    from interarea.cosim.screen.page import NO_SUCCESS
+
     for name in dict.fromkeys(one.controller for one in found):
         mine = [one.verdict for one in found if one.controller == name]
         failed = f", {mine.count('failed')} failed" if "failed" in mine else ""
-        typer.echo(f"controller {name}: {mine.count('lost')} of {len(mine)} lose synchronism{failed}")
+        swinging = sum(one.came_to in NO_SUCCESS for one in found if one.controller == name)
+        swings = f", {swinging} keep it with a swing that does not fall" if swinging else ""
+        typer.echo(f"controller {name}: {mine.count('lost')} of {len(mine)} lose synchronism{swings}{failed}")
 
 
 def _seconds(text: str, grid: str) -> float:

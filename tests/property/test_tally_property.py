@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from interarea.cosim.results.metrics import settling_time_s
-from interarea.cosim.results.tally import DRAWN, Curves, Quarters, Samples, Settling, Squares
+from interarea.cosim.results.tally import DRAWN, Curves, Samples, Settling, Squares
 from interarea.cosim.trajectory import TIME, Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -64,14 +64,10 @@ def test_settling(signal: Array, at: list[int], start_s: float, band: float) -> 
 
 
 @given(signals(), cuts, st.floats(0.0, 9.0))
-def test_quarters_and_squares(signal: Array, at: list[int], start_s: float) -> None:
-    quarters, squares = Quarters(start_s, T[-1]), Squares(start_s)
+def test_squares(signal: Array, at: list[int], start_s: float) -> None:
+    squares = Squares(start_s)
     for t, x in parts(at, T, signal):
-        quarters.add(t, x)
         squares.add(t, x)
-    share = (T - start_s) / (T[-1] - start_s)
-    inside = [(share >= k / 4) & (share < (k + 1) / 4 + (k == 3)) for k in (1, 2, 3)]
-    assert quarters.largest == pytest.approx([np.max(np.abs(signal[part])) for part in inside])
     after = start_s <= T
     assert squares.total == pytest.approx(np.trapezoid(signal[after] ** 2, T[after]), rel=1e-12)
 

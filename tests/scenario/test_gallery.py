@@ -23,7 +23,11 @@ def test_the_outcome_is_the_stated_one(name: str, scenario: Any) -> None:
     expect = run.scenario.expect
     assert run.scenario.title and run.scenario.source
     if expect.stable is not None:
-        assert run.stable is expect.stable
+        assert run.stable is expect.stable, run.verdict
+    if expect.synchronism is not None:
+        assert run.synchronous is expect.synchronism, run.verdict
+    if expect.verdict is not None:
+        assert run.verdict.name == expect.verdict, run.verdict
     for mode, (least, most) in expect.damping_ratio.items():
         assert least <= run.damping_ratio(mode) <= most
     if expect.settling_time_s is not None:

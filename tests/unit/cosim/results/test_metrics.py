@@ -66,32 +66,6 @@ def test_energy_of_a_sine() -> None:
     assert m.energy(t, np.sin(np.pi * t), 1.0) == pytest.approx(0.5, abs=1e-8)
 
 
-@pytest.mark.parametrize(("zeta", "stable"), [(0.01, True), (-0.01, False), (0.3, True)])
-def test_stability_is_decay(zeta: float, stable: bool) -> None:
-    assert m.is_stable(T, swing(zeta, 0.6), 1.0) is stable
-
-
-@pytest.mark.parametrize("start", [0.3, 1.0, 3.0])
-@pytest.mark.parametrize("approach", [1.0, 2.0])
-def test_an_oscillation_that_goes_on_is_not_stable(start: float, approach: float) -> None:
-    # reached from below, from above, or there from the beginning
-    envelope = 1.0 + (start - 1.0) * np.exp(-approach * T)
-    assert m.is_stable(T, envelope * np.sin(2 * np.pi * 0.6 * T), 0.0) is False
-
-
-def test_a_remainder_within_the_settling_band_is_stable() -> None:
-    ring, ripple = swing(0.3, 0.6), np.sin(2 * np.pi * 3.0 * T)
-    assert m.is_stable(T, ring + 0.005 * ripple, 0.0) is True
-    assert m.is_stable(T, ring + 0.1 * ripple, 0.0) is False
-
-
-def test_a_control_at_its_limit_in_the_end_is_not_stable() -> None:
-    ring, control = swing(0.01, 0.6), np.clip(np.sin(T), -0.15, 0.15)
-    assert m.is_stable(T, ring, 0.0, controls=[control], limit_pu=0.15) is False
-    assert m.is_stable(T, ring, 0.0, controls=[control * (T < 5.0)], limit_pu=0.15) is True
-    assert m.is_stable(T, ring, 0.0, controls=[control]) is True
-
-
 def test_a_uniform_window_drops_extra_points_only() -> None:
     time = np.sort(np.append(T, [1.2345, 3.3333]))
     grid, values = m.uniform(time, [np.sin(time)], 1.0, 5.0, 0.1)

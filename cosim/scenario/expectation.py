@@ -1,0 +1,29 @@
+"""`[expect]`: the outcome that a scenario states, for a test to assert."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+from pydantic import AliasChoices, Field
+
+from interarea.models.table import Table
+
+#: what a run comes to (`results/verdict.py`); the first two are stable
+Verdict = Literal["settled", "settling slowly", "standing swing", "growing", "synchronism lost"]
+
+
+class Expectation(Table):
+    """The stated outcome: `damping_ratio` and `settling_time_s` as [least, most]."""
+
+    stable: bool | None = (
+        None  #: whether the machines stay together and what is left of the disturbance falls
+    )
+    synchronism: bool | None = None  #: whether no two machines of an island come half a turn apart
+    verdict: Verdict | None = None  #: what the run comes to
+    damping_ratio: Mapping[str, tuple[float, float]] = {}  #: mode -> [least, most]
+    settling_time_s: tuple[float, float] | None = None  #: [least, most]
+    #: [least, most] of the swing signal
+    peak_pu: Annotated[
+        tuple[float, float] | None, Field(validation_alias=AliasChoices("peak_pu", "peak_dw24"))
+    ] = None
