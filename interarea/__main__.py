@@ -2,19 +2,40 @@
 
 import os
 import signal
+import sys
+import threading
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
+
+_AGAIN_S = 0.05
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
     """End at once: while modules are loaded, and after all, there is nothing to leave in order."""
     os.write(2, b"interarea: stopped\n")
-    os._exit(130)
+    os._exit(128 + number)
+
+
+def _signals() -> list[int]:
+    """Ctrl-C, a request to end, a terminal that closes; one that is ignored (`nohup`) stays so."""
+    names = ("SIGINT", "SIGTERM", "SIGHUP")
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    return [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+
+
+def _interrupt(number: int) -> None:
+    """Send the main thread a signal, which ends what it waits for (on Windows when it goes on)."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
+    else:
+        signal.raise_signal(number)
 
 
 def main() -> None:
     """Run the command line."""
-    signal.signal(signal.SIGINT, _stop)
+    numbers = _signals()
+    for number in numbers:
+        signal.signal(number, _stop)
     for pool in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # numpy's and scipy's fight over small matrices
         os.environ.setdefault(pool, "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # looking for some takes 10 ms
@@ -26,11 +47,23 @@ def main() -> None:
         stops.append(number)
         raise KeyboardInterrupt
 
-    signal.signal(signal.SIGINT, stop)
+    def swallowed(lost: Any) -> None:
+        """A callback from C or a finaliser lets no exception through: an interrupt there comes once more."""
+        if stops and lost.exc_type is KeyboardInterrupt:
+            again = threading.Timer(_AGAIN_S, _interrupt, (stops[-1],))
+            again.daemon = True
+            again.start()
+        else:
+            sys.__unraisablehook__(lost)
+
+    sys.unraisablehook = swallowed
+    for number in numbers:
+        signal.signal(number, stop)
     try:
         run(stops)
     finally:
-        signal.signal(signal.SIGINT, _stop)
+        for number in numbers:
+            signal.signal(number, _stop)
 
 
 if __name__ == "__main__":

@@ -181,6 +181,15 @@ class _Own:
 
 
 _own: dict[tuple[int, Path], _Own] = {}
+
+
+def remove_own_folders() -> None:
+    """Remove the temporary folders of this process, which is about to end without Python's own order."""
+    for (pid, _), own in list(_own.items()):
+        if pid == os.getpid():
+            own.close()
+
+
 _looked: set[Path] = set()  #: folders in which this process has removed what was left
 
 

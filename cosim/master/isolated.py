@@ -25,6 +25,7 @@ from typing import IO, Any
 
 from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.lane_library import GroupLibrary
+from interarea.models.processes import end_with_parent
 
 from ..errors import ScenarioError, StepError
 from .instances import FmuParticipant, Value
@@ -151,7 +152,7 @@ class WorkerParticipant(FmuParticipant):
         self.close()
         self._said = tempfile.TemporaryFile()  # noqa: SIM115
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "interarea.cosim.master.isolated"],
+            [sys.executable, "-m", "interarea.cosim.master.isolated", str(os.getpid())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._said,
@@ -330,6 +331,7 @@ def serve(calls: IO[bytes], answers: IO[bytes]) -> None:
 
 def main() -> None:
     """Serve over standard input and output; what the FMU prints goes to standard error."""
+    end_with_parent(int(sys.argv[1]))  # it may hang in a call
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     serve(sys.stdin.buffer, answers)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cache as once
@@ -27,6 +27,7 @@ from interarea.fmu_build.write.cache import (
 )
 from interarea.models.case.case import load_case
 from interarea.models.files import temporary_folder
+from interarea.models.processes import process_pool
 
 from ..master.kernel.build import kernel_or_reason
 from ..results.metrics import ring_down, uniform
@@ -159,7 +160,7 @@ def run_all(
         parts = [given[k : k + TOGETHER] for k in range(0, len(given), TOGETHER)]
         if len(parts) > 1 and processes > 1:
             kernel_or_reason()  # compiled once, not by each process
-            with ProcessPoolExecutor(processes) as pool:
+            with process_pool(processes) as pool:
                 waiting = {pool.submit(_run_into, part, cache): len(part) for part in parts}
                 for future in as_completed(waiting):
                     future.result()

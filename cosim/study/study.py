@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from importlib.metadata import version
@@ -37,6 +37,7 @@ from interarea.fmu_build.write.cache import (
 from interarea.models.case.case import load_case
 from interarea.models.files import temporary_folder, write_whole
 from interarea.models.grid.powerflow import solve_powerflow
+from interarea.models.processes import process_pool
 
 from ..explorer.page import write_linked_explorer
 from ..explorer.wasm import container_wasm
@@ -102,8 +103,7 @@ def run_study(
     with threadpool_limits(1), ExitStack() as ending:
         done = stage("plant")
         # processes beside need nothing but what the cache holds by the time they are asked
-        beside = ProcessPoolExecutor(2, initializer=threadpool_limits, initargs=(1,))
-        ending.callback(beside.shutdown, cancel_futures=True)
+        beside = ending.enter_context(process_pool(2))
         case = load_case(spec["case"])
         flow = solve_powerflow(case)
         fmus = {"plant": plant_fmu(case, cache), "channel": channel_fmu(cache)}

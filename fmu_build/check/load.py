@@ -76,7 +76,8 @@ def _run(todo: list[list[str]], folder: Path, report: Report, timeout_s: float) 
         request, result = scratch / "request.json", scratch / "result.jsonl"
         request.write_text(json.dumps({"folder": str(folder.resolve()), "todo": todo}), encoding="utf-8")
         result.touch()
-        command = [sys.executable, "-m", "interarea.fmu_build.check.probe", str(request), str(result)]
+        command = [sys.executable, "-m", "interarea.fmu_build.check.probe"]
+        command += [str(request), str(result), str(os.getpid())]
         try:
             process = subprocess.run(
                 command,

@@ -1,4 +1,4 @@
-"""The process in which an FMU's binary is loaded: `python -m interarea.fmu_build.check.probe REQUEST RESULT`.
+"""The process in which an FMU's binary is loaded, started as a module: REQUEST RESULT PARENT.
 
 Each topic writes a line when it begins and one when it is done, so that the
 process that started this one knows where it died or hung.
@@ -11,6 +11,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
+
+from interarea.models.processes import end_with_parent
 
 from ..finding import Report
 from ..open.description import read_description
@@ -82,4 +84,5 @@ def _no_core_dumps() -> None:
 
 
 if __name__ == "__main__":
+    end_with_parent(int(sys.argv[3]))
     main(*sys.argv[1:3])

@@ -16,14 +16,14 @@ import os
 import shlex
 import shutil
 import struct
-import subprocess
 import sys
 import zlib
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+
+from interarea.models.processes import run_guarded, side_by_side
 
 from ..errors import BuildError, NoCompilerError
 from .cache import COMPILERS_OWN, artefact, default_cache, host_machine
@@ -32,6 +32,7 @@ from .sources import record_source, source_files, with_includes
 _CODE = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-fno-ident", "-g0")
 #: Complex products without a call into the compiler's runtime: the same bits wherever they are finite.
 _ZIG_CODE = ("-fcx-limited-range",)
+_ZIG = [sys.executable, "-m", "ziglang"]
 _GET_ZIG = "pip install 'interarea[build]'"
 _STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 
@@ -198,8 +199,7 @@ def _compiled(kind: str, sources: dict[str, bytes], to: Platform, cache: Path, c
             code = _code_flags(to, zig=zig)
             aimed = [*command, *(["-target", target] if target else []), *code]
             one = partial(_object, kind, sources, aimed, to, version, cache)
-            with ThreadPoolExecutor(os.cpu_count()) as pool:
-                objects = dict(pool.map(one, [name for name in sources if name.endswith(".c")]))
+            objects = dict(side_by_side(one, [name for name in sources if name.endswith(".c")]))
             for name, content in objects.items():  # by one name everywhere: a linker may keep it
                 (result.parent / name).write_bytes(content)
             output = result.parent / f"{kind}{to.suffix}"
@@ -277,15 +277,7 @@ def _compile(command: list[str], folder: Path, zig_cache: Path, kind: str, platf
         "LC_ALL": "C",
     }
     try:
-        done = subprocess.run(
-            command,
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            check=False,
-        )
+        done = run_guarded(_direct(command), cwd=folder, env=environment)
     except OSError as error:
         raise BuildError(f"cannot run the C compiler {command[0]!r}: {error}") from error
     if done.returncode != 0:
@@ -302,7 +294,7 @@ def _compiler_of(chosen: str) -> tuple[list[str], str]:
             raise BuildError(
                 f"the C compiler {command[0]!r} that $CC names is not there; unset CC to use zig"
             )
-        done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False)
+        done = run_guarded([*command, "--version"])
         return command, f"{chosen}\n{done.stdout}"
     if importlib.util.find_spec("ziglang") is None:
         raise NoCompilerError(
@@ -311,7 +303,15 @@ def _compiler_of(chosen: str) -> tuple[list[str], str]:
         )
     from importlib.metadata import version
 
-    return [sys.executable, "-m", "ziglang", "cc"], f"ziglang {version('ziglang')}"
+    return [*_ZIG, "cc"], f"ziglang {version('ziglang')}"
+
+
+def _direct(command: list[str]) -> list[str]:
+    """Return a command of zig without the Python that only starts it."""
+    spec = importlib.util.find_spec("ziglang") if command[: len(_ZIG)] == _ZIG else None
+    if spec is None or spec.origin is None:
+        return command
+    return [str(Path(spec.origin).with_name("zig")), *command[len(_ZIG) :]]
 
 
 _FAT, _THIN = 0xCAFEBABE, 0xFEEDFACF  #: first words of <mach-o/fat.h> and of a 64-bit Mach-O file

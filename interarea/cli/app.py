@@ -8,7 +8,8 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Collection
+from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
@@ -18,7 +19,7 @@ from typer.core import TyperCommand, TyperGroup
 from .. import __version__
 from .terminal import complain, say_warning, set_level, steady_streams
 
-INTERRUPTED = 130  #: exit code after Ctrl-C, as shells have it
+INTERRUPTED = 130  #: exit code after Ctrl-C, as shells have it; of another signal N 128 + N
 
 #: command -> module:function, and the first line of its help (the function's docstring)
 COMMANDS = {
@@ -212,7 +213,7 @@ def program(
     """Wide-area damping of inter-area oscillations: plant and controllers as FMUs, co-simulated."""
 
 
-def main(stops: Collection[int] = ()) -> None:
+def main(stops: Sequence[int] = ()) -> None:
     """Run the command line: exit code 0, 2 for a mistake of the user, 1 for a fault of ours.
 
     stops : signals to stop, as they come: a module in C that is being loaded makes another error of one.
@@ -222,20 +223,21 @@ def main(stops: Collection[int] = ()) -> None:
     try:
         app(prog_name="interarea")
     except KeyboardInterrupt:
-        _stopped()
+        _stopped(stops)
     except SystemExit as ended:
         if ended.code == INTERRUPTED:
-            _stopped()
+            _stopped(stops)
         raise
     except BaseException as error:  # every error ends here as one line; a panic in Rust is no Exception
         if stops:
-            _stopped()
+            _stopped(stops)
         sys.exit(complain(error))
 
 
-def _stopped() -> NoReturn:
-    print("interarea: stopped", file=sys.stderr)
-    sys.exit(INTERRUPTED)
+def _stopped(stops: Sequence[int]) -> NoReturn:
+    with suppress(OSError):  # a terminal that is gone
+        print("interarea: stopped", file=sys.stderr)
+    sys.exit(128 + stops[0] if stops else INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 import zlib
 from collections.abc import Callable
 from functools import partial
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
     from interarea.cosim.scenario.scenario import Scenario
     from interarea.models.case.case import Case
 
-_GUARDED = "INTERAREA_GUARDED"  #: in the environment of a run that has a process of its own
+_GUARDED = "INTERAREA_GUARDED"  #: in the environment of a run that has a process of its own: its parent's id
+_OWN_S = 0.3  # in which a child that has got a terminal's signal itself ends
 
 
 def run(
@@ -70,10 +72,9 @@ def run(
         raise typer.BadParameter("a folder for the results is needed, or --self-test", param_hint="--out")
     if out is not None:
         folder_for(out)
-    foreign = _not_built_here(Path(scenario))
-    if foreign and _GUARDED not in os.environ:
-        note(f"{', '.join(foreign)}: not built here, so the run has a process of its own, which it may crash")
-        raise typer.Exit(_run_beside(foreign, out))
+    code = _run_apart(Path(scenario), out)
+    if code is not None:
+        raise typer.Exit(code)
     from interarea.cosim.run.names import refuse_wrong_names
     from interarea.cosim.scenario.scenario import load_scenario
 
@@ -185,6 +186,20 @@ def _is_ours(file: Path) -> bool:
         return True  # what is wrong with it is said when it is opened
 
 
+def _run_apart(scenario: Path, out: Path | None) -> int | None:
+    """Have a process of its own run what may crash it; return its exit code, None where this one has to."""
+    foreign = _not_built_here(scenario)
+    if not foreign:
+        return None
+    if _GUARDED in os.environ:
+        from interarea.models.processes import end_with_parent
+
+        end_with_parent(int(os.environ[_GUARDED]))
+        return None
+    note(f"{', '.join(foreign)}: not built here, so the run has a process of its own, which it may crash")
+    return _run_beside(foreign, out)
+
+
 def _run_beside(foreign: list[str], out: Path | None) -> int:
     """Give this command to a process of its own; return its exit code.
 
@@ -196,12 +211,25 @@ def _run_beside(foreign: list[str], out: Path | None) -> int:
     from interarea.cosim.errors import StepError
 
     command = [sys.executable, "-m", "interarea", *sys.argv[1:]]
-    child = subprocess.Popen(command, env={**os.environ, _GUARDED: "1"})
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the child, which ends in order
+    child = subprocess.Popen(command, env={**os.environ, _GUARDED: str(os.getpid())})
+    stops: list[int] = []
+
+    def pass_on(number: int, _frame: object) -> None:
+        """Let the child end in order; Ctrl-C in a terminal has reached it already."""
+        stops.append(number)
+        time.sleep(_OWN_S)
+        child.send_signal(number)
+
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    numbers = [n for n in (getattr(signal, name) for name in names) if signal.getsignal(n) != signal.SIG_IGN]
+    before = {number: signal.signal(number, pass_on) for number in numbers}
     try:
         code = child.wait()
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if stops and code != 0:
+        return 128 + stops[0]
     if 0 <= code < 256:
         return code
     if out is not None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import CaseError
+from ..processes import run_guarded
 
 _WAIT_S = 300
 
@@ -91,7 +92,7 @@ def fetched(wheel: Wheel, folder: Path) -> Path:
     command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check"]
     command += ["--no-deps", "--only-binary", ":all:", "--dest", str(folder), wheel.requirement]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_WAIT_S)
+        done = run_guarded(command, timeout_s=_WAIT_S)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise CaseError(f"{wheel.requirement}: pip does not answer: {error}") from None
     files = sorted(folder.glob("*.whl"))

@@ -19,6 +19,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from interarea.models.processes import end_at_once
+
 _SEND_ROWS, _SEND_S = 50, 1.0
 _TOGETHER = 64  # runs under way at once
 STATUS_SIZE = 2 + _TOGETHER
@@ -108,4 +110,4 @@ def _end_with(lifeline: Connection) -> None:
     try:
         lifeline.recv()
     except (EOFError, OSError):
-        os._exit(1)
+        end_at_once()

@@ -1,0 +1,178 @@
+"""Processes that this one starts: none of them outlives it, whatever ends it (SIGKILL included).
+
+Three kinds: a command of others (`run_guarded`), a process of this package that is started as a command and
+calls `end_with_parent`, and the processes of a pool (`process_pool`). On Windows the first two
+end by themselves.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+from typing import TypeVar
+
+from .files import remove_own_folders, sweep
+
+_POSIX = os.name == "posix"
+_GUARD = Path(__file__).with_name("guard.py")
+_LOOK_S = 0.25  # between two looks at the parent: soon enough, and 4 looks a second cost nothing
+
+_guarded: set[subprocess.Popen[bytes]] = set()
+_interrupted: set[subprocess.Popen[bytes]] = set()
+_Given = TypeVar("_Given")
+_Made = TypeVar("_Made")
+
+
+def run_guarded(
+    command: Sequence[str],
+    *,
+    cwd: Path | None = None,
+    env: Mapping[str, str] | None = None,
+    timeout_s: float | None = None,
+) -> subprocess.CompletedProcess[str]:
+    """Run a command of others to its end; return its exit code and what it printed.
+
+    It and what it starts are killed when this process ends, and when this call or `side_by_side`
+    is interrupted.
+
+    Raises
+    ------
+    OSError : it cannot be started. subprocess.TimeoutExpired : it took longer than `timeout_s`.
+    """
+    words = [sys.executable, "-I", "-S", str(_GUARD), *command] if _POSIX else list(command)
+    process = subprocess.Popen(
+        words,
+        cwd=cwd,
+        env=env,
+        stdin=subprocess.PIPE if _POSIX else subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=_POSIX,
+    )
+    _guarded.add(process)
+    lifeline, process.stdin = process.stdin, None  # `communicate` would close it
+    try:
+        out, err = process.communicate(timeout=timeout_s)
+    except BaseException:
+        _kill(process)
+        process.wait()
+        raise
+    finally:
+        _guarded.discard(process)
+        if lifeline is not None:
+            lifeline.close()
+    if process in _interrupted:  # its failure is none of the command's: nobody may try again
+        _interrupted.discard(process)
+        raise KeyboardInterrupt
+    texts = (part.decode("utf-8", "replace") for part in (out, err))
+    return subprocess.CompletedProcess(list(command), process.returncode, *texts)
+
+
+def side_by_side(call: Callable[[_Given], _Made], items: Iterable[_Given]) -> list[_Made]:
+    """Return what `call`, which waits for `run_guarded`, gives for each item; one thread for each processor.
+
+    Interrupted, it ends the commands under way, and no other begins.
+    """
+    pool, waiting = ThreadPoolExecutor(os.cpu_count()), []
+    try:
+        for item in items:
+            waiting.append(pool.submit(call, item))
+        return [one.result() for one in waiting]
+    except KeyboardInterrupt:
+        pool.shutdown(wait=False, cancel_futures=True)
+        while not all(one.done() for one in waiting):
+            for process in list(_guarded):
+                _interrupted.add(process)
+                _kill(process)
+            time.sleep(_LOOK_S / 5)
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    with contextlib.suppress(OSError):  # it has ended
+        if _POSIX:
+            os.killpg(process.pid, signal.SIGKILL)
+        else:
+            process.kill()
+
+
+def end_with_parent(parent: int) -> None:
+    """End this process soon after the process `parent`, which started it, has ended; temporary folders go.
+
+    Nothing is done where `parent` lives and has not started this process, and on Windows, where an id says
+    nothing on who lives.
+    """
+    if not _POSIX or (os.getppid() != parent and _lives(parent)):
+        return
+
+    def look() -> None:
+        while os.getppid() == parent:
+            time.sleep(_LOOK_S)
+        end_at_once()
+
+    threading.Thread(target=look, daemon=True).start()
+
+
+def _lives(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def end_at_once() -> None:
+    """End this process, wherever its main thread is; its temporary folders and its parent's, if dead, go."""
+    remove_own_folders()
+    own = Path(tempfile.gettempdir())
+    for folder in (own, *own.parents):  # a worker's own lies in the parent's
+        sweep(folder)
+    os._exit(1)
+
+
+def _end_with_pool() -> None:
+    """What a process of a pool does first: interrupts are the main process's business, so is its end."""
+    from threadpoolctl import threadpool_limits
+
+    for name in ("SIGINT", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    threadpool_limits(1)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def wait() -> None:
+        parent.join()
+        end_at_once()
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+@contextlib.contextmanager
+def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Give a pool of processes, of one thread for linear algebra each; left by an error, they are killed."""
+    pool = ProcessPoolExecutor(count, initializer=_end_with_pool)
+    try:
+        yield pool
+        pool.shutdown()
+    except BaseException:
+        for process in list((pool._processes or {}).values()):
+            process.kill()
+        pool.shutdown(cancel_futures=True)
+        sweep(Path(tempfile.gettempdir()))
+        raise

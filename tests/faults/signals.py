@@ -1,0 +1,205 @@
+"""Stop commands by signals at random moments; count what goes on afterwards and what is left.
+
+    python tests/faults/signals.py --times 20
+
+Every command that starts a process, and `compare`, which spends its time in an FMU's callbacks, gets SIGINT,
+SIGTERM, SIGHUP and SIGKILL, sent to its own process alone. Five seconds later no process may live that it has
+started; its temporary folder is empty (after SIGKILL: once the next command has run); every file under its
+name is whole. `build` and `ssp` begin with an empty cache, so that compilers run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+import uuid
+import zipfile
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pyarrow.parquet as pq
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+from whims import whims_fmu
+
+SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGKILL")
+LIMIT_S = 5.0
+_MARK = "INTERAREA_SIGNAL_TEST"  # in the environment of all that a command starts
+
+#: command -> its words; {files} holds what `prepare` wrote, {out} is a new folder
+COMMANDS = {
+    "run": "run {files}/foreign.toml --out {out}",
+    "isolate": "run {files}/isolated.toml --out {out}",
+    "compare": "compare none robust --scenario ring-down --out {out}",
+    "sweep": "sweep {files}/sweep.toml --workers 2 --out {out}",
+    "study": "study thesis --out {out}",
+    "build": "build two-area-thesis --out {out}",
+    "ssp": "ssp ring-down --out {out}/a.ssp",
+    "check": "check {files}/two-area-thesis.fmu",
+}
+EMPTY_CACHE = {"study", "build", "ssp"}
+LONGEST_S = {"study": 40.0, "build": 20.0, "ssp": 20.0}  # of the wait before the signal; others 6 s
+
+_SWEEP = """
+[scenario]
+case = "two-area-thesis"
+controller = "none"
+stop_s = 5.0
+step_s = 0.02
+[[scenario.event]]
+kind = "vref_pulse"
+machine = "G1"
+size_pu = 0.05
+start_s = 0.5
+end_s = 0.7
+[parameters.size]
+path = "event.1.size_pu"
+range = { start = 0.01, stop = 0.05, count = 2000 }
+"""
+
+
+def prepare(files: Path) -> None:
+    """Write what the commands read, and fill the default cache."""
+    fmu = whims_fmu(files)
+    for name, more in (("foreign", ""), ("isolated", "isolate = true\n")):
+        table = f'[fmus.own]\nfile = "{fmu.as_posix()}"\n{more}start = {{ u = 1.0 }}\n'
+        (files / f"{name}.toml").write_text(f"stop_s = 2e4\nstep_s = 0.05\n{table}", encoding="utf-8")
+    (files / "sweep.toml").write_text(_SWEEP, encoding="utf-8")
+    subprocess.run(_command(["build", "two-area-thesis", "--out", str(files)]), check=True)
+    subprocess.run(
+        _command(COMMANDS["compare"].format(out=files / "compared").split()), check=True, capture_output=True
+    )
+
+
+def stopped(name: str, number: str, files: Path, wait_s: float) -> list[str]:
+    """Start a command, send it a signal after `wait_s`; return what is wrong afterwards."""
+    mark = uuid.uuid4().hex
+    with tempfile.TemporaryDirectory(prefix="signals-") as folder:
+        out, own, cache = (Path(folder) / n for n in ("out", "tmp", "cache"))
+        for made in (out, own):
+            made.mkdir()
+        surroundings = {**os.environ, _MARK: mark, "TMPDIR": str(own)}
+        if name in EMPTY_CACHE:
+            surroundings["INTERAREA_CACHE"] = str(cache)
+        words = COMMANDS[name].format(files=files, out=out).split()
+        said = Path(folder) / "said"
+        with said.open("wb") as errors:
+            main = subprocess.Popen(
+                _command(words), stdout=errors, stderr=errors, env=surroundings, start_new_session=True
+            )
+            with suppress(subprocess.TimeoutExpired):
+                main.wait(wait_s)
+            sent_s = time.monotonic()
+            main.send_signal(getattr(signal, number))
+            try:
+                code = main.wait(LIMIT_S)
+            except subprocess.TimeoutExpired:
+                code = None
+        while (alive := living(mark)) and time.monotonic() < sent_s + LIMIT_S:
+            time.sleep(0.05)
+        wrong = [f"lives {LIMIT_S:g} s later: {line}" for line in alive.values()]
+        for process in alive:
+            with suppress(ProcessLookupError):
+                os.kill(process, signal.SIGKILL)
+        main.wait()
+        sent = getattr(signal, number)
+        expected = (0, 128 + sent, -sent)  # the last: before the program began, or after it
+        text = said.read_text(encoding="utf-8", errors="replace")
+        if code not in expected and code is not None:
+            wrong.append(f"exit code {code}: {text[-300:]}")
+        if "Traceback" in text or "Exception ignored" in text:
+            wrong.append(f"a traceback: {text[-600:]}")
+        if number == "SIGKILL":  # what it could not remove goes with the next command, whichever it is
+            subprocess.run(_command(["list"]), env=surroundings, check=True, capture_output=True)
+            after = "from interarea.models.files import temporary_folder as t\nwith t(): pass"
+            subprocess.run([sys.executable, "-c", after], env=surroundings, check=True)
+        else:
+            wrong += [f"left: {p.relative_to(folder)}" for p in out.rglob("*.partial")]
+        wrong += [f"left: {path.name}" for path in own.iterdir()]
+        wrong += [f"not whole: {p.name}" for p in out.rglob("*") if p.is_file() and not whole(p)]
+    return wrong
+
+
+def _command(words: Sequence[str]) -> list[str]:
+    return [sys.executable, "-m", "interarea", *words]
+
+
+def living(mark: str) -> dict[int, str]:
+    """Return process -> its command line, of those that have `mark` in their environment (Linux)."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            with suppress(OSError):
+                if f"{_MARK}={mark}".encode() in (entry / "environ").read_bytes().split(b"\0"):
+                    words = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode("utf-8", "replace")
+                    if words:  # else it has ended and nobody has asked for its exit code
+                        found[int(entry.name)] = words[:200]
+    return found
+
+
+def whole(path: Path) -> bool:
+    """Whether a file under its final name can be read to its end."""
+    if path.name.startswith("."):  # without a name of its own yet, or a lock
+        return True
+    kinds: dict[str, Callable[[], object]] = {
+        ".json": lambda: json.loads(path.read_text(encoding="utf-8")),
+        ".toml": lambda: tomllib.loads(path.read_text(encoding="utf-8")),
+        ".parquet": lambda: pq.read_table(path),
+        ".svg": lambda: ElementTree.parse(path),
+        ".csv": lambda: list(csv.reader(path.open(encoding="utf-8"), strict=True)),
+        ".html": lambda: _require(path.read_text(encoding="utf-8").rstrip().endswith("</html>")),
+        ".fmu": lambda: _require(zipfile.ZipFile(path).testzip() is None),
+    }
+    kinds[".ssp"] = kinds[".fmu"]
+    try:
+        kinds.get(path.suffix, lambda: None)()
+    except Exception:  # whatever its reader raises
+        return False
+    return True
+
+
+def _require(holds: bool) -> None:
+    if not holds:
+        raise ValueError
+
+
+def main() -> None:
+    """Send every signal to every command as often as is asked; exit code 1 if anything does not hold."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--times", type=int, default=20)
+    parser.add_argument("--command", action="append", choices=COMMANDS)
+    parser.add_argument("--signal", action="append", choices=SIGNALS)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    chance, files, total = random.Random(given.seed), Path(tempfile.mkdtemp(prefix="signals-")), 0
+    try:
+        prepare(files)
+        for name in given.command or COMMANDS:
+            for number in given.signal or SIGNALS:
+                bad = 0
+                for _ in range(given.times):
+                    wait_s = chance.uniform(0.0, LONGEST_S.get(name, 6.0))
+                    if wrong := stopped(name, number, files, wait_s):
+                        bad += 1
+                        print(f"{name} {number} after {wait_s:.2f} s: " + "; ".join(wrong), flush=True)
+                print(f"{name} {number}: {given.times} times, {bad} bad", flush=True)
+                total += bad
+    finally:
+        shutil.rmtree(files, ignore_errors=True)
+    sys.exit(1 if total else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,135 @@
+"""Processes that are started do not outlive the one that started them, whatever ends it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+
+from interarea.models.processes import process_pool, run_guarded
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and process groups")
+
+GUARDED = """
+    from interarea.models.processes import run_guarded
+    run_guarded(["sh", "-c", "sleep 60 & echo $! > {file}; sleep 60"])
+"""
+SIDE_BY_SIDE = """
+    import os, signal, threading
+    from interarea.models.processes import run_guarded, side_by_side
+    threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    def call(k):
+        run_guarded(["sh", "-c", "echo $$ > {file}; sleep 60"])
+        open("{file}.again", "w")
+    side_by_side(call, range(9))
+"""
+POOL = """
+    import os, time
+    from interarea.models.files import new_folder
+    from interarea.models.processes import process_pool
+    def begin():
+        new_folder()
+        open("{file}", "w").write(str(os.getpid()))
+        time.sleep(60)
+    with process_pool(2) as pool:
+        pool.submit(begin)
+        time.sleep(60)
+"""
+CHILD = """
+    import os, subprocess, sys, time
+    text = "import sys, time; from interarea.models.processes import end_with_parent as e; "
+    text += "e(int(sys.argv[1])); time.sleep(60)"
+    child = subprocess.Popen([sys.executable, "-c", text, str(os.getpid())])
+    time.sleep(2)
+    open("{file}", "w").write(str(child.pid))
+    time.sleep(60)
+"""
+CALLBACK = """
+    import ctypes, os, signal, sys, time
+    from interarea import __main__
+    from interarea.cli import app
+    back = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGINT))
+    def run(stops):
+        back()  # the interrupt comes while C waits for Python
+        time.sleep(60)
+    app.main = run
+    __main__.main()
+"""
+
+
+def _started(text: str, file: Path) -> subprocess.Popen[bytes]:
+    surroundings = {**os.environ, "TMPDIR": str(file.parent)}
+    script = textwrap.dedent(text).replace("{file}", str(file))
+    return subprocess.Popen([sys.executable, "-c", script], env=surroundings, stderr=subprocess.PIPE)
+
+
+def _written(file: Path) -> int:
+    """Return the process that a file names, once it is there."""
+    until = time.monotonic() + 30.0
+    while not (file.exists() and file.read_text().strip()):
+        assert time.monotonic() < until
+        time.sleep(0.02)
+    return int(file.read_text())
+
+
+def _lives(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def _assert_ends(process: int) -> None:
+    until = time.monotonic() + 5.0
+    while _lives(process):
+        assert time.monotonic() < until, "lives on"
+        time.sleep(0.02)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+@pytest.mark.parametrize("text", [GUARDED, POOL, CHILD], ids=["command", "pool", "own"])
+def test_a_killed_process_takes_along_what_it_started(text: str, tmp_path: Path) -> None:
+    main = _started(text, tmp_path / "pid")
+    child = _written(tmp_path / "pid")
+    main.kill()
+    main.wait()
+    _assert_ends(child)
+    time.sleep(0.1)
+    assert not list(tmp_path.glob("interarea-*")), "a temporary folder stays"
+
+
+def test_interrupted_side_by_side_ends_commands_and_begins_no_other(tmp_path: Path) -> None:
+    begin_s = time.monotonic()
+    main = _started(SIDE_BY_SIDE, tmp_path / "pid")
+    assert main.wait(20) != 0 and time.monotonic() - begin_s < 10.0
+    assert not (tmp_path / "pid.again").exists()
+
+
+def test_an_interrupt_in_a_callback_comes_again(tmp_path: Path) -> None:
+    main = _started(CALLBACK, tmp_path / "pid")
+    _, said = main.communicate(timeout=20)
+    assert main.returncode in (1, -signal.SIGINT) and b"Exception ignored" not in said
+
+
+def test_a_pool_left_by_an_error_is_killed() -> None:
+    begin_s = time.monotonic()
+    with pytest.raises(ZeroDivisionError), process_pool(1) as pool:
+        pool.submit(time.sleep, 60.0)
+        raise ZeroDivisionError
+    assert time.monotonic() - begin_s < 10.0
+
+
+def test_a_command_gives_code_and_text() -> None:
+    done = run_guarded(["sh", "-c", "echo a; echo b >&2; exit 3"])
+    assert (done.returncode, done.stdout, done.stderr) == (3, "a\n", "b\n")
+    assert run_guarded(["sh", "-c", "kill -9 $$"]).returncode == 128 + 9
+    assert run_guarded(["/no/such/command"]).returncode == 127
+    assert run_guarded(["cat"]).stdout == "", "standard input is empty, not the lifeline"
+    with pytest.raises(subprocess.TimeoutExpired):
+        run_guarded(["sleep", "60"], timeout_s=0.2)
