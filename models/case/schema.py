@@ -217,7 +217,7 @@ class Machine(Row):
     #: how many windings it has; infinite_bus: constant voltage and frequency
     model: Literal["round_rotor", "classical", "infinite_bus", "power_flow"] = "round_rotor"
     H: Positive | None = None  #: s
-    D: NonNegative = 0.0  #: pu torque per pu speed
+    D: Number = 0.0  #: pu torque per pu speed; below 0 it feeds a swing (a textbook's K_D = -10)
     Ra: NonNegative = 0.0  #: armature resistance, pu of the machine's base
     Xd1: Positive | None = None  #: X'd, pu
     Xd: Positive | None = None  #: synchronous reactance, d axis, pu of the machine's base

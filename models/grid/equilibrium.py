@@ -273,7 +273,7 @@ def _machine_states(
             own = frozenset({f"{m.name}.{key}"})
             depends = {
                 "delta": frozenset({f"{m.name}.slip"}),
-                "slip": network | power[k] | (own if m.D > 0.0 or m.torque_by_speed else frozenset()),
+                "slip": network | power[k] | (own if m.D or m.torque_by_speed else frozenset()),
                 "eq1": network | own | field_voltage[k],
                 "ed1": network | own,
                 "eq2": network | {f"{m.name}.eq1"} | field_voltage[k],

@@ -7,12 +7,31 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from .report import Report
 from .static import StaticBranch, StaticGrid, StaticUnit
 from .stored import Solution
 from .topology import live_islands
+
+_LONGEST = 64  #: characters of a name in a case file
+_LONGEST_WORD = 40  #: of an identifier within such a name, which has a bus and a letter besides
+_SUFFIXES = re.compile(r"(\.(raw|rawx|m))?(\.(gz|xz|bz2))?$", re.IGNORECASE)
+
+
+def case_name(path: Path, report: Report) -> str:
+    """Return a name for the case of a grid file: the file's without its suffixes, in the letters of a case.
+
+    What had to be changed for that is said in `report`.
+    """
+    stem = _SUFFIXES.sub("", path.name, count=1)
+    name = (re.sub(r"[^A-Za-z0-9_.-]+", "-", stem).lstrip("_.-") or "grid")[:_LONGEST]
+    if name != stem:
+        report.lines.append(
+            f"the case is named {name!r}: {stem!r} is not at most {_LONGEST} letters, digits and _ . -"
+        )
+    return name
 
 
 def unit_names(grid: StaticGrid) -> list[str]:
@@ -73,7 +92,7 @@ def document_of(
             machines[names[k]] = _machine(grid, unit, power, abs(volts[unit.bus]))
     _mark_slack(grid, solution, machines, units, names, volts)
     return {
-        "name": re.sub(r"[^A-Za-z0-9_.-]+", "-", name).lstrip("_.-") or "grid",
+        "name": name,
         "source": f"imported from {grid.source}",
         "frequency_hz": grid.frequency_hz,
         "base_mva": grid.base_mva,
@@ -161,7 +180,7 @@ def _branches(grid: StaticGrid) -> dict[str, Any]:
     for b in grid.branches:
         name = "-".join(map(str, b.name))
         if count[ends(b), b.winding] > 1:
-            name += f" {b.circuit}"
+            name += f" {b.circuit[: _LONGEST_WORD // 2]}"
         if b.winding:
             name += f" winding {b.winding}"
         row: dict[str, Any] = {"from": b.first, "to": b.second, "r": b.r, "x": b.x, "b": b.b}
@@ -230,7 +249,7 @@ def _names(keys: list[tuple[int, str]]) -> Callable[[str, int, str], str]:
 
 
 def _word(identity: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_]", "_", identity)
+    return re.sub(r"[^A-Za-z0-9_]", "_", identity)[:_LONGEST_WORD]
 
 
 class _Unique:

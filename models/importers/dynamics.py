@@ -90,6 +90,7 @@ def machine_dynamics(
     for note in file.notes:
         place, _, what = note.partition(": ")
         report.assume(what, place)
+    report.read["DYR lines of comment"] = file.comments
     units = _Units(path, machine_of, report)
     if converters_as_current:
         units.take_converters(file.records)

@@ -1,11 +1,13 @@
 """Records of a PSS/E DYR file: syntax only; which device a model is, `models/devices` knows.
 
 A record is ``BUS 'MODEL' ID fields /`` over any number of lines. What follows the slash is comment, and so
-are lines that begin with ``//`` or, outside a record, not with a number.
+are lines that begin with ``//`` or, outside a record, not with a number. Comment that looks like a record
+(its bus number is spoiled, or its line break is lost) is named.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,43 +83,96 @@ def read_dyr(path: str | Path, known: Collection[str] = KNOWN) -> DyrFile:
     ------
     CaseError : unreadable, a record without model or identifier, or cut off; with file and line.
     """
-    path = Path(path)
-    records: list[DyrRecord] = []
-    notes: list[str] = []
-    comments = 0
-    words: list[str] = []
-    first = searched = 0
-    for number, text in enumerate(read_lines(path), 1):
-        stripped = text.strip()
-        if not stripped:
-            continue
-        if stripped.startswith("//") or (not words and not _begins_with_number(stripped)):
-            comments += stripped != "/"
-            continue
-        where = f"{path}:{number}"
-        new, ended = split_record(text, where)
-        first, searched = (first, searched) if words else (number, 0)
-        words += [word for word in new if word]
-        while (at := _next_record(words, known, searched)) is not None:
-            line = number - (at < len(words) - len(new))
-            records.append(_record(path, first, words[:at]))
-            notes.append(
-                f"{path}:{line}: {words[at + 1]} begins before the / of {records[-1].model}; read as two"
-            )
-            words, first, searched = words[at:], line, 0
-        searched = len(words)
-        if searched > MOST_WORDS:
+    reader = _Reader(Path(path), known)
+    lines = deque(enumerate(read_lines(reader.path), 1))
+    while lines:
+        number, text = lines.popleft()
+        behind = reader.line(number, text.strip())
+        if behind is not None:
+            lines.appendleft((number, behind))
+    if reader.words:
+        model = reader.words[1] if len(reader.words) > 1 else "record"
+        raise CaseError(f"{path}:{reader.first}: {model} has no / to the end of the file (cut off?)")
+    return DyrFile(reader.path, tuple(reader.records), reader.comments, tuple(reader.notes))
+
+
+class _Reader:
+    """What was read of a DYR file, and the words of the record that is still open."""
+
+    def __init__(self, path: Path, known: Collection[str]) -> None:
+        self.path, self.known = path, known
+        self.records: list[DyrRecord] = []
+        self.notes: list[str] = []
+        self.comments = 0
+        self.words: list[str] = []
+        self.first = self.searched = 0
+
+    def line(self, number: int, text: str) -> str | None:
+        """Read one line; return what follows its slash if that is a record of its own."""
+        where = f"{self.path}:{number}"
+        if not text or self.is_comment(number, text):
+            return None
+        new, behind = split_record(text, where)
+        self.first, self.searched = (self.first, self.searched) if self.words else (number, 0)
+        self.words += [word for word in new if word]
+        self.divide(number, len(new))
+        if len(self.words) > MOST_WORDS:
             raise CaseError(
-                f"{path}:{first}: {words[1]} has more than {MOST_WORDS} fields, allowed: fewer (is the / of "
-                "the record missing?)"
+                f"{self.path}:{self.first}: {self.words[1]} has more than {MOST_WORDS} fields, allowed: "
+                "fewer (is the / of the record missing?)"
             )
-        if ended and words:
-            records.append(_record(path, first, words))
-            words = []
-    if words:
-        model = words[1] if len(words) > 1 else "record"
-        raise CaseError(f"{path}:{first}: {model} has no / to the end of the file (cut off?)")
-    return DyrFile(path, tuple(records), comments, tuple(notes))
+        if behind is None:
+            return None
+        if self.words:
+            self.records.append(_record(self.path, self.first, self.words))
+            self.words = []
+        model = _second_record(behind, self.known)
+        if model:
+            self.notes.append(f"{where}: {model} begins behind the / of another record; read as two")
+        return behind if model else None
+
+    def is_comment(self, number: int, text: str) -> bool:
+        """Whether a line is comment; one that looks like a record is noted."""
+        marked = text.startswith("//")
+        if not marked and (self.words or _begins_with_number(text)):
+            return False
+        self.comments += text != "/"
+        what = "" if marked else _like_a_record(text, self.known)
+        if what:
+            note = f"line {number}, {what}, begins with no bus number: taken as comment"
+            self.notes.append(f"{self.path}:{number}: {note}")
+        return True
+
+    def divide(self, number: int, new: int) -> None:
+        """Close the open record before a second one among its words, of which `new` are of this line."""
+        while (at := _next_record(self.words, self.known, self.searched)) is not None:
+            line = number - (at < len(self.words) - new)
+            self.records.append(_record(self.path, self.first, self.words[:at]))
+            note = f"{self.words[at + 1]} begins before the / of {self.records[-1].model}; read as two"
+            self.notes.append(f"{self.path}:{line}: {note}")
+            self.words, self.first, self.searched = self.words[at:], line, 0
+        self.searched = len(self.words)
+
+
+def _plain_words(text: str) -> list[str]:
+    return text.replace(",", " ").replace("'", " ").replace('"', " ").replace("/", " / ").split()
+
+
+def _like_a_record(text: str, known: Collection[str]) -> str:
+    """What makes a line of comment look like a record, in words; empty when nothing does."""
+    words = _plain_words(text)
+    model = next((word.upper() for word in words if word.upper() in known), "")
+    if model:
+        return f"which names {model}"
+    numbers = sum(_begins_with_number(word) for word in words)
+    return "numbers with a / at the end" if numbers >= 2 and words[-1] == "/" else ""
+
+
+def _second_record(text: str, known: Collection[str]) -> str:
+    """The model of the record that `text`, which stands behind a slash, is; empty when it is comment."""
+    words = _plain_words(text)
+    whole = len(words) > 3 and words[0].isdigit() and words[1].upper() in known
+    return words[1].upper() if whole else ""
 
 
 def _begins_with_number(text: str) -> bool:
@@ -143,6 +198,8 @@ def _record(path: Path, line: int, words: list[str]) -> DyrRecord:
     where = f"{path}:{line}"
     try:
         bus = abs(int(float(words[0])))
+        if bus != abs(float(words[0])):
+            raise ValueError
     except (ValueError, OverflowError):
         raise CaseError(f"{where}: bus = {words[0]!r}, allowed: a whole number") from None
     if len(words) < 2 or not words[1][:1].isalpha():

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..case.case import case_of
 from ..errors import CaseError
-from .document import document_of, load_exponents
+from .document import case_name, document_of, load_exponents
 from .imported import Imported
+from .m_file import MFile, read_m_file
 from .places import read_places
 from .raw.text import read_lines
 from .report import Report
 from .static import USUAL_HZ, StaticBranch, StaticBus, StaticGrid, StaticLoad, StaticShunt, StaticUnit
-from .stored import solve_stored
+from .stored import decide_units_at_load_buses, solve_stored
 from .topology import settle, slacks_of
 
 _COLUMNS = {"bus": 13, "gen": 8, "branch": 11, "dcline": 9}
@@ -72,80 +72,73 @@ def import_matpower(
     """
     path = Path(path)
     report = Report(strict)
-    lines = [line.split("%")[0] for line in read_lines(path)]
-    base_mva = _base_mva(path, "\n".join(lines))
-    tables = {table: _table(path, lines, table, needed=table != "dcline") for table in _COLUMNS}
+    file = read_m_file(path, read_lines(path))
+    base_mva = _base_mva(file)
+    tables = {table: _table(file, table) for table in _COLUMNS}
     if frequency_hz is None:
         report.assume(f"no frequency in the file: {USUAL_HZ:g} Hz", str(path))
     grid = StaticGrid(base_mva, frequency_hz or USUAL_HZ, f"{path.name} (MATPOWER)")
     _buses(tables["bus"], grid)
-    _units(tables["gen"], grid)
+    _units(tables["gen"], grid, report)
     _branches(tables["branch"], grid, report)
     _dc_lines(tables["dcline"], grid, report)
     for what, rows in (("buses", grid.buses), ("branches", grid.branches), ("units", grid.units)):
         report.read[what] = len(rows)
+    _tell(file, report)
     if coordinates is not None:
         read_places(Path(coordinates), grid)
     settle(grid, report, island)
+    decide_units_at_load_buses(grid, report)
     solution = solve_stored(grid, slacks_of(grid, report), report)
     exponents = load_exponents(P_exponent, Q_exponent, grid, report, str(path))
-    document = document_of(grid, solution, name=name or path.name.split(".")[0], exponents=exponents)
+    document = document_of(grid, solution, name=name or case_name(path, report), exponents=exponents)
     return Imported(case_of(document, where=str(path)), report, solution)
 
 
-def _base_mva(path: Path, text: str) -> float:
+def _base_mva(file: MFile) -> float:
     """The base of a case file of version 2; other versions are refused."""
-    version = re.search(r"mpc\.version\s*=\s*['\"]?([^'\";]+)", text)
-    if version is None or version.group(1).strip() != "2":
-        got = version.group(1).strip() if version else "none"
-        raise CaseError(f"{path}: MATPOWER case version {got}, allowed: 2 (mpc.version = '2')")
-    base = re.search(r"mpc\.baseMVA\s*=\s*([^;\s]+)", text)
-    if base is None:
-        raise CaseError(f"{path}: mpc.baseMVA is missing")
-    base_mva = _number(base.group(1), f"{path}: mpc.baseMVA")
+    version = file.scalars.get("version")
+    if version not in ("2", 2.0):
+        got = "none" if version is None else str(version)
+        raise CaseError(f"{file.path}: MATPOWER case version {got}, allowed: 2 (mpc.version = '2')")
+    base_mva = file.scalars.get("baseMVA")
+    if not isinstance(base_mva, float):
+        raise CaseError(f"{file.path}: mpc.baseMVA is missing")
     if not base_mva > 0.0:
-        raise CaseError(f"{path}: mpc.baseMVA = {base_mva:g}, allowed: above 0")
+        raise CaseError(f"{file.path}: mpc.baseMVA = {base_mva:g}, allowed: above 0")
     return base_mva
 
 
-def _table(path: Path, lines: list[str], table: str, *, needed: bool) -> list[_Row]:
-    start = next((k for k, line in enumerate(lines) if re.match(rf"\s*mpc\.{table}\s*=\s*\[", line)), None)
-    if start is None:
-        if needed:
-            raise CaseError(f"{path}: mpc.{table} is missing, allowed: a case with bus, gen and branch")
+def _table(file: MFile, table: str) -> list[_Row]:
+    if table not in file.tables:
+        if table != "dcline":
+            raise CaseError(f"{file.path}: mpc.{table} is missing, allowed: a case with bus, gen and branch")
         return []
     rows: list[_Row] = []
-    for k in range(start, len(lines)):
-        body = lines[k].split("[", 1)[1] if k == start else lines[k]
-        ends = "]" in body
-        for part in body.split("]")[0].split(";"):
-            words = part.replace(",", " ").split()
-            if not words:
-                continue
-            values = tuple(_number(word, f"{path}:{k + 1}: mpc.{table}") for word in words)
-            if len(values) < _COLUMNS[table]:
+    for line, values in zip(file.lines[table], file.tables[table].tolist(), strict=True):
+        where = f"{file.path}:{line}"
+        if len(values) < _COLUMNS[table]:
+            raise CaseError(f"{where}: mpc.{table}: {len(values)} columns, allowed: >= {_COLUMNS[table]}")
+        for column in _READ[table]:
+            if not math.isfinite(values[column]):
                 raise CaseError(
-                    f"{path}:{k + 1}: mpc.{table}: {len(values)} columns, allowed: >= {_COLUMNS[table]}"
+                    f"{where}: mpc.{table}: column {column + 1} is {values[column]:g}, allowed: a finite "
+                    "number"
                 )
-            for column in _READ[table]:
-                if not math.isfinite(values[column]):
-                    raise CaseError(
-                        f"{path}:{k + 1}: mpc.{table}: column {column + 1} is {words[column]!r}, "
-                        "allowed: a finite number"
-                    )
-            rows.append(_Row(values, f"{path}:{k + 1}"))
-        if ends:
-            return rows
-    raise CaseError(
-        f"{path}:{len(lines)}: mpc.{table} begins in line {start + 1} and does not end (truncated file?)"
-    )
+        rows.append(_Row(tuple(values), where))
+    return rows
 
 
-def _number(word: str, what: str) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        raise CaseError(f"{what}: {word!r} is not a number") from None
+def _tell(file: MFile, report: Report) -> None:
+    """Say what of `file` was done and what plays no part."""
+    report.read["statements that change a table, which were done"] = len(file.changes)
+    for name, line in file.twice.items():
+        report.assume(f"mpc.{name} is given twice: the later one taken", f"{file.path}:{line}")
+    for name, rows in file.lines.items():
+        if name not in _COLUMNS and rows:
+            report.drop(f"mpc.{name}, which plays no part", f"{file.path}:{rows[0]}")
+    for name, line in file.other.items():
+        report.drop(f"mpc.{name}, which plays no part", f"{file.path}:{line}")
 
 
 def _buses(rows: list[_Row], grid: StaticGrid) -> None:
@@ -166,12 +159,15 @@ def _buses(rows: list[_Row], grid: StaticGrid) -> None:
             grid.shunts.append(StaticShunt(number, "C", "1", v[4], v[5], row.where))
 
 
-def _units(rows: list[_Row], grid: StaticGrid) -> None:
+def _units(rows: list[_Row], grid: StaticGrid, report: Report) -> None:
     count: dict[int, int] = {}
     for row in rows:
-        v, bus = row.values, row.bus(0, grid)
+        v, on = row.values, row.values[7] > 0.0
+        if not on and row.whole(0) not in grid.buses:
+            report.drop("unit out of service at a bus that is not there", row.where)
+            continue
+        bus = row.bus(0, grid)
         count[bus] = count.get(bus, 0) + 1
-        on = v[7] > 0.0
         if on and not v[5] > 0.0:
             raise CaseError(f"{row.where}: generator at bus {bus} has Vg = {v[5]:g}, allowed: above 0 pu")
         base = v[6] if v[6] > 0.0 else grid.base_mva
@@ -182,14 +178,17 @@ def _units(rows: list[_Row], grid: StaticGrid) -> None:
 def _branches(rows: list[_Row], grid: StaticGrid, report: Report) -> None:
     count: dict[frozenset[int], int] = {}
     for row in rows:
-        v = row.values
+        v, on = row.values, row.values[10] > 0.0
+        if not on and not {row.whole(0), row.whole(1)} <= grid.buses.keys():
+            report.drop("branch out of service at a bus that is not there", row.where)
+            continue
         first, second = row.bus(0, grid), row.bus(1, grid)
         if first == second:
             raise CaseError(f"{row.where}: branch from bus {first} to itself, allowed: two buses")
         pair = frozenset((first, second))
         count[pair] = count.get(pair, 0) + 1
         branch = StaticBranch((first, second), str(count[pair]), first, second, v[2], v[3], v[4], row.where)
-        branch.on, branch.transformer = v[10] > 0.0, bool(v[8] or v[9])
+        branch.on, branch.transformer = on, bool(v[8] or v[9])
         branch.tap, branch.shift = v[8] or 1.0, v[9]
         if not branch.tap > 0.0:
             raise CaseError(f"{row.where}: branch {first}-{second} has ratio {v[8]:g}, allowed: 0 or above")

@@ -10,7 +10,7 @@ from typing import Any
 from ..case.case import Case, case_of, devices_of
 from ..case.document import with_device_texts
 from ..errors import CaseError
-from .document import document_of, load_exponents, unit_names
+from .document import case_name, document_of, load_exponents, unit_names
 from .dynamics import Dynamics, machine_dynamics
 from .imported import Imported
 from .places import read_places
@@ -23,7 +23,7 @@ from .raw.nodes import read_nodes
 from .raw.transformers import read_transformers
 from .report import Report
 from .static import USUAL_HZ, StaticGrid
-from .stored import solve_stored
+from .stored import decide_units_at_load_buses, solve_stored
 from .topology import settle, slacks_of
 
 
@@ -68,6 +68,7 @@ def import_psse(
         read_places(Path(coordinates), grid)
     out = {(unit.home, unit.identity) for unit in grid.units if not unit.on}
     settle(grid, report, island)
+    decide_units_at_load_buses(grid, report)
     solution = solve_stored(grid, slacks_of(grid, report), report)
     exponents = load_exponents(P_exponent, Q_exponent, grid, report, str(path))
     names = unit_names(grid)
@@ -85,7 +86,7 @@ def import_psse(
     document = document_of(
         grid,
         solution,
-        name=name or path.name.split(".")[0],
+        name=name or case_name(path, report),
         exponents=exponents,
         constant={names.index(n): exponent for n, exponent in dynamics.constant.items()},
     )

@@ -13,7 +13,7 @@ from ..grid.network import assembled, series_stamps
 from ..grid.newton import Iterate, newton
 from ..grid.powerflow import PowerFlowError
 from .report import Report
-from .static import LOAD, SLACK, UNIT, StaticBus, StaticGrid
+from .static import LOAD, SLACK, UNIT, StaticBus, StaticGrid, StaticUnit
 from .topology import live_islands
 
 GOOD_MVA, FAIR_MVA = 0.1, 5.0  #: mismatch of a solved file, and of one written with few digits
@@ -120,6 +120,42 @@ def solve_stored(grid: StaticGrid, slacks: Sequence[StaticBus], report: Report) 
     return Solution(
         voltages, generation, tuple(bus.number for bus in slacks), stored_mva, stored_bus, moved_pu, moved_deg
     )
+
+
+def decide_units_at_load_buses(grid: StaticGrid, report: Report) -> None:
+    """Keep the units in service at buses of type 1, or leave them out, as the stored voltages say; report it.
+
+    Programs differ: some leave such a unit out, some let it inject its P and Q. The voltages at a bus and
+    its neighbours give the power that goes into the network there, so they tell with which of the two the
+    file was solved. Where neither fits the unit is kept.
+    """
+    at_load: dict[int, list[StaticUnit]] = {}
+    for unit in grid.units:
+        if grid.buses[unit.bus].kind == LOAD:
+            at_load.setdefault(unit.bus, []).append(unit)
+    if not at_load or len(grid.units) == sum(map(len, at_load.values())):
+        return
+    arrays = _Arrays(grid)
+    off = arrays.off(arrays.start) * grid.base_mva
+    told_by_p = {load.bus for load in grid.loads if load.q_free}
+    for bus, units in at_load.items():
+        given = sum((complex(unit.p, unit.q) for unit in units), 0j)
+        both = (complex(off[arrays.at[bus]]), complex(off[arrays.at[bus]]) + given)
+        within, without = (abs(z.real if bus in told_by_p else z) for z in both)
+        if _fits(without, within):
+            grid.units = [unit for unit in grid.units if unit not in units]
+            what = "left out: the stored voltages are a solution without it"
+        elif _fits(within, without):
+            what = "kept with its P and Q: the stored voltages are a solution with it"
+        else:
+            what = "kept with its P and Q: the stored voltages do not tell"
+        size = f"(off by {within:.3g} MVA with it, by {without:.3g} without it)"
+        report.assume(f"unit in service at a bus of type 1 {what} {size}", units[0].where, len(units))
+
+
+def _fits(one: float, other: float) -> bool:
+    """Whether a mismatch of `one` MVA is that of a solution beside `other`."""
+    return one <= FAIR_MVA and other > max(GOOD_MVA, 10.0 * one)
 
 
 def _hold_set_points(grid: StaticGrid, arrays: _Arrays, report: Report) -> bool:

@@ -7,7 +7,7 @@ import math
 from ..report import Report
 from ..static import StaticBranch, StaticGrid, StaticLoad
 from .file import RawFile
-from .identities import once
+from .identities import usable
 from .record import Record
 
 _INJECTION = 0.0  #: exponent with which such power follows the voltage in the dynamics: not at all
@@ -15,13 +15,13 @@ _INJECTION = 0.0  #: exponent with which such power follows the voltage in the d
 
 def read_converters(raw: RawFile, grid: StaticGrid, report: Report) -> None:
     """Put two-terminal dc lines, VSC lines and FACTS devices of `raw` into `grid` as injections."""
-    for record in once(raw.records("two-terminal dc"), report):
+    for record in usable(raw.records("two-terminal dc"), grid, report):
         if record.whole("MDC", 0) == 0:
             report.drop("blocked dc line", record.where)
             continue
         _two_terminal(record, raw, grid, report)
         report.assume("dc line taken as constant P and Q at its converters", record.where)
-    for record in once(raw.records("VSC dc"), report):
+    for record in usable(raw.records("VSC dc"), grid, report):
         if record.whole("MDC", 1) == 0:
             report.drop("VSC line out of service", record.where)
             continue
@@ -29,7 +29,7 @@ def read_converters(raw: RawFile, grid: StaticGrid, report: Report) -> None:
             report.assume("VSC line taken as constant P and Q at its converters", record.where)
         else:
             report.drop("VSC line out of service", record.where)
-    for record in once(raw.records("FACTS"), report):
+    for record in usable(raw.records("FACTS"), grid, report):
         _facts(record, grid, report)
 
 

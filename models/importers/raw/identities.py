@@ -1,4 +1,4 @@
-"""Identifiers of a RAW file: one that is given twice is refused, or a further circuit beside the first."""
+"""Records of a RAW section that can be used: their buses are there, and no identifier comes twice."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from ...errors import CaseError
 from ..report import Report
+from ..static import StaticGrid
 from .record import Record
 
 _BUSES = ("I", "J", "K")
@@ -16,13 +17,15 @@ _FIELDS = {
     "transformer": ("I", "J", "K", "CKT"),
     **dict.fromkeys(("two-terminal dc", "VSC dc", "multi-terminal dc", "FACTS"), ("NAME",)),
 }
+_STATUS = ("STATUS", "STAT", "ST", "MDC", "MODE")  #: the field that is 0 out of service, one a layout
 
 
-def once(records: Iterator[Record], report: Report) -> Iterator[Record]:
+def usable(records: Iterator[Record], grid: StaticGrid, report: Report) -> Iterator[Record]:
     """Yield `records` of one section as long as no identifier comes a second time.
 
-    A second branch between the same buses is a further circuit, which published files have (the 145-bus one
-    of the IEEE); that is noted.
+    A record out of service at a bus that `grid` does not have is left out and counted, as PSS/E reads such
+    files. A second branch between the same buses is a further circuit, which published files have (the
+    145-bus one of the IEEE); that is noted.
 
     Raises
     ------
@@ -31,6 +34,11 @@ def once(records: Iterator[Record], report: Report) -> Iterator[Record]:
     first: dict[tuple[int | str, ...], str] = {}
     for record in records:
         names = _FIELDS[record.kind]
+        if _is_out(record) and any(
+            record.bus(name, 0) not in (0, *grid.buses) for name in _BUSES if name in record.position
+        ):
+            report.drop(f"{record.kind} out of service at a bus that is not there", record.where)
+            continue
         if all(name in record.position for name in names):  # until version 34 a switched shunt has none
             buses = sorted(record.bus(name, 0) for name in names if name in _BUSES)
             word = [record.identity(name) for name in names if name not in _BUSES]
@@ -38,6 +46,15 @@ def once(records: Iterator[Record], report: Report) -> Iterator[Record]:
             if before != record.where:
                 _twice(record, buses, word, before, report)
         yield record
+
+
+def _is_out(record: Record) -> bool:
+    """Whether the status of `record` is 0; a field that is no number is left for its reader to refuse."""
+    name = next((name for name in _STATUS if name in record.position), None)
+    try:
+        return name is not None and float(record.text(name, "1")) == 0.0
+    except ValueError:
+        return False
 
 
 def _twice(record: Record, buses: list[int], word: list[str], before: str, report: Report) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from ..report import Report
 from ..static import StaticBranch, StaticGrid, StaticShunt
 from .file import RawFile
-from .identities import once
+from .identities import usable
 from .record import Record
 
 ZERO_PU = 1e-4  #: THRSHZ of PSS/E: a line without resistance up to this reactance joins its ends
@@ -67,12 +67,12 @@ def read_lines_of(raw: RawFile, grid: StaticGrid, report: Report) -> None:
         number = record.whole("TABLE", 0)
         if number:
             adjusted[record.bus("I"), record.bus("J"), record.identity("CKT")] = (number, record.where)
-    for record in once(raw.records("branch"), report):
+    for record in usable(raw.records("branch"), grid, report):
         row = _line(record, grid, threshold, report)
         key = (row.first, row.second, row.circuit)
         if key in adjusted:
             apply(row, tables, *adjusted[key], report)
-    for record in once(raw.records("switching device"), report):
+    for record in usable(raw.records("switching device"), grid, report):
         first, second = (grid.bus(record.bus(k), record.where).number for k in ("I", "J"))
         on = record.whole("STAT", 1) == 1
         circuit = record.identity("CKT")

@@ -10,7 +10,7 @@ from ...errors import CaseError
 from ..report import Report
 from ..static import StaticGrid, StaticLoad
 from .file import RawFile
-from .identities import once
+from .identities import usable
 from .record import Record
 
 _ABSENT = 900.0  #: PSS/E writes 999 where there is no second cage
@@ -20,7 +20,7 @@ _IDLE = 1e-9  #: slip of a machine that gives no power
 
 def read_motors(raw: RawFile, grid: StaticGrid, report: Report) -> None:
     """Put the induction machines of `raw` into `grid`."""
-    for record in once(raw.records("induction machine"), report):
+    for record in usable(raw.records("induction machine"), grid, report):
         bus = grid.bus(record.bus("I"), record.where)
         if record.code("STAT", 1, (0, 1)) == 0:
             report.drop("induction machine out of service", record.where)

@@ -8,7 +8,7 @@ from ..report import Report
 from ..static import StaticGrid, StaticLoad
 from .converters import reactive_power
 from .file import RawFile
-from .identities import once
+from .identities import usable
 from .record import Record
 
 _STEPS = 200  #: of the fixed point between powers and dc voltages; a loaded line takes about 20
@@ -20,7 +20,7 @@ def read_multi_terminal(raw: RawFile, grid: StaticGrid, report: Report) -> None:
     One converter holds its dc voltage, the others their power (a rectifier's is above 0) or current; the
     links are resistors. Constant P and Q at each ac bus.
     """
-    for record in once(raw.records("multi-terminal dc"), report):
+    for record in usable(raw.records("multi-terminal dc"), grid, report):
         mode = record.code("MDC", 0, (0, 1, 2))
         if mode == 0:
             report.drop("multi-terminal dc line out of service", record.where)

@@ -8,7 +8,7 @@ from ...errors import CaseError
 from ..report import Report
 from ..static import ISOLATED, StaticBus, StaticGrid, StaticLoad, StaticShunt, StaticUnit
 from .file import RawFile
-from .identities import once
+from .identities import usable
 from .record import Record
 
 
@@ -16,18 +16,18 @@ def read_nodes(raw: RawFile, grid: StaticGrid, report: Report) -> None:
     """Put buses, loads, shunts and units of `raw` into `grid`."""
     for record in raw.records("bus"):
         _bus(record, grid)
-    for record in once(raw.records("load"), report):
+    for record in usable(raw.records("load"), grid, report):
         _load(record, grid)
-    for record in once(raw.records("fixed shunt"), report):
+    for record in usable(raw.records("fixed shunt"), grid, report):
         bus = grid.bus(record.bus("I"), record.where)
         on = record.code("STATUS", 1, (0, 1)) == 1
         p, q = record.number("GL", 0.0), record.number("BL", 0.0)
         shunt = StaticShunt(bus.number, "C", record.identity("ID"), p, q, record.where, on)
         grid.shunts.append(shunt)
     count: Counter[int] = Counter()
-    for record in once(raw.records("switched shunt"), report):
+    for record in usable(raw.records("switched shunt"), grid, report):
         _switched(record, grid, count, report)
-    for record in once(raw.records("generator"), report):
+    for record in usable(raw.records("generator"), grid, report):
         _unit(record, grid)
     _places(raw, grid)
     for what, rows in (("buses", grid.buses), ("loads", grid.loads), ("units", grid.units)):

@@ -73,18 +73,19 @@ def split_words(text: str, where: str) -> tuple[str, ...]:
     return split_record(text, where)[0]
 
 
-def split_record(text: str, where: str) -> tuple[tuple[str, ...], bool]:
-    """Return the words of a line as `split_words`, and whether a `/` outside quotes ended it."""
+def split_record(text: str, where: str) -> tuple[tuple[str, ...], str | None]:
+    """Return the words of a line as `split_words`, and the text behind the `/` outside quotes, or None."""
     if len(text) > LONGEST_LINE:
         raise CaseError(f"{where}: a line of {len(text)} characters, allowed: at most {LONGEST_LINE}")
     if "'" not in text and '"' not in text:
-        head, slash, _ = text.partition("/")
-        return _split_plain(head), bool(slash)
+        head, slash, rest = text.partition("/")
+        return _split_plain(head), rest if slash else None
     words: list[str] = []
     after_comma = True
-    for single, double, comma, slash, bare in _WORD.findall(text):
+    for found in _WORD.finditer(text):
+        single, double, comma, slash, bare = (group or "" for group in found.groups())
         if slash:
-            return tuple(words), True
+            return tuple(words), text[found.end() :]
         if comma:
             if after_comma:
                 words.append("")
@@ -94,7 +95,7 @@ def split_record(text: str, where: str) -> tuple[tuple[str, ...], bool]:
             raise CaseError(f"{where}: a quote ({bare[:1]}) is not closed: {bare[:40]}")
         words.append(bare or (single or double).strip())
         after_comma = False
-    return tuple(words), False
+    return tuple(words), None
 
 
 def _split_plain(text: str) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ import math
 from ..report import Report
 from ..static import StaticBranch, StaticGrid, StaticShunt
 from .file import RawFile
-from .identities import once
+from .identities import usable
 from .lines import Correction, apply, bolster, corrections
 from .record import Record
 
@@ -18,7 +18,7 @@ def read_transformers(raw: RawFile, grid: StaticGrid, report: Report) -> None:
     """Put the transformers of `raw` into `grid`; windings of a star end at a bus of its own."""
     tables = corrections(raw) if raw.groups.get("transformer") else {}
     count = [0, 0]
-    for head in once(raw.records("transformer"), report):
+    for head in usable(raw.records("transformer"), grid, report):
         impedance = raw.part(head, 0, "transformer impedance")
         windings = [raw.part(head, k, "transformer winding") for k in range(1, len(head.parts))]
         if len(windings) == 2:
@@ -76,10 +76,8 @@ def _three(
     tables: dict[int, Correction],
     report: Report,
 ) -> None:
-    buses = [grid.bus(head.bus(key), head.where).number for key in ("I", "J", "K")]
-    if len(set(buses)) < 3:
-        raise head.refused(f"windings at buses {buses}, allowed: three buses")
     status = head.code("STAT", 1, (0, 1, 2, 3, 4))
+    buses = _star_buses(head, status, grid, report)
     if status == 0:
         report.drop("transformer of three windings out of service", head.where)
         return
@@ -102,8 +100,11 @@ def _three(
         z12, z23, z31 = z12 * factor[0], z23 * factor[1], z31 * factor[2]
     legs = [(z12 + z31 - z23) / 2, (z12 + z23 - z31) / 2, (z23 + z31 - z12) / 2]
     circuit = head.identity("CKT")
-    star = grid.new_bus(buses[0], head.where, f"star {'-'.join(map(str, buses))} {circuit}", star=True)
+    near = next(bus for bus in buses if bus in grid.buses)
+    star = grid.new_bus(near, head.where, f"star {'-'.join(map(str, buses))} {circuit}", star=True)
     for k, (bus, leg) in enumerate(zip(buses, legs, strict=True)):
+        if bus not in grid.buses:
+            continue
         z = leg if on_pairs else leg * factor[k]
         row = StaticBranch(
             (buses[0], buses[1], buses[2]),
@@ -126,6 +127,19 @@ def _three(
     _magnetising(head, impedance, windings[0], buses[0], name, grid, status != 4)
 
 
+def _star_buses(head: Record, status: int, grid: StaticGrid, report: Report) -> list[int]:
+    """The buses of three windings; that of one out of service may be missing, which is reported."""
+    buses = [head.bus(key) for key in ("I", "J", "K")]
+    for k, bus in enumerate(buses, 1):
+        if k not in _OUT[status]:
+            grid.bus(bus, head.where)
+        elif bus not in grid.buses:
+            report.drop("winding out of service at a bus that is not there", head.where)
+    if len(set(buses)) < 3:
+        raise head.refused(f"windings at buses {buses}, allowed: three buses")
+    return buses
+
+
 def _factor(
     tables: dict[int, Correction], number: int, ratio: float, angle: float, winding: Record, report: Report
 ) -> complex:
@@ -137,7 +151,7 @@ def _factor(
 def _turns(head: Record, winding: Record, bus: int, grid: StaticGrid) -> float:
     """The ratio of a winding in pu of the bus base voltage."""
     code = head.code("CW", 1, (1, 2, 3))
-    kv = grid.buses[bus].kv
+    kv = _base_kv(bus, winding, grid)
     if code == 2:
         if not kv > 0.0:
             raise head.refused(f"CW = 2 but bus {bus} has no base voltage, allowed: a BASKV above 0")
@@ -150,6 +164,11 @@ def _turns(head: Record, winding: Record, bus: int, grid: StaticGrid) -> float:
     if not ratio > 0.0:
         raise winding.wrong("WINDV", f"{ratio:g}", "a ratio above 0")
     return ratio
+
+
+def _base_kv(bus: int, winding: Record, grid: StaticGrid) -> float:
+    """The base voltage of a winding's bus; its own nominal one where that bus is not in the file."""
+    return grid.buses[bus].kv if bus in grid.buses else winding.number("NOMV", 0.0) or 1.0
 
 
 def _impedance(
@@ -169,7 +188,7 @@ def _impedance(
             raise record.wrong(f"R{pair}", record.text(f"R{pair}"), "losses below the impedance")
         x = math.copysign(math.sqrt(x * x - r * r), x)
     scale = grid.base_mva / base
-    kv, nominal = grid.buses[bus].kv, winding.number("NOMV", 0.0)
+    kv, nominal = _base_kv(bus, winding, grid), winding.number("NOMV", 0.0)
     if kv > 0.0 and nominal > 0.0 and abs(nominal - kv) > 1e-6 * kv:
         report.assume(
             "impedance on the winding's own base (CZ 2, 3) taken at NOMV, not at BASKV", winding.where
@@ -190,7 +209,7 @@ def _magnetising(
         if not abs(g) <= abs(b):
             raise head.wrong("MAG1", head.text("MAG1"), "losses below what MAG2 says")
         b = -math.sqrt(b * b - g * g)
-        kv, nominal = grid.buses[bus].kv, winding.number("NOMV", 0.0)
+        kv, nominal = _base_kv(bus, winding, grid), winding.number("NOMV", 0.0)
         scale = base / grid.base_mva * ((kv / nominal) ** 2 if nominal > 0.0 and kv > 0.0 else 1.0)
         g, b = g * scale, b * scale
     identity = f"{name}_{head.identity('CKT')}"

@@ -33,9 +33,9 @@ def test_words_of_a_line(text: str, words: tuple[str, ...]) -> None:
 
 
 def test_a_slash_ends_a_record_only_outside_quotes() -> None:
-    assert split_record("1 'A/B' 2", "") == (("1", "A/B", "2"), False)
-    assert split_record("1 'A/B' 2 / 3", "") == (("1", "A/B", "2"), True)
-    assert split_record("/", "") == ((), True)
+    assert split_record("1 'A/B' 2", "") == (("1", "A/B", "2"), None)
+    assert split_record("1 'A/B' 2 / 3", "") == (("1", "A/B", "2"), " 3")
+    assert split_record("/", "") == ((), "")
 
 
 def test_an_open_quote_and_an_endless_line_are_named() -> None:
