@@ -21,6 +21,7 @@ from ..results.metrics import METRICS, RING_DOWN
 from ..results.run import Run
 from ..results.tally import Tally
 from ..run.controllers import ControllerLike
+from ..run.linear_loop import linear_swings
 from ..run.run import system_of
 from ..run.swing_signal import swing_of
 from ..scenario.channels import Delays
@@ -66,7 +67,7 @@ def run_joint(
     judge = Judge(case, swing, loaded, step_s=members.step_s, stop_s=stop_s, wanted=wanted)
     judge.add(trajectory)
     system = system_of(loaded, cache=folder, controller=controller)
-    roots = system.linear_swings()
+    loop = system.linear_loop()
     limits = [float(m.start.get("limit", _limit(m))) for m in members.all if m.name == "controller"]
     return Run(
         trajectory=trajectory,
@@ -77,7 +78,7 @@ def run_joint(
         scenario=loaded,
         case=case,
         swing=swing,
-        metrics=judge.metrics(next(iter(limits), None), roots),
+        measure=lambda: judge.metrics(next(iter(limits), None), linear_swings(loop)),
     )
 
 

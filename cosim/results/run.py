@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from interarea.models.files import write_whole
 
@@ -30,12 +31,30 @@ LEAST = "least"  #: in place of a mode's name: what is damped least
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Run(Result):
-    """What a scenario did: `trajectory`, `metrics`, `ledger` (delays), `packets`."""
+    """What a scenario did: `trajectory`, `metrics`, `ledger` (delays), `packets`.
+
+    measure : computes the metrics; called once, when they are first read.
+    """
 
     scenario: Scenario
     case: Case
     swing: Swing
-    metrics: Metrics
+    measure: Callable[[], Metrics] = field(compare=False)
+
+    @cached_property
+    def metrics(self) -> Metrics:
+        """The metrics, computed on first access: the roots of the linear loop cost more than the run.
+
+        Raises
+        ------
+        BuildError : the plant has to be linearised anew and cannot be.
+        """
+        return self.measure()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what another process needs: the metrics themselves instead of what computes them."""
+        metrics = self.metrics
+        return {k: v for k, v in vars(self).items() if k != "measure"} | {"metrics": metrics}
 
     def __repr__(self) -> str:
         """Return in a line what ran and how it went: pytest shows it where an assertion fails."""

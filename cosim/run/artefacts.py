@@ -127,15 +127,20 @@ def linear_matrices(case: Case, cache: Path) -> LinearMatrices:
     """
     require_one_network(case, "each has a rotation of its own")
     _require_dense(case)
-    fmu = plant_fmu(case, cache)
+    return matrices_of_fmu(plant_fmu(case, cache), cache)
+
+
+def matrices_of_fmu(fmu: Path, cache: Path) -> LinearMatrices:
+    """Return the matrices of a plant FMU that lies in the cache, where its name has the hash of its content.
+
+    Raises
+    ------
+    LinearisationError, FmuFileError, FmuError
+    """
     key = content_hash(fmu.name, code_hash("interarea.design.linear.linearise"), numerics_versions())
 
     def make(path: Path) -> None:
-        from interarea.design.linear.linearise import linearise
-        from interarea.fmu_build.open.plant import open_plant
-
-        with open_plant(fmu) as plant:
-            _save_linear(linearise(plant), path)
+        _save_linear(linearised(fmu), path)
 
     path = artefact(cache, "linear", key, ".npz", make)
     with np.load(path) as z:
@@ -144,7 +149,22 @@ def linear_matrices(case: Case, cache: Path) -> LinearMatrices:
             [str(s) for s in z["states"]],
             [str(s) for s in z["inputs"]],
             [str(s) for s in z["outputs"]],
+            z["output_start"],
         )
+
+
+def linearised(fmu: Path) -> LinearMatrices:
+    """Linearise a plant FMU at its operating point; the differences are checked here, once."""
+    from interarea.design.linear.linearise import linearise
+    from interarea.fmu_build.open.plant import open_plant
+
+    with open_plant(fmu) as plant:
+        system = linearise(plant)
+        start = plant.derivatives(*plant.operating_point())[1]
+    states, inputs = list(system.state_labels), list(system.input_labels)
+    return LinearMatrices(
+        system.A, system.B, system.C, system.D, states, inputs, list(system.output_labels), start
+    )
 
 
 def states_beyond_dense(case: Case) -> int:
@@ -203,8 +223,9 @@ def sparse_linear_plant(case: Case, cache: Path) -> SparsePlant:
     return sparse_plant(DeviceSlopes(block, cache=cache), block.data, point.power_flow.voltages)
 
 
-def _save_linear(system: control.StateSpace, path: Path) -> None:
+def _save_linear(system: LinearMatrices, path: Path) -> None:
     arrays: dict[str, Any] = {m: getattr(system, m) for m in "ABCD"}
+    arrays["output_start"] = system.output_start
     arrays |= {"states": system.state_labels, "inputs": system.input_labels, "outputs": system.output_labels}
     with path.open("wb") as out:
         np.savez(out, **arrays)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,9 @@ from ..plots.html import page_environment, page_figure
 from ..results.record import record_of, scenario_text
 from ..results.run import Run
 from ..scenario.scenario import Scenario
-from .linear_loop import Loop, linear_swings
+from .linear_loop import linear_swings
 from .run import system_of
-from .system import CONTROLLER, PLANT, System
+from .system import System
 
 #: common latency of all channels over which roots are followed, s
 LATENCIES_S = tuple(float(x) for x in np.round(np.linspace(0.0, 0.4, 17), 6))
@@ -124,8 +124,7 @@ def _swings_at(system: System, latency_s: float) -> LoopModes | str:
     assert system.scenario is not None
     late = {n: c.model_copy(update={"latency_s": latency_s}) for n, c in system.scenario.channels.items()}
     scenario = system.scenario.model_copy(update={"channels": late})
-    parts = (system.parts[PLANT], system.parts.get(CONTROLLER), system.bank)
-    return linear_swings(Loop(scenario, system.case, *parts, system.fmus.loops))
+    return linear_swings(replace(system.linear_loop(), scenario=scenario))
 
 
 def curves_figure(compared: Sequence[Compared]) -> Figure:

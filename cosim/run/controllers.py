@@ -7,15 +7,11 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-import control
 from threadpoolctl import threadpool_limits
 
-from interarea.design.certificates.closed_loop import certificate
 from interarea.design.controllers.bank import ControllerBank, load_controller
 from interarea.design.controllers.bundled import shipped_controller, shipped_names
 from interarea.design.controllers.controller import Controller, ControllerError
-from interarea.design.linear.linearise import remove_reference, speeds_in_rad
-from interarea.design.modes.modes import modes_of
 from interarea.fmu_build.write.cache import artefact, code_hash, content_hash, file_hash, numerics_versions
 from interarea.fmu_build.write.package import block_fmu
 from interarea.models.case.case import Case
@@ -26,6 +22,8 @@ from .artefacts import linear_plant, plant_fmu
 from .controller_fmu import controller_from_fmu
 
 if TYPE_CHECKING:
+    import control
+
     from interarea.design.synthesis.study_designs import StudySpec
 
 #: What a controller can be given as: an object, a name, a file.
@@ -44,10 +42,10 @@ def controller_of(
     ------
     ScenarioError : neither a name nor a file. ControllerError : a file or numbers that cannot be used.
     """
-    if isinstance(which, control.StateSpace):
-        return Controller.of(which)
-    if not isinstance(which, str | Path):
+    if isinstance(which, Controller | ControllerBank):
         return which
+    if not isinstance(which, str | Path):
+        return Controller.of(which)
     name = str(which)
     if name == "none":
         return None
@@ -91,7 +89,7 @@ def design_controller(
         [name, reduce, {k: asdict(spec) for k, spec in (specs or {}).items()}],
         file_hash(plant_fmu(case, cache)),
         code_hash("interarea.design.synthesis.study_designs"),
-        code_hash(certificate.__module__),
+        code_hash("interarea.design.certificates.closed_loop"),
         numerics_versions(),
     )
 
@@ -114,6 +112,9 @@ def designed_anew(
 def _design(
     case: Case, name: str, cache: Path, reduce: bool, specs: Mapping[str, StudySpec] | None
 ) -> Controller:
+    from interarea.design.certificates.closed_loop import certificate
+    from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+    from interarea.design.modes.modes import modes_of
     from interarea.design.synthesis import study_designs as designs
 
     relative = remove_reference(linear_plant(case, cache))
@@ -142,6 +143,7 @@ def active_bank(case: Case, cache: Path) -> ControllerBank:
 
     def make(path: Path) -> Path:
         from interarea.design.certificates.bank_design import design_active
+        from interarea.design.linear.linearise import remove_reference
 
         relative = remove_reference(linear_plant(case, cache))
         with threadpool_limits(1):

@@ -11,20 +11,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-import control
 import numpy as np
 
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import ControllerError, matrices_of_parameters
 from interarea.design.delay.loop_modes import LoopFunction, LoopModes, SignalWay, open_loop_modes
-from interarea.design.linear.linearise import (
-    bus_frequencies,
-    linearise,
-    remove_reference,
-    speeds_in_rad,
-)
+from interarea.design.linear.linearise import bus_frequencies, remove_reference, speeds_in_rad
+from interarea.design.linear.matrices import LinearMatrices
 from interarea.design.modes.modes import modes_of
-from interarea.fmu_build.open.plant import open_plant
 from interarea.models.errors import InterareaError
 
 from ..errors import machine_error
@@ -32,12 +26,15 @@ from ..results.ringdown import fit_window
 from ..scenario.channels import BernoulliLoss, ChannelLine, GilbertElliottLoss
 from ..scenario.concentrators import ConcentratorLine
 from ..scenario.ways import Way
+from .artefacts import linearised, matrices_of_fmu
 
 if TYPE_CHECKING:
+    import control
+
     from interarea.models.case.case import Case
 
     from ..scenario.scenario import Scenario
-    from .instance import Instance
+    from .instance import Fmus, Instance
 
 _MOST_STATES = 400  #: of a plant whose eigenvectors are worth their time
 _MOST_KEPT = 500
@@ -63,7 +60,7 @@ class NotLinearError(InterareaError, ValueError):
 class Loop:
     """What a linear loop is made of: scenario, case, instances; `bank` where the controller is one.
 
-    kept : linear plants and swings found before, by what they are of.
+    fmus : opened files, with the linear plants and swings found before.
     """
 
     scenario: Scenario
@@ -71,7 +68,12 @@ class Loop:
     plant: Instance
     controller: Instance | None
     bank: ControllerBank | None
-    kept: dict[Any, Any]
+    fmus: Fmus
+
+    @property
+    def kept(self) -> dict[Any, Any]:
+        """Linear plants and swings found before, by what they are of."""
+        return self.fmus.loops
 
 
 def linear_swings(loop: Loop) -> LoopModes | str:
@@ -108,7 +110,7 @@ def _swings(loop: Loop) -> LoopModes:
     if key not in loop.kept:
         grid, modes = _linear(loop, buses)
         if part is None:
-            loop.kept[key] = open_loop_modes(np.linalg.eigvals(grid.A), modes)
+            loop.kept[key] = open_loop_modes(np.linalg.eigvals(grid.A).astype(complex), modes)
         else:
             loop.kept[key] = LoopFunction(grid, _controller(loop, part, lost)).modes(ways, modes)
     found: LoopModes = loop.kept[key]
@@ -130,23 +132,26 @@ def _refuse(scenario: Scenario, start: float, stop: float) -> None:
         raise NotLinearError(f"plant.{moved[0]} was changed")
 
 
-def _linear(loop: Loop, buses: Mapping[str, int]) -> tuple[control.StateSpace, dict[str, complex]]:
+def _linear(loop: Loop, buses: Mapping[str, int]) -> tuple[LinearMatrices, dict[str, complex]]:
     """The plant without reference angle, speeds in rad/s, and its swing modes, 1/s.
 
     buses : signal -> bus whose frequency it is.
     """
-    case, key = loop.case, ("plant", str(loop.plant.file.path), *buses.items())
+    case, file = loop.case, loop.plant.file
+    key = ("plant", str(file.path), *buses.items())
     if key not in loop.kept:
-        with open_plant(loop.plant.file.path) as plant:
-            if len(plant.state_names) > _MOST_STATES:
-                raise NotLinearError(f"{len(plant.state_names)} states are more than {_MOST_STATES}")
-            at_rest = plant.derivatives(*plant.operating_point())[1]
-            outputs = dict(zip(plant.output_names, map(float, at_rest), strict=True))
-            linear = bus_frequencies(linearise(plant), outputs, buses, case.omega_b)
-        relative = remove_reference(linear)
+        states = len(file.model.derivatives)
+        if states > _MOST_STATES:
+            raise NotLinearError(f"{states} states are more than {_MOST_STATES}")
+        cached = file.path.is_relative_to(loop.fmus.cache)  # a sweep's plants of one run each are not
+        linear = matrices_of_fmu(file.path, loop.fmus.cache) if cached else linearised(file.path)
+        assert linear.output_start is not None
+        names = [p.name for p in file.description.outputs if p.type == "Real"]
+        outputs = dict(zip(names, map(float, linear.output_start), strict=True))
+        relative = remove_reference(bus_frequencies(linear, outputs, buses, case.omega_b))
         modes = {name: mode.eigenvalue for name, mode in modes_of(relative, case.areas).items()}
         loop.kept[key] = (speeds_in_rad(relative, case.omega_b), modes)
-    found: tuple[control.StateSpace, dict[str, complex]] = loop.kept[key]
+    found: tuple[LinearMatrices, dict[str, complex]] = loop.kept[key]
     return found
 
 

@@ -13,7 +13,7 @@ from interarea.models.case.checks import islands_of
 
 from ..results.ringdown import Swing
 from ..scenario.names import two_machines
-from .artefacts import linear_plant, plant_fmu, sparse_linear_plant, states_beyond_dense
+from .artefacts import linear_matrices, plant_fmu, sparse_linear_plant, states_beyond_dense
 
 #: of a grid too large for matrices: where areas swing against each other, and damping ratios below which they
 #: are sought in turn
@@ -69,7 +69,7 @@ def _modes(case: Case, cache: Path) -> list[Mode]:
     ModeError : there are none.
     """
     if not states_beyond_dense(case):
-        return list(modes_of(remove_reference(linear_plant(case, cache)), case.areas).values())
+        return list(modes_of(remove_reference(linear_matrices(case, cache)), case.areas).values())
     plant = sparse_linear_plant(case, cache)
     swings: list[Mode] = []
     for below in _BELOW:

@@ -282,14 +282,13 @@ class System:
             found = event_of({"kind": kind, **fields}, where="event") if isinstance(kind, str) else kind
         except CaseError as error:
             raise ScenarioError(str(error)) from None
-        number = 1 + sum(len(events) for events in self.events.values())
-        given, found = found, event_on_ticks(found, f"event {number}")
-        self.rounded += roundings(given, found, f"event {number}")
+        where = f"event {1 + sum(len(events) for events in self.events.values())}"
+        given, found = found, event_on_ticks(found, where)
+        self.rounded += roundings(given, found, where)
         events = [*self.events.get(plant, []), found]
         event_parameters(self.plants[plant], events)  # refuses an unknown target here
         self.events[plant] = events
-        times = (found.start_s, getattr(found, "end_s", None))
-        self.marks += [t for t in times if t is not None]
+        self.marks += [t for t in (found.start_s, getattr(found, "end_s", None)) if t is not None]
         return self
 
     def mark(self, *times_s: float) -> System:
@@ -348,8 +347,7 @@ class System:
         parts: list[Participant] = list(self._others.values())
         if participants is None:
             parts += [participant_of(n, i.file, i.start, **i.process) for n, i in self.instances.items()]
-        else:
-            parts += participants
+        parts += participants or ()
         by_name = {p.name: p for p in parts}
         for name, line in self.channels.items():
             hold_packets(by_name[name], line)
@@ -412,8 +410,9 @@ class System:
         }
         if (judge := gathered.judge) is None:
             return Result(**common)
-        metrics = judge.metrics(control_limit_pu(master), self.linear_swings())
-        return Run(**common, case=self.case, swing=judge.swing, metrics=metrics)
+        loop, limit = self.linear_loop(), control_limit_pu(master)
+        common |= {"case": self.case, "swing": judge.swing}
+        return Run(**common, measure=lambda: judge.metrics(limit, linear_swings(loop)))
 
     def warned(self) -> System:
         """Return this system after a `ScenarioWarning` for each of its warnings."""
@@ -423,9 +422,13 @@ class System:
 
     def linear_swings(self) -> LoopModes | str:
         """Return the swings of the system of a scenario with a case as roots of its loop, or why not."""
+        return linear_swings(self.linear_loop())
+
+    def linear_loop(self) -> Loop:
+        """Return what the linear loop of the system's scenario is made of."""
         assert self.scenario is not None
-        parts = (self.parts[PLANT], self.parts.get(CONTROLLER), self.bank)
-        return linear_swings(Loop(self.scenario, self.case, *parts, self.fmus.loops))
+        controller = self.parts.get(CONTROLLER)
+        return Loop(self.scenario, self.case, self.parts[PLANT], controller, self.bank, self.fmus)
 
     def self_test(self, master: Master | None = None) -> SelfTest:
         """Measure the latency of every connection; compare with the ledger (module `latency_test`)."""

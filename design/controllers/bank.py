@@ -11,9 +11,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import control
 import numpy as np
 
 from interarea.models.blocks.supervisor import MAX_BANK, MAX_SIGNALS, Matrices, supervisor_block
@@ -24,6 +23,9 @@ from interarea.models.files import write_whole
 from ..lmi.problem import Matrix
 from .controller import Controller, ControllerError, document, plain, table_html
 from .json_text import json_text
+
+if TYPE_CHECKING:
+    import control
 
 SCHEMA = 1
 OFF = "off"  #: the member that does nothing, for sets of signals no controller can live on
@@ -231,6 +233,8 @@ def _of_used_signals(
     """Return a member as a system of the inputs that it reads."""
     used = [j for j in range(len(inputs)) if np.any(B[:, j]) or np.any(D[:, j])]
     names = [inputs[j] for j in used]
+    import control
+
     return control.ss(A, B[:, used], C, D[:, used], inputs=names, outputs=list(outputs))
 
 

@@ -12,9 +12,8 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import control
 import numpy as np
 
 from interarea.models.blocks.controller import Guard, controller_block
@@ -24,6 +23,9 @@ from interarea.models.errors import UserError
 from interarea.models.files import write_whole
 
 from .json_text import json_text
+
+if TYPE_CHECKING:
+    import control
 
 SCHEMA = 1
 
@@ -129,6 +131,8 @@ class Controller:
 
     def scaled(self, gain: float = 1.0, limit_pu: float | None = None) -> Controller:
         """Return this controller, uncertified, with its output times `gain` before its limit."""
+        import control  # takes a second to load
+
         K = self.system
         system = control.ss(
             K.A, K.B, gain * K.C, gain * K.D, inputs=self.inputs, outputs=self.outputs, name=self.name
@@ -189,6 +193,8 @@ class Controller:
         missing = [k for k in ("name", "inputs", "outputs", "A", "B", "C", "D") if k not in data]
         if missing:
             raise ControllerError(f"missing {', '.join(missing)}")
+        import control
+
         for key in "ABCD":
             if not isinstance(data[key], list):
                 raise ControllerError(f"{key} = {data[key]!r}, allowed: a matrix as a list of rows")
@@ -274,6 +280,8 @@ def matrices_of_parameters(
         return np.array(
             [[starts[f"{letter}[{i + 1},{j + 1}]"] for j in range(columns)] for i in range(rows)]
         ).reshape(rows, columns)
+
+    import control
 
     scale = np.array([omega_b if name.endswith("_dw") else 1.0 for name in inputs])
     return control.ss(

@@ -15,9 +15,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import control
 import numpy as np
 import numpy.typing as npt
 
@@ -26,6 +25,11 @@ from interarea.models.blocks.pmu import PmuFilter
 from ..linear.linearise import select
 from ..modes.modes import damping_ratio
 from .characteristic_roots import DelayError
+
+if TYPE_CHECKING:
+    import control
+
+    from ..linear.matrices import LinearMatrices
 
 ComplexArray = npt.NDArray[np.complex128]
 Way = Callable[[ComplexArray], ComplexArray]
@@ -122,7 +126,7 @@ class LoopFunction:
     DelayError : the poles of the plant are too close to each other for its modal form to be accurate.
     """
 
-    def __init__(self, plant: control.StateSpace, controller: control.StateSpace) -> None:
+    def __init__(self, plant: control.StateSpace | LinearMatrices, controller: control.StateSpace) -> None:
         self.signals = tuple(controller.input_labels)
         G = select(plant, list(controller.output_labels), list(self.signals))
         self._G, self._K = _Modal(G), _Modal(controller)
@@ -230,7 +234,7 @@ class Characteristic:
 class _Modal:
     """C (s I - A)^-1 B + D by the eigenvectors of A."""
 
-    def __init__(self, system: control.StateSpace) -> None:
+    def __init__(self, system: control.StateSpace | LinearMatrices) -> None:
         A, B, C, D = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C, system.D))
         poles, vectors = np.linalg.eig(A) if A.size else (np.zeros(0, complex), np.zeros((0, 0)))
         self.poles: ComplexArray = np.asarray(poles, dtype=np.complex128)

@@ -8,18 +8,23 @@ a kink at the operating point or a wrong derivative is an error and not a wrong 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
-import control
 import numpy as np
 from numpy.typing import NDArray
 
 from interarea.models.errors import InterareaError, UserError
 
+from .matrices import LinearMatrices
+
 if TYPE_CHECKING:
+    import control
+
     from interarea.models.blocks.linear_plant import Plant
 
 Matrix = NDArray[np.float64]
+#: the functions below return the kind of system that they get: python-control takes a second to load
+Linear = TypeVar("Linear", "control.StateSpace", LinearMatrices)
 
 #: factor on the steps of the columns whose differences disagree, before they are refused
 SMALLER = 1e-2
@@ -76,8 +81,26 @@ def linearise(
         row, col = np.argwhere(~np.isfinite(exact))[0]
         raise LinearisationError(f"d {(states + outputs)[row]} / d {(states + inputs)[col]} is not finite")
     _check_differences(plant, x0, u0, exact, step, tolerance)
+    import control
+
     labels = [name.replace(".", "_") for name in outputs]  # python-control takes no dots there
     return control.ss(A, B, C, D, states=states, inputs=inputs, outputs=labels)
+
+
+def _like(
+    system: Linear,
+    matrices: tuple[Matrix, Matrix, Matrix, Matrix],
+    states: list[str],
+    inputs: list[str],
+    outputs: list[str],
+) -> Linear:
+    """Return a system of the kind and name of another."""
+    if isinstance(system, LinearMatrices):
+        return LinearMatrices(*matrices, states, inputs, outputs)
+    import control
+
+    name = {"name": system.name} if system.name else {}
+    return control.ss(*matrices, states=states, inputs=inputs, outputs=outputs, **name)
 
 
 def _check_differences(plant: Plant, x0: Matrix, u0: Matrix, exact: Matrix, step: float, tol: float) -> None:
@@ -126,7 +149,7 @@ def _check_differences(plant: Plant, x0: Matrix, u0: Matrix, exact: Matrix, step
             )
 
 
-def remove_reference(system: control.StateSpace, *, tolerance: float = 1e-7) -> control.StateSpace:
+def remove_reference(system: Linear, *, tolerance: float = 1e-7) -> Linear:
     r"""Take out the zero mode of the reference angle, once, by going over to relative angles.
 
     With r = 1 on every rotor angle (states ``*.delta``) and 0 elsewhere, a plant without an infinite bus has
@@ -183,21 +206,13 @@ def remove_reference(system: control.StateSpace, *, tolerance: float = 1e-7) -> 
     P[[i for i in angles if i != ref], ref] = -1.0
     P = P[keep]
     states = [f"{names[i]}-{names[ref]}" if i in angles else names[i] for i in keep]
-    return control.ss(
-        (P @ A)[:, keep],
-        P @ B,
-        C[:, keep],
-        system.D,
-        states=states,
-        inputs=list(system.input_labels),
-        outputs=list(system.output_labels),
-        name=system.name,
-    )
+    matrices = ((P @ A)[:, keep], P @ B, C[:, keep], system.D)
+    return _like(system, matrices, states, list(system.input_labels), list(system.output_labels))
 
 
 def bus_frequencies(
-    system: control.StateSpace, at_rest: Mapping[str, float], signals: Mapping[str, int], omega_b: float
-) -> control.StateSpace:
+    system: Linear, at_rest: Mapping[str, float], signals: Mapping[str, int], omega_b: float
+) -> Linear:
     r"""Put bus frequencies in place of the bus voltages ``bus7_re``, ``bus7_im`` among the outputs.
 
     With :math:`\theta = C_\theta x` the angle of a bus, whose row follows from those of its voltage,
@@ -221,12 +236,10 @@ def bus_frequencies(
         rows[name] = (theta @ system.A, theta @ system.B)
     states, inputs = list(system.state_labels), list(system.input_labels)
     C, D = (np.array([row[k] for row in rows.values()]) for k in (0, 1))
-    return control.ss(
-        system.A, system.B, C, D, states=states, inputs=inputs, outputs=list(rows), name=system.name
-    )
+    return _like(system, (system.A, system.B, C, D), states, inputs, list(rows))
 
 
-def speeds_in_rad(system: control.StateSpace, omega_b: float) -> control.StateSpace:
+def speeds_in_rad(system: Linear, omega_b: float) -> Linear:
     """Scale the outputs ``*_dw`` from per unit to rad/s (dw_rad = omega_b dw_pu); the design's unit.
 
     omega_b : rated speed, rad/s. States and all other outputs stay as they are.
@@ -235,23 +248,15 @@ def speeds_in_rad(system: control.StateSpace, omega_b: float) -> control.StateSp
         raise ValueError(f"omega_b = {omega_b!r} rad/s: must be positive, 2 pi 60 = 376.99 for 60 Hz")
     labels = list(system.output_labels)
     scale = np.array([omega_b if name.endswith("_dw") else 1.0 for name in labels])
-    return control.ss(
-        system.A,
-        system.B,
-        scale[:, None] * system.C,
-        scale[:, None] * system.D,
-        states=list(system.state_labels),
-        inputs=list(system.input_labels),
-        outputs=labels,
-        name=system.name,
-    )
+    matrices = (system.A, system.B, scale[:, None] * system.C, scale[:, None] * system.D)
+    return _like(system, matrices, list(system.state_labels), list(system.input_labels), labels)
 
 
 def select(
-    system: control.StateSpace,
+    system: Linear,
     inputs: list[str] | tuple[str, ...] | None = None,
     outputs: list[str] | tuple[str, ...] | dict[str, dict[str, float]] | None = None,
-) -> control.StateSpace:
+) -> Linear:
     """Pick named inputs and outputs, or weighted sums of outputs, of a system.
 
     outputs : names, or {new name: {output: weight}} such as ``{"dw24": {"G2_dw": 1, "G4_dw": -1}}``.
@@ -277,14 +282,5 @@ def select(
     for k, combo in enumerate(combos.values()):
         for name, weight in combo.items():
             W[k, known_out.index(name)] += weight
-    arguments: dict[str, Any] = {"name": system.name} if system.name else {}
-    return control.ss(
-        system.A,
-        system.B[:, pick],
-        W @ system.C,
-        W @ system.D[:, pick],
-        states=list(system.state_labels),
-        inputs=wanted_in,
-        outputs=list(combos),
-        **arguments,
-    )
+    matrices = (system.A, system.B[:, pick], W @ system.C, W @ system.D[:, pick])
+    return _like(system, matrices, list(system.state_labels), wanted_in, list(combos))

@@ -18,7 +18,8 @@ STANDING = 1e-6
 class LinearMatrices:
     """dx/dt = A x + B u, y = C x + D u with the names that a `control.StateSpace` would have.
 
-    A (n, n), B (n, m), C (p, n), D (p, m).
+    A (n, n), B (n, m), C (p, n), D (p, m). output_start (p,) : the outputs at the operating point, in their
+    own units; None where they are not known.
     """
 
     A: Matrix
@@ -28,6 +29,7 @@ class LinearMatrices:
     state_labels: Sequence[str]
     input_labels: Sequence[str]
     output_labels: Sequence[str]
+    output_start: Matrix | None = None
 
     @property
     def nstates(self) -> int:

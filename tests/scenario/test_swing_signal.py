@@ -54,7 +54,7 @@ def test_a_grid_too_large_for_matrices_has_the_same_from_its_sparse_blocks(
     dense = swing_of(case, cache)
     monkeypatch.setattr(swing_signal, "states_beyond_dense", lambda case: 7)
     monkeypatch.setattr(swing_signal, "cached_json", lambda cache, kind, key, make: make())
-    monkeypatch.setattr(swing_signal, "linear_plant", None)
+    monkeypatch.setattr(swing_signal, "linear_matrices", None)
     sparse = swing_of(case, cache)
     assert (sparse.ahead, sparse.behind) == (dense.ahead, dense.behind)
     assert (

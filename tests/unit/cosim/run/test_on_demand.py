@@ -1,0 +1,59 @@
+"""A run computes what is read of it: metrics on first access, with the same numbers, here or elsewhere."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+
+from interarea.cosim.results.judge import Judge
+from interarea.cosim.run import system as system_module
+from interarea.cosim.run.run import run_scenario
+
+SCENARIO: dict[str, Any] = {
+    "case": "two-area-thesis",
+    "controller": "none",
+    "stop_s": 4.0,
+    "event": [{"kind": "vref_pulse", "machine": "G1", "size_pu": 0.05, "start_s": 1.0, "end_s": 1.2}],
+}
+
+
+def test_the_linear_loop_is_solved_once_and_only_for_those_who_read_the_metrics(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls: list[object] = []
+    linear_swings, metrics = system_module.linear_swings, Judge.metrics
+    monkeypatch.setattr(
+        system_module, "linear_swings", lambda x: (calls.append("roots"), linear_swings(x))[1]
+    )
+    monkeypatch.setattr(Judge, "metrics", lambda *a: (calls.append("metrics"), metrics(*a))[1])
+    run = run_scenario(SCENARIO)
+    assert len(run.data) > 100 and run.ledger.as_rows() is not None
+    assert calls == []  # a trajectory was asked for and no root
+    least = run.metrics.least_damping_ratio
+    assert calls == ["roots", "metrics"]
+    assert run.metrics.least_damping_ratio == least == run.damping_ratio("least")
+    assert len(calls) == 2
+
+
+def test_a_run_sent_to_another_process_has_the_same_metrics() -> None:
+    run = run_scenario(SCENARIO)
+    there = pickle.loads(pickle.dumps(run))
+    assert there.metrics == run.metrics and there.summary == run.summary
+    assert {f.name for f in dataclasses.fields(run)} - set(vars(there)) == {"measure"}
+
+
+def test_a_run_without_a_controller_loads_no_python_control() -> None:
+    code = (
+        "import sys; from interarea.cosim.run.run import run_scenario; "
+        f"run = run_scenario({SCENARIO!r}); print(run.metrics.methods['damping_ratio'][:5], "
+        "'control' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300
+    )
+    assert done.stdout.split() == ["roots", "False"]
