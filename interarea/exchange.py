@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import control
-
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
+from interarea.design.linear.systems import SystemLike, is_system, kind_of
 from interarea.fmu_build.check.check import check_file
 from interarea.fmu_build.finding import Report
 from interarea.fmu_build.open.cross_check import complete_fmu
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def build_fmu(
-    thing: Case | Controller | ControllerBank | control.StateSpace | str,
+    thing: Case | Controller | ControllerBank | SystemLike | str,
     path: str | Path,
     *,
     case: Case | str | Path = "two-area-thesis",
@@ -54,20 +53,20 @@ def build_fmu(
     return place(complete_fmu(fmu, cache), Path(path))
 
 
-def _block(thing: Case | Controller | ControllerBank | control.StateSpace | str, case: Any) -> Block:
-    if thing == "channel":
+def _block(thing: Case | Controller | ControllerBank | SystemLike | str, case: Any) -> Block:
+    if isinstance(thing, str) and thing == "channel":
         from interarea.models.blocks.channel import channel_block
 
         return channel_block()
     if isinstance(thing, Case):
         return plant_block(thing)
-    if isinstance(thing, Controller | ControllerBank | control.StateSpace):
+    if isinstance(thing, Controller | ControllerBank) or is_system(thing):
         return controller_like(thing).block(case_like(case).omega_b)
     from interarea.models.errors import UserError
 
     raise UserError(
-        f"build_fmu: {thing!r}, allowed: a Case (load_case), a controller (load_controller, "
-        "control.StateSpace) or 'channel'"
+        f"build_fmu: {repr(thing) if isinstance(thing, str) else kind_of(thing)}, allowed: a Case "
+        "(load_case), a controller (load_controller, control.StateSpace) or 'channel'"
     )
 
 

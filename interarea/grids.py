@@ -11,6 +11,7 @@ import control
 from interarea.cosim.designs.ranked_loops import ranked_loops
 from interarea.cosim.run.artefacts import linear_plant, sparse_linear_plant
 from interarea.design.linear.linearise import remove_reference
+from interarea.design.linear.systems import SystemLike, kind_of, state_space
 from interarea.design.modes.loop_choice import KINDS
 from interarea.design.modes.modes import modes_of
 from interarea.design.reduction.balanced import (
@@ -24,6 +25,7 @@ from interarea.design.reduction.low_rank import low_rank_reduction
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import Case
 from interarea.models.case.case import load_case as load_case
+from interarea.models.errors import UserError
 from interarea.shown import RankedLoops, SwingModes
 
 _METHODS: Mapping[str, Callable[[control.StateSpace, int], Reduction]] = {
@@ -34,8 +36,12 @@ _METHODS: Mapping[str, Callable[[control.StateSpace, int], Reduction]] = {
 
 
 def case_like(case: Case | str | Path) -> Case:
-    """Return a case, or load the one of that name or file."""
-    return case if isinstance(case, Case) else load_case(case)
+    """Return a case, or load the one of that name or file; raise UserError for another kind of thing."""
+    if isinstance(case, Case):
+        return case
+    if isinstance(case, str | Path):
+        return load_case(case)
+    raise UserError(f"case: is {kind_of(case)}, wanted a Case (load_case), a bundled name or a file")
 
 
 def import_case(
@@ -181,7 +187,7 @@ def loops(
 
 
 def reduce(
-    system: control.StateSpace | Case | str | Path,
+    system: SystemLike | Case | str | Path,
     order: int,
     *,
     method: str = "balanced",
@@ -192,7 +198,8 @@ def reduce(
 
     Parameters
     ----------
-    system : n states; unstable and zero modes are kept as they are. Or a case of any size (bundled name, file
+    system : a `control.StateSpace` or (A, B, C, D) in continuous time, n states; unstable and zero modes are
+        kept as they are. Or a case of any size (bundled name, file
         or `Case`), which is never linearised as a whole: balanced truncation from low-rank Gramians of its
         sparse blocks, zero modes that nothing sees removed.
     order : states of the result.
@@ -202,7 +209,8 @@ def reduce(
 
     Raises
     ------
-    UserError : an order out of range, an unknown method, or unknown signals of a case.
+    UserError : an order out of range, an unknown method, unknown signals of a case, or what is neither a case
+        nor a linear system in continuous time.
 
     Examples
     --------
@@ -213,10 +221,11 @@ def reduce(
     >>> reduce("two-area-thesis", 24, inputs=["G4_vs"], outputs=dw24).error < 1e-3
     True
     """
-    allowed = _METHODS if isinstance(system, control.StateSpace) else ("balanced",)
-    if method not in allowed:
-        raise ReductionError(f"method = {method!r}, allowed: {', '.join(allowed)}")
-    if isinstance(system, control.StateSpace):
-        return _METHODS[method](system, order)
+    if not isinstance(system, Case | str | Path):
+        if method not in _METHODS:
+            raise ReductionError(f"method = {method!r}, allowed: {', '.join(_METHODS)}")
+        return _METHODS[method](state_space(system), order)
+    if method != "balanced":
+        raise ReductionError(f"method = {method!r}, allowed for a case: balanced")
     plant = sparse_linear_plant(case_like(system), default_cache())
     return low_rank_reduction(plant, order, inputs=inputs, outputs=outputs or {})

@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import control
 from pydantic import ValidationError
 
 from interarea.cosim.errors import ScenarioError, SweepError
@@ -17,6 +16,7 @@ from interarea.cosim.scenario.scenario import load_scenario
 from interarea.cosim.scenario.ways import ChannelTable
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
+from interarea.design.linear.systems import SystemLike
 from interarea.grids import case_like
 from interarea.models.mistakes import mistakes
 from interarea.progress import Report, notebook_bars, tell_runs
@@ -53,7 +53,7 @@ def simulate(
     scenario: str | Path | Mapping[str, Any],
     *,
     case: Case | str | Path | None = None,
-    controller: Controller | ControllerBank | control.StateSpace | str | Path | None = None,
+    controller: Controller | ControllerBank | SystemLike | str | Path | None = None,
     progress: Callable[[float, float], object] | None = None,
 ) -> Result:
     """Co-simulate a scenario; return trajectory, metrics and delay ledger.
@@ -86,7 +86,8 @@ def simulate(
     if grid is not None:
         loaded = loaded.model_copy(update={"case": grid.name})
     if controller is not None:
-        _refuse_other_things(controller)
+        if not isinstance(controller, Controller | ControllerBank | str | Path):
+            controller = Controller.of(controller)
         if not loaded.case:
             raise ScenarioError(f"{loaded.name}: a controller needs a case; name one (case = ...)")
     with notebook_bars((loaded.name,)) as report:
@@ -99,14 +100,6 @@ def simulate(
 
 def _tell_time(report: Report, stage: str, now_s: float, end_s: float) -> None:
     report(stage, now_s / end_s, f"{now_s:.1f} of {end_s:g} s")
-
-
-def _refuse_other_things(controller: object) -> None:
-    if not isinstance(controller, Controller | ControllerBank | control.StateSpace | str | Path):
-        raise ScenarioError(
-            f"controller = {controller!r}, allowed: a Controller, a control.StateSpace, a name, a JSON file "
-            "or an FMU"
-        )
 
 
 def sweep(

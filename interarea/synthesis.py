@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import control
-
 from interarea.cosim.designs.bank_certificate import certify_bank
 from interarea.cosim.designs.design_file import (
     DESIGN_STEPS,
@@ -25,6 +23,7 @@ from interarea.cosim.run.controllers import controller_of
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
+from interarea.design.linear.systems import SystemLike
 from interarea.fmu_build.write.cache import default_cache
 from interarea.grids import case_like
 from interarea.progress import notebook_bars, silent
@@ -105,17 +104,19 @@ def load_controller(
 
 
 def controller_like(
-    controller: Controller | ControllerBank | control.StateSpace | str | Path,
+    controller: Controller | ControllerBank | SystemLike | str | Path,
     case: Case | str | Path = "two-area-thesis",
 ) -> Controller | ControllerBank:
     """Return a controller as it is, of a `StateSpace` (u = +K y, speeds in rad/s), or by name or file."""
     if isinstance(controller, str | Path):
         return load_controller(controller, case=case)
-    return Controller.of(controller) if isinstance(controller, control.StateSpace) else controller
+    if isinstance(controller, Controller | ControllerBank):
+        return controller
+    return Controller.of(controller)
 
 
 def certify(
-    controller: Controller | ControllerBank | control.StateSpace | str | Path,
+    controller: Controller | ControllerBank | SystemLike | str | Path,
     case: Case | str | Path | None = None,
     *,
     spec: str | Path | Mapping[str, Any] | None = None,

@@ -12,7 +12,7 @@ import pytest
 
 import interarea as ia
 
-CONTROLLER = "Controller | ControllerBank | control.StateSpace | str | Path"
+CONTROLLER = "Controller | ControllerBank | SystemLike | str | Path"
 FUNCTIONS = {
     "load_case": "name_or_path: str | Path -> Case",
     "import_case": "grid: str | Path, *, dyr: str | Path | None = None, frequency_hz: float | None = None, "
@@ -27,7 +27,7 @@ FUNCTIONS = {
     "actuators: Sequence[str] = (), latency_s: float = 0.0, together: int | None = None, most: int = 10, "
     "points: Mapping[str, Case] | None = None -> RankedLoops",
     "linearise": "case: Case | str | Path, *, reference: bool = False -> control.StateSpace",
-    "reduce": "system: control.StateSpace | Case | str | Path, order: int, *, method: str = 'balanced', "
+    "reduce": "system: SystemLike | Case | str | Path, order: int, *, method: str = 'balanced', "
     "inputs: Sequence[str] = (), outputs: Mapping[str, Mapping[str, float]] | None = None -> Reduction",
     "design_controller": "spec: str | Path | Mapping[str, Any], *, case: Case | str | Path | None = None, "
     "progress: Callable[[str, float, str], object] | None = None -> Controller",
@@ -43,7 +43,7 @@ FUNCTIONS = {
     "scheduler: str | None = None, large: bool = False, "
     "progress: Callable[[Progress], object] | None = None -> SweepResults",
     "read_sweep": "folder: str | Path -> SweepResults",
-    "build_fmu": "thing: Case | Controller | ControllerBank | control.StateSpace | str, path: str | Path, *, "
+    "build_fmu": "thing: Case | Controller | ControllerBank | SystemLike | str, path: str | Path, *, "
     "case: Case | str | Path = 'two-area-thesis', platforms: Sequence[str] | None = None -> Path",
     "write_ssp": "scenario: str | Path | Mapping[str, Any], path: str | Path, *, "
     "platforms: Sequence[str] | None = None -> Path",

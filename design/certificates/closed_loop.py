@@ -22,6 +22,7 @@ from ..errors import UncertifiedDesign
 from ..linear.linearise import select
 from ..linear.matrices import STANDING
 from ..linear.norms import hinf_of
+from ..linear.systems import state_space
 from ..modes.modes import Modes, damping_ratio
 from ..reduction.gramians import separate_slow
 
@@ -42,6 +43,7 @@ def closed_loop_matrix(
     plant: control.StateSpace, K: control.StateSpace, *, lost: Sequence[str] = (), gain: float = 1.0
 ) -> npt.NDArray[np.float64]:
     """Return the state matrix of the plant (speeds in rad/s, D = 0) with u = gain K y, lost signals zero."""
+    state_space(K, "controller")
     G = select(plant, list(K.output_labels), list(K.input_labels))
     keep = np.array([gain * (name not in lost) for name in K.input_labels])
     return np.block([[G.A + G.B @ (K.D * keep) @ G.C, G.B @ K.C], [(K.B * keep) @ G.C, np.asarray(K.A)]])

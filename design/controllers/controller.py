@@ -22,6 +22,7 @@ from interarea.models.documents import DocumentError, parse_json
 from interarea.models.errors import UserError
 from interarea.models.files import write_whole
 
+from ..linear.systems import LinearSystemError, SystemLike, state_space
 from .json_text import json_text
 
 if TYPE_CHECKING:
@@ -74,13 +75,10 @@ class Controller:
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
             raise ControllerError(f"controller: name is {self.name!r}, wanted letters, digits and _")
-        if self.system.isdtime(strict=True):
-            raise ControllerError(
-                f"controller {self.name}: is in discrete time (dt = {self.system.dt:g} s), wanted continuous"
-            )
-        for matrix in ("A", "B", "C", "D"):
-            if not np.all(np.isfinite(getattr(self.system, matrix))):
-                raise ControllerError(f"controller {self.name}: {matrix} has numbers that are not finite")
+        try:
+            object.__setattr__(self, "system", state_space(self.system, f"controller {self.name}"))
+        except LinearSystemError as error:
+            raise ControllerError(str(error)) from None
         if not (self.limit_pu > 0.0 and math.isfinite(self.limit_pu)):
             raise ControllerError(
                 f"controller {self.name}: limit_pu is {self.limit_pu}, wanted a positive number"
@@ -92,11 +90,26 @@ class Controller:
                 raise ControllerError(str(error)) from None
 
     @classmethod
-    def of(cls, system: control.StateSpace) -> Controller:
+    def of(cls, system: SystemLike) -> Controller:
         """Return a linear system as a controller (u = +K y), under the system's name where it has a good one.
 
         system : inputs named by signal, speeds in rad/s; outputs by actuator, pu.
+
+        Raises
+        ------
+        ControllerError : another kind of thing, in discrete time, numbers that are not finite, or ports
+            without names.
         """
+        try:
+            system = state_space(system, "controller")
+        except LinearSystemError as error:
+            raise ControllerError(str(error)) from None
+        unnamed = [n for n in (*system.input_labels, *system.output_labels) if "[" in n]
+        if unnamed:
+            raise ControllerError(
+                f"controller: {', '.join(unnamed)} are no names of signals and actuators; name them: "
+                'control.ss(A, B, C, D, inputs=["G2_dw"], outputs=["G4_vs"]), rad/s to pu'
+            )
         return cls(system.name if str(system.name).isidentifier() else "controller", system)
 
     @property

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from interarea.models.errors import UserError
 
 from ..linear.linearise import select
+from ..linear.systems import state_space
 from ..reduction.gramians import balance
 from .characteristic_roots import (
     DelayedChannel,
@@ -122,6 +123,7 @@ def delayed_plant(
     -------
     StateSpace with n + order * (number of latencies > 0) states and the same signal names.
     """
+    state_space(system, "plant")
     outputs = list(system.output_labels)
     _known(latency_s_of, outputs, "output")
     A, B, C, D = (np.asarray(M, dtype=float).copy() for M in (system.A, system.B, system.C, system.D))
@@ -177,6 +179,7 @@ def delayed_loop(
     DelayError : D and Dk both nonzero (a delay equation of neutral type).
     ValueError : unknown signals, negative latency.
     """
+    state_space(controller, "controller")
     latencies = dict(latency_s_of or {})
     lost = tuple(lost)
     signals = list(controller.input_labels)

@@ -23,6 +23,7 @@ import numpy.typing as npt
 from interarea.models.blocks.pmu import PmuFilter
 
 from ..linear.linearise import select
+from ..linear.systems import state_space
 from ..modes.modes import damping_ratio
 from .characteristic_roots import DelayError
 
@@ -127,6 +128,7 @@ class LoopFunction:
     """
 
     def __init__(self, plant: control.StateSpace | LinearMatrices, controller: control.StateSpace) -> None:
+        state_space(controller, "controller")
         self.signals = tuple(controller.input_labels)
         G = select(plant, list(controller.output_labels), list(self.signals))
         self._G, self._K = _Modal(G), _Modal(controller)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from interarea.models.errors import InterareaError, UserError
 
 from .matrices import LinearMatrices
+from .systems import state_space
 
 if TYPE_CHECKING:
     import control
@@ -261,8 +262,10 @@ def select(
 
     outputs : names, or {new name: {output: weight}} such as ``{"dw24": {"G2_dw": 1, "G4_dw": -1}}``.
 
-    Raises ValueError naming an unknown signal and the known ones.
+    Raises UserError naming an unknown signal and the known ones, or what is no linear system.
     """
+    if not isinstance(system, LinearMatrices):
+        state_space(system, "plant")
     known_in, known_out = list(system.input_labels), list(system.output_labels)
     wanted_in = known_in if inputs is None else list(inputs)
     combos: dict[str, dict[str, float]] = (

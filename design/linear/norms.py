@@ -18,6 +18,8 @@ from scipy.optimize import minimize_scalar
 
 from interarea.models.errors import InterareaError
 
+from .systems import state_space
+
 Matrix = NDArray[np.float64]
 ComplexMatrix = NDArray[np.complex128]
 
@@ -101,6 +103,7 @@ def gramian_factor(A: Matrix, B: Matrix) -> Matrix:
 
 def hankel_singular_values(system: control.StateSpace) -> Matrix:
     """Hankel singular values (n,) of a stable system, largest first."""
+    system = state_space(system)
     A, B, C = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C))
     if A.shape[0] == 0:
         return np.zeros(0)
@@ -138,6 +141,7 @@ def transfer_of(
 
 def response(system: control.StateSpace, omega_rad: Matrix) -> ComplexMatrix:
     """Return C (jw I - A)^-1 B + D, shape (len(omega_rad), outputs, inputs), all frequencies in one solve."""
+    system = state_space(system)
     A, B, C, D = (np.asarray(m, dtype=float) for m in (system.A, system.B, system.C, system.D))
     if A.shape[0] == 0:
         return np.broadcast_to(D.astype(complex), (omega_rad.size, *D.shape)).copy()
@@ -160,8 +164,9 @@ def hinf_norm(system: control.StateSpace, *, tolerance: float = 1e-8) -> PeakGai
 
     Raises
     ------
-    UnstableSystem : the norm would be infinite.
+    UnstableSystem : the norm would be infinite. LinearSystemError : no system in continuous time.
     """
+    system = state_space(system)
     A, B, C, D = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C, system.D))
     return hinf_of(A, B, C, D, tolerance=tolerance)
 

@@ -13,6 +13,7 @@ from interarea.models.errors import UserError
 
 from ..linear.matrices import STANDING
 from ..linear.norms import gramian_factor
+from ..linear.systems import LinearSystemError, state_space
 
 Matrix = NDArray[np.float64]
 
@@ -76,12 +77,13 @@ class Split:
     names: tuple[str, ...]
 
 
-def matrices(system: control.StateSpace) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """A, B, C, D as float arrays."""
-    A, B, C, D = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C, system.D))
-    for name, M in (("A", A), ("B", B), ("C", C), ("D", D)):
-        if not np.all(np.isfinite(M)):
-            raise ReductionError(f"matrix {name} of the system has entries that are not finite")
+def matrices(system: control.StateSpace, what: str = "system") -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    """A, B, C, D as float arrays. Raises ReductionError for what is no linear system in continuous time."""
+    try:
+        given = state_space(system, what)
+    except LinearSystemError as error:
+        raise ReductionError(str(error)) from None
+    A, B, C, D = (np.asarray(M, dtype=float) for M in (given.A, given.B, given.C, given.D))
     return A, B, C, D
 
 

@@ -113,7 +113,7 @@ def closed_loop_reduction(
     ReductionError : signals that do not match, an unstable closed loop before or after.
     """
     G = matrices(select(plant, list(controller.output_labels), list(controller.input_labels)))
-    K = matrices(controller)
+    K = matrices(controller, "controller")
     check_order(order, controller.nstates, 0, ())
     removed: tuple[str, ...] = ()
     full = _closed_loop(G, K)
@@ -157,7 +157,7 @@ def _weight(weight: control.StateSpace | None, size: int, side: str, ports: str)
     """Matrices of a weight, identity for none."""
     if weight is None:
         return np.zeros((0, 0)), np.zeros((0, size)), np.zeros((size, 0)), np.eye(size)
-    W = matrices(weight)
+    W = matrices(weight, f"{side} weight")
     found = W[3].shape[0] if ports == "outputs" else W[3].shape[1]
     if found != size:
         raise ReductionError(f"the {side} weight has {found} {ports}; the system needs {size}")

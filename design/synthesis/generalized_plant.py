@@ -15,6 +15,7 @@ import control
 import numpy as np
 import scipy.linalg
 
+from ..linear.systems import state_space
 from ..lmi.problem import Matrix
 
 
@@ -64,11 +65,9 @@ def check_design_plant(G: control.StateSpace) -> None:
     Raises
     ------
     ValueError
-        If a matrix is not finite, or D is not zero.
+        If it is no `StateSpace` in continuous time, a matrix is not finite, or D is not zero.
     """
-    for name in ("A", "B", "C", "D"):
-        if not np.all(np.isfinite(getattr(G, name))):
-            raise ValueError(f"design plant: {name} has numbers that are not finite")
+    state_space(G, "design plant")
     if G.nstates < 1:
         raise ValueError("design plant: it has no states, nothing can be damped")
     if np.any(G.D != 0.0):
@@ -135,7 +134,7 @@ def effort_plant(G: control.StateSpace) -> GeneralizedPlant:
 
 def _repeat(W: control.StateSpace, times: int) -> tuple[Matrix, Matrix, Matrix, Matrix]:
     """Block-diagonal repetition of a single-input single-output weight."""
-    W = control.ss(W)
+    W = state_space(control.ss(W), "weight")
     if W.ninputs != 1 or W.noutputs != 1:
         raise ValueError(f"weight: {W.noutputs} x {W.ninputs}, wanted one input and one output")
     one = np.eye(times)

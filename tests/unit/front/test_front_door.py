@@ -132,7 +132,7 @@ def test_mistakes_are_user_errors_in_one_line() -> None:
         (lambda: ia.load_case("kundr"), "did you mean kundur"),
         (lambda: ia.simulate("lost-signl"), "did you mean 'lost-signal'"),
         (lambda: ia.simulate(SHORT, controller="robst"), "did you mean 'robust'"),
-        (lambda: ia.simulate(SHORT, controller=3), "allowed: a Controller, a control.StateSpace"),
+        (lambda: ia.simulate(SHORT, controller=3), "controller: is an int, wanted a control.StateSpace"),
         (lambda: ia.simulate(SHORT, controller=discrete), "discrete time"),
         (lambda: ia.Channel(latncy_s=0.1), "Channel: latncy_s = 0.1: no such key"),
         (lambda: ia.Channel(latency_s=-1), "greater than or equal to 0"),

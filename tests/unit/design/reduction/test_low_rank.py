@@ -105,5 +105,5 @@ def test_the_door_takes_a_case_or_a_system() -> None:
     found = ia.reduce("two-area-thesis", 20, inputs=["G4_vs"], outputs={"y": {"G2_dw": 1.0, "G4_dw": -1.0}})
     assert isinstance(found.system, control.StateSpace)
     assert found.system.nstates == 20
-    with pytest.raises(ReductionError, match="method = 'hankel', allowed: balanced"):
+    with pytest.raises(ReductionError, match="method = 'hankel', allowed for a case: balanced"):
         ia.reduce("two-area-thesis", 20, method="hankel")
