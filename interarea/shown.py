@@ -161,6 +161,12 @@ class Certificate:
         return () if wait == 0.0 else (f"changes of the signals must be at least {wait:.3g} s apart",)
 
     @property
+    def worth(self) -> str:
+        """What the signals from other machines are worth, in a sentence; empty where it was not measured."""
+        found = getattr(self.record, "worth", None)
+        return "" if found is None else str(found["sentence"])
+
+    @property
     def rows(self) -> pd.DataFrame:
         """One row for each operating point and condition; of a bank, one for each loop of its proof."""
         return self.to_frame()

@@ -17,6 +17,7 @@ from interarea.cosim.designs.design_file import (
     steps_of,
 )
 from interarea.cosim.designs.design_file import certify as certify_family
+from interarea.cosim.designs.worth import certified_worth
 from interarea.cosim.errors import ScenarioError
 from interarea.cosim.run.artefacts import linear_plant
 from interarea.cosim.run.controllers import controller_of
@@ -156,6 +157,7 @@ def certify(
         table = own if case is None else own.on(case)
     with notebook_bars(steps_of(table, acceptance=False)) as report:
         found = certify_family(table, made, default_cache(), progress=progress or report or silent)
+        found = certified_worth(table, made, found, default_cache())
     return Certificate(made.name, table.case, found, {c.name: c.in_words for c in table.family()})
 
 

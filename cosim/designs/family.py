@@ -53,6 +53,13 @@ class FamilyPlant:
     blocks: SparsePlant
     small: control.StateSpace | None
 
+    @classmethod
+    def of(cls, case: Case, signals: tuple[str, ...], actuators: tuple[str, ...], cache: Path) -> FamilyPlant:
+        """Linearise a case, dense where it is small enough."""
+        blocks = sparse_linear_plant(case, cache)
+        small = remove_reference(linear_plant(case, cache)) if blocks.nstates <= DENSE_STATES else None
+        return cls(case, signals, actuators, blocks, small)
+
     @cached_property
     def judged(self) -> JudgedPlant:
         """The full plant, as certificates take it."""
@@ -109,9 +116,7 @@ def family_cases(table: Family) -> dict[str, Case]:
 
 def family_plants(table: Family, cache: Path) -> dict[str, FamilyPlant]:
     """Return operating point -> its plant."""
-    found = {}
-    for name, case in family_cases(table).items():
-        blocks = sparse_linear_plant(case, cache)
-        small = remove_reference(linear_plant(case, cache)) if blocks.nstates <= DENSE_STATES else None
-        found[name] = FamilyPlant(case, table.signals, table.actuators, blocks, small)
-    return found
+    return {
+        name: FamilyPlant.of(case, table.signals, table.actuators, cache)
+        for name, case in family_cases(table).items()
+    }

@@ -114,7 +114,18 @@ def mean_drive(
     lost: Sequence[str],
     fault: FaultTable,
 ) -> float:
-    """Return the largest mean (pu) over the actuators of K's output, not limited, in 1.5 s after the loss.
+    """Return the largest of `mean_outputs`, pu: a pull upwards."""
+    return float(mean_outputs(K, time_s, speeds, lost, fault).max())
+
+
+def mean_outputs(
+    K: control.StateSpace,
+    time_s: Array,
+    speeds: dict[str, Array],
+    lost: Sequence[str],
+    fault: FaultTable,
+) -> Array:
+    """Return the mean (pu) of each of K's outputs, not limited, in 1.5 s after the loss.
 
     K : inputs ``*_dw`` in rad/s, outputs in pu. speeds : machine -> rad/s. lost : read zero.
     """
@@ -131,7 +142,7 @@ def mean_drive(
     _, y, _ = lsim((K.A, K.B, K.C, K.D), u, even)
     y = y.reshape(even.size, -1)
     window = (even >= fault.lost_s) & (even <= fault.lost_s + 1.5)
-    return float(y[window].mean(axis=0).max())
+    return np.asarray(y[window].mean(axis=0))
 
 
 def predicted_drive(

@@ -64,6 +64,8 @@ class FamilyCertificate:
     ] = ()  #: the runs of that fault, one for each operating point and loss
     #: what the acceptance of the specification found; None: it was not run
     acceptance: Mapping[str, Any] | None = None
+    #: what the signals from other machines are worth (`SignalWorth.as_dict`); None: not measured
+    worth: Mapping[str, Any] | None = None
 
     @property
     def passed(self) -> bool:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import shlex
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from .terminal import note, print_table, stage_progress
+
+if TYPE_CHECKING:
+    from interarea.cosim.scenario.scenario import Scenario
 
 _COLUMNS = {
     "least_damping_ratio": "least damping",
@@ -60,7 +63,13 @@ def compare(
             progress=lambda name, done: progress(stages[name], done),
         )
     rows = [one.row() for one in found]
-    document = {"scenario": loaded.name, "controllers": rows, "roots": {o.name: o.roots() for o in found}}
+    worth = _worth(loaded, controllers)
+    document = {
+        "scenario": loaded.name,
+        "controllers": rows,
+        "roots": {o.name: o.roots() for o in found},
+        "worth": worth,
+    }
     files: list[Path] = []
     if out is not None:
         for one in found:
@@ -78,8 +87,27 @@ def compare(
             ("controller", "verdict", *_COLUMNS.values()),
             [(r["controller"], r["verdict"], *map(_cell, (r[k] for k in _COLUMNS))) for r in rows],
         )
+        for name, said in worth.items():
+            typer.echo(f"{name}: {said}")
     for file in files:
         (note if json_ else typer.echo)(file)
+
+
+def _worth(scenario: Scenario, controllers: list[str]) -> dict[str, str]:
+    """Return controller -> what its signals are worth in the linear loop of the scenario, in a sentence."""
+    from interarea.cosim.designs.worth import worth_at
+    from interarea.design.controllers.controller import Controller
+    from interarea.fmu_build.write.cache import default_cache
+    from interarea.synthesis import load_controller
+
+    case = scenario.load_case()
+    late = {c.signal: c.latency_s for c in scenario.channels.values()}
+    said = {}
+    for name in controllers:
+        made = None if name == "none" else load_controller(name, case=case)
+        if isinstance(made, Controller):
+            said[made.name] = worth_at(case, made, default_cache(), latency_s_of=late).sentence
+    return said
 
 
 def _cell(value: Any) -> str:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from .terminal import busy, print_table, stage_progress
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     import control
 
     from interarea.cosim.designs.design_file import DesignTable
@@ -45,6 +47,10 @@ def design(
     plots: Annotated[
         Path | None, typer.Option("--plots", metavar="DIR", help="draw the alternatives into it")
     ] = None,
+    worth: Annotated[
+        bool,
+        typer.Option(help="design the best controller without the signals from afar too, and compare"),
+    ] = True,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of tables")] = False,
 ) -> None:
     """Design a fixed-order controller for a family; exit code 1 if it misses what was asked.
@@ -53,6 +59,7 @@ def design(
     """
     from interarea.cosim.designs.comparison import HEADER, compare, save_comparison
     from interarea.cosim.designs.design_file import DESIGN_STEPS, load_design, run_design
+    from interarea.cosim.designs.worth import design_rival, has_rival, with_rival, with_worth
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.case import load_case
 
@@ -64,9 +71,15 @@ def design(
     if plots is not None:
         folder_for(plots, "--plots")
     others = {name: _system(name, case) for name in against or ()}
-    with stage_progress((*DESIGN_STEPS, "alternatives")) as report:
+    rival_step = ("own-signal rival",) if worth and has_rival(table) else ()
+    with stage_progress((*DESIGN_STEPS, *rival_step, "alternatives")) as report:
         done = run_design(table, cache, progress=report)
         made = done.controller
+        if rival_step:
+            rival = design_rival(table, cache, progress=lambda _, share, __: report(rival_step[0], share))
+            made = with_rival(made, rival)
+            report(rival_step[0], 1.0)
+        made = with_worth(table, made, cache)
         out.parent.mkdir(parents=True, exist_ok=True)
         made.save(out)
         found = _certificate_of(made)
@@ -138,6 +151,14 @@ def certify(
             "--acceptance", help="every fault of the design's acceptance and its clearing times too"
         ),
     ] = False,
+    worth: Annotated[
+        bool,
+        typer.Option(
+            "--worth",
+            help="design the best controller without the signals from afar anew (as long as a design), and "
+            "compare; default: the one on record",
+        ),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -156,6 +177,7 @@ def certify(
     """
     from interarea.cosim.designs.design_file import certify as recompute
     from interarea.cosim.designs.design_file import judged_by, load_design, steps_of
+    from interarea.cosim.designs.worth import certified_worth, with_rival
     from interarea.design.controllers.bank import ControllerBank
     from interarea.fmu_build.write.cache import default_cache
 
@@ -173,8 +195,18 @@ def certify(
         return
     if spec is None:
         table = _own_family(made, controller, case) or table
-    with stage_progress(steps_of(table, acceptance=acceptance)) as report:
+    steps = steps_of(table, acceptance=acceptance)
+    with stage_progress([*(["own-signal rival"] if worth else []), *steps, "worth of the signals"]) as report:
+        if worth:
+            made = with_rival(made, _rival(table, made, report))
         found = recompute(table, made, default_cache(), acceptance=acceptance, progress=report)
+        found = certified_worth(
+            table,
+            made,
+            found,
+            default_cache(),
+            progress=lambda share: report("worth of the signals", share),
+        )
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         judged_by(table, made, found).save(out)
@@ -189,6 +221,23 @@ def certify(
             typer.echo(f"on record: {first_failures(known)}")
     if not found.passed:
         raise typer.Exit(1)
+
+
+def _rival(table: DesignTable, made: Controller, report: Callable[[str, float], object]) -> Controller:
+    """Design the own-signal rival of a controller that the design of `table` fits."""
+    from interarea.cosim.designs.worth import design_rival
+    from interarea.fmu_build.write.cache import default_cache
+    from interarea.models.errors import UserError
+
+    if set(table.signals) != set(made.inputs) or set(table.actuators) != set(made.outputs):
+        raise UserError(
+            f"--worth: {made.name} sees {', '.join(made.inputs)}, the design that judges it "
+            f"{', '.join(table.signals)}; give its own design with --spec"
+        )
+    name = "own-signal rival"
+    rival = design_rival(table, default_cache(), progress=lambda _, share, __: report(name, 0.99 * share))
+    report(name, 1.0)
+    return rival
 
 
 def _own_family(made: Controller, name: str, case: str | None) -> DesignTable | None:
@@ -229,6 +278,18 @@ def _certify_bank(bank: ControllerBank, case: Case, json_: bool, out: Path | Non
             f"(slowest loop alone: {found.slowest:.4f} 1/s)"
         )
     typer.echo("lost is what a channel marks as lost; a signal that is stuck or wrong is not detected")
+
+
+def _show_worth(found: Mapping[str, Any]) -> None:
+    from interarea.cosim.designs.worth import HEADER, table_rows
+
+    if found["afar"]:
+        print_table(
+            "worth of the signals, nothing lost (`without`: at the first point, at once)",
+            HEADER,
+            table_rows(found),
+        )
+    typer.echo(found["sentence"])
 
 
 def _show_conditions(table: DesignTable) -> None:
@@ -274,6 +335,8 @@ def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
     for run in found.faults:
         said = f"settled in {run['settled_s']:.1f} s" if run["synchronism"] else "SYNCHRONISM LOST"
         typer.echo(f"fault at {run['point']}, {' and '.join(run['lost']) or 'nothing'} lost: {said}")
+    if found.worth is not None:
+        _show_worth(found.worth)
     if found.acceptance is not None:
         typer.echo(in_words(found.acceptance))
     for violation in found.violations:

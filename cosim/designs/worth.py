@@ -1,0 +1,284 @@
+"""Whether a controller's signals from afar pay: beside its own-signal rival, designed anew on equal terms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+
+from interarea.design.controllers.controller import Controller, plain
+from interarea.design.delay.signal_conditions import Condition
+from interarea.design.robust.operating_points import FamilyCertificate, inter_area_band
+from interarea.design.robust.signal_worth import (
+    OWN_MASKED,
+    OWN_RIVAL,
+    SignalWorth,
+    WorthRow,
+    own_alone,
+    own_signals,
+    signal_worth,
+)
+from interarea.models.case.case import Case
+
+from ..errors import ScenarioError
+from .acceptance import Trial, settings_of
+from .design_file import DesignTable, run_design
+from .design_tables import PartTable
+from .family import FamilyPlant, family_cases, family_plants
+from .first_swing import FaultTable, mean_outputs, uncontrolled_speeds
+
+#: key of a controller's design record under which its rival stands
+RECORD = "own_signal_rival"
+_STARTS = 3  # of the rival of a design that goes on from another controller
+
+Progress = Callable[[str, float, str], object]
+
+
+def rival_table(table: DesignTable) -> DesignTable:
+    """Return the design of the best controller that sees the machines of its actuators alone.
+
+    Order, effort, points, search and limits stay. Losses and the latency of the remote signal alone are no
+    conditions of it, which is to the rival's advantage.
+
+    Raises
+    ------
+    ScenarioError : no signal comes from afar, or an actuator's machine has no signal in the set.
+    """
+    orders = {part.actuator: part.order for part in table.part} or dict.fromkeys(table.actuators, table.order)
+    own = _own_of(table)
+    renamed = {code: _without_losses(code) for code in table.conditions}
+    left_out = {"remote", "local", "actuator", "part", "order", "start_from", "guard"}
+    keys = table.model_dump(exclude=left_out, exclude_unset=True)
+    keys |= {
+        "name": f"{table.name}_own",
+        "part": [PartTable(actuator=a, signals=s, order=orders[a]) for a, s in own.items()],
+        "conditions": tuple(dict.fromkeys(renamed.values())),
+        "effort_under": tuple(dict.fromkeys(renamed[c] for c in table.effort_under)),
+        "starts": max(table.starts, 1 if table.start_from is None else _STARTS),
+    }
+    for stage in keys.get("stage", ()):
+        stage["conditions"] = tuple(dict.fromkeys(renamed[c] for c in stage.get("conditions", ())))
+    seen = {s for some in own.values() for s in some}
+    if table.guard is not None and set(table.guard.watched.values()) <= seen:
+        keys["guard"] = table.guard
+    made = DesignTable.model_validate(keys)
+    made._grid = table._grid
+    return made
+
+
+def _own_of(table: DesignTable) -> dict[str, tuple[str, ...]]:
+    """Return actuator -> the signals of its own machine; ScenarioError where no rival can be made of them."""
+    sees = {part.actuator: part.signals for part in table.part}
+    sees = sees or dict.fromkeys(table.actuators, table.signals)
+    own = {a: own_signals([a], some)[a] for a, some in sees.items()}
+    if all(set(own[a]) == set(sees[a]) for a in sees):
+        raise ScenarioError(
+            f"design {table.name}: sees no signal from another machine, so its worth is that of the whole"
+        )
+    for actuator, signals in own.items():
+        if not signals:
+            raise ScenarioError(
+                f"design {table.name}: no own-signal rival, the machine of {actuator} has no signal among "
+                f"{', '.join(sees[actuator])}; add one of its own, such as "
+                f"{actuator.rpartition('_')[0]}_dw"
+            )
+    return own
+
+
+def _without_losses(code: str) -> str:
+    """Return a condition's code less what concerns the signals from afar.
+
+    >>> _without_losses("L+s100"), _without_losses("s200+L:G5_dw"), _without_losses("ns150")
+    ('s100', 's200', 'N')
+    """
+    return "+".join(part for part in code.split("+") if part[0] == "s") or "N"
+
+
+def design_rival(
+    table: DesignTable, cache: Path, *, progress: Progress = lambda step, share, text: None
+) -> Controller:
+    """Design the rival of `table`. Raises as `rival_table` and `run_design` do."""
+    return run_design(rival_table(table), cache, progress=progress).controller
+
+
+def rival_on_record(controller: Controller) -> Controller | None:
+    """Return the rival in a controller's record. Raises ControllerError where it is there and is none."""
+    kept = controller.design.get(RECORD)
+    return None if kept is None else Controller.from_dict(kept)
+
+
+def with_rival(controller: Controller, rival: Controller) -> Controller:
+    """Return `controller` with its rival in its record, the rival's own certificate left out."""
+    kept = {**replace(rival, certificate=None).as_dict(), "design": {}}
+    return replace(controller, design={**controller.design, RECORD: plain(kept)})
+
+
+def worth(
+    table: DesignTable,
+    controller: Controller,
+    cache: Path,
+    *,
+    rival: Controller | None = None,
+    clearing: bool = False,
+    progress: Callable[[float], object] = lambda share: None,
+) -> SignalWorth:
+    """Return what the signals of `controller` are worth on the family of a design.
+
+    rival : default that of its record. clearing : clearing times of the design's acceptance too (minutes).
+    """
+    rival = rival if rival is not None else rival_on_record(controller)
+    found = family_plants(table, cache)
+    K = controller.system
+    linear = signal_worth(
+        {name: each.judged for name, each in found.items()},
+        K,
+        table.family(),
+        None if rival is None else rival.system,
+        bands_hz={name: inter_area_band(each.modes) for name, each in found.items()},
+        remark=_remark(table) if rival is None else "",
+    )
+    progress(0.3)
+    rises = _common_rises(
+        table, {"": K, OWN_MASKED: own_alone(K)} | ({} if rival is None else {OWN_RIVAL: rival.system}), cache
+    )
+    progress(0.5)
+    cycles: dict[str, float | None] = {}
+    if clearing and table.acceptance is not None:
+        cycles[""] = _clearing(table, controller, cache)
+        if rival is not None:
+            cycles[OWN_RIVAL] = _clearing(table, rival, cache)
+    progress(1.0)
+
+    def filled(row: WorthRow, key: str) -> WorthRow:
+        return replace(row, common_rise=rises.get(key), clearing_cycles=cycles.get(key))
+
+    return replace(
+        linear,
+        whole=filled(linear.whole, ""),
+        masked=tuple(filled(row, row.name) for row in linear.masked),
+        rival=None if linear.rival is None else filled(linear.rival, OWN_RIVAL),
+    )
+
+
+def worth_at(
+    case: Case, controller: Controller, cache: Path, *, latency_s_of: Mapping[str, float] | None = None
+) -> SignalWorth:
+    """Return what the signals of `controller` are worth at one operating point, at these latencies (s)."""
+    K = controller.system
+    plant = FamilyPlant.of(case, controller.inputs, controller.outputs, cache)
+    late = {name: s for name, s in (latency_s_of or {}).items() if name in controller.inputs}
+    rival = rival_on_record(controller)
+    return signal_worth(
+        {case.name: plant.judged},
+        K,
+        [Condition("as here", (), late)],
+        None if rival is None else rival.system,
+        bands_hz={case.name: inter_area_band(plant.modes)},
+    )
+
+
+def has_rival(table: DesignTable) -> bool:
+    """Whether the design sees a signal from afar, and every actuator one of its own machine."""
+    return not _remark(table)
+
+
+def _remark(table: DesignTable) -> str:
+    try:
+        rival_table(table)
+    except ScenarioError as error:
+        return str(error)
+    return ""
+
+
+def certified_worth(
+    table: DesignTable,
+    controller: Controller,
+    found: FamilyCertificate,
+    cache: Path,
+    *,
+    progress: Callable[[float], object] = lambda share: None,
+) -> FamilyCertificate:
+    """Return a certificate with the worth of the signals; with clearing times where it searched them."""
+    searched = found.acceptance is not None
+    measured = worth(table, controller, cache, clearing=searched, progress=progress)
+    return replace(found, worth=plain(measured.as_dict()))
+
+
+def with_worth(table: DesignTable, controller: Controller, cache: Path) -> Controller:
+    """Return a controller with the worth of its signals in its certificate."""
+    measured = worth(table, controller, cache)
+    kept = {**(controller.certificate or {}), "worth": plain(measured.as_dict())}
+    return replace(controller, certificate=kept)
+
+
+def _common_rises(
+    table: DesignTable, systems: Mapping[str, control.StateSpace], cache: Path
+) -> dict[str, float | None]:
+    """Return the largest mean answer (pu) to the speeds of the uncontrolled fault, 0.5 to 2 s after it.
+
+    Over all points where the design has a fault of its own, else after the first of its acceptance at the
+    first point; None where there is neither, or signals are not speeds.
+    """
+    fault, cases = table.fault, family_cases(table)
+    if fault is None:
+        tripped = [f for f in (() if table.acceptance is None else table.acceptance.fault) if f.trip]
+        if not tripped:
+            return dict.fromkeys(systems)
+        fault = FaultTable(bus=tripped[0].bus, branch=str(tripped[0].trip))
+        cases = dict(list(cases.items())[:1])
+    if not all(name.endswith("_dw") for name in table.signals):
+        return dict.fromkeys(systems)
+    largest: dict[str, float | None] = {}
+    for case in cases.values():
+        time_s, speeds = uncontrolled_speeds(case, fault, cache)
+        in_rad = {name: case.omega_b * values for name, values in speeds.items()}
+        for name, K in systems.items():
+            mean = float(np.abs(mean_outputs(K, time_s, in_rad, (), fault)).max(initial=0.0))
+            largest[name] = max(mean, largest.get(name) or 0.0)
+    return largest
+
+
+def _clearing(table: DesignTable, controller: Controller, cache: Path) -> float | None:
+    """Return the mean change of the clearing times against no control, cycles, nothing being lost.
+
+    Over the points and faults of the acceptance at its first latency; ceilings and loads of the case.
+    """
+    wanted = table.acceptance
+    assert wanted is not None
+    changes: list[float] = []
+    for point, case in family_cases(table).items():
+        pairs = [(alone, some[0]) for alone, some in settings_of(wanted, point, None, controller.inputs)]
+        with Trial(case, controller, wanted, cache) as trial:
+            found = trial.clearing_cycles([t for a, k in pairs for t in ((a, False), (k, True))])
+        both = [(found[alone, False], found[kept, True]) for alone, kept in pairs]
+        changes += [b - a for a, b in both if a is not None and b is not None]
+    return float(np.mean(changes)) if changes else None
+
+
+HEADER = ("signals", "stable", "inter-area", "worst swing", "effort", "common rise (pu)", "clearing (cycles)")
+
+
+def table_rows(found: Mapping[str, Any]) -> Sequence[tuple[str, ...]]:
+    """Return the rows of the table of a worth, as `SignalWorth.as_dict` gives it."""
+
+    def number(value: float | None, digits: str) -> str:
+        return "-" if value is None or not np.isfinite(value) else format(value, digits)
+
+    rival = found["rival"]
+    some = [found["open_loop"], found["whole"], *found["masked"], *([] if rival is None else [rival])]
+    return [
+        (
+            row["name"],
+            "yes" if row["stable"] else "NO",
+            number(row["inter_area"], ".3f"),
+            number(row["worst_swing"], ".3f"),
+            number(row["effort"], ".3f"),
+            number(row["common_rise"], ".3f"),
+            number(row["clearing_cycles"], "+.1f"),
+        )
+        for row in some
+    ]

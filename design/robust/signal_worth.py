@@ -1,0 +1,251 @@
+"""What the signals of a controller are worth: without them, and beside the best own-signal controller.
+
+A controller that sees the speeds of other machines is judged beside itself with signals masked, and beside
+one of equal order, effort and conditions that was designed to see the machines of its actuators alone. Only
+the second is a fair rival: a masked controller was never meant to run so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import control
+import numpy as np
+
+from ..delay.signal_conditions import Condition
+from ..reduction.gramians import matrices
+from .operating_points import JudgedPlant, judge_family
+
+#: damping ratio that a link must add to the inter-area modes to pay. Equal searches from other starts differ
+#: by up to half of it.
+PAYS = 0.02
+
+
+@dataclass(frozen=True)
+class WorthRow:
+    """What is reached with some of the signals, while nothing is lost: the least over points and latencies.
+
+    common_rise : mean answer (pu) to the common rise of speed after a fault; None where none was looked at.
+    clearing_cycles : mean change of the clearing times against no control; None: not searched.
+    """
+
+    name: str
+    stable: bool
+    inter_area: float
+    worst_swing: float
+    effort: float  #: pu per rad/s
+    common_rise: float | None = None
+    clearing_cycles: float | None = None
+
+
+@dataclass(frozen=True)
+class SignalWorth:
+    """The controller, the same with each signal masked, and its rival, best first; `sentence` says it all."""
+
+    afar: tuple[str, ...]  #: signals of other machines than those of the actuators that see them
+    open_loop: WorthRow
+    whole: WorthRow
+    #: without each signal, and with the own machines' alone
+    masked: tuple[WorthRow, ...]
+    rival: WorthRow | None = None  #: designed anew for the own machines' signals
+    remark: str = ""  #: why there is no rival
+
+    @property
+    def best_own(self) -> WorthRow | None:
+        """The better of the rival and the controller with the own machines' signals alone."""
+        own = [
+            row for row in (self.rival, *self.masked) if row is not None and row.name in OWN and row.stable
+        ]
+        return max(own, key=lambda row: row.inter_area, default=None)
+
+    @property
+    def adds(self) -> float | None:
+        """What the signals from afar add to the inter-area damping over `best_own`; None without a rival."""
+        own = self.best_own
+        return None if self.rival is None or own is None else self.whole.inter_area - own.inter_area
+
+    @property
+    def pays(self) -> bool | None:
+        """Whether that is at least `PAYS`; None without a rival."""
+        return None if self.adds is None else bool(self.adds >= PAYS)
+
+    @property
+    def sentence(self) -> str:
+        """What the signals from afar are worth, in one sentence."""
+        whole, alone = self.whole, next((row for row in self.masked if row.name == OWN_MASKED), None)
+        if not self.afar:
+            gain = whole.inter_area - self.open_loop.inter_area
+            return f"no signal comes from another machine: the controller itself buys {gain:+.3f} inter-area"
+        link = f"the link from {_listed(self.afar)}"
+        if self.rival is None:
+            without = "an open loop" if alone is None else f"{alone.inter_area:.3f} masked, no fair rival"
+            why = self.remark or "the best own-signal controller is not on record: --worth designs it"
+            return f"{link}: inter-area {whole.inter_area:.3f} with it, without it {without}; {why}"
+        own = self.best_own
+        if own is None or self.adds is None:
+            return f"{link} buys stability: without it no controller of this order held every condition"
+        against = f"{whole.inter_area:.3f} against {own.inter_area:.3f} ({own.name})"
+        if not self.pays:
+            return f"a local stabilizer does as well: do not build {link}; inter-area {against}"
+        more = [f"{link} buys {self.adds:.3f} of inter-area damping", against]
+        if whole.clearing_cycles is not None and own.clearing_cycles is not None:
+            more.append(f"{whole.clearing_cycles - own.clearing_cycles:+.1f} cycles of clearing time")
+        if whole.common_rise is not None and own.common_rise is not None:
+            more.append(f"answer to the common rise {whole.common_rise:.3f} against {own.common_rise:.3f} pu")
+        return ", ".join(more)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the record as JSON values."""
+        return {**asdict(self), "adds": self.adds, "pays": self.pays, "sentence": self.sentence}
+
+
+OWN_MASKED, OWN_RIVAL = "own machines' signals, masked", "own machines' signals, designed anew"
+OWN = (OWN_MASKED, OWN_RIVAL)
+
+
+def own_signals(actuators: Sequence[str], signals: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return actuator -> the signals that are measured at its own machine.
+
+    >>> own_signals(["G2_vs", "G20_vs"], ["G2_dw", "G20_dw", "G4_dw", "tie_p"])
+    {'G2_vs': ('G2_dw',), 'G20_vs': ('G20_dw',)}
+    """
+
+    def machine(name: str) -> str:
+        return name.rpartition("_")[0]
+
+    return {a: tuple(s for s in signals if machine(s) == machine(a)) for a in actuators}
+
+
+def seen_by(K: control.StateSpace) -> dict[str, tuple[str, ...]]:
+    """Return output -> the inputs that reach it, by the structure of A, B, C, D."""
+    _, B, _, D = matrices(K)
+    inputs = np.array(K.input_labels)
+    found = {}
+    for row, output in enumerate(K.output_labels):
+        reached = np.any(B[_states_of(K, row)] != 0.0, axis=0) | (D[row] != 0.0)
+        found[output] = tuple(str(name) for name in inputs[reached])
+    return found
+
+
+def masked(K: control.StateSpace, sees: Mapping[str, Sequence[str]]) -> control.StateSpace:
+    """Return `K` with each output seeing the named signals alone, the rest of its part reading zero.
+
+    Of outputs that share states each gets a copy of its own: what one no longer sees the other may.
+    """
+    A, B, C, D = matrices(K)
+    inputs = list(K.input_labels)
+    blocks: list[tuple[Any, Any, Any, int]] = []
+    direct = np.zeros_like(D)
+    for row, output in enumerate(K.output_labels):
+        kept = np.array([name in sees.get(output, ()) for name in inputs], dtype=float)
+        direct[row] = D[row] * kept
+        states = _states_of(K, row)
+        if len(states) and np.any(B[states] * kept):
+            blocks.append((A[np.ix_(states, states)], B[states] * kept, C[row, states], row))
+    size = sum(len(a) for a, _, _, _ in blocks)
+    A_all, B_all, C_all = np.zeros((size, size)), np.zeros((size, len(inputs))), np.zeros((len(D), size))
+    first = 0
+    for a, b, c, row in blocks:
+        part = slice(first, first + len(a))
+        A_all[part, part], B_all[part], C_all[row, part] = a, b, c
+        first += len(a)
+    return control.ss(A_all, B_all, C_all, direct, inputs=inputs, outputs=list(K.output_labels), name=K.name)
+
+
+def _states_of(K: control.StateSpace, row: int) -> list[int]:
+    """States from which output `row` is reached, through A too."""
+    A, _, C, _ = matrices(K)
+    reached = {int(k) for k in np.flatnonzero(C[row])}
+    while True:
+        more = {int(j) for k in reached for j in np.flatnonzero(A[k])} - reached
+        if not more:
+            return sorted(reached)
+        reached |= more
+
+
+def signal_worth(
+    plants: Mapping[str, JudgedPlant],
+    K: control.StateSpace,
+    conditions: Sequence[Condition],
+    rival: control.StateSpace | None = None,
+    *,
+    bands_hz: Mapping[str, tuple[float, float]] | None = None,
+    remark: str = "",
+) -> SignalWorth:
+    """Judge `K` with all signals, without each, with the own machines' alone, and its rival.
+
+    Every operating point counts, under the conditions in which nothing is lost; one signal after the other is
+    masked at the first point with nothing late, which costs little.
+
+    Parameters
+    ----------
+    plants, conditions, bands_hz : as `judge_family` takes them.
+    rival : the best controller known that sees the own machines' signals alone.
+    remark : why there is none.
+    """
+    there = [c for c in conditions if not c.lost] or list(NOW)
+    sees = seen_by(K)
+    afar = signals_from_afar(K)
+
+    def row(
+        name: str, system: control.StateSpace, among: Sequence[Condition], some: Sequence[str]
+    ) -> WorthRow:
+        late = [_only(c, system.input_labels) for c in among]
+        judged = judge_family({p: plants[p] for p in some}, system, late, bands_hz=bands_hz)
+        steady = all(each.stable for each in judged.rows)
+        return WorthRow(name, steady, judged.inter_area, judged.worst_swing, judged.effort)
+
+    points = list(plants)
+    outputs, inputs = list(K.output_labels), list(K.input_labels)
+    nothing = control.ss([], [], [], np.zeros((len(outputs), len(inputs))), inputs=inputs, outputs=outputs)
+    rows = []
+    for signal in inputs if afar else ():
+        rest = {a: [other for other in some if other != signal] for a, some in sees.items()}
+        rows.append(row(f"without {signal}", masked(K, rest), NOW, points[:1]))
+    if afar:
+        rows.append(row(OWN_MASKED, own_alone(K), there, points))
+    return SignalWorth(
+        afar,
+        row("no control", nothing, NOW, points),
+        row("all signals", K, there, points),
+        tuple(rows),
+        None if rival is None else row(OWN_RIVAL, rival, there, points),
+        remark,
+    )
+
+
+def signals_from_afar(K: control.StateSpace) -> tuple[str, ...]:
+    """Return the inputs that reach an output of another machine."""
+    own = own_signals(list(K.output_labels), list(K.input_labels))
+    sees = seen_by(K)
+    return tuple(s for s in K.input_labels if any(s in some and s not in own[a] for a, some in sees.items()))
+
+
+def own_alone(K: control.StateSpace) -> control.StateSpace:
+    """Return `K` with each output seeing the signals of its own machine alone."""
+    return masked(K, own_signals(list(K.output_labels), list(K.input_labels)))
+
+
+NOW = (Condition("N"),)
+
+
+def _only(condition: Condition, signals: Sequence[str]) -> Condition:
+    """Return the latencies of these signals alone, nothing being lost."""
+    late = {s: value for s, value in condition.latency_s_of.items() if s in signals}
+    return replace(condition, latency_s_of=late)
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return machines of signals in words: the first ones of many.
+
+    >>> _listed(["G2_dw"]), _listed(["G1_dw", "G2_dw", "G3_dw", "G4_dw", "G5_dw"])
+    ('G2', 'G1, G2, G3 and 2 more')
+    """
+    machines = [name.rpartition("_")[0] or name for name in names]
+    return (
+        ", ".join(machines)
+        if len(machines) <= 4
+        else f"{', '.join(machines[:3])} and {len(machines) - 3} more"
+    )

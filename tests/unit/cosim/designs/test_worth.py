@@ -1,0 +1,111 @@
+"""Own-signal rivals: what their design keeps, what it refuses, and where it is shown."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+import interarea
+from interarea.cli.app import app
+from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.designs.worth import rival_on_record, rival_table, worth
+from interarea.cosim.errors import ScenarioError
+from interarea.design.controllers.bundled import shipped_controller
+from interarea.fmu_build.write.cache import default_cache
+
+
+@pytest.mark.parametrize(
+    ("name", "sees", "conditions"),
+    [
+        ("robust", {"G4_vs": ("G4_dw",)}, ("N", "s100")),
+        ("robust_latency", {"G4_vs": ("G4_dw",)}, ("N", "s100", "s150", "s200")),
+        ("two_actuators", {"G2_vs": ("G2_dw",), "G4_vs": ("G4_dw",)}, ("N", "s100")),
+        ("wecc_240", {"G2030_G_vs": ("G2030_G_dw",)}, ("N", "s50", "s150")),
+    ],
+)
+def test_a_rival_has_equal_order_effort_and_points(
+    name: str, sees: dict[str, Any], conditions: tuple[str, ...]
+) -> None:
+    table = load_design(name)
+    rival = rival_table(table)
+    assert {part.actuator: part.signals for part in rival.part}.items() >= sees.items()
+    assert rival.conditions == conditions
+    assert (rival.point, rival.effort_cap, rival.fastest_pole) == (
+        table.point,
+        table.effort_cap,
+        table.fastest_pole,
+    )
+    orders = sum(part.order for part in table.part) or table.order
+    assert sum(part.order for part in rival.part) == orders
+    assert rival.starts >= 1
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"local": "G3_dw"}, "the machine of G4_vs has no signal among G2_dw, G3_dw; add one of its own"),
+        (
+            {
+                "remote": None,
+                "local": None,
+                "actuator": None,
+                "part": [{"actuator": "G4_vs", "signals": ["G4_dw"]}],
+                "conditions": ["N"],
+            },
+            "sees no signal from another machine",
+        ),
+    ],
+)
+def test_a_design_without_a_rival_is_refused_in_a_line(change: dict[str, Any], said: str) -> None:
+    keys = load_design("robust").model_dump(exclude_defaults=True) | change
+    table = type(load_design("robust")).model_validate({k: v for k, v in keys.items() if v is not None})
+    with pytest.raises(ScenarioError, match=said) as caught:
+        rival_table(table)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_the_rival_on_record_is_recomputed_not_believed() -> None:
+    """The record's figures are those of its system: with a fifth of its gain the rival reaches less."""
+    made = shipped_controller("robust")
+    rival = rival_on_record(made)
+    assert rival is not None
+    assert rival.inputs == ("G4_dw",)
+    whole, cache = load_design("robust"), default_cache()
+    hardest = next(p for p in whole.point if p.name == "circuit out, tie +50")
+    table = whole.model_copy(update={"point": (hardest,), "fault": None, "acceptance": None})
+    found = worth(table, made, cache)
+    weaker = worth(table, made, cache, rival=rival.scaled(0.2))
+    # the hardest point for the inter-area mode is the worst of the whole family
+    assert made.certificate is not None
+    assert found.adds == pytest.approx(made.certificate["worth"]["adds"], abs=1e-9)
+    assert weaker.rival is not None
+    assert found.rival is not None
+    assert weaker.rival.inter_area < found.rival.inter_area - 0.05
+    assert found.pays is False
+    assert found.sentence.startswith("a local stabilizer does as well: do not build the link from G2")
+
+
+@pytest.mark.slow
+def test_certify_says_what_the_link_is_worth() -> None:
+    assert "do not build the link from G2" in interarea.certify("robust").worth
+    bare = replace(shipped_controller("robust"), design={}, certificate=None)
+    assert "--worth designs it" in interarea.certify(bare).worth
+
+
+def test_worth_asks_for_the_design_that_fits() -> None:
+    said = CliRunner().invoke(app, ["certify", "two_actuators", "--worth", "--spec", "robust"])
+    assert said.exit_code != 0
+    assert "give its own design with --spec" in str(said.exception or said.output)
+
+
+@pytest.mark.slow
+def test_compare_says_it_for_each_controller() -> None:
+    said = CliRunner().invoke(app, ["compare", "robust", "none", "--json"])
+    assert said.exit_code == 0, said.output
+    worths = json.loads(said.stdout)["worth"]
+    assert list(worths) == ["robust"]
+    assert "local stabilizer does as well" in worths["robust"]

@@ -1,0 +1,97 @@
+"""Worth of a signal: masks against transfer functions, and sentences that say what the numbers say."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+
+from interarea.design.controllers.bundled import shipped_controller
+from interarea.design.delay.signal_conditions import Condition
+from interarea.design.linear.norms import response
+from interarea.design.robust.signal_worth import OWN_MASKED, masked, own_signals, seen_by, signal_worth
+
+OMEGA = np.geomspace(0.1, 50.0, 30)
+
+
+def _oscillator(damping: float, shown: tuple[float, float]) -> control.StateSpace:
+    """One mode at 4 rad/s that u drives; its speed is seen with these gains by `A_dw` and `B_dw`."""
+    A = np.array([[0.0, 1.0], [-16.0, -8.0 * damping]])
+    C = np.array([[0.0, shown[0]], [0.0, shown[1]]])
+    return control.ss(A, [[0.0], [1.0]], C, 0.0, inputs=["A_vs"], outputs=["A_dw", "B_dw"])
+
+
+def _gain(own: float, afar: float) -> control.StateSpace:
+    return control.ss([], [], [], [[-own, -afar]], inputs=["A_dw", "B_dw"], outputs=["A_vs"])
+
+
+def test_a_masked_controller_has_the_columns_that_are_left_and_no_others() -> None:
+    K = shipped_controller("two_actuators").system
+    sees = seen_by(K)
+    assert sees == {"G2_vs": ("G1_dw", "G2_dw"), "G4_vs": ("G3_dw", "G4_dw")}
+    alone = masked(K, own_signals(K.output_labels, K.input_labels))
+    wanted = response(K, OMEGA)
+    for row, column in ((0, 0), (1, 2)):  # each actuator's signal of the other machine
+        assert abs(wanted[:, row, column]).max() > 1e-3
+        wanted[:, row, column] = 0.0
+    np.testing.assert_allclose(response(alone, OMEGA), wanted, atol=1e-12)
+
+
+def test_a_part_without_signals_leaves_nothing_behind() -> None:
+    K = shipped_controller("two_actuators").system
+    one = masked(K, {"G4_vs": ("G3_dw", "G4_dw")})
+    assert one.nstates == K.nstates // 2
+    assert not response(one, OMEGA)[:, 0].any()
+
+
+def test_outputs_that_share_states_are_masked_apart() -> None:
+    K = control.ss(
+        [[-1.0]], [[1.0, 2.0]], [[1.0], [1.0]], 0.0, inputs=["A_dw", "B_dw"], outputs=["A_vs", "B_vs"]
+    )
+    alone = masked(K, own_signals(K.output_labels, K.input_labels))
+    np.testing.assert_allclose(
+        response(alone, OMEGA), response(K, OMEGA) * np.array([[[1.0, 0.0], [0.0, 1.0]]]), atol=1e-14
+    )
+
+
+@pytest.mark.parametrize(
+    ("own", "afar", "rival", "said"),
+    [
+        (0.0, 1.6, 0.4, "the link from B buys 0.150 of inter-area damping, 0.250 against 0.100"),
+        (0.4, 1.2, 1.6, "a local stabilizer does as well: do not build the link from B"),
+        (1.6, 0.0, None, "no signal comes from another machine: the controller itself buys +0.200"),
+    ],
+)
+def test_the_sentence_says_what_the_closed_form_says(
+    own: float, afar: float, rival: float | None, said: str
+) -> None:
+    """A speed fed back with gain g adds g / 8 to the damping of this mode: 2 zeta omega = .4 + g."""
+    found = signal_worth(
+        {"base": _oscillator(0.05, (1.0, 1.0))},
+        _gain(own, afar),
+        [Condition("N"), Condition("L", ("B_dw",))],
+        None if rival is None else _gain(rival, 0.0),
+    )
+    assert found.open_loop.inter_area == pytest.approx(0.05)
+    assert found.whole.inter_area == pytest.approx(0.05 + (own + afar) / 8.0)
+    assert found.sentence.startswith(said)
+    if rival is not None:
+        assert found.adds == pytest.approx((own + afar - max(rival, own)) / 8.0)
+        (alone,) = (row for row in found.masked if row.name == OWN_MASKED)
+        assert alone.inter_area == pytest.approx(0.05 + own / 8.0)
+
+
+def test_a_rival_that_is_unstable_is_no_rival() -> None:
+    K, rival = _gain(0.0, 1.6), _gain(-2.0, 0.0)
+    found = signal_worth({"base": _oscillator(0.05, (1.0, 1.0))}, K, [Condition("N")], rival)
+    assert found.rival is not None
+    assert not found.rival.stable
+    assert found.best_own is not None
+    assert found.best_own.name == OWN_MASKED
+
+
+def test_a_link_without_which_nothing_is_stable_is_said_to_buy_stability() -> None:
+    plant = _oscillator(-0.05, (0.0, 1.0))  # the own signal does not show the growing mode
+    found = signal_worth({"base": plant}, _gain(1.0, 1.6), [Condition("N")], _gain(3.0, 0.0))
+    assert found.best_own is None
+    assert "buys stability" in found.sentence
