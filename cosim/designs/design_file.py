@@ -26,7 +26,16 @@ from interarea.models.table import Table
 from ..errors import ScenarioError, nearest
 from ..toml_file import read_toml
 from .acceptance import AcceptanceTable, judge_acceptance
-from .design_tables import AskTable, GuardTable, Offsets, PartTable, PointTable, Positive, StageTable
+from .design_tables import (
+    AskTable,
+    GuardTable,
+    Offsets,
+    PartTable,
+    PointTable,
+    Positive,
+    StageTable,
+    TargetTable,
+)
 from .family import family_cases, family_plants
 from .first_swing import FaultRow, FaultTable, after_fault, predicted_drive
 from .swing_sensitivity import FirstSwingTable, swing_penalty
@@ -85,6 +94,7 @@ class DesignTable(Table):
     #: `within` say how
     stage: tuple[StageTable, ...] = ()
     ask: AskTable = AskTable()  #: what the certificate asks for
+    target: tuple[TargetTable, ...] = ()  #: other wishes where signals are all there, late or lost
     fault: FaultTable | None = None  #: the fault that the certificate runs at every operating point
     #: non-linear faults that `interarea certify NAME --acceptance` runs
     acceptance: AcceptanceTable | None = None
@@ -183,6 +193,7 @@ class DesignTable(Table):
             stages=tuple(stage.stage() for stage in self.stage),
             offsets=BandOffsets(*zip(*self.offset, strict=True)),
             more={p.name: BandOffsets(*zip(*p.more, strict=True)) for p in self.point if p.more},
+            more_under={t.under: BandOffsets(*zip(*t.more, strict=True)) for t in self.target if t.more},
             rho=self.rho,
             starts=self.starts,
             evaluations=self.evaluations,
@@ -344,17 +355,12 @@ def judge(
         table.family(),
         worst_swing=table.ask.worst_swing,
         inter_area=table.ask.inter_area,
+        targets={t.under: (t.worst_swing, t.inter_area) for t in table.target},
         effort_cap=table.ask.effort,
         fastest_pole=table.ask.fastest_pole,
         bands_hz={name: inter_area_band(each.modes) for name, each in found.items()},
         progress=progress,
     )
-
-
-def _missed(run: FaultRow) -> str:
-    """What a run after the fault misses, as a violation."""
-    what = f"settled after {run.settled_s:.1f} s" if run.synchronism else "synchronism lost"
-    return f"{run.point}, fault with {' and '.join(run.lost) or 'nothing'} lost: {what}"
 
 
 def steps_of(table: DesignTable, *, acceptance: bool) -> list[str]:
@@ -410,7 +416,7 @@ def certify(
             progress(faults, len(runs) / (len(cases) * len(losses)))
             runs.append(after_fault(controller, point, case, table.fault, lost, cache))
     progress(faults, 1.0)
-    missed = tuple(_missed(run) for run in runs if not run.passed)
+    missed = tuple(run.missed for run in runs if not run.passed)
     return replace(
         found,
         drive=drive,

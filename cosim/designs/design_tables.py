@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -49,6 +49,16 @@ class AskTable(Table):
     effort: Positive = float("inf")
     fastest_pole: Positive = float("inf")  #: largest magnitude of the controller's poles, rad/s
     synchronism: bool = False  #: after the fault of `fault`, at every operating point
+
+
+class TargetTable(Table):
+    """What is wanted under one kind of condition, instead of what `ask` and `offset` want of all."""
+
+    under: Literal["all", "late", "lost"]  #: signals all there at once, some late, or some lost
+    #: (rad/s, damping) that the search wants under it on top of `offset` of the design; none: as much
+    more: Offsets = ()
+    worst_swing: Ratio = 0.0  #: least damping ratio of any swing mode that the certificate asks for
+    inter_area: Ratio = 0.0  #: least damping ratio of the inter-area mode that it asks for
 
 
 class PartTable(Table):

@@ -62,6 +62,12 @@ class FaultRow:
     settled_s: float  #: after the fault's start; |speed difference| stays below 2 % of its peak from then on
     passed: bool
 
+    @property
+    def missed(self) -> str:
+        """What this run misses, as a violation."""
+        what = f"settled after {self.settled_s:.1f} s" if self.synchronism else "synchronism lost"
+        return f"{self.point}, fault with {' and '.join(self.lost) or 'nothing'} lost: {what}"
+
 
 def fault_scenario(
     case_file: Path, case: Case, fault: FaultTable, controller: str = "none"

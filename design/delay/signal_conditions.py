@@ -22,6 +22,15 @@ class Condition:
                 )
 
     @property
+    def kind(self) -> str:
+        """Whether signals are "lost", else "late", else "all" there at once.
+
+        >>> [condition_of(code, "G4_dw", "G2_dw").kind for code in ("N", "s100", "L", "L+s100")]
+        ['all', 'late', 'lost', 'lost']
+        """
+        return "lost" if self.lost else "late" if self.latency_s_of else "all"
+
+    @property
     def in_words(self) -> str:
         """What is lost and what is late, in words.
 

@@ -42,7 +42,9 @@ def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, 
         response = frequency_response(full.A, full.B, full.C, full.D, omega)
         for condition in spec.conditions:
             name = f"{point}: {condition.name}"
-            models.append(replace(_design_model(name, small, spec, condition), more=spec.more.get(point)))
+            wanted = (spec.more.get(point), spec.more_under.get(condition.kind))
+            more = tuple(each for each in wanted if each is not None)
+            models.append(replace(_design_model(name, small, spec, condition), more=more))
             held = not spec.effort_under or condition.name in spec.effort_under
             if spec.effort_cap is not None and held:
                 efforts.append(_effort_grid(name, omega, response, spec, condition))

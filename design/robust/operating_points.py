@@ -6,7 +6,7 @@ plants, exact latency, roots of the characteristic equation.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, TypeAlias
 
@@ -86,6 +86,7 @@ def judge_family(
     inter_area: float = 0.0,
     effort_cap: float = float("inf"),
     fastest_pole: float = float("inf"),
+    targets: Mapping[str, tuple[float, float]] | None = None,
     bands_hz: Mapping[str, tuple[float, float]] | None = None,
     progress: Callable[[float], object] = lambda share: None,
 ) -> FamilyCertificate:
@@ -96,6 +97,7 @@ def judge_family(
     plants : operating point -> full plant without reference angle, speeds in rad/s, or a large one as blocks.
     K : inputs named by signal (rad/s), outputs by actuator (pu), u = +K y.
     worst_swing, inter_area : damping ratios asked of every row.
+    targets : kind of condition ("all", "late", "lost") -> both, asked of its rows instead.
     effort_cap, fastest_pole : pu per rad/s, rad/s.
     bands_hz : operating point -> where its inter-area modes are (`inter_area_band`); default `INTER_AREA_HZ`.
     progress : called with the share of the rows that is done.
@@ -113,13 +115,12 @@ def judge_family(
     largest = max((_effort(plants[p], K) for p in steady), default=float("nan"))
     fastest = float(np.abs(np.linalg.eigvals(np.asarray(K.A))).max(initial=0.0))
     asked = (
-        ("worst swing damping", worst, worst >= worst_swing, _asked(rows, "worst_swing", worst_swing)),
-        ("inter-area damping", inter, inter >= inter_area, _asked(rows, "inter_area", inter_area)),
         ("effort", largest, largest <= effort_cap, f"<= {effort_cap:g}"),
         ("fastest pole", fastest, fastest <= fastest_pole, f"<= {fastest_pole:g} rad/s"),
     )
     violations = (
         *(f"{row.point}, {row.condition}: unstable" for row in rows if not row.stable),
+        *_short_of(rows, conditions, (worst_swing, inter_area), targets or {}),
         *(f"{name} is {value:.4g}, asked {wanted}" for name, value, held, wanted in asked if not held),
     )
     progress(1.0)
@@ -137,6 +138,26 @@ def judge_family(
 
 def _effort(plant: JudgedPlant, K: control.StateSpace) -> float:
     return plant.effort(K) if isinstance(plant, LargePlant) else effort(plant, K)
+
+
+def _short_of(
+    rows: Sequence[FamilyRow],
+    conditions: Sequence[Condition],
+    asked: tuple[float, float],
+    targets: Mapping[str, tuple[float, float]],
+) -> Iterator[str]:
+    """Give what the rows of each kind of condition miss of its target, or of what is asked of all."""
+    kinds = {c.name: c.kind if c.kind in targets else "" for c in conditions}
+    for kind in dict.fromkeys(kinds.values()):
+        some = [row for row in rows if kinds[row.condition] == kind]
+        where = f" with signals {kind}" if kind else ""
+        wanted = targets.get(kind, asked)
+        for name, of, least in zip(
+            ("worst swing", "inter-area"), ("worst_swing", "inter_area"), wanted, strict=True
+        ):
+            value = min(float(getattr(row, of)) for row in some)
+            if not value >= least:
+                yield f"{name} damping{where} is {value:.4g}, asked {_asked(some, of, least)}"
 
 
 def _asked(rows: Sequence[FamilyRow], of: str, wanted: float) -> str:

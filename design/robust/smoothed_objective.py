@@ -62,7 +62,7 @@ class DesignModel:
     A: Array
     B: Array
     C: Array
-    more: BandOffsets | None = None  #: damping wanted on top of the objective's offsets
+    more: tuple[BandOffsets, ...] = ()  #: damping wanted on top of the objective's offsets
 
 
 @dataclass(frozen=True)
@@ -289,8 +289,8 @@ class Objective:
         m = np.where(fast, modulus, SLOW_RADIUS)
         offset, slope = self.offsets(np.abs(b))
         for k, model in enumerate(models):
-            if model.more is not None:
-                extra, bend = model.more(np.abs(b[k]))
+            for more in model.more:
+                extra, bend = more(np.abs(b[k]))
                 offset[k] += extra
                 slope[k] += bend
         away = np.maximum(a, 0.0)

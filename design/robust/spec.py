@@ -54,6 +54,8 @@ class RobustSpec:
     offsets: BandOffsets = field(default_factory=BandOffsets)
     #: operating point -> damping wanted there on top of `offsets`
     more: Mapping[str, BandOffsets] = field(default_factory=dict)
+    #: kind of condition (`Condition.kind`) -> damping wanted under it on top of both
+    more_under: Mapping[str, BandOffsets] = field(default_factory=dict)
     rho: float = 600.0  #: how closely the smoothed worst follows the worst
     plant_order: int = 16
     pade_order: int = 3

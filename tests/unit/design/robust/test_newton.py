@@ -138,7 +138,7 @@ def test_an_operating_point_that_is_asked_more_is_that_much_worse(objective: Obj
     theta = _controller(objective, 3)
     K = objective.unpack(theta)
     asked = BandOffsets((0.0, 2.0, 3.0, 5.0, 6.0), (0.0, 0.0, 0.1, 0.1, 0.0))
-    models = [replace(m, more=asked if m.name.startswith("base") else None) for m in objective.models]
+    models = [replace(m, more=(asked,) if m.name.startswith("base") else ()) for m in objective.models]
     raised = replace(objective, models=models)
     for (group, _, loops, before), (*_, after) in zip(objective.spectra(K), raised.spectra(K), strict=True):
         for k, model in enumerate(group):

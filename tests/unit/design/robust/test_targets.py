@@ -1,0 +1,82 @@
+"""Separate targets for signals there, late and lost: what the search trades, what is asked of whom."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+
+from interarea.cosim.designs.design_file import design_of, load_design
+from interarea.design.delay.signal_conditions import Condition
+from interarea.design.robust.design import design_robust
+from interarea.design.robust.operating_points import judge_family
+from interarea.design.robust.smoothed_objective import BandOffsets
+from interarea.design.robust.spec import RobustSpec
+
+NOW, LOST = Condition("N"), Condition("L", ("B_dw",))
+
+
+def _grid() -> control.StateSpace:
+    """Two modes of the same machine: A shows both, B the slow one alone and the better."""
+    A = np.zeros((4, 4))
+    A[0, 1] = A[2, 3] = 1.0
+    A[1, :2], A[3, 2:] = (-16.0, -0.4), (-49.0, -0.6)
+    C = np.array([[0.0, 0.3, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]])
+    return control.ss(A, [[0.0], [1.0], [0.0], [1.0]], C, 0.0, inputs=["A_vs"], outputs=["A_dw", "B_dw"])
+
+
+def test_less_asked_where_a_signal_is_lost_leaves_more_where_it_is_there() -> None:
+    flat = BandOffsets((0.0, 50.0), (0.0, 0.0))
+    spec = RobustSpec(
+        ("A_dw", "B_dw"),
+        ("A_vs",),
+        (NOW, LOST),
+        order=3,
+        starts=1,
+        evaluations=300,
+        polishes=3,
+        plant_order=4,
+        effort_cap=((0.05, 1.0), (300.0, 1.0)),
+        offsets=flat,
+        rho=200.0,
+    )
+    less = BandOffsets((0.0, 50.0), (-0.25, -0.25))
+    reached = {}
+    for name, given in (("same", spec), ("less", replace(spec, more_under={"lost": less}))):
+        made = design_robust({"base": _grid()}, given, 1.0)
+        judged = judge_family({"base": _grid()}, made.system, (NOW, LOST))
+        reached[name] = [row.worst_swing for row in judged.rows]
+    assert reached["less"][0] > reached["same"][0] + 0.01
+    assert reached["less"][1] < reached["same"][1]
+
+
+def test_each_kind_of_condition_is_asked_for_its_own_target() -> None:
+    """A speed fed back with gain g adds g / 8 to the damping .05 of this mode."""
+    K = control.ss([], [], [], [[0.0, -0.8]], inputs=["A_dw", "B_dw"], outputs=["A_vs"])
+    plant = {"base": control.ss(_grid().A[:2, :2], [[0.0], [1.0]], [[0.0, 0.3], [0.0, 1.0]], 0.0)}
+    plant["base"] = control.ss(
+        *(plant["base"].A, plant["base"].B, plant["base"].C, plant["base"].D),
+        inputs=["A_vs"],
+        outputs=["A_dw", "B_dw"],
+    )
+    found = judge_family(plant, K, (NOW, LOST), worst_swing=0.1, inter_area=0.1)
+    assert [v.split(" is ")[0] for v in found.violations] == ["worst swing damping", "inter-area damping"]
+    found = judge_family(
+        plant, K, (NOW, LOST), worst_swing=0.1, inter_area=0.1, targets={"lost": (0.04, 0.04)}
+    )
+    assert found.violations == ()
+    found = judge_family(plant, K, (NOW, LOST), targets={"all": (0.1, 0.2), "lost": (0.04, 0.06)})
+    assert [v.partition(":")[0] for v in found.violations] == [
+        "inter-area damping with signals all is 0.15, asked >= 0.2",
+        "inter-area damping with signals lost is 0.05, asked >= 0.06",
+    ]
+
+
+def test_targets_of_a_design_file_reach_the_search() -> None:
+    keys = load_design("robust").model_dump(exclude_unset=True)
+    table = design_of(keys | {"target": [{"under": "lost", "more": [[0.0, -0.04], [9.0, 0.0]]}]})
+    assert table.spec().more_under == {"lost": BandOffsets((0.0, 9.0), (-0.04, 0.0))}
+    with pytest.raises(Exception, match="under"):
+        design_of(keys | {"target": [{"under": "gone"}]})
