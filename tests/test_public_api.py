@@ -67,7 +67,7 @@ ERRORS = {
 }
 CHANNEL = (
     "signal pmu latency_s on_loss hold_s reporting_interval_s jitter_s latency loss quantum pdc_wait_s seed "
-    "outages_s"
+    "outages_s signal_faults"
 )
 METHODS = {
     "Result": "data units to_frame save explain trajectory ledger packets explanation",

@@ -21,7 +21,7 @@ BOOLEAN = 0x80000000  #: marks a reference of a Boolean, as page.c reads it
 SLOTS = 4  #: events that a page sets
 _PLANT_PARAMETERS = ("plant.event[", "plant.solver.step")
 _CONTROLLER_PARAMETERS = ("controller.C[", "controller.D[", "controller.limit")
-_UNTOUCHED = ("quantile[", "quantum", "pdc_wait")  #: of a channel: as the scenario has them
+_UNTOUCHED = ("quantile[", "quantum", "pdc_wait", "fault[")  #: of a channel: as the scenario has them
 
 
 def models_of(subject: Subject) -> tuple[list[dict[str, Any]], list[bytes]]:

@@ -123,6 +123,10 @@ def _refuse(scenario: Scenario, start: float, stop: float) -> None:
         end = getattr(event, "end_s", None)
         if event.kind in _LASTING and event.start_s < stop and (end is None or end > start):
             raise NotLinearError(f"the grid is not what it was after the {event.kind} at {event.start_s:g} s")
+    for name, channel in scenario.channels.items():
+        for fault in channel.signal_faults:
+            if fault.start_s < stop and fault.until_s > start:
+                raise NotLinearError(f"channels.{name}: the signal is wrong ({fault.kind})")
     if scenario.fmus:
         raise NotLinearError(f"{', '.join(scenario.fmus)} may do anything")
     if scenario.connections:

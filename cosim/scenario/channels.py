@@ -15,6 +15,7 @@ from interarea.models.table import Table
 
 from ..clock import TICKS_PER_SECOND, Clock, on_tick, seconds, to_ticks
 from ..errors import ScenarioError
+from .signal_faults import SignalFault, check_faults, fault_parameters
 
 if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
     from ..master.instances import Value
@@ -111,6 +112,8 @@ class ChannelLine(Table):
     #: of the packets' random numbers; default: made of the channel's name, so that no two lose the same ones
     seed: Annotated[int, Field(ge=0, lt=2**31)] | None = None
     outages_s: tuple[tuple[Seconds, Seconds], ...] = ()  #: [from, to] times in which the signal is lost
+    #: what is wrong with the signal while its flag is up, in order of time, at most 4
+    signal_faults: tuple[SignalFault, ...] = ()
 
     @field_validator("loss", mode="before")
     @classmethod
@@ -158,6 +161,11 @@ class ChannelLine(Table):
             last = end
         return self
 
+    @model_validator(mode="after")
+    def _faults(self) -> Self:
+        check_faults(self.signal_faults, self.reporting_interval_s)
+        return self
+
     def parameters(self, where: str) -> dict[str, Value]:
         """Return the parameters of a channel's FMU.
 
@@ -187,7 +195,7 @@ class ChannelLine(Table):
             start |= {key: getattr(self.loss, key) for key in chances}
         for k, (begin, end) in enumerate(self.outages_s, start=1):
             start |= {f"outage[{k}].start": begin, f"outage[{k}].end": end}
-        return start
+        return start | fault_parameters(self.signal_faults)
 
     def _quantiles(self) -> dict[str, float]:
         from interarea.models.blocks.channel import gamma_quantiles, quantiles_of
@@ -203,10 +211,14 @@ class ChannelLine(Table):
 
     @property
     def marks_s(self) -> tuple[float, ...]:
-        """Instants at which the output may jump, packets aside: outages, the end of holding in one."""
+        """Instants at which the output may jump, packets aside: outages, the end of holding in one,
+        faults of the signal."""
         marks = {t for window in self.outages_s for t in window}
         if self.on_loss == "hold_then_zero":
             marks |= {start + self.hold_s for start, end in self.outages_s if start + self.hold_s < end}
+        if not self.reporting_interval_s:
+            ends = {t for f in self.signal_faults for t in (f.start_s, f.end_s) if t is not None}
+            marks |= {t + self.latency_s for t in ends}
         return tuple(sorted(marks))
 
     def arrivals(self, start_s: float, stop_s: float) -> list[int]:
@@ -234,15 +246,16 @@ class ChannelLine(Table):
 
     @property
     def steady(self) -> Self:
-        """The same channel with nothing random, nothing lost and nothing rounded."""
+        """The same channel with nothing random, nothing lost, nothing rounded and nothing wrong."""
         off = {"jitter_s": 0.0, "latency": None, "loss": None, "quantum": 0.0, "outages_s": ()}
-        return self.model_copy(update=off)
+        return self.model_copy(update={**off, "signal_faults": ()})
 
     @property
     def random(self) -> bool:
         """Whether anything depends on the seed."""
         lost = self.loss is not None and any(x for x in dict(self.loss).values() if isinstance(x, float))
-        return bool(self.jitter_s) or self.latency is not None or lost
+        wrong = any(fault.seeded for fault in self.signal_faults)
+        return bool(self.jitter_s) or self.latency is not None or lost or wrong
 
     def seeded(self, name: str) -> Self:
         """Return this channel with the seed it has under `name`, where anything is random."""

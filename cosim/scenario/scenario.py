@@ -50,6 +50,14 @@ latency = {kind = "gamma", shape, scale_s} | {kind = "empirical", quantiles_s} o
 loss = {kind = "bernoulli", rate} | {kind = "gilbert_elliott", good_to_bad, bad_to_good, loss_good, loss_bad},
 pdc_wait_s, seed; and, with or without packets, quantum.
 
+The signal is wrong and its flag up (`signal_faults`: stuck, bias, ramp, drift, scale, polarity, time_error,
+oscillating; with packets noise, spike, replay too):
+
+    [[channels.remote.signal_faults]]
+    kind = "scale"
+    factor = 3.0
+    start_s = 1.5                      # end_s: optional
+
 Changes to what `case` and `controller` name, so that no copy of either is needed:
 
     controller_gain = 1.2              # times the controller's output, before its limit
@@ -249,6 +257,9 @@ class Scenario(Table):
             for start, _ in channel.outages_s:
                 if not start < self.stop_s:
                     yield f"channels.{name}: an outage starts at {start:g} s, {allowed}"
+            for fault in channel.signal_faults:
+                if not fault.start_s < self.stop_s:
+                    yield f"channels.{name}: {fault.kind} fault starts at {fault.start_s:g} s, {allowed}"
 
     def _without_a_case(self) -> Iterator[str]:
         """Yield what acts on a case that is not there, or that there is nothing to run."""

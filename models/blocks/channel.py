@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from .sizes import OUTAGES, QUANTILES
+from .sizes import OUTAGES, QUANTILES, SIGNAL_FAULTS
 from .variables import Block, Enumeration, Variable, VariableTable
 
 _FOLDER = Path(__file__).resolve().parents[1] / "c" / "channel"
-_PARTS = ("channel", "history", "outage", "packets", "random")
+_PARTS = ("channel", "history", "outage", "packets", "random", "signal_fault")
 
 ON_LOSS = Enumeration(
     "OnLoss",
@@ -21,6 +21,42 @@ ON_LOSS = Enumeration(
         ("hold_then_zero", 2, "As hold for hold_time, then zero"),
     ),
 )
+
+SIGNAL_FAULT = Enumeration(
+    "SignalFault",
+    (
+        ("none", 0, "The signal is right"),
+        ("stuck", 1, "It stays at its value at the start"),
+        ("bias", 2, "size is added"),
+        ("ramp", 3, "size is added each second"),
+        ("drift", 4, "size is added with the time constant detail (s)"),
+        ("scale", 5, "It is multiplied by size"),
+        ("polarity", 6, "It has the wrong sign"),
+        ("noise", 7, "Each packet has noise with the standard deviation size"),
+        ("spike", 8, "Each packet is off by size, up or down, with probability detail"),
+        ("replay", 9, "The last size seconds before the start are sent again and again"),
+        ("time_error", 10, "It is size + detail (t - start) seconds older than its stamp"),
+        ("oscillating", 11, "A sine of amplitude size and frequency detail (Hz) is added"),
+    ),
+)
+
+
+def signal_fault_variables(fault: str) -> list[Variable]:
+    """Return the parameters of one fault of a signal: ``.start`` and so on after the name `fault`."""
+    return [
+        Variable(f"{fault}.start", "parameter", "First time at which it is wrong", unit="s", start=1e30),
+        Variable(f"{fault}.end", "parameter", "First time at which it is right again", unit="s", start=1e30),
+        Variable(f"{fault}.size", "parameter", "Size, see kind", start=0.0),
+        Variable(f"{fault}.detail", "parameter", "Second number, see kind", start=0.0),
+        Variable(
+            f"{fault}.kind",
+            "parameter",
+            "What is wrong with the signal, its flag up",
+            type="Enumeration",
+            enumeration=SIGNAL_FAULT,
+            start=0,
+        ),
+    ]
 
 
 def channel_block(
@@ -38,7 +74,8 @@ def channel_block(
     window with start = end is off), ``reporting_interval`` (s; 0: continuous),
     ``jitter`` (s, uniform), ``quantile[j]`` (s, j = 1..33, see `quantiles_of`),
     ``quantum``, ``pdc_wait`` (s), ``loss_good``, ``loss_bad``, ``good_to_bad``,
-    ``bad_to_good`` (probabilities per packet) and ``seed``. Outputs ``y``, the age
+    ``bad_to_good`` (probabilities per packet), ``seed`` and, k = 1..4, ``fault[k].kind`` (`SIGNAL_FAULT`),
+    ``.start``, ``.end`` (s), ``.size``, ``.detail``. Outputs ``y``, the age
     of its information ``age`` (s), the Boolean ``valid`` and the packet counts
     ``sent``, ``delivered``, ``dropped``, ``late``.
 
@@ -130,6 +167,8 @@ def channel_block(
     variables.append(
         Variable("seed", "parameter", "Which random packets", type="Integer", start=0, min=0, max=2147483647)
     )
+    for k in range(1, SIGNAL_FAULTS + 1):
+        variables += signal_fault_variables(f"fault[{k}]")
     return Block(
         kind="channel",
         name=name,
@@ -182,4 +221,5 @@ _BEHAVIOUR = (
     "<p>With <code>reporting_interval</code> T &gt; 0 the signal travels in packets stamped k T, with random "
     "latency and loss from <code>seed</code>; y is the value with the newest stamp that has arrived. "
     "sent = delivered + dropped + late + on their way.</p>"
+    "<p><code>fault[k]</code> makes values measured in [start, end) wrong; <code>valid</code> stays true.</p>"
 )

@@ -53,6 +53,12 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
             return BLOCK_ERROR;
         }
     if ((status = packets_check(b, message)) != BLOCK_OK) return status;
+    const SignalFaults faults = channel_faults(b);
+    const char *wrong = signal_faults_wrong(&faults);
+    if (wrong != NULL) {
+        snprintf(message->text, sizeof message->text, "channel: %s", wrong);
+        return BLOCK_ERROR;
+    }
     for (int k = 0; k < IY_COUNT; ++k) b->iy[k] = 0;
     packets_start(b, t);
     return BLOCK_OK;
@@ -61,8 +67,9 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
 static BlockStatus delayed(Block *b, double t, double *value, double *slope, BlockMessage *message)
 {
     const History history = history_of(b);
+    const SignalFaults faults = channel_faults(b);
 
-    if (history_at(&history, t - b->p[P_LATENCY], value, slope) == 0) {
+    if (signal_fault_value(&faults, &history, t - b->p[P_LATENCY], value, slope) == 0) {
         *value = channel_quantised(b, *value);
         if (b->p[P_QUANTUM] > 0.0) *slope = 0.0;
         return BLOCK_OK;
@@ -121,7 +128,10 @@ BlockStatus block_directional(Block *b, double t, const double *x, const double 
     if (vy == NULL) return BLOCK_OK;
     if (b->p[P_QUANTUM] > 0.0) weight = 0.0;
     else if (b->p[P_REPORTING] > 0.0) weight = packets_weight(b, &history, t);
-    else if (!outage_at(b, t, &since)) weight = history_weight(&history, t - b->p[P_LATENCY], t, b->u_order[0]);
+    else if (!outage_at(b, t, &since)) {
+        const SignalFaults faults = channel_faults(b);
+        weight = signal_fault_weight(&faults, &history, t - b->p[P_LATENCY], t, b->u_order[0]);
+    }
     vy[0] = weight * vu[0];
     vy[1] = 0.0;
     return BLOCK_OK;

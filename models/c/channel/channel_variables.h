@@ -46,10 +46,13 @@
  * an arrival inside a step shows at its end. With steps that divide reporting
  * interval and latency nothing is lost by that.
  *
+ * Faults of the signal itself, which the receiver is not told of: signal_fault.h.
+ *
  * quantum > 0 rounds what is sent to its nearest multiple (slopes are then 0). */
 #include <math.h>
 
 #include "../block/block.h"
+#include "signal_fault.h"
 
 enum { CHANNEL_OUTAGES = 8, CHANNEL_QUANTILES = 33, CHANNEL_IN_FLIGHT = 512 };
 enum { ON_LOSS_ZERO = 0, ON_LOSS_HOLD = 1, ON_LOSS_HOLD_THEN_ZERO = 2 };
@@ -60,10 +63,11 @@ enum {
     P_REPORTING = P_OUTAGES + 2 * CHANNEL_OUTAGES, P_JITTER, P_QUANTUM, P_PDC_WAIT,
     P_LOSS_GOOD, P_LOSS_BAD, P_GOOD_TO_BAD, P_BAD_TO_GOOD,
     P_QUANTILES,
-    P_COUNT = P_QUANTILES + CHANNEL_QUANTILES
+    P_FAULTS = P_QUANTILES + CHANNEL_QUANTILES,
+    P_COUNT = P_FAULTS + FAULT_REALS * SIGNAL_FAULTS
 };
 /* Integer parameters and outputs. */
-enum { IP_ON_LOSS, IP_SEED, IP_COUNT };
+enum { IP_ON_LOSS, IP_SEED, IP_FAULTS, IP_COUNT = IP_FAULTS + SIGNAL_FAULTS };
 enum { IY_VALID, IY_SENT, IY_DELIVERED, IY_DROPPED, IY_LATE, IY_COUNT };
 
 /* Discrete state: a head, packets on their way, then the ring of samples. */
@@ -71,10 +75,18 @@ enum {
     M_SAMPLES, M_HELD, M_HELD_SINCE, M_HAS_HELD,
     M_FIRST, M_NEXT, M_BAD, M_NEWEST, M_RECEIVED, M_LOST, M_LOST_SINCE, M_IN_FLIGHT,
     M_PENDING, /* due time, stamp, fate, due time, ... */
-    M_RING = M_PENDING + 3 * CHANNEL_IN_FLIGHT
+    M_FAULTS = M_PENDING + 3 * CHANNEL_IN_FLIGHT,
+    M_RING = M_FAULTS + FM_COUNT
 };
 
 static const double TIME_SLACK = 1e-10; /* s */
+
+static inline SignalFaults channel_faults(const Block *b)
+{
+    const SignalFaults faults = {b->p + P_FAULTS, b->ip + IP_FAULTS, b->p[P_REPORTING], b->ip[IP_SEED], 128,
+                                 b->memory + M_FAULTS};
+    return faults;
+}
 
 /* What is sent of a value. */
 static inline double channel_quantised(const Block *b, double value)

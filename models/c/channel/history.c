@@ -88,6 +88,13 @@ int history_at(const History *history, double s, double *value, double *slope)
     return 0;
 }
 
+int history_settled(const History *history, double s)
+{
+    const size_t count = (size_t)*history->count;
+
+    return count >= 2 && s <= sample(history, count - 2)[TIME];
+}
+
 double history_weight(const History *history, double s, double t, int order)
 {
     size_t count = (size_t)*history->count;

@@ -22,6 +22,9 @@ void history_add(const History *history, double t, const double *u, int order);
  * lies before the oldest sample that the ring still has. */
 int history_at(const History *history, double s, double *value, double *slope);
 
+/* Whether the value at time s can no longer change, whatever is set at the newest sample. */
+int history_settled(const History *history, double s);
+
 /* d value(s) / d u(t) if u(t) is given at the present time t, with `order` derivatives. */
 double history_weight(const History *history, double s, double t, int order);
 

@@ -104,9 +104,10 @@ static void lose(double *m, double since)
 static BlockStatus value_at(const Block *b, const History *history, double stamp, double *value,
                             BlockMessage *message)
 {
+    const SignalFaults faults = channel_faults(b);
     double slope;
 
-    if (history_at(history, stamp, value, &slope) != 0) {
+    if (signal_fault_value(&faults, history, stamp, value, &slope) != 0) {
         snprintf(message->text, sizeof message->text, "channel: the input at time %.9g s is no longer among the "
                  "last %zu communication points; build the channel with a larger capacity", stamp,
                  history->capacity);
@@ -204,10 +205,11 @@ BlockStatus packets_step(Block *b, const History *history, double now, double en
 double packets_weight(const Block *b, const History *history, double t)
 {
     const double *m = b->memory;
+    const SignalFaults faults = channel_faults(b);
 
     if (silent(b, t)) return 0.0;
     return m[M_RECEIVED] == 0.0 || m[M_NEWEST] >= t - TIME_SLACK
-               ? history_weight(history, m[M_NEWEST], t, b->u_order[0]) : 0.0;
+               ? signal_fault_weight(&faults, history, m[M_NEWEST], t, b->u_order[0]) : 0.0;
 }
 
 double packets_next(const Block *b, double t)

@@ -28,6 +28,12 @@ size_t channel_member_jumps(const Block *b, double *at)
         if (b->ip[IP_ON_LOSS] == ON_LOSS_HOLD_THEN_ZERO && start + b->p[P_HOLD_TIME] < end)
             at[count++] = start + b->p[P_HOLD_TIME];
     }
+    for (int k = 0; k < SIGNAL_FAULTS; ++k) {
+        const double *fault = b->p + P_FAULTS + FAULT_REALS * k;
+        if (b->ip[IP_FAULTS + k] == FAULT_NONE) continue;
+        at[count++] = fault[FAULT_START] + b->p[P_LATENCY];
+        at[count++] = fault[FAULT_END] + b->p[P_LATENCY];
+    }
     return count;
 }
 

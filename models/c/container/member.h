@@ -26,6 +26,6 @@ size_t channel_member_jumps(const Block *b, double *at); /* at most CHANNEL_MEMB
 double channel_member_latency(const Block *b);
 int channel_member_packets(const Block *b);
 double channel_member_next(const Block *b, double t);
-enum { CHANNEL_MEMBER_JUMPS = 24 };
+enum { CHANNEL_MEMBER_JUMPS = 32 };
 
 #endif

@@ -1,0 +1,254 @@
+"""Faults of a signal that its flag does not show: tables of a scenario and the FMU parameters they become."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from interarea.models.blocks.sizes import REPLAYED, SIGNAL_FAULTS
+from interarea.models.table import Table
+
+from ..clock import on_tick
+
+if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
+    from ..master.instances import Value
+
+_NEVER_S = 1e30  # what a window without an end has as one, as an outage of the FMU that is off
+
+Seconds = Annotated[float, Field(ge=0.0)]
+
+
+class _Fault(Table):
+    """Measurements in [start_s, end_s) are wrong (semantics: models/c/channel/signal_fault.h)."""
+
+    start_s: Seconds  #: first time at which the signal is measured wrong
+    end_s: Annotated[float, Field(gt=0.0)] | None = (
+        None  #: first time at which it is right again; default: never
+    )
+
+    packets: ClassVar[bool] = False  # whether it acts on packets alone
+    seeded: ClassVar[bool] = False  # whether it has random numbers
+
+    @field_validator("start_s", "end_s")
+    @classmethod
+    def _on_the_clock(cls, value: float | None) -> float | None:
+        return None if value is None else on_tick(value, "start_s and end_s")
+
+    @model_validator(mode="after")
+    def _window(self) -> Self:
+        if self.end_s is not None and not self.end_s > self.start_s:
+            raise ValueError(f"end_s = {self.end_s:g}, allowed: above start_s = {self.start_s:g}")
+        return self
+
+    @property
+    def until_s(self) -> float:
+        """The end, far beyond every run where there is none."""
+        return _NEVER_S if self.end_s is None else self.end_s
+
+    @property
+    def numbers(self) -> tuple[float, float]:
+        """Size and detail of the FMU."""
+        return 0.0, 0.0
+
+
+class StuckSignal(_Fault):
+    """The signal stays at its value at `start_s`."""
+
+    kind: Literal["stuck"]  #: it no longer changes
+
+
+class BiasedSignal(_Fault):
+    """`size` is added."""
+
+    kind: Literal["bias"]  #: a constant is added
+    size: float  #: in the unit of the signal
+
+    @property
+    def numbers(self) -> tuple[float, float]:
+        """Size."""
+        return self.size, 0.0
+
+
+class RampedSignal(_Fault):
+    """`rate_per_s` is added each second."""
+
+    kind: Literal["ramp"]  #: what is added grows evenly
+    rate_per_s: float  #: in the unit of the signal each second
+
+    @property
+    def numbers(self) -> tuple[float, float]:
+        """Rate."""
+        return self.rate_per_s, 0.0
+
+
+class DriftingSignal(_Fault):
+    """`size` is added, reached with a time constant: size (1 - exp(-(t - start_s) / time_s))."""
+
+    kind: Literal["drift"]  #: what is added grows towards `size`
+    size: float  #: in the unit of the signal
+    time_s: Annotated[float, Field(gt=0.0)]  #: time constant
+
+    @property
+    def numbers(self) -> tuple[float, float]:
+        """Size and time constant."""
+        return self.size, self.time_s
+
+
+class ScaledSignal(_Fault):
+    """The signal is multiplied by `factor`; 0: it is zero."""
+
+    kind: Literal["scale"]  #: a wrong scale
+    factor: float  #: 1 would be right
+
+    @property
+    def numbers(self) -> tuple[float, float]:
+        """Factor."""
+        return self.factor, 0.0
+
+
+class InvertedSignal(_Fault):
+    """The signal has the wrong sign."""
+
+    kind: Literal["polarity"]  #: the wrong sign
+
+
+class NoisySignal(_Fault):
+    """Each packet has random noise."""
+
+    kind: Literal["noise"]  #: random noise, independent from packet to packet
+    rms: Annotated[float, Field(ge=0.0)]  #: standard deviation in the unit of the signal
+
+    packets: ClassVar[bool] = True
+    seeded: ClassVar[bool] = True
+
+    @property
+    def numbers(self) -> tuple[float, float]:
+        """Standard deviation."""
+        return self.rms, 0.0
+
+
+class SpikedSignal(_Fault):
+    """Some packets are far off, up or down."""
+
+    kind: Literal["spike"]  #: single wrong packets
+    size: float  #: by which they are off, in the unit of the signal
+    probability: Annotated[float, Field(ge=0.0, le=1.0)] = 0.1  #: of each packet
+
+    packets: ClassVar[bool] = True
+    seeded: ClassVar[bool] = True
+
+    @property
+    def numbers(self) -> tuple[float, float]:
+        """Size and probability."""
+        return self.size, self.probability
+
+
+class ReplayedSignal(_Fault):
+    """The packets of the last `length_s` before the start are sent again and again, with new stamps."""
+
+    kind: Literal["replay"]  #: old packets once more
+    length_s: Annotated[float, Field(gt=0.0)]  #: how much of what was is sent again
+
+    packets: ClassVar[bool] = True
+
+    @model_validator(mode="after")
+    def _has_been(self) -> Self:
+        if not self.length_s <= self.start_s:
+            raise ValueError(
+                f"length_s = {self.length_s:g}, allowed: at most start_s = {self.start_s:g} (what has been)"
+            )
+        return self
+
+    @property
+    def numbers(self) -> tuple[float, float]:
+        """Length."""
+        return self.length_s, 0.0
+
+
+class MistimedSignal(_Fault):
+    """The clock of the source is wrong: values are older than their stamps."""
+
+    kind: Literal["time_error"]  #: a wrong time stamp
+    offset_s: Seconds  #: by which a value is older than its stamp says
+    drift_s_per_s: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0  #: by which this grows each second
+
+    @property
+    def numbers(self) -> tuple[float, float]:
+        """Offset and drift."""
+        return self.offset_s, self.drift_s_per_s
+
+
+class OscillatingSignal(_Fault):
+    """A sine is added."""
+
+    kind: Literal["oscillating"]  #: a sine is added
+    amplitude: float  #: in the unit of the signal
+    frequency_hz: Annotated[float, Field(gt=0.0)]  #: such as that of the mode
+
+    @property
+    def numbers(self) -> tuple[float, float]:
+        """Amplitude and frequency."""
+        return self.amplitude, self.frequency_hz
+
+
+SignalFault = Annotated[
+    StuckSignal
+    | BiasedSignal
+    | RampedSignal
+    | DriftingSignal
+    | ScaledSignal
+    | InvertedSignal
+    | NoisySignal
+    | SpikedSignal
+    | ReplayedSignal
+    | MistimedSignal
+    | OscillatingSignal,
+    Field(discriminator="kind"),
+]
+
+
+def check_faults(faults: Sequence[SignalFault], interval_s: float) -> None:
+    """Refuse faults of one signal that cannot be; interval_s : between its packets, 0 where it has none.
+
+    Raises
+    ------
+    ValueError : too many, overlapping windows, packets needed but absent, a replay of no number of them.
+    """
+    if len(faults) > SIGNAL_FAULTS:
+        raise ValueError(f"signal_faults has {len(faults)} tables, allowed: at most {SIGNAL_FAULTS}")
+    last_s = 0.0
+    for fault in faults:
+        if not fault.start_s >= last_s:
+            before = "the end of the one before, which has none" if last_s == _NEVER_S else f"{last_s:g} s"
+            raise ValueError(
+                f"signal_faults: {fault.kind} starts at {fault.start_s:g} s, before {before}, "
+                "allowed: in order, no overlap"
+            )
+        last_s = fault.until_s
+        if fault.packets and not interval_s:
+            raise ValueError(f"signal_faults: {fault.kind} acts on packets: set reporting_interval_s")
+        if isinstance(fault, ReplayedSignal):
+            count = fault.length_s / interval_s
+            if not (abs(count - round(count)) < 1e-6 and 1 <= round(count) <= REPLAYED):
+                raise ValueError(
+                    f"signal_faults: a replay of {fault.length_s:g} s with packets every {interval_s:g} s, "
+                    f"allowed: a whole number of packets, at most {REPLAYED}"
+                )
+
+
+def fault_parameters(faults: Sequence[SignalFault]) -> dict[str, Value]:
+    """Return the parameters ``fault[k].kind`` and so on of a channel's FMU."""
+    start: dict[str, Value] = {}
+    for k, fault in enumerate(faults, start=1):
+        size, detail = fault.numbers
+        values: dict[str, Value] = {
+            "kind": fault.kind,
+            "start": fault.start_s,
+            "end": fault.until_s,
+            "size": size,
+            "detail": detail,
+        }
+        start |= {f"fault[{k}].{key}": value for key, value in values.items()}
+    return start
