@@ -13,6 +13,7 @@ from interarea.design.linear.linearise import remove_reference
 from interarea.design.modes.loop_points import LoopSet
 from interarea.design.robust.design import design_robust
 from interarea.design.robust.operating_points import inter_area_band, judge_family
+from interarea.design.robust.signal_worth import PAYS
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.spec import RobustSpec
 from interarea.design.robust.stages import Stage
@@ -32,11 +33,21 @@ _CAP = 0.6  # pu per rad/s
 class ShortDesign:
     """A set of loops, and the least damping ratio of any inter-area root with nothing and everything late.
 
-    damping : 0 where no stable controller was found.
+    damping : 0 where no stable controller was found. own : of loops that see their own machine's speed alone,
+    at least that without control.
     """
 
     chosen: LoopSet
     damping: float
+    own: float
+
+    @property
+    def sentence(self) -> str:
+        """What the signals from afar are worth in these loops."""
+        said = f"inter-area {self.damping:.3f} against {self.own:.3f} with the own machines' speeds alone"
+        if self.damping - self.own >= PAYS:
+            return f"the link buys {self.damping - self.own:.3f}, {said}"
+        return f"a local stabilizer does as well: do not build this link; {said}"
 
 
 def short_designs(
@@ -67,9 +78,21 @@ def short_designs(
         sees = _signals_of(one, case)
         signals = tuple(dict.fromkeys(s for some in sees.values() for s in some))
         plant = FamilyPlant(case, signals, tuple(sees), blocks, small)
-        found.append(ShortDesign(one, _reached(plant, sees, latency_s)))
+        alone = {a: tuple(s for s in some if s == f"{a.removesuffix('_vs')}_dw") for a, some in sees.items()}
+        own = FamilyPlant(
+            case, tuple(s for some in alone.values() for s in some), tuple(alone), blocks, small
+        )
+        reached = _reached(plant, sees, latency_s)
+        rival = _reached(own, alone, latency_s) if alone != sees else reached
+        found.append(ShortDesign(one, reached, max(rival, _uncontrolled(plant))))
         told(k + 1)
     return tuple(found)
+
+
+def _uncontrolled(plant: FamilyPlant) -> float:
+    """Return the least inter-area damping without control, which a rival that does nothing has."""
+    modes = (plant.modes or {}).items()
+    return min((mode.damping_ratio for name, mode in modes if name.startswith("inter-area")), default=0.0)
 
 
 def _signals_of(chosen: LoopSet, case: Case) -> dict[str, tuple[str, ...]]:

@@ -74,7 +74,10 @@ def loops(
     if json_:
         found = {"case": loaded.name, **_as_dict(choice)}
         if tried:
-            found["designs"] = [{"actuators": d.chosen.actuators, "damping": d.damping} for d in designs]
+            found["designs"] = [
+                {"actuators": d.chosen.actuators, "damping": d.damping, "own": d.own, "worth": d.sentence}
+                for d in designs
+            ]
         typer.echo(json.dumps(found, indent=2, allow_nan=False))
         return
     _print_choice(loaded.name, choice)
@@ -123,9 +126,14 @@ def _print_designs(name: str, designs: Sequence[ShortDesign], latency_s: float) 
     print_table(
         f"{name}: the same after a short design, least inter-area damping with nothing and everything "
         f"{latency_s or LATENCY_S:g} s late",
-        ("actuators", "damping", "score"),
-        [(", ".join(d.chosen.actuators), f"{d.damping:.3f}", f"{d.chosen.score:.3f}") for d in designs],
+        ("actuators", "damping", "own speed alone", "score"),
+        [
+            (", ".join(d.chosen.actuators), f"{d.damping:.3f}", f"{d.own:.3f}", f"{d.chosen.score:.3f}")
+            for d in designs
+        ],
     )
+    for d in designs:
+        typer.echo(f"{', '.join(d.chosen.actuators)}: {d.sentence}")
 
 
 def _as_dict(choice: LoopChoice) -> dict[str, Any]:

@@ -53,7 +53,13 @@ def test_sets_are_designed_shortly(interarea) -> None:  # type: ignore[no-untype
     assert dampings == sorted(dampings, reverse=True) and dampings[-1] > 0.3
     tried = {tuple(one["actuators"]) for one in found["designs"]}
     assert tried == {tuple(one["actuators"]) for one in found["sets"][:2]}
+    # beside each set its own machines' speeds alone: the better damped of the two is what the sentence says
+    for one in found["designs"]:
+        assert one["own"] > 0.08
+        pays = one["damping"] - one["own"] >= 0.02
+        assert one["worth"].startswith("the link buys" if pays else "a local stabilizer does as well")
     out = interarea(*given)[1]
+    assert found["designs"][0]["worth"] in out
     assert "after a short design" in out and f"{dampings[0]:.3f}" in out
     code, _, err = interarea("loops", "two-area-thesis", "--signals", "angle", "--try", "1")
     assert code == 2 and "rank with speeds alone (--signals speed)" in err
