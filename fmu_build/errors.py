@@ -36,5 +36,5 @@ class FmuError(InterareaError, RuntimeError):
         self.time_s = time_s
         self.log_line = log_line
         when = "" if time_s is None else f" at {time_s:.9g} s"
-        said = f"; it said: {log_line}" if log_line else ""
-        super().__init__(f"{instance}: {call}{when}: {reason}{said}")
+        log = f"; it said: {log_line}" if log_line else ""
+        super().__init__(f"{instance}: {call}{when}: {reason}{log}")

@@ -39,9 +39,9 @@ class Report:
 
     def add(self, rule: str, where: str, message: str, fix: str) -> None:
         """Add a finding; the same rule is told once per place."""
-        found = Finding(rule, where, message, fix)
+        finding = Finding(rule, where, message, fix)
         if all((f.rule, f.where) != (rule, where) or f.message != message for f in self.findings):
-            self.findings.append(found)
+            self.findings.append(finding)
 
     def has(self, rule: str, where: str) -> bool:
         """Return whether `rule` was already found broken at `where`."""

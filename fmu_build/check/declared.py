@@ -55,23 +55,23 @@ def _indicators(instance: Instance, tell: Tell) -> None:
     buffer = (c_double * (count + _SPARE))(*[_UNTOUCHED] * (count + _SPARE))
     status = instance.call("GetEventIndicators", buffer, c_size_t(count))
     written = [k for k, value in enumerate(buffer) if value != _UNTOUCHED]
-    said = ""
+    message = ""
     if status > WARNING:
-        said = f"the binary refuses {count}{instance.library.said()}"
+        message = f"the binary refuses {count}{instance.library.said()}"
     elif written != list(range(count)):
-        said = f"the binary writes {len(written)}"
-    if said:
+        message = f"the binary writes {len(written)}"
+    if message:
         tell(
             "FMI2 2.2.1 numberOfEventIndicators",
             "ModelExchange",
-            f"{count} are declared, {said}",
+            f"{count} are declared, {message}",
             "declare as many as fmi2GetEventIndicators gives",
         )
 
 
 def _reals(d: ModelDescription, causality: str) -> list[ScalarVariable]:
-    found = [v for v in d.variables if v.type == "Real" and v.causality == causality]
-    return [v for v in found if v.variability in (None, "", "continuous")][:_MOST]
+    reals = [v for v in d.variables if v.type == "Real" and v.causality == causality]
+    return [v for v in reals if v.variability in (None, "", "continuous")][:_MOST]
 
 
 def _output_derivatives(instance: Instance, tell: Tell) -> None:
@@ -80,8 +80,8 @@ def _output_derivatives(instance: Instance, tell: Tell) -> None:
     for order in range(1, most + 1):
         for v in _reals(d, "output")[:1]:
             out = c_double(0.0)
-            asked = references([v]), c_size_t(1), byref(c_int(order)), byref(out)
-            if instance.call("GetRealOutputDerivatives", *asked) > WARNING:
+            arguments = references([v]), c_size_t(1), byref(c_int(order)), byref(out)
+            if instance.call("GetRealOutputDerivatives", *arguments) > WARNING:
                 tell(
                     "FMI2 4.3.1 maxOutputDerivativeOrder",
                     v.name,
@@ -196,8 +196,8 @@ def _solution(instance: Instance, n: int) -> _States | None:
             return None
         rows.append(x)
     instance.free()
-    found = np.array(rows)
-    return found if np.all(np.isfinite(found)) else None
+    states = np.array(rows)
+    return states if np.all(np.isfinite(states)) else None
 
 
 def _slopes(instance: Instance, t: float, x: _States) -> _States:

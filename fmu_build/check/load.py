@@ -88,9 +88,9 @@ def _run(todo: list[list[str]], folder: Path, report: Report, timeout_s: float) 
                 timeout=timeout_s,
                 check=False,
             )
-            code, said = process.returncode, process.stderr.decode("utf-8", "replace").strip()
+            code, errors = process.returncode, process.stderr.decode("utf-8", "replace").strip()
         except subprocess.TimeoutExpired:
-            code, said = None, ""
+            code, errors = None, ""
         over = 0
         for line in result.read_text(encoding="utf-8").splitlines():
             entry = json.loads(line)
@@ -102,7 +102,7 @@ def _run(todo: list[list[str]], folder: Path, report: Report, timeout_s: float) 
         return over
     interface, _, topic = todo[over]
     report.add(
-        f"run: {topic}", interface, _ending(code, said, timeout_s), "debug the binary at this call sequence"
+        f"run: {topic}", interface, _ending(code, errors, timeout_s), "debug the binary at this call sequence"
     )
     return over + 1
 
@@ -111,7 +111,7 @@ def _in(where: str, interface: str) -> str:
     return where if where == interface else f"{interface} {where}"
 
 
-def _ending(code: int | None, said: str, timeout_s: float) -> str:
+def _ending(code: int | None, message: str, timeout_s: float) -> str:
     if code is None:
         return f"the binary hangs: no answer after {timeout_s:g} s"
     if code < 0:
@@ -119,5 +119,5 @@ def _ending(code: int | None, said: str, timeout_s: float) -> str:
             return f"the binary crashes ({signal.Signals(-code).name})"
         except ValueError:
             return f"the binary crashes (signal {-code})"
-    last = said.splitlines()[-1] if said else ""
+    last = message.splitlines()[-1] if message else ""
     return f"the process ended with code {code}" + (f": {last}" if last else "")

@@ -48,13 +48,13 @@ def main(request_file: str, result_file: str) -> None:
     with Path(result_file).open("a", encoding="utf-8") as result:
         for interface, binary, topic in request["todo"]:
             _write(result, {"begin": [interface, topic]})
-            told: list[tuple[str, str, str, str]] = []
+            reported: list[tuple[str, str, str, str]] = []
             try:
                 if interface not in libraries:
                     libraries[interface] = Library(description, interface, folder, Path(binary))
-                TOPICS[topic](libraries[interface], lambda *f, told=told: told.append(f))  # type: ignore[misc]
+                TOPICS[topic](libraries[interface], lambda *f, told=reported: told.append(f))  # type: ignore[misc]
             except CallFailed as error:
-                told.append(
+                reported.append(
                     (
                         f"run: {topic}",
                         interface,
@@ -63,10 +63,10 @@ def main(request_file: str, result_file: str) -> None:
                     )
                 )
             except (OSError, AttributeError) as error:
-                told.append(
+                reported.append(
                     (f"run: {topic}", interface, f"cannot be loaded: {error}", "link it for this platform")
                 )
-            _write(result, {"done": [interface, topic], "findings": told})
+            _write(result, {"done": [interface, topic], "findings": reported})
 
 
 def _write(result: TextIO, line: dict[str, Any]) -> None:

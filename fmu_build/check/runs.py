@@ -23,13 +23,13 @@ _SAME = 1e-9  #: two runs agree when they differ by less, relative to the larger
 def load(library: Library, tell: Tell) -> None:
     """Version, platform, instantiate, wrong GUID, freeing nothing."""
     dll = library.dll
-    for name, wanted in (("fmi2GetVersion", b"2.0"), ("fmi2GetTypesPlatform", b"default")):
+    for name, expected in (("fmi2GetVersion", b"2.0"), ("fmi2GetTypesPlatform", b"default")):
         got = getattr(dll, name)()
-        if got != wanted:
+        if got != expected:
             tell(
                 "FMI2 2.1.4 version",
                 name,
-                f"returned {got!r}, not {wanted!r}",
+                f"returned {got!r}, not {expected!r}",
                 "compile with the standard's headers",
             )
     library.fresh().free()
@@ -57,12 +57,12 @@ def start_values(library: Library, tell: Tell) -> None:
     ]
     got = instance.get(declared)
     for v, value in zip(declared, got, strict=True):
-        wanted = {"true": 1.0, "false": 0.0}.get(v.start or "", v.number("start"))
-        if wanted is not None and not math.isclose(value, wanted, rel_tol=1e-9, abs_tol=1e-12):
+        expected = {"true": 1.0, "false": 0.0}.get(v.start or "", v.number("start"))
+        if expected is not None and not math.isclose(value, expected, rel_tol=1e-9, abs_tol=1e-12):
             tell(
                 "FMI2 2.2.7 start is the binary's",
                 v.name,
-                f"the description says {wanted:.17g}, the binary {value:.17g}",
+                f"the description says {expected:.17g}, the binary {value:.17g}",
                 "write the value that the binary has when nothing is set",
             )
     instance.free()
@@ -178,7 +178,7 @@ def interleaved(library: Library, tell: Tell) -> None:
     drive, idle = Drive(library.d), Drive(library.d, excited=False)
     alone = library.fresh()
     drive.start(alone)
-    wanted = drive.run(alone, 0, _STEPS)
+    expected = drive.run(alone, 0, _STEPS)
     alone.free()
     a, b = library.fresh(), library.fresh()
     drive.start(a)
@@ -193,7 +193,7 @@ def interleaved(library: Library, tell: Tell) -> None:
     a.free()
     drive.compare(
         "FMI2 2.1.5 instances",
-        wanted,
+        expected,
         np.vstack(rows),
         tell,
         "keep no run-time data in global or static variables",
@@ -215,12 +215,12 @@ def replay(library: Library, tell: Tell) -> None:
     drive.compare("FMI2 2.1.8 FMU state", first, drive.run(instance, 3, _STEPS), tell, fix)
     once = library.d.flag(library.interface, "canBeInstantiatedOnlyOncePerProcess")
     if library.d.flag(library.interface, "canSerializeFMUstate"):
-        kept = instance.serialise(state)
+        retained = instance.serialise(state)
         if once:
             instance.do("Reset")
         other = instance if once else library.fresh()
         drive.start(other)
-        copy = other.deserialise(kept)
+        copy = other.deserialise(retained)
         other.restore(copy)
         other.forget(copy)
         drive.compare(

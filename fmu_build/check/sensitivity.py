@@ -47,8 +47,8 @@ class _Point:
 
     def scale(self, known: ScalarVariable) -> float:
         """Usual size of a known."""
-        here = self.x[self.states.index(known)] if known in self.states else self.u[known.index]
-        return float(abs(known.number("nominal") or 0.0) or max(abs(here), 1.0))
+        local = self.x[self.states.index(known)] if known in self.states else self.u[known.index]
+        return float(abs(known.number("nominal") or 0.0) or max(abs(local), 1.0))
 
 
 def _points(library: Library) -> Iterator[_Point]:
@@ -97,12 +97,12 @@ def _continuous_inputs(d: ModelDescription) -> list[ScalarVariable]:
 def state_variables(d: ModelDescription) -> list[ScalarVariable]:
     """Return the continuous states in the order of their derivatives."""
     by_index = {v.index: v for v in d.variables}
-    found = []
+    variables = []
     for unknown in d.derivatives:
         of = by_index[unknown.index].typed.get("derivative", "") if unknown.index in by_index else ""
         if of.isdigit() and int(of) in by_index:
-            found.append(by_index[int(of)])
-    return found
+            variables.append(by_index[int(of)])
+    return variables
 
 
 def dependencies(library: Library, tell: Tell) -> None:
@@ -140,19 +140,19 @@ def directional(library: Library, tell: Tell) -> None:
         return
     for point in _points(library):
         for known in point.knowns:
-            said = point.instance.directional(point.unknowns, known)
-            found = _differences(lambda change: point.at(known, change), point.scale(known))  # noqa: B023
-            if found is None:
+            message = point.instance.directional(point.unknowns, known)
+            differences = _differences(lambda change: point.at(known, change), point.scale(known))  # noqa: B023
+            if differences is None:
                 continue
-            slope, doubt = found
-            apart = np.abs(said - slope)
-            wrong = ~(apart <= 1e-4 * np.maximum(np.abs(said), np.abs(slope)) + doubt)
+            slope, uncertainty = differences
+            apart = np.abs(message - slope)
+            wrong = ~(apart <= 1e-4 * np.maximum(np.abs(message), np.abs(slope)) + uncertainty)
             if np.any(wrong):
-                k = int(np.argmax(np.where(wrong, np.nan_to_num(apart - doubt, nan=np.inf), -1.0)))
+                k = int(np.argmax(np.where(wrong, np.nan_to_num(apart - uncertainty, nan=np.inf), -1.0)))
                 tell(
                     "FMI2 2.1.9 directional derivative",
                     f"d {point.unknowns[k].name} / d {known.name}",
-                    f"is {said[k]:.9g}, differences give {slope[k]:.9g}; {wrong.sum()} unknowns differ",
+                    f"is {message[k]:.9g}, differences give {slope[k]:.9g}; {wrong.sum()} unknowns differ",
                     "correct the derivative, or do not declare providesDirectionalDerivative",
                 )
 

@@ -111,13 +111,13 @@ class _Check:
 
     def connectors(self, element: Any, where: str) -> dict[str, Connector]:
         """Read connectors; names are unique and units are defined."""
-        found: dict[str, Connector] = {}
+        by_name: dict[str, Connector] = {}
         for c in element.findall(f"{SSD}Connectors/{SSD}Connector"):
             name = c.get("name", "")
             typed = next((t for t in c if isinstance(t.tag, str) and t.tag.startswith((SSC, SSD))), None)
             kind = c.get("kind", "")
             unit = None if typed is None else typed.get("unit")
-            if name in found:
+            if name in by_name:
                 self.report.add("SSP names", f"{where}.{name}", "two connectors have this name", "rename one")
             if kind not in _KINDS:
                 self.report.add(
@@ -125,8 +125,8 @@ class _Check:
                 )
             self.unit_is_defined(unit, f"{where}.{name}", self.units)
             base = None if typed is None else typed.tag.rpartition("}")[2]
-            found[name] = Connector(name, kind, base, unit)
-        return found
+            by_name[name] = Connector(name, kind, base, unit)
+        return by_name
 
     def unit_is_defined(self, unit: str | None, where: str, units: Units) -> None:
         if unit is not None and unit not in units.names:
@@ -172,17 +172,17 @@ class _Check:
     def fmu(self, file: Path) -> ModelDescription | None:
         """Check an FMU once and return its description if it can be read."""
         if file not in self.fmus:
-            found = self.check_fmu(file)
+            report = self.check_fmu(file)
             name = file.relative_to(self.folder.resolve()).as_posix()
             self.report.findings += [
-                Finding(f.rule, f"{name}: {f.where}", f.message, f.fix) for f in found.findings
+                Finding(f.rule, f"{name}: {f.where}", f.message, f.fix) for f in report.findings
             ]
-            self.report.notes += [f"{name}: {note}" for note in found.notes]
-            self.report.not_run += [f"{name}: {why}" for why in found.not_run]
+            self.report.notes += [f"{name}: {note}" for note in report.notes]
+            self.report.not_run += [f"{name}: {why}" for why in report.not_run]
             self.report.facts.setdefault("fmus", {})[name] = {
-                k: v for k, v in found.facts.items() if k != "description"
+                k: v for k, v in report.facts.items() if k != "description"
             }
-            root = found.facts.get("description")
+            root = report.facts.get("description")
             self.fmus[file] = read_description(root) if root is not None else None
         return self.fmus[file]
 
@@ -302,14 +302,14 @@ class _Check:
         for c in system.findall(f"{SSD}Connections/{SSD}Connection"):
             ends = [(c.get(f"{side}Element"), c.get(f"{side}Connector", "")) for side in ("start", "end")]
             text = " -> ".join(f"{element or where}.{name}" for element, name in ends)
-            found = []
+            result = []
             for element, name in ends:
-                found.append((own if element is None else elements.get(element, {})).get(name))
-                if found[-1] is None:
+                result.append((own if element is None else elements.get(element, {})).get(name))
+                if result[-1] is None:
                     self.report.add(
                         "SSP connections", text, f"there is no {element or where}.{name}", "correct the names"
                     )
-            start, end = found
+            start, end = result
             if start is None or end is None:
                 continue
             self.connection(text, start, end, from_element=bool(ends[0][0]), to_element=bool(ends[1][0]))

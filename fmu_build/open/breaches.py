@@ -25,25 +25,25 @@ def mended(
 
     number : the value of a start text, None where it is none.
     """
-    told: list[str] = []
+    reported: list[str] = []
     seen: dict[str, ScalarVariable] = {}
     variables = []
     for v in d.variables:
         trouble = _trouble(v, seen, number)
         if trouble:
-            return d, tuple(told), trouble
+            return d, tuple(reported), trouble
         seen.setdefault(v.name, v)
-        variables.append(_usable(v, d, number, told.append))
+        variables.append(_usable(v, d, number, reported.append))
     count = len(variables)
     trouble = _state_trouble(d, variables) if interface == "ModelExchange" else ""
     used = replace(
         d,
         variables=tuple(variables),
-        outputs=tuple(_placed(d.outputs, count, told.append)),
-        derivatives=tuple(_placed(d.derivatives, count, told.append)),
-        initial_unknowns=tuple(_placed(d.initial_unknowns, count, told.append)),
+        outputs=tuple(_placed(d.outputs, count, reported.append)),
+        derivatives=tuple(_placed(d.derivatives, count, reported.append)),
+        initial_unknowns=tuple(_placed(d.initial_unknowns, count, reported.append)),
     )
-    return used, tuple(told), trouble
+    return used, tuple(reported), trouble
 
 
 def _where(v: ScalarVariable) -> str:

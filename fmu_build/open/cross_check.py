@@ -69,8 +69,8 @@ def add_cross_check(fmu: Path, path: Path) -> Path:
 def complete_fmu(fmu: Path, cache: Path) -> Path:
     """Return a copy of one of our FMUs with cross-check files, or the FMU itself if it cannot run here."""
     with zipfile.ZipFile(fmu) as archive:
-        here = tuple(f"binaries/{folder}/" for folder in host_folders())
-        if not any(name.startswith(here) for name in archive.namelist()):
+        local = tuple(f"binaries/{folder}/" for folder in host_folders())
+        if not any(name.startswith(local) for name in archive.namelist()):
             return fmu
     key = content_hash(file_hash(fmu), code_hash(add_cross_check.__module__))
     return artefact(cache, "complete", f"{fmu.stem}-{key}", ".fmu", lambda p: add_cross_check(fmu, p))

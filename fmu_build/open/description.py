@@ -153,7 +153,7 @@ def _interfaces(root: Any) -> list[str]:
 
 
 def _variables(root: Any, types: dict[str, tuple[str, dict[str, Any]]]) -> list[ScalarVariable]:
-    found = []
+    variables = []
     for index, e in enumerate(root.findall("ModelVariables/ScalarVariable"), start=1):
         typed = next((c for c in e if c.tag in TYPES), None)
         causality, variability = e.get("causality", "local"), e.get("variability", "continuous")
@@ -163,7 +163,7 @@ def _variables(root: Any, types: dict[str, tuple[str, dict[str, Any]]]) -> list[
         reference = e.get("valueReference", "")
         attributes = {} if typed is None else dict(typed.attrib)
         declared = types.get(attributes.get("declaredType", ""))
-        found.append(
+        variables.append(
             ScalarVariable(
                 index=index,
                 name=e.get("name", ""),
@@ -178,15 +178,15 @@ def _variables(root: Any, types: dict[str, tuple[str, dict[str, Any]]]) -> list[
                 description=e.get("description", ""),
             )
         )
-    return found
+    return variables
 
 
 def _unknowns(root: Any, section: str) -> tuple[Unknown, ...]:
-    found = []
+    unknowns = []
     for e in root.findall(f"ModelStructure/{section}/Unknown"):
         dependencies = e.get("dependencies")
         indices = None
         if dependencies is not None:
             indices = _counts(dependencies)
-        found.append(Unknown(_count(e.get("index", "")), indices))
-    return tuple(found)
+        unknowns.append(Unknown(_count(e.get("index", "")), indices))
+    return tuple(unknowns)

@@ -199,10 +199,10 @@ class Library:
         ------
         CallFailed : fmi2Instantiate returned null.
         """
-        made = self.instantiate()
-        if made is None:
+        instance = self.instantiate()
+        if instance is None:
             raise CallFailed("fmi2Instantiate", f"returned null{self.said()}")
-        return made
+        return instance
 
     def said(self) -> str:
         """Return what the binary logged last, as the end of a sentence."""
@@ -319,9 +319,9 @@ class Instance:
         """Return an FMU state as bytes."""
         size = c_size_t()
         self.do("SerializedFMUstateSize", state, byref(size))
-        kept = ctypes.create_string_buffer(size.value)
-        self.do("SerializeFMUstate", state, kept, size)
-        return kept.raw
+        retained = ctypes.create_string_buffer(size.value)
+        self.do("SerializeFMUstate", state, retained, size)
+        return retained.raw
 
     def deserialise(self, kept: bytes) -> c_void_p:
         """Return an FMU state from bytes."""

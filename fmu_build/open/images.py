@@ -136,15 +136,15 @@ def _elf_dynamic(
 def _elf_exports(c: bytes, order: str, wide: bool, table: int, strings: int, count: int) -> tuple[str, ...]:
     """Defined global symbols; absolute ones are names of versions."""
     step = 24 if wide else 16
-    found = []
+    exports = []
     for at in range(table + step, table + count * step, step):
         if wide:
             name, info, _, section = struct.unpack_from(order + "IBBH", c, at)
         else:
             name, _, _, info, _, section = struct.unpack_from(order + "IIIBBH", c, at)
         if section not in (0, 0xFFF1) and info >> 4 in (1, 2, 10):
-            found.append(_text(c, strings + name))
-    return tuple(sorted(found))
+            exports.append(_text(c, strings + name))
+    return tuple(sorted(exports))
 
 
 def _elf_symbol_count(

@@ -53,5 +53,5 @@ def dimension_of(unit: Any, namespace: str = "") -> Dimension | None:
 
 def unit_definitions(root: Any, container: str, namespace: str) -> Units:
     """Return the units defined below `container` of `root`."""
-    found = root.findall(f"{container}/{namespace}Unit")
-    return Units({u.get("name", ""): dimension_of(u, namespace) for u in found})
+    elements = root.findall(f"{container}/{namespace}Unit")
+    return Units({u.get("name", ""): dimension_of(u, namespace) for u in elements})

@@ -100,18 +100,18 @@ def _source_file(name: str) -> Path | None:
 
 @forever
 def _imports(package: str, source: bytes) -> list[str]:
-    found = []
+    imports = []
     todo: list[Any] = list(ast.parse(source).body)
     while todo:  # statements only: no expression holds an import, and they are most of a tree
         node = todo.pop()
         for block in ("body", "orelse", "finalbody", "handlers", "cases"):
             todo += getattr(node, block, ())
         if isinstance(node, ast.Import):
-            found += [alias.name for alias in node.names]
+            imports += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             name = resolve_name("." * node.level + (node.module or ""), package)
-            found += [name, *(f"{name}.{alias.name}" for alias in node.names)]
-    return found
+            imports += [name, *(f"{name}.{alias.name}" for alias in node.names)]
+    return imports
 
 
 def host_machine() -> str:
@@ -152,12 +152,12 @@ def artefact(cache: Path, kind: str, key: str, suffix: str, make: Callable[[Path
         _log.warning("%s is not what was written there (SHA-256): it is made again", path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with temporary_folder(cache) as folder:
-        made, begin_s = folder / path.name, time.monotonic()
-        make(made)
+        result, begin_s = folder / path.name, time.monotonic()
+        make(result)
         _log.info("made in %.1f s: %s", time.monotonic() - begin_s, path)
         # the proof first: a file without one is no artefact, a proof without its file is nothing
-        _prove(path, made.read_bytes())
-        return settle(made, path)
+        _prove(path, result.read_bytes())
+        return settle(result, path)
 
 
 def keep(path: Path, content: bytes) -> Path:
@@ -198,7 +198,7 @@ class Kept:
 
 def artefacts_in(cache: Path) -> list[Kept]:
     """Return what the cache holds, the longest unused first; what the compiler keeps is one of them."""
-    found = []
+    artefacts = []
     for folder in cache.iterdir() if cache.is_dir() else ():
         if folder.name.startswith("interarea-") or not folder.is_dir():
             continue
@@ -206,8 +206,8 @@ def artefacts_in(cache: Path) -> list[Kept]:
         rows = [Kept(folder.name, p, s.st_size, _used(p, s.st_mtime)) for p, s in files]
         if folder.name == COMPILERS_OWN and rows:
             rows = [Kept(COMPILERS_OWN, folder, sum(r.size for r in rows), max(r.used_s for r in rows))]
-        found += rows
-    return sorted(found, key=lambda k: k.used_s)
+        artefacts += rows
+    return sorted(artefacts, key=lambda k: k.used_s)
 
 
 def _used(path: Path, written_s: float) -> float:

@@ -227,8 +227,8 @@ def _object(
     made_of = (name, [sources[part] for part in parts], command, version)
     digest = hashlib.sha256(repr(made_of).encode()).hexdigest()[:24]
     stem = name.removesuffix(".c")
-    made = artefact(cache, "objects", f"{stem}-{to.name}-{digest}", ".o", make)
-    return f"{stem}.o", made.read_bytes()
+    object_file = artefact(cache, "objects", f"{stem}-{to.name}-{digest}", ".o", make)
+    return f"{stem}.o", object_file.read_bytes()
 
 
 def _flags(kind: str, to: Platform, *, zig: bool) -> list[str]:
@@ -257,16 +257,16 @@ def _digest(kind: str, sources: dict[str, bytes], flags: list[str], to: Platform
 
 
 def _run_compiler(command: list[str], folder: Path, cache: Path, kind: str, platform: str) -> None:
-    kept = (cache / COMPILERS_OWN).absolute()
-    before = kept.is_dir()
+    cached = (cache / COMPILERS_OWN).absolute()
+    before = cached.is_dir()
     try:
-        _compile(command, folder, kept, kind, platform)
+        _compile(command, folder, cached, kind, platform)
     except BuildError:
         if "ziglang" not in command or not before:
             raise
         # nothing proves what the compiler keeps for itself; if that was damaged it compiles without it
         _compile(command, folder, folder / COMPILERS_OWN, kind, platform)
-        shutil.rmtree(kept, ignore_errors=True)
+        shutil.rmtree(cached, ignore_errors=True)
 
 
 def _compile(command: list[str], folder: Path, zig_cache: Path, kind: str, platform: str) -> None:
@@ -281,8 +281,8 @@ def _compile(command: list[str], folder: Path, zig_cache: Path, kind: str, platf
     except OSError as error:
         raise BuildError(f"cannot run the C compiler {command[0]!r}: {error}") from error
     if done.returncode != 0:
-        said = done.stderr.strip()[-4000:]
-        raise BuildError(f"compiling {kind} for {platform} failed with code {done.returncode}:\n{said}")
+        message = done.stderr.strip()[-4000:]
+        raise BuildError(f"compiling {kind} for {platform} failed with code {done.returncode}:\n{message}")
 
 
 @functools.lru_cache(maxsize=8)

@@ -71,7 +71,7 @@ class DeviceSlopes:
         vx, vu = np.ascontiguousarray(vx, dtype=float), np.ascontiguousarray(vu, dtype=float)
         volts = np.concatenate([vv.real, vv.imag])
         vdx, vi = np.empty(len(self.states)), np.empty(2 * self.sources)
-        given = (a.ctypes.data_as(_REAL) for a in (vx, vu, volts, vdx, vi))
-        if self._c.interarea_devices_slopes(self._at, *given):
+        provided = (a.ctypes.data_as(_REAL) for a in (vx, vu, volts, vdx, vi))
+        if self._c.interarea_devices_slopes(self._at, *provided):
             raise BuildError("the network of the plant has no solution at rest")
         return vdx, vi[: self.sources] + 1j * vi[self.sources :]

@@ -60,13 +60,13 @@ def equations_of(sources: Mapping[str, bytes]) -> dict[str, str]:
     >>> equations_of({"lag.h": b"/* A lag:\\n *\\n *     T dx/dt = u - x\\n */\\n"})
     {'lag.h': 'A lag:\\n\\n    T dx/dt = u - x'}
     """
-    found = {}
+    equations = {}
     for name in sorted(set(sources) - _layer(), key=lambda n: (not n.endswith("_c.h"), n)):
         comments = [_plain(c) for c in _COMMENT.findall(sources[name].decode("utf-8"))]
-        kept = [c for c in comments if _EQUATION.search(c)]
-        if kept:
-            found[name] = "\n\n".join(kept)
-    return found
+        retained = [c for c in comments if _EQUATION.search(c)]
+        if retained:
+            equations[name] = "\n\n".join(retained)
+    return equations
 
 
 def references_in(text: str) -> dict[str, str]:
@@ -93,15 +93,15 @@ def _bibliography() -> dict[str, str]:
     spec = importlib.util.find_spec("interarea.models")
     assert spec is not None and spec.submodule_search_locations
     file = Path(next(iter(spec.submodule_search_locations))) / "references.bib"
-    found = {}
+    bibliography = {}
     for key, body in _ENTRY.findall(file.read_text(encoding="utf-8")):
         fields = {k: re.sub(r"[{}]", "", v) for k, v in _FIELD.findall(body)}
         where = next(
             (fields[k] for k in ("journal", "publisher", "school", "institution") if k in fields), ""
         )
         parts = (fields.get("author", ""), fields.get("title", ""), where, fields.get("year", ""))
-        found[key] = ". ".join(p for p in parts if p) + "."
-    return found
+        bibliography[key] = ". ".join(p for p in parts if p) + "."
+    return bibliography
 
 
 @functools.cache
@@ -161,13 +161,13 @@ def _lines(ports: Iterable[Variable]) -> list[str]:
     for port in ports:
         kind = port.name.rpartition("_")[2] if "_" in port.name else port.name.rstrip("0123456789")
         kinds.setdefault((kind, _unit(port)), []).append(port)
-    found = []
+    rows = []
     for (_, unit), members in kinds.items():
         if len(members) <= _MOST:
-            found += [f"{port.name}{unit}" for port in members]
+            rows += [f"{port.name}{unit}" for port in members]
         else:
-            found.append(f"{members[0].name} … {members[-1].name}{unit}, {len(members)} ports")
-    return found
+            rows.append(f"{members[0].name} … {members[-1].name}{unit}, {len(members)} ports")
+    return rows
 
 
 def _unit(port: Variable) -> str:

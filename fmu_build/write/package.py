@@ -136,10 +136,10 @@ def archive_bytes(entries: Mapping[str, bytes], *, first: str, stored: tuple[str
 def _headers_license(sources: Mapping[str, bytes]) -> bytes:
     """Licence of the standard's headers, as they carry it themselves."""
     text = sources["fmi2Functions.h"].decode("utf-8")
-    found = re.search(r"Copyright .*?(?=\*/)", text, re.DOTALL)
-    if found is None:
+    match = re.search(r"Copyright .*?(?=\*/)", text, re.DOTALL)
+    if match is None:
         raise BuildError("fmi2Functions.h carries no licence; reinstall fmpy")
-    lines = [line.strip() for line in found.group().splitlines()]
+    lines = [line.strip() for line in match.group().splitlines()]
     return ("FMI 2.0 standard headers\n\n" + "\n".join(lines).strip() + "\n").encode("utf-8")
 
 

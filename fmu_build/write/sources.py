@@ -53,20 +53,20 @@ def gather_sources(c_files: tuple[Path, ...]) -> dict[str, bytes]:
 
     The files are read again only when one of them has changed.
     """
-    kept = _READ.get(c_files)
-    if kept is None or any(_stamp(path) != stamp for path, stamp in kept[0]):
+    retained = _READ.get(c_files)
+    if retained is None or any(_stamp(path) != stamp for path, stamp in retained[0]):
         files, read = _read_sources(c_files)
-        kept = tuple((path, _stamp(path)) for path in read), files
-        _READ[c_files] = kept
-    return dict(kept[1])
+        retained = tuple((path, _stamp(path)) for path in read), files
+        _READ[c_files] = retained
+    return dict(retained[1])
 
 
 def _stamp(path: Path) -> tuple[int, int]:
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return -1, -1
-    return found.st_mtime_ns, found.st_size
+    return status.st_mtime_ns, status.st_size
 
 
 def _read_sources(c_files: tuple[Path, ...]) -> tuple[dict[str, bytes], list[Path]]:
@@ -77,7 +77,7 @@ def _read_sources(c_files: tuple[Path, ...]) -> tuple[dict[str, bytes], list[Pat
     to_do = [p.resolve() for p in c_files]
     # a generated header lies in a folder of its own, and includes what lies beside the others
     folders = (_C, fmi_headers(), _block_folder(), *dict.fromkeys(p.parent for p in to_do))
-    given = {p.name: p for p in to_do if p.suffix == ".h"}
+    provided = {p.name: p for p in to_do if p.suffix == ".h"}
     while to_do:
         path = to_do.pop()
         name = _flat_name(path, parts)
@@ -94,7 +94,7 @@ def _read_sources(c_files: tuple[Path, ...]) -> tuple[dict[str, bytes], list[Pat
         for line in text.splitlines():
             words = line.split('"')
             if line.startswith("#include") and len(words) >= 3:
-                included = _included(path, words[1], folders, given)
+                included = _included(path, words[1], folders, provided)
                 to_do.append(included)
                 if included.suffix == ".c":  # part of this file, not one to compile by itself
                     parts.add(included)
@@ -104,13 +104,13 @@ def _read_sources(c_files: tuple[Path, ...]) -> tuple[dict[str, bytes], list[Pat
     return dict(sorted(files.items())), list(origin.values())
 
 
-def _included(path: Path, name: str, folders: tuple[Path, ...], given: Mapping[str, Path]) -> Path:
+def _included(path: Path, name: str, folders: tuple[Path, ...], provided: Mapping[str, Path]) -> Path:
     """The file that `path` includes: beside it, in one of the folders, or a generated header."""
     for folder in (path.parent, *folders):
         if (folder / name).is_file():
             return (folder / name).resolve()
-    if name in given:
-        return given[name].resolve()
+    if name in provided:
+        return provided[name].resolve()
     raise BuildError(f'{path}: #include "{name}" is neither beside it nor among the headers')
 
 
@@ -133,13 +133,13 @@ def _block_folder() -> Path:
 
 def with_includes(name: str, sources: Mapping[str, bytes]) -> list[str]:
     """Return a C file and all of `sources` that it includes; every header where a macro names one."""
-    found: dict[str, None] = {}
+    includes: dict[str, None] = {}
     to_do = [name]
     while to_do:
         part = to_do.pop()
-        if part in sources and part not in found:
-            found[part] = None
+        if part in sources and part not in includes:
+            includes[part] = None
             for included in re.findall(r"^#include\s+([\"\w]\S*)", sources[part].decode(), re.MULTILINE):
                 quoted = included.startswith('"')
                 to_do += [included.strip('"')] if quoted else [s for s in sources if s.endswith(".h")]
-    return sorted(found)
+    return sorted(includes)
