@@ -51,11 +51,11 @@ def mistakes(
         key = ".".join(words if path_of is None else path_of(row["loc"]))
         if key not in lines:  # the members of a union each say why they are not meant
             lines[key] = _told(key, row, [k for k in known if k not in hidden])
-    return [line for told in lines.values() for line in told]
+    return [line for message in lines.values() for line in message]
 
 
 def _told(key: str, row: Any, known: Sequence[str]) -> list[str]:
-    given, context = row["input"], row.get("ctx", {})
+    provided, context = row["input"], row.get("ctx", {})
     message = row["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
     own = str(row["loc"][-1]) if row["loc"] else key
     match row["type"]:
@@ -66,18 +66,18 @@ def _told(key: str, row: Any, known: Sequence[str]) -> list[str]:
         case "missing":
             return [f"{key} is missing"]
         case "extra_forbidden" | "unexpected_keyword_argument":  # of a table, of a dataclass
-            return [f"{key} = {given!r}: no such key; {meant(own, known)}"]
+            return [f"{key} = {provided!r}: no such key; {meant(own, known)}"]
         case "union_tag_not_found":
             return [f"{key}.kind is missing"]
         case "union_tag_invalid":
             return [_one_of(f"{key}.kind", context["tag"], context["expected_tags"])]
         case "literal_error":
-            return [_one_of(key, given, context["expected"])]
+            return [_one_of(key, provided, context["expected"])]
         case "model_type" | "model_attributes_type" | "dict_type" | "mapping_type":
             near = [repr(k) for k in known if k.startswith(f"{own}_")]
             hint = f"; did you mean {' or '.join(near)}?" if near else ""
-            return [f"{key} = {given!r}, allowed: a table{hint}"]
-    return [f"{key} = {given!r}, allowed: {_in_words(own, given, message)}"]
+            return [f"{key} = {provided!r}, allowed: a table{hint}"]
+    return [f"{key} = {provided!r}, allowed: {_in_words(own, provided, message)}"]
 
 
 def _placed(key: str, own: str, text: str) -> str:
@@ -87,11 +87,11 @@ def _placed(key: str, own: str, text: str) -> str:
     return f"{key}: {text}" if key else text
 
 
-def _in_words(own: str, given: object, message: str) -> str:
+def _in_words(own: str, provided: object, message: str) -> str:
     """Return what is allowed as who writes files says it."""
-    if message.startswith("a valid number") and isinstance(given, str):
-        if _NUMBER.fullmatch(given.strip()):
-            return f"a number, without quotes: {given.strip()}"
+    if message.startswith("a valid number") and isinstance(provided, str):
+        if _NUMBER.fullmatch(provided.strip()):
+            return f"a number, without quotes: {provided.strip()}"
         if own.endswith("_s"):
             return 'seconds as a number, or words such as "8 cycles", "1.5 s"'
     if message.startswith("a valid tuple"):
@@ -102,23 +102,23 @@ def _in_words(own: str, given: object, message: str) -> str:
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
-def _one_of(key: str, given: object, allowed: str) -> str:
+def _one_of(key: str, provided: object, allowed: str) -> str:
     """Return the line of a word that is none of those `allowed`, and which of them is close."""
     words = [w.strip(" '") for w in allowed.replace(" or ", ",").split(",")]
-    near = difflib.get_close_matches(str(given), words, 1)
-    return f"{key} = {given!r}, allowed: {allowed}" + (f"; did you mean {near[0]!r}?" if near else "")
+    near = difflib.get_close_matches(str(provided), words, 1)
+    return f"{key} = {provided!r}, allowed: {allowed}" + (f"; did you mean {near[0]!r}?" if near else "")
 
 
 def _followed(model: Any, location: Location) -> tuple[list[str], list[str]]:
     """Return a location in the words of the file, and the keys that stand beside its last part."""
-    here, words, known = _members(model), [], list[str]()
+    models, words, known = _members(model), [], list[str]()
     for k, part in enumerate(location):
-        known = _keys(here) or known
-        there = [m for t in here for m in _inside(t, part)]
-        form = [t for t in here if _is_table(t) and (part in _kinds(t) or part == t.__name__)]
+        known = _keys(models) or known
+        there = [m for t in models for m in _inside(t, part)]
+        form = [t for t in models if _is_table(t) and (part in _kinds(t) or part == t.__name__)]
         if there or (not form and k == len(location) - 1 and not _is_form(part)):
             words.append(str(part))
-        here = there or form or here
+        models = there or form or models
     return words, known
 
 
@@ -126,9 +126,9 @@ def _is_table(kind: Any) -> bool:
     return isinstance(kind, type) and issubclass(kind, BaseModel)
 
 
-def _keys(here: Sequence[Any]) -> list[str]:
-    found = [f.alias or name for t in here if _is_table(t) for name, f in t.model_fields.items()]
-    return found + [f.name for t in here if is_dataclass(t) and isinstance(t, type) for f in fields(t)]
+def _keys(models: Sequence[Any]) -> list[str]:
+    keys = [f.alias or name for t in models if _is_table(t) for name, f in t.model_fields.items()]
+    return keys + [f.name for t in models if is_dataclass(t) and isinstance(t, type) for f in fields(t)]
 
 
 def _is_form(part: int | str) -> bool:

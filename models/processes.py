@@ -60,7 +60,7 @@ def run_guarded(
         start_new_session=_POSIX,
     )
     _guarded.add(process)
-    lifeline, process.stdin = process.stdin, None  # `communicate` would close it
+    parent_pipe, process.stdin = process.stdin, None  # `communicate` would close it
     try:
         out, err = process.communicate(timeout=timeout_s)
     except BaseException:
@@ -69,8 +69,8 @@ def run_guarded(
         raise
     finally:
         _guarded.discard(process)
-        if lifeline is not None:
-            lifeline.close()
+        if parent_pipe is not None:
+            parent_pipe.close()
     if process in _interrupted:  # its failure is none of the command's: nobody may try again
         _interrupted.discard(process)
         raise KeyboardInterrupt

@@ -164,13 +164,13 @@ def shown_name(member: str, kind: str, output: Variable) -> str:
 
 def _outside(member: LoopMember) -> list[Variable]:
     """The variables of a member that the loop shows: outputs, which depend on nothing, and parameters."""
-    found = []
+    variables = []
     for v in member.block.table:
         if v.role == "output":
-            found.append(replace(v, name=shown_name(member.name, member.block.kind, v), depends_on=()))
+            variables.append(replace(v, name=shown_name(member.name, member.block.kind, v), depends_on=()))
         elif v.role == "parameter":
-            found.append(replace(v, name=f"{member.name}.{v.name}"))
-    return found
+            variables.append(replace(v, name=f"{member.name}.{v.name}"))
+    return variables
 
 
 _BEHAVIOUR = """<p>A closed loop without inputs. Plant and controller are one system of differential

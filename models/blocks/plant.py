@@ -325,14 +325,14 @@ def _group_arrays(
 ) -> dict[str, Any]:
     """Groups of devices in the order in which they run; `first`: place of the first state of a device."""
     numbers = {key: k for k, key in enumerate(devices_with(own))}
-    given = [group.table.ravel() for group, _ in groups]
+    provided = [group.table.ravel() for group, _ in groups]
     return {
         "group.device": _int(numbers[group.key] for group, _ in groups),
         "group.count": _int(len(group.devices) for group, _ in groups),
         "group.has": _int(group.has for group, _ in groups),
         "group.state": _int(first + place for _, place in groups),
         "device.machine": _int(d.machine for group, _ in groups for d in group.devices),
-        "device.table": np.concatenate(given) if given else np.zeros(0),
+        "device.table": np.concatenate(provided) if provided else np.zeros(0),
         "device.signature": _int([signature(own.values())]),
         "input.machine": _int(d.machine for d in point.controls.of("exciter")),
         "machine.rest": point.controls.seen,

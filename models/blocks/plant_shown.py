@@ -54,13 +54,13 @@ def shown_of(case: Case, patterns: Sequence[str] | None = None, more: Sequence[s
     large = len(case.machines) > MOST_MACHINES
     unasked = ("dw", "pe") if shows_powers(case) else ("dw",)
     machines = [s for s in _of_machines(case) if not large or s.kind in unasked]
-    outputs, given = [*machines, *_of_tie(case)], [] if large else _locals(case)
+    outputs, provided = [*machines, *_of_tie(case)], [] if large else _locals(case)
     if more:
         named = {s.variable.name for s in outputs}
         outputs += [s for s in _outputs(case, more) if s.variable.name not in named]
         named = {s.variable.name for s in outputs}
-        given = [s for s in given if s.variable.name not in named]
-    return [*_describable(case, outputs), *given]
+        provided = [s for s in provided if s.variable.name not in named]
+    return [*_describable(case, outputs), *provided]
 
 
 def shows_powers(case: Case) -> bool:
@@ -91,14 +91,14 @@ def _every_output(case: Case) -> list[Shown]:
 def _outputs(case: Case, patterns: Sequence[str]) -> list[Shown]:
     every = _every_output(case)
     names = [s.variable.name for s in every]
-    wanted = {name for pattern in patterns for name in _matching(case, pattern, names)}
-    return [s for s in every if s.variable.name in wanted]
+    expected = {name for pattern in patterns for name in _matching(case, pattern, names)}
+    return [s for s in every if s.variable.name in expected]
 
 
 def _matching(case: Case, pattern: str, names: list[str]) -> set[str]:
-    found = {n for n in names if n == pattern or fnmatch.fnmatchcase(n, pattern.replace("[", "[[]"))}
-    found = found or set(fnmatch.filter(names, pattern))
-    if not found:
+    matches = {n for n in names if n == pattern or fnmatch.fnmatchcase(n, pattern.replace("[", "[[]"))}
+    matches = matches or set(fnmatch.filter(names, pattern))
+    if not matches:
         near = difflib.get_close_matches(pattern, names, 3, 0.4)
         advice = (
             f"nearest: {', '.join(near)}"
@@ -106,7 +106,7 @@ def _matching(case: Case, pattern: str, names: list[str]) -> set[str]:
             else "such as G1_dw, bus7.v, bus7.angle, branch[7-8].p, tie_p"
         )
         raise CaseError(f"{case.name}: nothing to show matches {pattern!r}; {advice}")
-    return found
+    return matches
 
 
 def shown_tables(case: Case, shown: Sequence[Shown]) -> dict[str, npt.NDArray[np.int32]]:
@@ -177,15 +177,15 @@ def _of_buses(case: Case) -> Iterator[Shown]:
 
 def _locals(case: Case) -> list[Shown]:
     text, unit = _OF_BUS["v"]
-    given = [
+    provided = [
         Shown(Variable(f"bus{b.number}.v", "local", text.format(b.number), unit=unit), "bus_v", k)
         for k, b in enumerate(case.buses)
     ]
     for k, m in enumerate(case.machines):
-        given.append(Shown(Variable(f"{m.name}.Efd", "local", "field voltage", unit="pu"), "efd", k))
+        provided.append(Shown(Variable(f"{m.name}.Efd", "local", "field voltage", unit="pu"), "efd", k))
         text = "mechanical power, machine base"
-        given.append(Shown(Variable(f"{m.name}.Pm", "local", text, unit="pu"), "pm", k))
-    return given
+        provided.append(Shown(Variable(f"{m.name}.Pm", "local", text, unit="pu"), "pm", k))
+    return provided
 
 
 def _output(

@@ -95,8 +95,8 @@ def parameter_variable(parameter: Parameter) -> Variable:
     )
 
 
-def event_variables(slots: int, given: Mapping[str, float | int]) -> list[Variable]:
-    """Return the parameters of the event slots; `given`: name -> start value in a slot that is not free."""
+def event_variables(slots: int, provided: Mapping[str, float | int]) -> list[Variable]:
+    """Return the parameters of the event slots; `provided`: name -> start value in a slot in use."""
     items = tuple((name, code, _EVENT_WORDS[name]) for name, code in EVENT_CODES.items())
     kind = Enumeration("EventKind", items)
     texts = {
@@ -116,7 +116,7 @@ def event_variables(slots: int, given: Mapping[str, float | int]) -> list[Variab
     for k in range(1, slots + 1):
         for key, (unit, text, start) in texts.items():
             name = f"event[{k}].{key}"
-            value = given.get(name, start)
+            value = provided.get(name, start)
             variables.append(Variable(name, "parameter", text, unit=unit, start=value, tunable=True))
         name = f"event[{k}].kind"
         variables.append(
@@ -125,7 +125,7 @@ def event_variables(slots: int, given: Mapping[str, float | int]) -> list[Variab
                 "parameter",
                 "what happens",
                 type="Enumeration",
-                start=given.get(name, 0),
+                start=provided.get(name, 0),
                 enumeration=kind,
                 tunable=True,
             )
@@ -134,6 +134,6 @@ def event_variables(slots: int, given: Mapping[str, float | int]) -> list[Variab
             "number of the bus, branch, machine, load or shunt in the case, from 1; classical machines last"
         )
         name = f"event[{k}].target"
-        target = given.get(name, 1)
+        target = provided.get(name, 1)
         variables.append(Variable(name, "parameter", text, type="Integer", start=target, tunable=True))
     return variables

@@ -87,8 +87,8 @@ class PmuFilter:
 
     def window(self, s: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
         """Return what becomes of a small swing of the phasor at s (1/s), the delay included."""
-        turned = np.exp(-s * self.sample_s)
-        return np.asarray(turned * np.polynomial.polynomial.polyval(turned, self.weights))
+        rotated = np.exp(-s * self.sample_s)
+        return np.asarray(rotated * np.polynomial.polynomial.polyval(rotated, self.weights))
 
     def frequency(self, s: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
         """Return the transfer function from the bus frequency to the measured one at s, 1/s."""
@@ -108,14 +108,14 @@ def pmu_filter(performance: Performance, nominal_hz: float, rate_hz: float) -> P
     """
     if performance == "P":
         return PmuFilter("P", nominal_hz)
-    found = M_FILTERS.get((round(nominal_hz), round(rate_hz)))
-    if found is None or abs(rate_hz - round(rate_hz)) > 1e-6 or nominal_hz not in (50, 60):
+    filter_ = M_FILTERS.get((round(nominal_hz), round(rate_hz)))
+    if filter_ is None or abs(rate_hz - round(rate_hz)) > 1e-6 or nominal_hz not in (50, 60):
         allowed = ", ".join(str(rate) for f0, rate in M_FILTERS if f0 == nominal_hz) or "none"
         raise ValueError(
             f"PMU of M class at {nominal_hz:g} Hz with {rate_hz:g} reports a second, allowed: {allowed} "
             "(at 50 and 60 Hz); or P class"
         )
-    return PmuFilter("M", nominal_hz, found[1] // 2, found[0])
+    return PmuFilter("M", nominal_hz, filter_[1] // 2, filter_[0])
 
 
 def pmu_block(name: str = "pmu", *, capacity: int = 4096, step_s: float = 0.01) -> Block:

@@ -154,12 +154,12 @@ def case_of(document: Mapping[str, Any], *, where: str) -> Case:
     if isinstance(hz, int | float) and hz > 0.0:
         events = in_seconds({"event": events}, lambda: hz)["event"]
     own = devices_of(raw.get("devices", {}), where)
-    raw["event"], found = (), Collected()
-    with found:
+    raw["event"], collected = (), Collected()
+    with collected:
         raw["event"] = events_of(events, where=where)
-    with found:
+    with collected:
         case = _checked(raw, own, where)
-    found.end(CaseError)
+    collected.end(CaseError)
     return case
 
 
@@ -219,5 +219,5 @@ def _without_words(value: Any) -> Any:
 
 
 def _without_empty(row: dict[str, Any]) -> dict[str, Any]:
-    kept = {k: v for k, v in row.items() if not (k in ("source", "name") and v == "")}
-    return {k: _without_empty(v) if isinstance(v, dict) else v for k, v in kept.items()}
+    retained = {k: v for k, v in row.items() if not (k in ("source", "name") and v == "")}
+    return {k: _without_empty(v) if isinstance(v, dict) else v for k, v in retained.items()}

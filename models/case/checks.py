@@ -53,18 +53,20 @@ def _check_references(case: CaseTables) -> None:
 
 def _bus(number: int, key: str, known: set[int]) -> None:
     if number not in known:
-        some = ", ".join(str(k) for k in sorted(known, key=lambda k: abs(k - number))[:3])
-        raise ValueError(f"{key} = {number}: no such bus, allowed: the numbers under buses (nearest: {some})")
+        own_nearest = ", ".join(str(k) for k in sorted(known, key=lambda k: abs(k - number))[:3])
+        raise ValueError(
+            f"{key} = {number}: no such bus, allowed: the numbers under buses (nearest: {own_nearest})"
+        )
 
 
 def _check_voltages(case: CaseTables) -> None:
     for bus in {m.bus for m in case.machines}:
-        here = [m for m in case.machines if m.bus == bus]
-        for other in here[1:]:
-            if other.V_pu != here[0].V_pu:
+        at_bus = [m for m in case.machines if m.bus == bus]
+        for other in at_bus[1:]:
+            if other.V_pu != at_bus[0].V_pu:
                 raise ValueError(
-                    f"machines.{other.name}.V_pu = {other.V_pu:g} but {here[0].name} at the same bus {bus} "
-                    f"has {here[0].V_pu:g}, allowed: one voltage per bus"
+                    f"machines.{other.name}.V_pu = {other.V_pu:g} but {at_bus[0].name} at the same bus {bus} "
+                    f"has {at_bus[0].V_pu:g}, allowed: one voltage per bus"
                 )
 
 
@@ -80,7 +82,7 @@ def connected_parts(buses: Iterable[int], links: Iterable[tuple[int, int]]) -> l
     for one, other in links:
         neighbours[one].append(other)
         neighbours[other].append(one)
-    found: list[set[int]] = []
+    components: list[set[int]] = []
     seen: set[int] = set()
     for bus in neighbours:
         if bus in seen:
@@ -92,8 +94,8 @@ def connected_parts(buses: Iterable[int], links: Iterable[tuple[int, int]]) -> l
                     island.add(other)
                     todo.append(other)
         seen |= island
-        found.append(island)
-    return found
+        components.append(island)
+    return components
 
 
 def require_dynamics(case: CaseTables) -> None:
@@ -110,9 +112,9 @@ def require_one_network(case: CaseTables, what: str) -> None:
     """Raise CaseError where `case` has parts that no branch connects; `what` takes them one by one."""
     parts = islands_of(case)
     if len(parts) > 1:
-        some = ", ".join(f"bus {min(part)} of {len(part)}" for part in parts[:3])
+        first = ", ".join(f"bus {min(part)} of {len(part)}" for part in parts[:3])
         raise CaseError(
-            f"{case.name}: {len(parts)} parts that no branch connects ({some}), allowed: one, since {what}; "
+            f"{case.name}: {len(parts)} parts that no branch connects ({first}), allowed: one, since {what}; "
             "take one of them, as `interarea import --island BUS` does"
         )
 
@@ -130,16 +132,16 @@ def _check_slacks(case: CaseTables) -> None:
 
 
 def _check_slack_of(part: set[int], slacks: list[Machine]) -> None:
-    mine = [m.name for m in slacks if m.bus in part]
-    if not mine:
+    of_part = [m.name for m in slacks if m.bus in part]
+    if not of_part:
         cut = ", ".join(str(b) for b in sorted(part)[:10])
         raise ValueError(
             f"branches: buses {cut} have no path in service to the slack at bus {slacks[0].bus}, "
             "allowed: one connected network, or a slack in each"
         )
-    if len(mine) > 1:
+    if len(of_part) > 1:
         raise ValueError(
-            f"machines: slack = true at {len(mine)} ({', '.join(mine)}), allowed: one machine in each "
+            f"machines: slack = true at {len(of_part)} ({', '.join(of_part)}), allowed: one machine in each "
             "connected network"
         )
 
@@ -191,14 +193,14 @@ def _check_threshold(case: CaseTables, event: Any) -> None:
 
 
 def _load_at(case: CaseTables, kind: str, bus: int) -> int:
-    here = [k for k, load in enumerate(case.loads) if load.bus == bus]
-    if len(here) != 1:
+    at_bus = [k for k, load in enumerate(case.loads) if load.bus == bus]
+    if len(at_bus) != 1:
         buses = sorted({load.bus for load in case.loads})
         raise CaseError(
-            f"{case.name}: {kind}: bus {bus} has {len(here)} loads, allowed: one load ({buses}), "
+            f"{case.name}: {kind}: bus {bus} has {len(at_bus)} loads, allowed: one load ({buses}), "
             "or load = NAME"
         )
-    return here[0]
+    return at_bus[0]
 
 
 def check_events(case: CaseTables, events: Iterable[Any]) -> None:

@@ -63,20 +63,20 @@ def _control(word: str, kind: str | None) -> Any:
             return value
         if not isinstance(value, dict):
             raise ValueError(f"{value!r}, allowed: a table with kind and the values of that kind")
-        given = {key: v for key, v in value.items() if key not in ("kind", "source")}
+        provided = {key: v for key, v in value.items() if key not in ("kind", "source")}
         chosen = value.get("kind", kind)
         if chosen is None:
             raise PydanticCustomError("control", ".kind is missing")
         rest = {"kind": chosen} | ({"source": value["source"]} if "source" in value else {})
         if chosen == BARE.get(word):
-            if given:
-                text = f".{next(iter(given))}: a {chosen} {word} has no values"
+            if provided:
+                text = f".{next(iter(provided))}: a {chosen} {word} has no values"
                 raise PydanticCustomError("control", "{text}", {"text": text})
             return rest
         try:
             if not isinstance(chosen, str):
                 raise DeviceError(f"{word} {chosen!r} does not exist")
-            return rest | row_of(device_model(chosen, word, info.context or NONE).device, given)
+            return rest | row_of(device_model(chosen, word, info.context or NONE).device, provided)
         except DeviceError as error:
             text = str(error)
             text = text if text[0] in ".:" else f".kind: {text}"

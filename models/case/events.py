@@ -277,9 +277,9 @@ def event_of(table: Mapping[str, Any], *, where: str) -> Any:
 
 def events_of(tables: Iterable[Mapping[str, Any]], *, where: str) -> tuple[Any, ...]:
     """Return the events of all `[[event]]` tables; errors count from 1 and name all that is wrong."""
-    events, found = [], Collected()
+    events, collected = [], Collected()
     for k, table in enumerate(tables, start=1):
-        with found:
+        with collected:
             events.append(event_of(table, where=f"{where}: event {k}"))
-    found.end(CaseError)
+    collected.end(CaseError)
     return tuple(events)

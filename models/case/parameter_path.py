@@ -103,9 +103,9 @@ def _split(case: Case, path: str) -> tuple[str, str, list[str]]:
     if table not in _TABLES:
         raise CaseError(f"{case.name}: {path}: no table {table!r}; {nearest(table, (*_TABLES, _REDISPATCH))}")
     rows = _rows(case, table)
-    found = [name for name in rows if rest.startswith(f"{name}.")]
-    if not found:
+    matches = [name for name in rows if rest.startswith(f"{name}.")]
+    if not matches:
         row = rest.partition(".")[0]
         raise CaseError(f"{case.name}: {path}: no row {row!r} in {table}; {nearest(row, rows)}")
-    name = max(found, key=len)
+    name = max(matches, key=len)
     return table, name, rest[len(name) + 1 :].split(".")

@@ -65,8 +65,8 @@ def _ends_of_tie(case: Case) -> tuple[Load, Load]:
         raise CaseError(f"{case.name}: tie_flow_mw needs [tie] in the case, or between = (load, load)")
     area_of = {bus.number: bus.area for bus in case.buses}
     sending = area_of[case.tie.from_bus]
-    here = [q for q in case.loads if area_of[q.bus] == sending and q.in_service]
+    at_end = [q for q in case.loads if area_of[q.bus] == sending and q.in_service]
     there = [q for q in case.loads if area_of[q.bus] != sending and q.in_service]
-    if not here or not there:
+    if not at_end or not there:
         raise CaseError(f"{case.name}: no load on one side of the tie, allowed: between = (load, load)")
-    return max(here, key=lambda q: q.P_mw), max(there, key=lambda q: q.P_mw)
+    return max(at_end, key=lambda q: q.P_mw), max(there, key=lambda q: q.P_mw)

@@ -65,8 +65,8 @@ class ExpressionWriter:
         if node.op == "number":
             return _literal(node.value), False
         if node.op == "name":
-            given = node.name in self.given and node.name != "pref"  # a step is added to pref
-            return (self.row(node.name), False) if given else (f"s_{node.name}", True)
+            provided = node.name in self.given and node.name != "pref"  # a step is added to pref
+            return (self.row(node.name), False) if provided else (f"s_{node.name}", True)
         if node.op == "neg":
             text, is_num = self.code_of(node.args[0])
             return f"(-{text})", is_num

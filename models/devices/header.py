@@ -39,17 +39,17 @@ def with_devices(header: str, keys: Collection[str]) -> str:
     Numbers and signature stay, so the same records fit; the functions that nobody calls any more are not
     compiled. A record that asks for another device is refused by its layout.
     """
-    ways = re.compile(r"^ *case DEVICE_NUMBER_(\w+): [^\n]*;\n", re.MULTILINE)
-    kept = {key.upper() for key in keys}
-    missing = kept - set(ways.findall(header))
+    branches = re.compile(r"^ *case DEVICE_NUMBER_(\w+): [^\n]*;\n", re.MULTILINE)
+    retained = {key.upper() for key in keys}
+    missing = retained - set(branches.findall(header))
     if missing:
         raise ValueError(f"devices {sorted(missing)} are not in the generated header")
-    return ways.sub(lambda way: way.group() if way.group(1) in kept else "", header)
+    return branches.sub(lambda way: way.group() if way.group(1) in retained else "", header)
 
 
 def signature(own: Iterable[Model] = ()) -> int:
     """Return the number by which a record and a binary know that they were made for the same devices."""
-    found = re.search(r"#define DEVICE_SIGNATURE (\d+)u", _text(tuple(own)))
-    assert found is not None
-    value = int(found.group(1))
+    match = re.search(r"#define DEVICE_SIGNATURE (\d+)u", _text(tuple(own)))
+    assert match is not None
+    value = int(match.group(1))
     return value - (1 << 32) if value >= 1 << 31 else value  # as the int32 of the record

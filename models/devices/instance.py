@@ -69,10 +69,10 @@ class Instance:
         inputs = set(self.model.device.inputs)
 
         def of(names: set[str]) -> frozenset[str]:
-            found: frozenset[str] = frozenset()
+            result: frozenset[str] = frozenset()
             for name in names:
-                found |= reach.get(name, frozenset({name} if name in inputs else ()))
-            return found
+                result |= reach.get(name, frozenset({name} if name in inputs else ()))
+            return result
 
         for name in self.order:
             element = self.model.elements[name]
@@ -83,9 +83,9 @@ class Instance:
             node = element.line.node
             parts = [*element.args, *(p for _, p in node.options)]
             seen = {n for part in parts for n in resolved(self.model.device, part, self.on).names}
-            here = [s for s in element.states() if self.on(s.present)]
-            for s in here:
-                rates[s.name] = of(seen) | frozenset(f"x.{t.name}" for t in here)
+            states = [s for s in element.states() if self.on(s.present)]
+            for s in states:
+                rates[s.name] = of(seen) | frozenset(f"x.{t.name}" for t in states)
         return rates, reach[self.model.device.output]
 
     def used(self) -> set[str]:
@@ -109,17 +109,17 @@ class Instance:
 
     def margins(self, values: Mapping[str, float]) -> list[Margin]:
         """Return the limited signals with their limits where the signals have `values`."""
-        found = []
+        result = []
         for name, element in self.model.elements.items():
             if element.is_limited:
                 low, high = element.bounds(dict(values))
                 texts = tuple("" if node is None else str(node) for node in element.limits)
-                found.append(
+                result.append(
                     Margin(name, element.line.comment, float(values[name]), float(low), float(high), *texts)
                 )
             elif element.u.op == "clamp":
-                found += self._clamped(name, element.u, values)
-        return found
+                result += self._clamped(name, element.u, values)
+        return result
 
     def _clamped(self, name: str, node: Node, values: Mapping[str, float]) -> list[Margin]:
         value, low, high = (float(evaluate(part, values)) for part in node.args)

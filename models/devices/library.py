@@ -88,12 +88,12 @@ def own_models(texts: Mapping[str, str]) -> Mapping[str, Model]:
 def _own_models(texts: tuple[tuple[str, str], ...]) -> Mapping[str, Model]:
     if len(texts) > MOST_OWN:
         raise DeviceError(f"{len(texts)} devices, allowed: {MOST_OWN} in a case")
-    found: dict[str, Model] = {}
+    by_name: dict[str, Model] = {}
     for file, text in texts:
         model = own_model(text, file)
-        other = found.setdefault(model.device.key, model)
+        other = by_name.setdefault(model.device.key, model)
         if other is not model:
             raise DeviceError(
                 f"{file}: name = {model.device.name!r} is that of {other.device.file} too; rename one"
             )
-    return MappingProxyType(dict(sorted(found.items())))
+    return MappingProxyType(dict(sorted(by_name.items())))

@@ -50,7 +50,7 @@ def _moved(
     known = {**point.instance.values, **inputs, **point.signals}
     limit = parse(error.limit, who)
     room = max(ROOM * abs(error.value), _LEAST_ROOM)
-    wanted = error.value + (room if error.above else -room)
+    expected = error.value + (room if error.above else -room)
     for name in limit.names:
         parameter = model.device.by_name.get(name)
         if parameter is None:
@@ -59,7 +59,7 @@ def _moved(
         slope = float(evaluate(limit, known | {name: known[name] + 1.0})) - at
         if slope == 0.0:
             continue
-        value = known[name] + (wanted - at) / slope
+        value = known[name] + (expected - at) / slope
         if parameter.low <= value <= parameter.high:
             return name, float(value)
     raise error

@@ -45,13 +45,13 @@ class Response:
 
 def response_of(
     model: Model,
-    given: Mapping[str, float | str],
+    provided: Mapping[str, float | str],
     point: Mapping[str, float] | None = None,
     *,
     base_mva: float = 100.0,
     stop_s: float = 10.0,
 ) -> Response:
-    """Return what the device with parameters `given` does at `point` (values of `POINT` where not given).
+    """Return what the device with parameters `provided` does at `point` (values of `POINT` where not given).
 
     Raises
     ------
@@ -72,7 +72,7 @@ def response_of(
     inputs = {name: seen[name] for name in kind.inputs}
     output = seen[kind.output] if device.references else None
     try:
-        row = row_of(device, given)
+        row = row_of(device, provided)
     except DeviceError as error:
         raise DeviceError(f"{device.name}{error}") from None
     rest = rest_of(model, numbers_of(device, row, base_mva), inputs, output, device.name)
@@ -118,6 +118,6 @@ def _step_response(rest: RestPoint, inputs: Mapping[str, float], stop_s: float) 
     return times, np.array(values)
 
 
-def missing(model: Model, given: Mapping[str, object]) -> list[str]:
-    """Return the parameters without a default that `given` lacks."""
-    return [p.name for p in model.device.parameters if p.default is None and p.name not in given]
+def missing(model: Model, provided: Mapping[str, object]) -> list[str]:
+    """Return the parameters without a default that `provided` lacks."""
+    return [p.name for p in model.device.parameters if p.default is None and p.name not in provided]

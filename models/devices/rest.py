@@ -116,7 +116,7 @@ class _Walk:
 
     def plan(self, known: set[str], left: set[int]) -> list[tuple[int, str]]:
         """Equations in an order in which each has one unknown; forward ones first."""
-        found: list[tuple[int, str]] = []
+        result: list[tuple[int, str]] = []
         free = {k: self.names(k) - known for k in sorted(left)}
         while True:
             choice: tuple[int, str] | None = None
@@ -128,8 +128,8 @@ class _Walk:
                         break
                     choice = choice or (k, name)
             if choice is None:
-                return found
-            found.append(choice)
+                return result
+            result.append(choice)
             del free[choice[0]]
             for unknown in free.values():
                 unknown.discard(choice[1])
@@ -157,17 +157,17 @@ class _Walk:
                 return _turned(inner, name, float(evaluate(outer, known)), known)
             except _Stuck:
                 pass
-        found = _root(lambda z: _residual(e, known | {name: z}))
-        if found is None:
+        root = _root(lambda z: _residual(e, known | {name: z}))
+        if root is None:
             raise DeviceError(f"{self.who}: no {name} found at rest from {e.left} = {e.right}")
-        return found
+        return root
 
     def tear(self) -> None:
         """Find one unknown so that what it leads to fits, by bracketing."""
         left = set(range(len(self.equations)))
         for name in [n for n in self.model.elements if n in self.unknown] + sorted(self.unknown):
             plan = self.plan(set(self.known) | {name}, left)
-            reached = set(self.known) | {name} | {found for _, found in plan}
+            reached = set(self.known) | {name} | {result for _, result in plan}
             closing = [k for k in sorted(left - {k for k, _ in plan}) if self.names(k) <= reached]
             if not closing:
                 continue
@@ -177,8 +177,8 @@ class _Walk:
             ) -> float:
                 trial = self.known | {name: z}
                 try:
-                    for at, found in plan:
-                        self.take(at, found, trial)
+                    for at, target in plan:
+                        self.take(at, target, trial)
                 except DeviceError:
                     return math.nan
                 return _residual(self.equations[k], trial)
@@ -350,13 +350,13 @@ def _check_still(
 ) -> None:
     signals, rates = instance.run(states, inputs)
     for name, element in walk.model.elements.items():
-        wanted, got = walk.known[name], float(signals[name])
-        if not abs(wanted - got) <= 1e-8 * max(1.0, abs(wanted)):
+        expected, got = walk.known[name], float(signals[name])
+        if not abs(expected - got) <= 1e-8 * max(1.0, abs(expected)):
             limits = str(element.u) if isinstance(element, Plain) else str(element.line.node)
-            word = "above" if wanted > got else "below"
+            word = "above" if expected > got else "below"
             raise DeviceError(
-                f"{who}: {name} is {wanted:.6g} at rest, {word} what {limits} = {got:.6g} leaves; change the "
-                "parameters in it or the dispatch"
+                f"{who}: {name} is {expected:.6g} at rest, {word} what {limits} = {got:.6g} leaves; change "
+                "the parameters in it or the dispatch"
             )
     for name, value, rate in zip(instance.state_names, states, rates, strict=True):
         if not abs(rate) <= STILL * max(1.0, abs(value)) * _stiffness(instance, name):

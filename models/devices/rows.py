@@ -12,7 +12,7 @@ from .language.expression import evaluate
 Given = float | str | None  #: None: an absent limit; a word: computed at rest
 
 
-def row_of(device: Device, given: Mapping[str, Any]) -> dict[str, Given]:
+def row_of(device: Device, provided: Mapping[str, Any]) -> dict[str, Given]:
     """Return every parameter of `device` for what a row gives, in the order of the file.
 
     Raises
@@ -21,25 +21,25 @@ def row_of(device: Device, given: Mapping[str, Any]) -> dict[str, Given]:
         range; a check between parameters that fails.
     """
     known = device.by_name
-    for key, value in given.items():
+    for key, value in provided.items():
         if key not in known:
             raise DeviceError(f".{key} = {value!r}: no such key here; {nearest(key, known)}")
-    row = {p.name: _given(device, p, given) for p in device.parameters}
+    row = {p.name: _given(device, p, provided) for p in device.parameters}
     _check(device, row)
     return row
 
 
-def _given(device: Device, p: Parameter, given: Mapping[str, Any]) -> Given:
+def _given(device: Device, p: Parameter, provided: Mapping[str, Any]) -> Given:
     """One parameter of a row: what is given for it, if its range has that, or its default."""
-    if p.name not in given:
+    if p.name not in provided:
         if p.default is None:
             raise DeviceError(f".{p.name} is missing: {p.text}")
         return None if p.is_optional_limit else p.default
-    value = given[p.name]
+    value = provided[p.name]
     rule = device.computed.get(p.name)
     if (value is None and p.is_optional_limit) or (rule is not None and value == rule.when):
-        kept: Given = value
-        return kept
+        retained: Given = value
+        return retained
     if isinstance(value, bool) or not isinstance(value, int | float):
         more = f" or {rule.when!r}" if rule is not None and isinstance(rule.when, str) else ""
         raise DeviceError(f".{p.name} = {value!r}, allowed: a number{more}")

@@ -35,9 +35,9 @@ def dyr_of(case: Case) -> Written:
         if m.model == "power_flow":
             bare.append(m.name)
             continue
-        model, values, lost = _machine(m)
+        model, values, own_losses = _machine(m)
         lines.append(_record(m.bus, model, identity[m.name], values))
-        losses += lost
+        losses += own_losses
         for word in _CONTROLS:
             control = getattr(m, word)
             device = None if control is None else control_model(word, control, case.own_devices)
@@ -77,25 +77,25 @@ def _machine(m: Machine) -> tuple[str, tuple[float, ...], list[str]]:
     exponential = m.flux_saturation is not None and m.flux_saturation.shape == "exponential"
     letter = "E" if exponential else "L" if salient else "U"
     keys = _SALIENT if salient else _ROUND
-    given = (1.0 if key == "Tq01" and m.one_q_winding else m.number(key) for key in keys)
-    return ("GENSA" if salient else "GENRO") + letter, (*given, *_saturation(m)), _lost(m)
+    values = (1.0 if key == "Tq01" and m.one_q_winding else m.number(key) for key in keys)
+    return ("GENSA" if salient else "GENRO") + letter, (*values, *_saturation(m)), _lost(m)
 
 
 def _lost(m: Machine) -> list[str]:
     """Return what no record holds of a round-rotor machine."""
-    lost = []
+    losses = []
     if m.Xd2 != m.Xq2:
-        lost.append(f"{m.name}: X''q = {m.Xq2:g}, which becomes X''d")
+        losses.append(f"{m.name}: X''q = {m.Xq2:g}, which becomes X''d")
     if not m.torque_by_speed:
-        lost.append(f"{m.name}: its torque is not power over speed, which PSS/E's is")
+        losses.append(f"{m.name}: its torque is not power over speed, which PSS/E's is")
     if m.flux_saturation is None and m.saturation is not None:
         use = m.saturation.use
-        lost.append(f"{m.name}: saturation of the form Asat exp(Bsat (flux - psiT1)), used as {use!r}")
+        losses.append(f"{m.name}: saturation of the form Asat exp(Bsat (flux - psiT1)), used as {use!r}")
     if m.one_q_winding and not _saturates_as_salient(m):
-        lost.append(
+        losses.append(
             f"{m.name}: saturation on the one winding of its q axis, which GENROU has on the outer of two"
         )
-    return lost
+    return losses
 
 
 def _saturates_as_salient(m: Machine) -> bool:

@@ -65,8 +65,8 @@ def _buses(case: Case, flow: PowerFlow) -> Iterable[str]:
     kinds = types_of_buses(case)
     load, shunt = _at_buses(case.loads), _at_buses(case.shunts)
     for bus, magnitude, angle in zip(case.buses, flow.magnitudes, flow.angles_deg, strict=True):
-        n, taken, given = bus.number, load[bus.number], shunt[bus.number]
-        values = (n, kinds.get(n, 1), taken.real, taken.imag, given.real, given.imag, bus.area)
+        n, taken, provided = bus.number, load[bus.number], shunt[bus.number]
+        values = (n, kinds.get(n, 1), taken.real, taken.imag, provided.real, provided.imag, bus.area)
         yield _row(*values, float(magnitude), float(angle), bus.kv or 0.0, 1, 1.1, 0.9)
 
 
@@ -80,8 +80,8 @@ def _at_buses(elements: Iterable[Load | Shunt]) -> Mapping[int, complex]:
 
 def _units(case: Case, flow: PowerFlow) -> Iterable[str]:
     for m, power in zip(case.machines, flow.generation * case.base_mva, strict=True):
-        given = complex(power)
-        yield _row(m.bus, given.real, given.imag, 9999.0, -9999.0, m.V_pu, m.base_mva, 1, 9999.0, 0.0)
+        provided = complex(power)
+        yield _row(m.bus, provided.real, provided.imag, 9999.0, -9999.0, m.V_pu, m.base_mva, 1, 9999.0, 0.0)
 
 
 def _branch(b: Branch) -> str:

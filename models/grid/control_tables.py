@@ -100,10 +100,10 @@ class Unrest:
 class StartError(CaseError):
     """Controls that cannot rest at the operating point."""
 
-    def __init__(self, found: list[Unrest]) -> None:
-        more = f" (and {len(found) - 1} more: interarea modes CASE --margins)" if len(found) > 1 else ""
-        super().__init__(f"{found[0].error}{more}")
-        self.found = tuple(found)
+    def __init__(self, unrest: list[Unrest]) -> None:
+        more = f" (and {len(unrest) - 1} more: interarea modes CASE --margins)" if len(unrest) > 1 else ""
+        super().__init__(f"{unrest[0].error}{more}")
+        self.found = tuple(unrest)
 
 
 @dataclass(frozen=True)
@@ -134,8 +134,8 @@ class Controls:
 
     def outputs(self, word: str) -> tuple[frozenset[str], ...]:
         """Return of each machine what its device's output depends on."""
-        found = {d.machine: d.output for d in self.of(word)}
-        return tuple(found.get(k, frozenset()) for k in range(self.seen.shape[1]))
+        output_of = {d.machine: d.output for d in self.of(word)}
+        return tuple(output_of.get(k, frozenset()) for k in range(self.seen.shape[1]))
 
     def states(self) -> list[State]:
         """Return the states, group by group and quantity by quantity."""
@@ -160,13 +160,13 @@ def controls_at_rest(case: Case, points: tuple[MachinePoint, ...]) -> Controls:
     ------
     StartError : devices that cannot rest there: which limit excludes each, by how much, what cures it.
     """
-    seen, found = rests_of(case, points)
-    unrest = [rest for _, _, rest in found if isinstance(rest, Unrest)]
+    seen, starts = rests_of(case, points)
+    unrest = [rest for _, _, rest in starts if isinstance(rest, Unrest)]
     if unrest:
         raise StartError(unrest)
     devices: list[Device] = []
     inputs = [_reach(case, k) for k in range(len(points))]
-    for k, word, rest in found:
+    for k, word, rest in starts:
         assert isinstance(rest, RestPoint)
         device = _device(case.machines[k].name, k, word, rest, inputs[k])
         devices.append(device)
@@ -187,7 +187,7 @@ def rests_of(
 ) -> tuple[npt.NDArray[np.float64], list[tuple[int, str, RestPoint | Unrest]]]:
     """Return what every machine's devices see, and each device (machine, kind) at rest or why it is not."""
     seen, own = np.zeros((len(SEEN), len(points))), case.own_devices
-    found: list[tuple[int, str, RestPoint | Unrest]] = []
+    rests: list[tuple[int, str, RestPoint | Unrest]] = []
     for k, point in enumerate(points):
         row = {key: float(getattr(point, key)) for key in ("vt", "vd", "vq", "id", "iq", "pe", "pm", "efd")}
         row |= {"ifd": row["efd"], "vc": row["vt"], "vs": 0.0}
@@ -198,10 +198,10 @@ def rests_of(
             if control is None or model is None:
                 continue
             rest = _rest(case, k, model, control, row)
-            found.append((k, word, rest))
+            rests.append((k, word, rest))
             if isinstance(rest, RestPoint):
                 seen[SEEN.index(KINDS[word].output), k] = row[KINDS[word].output] = rest.output
-    return seen, found
+    return seen, rests
 
 
 def _rest(case: Case, k: int, model: Model, control: Control, row: dict[str, float]) -> RestPoint | Unrest:
@@ -235,10 +235,10 @@ def _device(machine: str, k: int, word: str, rest: RestPoint, inputs: dict[str, 
     rates, reached = rest.instance.depends_on()
 
     def place(names: frozenset[str]) -> frozenset[str]:
-        found: frozenset[str] = frozenset()
+        result: frozenset[str] = frozenset()
         for name in names:
-            found |= frozenset({f"{prefix}.{name[2:]}"}) if name.startswith("x.") else inputs[name]
-        return found
+            result |= frozenset({f"{prefix}.{name[2:]}"}) if name.startswith("x.") else inputs[name]
+        return result
 
     texts = rest.instance.state_texts()
     states = tuple(

@@ -62,8 +62,8 @@ def available_bytes(root: Path = Path("/")) -> int | None:
     """Return what this process may still take: of the machine and of its control groups; None: not known."""
     if not sys.platform.startswith("linux"):
         return None
-    found = re.search(r"^MemAvailable:\s+(\d+) kB", _text(root / "proc/meminfo"), re.MULTILINE)
-    rest = [int(found[1]) * 1024] if found else []
+    match = re.search(r"^MemAvailable:\s+(\d+) kB", _text(root / "proc/meminfo"), re.MULTILINE)
+    rest = [int(match[1]) * 1024] if match else []
     for line in _text(root / "proc/self/cgroup").splitlines():
         _, controllers, place = line.split(":", 2)
         if not controllers:
@@ -73,9 +73,9 @@ def available_bytes(root: Path = Path("/")) -> int | None:
             top = root / "sys/fs/cgroup/memory"
         else:
             continue
-        here = top / place.lstrip("/")
+        group = top / place.lstrip("/")
         # in a container the group's own folder may be mounted as the root
-        rest += [r for g in (here, *here.parents) if g.is_relative_to(top) for r in _left(g, *names)]
+        rest += [r for g in (group, *group.parents) if g.is_relative_to(top) for r in _left(g, *names)]
     return min(rest, default=None)
 
 

@@ -105,12 +105,12 @@ def solve_powerflow(case: Case) -> PowerFlow:
     free_magnitude = np.setdiff1d(np.arange(n), machine_bus)
     best = newton(Y, start, scheduled, free_angle, free_magnitude, tolerance_pu=TOLERANCE_PU)
     if best is None or not best.converged:
-        kept = (
+        retained = (
             {}
             if best is None
             else {b.number: complex(v) for b, v in zip(case.buses, best.voltages, strict=True)}
         )
-        raise PowerFlowError(_no_convergence(case, best, free_angle, free_magnitude), voltages=kept)
+        raise PowerFlowError(_no_convergence(case, best, free_angle, free_magnitude), voltages=retained)
     return _solved(case, best, load, slack)
 
 
@@ -121,10 +121,10 @@ def _start_angles(case: Case) -> npt.NDArray[np.float64]:
     angle = np.array([np.nan if bus.angle_deg is None else bus.angle_deg for bus in case.buses])
     own = {m.bus: m.angle_deg for m in case.slacks}
     for part in islands_of(case):
-        here = np.array([index[bus] for bus in part])
+        rows = np.array([index[bus] for bus in part])
         slack = next(bus for bus in part if bus in own)
-        given = own[slack] if np.isnan(angle[index[slack]]) else angle[index[slack]]
-        angle[here] = np.where(np.isnan(angle[here]), own[slack], angle[here] - given + own[slack])
+        provided = own[slack] if np.isnan(angle[index[slack]]) else angle[index[slack]]
+        angle[rows] = np.where(np.isnan(angle[rows]), own[slack], angle[rows] - provided + own[slack])
     return angle
 
 

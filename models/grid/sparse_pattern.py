@@ -103,9 +103,9 @@ def _next_eliminated(order: list[int], rows: list[IntArray]) -> list[int]:
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
     above = [-1] * len(order)
-    for node, found in zip(order, rows, strict=True):
-        if len(found):
-            above[node] = int(found[np.argmin(place[found])])
+    for node, row in zip(order, rows, strict=True):
+        if len(row):
+            above[node] = int(row[np.argmin(place[row])])
     return above
 
 
@@ -132,7 +132,7 @@ def _minimum_degree(nodes: int, ends: IntArray) -> tuple[list[int], list[IntArra
         if a != b:
             near[a].add(b)
             near[b].add(a)
-    heap = [(len(found), k) for k, found in enumerate(near)]
+    heap = [(len(neighbours), k) for k, neighbours in enumerate(near)]
     heapq.heapify(heap)
     order: list[int] = []
     rows: list[IntArray] = []
@@ -142,13 +142,13 @@ def _minimum_degree(nodes: int, ends: IntArray) -> tuple[list[int], list[IntArra
         if done[k] or degree != len(near[k]):
             continue
         done[k] = True
-        found = near[k]
+        neighbours = near[k]
         order.append(k)
-        rows.append(np.fromiter(sorted(found), dtype=np.int64, count=len(found)))
-        for j in found:
+        rows.append(np.fromiter(sorted(neighbours), dtype=np.int64, count=len(neighbours)))
+        for j in neighbours:
             others = near[j]
             before = len(others)
-            others |= found
+            others |= neighbours
             others.discard(j)
             others.discard(k)
             if len(others) != before:

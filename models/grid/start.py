@@ -41,7 +41,7 @@ class Start:
         if not self.unrest:
             return "start: every control rests within its limits"
         head = f"start: {len(self.unrest)} controls cannot rest (--release-limits widens limits)"
-        return "\n".join([head, *(f"  {found.error}" for found in self.unrest)])
+        return "\n".join([head, *(f"  {item.error}" for item in self.unrest)])
 
 
 def start_of(case: Case, power_flow: PowerFlow | None = None) -> Start:
@@ -71,12 +71,12 @@ def release_limits(case: Case, power_flow: PowerFlow | None = None) -> tuple[Cas
     CaseError : a control that cannot rest for another reason than a limit.
     """
     change: dict[str, dict[str, dict[str, float]]] = {}
-    said: list[str] = []
-    for found in start_of(case, power_flow).unrest:
-        new = released(found.model, found.numbers, found.seen, found.output, found.who)
-        change.setdefault(found.machine, {})[found.word] = new
+    messages: list[str] = []
+    for item in start_of(case, power_flow).unrest:
+        new = released(item.model, item.numbers, item.seen, item.output, item.who)
+        change.setdefault(item.machine, {})[item.word] = new
         for name, value in new.items():
-            said.append(f"{found.machine}.{found.word}.{name}: {found.numbers[name]:g} -> {value:.6g}")
+            messages.append(f"{item.machine}.{item.word}.{name}: {item.numbers[name]:g} -> {value:.6g}")
     if not change:
         return case, ()
-    return case.with_changes({"machines": change}), tuple(said)
+    return case.with_changes({"machines": change}), tuple(messages)

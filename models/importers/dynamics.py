@@ -176,9 +176,9 @@ def _row(record: DyrRecord, own: Mapping[str, Model], records: Collection[str]) 
     if record.model not in MACHINES:
         if record.model not in records:
             raise CaseError(f"{record.where}: {_unknown(record, records)}")
-        found = device_for_dyr(record, own.values())
-        device = found.model.device
-        return device.kind, {"kind": device.key} | dict(found.parameters)
+        result = device_for_dyr(record, own.values())
+        device = result.model.device
+        return device.kind, {"kind": device.key} | dict(result.parameters)
     count, convert = MACHINES[record.model]
     if len(record.fields) != count:
         less = len(record.fields) < count

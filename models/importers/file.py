@@ -81,10 +81,10 @@ def _import_published(name: str, dyr: str | Path | None, how: dict[str, Any]) ->
     if dyr is not None:
         raise CaseError(f"{dyr}: {name} has its own dynamic data, allowed: no --dyr")
     with published(name) as (raw, own):
-        found = import_grid(raw, dyr=own, **how)
+        imported = import_grid(raw, dyr=own, **how)
     source = PUBLISHED[name].source
-    found.report.lines.append(source)
-    return replace(found, case=found.case.model_copy(update={"source": source}))
+    imported.report.lines.append(source)
+    return replace(imported, case=imported.case.model_copy(update={"source": source}))
 
 
 def _check_numbers(frequency_hz: float | None, **exponents: float | None) -> None:

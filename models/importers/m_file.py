@@ -109,10 +109,10 @@ def read_m_file(path: Path, lines: list[str]) -> MFile:
                 for row in _INDICES.values():
                     names |= row
             continue
-        found = _ASSIGNED.fullmatch(text)
-        if found is None:
+        match = _ASSIGNED.fullmatch(text)
+        if match is None:
             raise _refused(where, text)
-        left, right = found["left"].strip(), found["right"].strip()
+        left, right = match["left"].strip(), match["right"].strip()
         if left.startswith("["):
             _take_indices(left, right, names, where, text)
         elif not left.startswith("mpc"):
@@ -139,7 +139,7 @@ def _refused(where: str, text: str) -> CaseError:
 
 def _statements(path: Path, lines: list[str]) -> list[_Statement]:
     """Cut a file at the ends of lines and semicolons outside brackets; `...` goes on in the next line."""
-    found: list[_Statement] = []
+    statements: list[_Statement] = []
     text, first, depth = "", 0, 0
     for number, raw in _outside_block_comments(lines):
         line, goes_on = _code(raw, f"{path}:{number}")
@@ -150,73 +150,73 @@ def _statements(path: Path, lines: list[str]) -> list[_Statement]:
             if depth < 0:
                 raise CaseError(f"{path}:{number}: a {sign} closes nothing, allowed: one for each opened")
             if sign in (";", ",") and depth == 0:
-                found.append(_Statement(first, text))
+                statements.append(_Statement(first, text))
                 text = ""
             else:
                 text += sign
         if depth:
             text += "\n"
         elif not goes_on:
-            found.append(_Statement(first, text))
+            statements.append(_Statement(first, text))
             text = ""
     if depth or text.strip():
         what = (re.match(r"[\w.]+", text.strip()) or ["a statement"])[0]
         raise CaseError(
             f"{path}:{len(lines)}: {what} begins in line {first} and does not end (truncated file?)"
         )
-    return [statement for statement in found if statement.text.strip()]
+    return [statement for statement in statements if statement.text.strip()]
 
 
 def _outside_block_comments(lines: list[str]) -> Iterator[tuple[int, str]]:
     """Lines with their numbers, without those between ``%{`` and ``%}``."""
     hidden = 0
     for number, raw in enumerate(lines, 1):
-        mark = raw.strip()
-        hidden = max(hidden + (mark in ("%{", "#{")) - (mark in ("%}", "#}")), 0)
+        marker = raw.strip()
+        hidden = max(hidden + (marker in ("%{", "#{")) - (marker in ("%}", "#}")), 0)
         if not hidden:
             yield number, raw
 
 
 def _code(raw: str, where: str) -> tuple[str, bool]:
     """A line without its comment, and whether it goes on in the next one; text in quotes is left empty."""
-    kept, k = "", 0
+    code, k = "", 0
     while k < len(raw):
         c = raw[k]
         if c in "%#":
             break
         if raw.startswith("...", k):
-            return kept, True
-        if c in "'\"" and not (kept and (kept[-1].isalnum() or kept[-1] in ")]}_.'")):
+            return code, True
+        if c in "'\"" and not (code and (code[-1].isalnum() or code[-1] in ")]}_.'")):
             end = raw.find(c, k + 1)
             if end < 0:
                 raise CaseError(f"{where}: a quote ({c}) is not closed: {raw[k : k + 40]}")
             inside = re.sub(r"[^\w .+-]", "_", raw[k + 1 : end])
-            kept, k = f"{kept}'{inside}'", end + 1
+            code, k = f"{code}'{inside}'", end + 1
             continue
-        kept, k = kept + c, k + 1
-    return kept, False
+        code, k = code + c, k + 1
+    return code, False
 
 
 def _parts(line: str) -> list[tuple[str, str]]:
     """The text before each bracket, comma and semicolon outside quotes, with that sign; the last with ""."""
-    found, text, quoted = [], "", False
+    parts, text, quoted = [], "", False
     for c in line:
         quoted ^= c == "'"
         if not quoted and c in "[]{}();,":
-            found.append((text, c))
+            parts.append((text, c))
             text = ""
         else:
             text += c
-    return [*found, (text, "")]
+    return [*parts, (text, "")]
 
 
 def _take_indices(left: str, right: str, names: dict[str, Any], where: str, text: str) -> None:
     """Give the names on the left the column numbers that MATPOWER's function on the right gives."""
-    given = left.strip("[] \n").replace(",", " ").split()
+    provided = left.strip("[] \n").replace(",", " ").split()
     outputs = _INDICES.get(right)
-    if outputs is None or len(given) > len(outputs):
+    if outputs is None or len(provided) > len(outputs):
         raise _refused(where, text)
-    for name, value in zip(given, outputs.values(), strict=False):
+    for name, value in zip(provided, outputs.values(), strict=False):
         if name != "~":
             names[name] = value
 
@@ -315,11 +315,11 @@ class _Reader:
         k = 0
         text = text.strip()
         while k < len(text):
-            found = _TOKEN.match(text, k)
-            if found is None:
+            match = _TOKEN.match(text, k)
+            if match is None:
                 raise self.no()
-            self.tokens.append((found.group().strip(), found.group()[:1].isspace()))
-            k = found.end()
+            self.tokens.append((match.group().strip(), match.group()[:1].isspace()))
+            k = match.end()
         self.k = 0
 
     def no(self) -> CaseError:
@@ -419,17 +419,17 @@ class _Reader:
             return list(range(size))
         if self.next() == "[":
             self.take()
-            found: list[Any] = []
+            values: list[Any] = []
             while self.next() != "]":
-                found.append(self.atom())
+                values.append(self.atom())
                 if self.next() == ",":
                     self.take()
             self.take()
         else:
-            found = [self.sum()]
+            values = [self.sum()]
             if self.next() == ":":
                 self.take()
-                found = list(np.arange(found[0], self.sum() + 0.5))
-        if not all(np.ndim(one) == 0 and one == int(one) and 1 <= one <= size for one in found):
+                values = list(np.arange(values[0], self.sum() + 0.5))
+        if not all(np.ndim(one) == 0 and one == int(one) and 1 <= one <= size for one in values):
             raise self.no()
-        return [int(one) - 1 for one in found]
+        return [int(one) - 1 for one in values]

@@ -29,10 +29,10 @@ def read_places(path: Path, grid: StaticGrid) -> None:
     head = [word.strip().lower() for word in rows[0]] if rows else []
     at = {}
     for column, words in _COLUMNS.items():
-        found = next((k for k, word in enumerate(head) if word in words), None)
-        if found is None:
+        result = next((k for k, word in enumerate(head) if word in words), None)
+        if result is None:
             raise CaseError(f"{path}:1: no column {column!r} in {head}, allowed: bus, latitude, longitude")
-        at[column] = found
+        at[column] = result
     for line, row in enumerate(rows[1:], 2):
         if not any(word.strip() for word in row):
             continue

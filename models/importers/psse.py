@@ -60,8 +60,8 @@ def import_psse(
     """
     path = Path(raw)
     report = Report(strict)
-    given = with_device_texts({"devices": tuple(devices)}, Path(), str(path))
-    own = devices_of(given["devices"], str(path))
+    provided = with_device_texts({"devices": tuple(devices)}, Path(), str(path))
+    own = devices_of(provided["devices"], str(path))
     file = read_raw(path)
     grid = static_grid(file, report, frequency_hz)
     if coordinates is not None:
@@ -92,7 +92,7 @@ def import_psse(
     )
     for key, row in dynamics.rows.items():
         document["machines"][key] |= row
-    document["devices"] = given["devices"]
+    document["devices"] = provided["devices"]
     lines = {name: unit.where for name, unit in zip(names, grid.units, strict=True)} | dynamics.where
     return Imported(_case_with_lines(document, str(path), lines), report, solution)
 

@@ -69,10 +69,10 @@ def published(name: str) -> Iterator[tuple[Path, Path]]:
     grid = PUBLISHED[name]
     with tempfile.TemporaryDirectory(prefix="interarea-grid-") as folder:
         wheel = fetched(grid.wheel, Path(folder))
-        found = hashlib.sha256(wheel.read_bytes()).hexdigest()
-        if found != grid.wheel.sha256:
+        digest = hashlib.sha256(wheel.read_bytes()).hexdigest()
+        if digest != grid.wheel.sha256:
             raise CaseError(
-                f"{name}: {wheel.name} has the SHA-256 {found}, allowed: {grid.wheel.sha256}; not read"
+                f"{name}: {wheel.name} has the SHA-256 {digest}, allowed: {grid.wheel.sha256}; not read"
             )
         files = []
         with zipfile.ZipFile(wheel) as archive:
@@ -97,9 +97,9 @@ def fetched(wheel: Wheel, folder: Path) -> Path:
         raise CaseError(f"{wheel.requirement}: pip does not answer: {error}") from None
     files = sorted(folder.glob("*.whl"))
     if done.returncode or not files:
-        said = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
+        message = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
         raise CaseError(
-            f"{wheel.requirement}: pip does not get it: {said}; "
+            f"{wheel.requirement}: pip does not get it: {message}; "
             "check the connection, or import the RAW and DYR by their names"
         )
     return files[0]

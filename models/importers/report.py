@@ -39,8 +39,8 @@ class Report:
     def as_dict(self) -> dict[str, Any]:
         """Return the report as JSON values: counts, and of a remark where it was first made."""
         remarks = {
-            title: [{"what": w, "count": n, "first": self.first[w]} for w, n in told.items()]
-            for title, told in (("assumed", self.assumed), ("dropped", self.dropped))
+            title: [{"what": w, "count": n, "first": self.first[w]} for w, n in counts.items()]
+            for title, counts in (("assumed", self.assumed), ("dropped", self.dropped))
         }
         return {"read": dict(self.read), **remarks, "solution": list(self.lines)}
 

@@ -139,8 +139,8 @@ def decide_units_at_load_buses(grid: StaticGrid, report: Report) -> None:
     off = arrays.off(arrays.start) * grid.base_mva
     told_by_p = {load.bus for load in grid.loads if load.q_free}
     for bus, units in at_load.items():
-        given = sum((complex(unit.p, unit.q) for unit in units), 0j)
-        both = (complex(off[arrays.at[bus]]), complex(off[arrays.at[bus]]) + given)
+        provided = sum((complex(unit.p, unit.q) for unit in units), 0j)
+        both = (complex(off[arrays.at[bus]]), complex(off[arrays.at[bus]]) + provided)
         within, without = (abs(z.real if bus in told_by_p else z) for z in both)
         if _fits(without, within):
             grid.units = [unit for unit in grid.units if unit not in units]
@@ -235,7 +235,7 @@ def _newton(
     held: npt.NDArray[np.bool_],
 ) -> npt.NDArray[np.complex128]:
     magnitude = np.where(held, np.abs(arrays.start), 1.0)
-    found: list[tuple[float, Iterate, npt.NDArray[np.float64]]] = []
+    attempts: list[tuple[float, Iterate, npt.NDArray[np.float64]]] = []
     for start in (arrays.start, magnitude * np.exp(1j * _flat_angles(arrays, free_angle))):
         result = newton(
             arrays.Y,
@@ -250,11 +250,11 @@ def _newton(
             return result.voltages
         if result is not None:
             size = result.at_bus(free_angle, free_magnitude) * arrays.grid.base_mva
-            found.append((float(size.max()), result, size))
+            attempts.append((float(size.max()), result, size))
     grid, numbers = arrays.grid, arrays.numbers
-    if not found:
+    if not attempts:
         raise PowerFlowError(f"{grid.source}: the power flow has no finite iterate")
-    worst, best, size = min(found, key=lambda each: each[0])
+    worst, best, size = min(attempts, key=lambda each: each[0])
     at, volts = numbers[int(np.argmax(size))], np.abs(best.voltages)
     low, high = int(np.argmin(volts)), int(np.argmax(volts))
     raise PowerFlowError(
@@ -270,8 +270,8 @@ def _flat_angles(arrays: _Arrays, free_angle: npt.NDArray[np.int_]) -> npt.NDArr
     held = set(range(len(arrays.numbers))) - set(free_angle.tolist())
     angles, stored = np.zeros(len(arrays.numbers)), np.angle(arrays.start)
     for island in live_islands(arrays.grid):
-        here = [arrays.at[bus] for bus in island]
-        angles[here] = next(stored[k] for k in here if k in held)
+        rows = [arrays.at[bus] for bus in island]
+        angles[rows] = next(stored[k] for k in rows if k in held)
     return angles
 
 

@@ -34,7 +34,7 @@ def _drop_isolated(grid: StaticGrid, report: Report) -> None:
     grid.shunts = _in_service("shunt", grid.shunts, dead, report)
     grid.loads = _in_service("load", grid.loads, dead, report)
     grid.units = _in_service("unit", grid.units, dead, report)
-    kept = []
+    retained = []
     for branch in grid.branches:
         at_dead = branch.first in dead or branch.second in dead
         if at_dead:
@@ -44,8 +44,8 @@ def _drop_isolated(grid: StaticGrid, report: Report) -> None:
         if branch.joins and not branch.on:
             report.drop("open switch or line without impedance", branch.where)
             continue
-        kept.append(branch)
-    grid.branches[:] = kept
+        retained.append(branch)
+    grid.branches[:] = retained
 
 
 def _in_service(what: str, rows: list[Row], dead: set[int], report: Report) -> list[Row]:
@@ -129,12 +129,12 @@ def _chosen(
     if island == "all" and swings:
         return set().union(*(part for part in parts if swings & part))
     if isinstance(island, int):
-        wanted = [{grid.alias.get(island, island)}]
+        expected = [{grid.alias.get(island, island)}]
         missing = f"island = {island}, allowed: the number of a bus in service"
     else:
-        wanted = [swings, sourced]
+        expected = [swings, sourced]
         missing = "no unit in service, allowed: at least one, with a slack bus"
-    chosen = _largest_with(wanted, parts)
+    chosen = _largest_with(expected, parts)
     if not chosen:
         raise CaseError(f"{grid.source}: {missing}")
     return chosen

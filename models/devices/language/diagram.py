@@ -42,10 +42,10 @@ class Diagram:
         written = [
             line for code, comment, k in self.rows_of_text() for line in self.read_line(code, comment, k)
         ]
-        given = self.constants | set(self.kind.inputs) | set(self.references)
-        self.check_once(written, given)
+        provided = self.constants | set(self.kind.inputs) | set(self.references)
+        self.check_once(written, provided)
         lines = self.fold(written)
-        self.check_known(lines, given | {line.name for line in lines})
+        self.check_known(lines, provided | {line.name for line in lines})
         return tuple(lines)
 
     def rows_of_text(self) -> Iterator[tuple[str, str, int]]:
@@ -62,11 +62,11 @@ class Diagram:
             if code.strip():
                 yield code, comment.strip(), k
 
-    def check_once(self, lines: list[Line], given: frozenset[str]) -> None:
+    def check_once(self, lines: list[Line], provided: frozenset[str]) -> None:
         """Check that each name is defined once."""
         count = Counter(line.name for line in lines)
         for line in lines:
-            if count[line.name] > 1 or line.name in given:
+            if count[line.name] > 1 or line.name in provided:
                 raise self.source.fail(f"{line.name} is defined twice, allowed: once", line.number)
 
     def check_known(self, lines: list[Line], known: frozenset[str]) -> None:

@@ -84,8 +84,8 @@ class Element:
 
     def option(self, name: str, default: Node) -> Node:
         """Return option `name` or `default`."""
-        given = self.line.option(name)
-        return default if given is None else given
+        provided = self.line.option(name)
+        return default if provided is None else provided
 
     @property
     def limits(self) -> tuple[Node | None, Node | None]:

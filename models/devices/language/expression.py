@@ -162,8 +162,8 @@ def _call(
         raise DeviceError(f"{where}: {name[:24]}(): no such function here, {nearest(name[:40], calls)}")
     low, high = calls[name]
     if not low <= len(tree.args) <= high:
-        wanted = f"{low}" if low == high else f"{low} to {high}"
-        raise DeviceError(f"{where}: {name}() has {len(tree.args)} arguments, allowed: {wanted}")
+        expected = f"{low}" if low == high else f"{low} to {high}"
+        raise DeviceError(f"{where}: {name}() has {len(tree.args)} arguments, allowed: {expected}")
     args = tuple(inner(part) for part in tree.args)
     options = tuple((str(key.arg), inner(key.value)) for key in tree.keywords)
     if name in ("vx", "vx_inverse"):  # the coefficients of the curve are parameters only: prepared once
@@ -199,9 +199,9 @@ def text_of(node: Node) -> str:
     if node.op == "name":
         return node.name
     if node.op in OPERATORS or node.op in COMPARISONS:
-        mine = _STRENGTH.get(node.op, 0)
+        own = _STRENGTH.get(node.op, 0)
         left, right = (
-            f"({part})" if _STRENGTH.get(part.op, 9) < mine + side else str(part)
+            f"({part})" if _STRENGTH.get(part.op, 9) < own + side else str(part)
             for side, part in zip((0, int(node.op in ("-", "/"))), node.args, strict=True)
         )
         space = "" if node.op in ("*", "/", "**") else " "

@@ -18,7 +18,7 @@ def read_parameters(source: Source, kind: str, references: tuple[str, ...]) -> d
     DeviceError : a name that is taken or no name, a key that does not exist, a default beyond its range.
     """
     signals = {*KINDS[kind].inputs, KINDS[kind].output, *references}
-    found = {}
+    parameters = {}
     for name, row in source.table("parameters").items():
         line = source.line_of(name, "parameters")
         source.name_of(name, line)
@@ -26,8 +26,8 @@ def read_parameters(source: Source, kind: str, references: tuple[str, ...]) -> d
             raise source.fail(f"{name} is a signal of a {kind}; name the parameter otherwise", line)
         if not isinstance(row, dict):
             raise source.fail(f"{name}: allowed: a table with unit, min or above, default, text", line)
-        found[name] = _parameter(source, name, row, line)
-    return found
+        parameters[name] = _parameter(source, name, row, line)
+    return parameters
 
 
 def _parameter(source: Source, name: str, row: dict[str, Any], line: int) -> Parameter:

@@ -25,11 +25,11 @@ class Source:
 
     def line_of(self, key: str, section: str = "") -> int:
         """Number of the line that defines `key`, 0 when it cannot be told."""
-        here = not section
+        in_section = not section
         for k, row in enumerate(self.rows, start=1):
             if row.startswith("["):
-                here = row.strip() == f"[{section}]"
-            if here and row.split("=")[0].strip().strip("\"'") == key:
+                in_section = row.strip() == f"[{section}]"
+            if in_section and row.split("=")[0].strip().strip("\"'") == key:
                 return k
         return 0
 

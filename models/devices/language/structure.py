@@ -35,21 +35,21 @@ class Model:
     def __init__(self, device: Device) -> None:
         self.device = device
         self.elements: dict[str, Element] = {line.name: element_of(device, line) for line in device.lines}
-        found: dict[Node, int] = {}
+        numbers: dict[Node, int] = {}
         for element in self.elements.values():
             conditions: list[Condition] = [s.present for s in element.states()]
             for node in (*element.args, *(p for _, p in element.line.node.options)):
                 conditions += conditions_in(device, node)
             for condition in conditions:
                 if isinstance(condition, Node):
-                    found.setdefault(condition, len(found))
+                    numbers.setdefault(condition, len(numbers))
         names = [s.name for e in self.elements.values() for s in e.states()]
         twice = [name for name in names if names.count(name) > 1]
         if twice:
             raise DeviceError(f"{device.file}: two states are called {twice[0]}; rename a line")
-        if len(found) > MOST_BITS:
-            raise DeviceError(f"{device.file}: {len(found)} choices by parameters, allowed: {MOST_BITS}")
-        self.bits: dict[Node, int] = found
+        if len(numbers) > MOST_BITS:
+            raise DeviceError(f"{device.file}: {len(numbers)} choices by parameters, allowed: {MOST_BITS}")
+        self.bits: dict[Node, int] = numbers
 
     @cached_property
     def states(self) -> tuple[tuple[Element, State], ...]:

@@ -131,12 +131,12 @@ class _Head(NamedTuple):
 
 def _system_wide(raw: RawFile) -> dict[str, float]:
     """The numbers of the system-wide section, by upper-case name."""
-    found: dict[str, float] = {}
+    system_wide: dict[str, float] = {}
     for _, text in (line for group in raw.groups.get("system-wide", []) for line in group):
         for name, value in re.findall(r"(\w+)\s*=\s*([-+.\deEdD]+)", text):
             with suppress(ValueError):
-                found[name.upper()] = float(value)
-    return found
+                system_wide[name.upper()] = float(value)
+    return system_wide
 
 
 def _first_bus(path: Path, body: list[Line]) -> Line:

@@ -66,12 +66,14 @@ def _at_rest(
         last = current.copy()
         current[others] = setting[others] / 1000.0 if current_mode else setting[others] / volts[others]
         try:
-            found = np.linalg.solve(whole, np.append(incidence[:, others] @ current[others], setting[source]))
+            solution = np.linalg.solve(
+                whole, np.append(incidence[:, others] @ current[others], setting[source])
+            )
         except np.linalg.LinAlgError:
             raise record.refused(
                 "the dc network is not connected, allowed: links from every dc bus"
             ) from None
-        volts, current[source] = incidence.T @ found[:n], found[n]
+        volts, current[source] = incidence.T @ solution[:n], solution[n]
         if not np.all(volts[others] * setting[source] > 0.0):
             break
         if np.allclose(current, last, rtol=1e-13, atol=1e-15):
@@ -99,12 +101,12 @@ def _dc_incidence(converters: list[Record], buses: list[Record], at: dict[int, i
     """Where a converter drives its current in (1) and takes it out (-1), (buses, converters)."""
     incidence = np.zeros((len(buses), len(converters)))
     for k, converter in enumerate(converters):
-        here = next((bus for bus in buses if bus.bus("IB", 0) == converter.bus("IB")), None)
-        if here is None:
+        at_converter = next((bus for bus in buses if bus.bus("IB", 0) == converter.bus("IB")), None)
+        if at_converter is None:
             raise converter.refused(f"no dc bus belongs to the converter at bus {converter.bus('IB')}")
-        incidence[_dc_bus(here, "IDC", at), k] += 1.0
-        if here.whole("IDC2", 0):
-            incidence[_dc_bus(here, "IDC2", at), k] -= 1.0
+        incidence[_dc_bus(at_converter, "IDC", at), k] += 1.0
+        if at_converter.whole("IDC2", 0):
+            incidence[_dc_bus(at_converter, "IDC2", at), k] -= 1.0
     return incidence
 
 
