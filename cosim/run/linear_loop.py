@@ -25,7 +25,7 @@ from ..errors import machine_error
 from ..results.ringdown import fit_window
 from ..scenario.channels import BernoulliLoss, ChannelLine, GilbertElliottLoss
 from ..scenario.concentrators import ConcentratorLine
-from ..scenario.ways import Way
+from ..scenario.ways import Way, signal_faults_of
 from .artefacts import linearised, matrices_of_fmu
 
 if TYPE_CHECKING:
@@ -123,10 +123,10 @@ def _refuse(scenario: Scenario, start: float, stop: float) -> None:
         end = getattr(event, "end_s", None)
         if event.kind in _LASTING and event.start_s < stop and (end is None or end > start):
             raise NotLinearError(f"the grid is not what it was after the {event.kind} at {event.start_s:g} s")
-    for name, channel in scenario.channels.items():
-        for fault in channel.signal_faults:
+    for where, faults in signal_faults_of(scenario.channels, scenario.concentrators).items():
+        for fault in faults:
             if fault.start_s < stop and fault.until_s > start:
-                raise NotLinearError(f"channels.{name}: the signal is wrong ({fault.kind})")
+                raise NotLinearError(f"{where}: the signal is wrong ({fault.kind})")
     if scenario.fmus:
         raise NotLinearError(f"{', '.join(scenario.fmus)} may do anything")
     if scenario.connections:

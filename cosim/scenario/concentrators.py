@@ -11,6 +11,7 @@ from interarea.models.table import Table
 
 from ..clock import TICKS_PER_SECOND, Clock, on_tick, seconds
 from .channels import Delays, Probability, Seconds, derived_seed
+from .signal_faults import SignalFault, check_faults, fault_parameters
 
 if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
     from interarea.models.blocks.concentrator import FrameSets
@@ -25,6 +26,8 @@ class SignalWay(Table):
     jitter_s: Seconds = 0.0  #: each packet is late by 0 to this much more, evenly spread
     loss: Probability = 0.0  #: share of lost packets
     lost_s: tuple[Seconds, Seconds] | None = None  #: [from, to]: lost altogether in between
+    #: what is wrong with the signal while its flag is up, in order of time, at most 4
+    signal_faults: tuple[SignalFault, ...] = ()
 
 
 class ConcentratorLine(Table):
@@ -49,6 +52,7 @@ class ConcentratorLine(Table):
     @model_validator(mode="after")
     def _windows(self) -> Self:
         for s in self.signals:
+            check_faults(s.signal_faults, self.reporting_interval_s, len(self.signals))
             if s.lost_s is not None and not s.lost_s[1] > s.lost_s[0]:
                 raise ValueError(f"lost_s has {list(s.lost_s)}, allowed: end > start")
         return self
@@ -67,6 +71,7 @@ class ConcentratorLine(Table):
             start |= {f"latency[{i}]": s.latency_s, f"jitter[{i}]": s.jitter_s, f"loss[{i}]": s.loss}
             if s.lost_s is not None:
                 start |= {f"lost[{i}].start": s.lost_s[0], f"lost[{i}].end": s.lost_s[1]}
+            start |= fault_parameters(s.signal_faults, f"{i},")
         return start
 
     @property
@@ -88,16 +93,16 @@ class ConcentratorLine(Table):
 
     @property
     def steady(self) -> Self:
-        """The same concentrator with nothing random and nothing lost."""
-        ways = tuple(
-            s.model_copy(update={"jitter_s": 0.0, "loss": 0.0, "lost_s": None}) for s in self.signals
-        )
+        """The same concentrator with nothing random, nothing lost and nothing wrong."""
+        off = {"jitter_s": 0.0, "loss": 0.0, "lost_s": None, "signal_faults": ()}
+        ways = tuple(s.model_copy(update=off) for s in self.signals)
         return self.model_copy(update={"signals": ways})
 
     @property
     def random(self) -> bool:
         """Whether anything depends on the seed."""
-        return any(s.jitter_s or s.loss for s in self.signals)
+        wrong = any(fault.seeded for s in self.signals for fault in s.signal_faults)
+        return wrong or any(s.jitter_s or s.loss for s in self.signals)
 
     def seeded(self, name: str) -> Self:
         """Return this concentrator with the seed it has under `name`, where anything is random."""

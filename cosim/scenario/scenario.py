@@ -105,7 +105,7 @@ from ..toml_file import read_toml
 from .channels import Seconds
 from .expectation import Expectation
 from .names import NAMED_CONTROLLERS, beside, grid_of, wrong_names
-from .ways import ChannelTable, ConcentratorTable, Way, ways_of
+from .ways import ChannelTable, ConcentratorTable, Way, signal_faults_of, ways_of
 
 if TYPE_CHECKING:  # the file is checked before what a case takes is loaded
     from interarea.models.case.case import Case
@@ -257,9 +257,10 @@ class Scenario(Table):
             for start, _ in channel.outages_s:
                 if not start < self.stop_s:
                     yield f"channels.{name}: an outage starts at {start:g} s, {allowed}"
-            for fault in channel.signal_faults:
+        for where, faults in signal_faults_of(self.channels, self.concentrators).items():
+            for fault in faults:
                 if not fault.start_s < self.stop_s:
-                    yield f"channels.{name}: {fault.kind} fault starts at {fault.start_s:g} s, {allowed}"
+                    yield f"{where}: {fault.kind} fault starts at {fault.start_s:g} s, {allowed}"
 
     def _without_a_case(self) -> Iterator[str]:
         """Yield what acts on a case that is not there, or that there is nothing to run."""

@@ -193,6 +193,20 @@ class OscillatingSignal(_Fault):
         return self.amplitude, self.frequency_hz
 
 
+class SwappedSignal(_Fault):
+    """What another signal of the same concentrator measures is sent in its place."""
+
+    kind: Literal["swap"]  #: another signal in its place
+    other: Annotated[int, Field(ge=1)]  #: number of that signal in the concentrator, from 1
+
+    packets: ClassVar[bool] = True
+
+    @property
+    def numbers(self) -> tuple[float, float]:
+        """Number of the other."""
+        return float(self.other), 0.0
+
+
 SignalFault = Annotated[
     StuckSignal
     | BiasedSignal
@@ -204,13 +218,15 @@ SignalFault = Annotated[
     | SpikedSignal
     | ReplayedSignal
     | MistimedSignal
-    | OscillatingSignal,
+    | OscillatingSignal
+    | SwappedSignal,
     Field(discriminator="kind"),
 ]
 
 
-def check_faults(faults: Sequence[SignalFault], interval_s: float) -> None:
+def check_faults(faults: Sequence[SignalFault], interval_s: float, signals: int = 1) -> None:
     """Refuse faults of one signal that cannot be; interval_s : between its packets, 0 where it has none.
+    signals : of the concentrator; 1: a channel.
 
     Raises
     ------
@@ -229,6 +245,10 @@ def check_faults(faults: Sequence[SignalFault], interval_s: float) -> None:
         last_s = fault.until_s
         if fault.packets and not interval_s:
             raise ValueError(f"signal_faults: {fault.kind} acts on packets: set reporting_interval_s")
+        if isinstance(fault, SwappedSignal) and not fault.other <= signals > 1:
+            raise ValueError(
+                f"signal_faults: swap with signal {fault.other} of {signals}, allowed: one of a concentrator"
+            )
         if isinstance(fault, ReplayedSignal):
             count = fault.length_s / interval_s
             if not (abs(count - round(count)) < 1e-6 and 1 <= round(count) <= REPLAYED):
@@ -238,8 +258,8 @@ def check_faults(faults: Sequence[SignalFault], interval_s: float) -> None:
                 )
 
 
-def fault_parameters(faults: Sequence[SignalFault]) -> dict[str, Value]:
-    """Return the parameters ``fault[k].kind`` and so on of a channel's FMU."""
+def fault_parameters(faults: Sequence[SignalFault], signal: str = "") -> dict[str, Value]:
+    """Return the parameters ``fault[k].kind`` and so on of a channel's FMU, with `signal` before k."""
     start: dict[str, Value] = {}
     for k, fault in enumerate(faults, start=1):
         size, detail = fault.numbers
@@ -250,5 +270,5 @@ def fault_parameters(faults: Sequence[SignalFault]) -> dict[str, Value]:
             "size": size,
             "detail": detail,
         }
-        start |= {f"fault[{k}].{key}": value for key, value in values.items()}
+        start |= {f"fault[{signal}{k}].{key}": value for key, value in values.items()}
     return start

@@ -13,6 +13,7 @@ from interarea.models.table import Table
 from ..errors import ScenarioError
 from .channels import ChannelLine
 from .concentrators import ConcentratorLine, SignalWay
+from .signal_faults import SignalFault
 
 if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
     from interarea.models.blocks.pmu import PmuFilter
@@ -99,6 +100,17 @@ class Way(NamedTuple):
     def source(self) -> str:
         """Instance of the PMU, "" where the signal is an output of the plant."""
         return "" if self.pmu is None else self.u.replace(".u", "_pmu")
+
+
+def signal_faults_of(
+    channels: Mapping[str, ChannelTable], concentrators: Mapping[str, ConcentratorTable]
+) -> dict[str, tuple[SignalFault, ...]]:
+    """Return the faults of each signal, by where they are written."""
+    faults = {f"channels.{name}": c.signal_faults for name, c in channels.items()}
+    for name, table in concentrators.items():
+        for i, s in enumerate(table.signals, start=1):
+            faults[f"concentrators.{name}.signals {i}"] = s.signal_faults
+    return faults
 
 
 def ways_of(

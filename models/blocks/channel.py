@@ -37,6 +37,7 @@ SIGNAL_FAULT = Enumeration(
         ("replay", 9, "The last size seconds before the start are sent again and again"),
         ("time_error", 10, "It is size + detail (t - start) seconds older than its stamp"),
         ("oscillating", 11, "A sine of amplitude size and frequency detail (Hz) is added"),
+        ("swap", 12, "Signal number size of the same concentrator is sent in its place"),
     ),
 )
 

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from .channel import signal_fault_variables
 from .packet_schedule import packet_random
-from .sizes import MOST_SIGNALS
+from .sizes import MOST_SIGNALS, SIGNAL_FAULTS
 from .variables import Block, Enumeration, Variable, VariableTable
 
 _FOLDER = Path(__file__).resolve().parents[1] / "c"
@@ -40,8 +41,8 @@ def concentrator_block(
 
     FMI parameters: ``reporting_interval``, ``wait``, ``latency`` (s), ``relative`` (Boolean), ``on_loss``,
     ``seed``; of each signal ``latency[i]``, ``jitter[i]`` (s), ``loss[i]``, ``lost[i].start``,
-    ``lost[i].end`` (s). Outputs besides: ``age`` (s) and the counts ``sent``, ``delivered``, ``dropped``,
-    ``late`` of frames.
+    ``lost[i].end`` (s), ``fault[i,k]`` as a channel's. Outputs besides:
+    ``age`` (s) and the counts ``sent``, ``delivered``, ``dropped``, ``late`` of frames.
 
     Parameters
     ----------
@@ -89,6 +90,9 @@ def concentrator_block(
         Variable("on_loss", "parameter", "y if invalid", type="Enumeration", enumeration=ON_MISSING, start=0),
         Variable("seed", "parameter", "Which frames", type="Integer", start=0, min=0, max=2147483647),
     ]
+    for i in numbers:
+        for k in range(1, SIGNAL_FAULTS + 1):
+            variables += signal_fault_variables(f"fault[{i},{k}]")
     channel = _FOLDER / "channel"
     return Block(
         kind="concentrator",
@@ -98,6 +102,7 @@ def concentrator_block(
         data={"capacity": np.array([capacity], dtype=np.int32)},
         sources=(
             _FOLDER / "concentrator" / "concentrator.c", channel / "history.c", channel / "random.c",
+            channel / "signal_fault.c",
         ),
         step_s=step_s,
         model_exchange=False,

@@ -84,7 +84,7 @@ static const double TIME_SLACK = 1e-10; /* s */
 static inline SignalFaults channel_faults(const Block *b)
 {
     const SignalFaults faults = {b->p + P_FAULTS, b->ip + IP_FAULTS, b->p[P_REPORTING], b->ip[IP_SEED], 128,
-                                 b->memory + M_FAULTS};
+                                 b->memory + M_FAULTS, 0};
     return faults;
 }
 

@@ -50,7 +50,7 @@ static int fits(double length, double interval)
 }
 
 /* Why size and detail cannot be those of the kind, or NULL. */
-static const char *numbers_wrong(int kind, double size, double detail, double interval)
+static const char *numbers_wrong(int kind, double size, double detail, const SignalFaults *faults)
 {
     switch (kind) {
     case FAULT_DRIFT:
@@ -61,7 +61,10 @@ static const char *numbers_wrong(int kind, double size, double detail, double in
         return size >= 0.0 && detail >= 0.0 && detail < 1.0
                    ? NULL : "a time error must not be negative, and drift by less than 1 s a second";
     case FAULT_REPLAY:
-        return fits(size, interval) ? NULL : "a replay must be 1 to 1024 packets long";
+        return fits(size, faults->interval) ? NULL : "a replay must be 1 to 1024 packets long";
+    case FAULT_SWAP:
+        return size >= 1.0 && size <= (double)faults->signals
+                   ? NULL : "a swap needs another signal of the same concentrator";
     default:
         return NULL;
     }
@@ -78,7 +81,7 @@ const char *signal_faults_wrong(const SignalFaults *faults)
         const int kind = faults->kind[k];
 
         if (kind == FAULT_NONE) continue;
-        wrong = numbers_wrong(kind, p[FAULT_SIZE], p[FAULT_DETAIL], faults->interval);
+        wrong = numbers_wrong(kind, p[FAULT_SIZE], p[FAULT_DETAIL], faults);
         if (kind < 0 || kind >= FAULT_KINDS) wrong = "fault.kind must be one of those listed";
         if (!(p[FAULT_START] <= p[FAULT_END])) wrong = "fault.end lies before fault.start";
         if (!isfinite(p[FAULT_SIZE] + p[FAULT_DETAIL])) wrong = "fault.size and fault.detail must be finite";
@@ -117,6 +120,38 @@ static double spike(const SignalFaults *faults, double s, double probability)
     return packet_random(faults->seed, number, faults->stream + 13) < 0.5 ? -1.0 : 1.0;
 }
 
+/* What is added at time s, `since` the start, and its slope. */
+static void add(const SignalFaults *faults, int k, double s, double since, Sent *sent)
+{
+    const double size = faults->p[FAULT_REALS * k + FAULT_SIZE], detail = faults->p[FAULT_REALS * k + FAULT_DETAIL];
+
+    switch (faults->kind[k]) {
+    case FAULT_BIAS:
+        sent->offset = size;
+        break;
+    case FAULT_RAMP:
+        sent->offset = size * since;
+        sent->offset_slope = size;
+        break;
+    case FAULT_DRIFT:
+        sent->offset = size * (1.0 - decayed(since / detail));
+        sent->offset_slope = size / detail * decayed(since / detail);
+        break;
+    case FAULT_NOISE:
+        sent->offset = size * normal(faults, s);
+        break;
+    case FAULT_SPIKE:
+        sent->offset = size * spike(faults, s, detail);
+        break;
+    case FAULT_OSCILLATING:
+        sent->offset = size * sine(detail * since);
+        sent->offset_slope = TURN * detail * size * sine(detail * since + 0.25);
+        break;
+    default:
+        break;
+    }
+}
+
 static Sent sent_at(const SignalFaults *faults, int k, double s)
 {
     const double *p = faults->p + FAULT_REALS * k;
@@ -129,28 +164,11 @@ static Sent sent_at(const SignalFaults *faults, int k, double s)
         sent.time = p[FAULT_START];
         sent.time_rate = 0.0;
         break;
-    case FAULT_BIAS:
-        sent.offset = size;
-        break;
-    case FAULT_RAMP:
-        sent.offset = size * since;
-        sent.offset_slope = size;
-        break;
-    case FAULT_DRIFT:
-        sent.offset = size * (1.0 - decayed(since / detail));
-        sent.offset_slope = size / detail * decayed(since / detail);
-        break;
     case FAULT_SCALE:
         sent.gain = size;
         break;
     case FAULT_POLARITY:
         sent.gain = -1.0;
-        break;
-    case FAULT_NOISE:
-        sent.offset = size * normal(faults, s);
-        break;
-    case FAULT_SPIKE:
-        sent.offset = size * spike(faults, s, detail);
         break;
     case FAULT_REPLAY:
         sent.time = s - size * (floor((since + SLACK) / size) + 1.0);
@@ -159,9 +177,8 @@ static Sent sent_at(const SignalFaults *faults, int k, double s)
         sent.time = s - size - detail * since;
         sent.time_rate = 1.0 - detail;
         break;
-    default: /* FAULT_OSCILLATING */
-        sent.offset = size * sine(detail * since);
-        sent.offset_slope = TURN * detail * size * sine(detail * since + 0.25);
+    default: /* a swap reads another history */
+        add(faults, k, s, since, &sent);
     }
     return sent;
 }
@@ -202,6 +219,13 @@ static int remembered(const SignalFaults *faults, const History *history, double
         m[FM_VALUE] = *value;
     }
     return 0;
+}
+
+size_t signal_fault_source(const SignalFaults *faults, double s, size_t own)
+{
+    const int k = active(faults, s);
+
+    return k >= 0 && faults->kind[k] == FAULT_SWAP ? (size_t)faults->p[FAULT_REALS * k + FAULT_SIZE] - 1 : own;
 }
 
 int signal_fault_value(const SignalFaults *faults, const History *history, double s, double *value, double *slope)

@@ -15,6 +15,7 @@
  *     replay      u(s - m size), m the least whole number that leads before start
  *     time_error  u(s - size - detail (s - start)): the stamp is too new by so much
  *     oscillating u(s) + size sin(2 pi detail (s - start))
+ *     swap        u of signal number `size` of the concentrator, at s
  *
  * noise, spike and replay are of packets; their random numbers are a hash as a packet's loss is.
  * Of several faults the first whose window holds acts.                                          */
@@ -23,7 +24,7 @@
 enum { SIGNAL_FAULTS = 4, SIGNAL_FAULT_RECORD = 1024 };
 enum {
     FAULT_NONE, FAULT_STUCK, FAULT_BIAS, FAULT_RAMP, FAULT_DRIFT, FAULT_SCALE, FAULT_POLARITY, FAULT_NOISE,
-    FAULT_SPIKE, FAULT_REPLAY, FAULT_TIME_ERROR, FAULT_OSCILLATING, FAULT_KINDS
+    FAULT_SPIKE, FAULT_REPLAY, FAULT_TIME_ERROR, FAULT_OSCILLATING, FAULT_SWAP, FAULT_KINDS
 };
 /* Real parameters of one fault, in order. */
 enum { FAULT_START, FAULT_END, FAULT_SIZE, FAULT_DETAIL, FAULT_REALS };
@@ -37,10 +38,14 @@ typedef struct {
     int seed;
     unsigned stream;    /* of the random numbers, the first of 16   */
     double *memory;     /* FM_COUNT                                 */
+    size_t signals;     /* of the concentrator, 0: a channel        */
 } SignalFaults;
 
 /* Why the parameters cannot be, or NULL. */
 const char *signal_faults_wrong(const SignalFaults *faults);
+
+/* Number of the signal whose history is sent at time s in place of number `own`, from 0. */
+size_t signal_fault_source(const SignalFaults *faults, double s, size_t own);
 
 /* What is sent at time s and its slope; as history_at, whose result it returns. */
 int signal_fault_value(const SignalFaults *faults, const History *history, double s, double *value, double *slope);

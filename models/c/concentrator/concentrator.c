@@ -6,6 +6,7 @@
 #include "../block/sampled.h"
 #include "../channel/history.h"
 #include "../channel/random.h"
+#include "../channel/signal_fault.h"
 
 static const double SLACK = 1e-10; /* s; instants closer than this count as equal */
 static const unsigned FIRST_STREAM = 16;
@@ -31,6 +32,16 @@ static History history_of(const Block *b, size_t i)
     return history;
 }
 
+static SignalFaults faults_of(const Block *b, size_t i)
+{
+    const size_t n = b->layout.n_u;
+    double *memory = b->memory + M_HELD + n + n * (1 + SAMPLE_SIZE * capacity_of(b->record)) + FM_COUNT * i;
+    const SignalFaults faults = {b->p + P_SIGNAL + PER_SIGNAL * n + FAULT_REALS * SIGNAL_FAULTS * i,
+                                 b->ip + IP_FAULTS + SIGNAL_FAULTS * i, b->p[P_REPORTING], b->ip[IP_SEED],
+                                 128 + 16 * (unsigned)i, memory, n};
+    return faults;
+}
+
 static const double *signal_of(const Block *b, size_t i) { return b->p + P_SIGNAL + PER_SIGNAL * i; }
 
 BlockStatus block_needs(const Record *record, const BlockLayout *l, BlockNeeds *needs, BlockMessage *message)
@@ -38,13 +49,13 @@ BlockStatus block_needs(const Record *record, const BlockLayout *l, BlockNeeds *
     const size_t n = l->n_u, capacity = capacity_of(record);
 
     if (n < 1 || n > CONCENTRATOR_SIGNALS || l->n_x != 0 || l->n_y != n + 1 || l->n_w != 0
-        || l->n_p != P_SIGNAL + PER_SIGNAL * n || l->n_iu != 0 || l->n_iy != n + COUNT_COUNT || l->n_iw != 0
-        || l->n_ip != IP_COUNT || capacity == 0) {
+        || l->n_p != P_SIGNAL + (PER_SIGNAL + FAULT_REALS * SIGNAL_FAULTS) * n || l->n_iu != 0 || l->n_iy != n + COUNT_COUNT || l->n_iw != 0
+        || l->n_ip != IP_FAULTS + SIGNAL_FAULTS * n || capacity == 0) {
         snprintf(message->text, sizeof message->text, "concentrator: the variables or `capacity` of the record "
                  "do not fit this binary");
         return BLOCK_ERROR;
     }
-    needs->n_memory = M_HELD + n + n * (1 + SAMPLE_SIZE * capacity);
+    needs->n_memory = M_HELD + n + n * (1 + SAMPLE_SIZE * capacity + FM_COUNT);
     needs->n_scratch = 0;
     return BLOCK_OK;
 }
@@ -70,6 +81,11 @@ BlockStatus block_start(Block *b, double t, BlockMessage *message)
 {
     const char *bad = wrong(b);
     double *m = b->memory;
+
+    for (size_t i = 0; i < b->layout.n_u && bad == NULL; ++i) {
+        const SignalFaults faults = faults_of(b, i);
+        bad = signal_faults_wrong(&faults);
+    }
 
     if (bad != NULL) {
         snprintf(message->text, sizeof message->text, "concentrator: %s", bad);
@@ -111,10 +127,11 @@ static Set set_of(const Block *b, double k, double before)
 
 static BlockStatus input_at(const Block *b, size_t i, double time, double *value, BlockMessage *message)
 {
-    const History history = history_of(b, i);
+    const SignalFaults faults = faults_of(b, i);
+    const History history = history_of(b, signal_fault_source(&faults, time, i));
     double slope;
 
-    if (history_at(&history, time, value, &slope) == 0) return BLOCK_OK;
+    if (signal_fault_value(&faults, &history, time, value, &slope) == 0) return BLOCK_OK;
     snprintf(message->text, sizeof message->text, "concentrator: input %zu at time %.9g s is no longer among the "
              "last %zu communication points; build it with a larger capacity", i + 1, time, history.capacity);
     return BLOCK_ERROR;

@@ -57,6 +57,11 @@ def scenario(*faults: dict[str, Any], stop_s: float = 3.0, **keys: Any) -> dict[
         ),
         ({}, [{"kind": "sticky", "start_s": 1.0}], "kind = 'sticky'"),
         ({}, [{"kind": "time_error", "offset_s": -0.1, "start_s": 1.0}], "offset_s = -0.1"),
+        (
+            PACKETS,
+            [{"kind": "swap", "other": 2, "start_s": 1.0}],
+            "swap with signal 2 of 1, allowed: one of",
+        ),
         ({}, 5 * [{"kind": "stuck", "start_s": 1.0}], "5 tables, allowed: at most 4"),
     ],
 )

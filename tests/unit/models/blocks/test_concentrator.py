@@ -189,3 +189,31 @@ def test_settings_that_make_no_sense_are_refused(
         assert says in run.log[-1]
     with pytest.raises(ValueError, match="33 signals, allowed are 1 to 32"):
         concentrator_block(33)
+
+
+def test_faults_of_one_signal_leave_the_others_alone(concentrator: Path) -> None:
+    """Signal 1 inverted, signal 2 replaced by signal 3 from 1 to 2 s of measurement; all flags stay up."""
+    kinds = {"fault[1,1].kind": 6, "fault[2,1].kind": 12, "fault[2,1].size": 3.0}
+    window = {f"fault[{i},1].{end}": at for i in (1, 2) for end, at in (("start", 1.0), ("end", 2.0))}
+    p = {**BASE, "latency[1]": 0.02, "latency[2]": 0.02, "latency[3]": 0.02}
+    right = follow(concentrator, p, 0.01)
+    with Runner(concentrator) as run:
+        run.start({**start_of(p), **kinds, **window})
+        for k in range(round(STOP_S / 0.01)):
+            for i in range(N):
+                run.set(**{f"u{i + 1}": signal(i, k * 0.01)[0]})
+                run.slopes(f"u{i + 1}", signal(i, k * 0.01)[1])
+            run.step(k * 0.01, 0.01)
+            wrong = 101 <= k <= 200  # rows whose newest set is stamped 1.00 to 1.98 s
+            y = right[k, :N]
+            expected = (-y[0], y[2], y[2]) if wrong else tuple(y)
+            assert tuple(run.get(f"y{i + 1}") for i in range(N)) == expected, k
+            assert all(run.get(f"valid{i + 1}") for i in range(N))
+
+
+def test_a_swap_with_a_signal_that_is_not_there_is_refused(concentrator: Path) -> None:
+    swap = {"fault[1,1].kind": 12, "fault[1,1].size": 4.0, "fault[1,1].start": 0.0, "fault[1,1].end": 1.0}
+    with Runner(concentrator) as run:
+        with pytest.raises(FMICallException):
+            run.start({**start_of(BASE), **swap})
+        assert "another signal of the same concentrator" in run.log[-1]
