@@ -42,7 +42,7 @@ def test_inter_area_mode_and_lead_of_the_best_loop(two_area: Case, cache: Path) 
     assert all(r["lead"] < 0.0 for r in table if r["coordinates"].startswith("balanced"))
 
 
-@pytest.mark.parametrize("name", ["robust", "robust_linear", "robust_latency", "two_actuators"])
+@pytest.mark.parametrize("name", ["robust", "robust_linear", "robust_latency", "wide_area", "two_actuators"])
 def test_table_of_bundled_controllers(name: str) -> None:
     """What `interarea certify` holds each to is its record; tests/unit/design/robust recomputes it."""
     record = controller(name)["certificate"]
@@ -59,7 +59,7 @@ def test_table_of_bundled_controllers(name: str) -> None:
         assert f"within {max(run['settled_s'] for run in record['faults']):.1f} s" in cells[5]
 
 
-@pytest.mark.parametrize("name", ["robust", "robust_latency", "two_actuators"])
+@pytest.mark.parametrize("name", ["robust", "robust_latency", "wide_area", "two_actuators"])
 def test_acceptance_of_the_guarded_controllers(name: str) -> None:
     record = controller(name)["certificate"]
     acceptance = record["acceptance"]

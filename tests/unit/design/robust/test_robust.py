@@ -60,6 +60,7 @@ LATE = ("s150", "s200", "L+s150", "L+s200")
     [
         ("robust_linear", CODES, 0.24, 0.28),
         ("robust", CODES, 0.22, 0.22),
+        ("wide_area", CODES, 0.22, 0.25),
         pytest.param("robust_latency", CODES + LATE, 0.228, 0.228, marks=pytest.mark.slow),
     ],
 )
@@ -112,7 +113,7 @@ def test_each_of_two_actuators_sees_its_own_area_only() -> None:
     assert np.abs(K(0.0)).max() < 1e-9
 
 
-@pytest.mark.parametrize("name", ["robust", "robust_linear", "robust_latency"])
+@pytest.mark.parametrize("name", ["robust", "robust_linear", "robust_latency", "wide_area"])
 def test_shipped_controllers_hold_at_operating_points_that_no_design_saw(name: str) -> None:
     unseen = {
         "tie +50": independent_plant(0.5),
@@ -277,7 +278,7 @@ def test_an_unknown_design_names_the_bundled_ones() -> None:
     with pytest.raises(
         ScenarioError,
         match="there are: nets_nyps, new_england, robust, robust_latency, robust_linear, "
-        "two_actuators, wecc_240",
+        "two_actuators, wecc_240, wide_area",
     ):
         load_design("nothing")
 
