@@ -18,8 +18,8 @@ from ..delay.signal_conditions import Condition
 from ..reduction.gramians import matrices
 from .operating_points import JudgedPlant, judge_family
 
-#: damping ratio that a link must add to the inter-area modes to pay. Equal searches from other starts differ
-#: by up to half of it.
+#: damping ratio that a link must add to the inter-area modes to pay: less is within what one search misses of
+#: the best (.008 between two searches for the same own signal, two areas)
 PAYS = 0.02
 
 
