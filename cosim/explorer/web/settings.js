@@ -69,7 +69,7 @@ function channelTable(data, state, channel) {
     }
   }
   const packets = table.loss || table.jitter_s || table.latency || table.pdc_wait_s;
-  if (table.loss || table.jitter_s || table.latency) table.seed = get('seed');
+  if (table.loss || table.jitter_s || table.latency || table.signal_faults) table.seed = get('seed');
   else delete table.seed;
   set('reporting_interval_s', (get('interval') || (packets ? 20 : 0)) / 1000, 0);
   const later = (channel.table.outages_s || []).slice(1);
