@@ -79,17 +79,17 @@ def design_active(
         if name not in spec.damping_ratio_of:
             continue
         loop = select(plant, [spec.actuator], list(signals))
-        made = conventional(
+        result = conventional(
             balanced_truncation(loop, spec.plant_order).system,
             PoleRegion(spec.damping_ratio_of[name], None, spec.radius),
             conditioning=Conditioning(spec.trace_weight),
             engine=engine,
         )
-        K = made.controller
+        K = result.controller
         named = control.ss(K.A, K.B, K.C, K.D, inputs=list(signals), outputs=[spec.actuator])
         order = spec.order_of.get(name, named.nstates)
         small = named if named.nstates <= order else closed_loop_reduction(loop, named, order).system
-        members.append(Controller(name, small, spec.limit_pu, {"effort_bound": made.gamma}))
+        members.append(Controller(name, small, spec.limit_pu, {"effort_bound": result.gamma}))
     bank = ControllerBank(
         "active",
         tuple(members),
@@ -101,5 +101,5 @@ def design_active(
     )
     if not certified:
         return bank
-    found, P = switching_certificate(plant, bank)
-    return replace(bank, certificate=found.as_dict(), lyapunov=P)
+    rows, P = switching_certificate(plant, bank)
+    return replace(bank, certificate=rows.as_dict(), lyapunov=P)

@@ -154,25 +154,27 @@ def _delayed_poles(
     together = len(set(condition.latency_s_of.values())) == 1
     followed: dict[str, complex] = {}
     for name, pole in poles.items():
-        found = None
+        delayed_poles = None
         if together:
             with suppress(DelayError):
-                found = complex(track_roots(fixed, tuple(condition.latency_s_of), [latency], pole)[-1])
-        if found is None or _taken(found, followed):
+                delayed_poles = complex(
+                    track_roots(fixed, tuple(condition.latency_s_of), [latency], pole)[-1]
+                )
+        if delayed_poles is None or _taken(delayed_poles, followed):
             try:
-                found = track_gain(loop, modes[name].eigenvalue)
+                delayed_poles = track_gain(loop, modes[name].eigenvalue)
             except DelayError as error:
                 raise UncertifiedDesign(
                     f"condition {condition.name!r}: the pole of mode {name!r} was lost on its way from the "
                     f"open loop ({error}); its damping is not known, so this controller is not certified"
                 ) from error
-        twin = _taken(found, followed)
+        twin = _taken(delayed_poles, followed)
         if twin is not None:
             raise UncertifiedDesign(
                 f"condition {condition.name!r}: modes {twin!r} and {name!r} both lead to the pole "
-                f"{found:.6g}; one of them is not known, so this controller is not certified"
+                f"{delayed_poles:.6g}; one of them is not known, so this controller is not certified"
             )
-        followed[name] = found
+        followed[name] = delayed_poles
     return followed
 
 

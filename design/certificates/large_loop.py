@@ -65,8 +65,8 @@ class LargePlant:
     @cached_property
     def inter_area(self) -> tuple[Mode, ...]:
         """The inter-area modes of the open loop, as `interarea modes` names them."""
-        found = all_modes(self.plant, self.areas, band_hz=SWING_HZ, below=_BELOW[-1])
-        return tuple(mode for mode in found.modes if mode.name.startswith("inter-area"))
+        modes = all_modes(self.plant, self.areas, band_hz=SWING_HZ, below=_BELOW[-1])
+        return tuple(mode for mode in modes.modes if mode.name.startswith("inter-area"))
 
     def late(self, K: control.StateSpace, condition: Condition, gain: float = 1.0) -> LatePlant:
         """Return the loop under a condition, its gain lowered to a share."""
@@ -88,8 +88,8 @@ class LargePlant:
         loop = self.late(K, condition)
         swings: list[complex] = []
         for below in (*_BELOW, WELL_DAMPED):
-            found = all_modes(self.plant, self.areas, band_hz=SWING_HZ, below=below, loop=loop)
-            swings = [mode.eigenvalue for mode in found.modes]
+            modes = all_modes(self.plant, self.areas, band_hz=SWING_HZ, below=below, loop=loop)
+            swings = [mode.eigenvalue for mode in modes.modes]
             if swings:
                 break
         between = [damping_ratio(s) for s in self.followed(K, condition).values()]
@@ -125,9 +125,9 @@ class LargePlant:
             step = min(step, 1.0 - gain)
             loop = self.late(K, condition, gain + step)
             end, right, left, residual = loop.exact(s + step * slope, x, y)
-            turned = abs(complex((y @ right) * (left @ x) / ((y @ x) * (left @ right))))
+            rotated = abs(complex((y @ right) * (left @ x) / ((y @ x) * (left @ right))))
             off = abs(end - s - step * slope)
-            near = off <= _BESIDE * abs(end - s) + 1e-3 * abs(s) and np.sqrt(turned) >= _SAME_SHAPE
+            near = off <= _BESIDE * abs(end - s) + 1e-3 * abs(s) and np.sqrt(rotated) >= _SAME_SHAPE
             if residual <= RESIDUAL and near:
                 gain, slope, s, x, y = gain + step, (end - s) / step, end, right, left
                 step *= _LONGER
@@ -175,6 +175,6 @@ class LargePlant:
         peaks = np.flatnonzero((sizes >= beside[:-2]) & (sizes >= beside[2:]))
         for k in peaks[np.argsort(-sizes[peaks])][:_PEAKS]:
             bounds = at[max(k - 1, 0)], at[min(k + 1, len(at) - 1)]
-            found = minimize_scalar(lambda omega: -size(omega), bounds=bounds, method="bounded")
-            best = max(best, -float(found.fun))
+            result = minimize_scalar(lambda omega: -size(omega), bounds=bounds, method="bounded")
+            best = max(best, -float(result.fun))
         return best

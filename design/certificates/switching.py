@@ -117,13 +117,13 @@ class BankLoop:
 
     def corners(self) -> dict[str, Matrix]:
         """Return "active member: signals" -> loop, losses that the supervisor does not know yet included."""
-        found = {}
+        result = {}
         for trusted in self.bank.signal_sets():
             member = self.bank.active(trusted)
             for arriving in self.bank.signal_sets():
                 if set(arriving) <= set(trusted):
-                    found[f"{member}: {' '.join(arriving) or 'none'}"] = self.matrix(member, arriving)
-        return found
+                    result[f"{member}: {' '.join(arriving) or 'none'}"] = self.matrix(member, arriving)
+        return result
 
 
 def proven_decay(loops: Mapping[str, Matrix], P: Matrix) -> float:
@@ -170,10 +170,10 @@ def common_lyapunov(
         program.require(name, -1.0 * (product + product.T + 2.0 * rate * P))
     program.minimise(bound)
     with one_blas_thread():
-        found = solve(program.problem())
-    if "P" not in found.values or not found.status.endswith("optimal"):
+        result = solve(program.problem())
+    if "P" not in result.values or not result.status.endswith("optimal"):
         return None
-    return np.asarray(T.T @ found.values["P"] @ T)
+    return np.asarray(T.T @ result.values["P"] @ T)
 
 
 def switching_certificate(

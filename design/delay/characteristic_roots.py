@@ -160,15 +160,15 @@ def rightmost_roots(
     longest = max((ch.latency_s for ch in loop.channels), default=0.0)
     if longest == 0.0:
         values, vectors = np.linalg.eig(loop.undelayed())
-        found = _wanted(values, right_of, least)
-        return _corrected(loop, values[found], vectors[:, found], tolerance)
+        result = _wanted(values, right_of, least)
+        return _corrected(loop, values[result], vectors[:, result], tolerance)
     nodes, before = 16 + int(np.ceil(20.0 * longest)), None
     while nodes <= 240:
         values, vectors = np.linalg.eig(discretised(loop, nodes))
-        found = _wanted(values, right_of, least)
-        if before is not None and _same_set(before, values[found]):
-            return _corrected(loop, values[found], vectors[: loop.A0.shape[0], found], tolerance)
-        before = values[found]
+        result = _wanted(values, right_of, least)
+        if before is not None and _same_set(before, values[result]):
+            return _corrected(loop, values[result], vectors[: loop.A0.shape[0], result], tolerance)
+        before = values[result]
         nodes = int(1.5 * nodes)
     raise DelayError(
         f"the roots right of {right_of:g} 1/s did not settle with {nodes} nodes; the latency {longest:g} s "

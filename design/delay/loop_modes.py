@@ -66,15 +66,17 @@ class SignalWay:
         """Return H(s); of lost packets its mean, exact for independent losses, aliases left out."""
         if self.lost or (self.loss >= 1.0 and self.interval_s > 0.0):
             return np.zeros_like(s)
-        way = np.exp(-s * self.latency_s)
+        path = np.exp(-s * self.latency_s)
         if self.measured is not None:
-            way = way * self.measured.frequency(s)
+            path = path * self.measured.frequency(s)
         if not self.interval_s > 0.0:
-            return way
+            return path
         shift = np.exp(-s * self.interval_s)
-        way = way * (1.0 - shift) / (s * self.interval_s)
-        kept = 1.0 - self.loss
-        return np.asarray(way * kept / (1.0 - self.loss * shift) if self.on_loss == "hold" else way * kept)
+        path = path * (1.0 - shift) / (s * self.interval_s)
+        retained = 1.0 - self.loss
+        return np.asarray(
+            path * retained / (1.0 - self.loss * shift) if self.on_loss == "hold" else path * retained
+        )
 
     def slope(self, s: ComplexArray) -> ComplexArray:
         """Return dH/ds; H has no poles near a swing, so that a difference is accurate."""
@@ -134,12 +136,12 @@ class LoopFunction:
         self._G, self._K = _Modal(G), _Modal(controller)
         self.poles = np.concatenate([self._G.poles, self._K.poles])
 
-    def loop(self, ways: Mapping[str, SignalWay], gain: float = 1.0) -> Characteristic:
+    def loop(self, paths: Mapping[str, SignalWay], gain: float = 1.0) -> Characteristic:
         """Return the characteristic function for signals that travel so; those not named as they are."""
         direct = SignalWay()
-        return Characteristic(self._G, self._K, [ways.get(name, direct) for name in self.signals], gain)
+        return Characteristic(self._G, self._K, [paths.get(name, direct) for name in self.signals], gain)
 
-    def modes(self, ways: Mapping[str, SignalWay], open_loop: Mapping[str, complex]) -> LoopModes:
+    def modes(self, paths: Mapping[str, SignalWay], open_loop: Mapping[str, complex]) -> LoopModes:
         """Return all swings of the loop, and what became of the modes of the open one.
 
         open_loop : mode -> its eigenvalue, 1/s.
@@ -148,34 +150,34 @@ class LoopFunction:
         ------
         DelayError : roots found and roots counted differ.
         """
-        named = self._followed(ways, open_loop)
-        roots = zeros_of(self.loop(ways), self.poles, (_LEFT, _RIGHT), _band(), list(named.values()))
+        named = self._followed(paths, open_loop)
+        roots = zeros_of(self.loop(paths), self.poles, (_LEFT, _RIGHT), _band(), list(named.values()))
         return LoopModes(tuple(sorted(map(complex, roots), key=damping_ratio)), named)
 
     def _followed(
-        self, ways: Mapping[str, SignalWay], open_loop: Mapping[str, complex]
+        self, paths: Mapping[str, SignalWay], open_loop: Mapping[str, complex]
     ) -> dict[str, complex]:
         """Follow each mode: gain, then latency; where that ends in one root for two, gain at the latency."""
 
         def at_once(t: float) -> Characteristic:
-            return self.loop({n: replace(w, latency_s=0.0, interval_s=0.0) for n, w in ways.items()}, t * t)
+            return self.loop({n: replace(w, latency_s=0.0, interval_s=0.0) for n, w in paths.items()}, t * t)
 
         def later(t: float) -> Characteristic:
-            return self.loop({n: _share(w, t) for n, w in ways.items()})
+            return self.loop({n: _share(w, t) for n, w in paths.items()})
 
         def gain(t: float) -> Characteristic:
-            return self.loop(ways, t * t)
+            return self.loop(paths, t * t)
 
         names, starts = list(open_loop), np.array(list(open_loop.values()), dtype=complex)
         ends = self._follow(later, self._follow(at_once, starts))
         again = [k for k, z in enumerate(ends) if np.isnan(z) or any(not _apart(z, y) for y in ends[:k])]
         if again:
             ends[again] = self._follow(gain, starts[again])
-        found: dict[str, complex] = {}
+        followed: dict[str, complex] = {}
         for name, root in zip(names, map(complex, ends), strict=True):
-            if root == root and all(_apart(root, z) for z in found.values()):
-                found[name] = root
-        return found
+            if root == root and all(_apart(root, z) for z in followed.values()):
+                followed[name] = root
+        return followed
 
     def _follow(self, function_at: Callable[[float], Characteristic], starts: ComplexArray) -> ComplexArray:
         """Follow roots from t = 0 to 1, each NaN from where it cannot be told from others."""
@@ -202,8 +204,8 @@ class LoopFunction:
 class Characteristic:
     """f(s) = det(I - K H G) and its logarithmic derivative, at many points at once."""
 
-    def __init__(self, G: _Modal, K: _Modal, ways: list[SignalWay], gain: float) -> None:
-        self._G, self._K, self._ways, self._gain = G, K, ways, gain
+    def __init__(self, G: _Modal, K: _Modal, paths: list[SignalWay], gain: float) -> None:
+        self._G, self._K, self._ways, self._gain = G, K, paths, gain
 
     def value(self, s: ComplexArray) -> ComplexArray:
         """Return f (N,)."""
@@ -212,24 +214,26 @@ class Characteristic:
 
     def ratio(self, s: ComplexArray) -> ComplexArray:
         """Return f' / f (N,); infinite where f is 0."""
-        H, dH = (self._gain * np.stack([f(s) for f in some], axis=-1)[:, None, :] for some in self._both)
+        H, dH = (
+            self._gain * np.stack([f(s) for f in selected], axis=-1)[:, None, :] for selected in self._both
+        )
         K, G = self._K.at(s), self._G.at(s)
         change = (self._K.slope(s) * H + K * dH) @ G + (K * H) @ self._G.slope(s)
         rest = np.eye(self._K.outputs) - (K * H) @ G
         if self._K.outputs == 1:
             return np.asarray(-change[:, 0, 0] / rest[:, 0, 0])
-        found = np.full(len(s), np.inf, dtype=complex)
+        result = np.full(len(s), np.inf, dtype=complex)
         for k in range(len(s)):
             with suppress(np.linalg.LinAlgError):
-                found[k] = -np.trace(np.linalg.solve(rest[k], change[k]))
-        return found
+                result[k] = -np.trace(np.linalg.solve(rest[k], change[k]))
+        return result
 
     @property
     def _both(self) -> tuple[list[Way], list[Way]]:
-        return [way.transfer for way in self._ways], [way.slope for way in self._ways]
+        return [path.transfer for path in self._ways], [path.slope for path in self._ways]
 
     def _sent(self, s: ComplexArray) -> ComplexArray:
-        H = self._gain * np.stack([way.transfer(s) for way in self._ways], axis=-1)
+        H = self._gain * np.stack([path.transfer(s) for path in self._ways], axis=-1)
         return np.asarray(self._K.at(s) * H[:, None, :])
 
 
@@ -294,13 +298,13 @@ def zeros_of(
         for _ in range(_ROUNDS):
             reached = newton_zeros(function, poles, guesses, roots)
             more = _distinct(np.concatenate([roots, reached]))
-            found, roots, before = more[_inside(more, real, imag)], more, len(roots)
-            if len(found) == count:
-                return found
+            zeros, roots, before = more[_inside(more, real, imag)], more, len(roots)
+            if len(zeros) == count:
+                return zeros
             if len(roots) == before:
                 break
     raise DelayError(
-        f"{len(found)} roots found between {imag[0]:.3g} and {imag[1]:.3g} rad/s, {count} counted on the edge"
+        f"{len(zeros)} roots found between {imag[0]:.3g} and {imag[1]:.3g} rad/s, {count} counted on the edge"
     )
 
 
@@ -342,11 +346,11 @@ def newton_zeros(
 
     known : zeros that are divided out, so that each guess goes to another one.
     """
-    found = _newton(function, poles, guesses, 40, 1e-11, known)
-    found = found[~np.isnan(found)]
+    result = _newton(function, poles, guesses, 40, 1e-11, known)
+    result = result[~np.isnan(result)]
     if known.size:  # where the quotient is 0 the function is; what is left of the others' rounding goes
-        found = _newton(function, poles, found, 4, 1e-11)
-    return np.asarray(found[~np.isnan(found)])
+        result = _newton(function, poles, result, 4, 1e-11)
+    return np.asarray(result[~np.isnan(result)])
 
 
 def _newton(
@@ -406,11 +410,11 @@ def _inside(z: ComplexArray, real: tuple[float, float], imag: tuple[float, float
 
 
 def _distinct(z: ComplexArray) -> ComplexArray:
-    found: list[complex] = []
+    distinct: list[complex] = []
     for one in map(complex, z):
-        if all(_apart(one, other) for other in found):
-            found.append(one)
-    return np.array(found, dtype=complex)
+        if all(_apart(one, other) for other in distinct):
+            distinct.append(one)
+    return np.array(distinct, dtype=complex)
 
 
 def _apart(one: complex, other: complex) -> bool:

@@ -68,7 +68,7 @@ def delay_margin_of(loop: DelayedLoop, signals: tuple[str, ...], *, upto_s: floa
 
     grid = _resonance_grid(others.undelayed(), loop.undelayed(), upto_s)
     table = _sizes_on(grid, others, Bs, Cs)
-    found: set[tuple[float, float]] = set()
+    names: set[tuple[float, float]] = set()
     for branch in range(table.shape[1]):
 
         def excess(omega: float, branch: int = branch) -> float:
@@ -76,8 +76,8 @@ def delay_margin_of(loop: DelayedLoop, signals: tuple[str, ...], *, upto_s: floa
 
         for w in _unit_crossings(excess, grid, table[:, branch] - 1.0):
             angle = float(np.angle(sizes(w)[1][branch])) % (2.0 * np.pi)
-            found.add((angle / w, w))
-    crossings = tuple(sorted(c for c in found if c[0] <= upto_s))
+            names.add((angle / w, w))
+    crossings = tuple(sorted(c for c in names if c[0] <= upto_s))
     if not crossings:
         return DelayMargin(float("inf"), float("nan"), (), upto_s)
     return DelayMargin(crossings[0][0], crossings[0][1], crossings, upto_s)

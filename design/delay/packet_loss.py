@@ -181,12 +181,12 @@ class PacketLoop:
     @cached_property
     def _differences(self) -> dict[str, tuple[Matrix, npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
         """Of each signal D, f and g (`_moved`)."""
-        found = {}
+        differences = {}
         for s in self.signals:
             D = self._whole - self.step([other for other in self.signals if other != s])
             U, sizes, V = np.linalg.svd(D)
-            found[s] = D, U[:, 0] * sizes[0], V[0]
-        return found
+            differences[s] = D, U[:, 0] * sizes[0], V[0]
+        return differences
 
     def mean_square(self) -> MeanSquare:
         """Return the spectral radius of the second moment under the channels' losses."""
@@ -258,7 +258,7 @@ class PacketLoop:
             self._moved({s: chains[j][1][mode[j]] for j, s in enumerate(self.signals)}) for mode in modes
         ]
         means = np.array([mean for mean, _ in moved])
-        turned = np.ascontiguousarray(means.transpose(0, 2, 1))
+        rotated = np.ascontiguousarray(means.transpose(0, 2, 1))
         moves = np.array(
             [
                 [math.prod(float(chains[j][0][a[j], b[j]]) for j in range(len(chains))) for b in modes]
@@ -270,7 +270,7 @@ class PacketLoop:
         def moment(flat: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
             X = flat.reshape(len(modes), n, n)
             for _ in range(folds):
-                after = means @ X @ turned
+                after = means @ X @ rotated
                 for k, (_, parts) in enumerate(moved):
                     for v, f, g in parts:
                         after[k] += v * float(g @ X[k] @ g) * np.outer(f, f)
@@ -331,8 +331,10 @@ def critical_loss(
     lossy = tuple(channels) if lossy is None else tuple(lossy)
 
     def stable(p: float) -> bool:
-        given = {s: LossyChannel(c.latency_s, c.on_loss, p) if s in lossy else c for s, c in channels.items()}
-        return PacketLoop(plant, K, interval_s, given).stable()
+        provided = {
+            s: LossyChannel(c.latency_s, c.on_loss, p) if s in lossy else c for s, c in channels.items()
+        }
+        return PacketLoop(plant, K, interval_s, provided).stable()
 
     low = 0.0
     for k in range(grid):

@@ -273,11 +273,11 @@ def select(
         if isinstance(outputs, dict)
         else {name: {name: 1.0} for name in (known_out if outputs is None else outputs)}
     )
-    for kind, wanted, known in (
+    for kind, requested, known in (
         ("input", wanted_in, known_in),
         ("output", [o for combo in combos.values() for o in combo], known_out),
     ):
-        for name in wanted:
+        for name in requested:
             if name not in known:
                 raise UserError(f"unknown {kind} {name!r} of the plant; known are {', '.join(known)}")
     pick = np.array([known_in.index(name) for name in wanted_in], dtype=int)

@@ -21,8 +21,8 @@ def scattered(blocks: npt.NDArray[Any], rows: IntArray, columns: IntArray, shape
     """Return blocks (K, i, j) at rows (K, i) and columns (K, j) as one matrix, less what is outside."""
     i = np.broadcast_to(rows[:, :, None], blocks.shape)
     j = np.broadcast_to(columns[:, None, :], blocks.shape)
-    some = (blocks != 0.0) & (i < shape[0]) & (j < shape[1])
-    return sparse.csr_matrix((blocks[some], (i[some], j[some])), shape=shape)
+    selected = (blocks != 0.0) & (i < shape[0]) & (j < shape[1])
+    return sparse.csr_matrix((blocks[selected], (i[selected], j[selected])), shape=shape)
 
 
 class Modal:
@@ -42,19 +42,19 @@ class Modal:
         X = np.broadcast_to(np.eye(A.shape[1], dtype=complex), A.shape).copy()
         inverse, plain = X.copy(), np.zeros(len(A), dtype=bool)
         for size in np.unique(sizes):
-            mine = np.flatnonzero(sizes == size)
-            values, vectors = np.linalg.eig(A[mine, :size, :size])
-            self.poles[place[mine, :size]] = values
+            own = np.flatnonzero(sizes == size)
+            values, vectors = np.linalg.eig(A[own, :size, :size])
+            self.poles[place[own, :size]] = values
             with np.errstate(all="ignore"):
                 good = np.linalg.cond(vectors) <= _CONDITION
-            plain[mine[~good]] = True
-            X[mine[good], :size, :size] = vectors[good]
-            inverse[mine[good], :size, :size] = np.linalg.inv(vectors[good])
+            plain[own[~good]] = True
+            X[own[good], :size, :size] = vectors[good]
+            inverse[own[good], :size, :size] = np.linalg.inv(vectors[good])
         b, c = inverse @ B, C @ X
-        kept, entries = left.kept.shape[0], left.kept.nnz
+        retained, entries = left.kept.shape[0], left.kept.nnz
         self.X, self.inverse = (scattered(M, place, place, (states, states)) for M in (X, inverse))
-        self.B = scattered(b, place, left.rows, (states, kept))
-        self.C = scattered(c, left.rows, place, (kept, states))
+        self.B = scattered(b, place, left.rows, (states, retained))
+        self.C = scattered(c, left.rows, place, (retained, states))
         self.XT, self.inverseT, self.BT, self.CT = (
             M.T.tocsr() for M in (self.X, self.inverse, self.B, self.C)
         )
@@ -74,8 +74,8 @@ class Modal:
 
     def times(self, z: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return A of all devices times z (n,), the network between them cut."""
-        found = self._values * z
-        return np.asarray(found + self._defective @ z) if len(self._plain) else found
+        result = self._values * z
+        return np.asarray(result + self._defective @ z) if len(self._plain) else result
 
     def at(self, s: complex) -> DevicesAt:
         """Return (s - A_k)^-1, and the entries of N(s)."""
@@ -104,7 +104,7 @@ class DevicesAt:
 
     def times(self, z: npt.NDArray[Any], transposed: bool = False) -> ComplexArray:
         """Return (s - A_k)^-1 z, (n, ...), or its transpose times z."""
-        found = (self._scale if z.ndim == 1 else self._scale[:, None]) * z
+        result = (self._scale if z.ndim == 1 else self._scale[:, None]) * z
         if self._inner is not None:
-            found += (self._inner.T if transposed else self._inner) @ z
-        return np.asarray(found)
+            result += (self._inner.T if transposed else self._inner) @ z
+        return np.asarray(result)

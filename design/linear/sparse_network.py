@@ -38,16 +38,18 @@ class Elimination:
 
     def _filled(self, kept: int) -> Any:
         """What the eliminated buses add between those that are kept, in steps of some columns."""
-        some = np.flatnonzero(np.diff(self._upper.indptr))  # the others have no eliminated neighbour
-        if self._inner is None or not len(some):
+        selected = np.flatnonzero(np.diff(self._upper.indptr))  # the others have no eliminated neighbour
+        if self._inner is None or not len(selected):
             return sparse.csc_matrix((kept, kept))
-        into = sparse.csr_matrix((np.ones(len(some)), (np.arange(len(some)), some)), shape=(len(some), kept))
+        into = sparse.csr_matrix(
+            (np.ones(len(selected)), (np.arange(len(selected)), selected)), shape=(len(selected), kept)
+        )
         parts = []
-        for first in range(0, len(some), 256):
-            columns = self._upper[:, some[first : first + 256]]
-            found = self._lower @ self._inner.solve(columns.toarray())
-            scale = np.max(np.abs(found), initial=0.0)
-            parts.append(sparse.csc_matrix(np.where(np.abs(found) > 1e-15 * scale, found, 0.0)))
+        for first in range(0, len(selected), 256):
+            columns = self._upper[:, selected[first : first + 256]]
+            result = self._lower @ self._inner.solve(columns.toarray())
+            scale = np.max(np.abs(result), initial=0.0)
+            parts.append(sparse.csc_matrix(np.where(np.abs(result) > 1e-15 * scale, result, 0.0)))
         return (sparse.hstack(parts, format="csc") @ into).tocsc()
 
     def _with_blocks(self, kept: Any) -> tuple[Any, IntArray]:
@@ -83,8 +85,8 @@ class Network:
 
     def __init__(self, left: Elimination, entries: npt.NDArray[Any]) -> None:
         """entries : of the matrix, on the pattern of `left.kept`."""
-        kept = left.kept
-        matrix = sparse.csc_matrix((entries, kept.indices, kept.indptr), shape=kept.shape)
+        retained = left.kept
+        matrix = sparse.csc_matrix((entries, retained.indices, retained.indptr), shape=retained.shape)
         # the order is a good one already, and the diagonal carries the devices: nobody pivots
         self._complex = matrix.dtype.kind == "c"
         self._lu = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
@@ -100,8 +102,8 @@ class Network:
     def logarithm(self) -> complex:
         """Log det, its imaginary part up to multiples of 2 pi."""
         lu = self._lu
-        found = np.sum(np.log(lu.U.diagonal().astype(complex)))
-        return complex(found + (1j * np.pi if _is_odd(lu.perm_r[np.argsort(lu.perm_c)]) else 0.0))
+        result = np.sum(np.log(lu.U.diagonal().astype(complex)))
+        return complex(result + (1j * np.pi if _is_odd(lu.perm_r[np.argsort(lu.perm_c)]) else 0.0))
 
 
 def _is_odd(permutation: npt.NDArray[Any]) -> bool:

@@ -131,11 +131,11 @@ class SparsePlant:
     @cached_property
     def devices(self) -> tuple[Any, Any, Any]:
         """A (n, n), B (n, rows), C (rows, n) of all devices, sparse; rows of what is left of the network."""
-        n, kept, rows = self.nstates, self.elimination.kept.shape[0], self.elimination.rows
+        n, retained, rows = self.nstates, self.elimination.kept.shape[0], self.elimination.rows
         return (
             scattered(self.A, self.place, self.place, (n, n)),
-            scattered(self.B, self.place, rows, (n, kept)),
-            scattered(self.C, rows, self.place, (kept, n)),
+            scattered(self.B, self.place, rows, (n, retained)),
+            scattered(self.C, rows, self.place, (retained, n)),
         )
 
     def spread(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -177,8 +177,8 @@ def sparse_plant(slopes: Slopes, data: Mapping[str, Any], at_bus: ComplexArray) 
     of = np.asarray(data["state.machine"], dtype=np.int64)
     local = np.zeros(n, dtype=np.int64)
     for k in range(K):
-        mine = np.flatnonzero(of == k)
-        local[mine] = np.arange(len(mine))
+        own = np.flatnonzero(of == k)
+        local[own] = np.arange(len(own))
     m = int(local.max()) + 1
     place = np.full((K, m), n, dtype=np.int64)
     place[of, local] = np.arange(n)
@@ -207,7 +207,9 @@ def sparse_plant(slopes: Slopes, data: Mapping[str, Any], at_bus: ComplexArray) 
         G=_network(data, ends, stamps, np.concatenate([bus, loads]), inner),
         ends=ends,
         stamps=stamps,
-        branches=tuple(name for name, kept in zip(_words(data["branch.names"]), on, strict=True) if kept),
+        branches=tuple(
+            name for name, retained in zip(_words(data["branch.names"]), on, strict=True) if retained
+        ),
         at_bus=at_bus,
     )
 

@@ -75,31 +75,31 @@ class Standing:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Each kind in words."""
-        said = []
+        message = []
         if self.rotation:
-            said.append(
+            message.append(
                 "rotation: turning all rotors together moves nothing; its eigenvalue 0 is no instability"
             )
         if self.common_speed:
-            said.append("common speed: no torque brings it back; its eigenvalue 0 is no instability")
+            message.append("common speed: no torque brings it back; its eigenvalue 0 is no instability")
         if self.shared_bus:
-            ways = [f"{n} at bus {bus} ({_few(names)})" for bus, (names, n) in self.shared_bus.items()]
+            paths = [f"{n} at bus {bus} ({_few(names)})" for bus, (names, n) in self.shared_bus.items()]
             total = sum(n for _, n in self.shared_bus.values())
-            said.append(
+            message.append(
                 "shared buses: exciters that integrate the voltage of one bus can trade output between them; "
-                f"{_times(total)} eigenvalue 0 by that, no instability: {_few(ways, 4)}"
+                f"{_times(total)} eigenvalue 0 by that, no instability: {_few(paths, 4)}"
             )
         if len(self.governors) > 1:
-            said.append(
+            message.append(
                 f"governors that integrate the speed ({_few(self.governors)}) can trade power between them; "
                 f"{_times(len(self.governors) - 1)} eigenvalue 0 by that, no instability"
             )
         if self.resting:
-            said.append(
+            message.append(
                 f"{len(self.resting)} state(s) that nothing moves ({_few(self.resting)}): eigenvalue 0, "
                 "no instability"
             )
-        return tuple(said)
+        return tuple(message)
 
 
 def _few(names: tuple[str, ...] | list[str], most: int = 3) -> str:
@@ -120,29 +120,29 @@ def standing_of(plant: SparsePlant, loop: Loop | None = None) -> Standing:
     of, local, seen = _integrators(plant)
     place = plant.place[of]
     angle = np.array([np.flatnonzero(p == a)[0] for p, a in zip(place, plant.angle[of], strict=True)], int)
-    turned = local[np.arange(len(of)), angle]
-    kinds = _kinds(local, seen, turned)
-    some = place < plant.nstates
-    at = np.nonzero(some)[0], place[some]
-    rows = sparse.csr_matrix((local[some], at), shape=(len(of), plant.nstates))
+    rotated = local[np.arange(len(of)), angle]
+    kinds = _kinds(local, seen, rotated)
+    selected = place < plant.nstates
+    at = np.nonzero(selected)[0], place[selected]
+    rows = sparse.csr_matrix((local[selected], at), shape=(len(of), plant.nstates))
     most = place[np.arange(len(of)), np.argmax(np.abs(local), axis=1)] if len(of) else of
     resting = tuple(plant.states[int(k)] for k in most[kinds == "rests"])
-    kept, shared = [rows[kinds != "voltage"]], {}
+    retained, shared = [rows[kinds != "voltage"]], {}
     for bus in np.unique(plant.bus[of[kinds == "voltage"]]):
-        mine = np.flatnonzero((kinds == "voltage") & (plant.bus[of] == bus))
-        U, values, _ = np.linalg.svd(seen[mine])
+        own = np.flatnonzero((kinds == "voltage") & (plant.bus[of] == bus))
+        U, values, _ = np.linalg.svd(seen[own])
         rank = int(np.sum(values > _NOTHING * values[0]))
-        if len(mine) > rank:
-            names = tuple(plant.machines[k] for k in of[mine])
-            shared[plant.bus_names[bus]] = names, len(mine) - rank
-            kept.append(sparse.csr_matrix(U[:, rank:].T) @ rows[mine])
+        if len(own) > rank:
+            names = tuple(plant.machines[k] for k in of[own])
+            shared[plant.bus_names[bus]] = names, len(own) - rank
+            retained.append(sparse.csr_matrix(U[:, rank:].T) @ rows[own])
     return Standing(
         rotation=rotation,
         common_speed=common_speed,
         shared_bus=shared,
         governors=tuple(plant.machines[k] for k in of[kinds == "speed"]),
         resting=resting,
-        rows=sparse.vstack(kept).tocsr(),
+        rows=sparse.vstack(retained).tocsr(),
     )
 
 
@@ -191,8 +191,8 @@ def _sizes(M: Matrix) -> Matrix:
     return np.where(size > 0.0, size, 1.0)
 
 
-def _kinds(rows: Matrix, seen: Matrix, turned: Matrix) -> npt.NDArray[np.str_]:
+def _kinds(rows: Matrix, seen: Matrix, rotated: Matrix) -> npt.NDArray[np.str_]:
     """What each row integrates: `voltage`, `speed` or nothing."""
     size = np.abs(rows).max(axis=1, initial=0.0)
-    kinds = np.where(np.abs(turned) > _NOTHING * size, "speed", "rests")
+    kinds = np.where(np.abs(rotated) > _NOTHING * size, "speed", "rests")
     return np.where(np.any(seen != 0.0, axis=1), "voltage", kinds)

@@ -32,18 +32,18 @@ class LinearSystemError(UserError):
     """What was given is no linear system in continuous time, or its matrices do not fit."""
 
 
-def is_system(given: object) -> bool:
+def is_system(provided: object) -> bool:
     """Return whether a thing is meant as a linear system: a `StateSpace` or four matrices."""
     loaded = sys.modules.get("control")  # without it nothing is one, and loading it takes a second
-    return _is_matrices(given) or (loaded is not None and isinstance(given, loaded.StateSpace))
+    return _is_matrices(provided) or (loaded is not None and isinstance(provided, loaded.StateSpace))
 
 
-def state_space(given: object, what: str = "system") -> control.StateSpace:
+def state_space(provided: object, what: str = "system") -> control.StateSpace:
     """Return a linear system in continuous time as a `StateSpace`; one that is given is returned itself.
 
     Parameters
     ----------
-    given : a `StateSpace`, or (A, B, C, D): arrays, numpy matrices or lists; D = 0 where it is the number 0.
+    provided : a `StateSpace`, or (A, B, C, D): arrays, numpy matrices or lists; the number 0 is D = 0.
     what : its name in messages.
 
     Raises
@@ -52,7 +52,7 @@ def state_space(given: object, what: str = "system") -> control.StateSpace:
     """
     import control
 
-    system = _of_matrices(given, what) if _is_matrices(given) else given
+    system = _of_matrices(provided, what) if _is_matrices(provided) else provided
     if not isinstance(system, control.StateSpace):
         raise LinearSystemError(f"{what}: is {kind_of(system)}, {_WANTED}{_advice(system)}")
     if system.isdtime(strict=True):
@@ -82,24 +82,24 @@ def _advice(thing: object) -> str:
     known = type(thing).__module__.split(".")[0]
     if known == "scipy":
         return "; s = system.to_ss(); control.ss(s.A, s.B, s.C, s.D) makes one"
-    said = _ADVICE.get(type(thing).__name__, "")
-    return f"; {said}" if said else ""
+    message = _ADVICE.get(type(thing).__name__, "")
+    return f"; {message}" if message else ""
 
 
-def _is_matrices(given: object) -> bool:
+def _is_matrices(provided: object) -> bool:
     """Whether it is four matrices: a list or tuple of arrays, lists or numbers, no names."""
     return (
-        isinstance(given, tuple | list)
-        and len(given) == 4
-        and not any(isinstance(part, str) or callable(part) for part in given)
+        isinstance(provided, tuple | list)
+        and len(provided) == 4
+        and not any(isinstance(part, str) or callable(part) for part in provided)
     )
 
 
-def _of_matrices(given: Any, what: str) -> control.StateSpace:
+def _of_matrices(provided: Any, what: str) -> control.StateSpace:
     import control
 
     matrices = []
-    for name, part in zip("ABCD", given, strict=True):
+    for name, part in zip("ABCD", provided, strict=True):
         try:
             M = np.asarray(part)
             if np.iscomplexobj(M):

@@ -102,10 +102,10 @@ def real_form(block: BlockLMI) -> BlockLMI:
         L, R = t.left, t.right
         # (Lr + jLi) V (Rr + jRi) doubled = [Lr; Li] V [Rr, -Ri] + [-Li; Lr] V [Ri, Rr]
         left = np.vstack([L.real, L.imag]) if np.iscomplexobj(L) else np.vstack([L, zero_left])
-        turned = np.vstack([-L.imag, L.real]) if np.iscomplexobj(L) else np.vstack([zero_left, L])
+        rotated = np.vstack([-L.imag, L.real]) if np.iscomplexobj(L) else np.vstack([zero_left, L])
         right = np.hstack([R.real, -R.imag]) if np.iscomplexobj(R) else np.hstack([R, zero_right])
         other = np.hstack([R.imag, R.real]) if np.iscomplexobj(R) else np.hstack([zero_right, R])
-        terms += [Term(t.variable, left, right), Term(t.variable, turned, other)]
+        terms += [Term(t.variable, left, right), Term(t.variable, rotated, other)]
     return BlockLMI(
         block.name, doubled(block.constant), tuple(terms), {g: doubled(D) for g, D in block.scalars.items()}
     )

@@ -72,20 +72,20 @@ class AllModes:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What a table of the modes does not say, in words."""
-        said = [f"largest residual {self.residual:.1e}", *self.standing.remarks]
+        message = [f"largest residual {self.residual:.1e}", *self.standing.remarks]
         slow = f"below {self.band_hz[0]:g} Hz, counted independently: {self.near_zero} do not decay, "
         if self.growing_slowly:
-            said.append(
+            message.append(
                 f"{slow}of which {self.standing.count} stand at 0 and {self.growing_slowly} grow: unstable; "
                 "a lower --band finds those that swing, a real one is a voltage or a control that runs away"
             )
         elif self.near_zero > 1:
-            said.append(f"{slow}all of them stand at 0 for the reasons above, none grows")
+            message.append(f"{slow}all of them stand at 0 for the reasons above, none grows")
         if not any(mode.name.startswith("inter-area") for mode in self.modes):
-            said.append("no inter-area mode among them; a wider --band, or machines assigned to areas")
+            message.append("no inter-area mode among them; a wider --band, or machines assigned to areas")
         if self.unstable:
-            said.append(f"unstable: {', '.join(mode.name for mode in self.unstable)}")
-        return tuple(said)
+            message.append(f"unstable: {', '.join(mode.name for mode in self.unstable)}")
+        return tuple(message)
 
     def as_dict(self, count: int, *, shapes: bool) -> dict[str, Any]:
         """Return the record as JSON values: of each mode the `count` states that take part most."""
@@ -143,15 +143,15 @@ def all_modes(
         raise ModeError(f"band {low:g}:{high:g} Hz, wanted LOW:HIGH with 0 < LOW < HIGH, such as 0.1:2.5")
     if not 0.0 < below < 1.0:
         raise ModeError(f"below = {below:g}, wanted a damping ratio over 0 and under 1, such as 0.2")
-    asked = Region((2.0 * np.pi * low, 2.0 * np.pi * high), float(below))
-    search = Search(loop or OpenLoop(plant), asked, RESIDUAL)
+    requested = Region((2.0 * np.pi * low, 2.0 * np.pi * high), float(below))
+    search = Search(loop or OpenLoop(plant), requested, RESIDUAL)
     search.everywhere()
     exact = _Exact(search)
-    region, count = _counted(exact, asked)
+    region, count = _counted(exact, requested)
     for _ in range(_ROUNDS):
         if count.modes == len(exact.within(region)) or not search.again():
             break
-        region, count = _counted(exact, asked)
+        region, count = _counted(exact, requested)
     pairs = exact.within(region)
     if len(pairs) != count.modes:
         raise ModeError(
@@ -213,11 +213,11 @@ def _near_zero(exact: _Exact, region: Region, standing: Standing) -> Count:
     for k, left in enumerate(_LEFT):
         slow = Rectangle(left, RIGHT, region.band[0] * (1.0 - 0.01 * k))
         try:
-            found = count_modes(exact.search.loop, slow, known)
+            result = count_modes(exact.search.loop, slow, known)
         except OnTheLine:
             continue
-        if found.modes >= standing.count:
-            return found
+        if result.modes >= standing.count:
+            return result
     raise ModeError(
         f"{standing.count} eigenvalues stand at 0 by the way the plant is built, but could not be counted "
         f"below {region.band[0] / (2.0 * np.pi):g} Hz; choose another lower end of the band"

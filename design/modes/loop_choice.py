@@ -126,10 +126,10 @@ def choose_loops(
     table.require(aimed, modes)
     loops = {modes[m].name: tuple(table.ranked(m, most)) for m in aimed}
     worst = min((modes[m] for m in aimed), key=lambda mode: mode.damping_ratio)
-    sets, wanted = table.sets(aimed, together), [modes[m] for m in aimed]
+    sets, requested = table.sets(aimed, together), [modes[m] for m in aimed]
     if points:
-        sets = held(sets, wanted, names, points)
-    return LoopChoice(tuple(loops), worst.name, latency_s, loops, sets[:most], gone(wanted, points))
+        sets = held(sets, requested, names, points)
+    return LoopChoice(tuple(loops), worst.name, latency_s, loops, sets[:most], gone(requested, points))
 
 
 def _require(kinds: Sequence[str], latency_s: float, together: int, actuators: Sequence[str]) -> None:
@@ -151,13 +151,13 @@ def _targets(modes: Sequence[Mode], wanted: Sequence[str]) -> list[int]:
             raise ModeError(
                 f"no mode {name!r} in this band and below this damping ratio; there are: {listed}"
             )
-    found = [k for k, n in enumerate(labels) if (n in wanted if wanted else n.startswith("inter-area"))]
-    if not found:
+    targets = [k for k, n in enumerate(labels) if (n in wanted if wanted else n.startswith("inter-area"))]
+    if not targets:
         raise ModeError(
             f"no inter-area mode in this band and below this damping ratio; there are: {listed}; widen "
             "--band, raise --below, name targets with --mode, or assign machines to areas"
         )
-    return found
+    return targets
 
 
 def _actuators(plant: SparsePlant, wanted: Sequence[str]) -> list[str]:
@@ -182,20 +182,20 @@ def signals_of(
     """
     omega = _base(plant)
     speeds = right[plant.speed]
-    found = [Signal(f"{m}_dw", "speed", speeds[k]) for k, m in enumerate(plant.machines)]
+    signals = [Signal(f"{m}_dw", "speed", speeds[k]) for k, m in enumerate(plant.machines)]
     machine_area = np.array([areas[m] for m in plant.machines])
     for a, b in _pairs(speeds, machine_area, aimed):
         name = swing_name(plant.machines[a], plant.machines[b])
-        found.append(Signal(name, "speed", speeds[a] - speeds[b]))
+        signals.append(Signal(name, "speed", speeds[a] - speeds[b]))
     dV, voltages = plant.voltages(right), plant.at_bus
     size2 = np.abs(voltages) ** 2
     theta = (voltages.real[:, None] * dV[:, 1] - voltages.imag[:, None] * dV[:, 0]) / size2[:, None]
     bus_area = _bus_areas(plant, machine_area)
     for a, b in _pairs(theta, bus_area, aimed):
         name = f"{plant.bus_names[a]}_{plant.bus_names[b]}"
-        found.append(Signal(f"angle_{name}", "angle", theta[a] - theta[b]))
-        found.append(Signal(f"frequency_{name}", "frequency", value * (theta[a] - theta[b]) / omega))
-    return found + _branches(plant, dV)
+        signals.append(Signal(f"angle_{name}", "angle", theta[a] - theta[b]))
+        signals.append(Signal(f"frequency_{name}", "frequency", value * (theta[a] - theta[b]) / omega))
+    return signals + _branches(plant, dV)
 
 
 def _branches(plant: SparsePlant, dV: ComplexArray) -> list[Signal]:
@@ -220,8 +220,8 @@ def _branches(plant: SparsePlant, dV: ComplexArray) -> list[Signal]:
     )
     size = np.maximum(np.abs(I), 1e-9)[:, None]
     flow = (I.real[:, None] * i_re + I.imag[:, None] * i_im) / size
-    found = [Signal(f"power_{name}", "power", power[k]) for k, name in enumerate(plant.branches)]
-    return found + [Signal(f"current_{name}", "current", flow[k]) for k, name in enumerate(plant.branches)]
+    branches = [Signal(f"power_{name}", "power", power[k]) for k, name in enumerate(plant.branches)]
+    return branches + [Signal(f"current_{name}", "current", flow[k]) for k, name in enumerate(plant.branches)]
 
 
 def _base(plant: SparsePlant) -> float:
@@ -251,9 +251,9 @@ def _pairs(shows: ComplexArray, area: npt.NDArray[Any], aimed: Sequence[int]) ->
     """Places in different areas, of each the `_ENDS` that show one of the aimed modes most."""
     most: dict[int, set[int]] = {}
     for k in sorted(set(area.tolist()) - {0}):
-        mine = np.flatnonzero(area == k)
+        own = np.flatnonzero(area == k)
         for m in aimed:
-            best = mine[np.argsort(-np.abs(shows[mine, m]), kind="stable")[:_ENDS]]
+            best = own[np.argsort(-np.abs(shows[own, m]), kind="stable")[:_ENDS]]
             most.setdefault(k, set()).update(int(i) for i in best)
     return [
         (a, b) for one, two in combinations(most, 2) for a in sorted(most[one]) for b in sorted(most[two])
@@ -296,8 +296,8 @@ class _Residues:
         few = np.flatnonzero(index >= np.partition(index, index.size - k, axis=None)[index.size - k])
         first = few[np.argsort(-index.ravel()[few], kind="stable")[:k]]
         places = [divmod(int(k), index.shape[1]) for k in first]
-        found = [self._loop(m, i, j, float(index[i, j])) for i, j in places]
-        return sorted(found, key=lambda loop: (-round(loop.index, 6), loop.beside[1]))[:most]
+        result = [self._loop(m, i, j, float(index[i, j])) for i, j in places]
+        return sorted(result, key=lambda loop: (-round(loop.index, 6), loop.beside[1]))[:most]
 
     def _loop(self, m: int, i: int, j: int, index: float) -> RankedLoop:
         R = self._shows[i] * self._reach[:, j]  # of each mode

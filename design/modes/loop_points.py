@@ -41,10 +41,10 @@ class LoopSet:
     @property
     def reason(self) -> str:
         """Why it stands where it does, in words."""
-        said = (
+        message = (
             f"{self.decides} is served least, {self.score:.2f}; {self.left:.2f} when the worst signal is lost"
         )
-        return said if self.holds is None else f"{said}; {self.holds:.2f} at {self.weakest_point}"
+        return message if self.holds is None else f"{message}; {self.holds:.2f} at {self.weakest_point}"
 
 
 @dataclass(frozen=True)
@@ -60,14 +60,14 @@ class LoopPoint:
 
         Rows of targets that are no mode here are 1: nothing is asked there.
         """
-        here = [self.like(target) for target in targets]
+        local = [self.like(target) for target in targets]
         B = self.plant.Bu[:, [self.plant.inputs.index(name) for name in actuators]].toarray()
-        found = np.ones((len(targets), len(actuators)))
-        for row, mode in zip(found, here, strict=True):
+        result = np.ones((len(targets), len(actuators)))
+        for row, mode in zip(result, local, strict=True):
             if mode is not None:
                 moved = np.abs(mode.left @ B)
                 row[:] = moved / max(float(moved.max()), 1e-300)
-        return found
+        return result
 
     def like(self, target: Mode) -> Mode | None:
         """Return the mode here that is most like one of the base point, None where none is.
@@ -83,9 +83,9 @@ class LoopPoint:
                     f"point {self.name!r} has {len(mode.right)} states, the base one {len(target.right)}; "
                     "wanted: the same machines and devices at both"
                 )
-            alike = abs((target.left @ mode.right) * (mode.left @ target.right))
-            if alike > most:
-                best, most = mode, float(alike)
+            identical = abs((target.left @ mode.right) * (mode.left @ target.right))
+            if identical > most:
+                best, most = mode, float(identical)
         return best
 
 
@@ -95,13 +95,13 @@ def held(
     """Return sets with what is left of their score at the worst point, ranked by the less of both."""
     reaches = [(point.name, point.reach(targets, actuators)) for point in points]
     place = {name: k for k, name in enumerate(actuators)}
-    found = []
+    result = []
     for one in sets:
         own = [place[name] for name in one.actuators]
         scores = [(float(reach[:, own].max(axis=1).min()), name) for name, reach in reaches]
         holds, weakest = min(scores, key=lambda row: row[0])
-        found.append(replace(one, holds=holds, weakest_point=weakest))
-    return tuple(sorted(found, key=lambda one: -min(one.score, one.holds or 0.0)))
+        result.append(replace(one, holds=holds, weakest_point=weakest))
+    return tuple(sorted(result, key=lambda one: -min(one.score, one.holds or 0.0)))
 
 
 def gone(targets: Sequence[Mode], points: Sequence[LoopPoint]) -> tuple[str, ...]:

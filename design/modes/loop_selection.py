@@ -128,16 +128,16 @@ def rank_loops(
     ValueError : unknown signals or actuators.
     """
     signals = _candidate_signals(signals, areas)
-    wanted = [n for n in system.input_labels if n.endswith("_vs")] if actuators is None else actuators
-    require_actuator(wanted)
-    picked = select(system, wanted, {name: dict(weights) for name, weights in signals.items()})
+    requested = [n for n in system.input_labels if n.endswith("_vs")] if actuators is None else actuators
+    require_actuator(requested)
+    picked = select(system, requested, {name: dict(weights) for name, weights in signals.items()})
     A, B, C = (np.asarray(M, dtype=float) for M in (picked.A, picked.B, picked.C))
     _require_mode_of(A, mode)
     reach, see = mode.left @ B, C @ mode.right
     gain = np.max(np.abs(frequency_response(A, B, C, picked.D, [abs(mode.eigenvalue) + 1e-9])))
     if not np.max(np.abs(reach)) * np.max(np.abs(see)) > least * gain * abs(mode.eigenvalue):
         raise ModeError(
-            f"mode {mode.name!r} ({mode.frequency_hz:.3f} Hz) is not both reached by {', '.join(wanted)} "
+            f"mode {mode.name!r} ({mode.frequency_hz:.3f} Hz) is not both reached by {', '.join(requested)} "
             f"(at most {np.max(np.abs(reach)):.2g}) and seen by {', '.join(signals)} "
             f"(at most {np.max(np.abs(see)):.2g})"
         )
@@ -157,12 +157,12 @@ def rank_loops(
             outputs=dict(weights),
         )
         for i, (signal, weights) in enumerate(signals.items())
-        for j, actuator in enumerate(wanted)
+        for j, actuator in enumerate(requested)
         if not own_machine or actuator.removesuffix("_vs") in own[signal]
     ]
     if not loops:
         raise ValueError(
-            f"none of the signals {', '.join(signals)} belongs to a machine of {', '.join(wanted)}; "
+            f"none of the signals {', '.join(signals)} belongs to a machine of {', '.join(requested)}; "
             "pass own_machine=False to rank them all the same"
         )
     loops.sort(key=lambda loop: -loop.index)
@@ -172,7 +172,7 @@ def rank_loops(
         coordinates=(
             "index: normalised pole vectors of the full plant, free of state coordinates; "
             f"geometric: balanced coordinates of its reduction to {used} states, "
-            f"inputs {', '.join(wanted)}, outputs {', '.join(signals)}"
+            f"inputs {', '.join(requested)}, outputs {', '.join(signals)}"
         ),
     )
 

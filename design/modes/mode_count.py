@@ -82,12 +82,12 @@ class Region:
         low, high = self.band
         if side == "below":
             below = self.below + _MOVE * (1.0 - self.below)
-            said = f"damping ratio {self.below:.6g} moved to {below:.6g}"
-            return replace(self, below=below, moved=(*self.moved, f"{said}: a mode lies on that line"))
+            message = f"damping ratio {self.below:.6g} moved to {below:.6g}"
+            return replace(self, below=below, moved=(*self.moved, f"{message}: a mode lies on that line"))
         ends = (low * (1.0 - _MOVE), high) if side == "low" else (low, high * (1.0 + _MOVE))
         k = 0 if side == "low" else 1
-        said = f"band edge {self.band[k] / hz:.6g} Hz moved to {ends[k] / hz:.6g} Hz"
-        return replace(self, band=ends, moved=(*self.moved, f"{said}: a mode lies on that line"))
+        message = f"band edge {self.band[k] / hz:.6g} Hz moved to {ends[k] / hz:.6g} Hz"
+        return replace(self, band=ends, moved=(*self.moved, f"{message}: a mode lies on that line"))
 
     def clear_of(self, modes: Sequence[complex]) -> Region:
         """Return the region with the sides moved on which one of `modes` lies."""
@@ -164,20 +164,20 @@ def count_modes(loop: Loop, region: Region | Rectangle, known: Sequence[complex]
         modes = np.concatenate([modes, modes[modes.imag > 0.0].conj()])
     poles, modes = (z[_from_edge(z, region) < _NEAR] for z in (poles, modes))
     edge = _Edge(loop, poles, modes)
-    turned = region.halves * sum(edge.turn(*side) for side in region.sides())
+    rotated = region.halves * sum(edge.turn(*side) for side in region.sides())
     divided = int(np.sum(region.holds(modes))) - int(np.sum(region.holds(poles)))
-    return Count(round(turned / (2.0 * np.pi)) + divided + inner_poles, edge.points)
+    return Count(round(rotated / (2.0 * np.pi)) + divided + inner_poles, edge.points)
 
 
 def _from_edge(z: ComplexArray, region: Region | Rectangle) -> npt.NDArray[np.float64]:
     """Distance of points from the edge of the region."""
-    found = np.full(len(z), np.inf)
+    distance = np.full(len(z), np.inf)
     if region.halves == 2:
         z = z.real + 1j * np.abs(z.imag)
     for _, a, b in region.sides():
         along = np.clip(((z - a) * np.conj(b - a)).real / abs(b - a) ** 2, 0.0, 1.0)
-        found = np.minimum(found, np.abs(z - a - along * (b - a)))
-    return found
+        distance = np.minimum(distance, np.abs(z - a - along * (b - a)))
+    return distance
 
 
 class _Edge:
@@ -195,9 +195,9 @@ class _Edge:
         h = _SHIFT * (1.0 + abs(s)) * 1j
         one, two = (self._divided(z) for z in (s - h, s + h))
         slope = complex((two - one).real, _wrapped((two - one).imag)) / (2.0 * h)
-        found = one + slope * h, slope
-        self._last = s, found
-        return found
+        result = one + slope * h, slope
+        self._last = s, result
+        return result
 
     def _divided(self, s: complex) -> complex:
         """Log det; many poles and modes at one place would turn it by whole turns within the shift."""
@@ -208,16 +208,16 @@ class _Edge:
 
     def turn(self, side: str, start: complex, end: complex) -> float:
         """Return by how much the phase changes from `start` to `end`, rad."""
-        length, way = abs(end - start), (end - start) / abs(end - start)
+        length, direction = abs(end - start), (end - start) / abs(end - start)
         (value, slope), done, total = self.at(start), 0.0, 0.0
         step = min(length, _FIRST)
         while done < length:
             step = min(step, length - done)
             if not step > _SHORTEST and not length - done <= _SHORTEST:
                 raise OnTheLine(side)
-            there = end if done + step >= length else start + way * (done + step)
+            there = end if done + step >= length else start + direction * (done + step)
             new, new_slope = self.at(there)
-            expected = 0.5 * step * way * (slope + new_slope)
+            expected = 0.5 * step * direction * (slope + new_slope)
             change = complex((new - value).real, expected.imag + _wrapped((new - value).imag - expected.imag))
             # of the trapezium's error and of the bend, third and second order in the step
             off, bend = abs(change - expected) / _AGREES, abs(new_slope - slope) * step / _BEND

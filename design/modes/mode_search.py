@@ -67,7 +67,7 @@ def _cells(region: Region, wanted: int) -> list[_Cell]:
     """About so many cells of equal area, nearly square, over a region as far as the first search looks."""
     (low, high), slope = region.band, region.slope
     area = (high - low) * (0.5 * slope * (low + high) + _GROWTH) / wanted
-    found, y = [], low
+    cells, y = [], low
     while y < high:
         width = slope * y + _GROWTH
         columns = max(1, round(width / np.sqrt(area)))
@@ -75,9 +75,9 @@ def _cells(region: Region, wanted: int) -> list[_Cell]:
         if high - top < 0.3 * (top - y):
             top = high
         x = np.linspace(-slope * top, _GROWTH, columns + 1)
-        found += [_Cell(sides, (y, top)) for sides in itertools.pairwise(x.tolist())]
+        cells += [_Cell(sides, (y, top)) for sides in itertools.pairwise(x.tolist())]
         y = top
-    return found
+    return cells
 
 
 @dataclass
@@ -102,8 +102,8 @@ class Search:
             left_out = cell.real[1] < -self.region.slope * cell.imag[1]
             if left_out or any(cell.within(*disc) for disc in discs):
                 continue
-            found, reached = self._ritz(cell, _MOST_STEPS, deflated=False)
-            self._keep(found)
+            result, reached = self._ritz(cell, _MOST_STEPS, deflated=False)
+            self._keep(result)
             discs.append((cell.centre, reached))
             if reached >= cell.reach or 2.0 * cell.reach < _SMALLEST_CELL:
                 self._cells.append(cell)
@@ -149,9 +149,9 @@ class Search:
                     break
         return list(zip(values.tolist(), vectors.T @ Q[: len(vectors)], strict=True)), reached
 
-    def _keep(self, found: Sequence[tuple[complex, ComplexArray]]) -> None:
+    def _keep(self, result: Sequence[tuple[complex, ComplexArray]]) -> None:
         """Refine what lies within the region, or just beside it, and is not known yet."""
-        for value, vector in found:
+        for value, vector in result:
             if not self.region.holds(value + 1e-4 * abs(value) * np.array([0, 1, 1j, -1j])).any():
                 if all(abs(value - z) > 1e-4 * (1.0 + abs(z)) for z in self.beside):
                     self.beside.append(complex(value))

@@ -135,10 +135,10 @@ class Modes(Mapping[str, Mode]):
     @property
     def inter_area(self) -> Mode:
         """The inter-area mode; with several, the least damped."""
-        found = [m for name, m in self.by_name.items() if name.startswith("inter-area")]
-        if not found:
+        result = [m for name, m in self.by_name.items() if name.startswith("inter-area")]
+        if not result:
             raise ModeError(f"no inter-area mode; this system has {', '.join(self.by_name)}")
-        return min(found, key=lambda m: m.damping_ratio)
+        return min(result, key=lambda m: m.damping_ratio)
 
 
 def damping_ratio(eigenvalue: complex) -> float:
@@ -190,8 +190,8 @@ def modes_of(
     spectrum = _Spectrum.of(np.asarray(system.A, dtype=float))
     swinging = spectrum.swinging(system, C, band_hz)
     if len(swinging) < len(machines) - 1:
-        found = (spectrum.values[i] for i in swinging)
-        listed = ", ".join(f"{z.real:.4g}{z.imag:+.4g}j" for z in found) or "none"
+        modes = (spectrum.values[i] for i in swinging)
+        listed = ", ".join(f"{z.real:.4g}{z.imag:+.4g}j" for z in modes) or "none"
         raise ModeError(
             f"{len(machines)} machines have {len(machines) - 1} swing modes, but {len(swinging)} were found "
             f"between {band_hz[0]:g} and {band_hz[1]:g} Hz ({listed}); a machine missing from `areas`, "

@@ -61,13 +61,13 @@ def assigned_names(
     kind_of = {int(r): kinds[c] for r, c in zip(rows, cols, strict=True)}
     share = {r: fits[r][kind] / max(sum(fits[r].values()), 1e-300) for r, kind in kind_of.items()}
     final = {r: kind if share[r] >= least_share else "mixed" for r, kind in kind_of.items()}
-    found = {}
+    result = {}
     for r, kind in final.items():
         same = [other for other in final if final[other] == kind]
         separator = " " if kind in ("inter-area", "mixed") else "."
         name = kind if len(same) == 1 else f"{kind}{separator}{same.index(r) + 1}"
-        found[r] = (name, share[r], [k for k in range(len(fits)) if _fits_as_well(k, r, kind_of, fits)])
-    return found
+        result[r] = (name, share[r], [k for k in range(len(fits)) if _fits_as_well(k, r, kind_of, fits)])
+    return result
 
 
 def _fits_as_well(k: int, r: int, kind_of: Mapping[int, str], fits: list[dict[str, float]]) -> bool:

@@ -88,14 +88,14 @@ def eigenvalue_sensitivity(
     wide = relative_step * (abs(value) or 1.0) if step is None else step
     coarse, fine = (difference(matrix_of, value, h) for h in (wide, wide / 2.0))
     dA = (4.0 * fine - coarse) / 3.0
-    found = {}
+    result = {}
     for name, mode in modes.items():
         if dA.shape != (mode.right.size,) * 2:
             raise ValueError(
                 f"{parameter}: A has shape {dA.shape}, mode {name!r} has {mode.right.size} states; "
                 "the parameter must not add or remove states"
             )
-        found[name] = Sensitivity(
+        result[name] = Sensitivity(
             mode=name,
             parameter=parameter,
             value=value,
@@ -103,7 +103,7 @@ def eigenvalue_sensitivity(
             derivative=mode.sensitivity(dA),
             error=abs(mode.sensitivity(dA - fine)),
         )
-    return found
+    return result
 
 
 def sparse_sensitivity(

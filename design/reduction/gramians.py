@@ -80,10 +80,10 @@ class Split:
 def matrices(system: control.StateSpace, what: str = "system") -> tuple[Matrix, Matrix, Matrix, Matrix]:
     """A, B, C, D as float arrays. Raises ReductionError for what is no linear system in continuous time."""
     try:
-        given = state_space(system, what)
+        provided = state_space(system, what)
     except LinearSystemError as error:
         raise ReductionError(str(error)) from None
-    A, B, C, D = (np.asarray(M, dtype=float) for M in (given.A, given.B, given.C, given.D))
+    A, B, C, D = (np.asarray(M, dtype=float) for M in (provided.A, provided.B, provided.C, provided.D))
     return A, B, C, D
 
 

@@ -178,15 +178,15 @@ def _zero_modes(plant: SparsePlant, B: Matrix, C: Matrix) -> _ZeroModes:
     shifted = Shifted(plant, 1e-3)
     R, L = np.zeros((plant.nstates, 2)), np.random.default_rng(3).standard_normal((plant.nstates, 2))
     R[plant.angle, 0] = R[plant.speed, 1] = 1.0
-    found = _ZeroModes(R[:, :0], L[:, :0])
+    modes = _ZeroModes(R[:, :0], L[:, :0])
     for _ in range(_LOOKS):
         for _ in range(_TURNS):
             R, _ = np.linalg.qr(shifted.solve(R).real)
             L, _ = np.linalg.qr(shifted.solve_left(L).real)
-        before, found = found, _within_both(plant, R, L @ np.linalg.inv(L.T @ R).T)
-        if found.nearly(before, B, C):
+        before, modes = modes, _within_both(plant, R, L @ np.linalg.inv(L.T @ R).T)
+        if modes.nearly(before, B, C):
             break
-    return found
+    return modes
 
 
 def _within_both(plant: SparsePlant, R: Matrix, L: Matrix) -> _ZeroModes:
@@ -257,8 +257,8 @@ def _interim_poles(plant: SparsePlant, B: Matrix, C: Matrix, W: Matrix, T: Matri
     share = (
         np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=0) / np.maximum(np.abs(values.real), _ZERO)
     )
-    some = [k for k in np.argsort(-share) if values[k].imag >= 0.0][:_POLES]
-    return [complex(-max(abs(values[k].real), _ZERO), values[k].imag) for k in some]
+    selected = [k for k in np.argsort(-share) if values[k].imag >= 0.0][:_POLES]
+    return [complex(-max(abs(values[k].real), _ZERO), values[k].imag) for k in selected]
 
 
 def _measured(

@@ -158,9 +158,9 @@ def _weight(weight: control.StateSpace | None, size: int, side: str, ports: str)
     if weight is None:
         return np.zeros((0, 0)), np.zeros((0, size)), np.zeros((size, 0)), np.eye(size)
     W = matrices(weight, f"{side} weight")
-    found = W[3].shape[0] if ports == "outputs" else W[3].shape[1]
-    if found != size:
-        raise ReductionError(f"the {side} weight has {found} {ports}; the system needs {size}")
+    result = W[3].shape[0] if ports == "outputs" else W[3].shape[1]
+    if result != size:
+        raise ReductionError(f"the {side} weight has {result} {ports}; the system needs {size}")
     if W[0].shape[0] and not np.max(np.linalg.eigvals(W[0]).real) < 0.0:
         raise ReductionError(f"the {side} weight is not stable")
     return W

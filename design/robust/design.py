@@ -68,12 +68,12 @@ def design_robust(
         mode is out of reach. ValueError : plants that no design model can be made of.
     """
     objective = build_objective(plants, spec, omega_b)
-    tell = _whole(planned(spec, len(objective.models) / len(plants), len(plants)), progress)
+    report = _whole(planned(spec, len(objective.models) / len(plants), len(plants)), progress)
     rng = np.random.default_rng(spec.seed)
     with one_blas_thread():
         if spec.stages:
             starts = [] if spec.start is None else [given_start(objective, spec)]
-            theta, count, found = staged_search(
+            theta, count, result = staged_search(
                 objective,
                 spec.stages,
                 starts,
@@ -82,20 +82,20 @@ def design_robust(
                 rng,
                 balanced=balanced_parameters,
                 descend=_descend_briefly,
-                progress=tell,
+                progress=report,
             )
         else:
-            theta, count, found = _from_random(objective, plants, spec, omega_b, rng, tell)
+            theta, count, result = _from_random(objective, plants, spec, omega_b, rng, report)
         value = objective(theta)[0]
         for margin in spec.margins_deg if spec.swing is not None else ():
             objective = replace(objective, swing=tightened(spec, margin))
             what = f"first swing, {margin:g} degrees"
             theta, used = _descend(
-                objective, theta, spec.evaluations // ROUND, spec.within, tell=partial(tell, what)
+                objective, theta, spec.evaluations // ROUND, spec.within, tell=partial(report, what)
             )
             count += used
             value = objective(theta)[0]
-            tell(what, 1.0, value)
+            report(what, 1.0, value)
     rightmost, worst = objective.worst(theta)
     if not rightmost < STANDING:
         raise InfeasibleDesign(
@@ -106,8 +106,8 @@ def design_robust(
             asked=spec.order,
         )
     K = _with_washout(objective.unpack(theta), spec)
-    reached = tuple(each for each, _ in found)
-    tried = tuple(_with_washout(objective.unpack(start), spec) for _, start in found)
+    reached = tuple(each for each, _ in result)
+    tried = tuple(_with_washout(objective.unpack(start), spec) for _, start in result)
     return RobustDesign(K, value, worst, rightmost, count, reached, tried)
 
 
@@ -121,18 +121,18 @@ def planned(spec: RobustSpec, conditions: float, points: int) -> dict[str, float
     >>> planned(spec, 1.0, 2)
     {'start 1 of 1': 1200.0, 'polish 3 of 3': 1800.0}
     """
-    given = int(spec.start is not None)
+    provided = int(spec.start is not None)
     models = conditions * points
     each = ROUND * max(spec.evaluations // ROUND, 1)
     parts: dict[str, float] = {}
     if spec.stages:
         for k, stage in enumerate(spec.stages, start=1):
             share = len(stage.points or range(points)) * (len(stage.conditions) or conditions)
-            for what in stage_parts(k, len(spec.stages), spec.starts + given):
+            for what in stage_parts(k, len(spec.stages), spec.starts + provided):
                 parts[what] = share * len(stage.rho) * TURNS * (stage.steps * STEP + BETWEEN)
     else:
         tried = conditions * (min(spec.starts_on, points) or points)
-        count = spec.starts + given
+        count = spec.starts + provided
         parts |= {f"start {k} of {count}": tried * each for k in range(1, count + 1)}
         parts |= {
             f"polish {k + 3} of {spec.polishes}": models * 3 * ROUND for k in range(0, spec.polishes, 3)
@@ -164,7 +164,7 @@ def _from_random(
     """L-BFGS from each start, the best polished: parameters, evaluations, (objective, those) of each."""
     first = dict(list(plants.items())[: spec.starts_on or None])
     easier = build_objective(first, spec, omega_b) if len(first) < len(plants) else objective
-    found: list[tuple[float, Array]] = []
+    rows: list[tuple[float, Array]] = []
     count = 0
     starts = [] if spec.start is None else [given_start(easier, spec)]
     starts += [_stable_start(easier, rng) for _ in range(spec.starts)]
@@ -175,9 +175,9 @@ def _from_random(
             easier, start, spec.evaluations // ROUND, spec.within, tell=partial(tell, what)
         )
         count += before + used
-        found.append((easier(theta)[0], theta))
-        tell(what, 1.0, found[-1][0])
-    theta, used = stabilised(objective, min(found, key=lambda each: each[0])[1], _descend_briefly)
+        rows.append((easier(theta)[0], theta))
+        tell(what, 1.0, rows[-1][0])
+    theta, used = stabilised(objective, min(rows, key=lambda each: each[0])[1], _descend_briefly)
     count, value = count + used, objective(theta)[0]
     for k in range(0, spec.polishes, 3):
         what = f"polish {k + 3} of {spec.polishes}"
@@ -187,7 +187,7 @@ def _from_random(
         tell(what, 1.0, value)
         if not gained > 1e-5:
             break
-    return theta, count, found
+    return theta, count, rows
 
 
 def _stable_start(objective: Objective, rng: np.random.Generator) -> Array:
@@ -254,9 +254,9 @@ def _descend(
     for k in range(parts * max(rounds, 1)):
         if tell is not None:
             tell(k / (parts * max(rounds, 1)), value)
-        some = objective if np.isinf(within) else objective.narrowed(best, within)
+        selected = objective if np.isinf(within) else objective.narrowed(best, within)
         result = minimize(
-            some,
+            selected,
             balanced_parameters(objective, best),
             jac=True,
             method="L-BFGS-B",
@@ -269,7 +269,7 @@ def _descend(
             },
         )
         count += int(result.nfev)
-        whole = len(some.models) == len(objective.models)
+        whole = len(selected.models) == len(objective.models)
         reached = float(result.fun) if whole else objective(result.x)[0]
         if reached < value:
             best, value = np.asarray(result.x), reached

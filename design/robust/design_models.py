@@ -42,8 +42,8 @@ def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, 
         response = frequency_response(full.A, full.B, full.C, full.D, omega)
         for condition in spec.conditions:
             name = f"{point}: {condition.name}"
-            wanted = (spec.more.get(point), spec.more_under.get(condition.kind))
-            more = tuple(each for each in wanted if each is not None)
+            requested = (spec.more.get(point), spec.more_under.get(condition.kind))
+            more = tuple(each for each in requested if each is not None)
             models.append(replace(_design_model(name, small, spec, condition), more=more))
             held = not spec.effort_under or condition.name in spec.effort_under
             if spec.effort_cap is not None and held:

@@ -73,10 +73,10 @@ def _moves(objective: Objective, poles: Array) -> tuple[Array, Array]:
 def _best(moves: Array, worst: Array, bound: float) -> Array:
     """Return the gains within `bound` of the least t with worst_k + moves_k gains <= t."""
     count = moves.shape[1]
-    found = linprog(
+    result = linprog(
         np.append(np.zeros(count), 1.0),
         A_ub=np.column_stack([moves, -np.ones(len(worst))]),
         b_ub=-worst,
         bounds=[(-bound, bound)] * count + [(None, None)],
     )
-    return np.asarray(found.x[:count])
+    return np.asarray(result.x[:count])

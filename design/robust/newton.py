@@ -75,10 +75,10 @@ def newton_descent(
         near = expansion(objective, theta, scale).convex()
         before, tries, ratio = value, 0, 0.0
         while held < 1e9:
-            move, foreseen = near.least(held)
+            move, predicted = near.least(held)
             tried = theta + scale * move
             reached, count, tries = _value(objective, tried), count + 1, tries + 1
-            ratio = (value - reached) / max(foreseen, 1e-300)
+            ratio = (value - reached) / max(predicted, 1e-300)
             if ratio > ACCEPTED:
                 theta, value = tried, reached
                 break
@@ -145,12 +145,12 @@ class Expansion:
     def derivatives(self, move: Array) -> tuple[Array, Array]:
         """Return gradient (n,) and Hessian (n, n) of `value`."""
         _, share = self._weighed(move)
-        some = share > 1e-12
-        rows, share = self.rows[some], share[some]
+        selected = share > 1e-12
+        rows, share = self.rows[selected], share[selected]
         mean = share @ rows
         over = self.hinges + self.bounds @ move
-        active, bent = self.bounds[over > 0.0], self.curvature @ move
-        gradient = mean + bent + 2.0 * over[over > 0.0] @ active
+        active, curved = self.bounds[over > 0.0], self.curvature @ move
+        gradient = mean + curved + 2.0 * over[over > 0.0] @ active
         # rounding must not leave a product of the rows with itself unsymmetrical
         kinks = (rows - mean) * np.sqrt(share)[:, None]
         return gradient, self.curvature + self.rho * kinks.T @ kinks + 2.0 * active.T @ active
@@ -164,7 +164,7 @@ class Expansion:
         move = np.zeros(n)
         for rho in (0.125 * self.rho, 0.35 * self.rho, self.rho):
             smooth = replace(self, rho=rho)
-            here = smooth.value(move) + 0.5 * held * float(move @ move)
+            value_here = smooth.value(move) + 0.5 * held * float(move @ move)
             for _ in range(30):
                 slope, hessian = smooth.derivatives(move)
                 slope = slope + held * move
@@ -176,12 +176,12 @@ class Expansion:
                 while length > 1e-6:
                     tried = move + length * step
                     there = smooth.value(tried) + 0.5 * held * float(tried @ tried)
-                    if there <= here - 0.1 * length * fall:
+                    if there <= value_here - 0.1 * length * fall:
                         break
                     length *= 0.5
                 else:
                     break
-                move, here = tried, there
+                move, value_here = tried, there
         return move, self.value(np.zeros(n)) - self.value(move)
 
     def _weighed(self, move: Array) -> tuple[float, Array]:
@@ -201,8 +201,8 @@ def expansion(objective: Objective, theta: Array, scale: Array) -> Expansion:
     total = sum(float(np.exp(rho * (v - top)).sum()) for *_, v in spectra)
     within = top - max(NEAR_WORST, SHARE / rho)
     moves = _Moves(objective, K)
-    bent, feed = _Curvature(moves), np.zeros(K[3].shape)
-    found: list[tuple[Array, Array, Array]] = []
+    curved, feed = _Curvature(moves), np.zeros(K[3].shape)
+    result: list[tuple[Array, Array, Array]] = []
     for group, size, loops, v in spectra:
         near = np.flatnonzero(v.max(axis=1) > within)
         for k, system in zip(map(int, near), eigensystems(loops[near]), strict=True):
@@ -213,19 +213,21 @@ def expansion(objective: Objective, theta: Array, scale: Array) -> Expansion:
             # of a pair only one is looked at, with the weight of both
             counts = np.where(values.imag > 0.0, 2.0, 1.0)
             weight = counts * np.exp(rho * (excess - top)) / total
-            some = np.flatnonzero((excess > within) & (values.imag >= 0.0))
-            if not some.size:
+            selected = np.flatnonzero((excess > within) & (values.imag >= 0.0))
+            if not selected.size:
                 continue
             reach = (left[:, :size] @ group[k].B).astype(complex)
             seen = group[k].C @ right[:size]
-            outs, ins = moves.sides(reach[some], left[some, size:], seen[:, some], right[size:, some])
+            outs, ins = moves.sides(
+                reach[selected], left[selected, size:], seen[:, selected], right[size:, selected]
+            )
             first = moves.first(outs, ins)
-            found.append((excess[some], (dv[some, None] * first).real * scale, counts[some]))
-            feed += ((reach[some].T * (weight * dv)[some]) @ seen[:, some].T).real
-            heavy = np.flatnonzero(weight[some] > 1e-7)
+            result.append((excess[selected], (dv[selected, None] * first).real * scale, counts[selected]))
+            feed += ((reach[selected].T * (weight * dv)[selected]) @ seen[:, selected].T).real
+            heavy = np.flatnonzero(weight[selected] > 1e-7)
             if not heavy.size:
                 continue
-            few = some[heavy]
+            few = selected[heavy]
             gap = values[few, None] - values
             size_of_gap = np.maximum(np.abs(gap), 1e-300)
             inverse = np.conj(gap) / size_of_gap / np.maximum(size_of_gap, APART)
@@ -234,11 +236,11 @@ def expansion(objective: Objective, theta: Array, scale: Array) -> Expansion:
             # sum over j of r_j l_j / (lambda_i - lambda_j), as the controller sees it
             all_outs, all_ins = moves.sides(reach, left[:, size:], seen, right[size:])
             resolvents = (inverse[:, None, :] * all_ins.T) @ all_outs
-            bent.add(weight[few], dv[few], bends, first[heavy], outs[heavy], ins[heavy], resolvents)
-    curvature = bent.total()
+            curved.add(weight[few], dv[few], bends, first[heavy], outs[heavy], ins[heavy], resolvents)
+    curvature = curved.total()
     if objective.dc_block:
         curvature += _curvature_of_feedthrough(objective, theta, scale, feed)
-    excesses, rows, counted = (np.concatenate(each) for each in zip(*found, strict=True))
+    excesses, rows, counted = (np.concatenate(each) for each in zip(*result, strict=True))
     hinges, bounds = objective.hinges(K, NEAR_BOUND)
     return Expansion(rho, excesses, rows, counted, curvature * np.outer(scale, scale), hinges, bounds * scale)
 
@@ -250,13 +252,13 @@ def _curvature_of_feedthrough(objective: Objective, theta: Array, scale: Array, 
     """
     K = objective.unpack(theta)
     A, B, C, _ = (np.zeros_like(M) for M in K)
-    here = objective.pack_gradient(K, A, B, C, feed)
-    bent = np.empty((theta.size, theta.size))
+    gradient = objective.pack_gradient(K, A, B, C, feed)
+    curvature = np.empty((theta.size, theta.size))
     for k, h in enumerate(DIFFERENCE * scale):
         moved = theta.copy()
         moved[k] += h
-        bent[k] = (objective.pack_gradient(objective.unpack(moved), A, B, C, feed) - here) / h
-    return 0.5 * (bent + bent.T)
+        curvature[k] = (objective.pack_gradient(objective.unpack(moved), A, B, C, feed) - gradient) / h
+    return 0.5 * (curvature + curvature.T)
 
 
 class _Curvature:
@@ -358,17 +360,17 @@ class _Moves:
 
     def first(self, outs: Complex, ins: Complex) -> Complex:
         """Return l dA r of k pairs of vectors for every unknown, (k, unknowns)."""
-        found = np.zeros((len(outs), self.size), dtype=complex)
+        zeros = np.zeros((len(outs), self.size), dtype=complex)
         for block in self._blocks:
-            found[:, block.of] += _products(outs[:, block.rows], ins[:, block.columns])[:, block.place]
-        return found
+            zeros[:, block.of] += _products(outs[:, block.rows], ins[:, block.columns])[:, block.place]
+        return zeros
 
     def second(self, outs: Complex, ins: Complex, resolvents: Complex) -> Array:
         """Return the real part of the sum over k of (l dA S dA' r), (unknowns, unknowns): dA' in columns.
 
         outs (k, .), ins (k, .): of l and r. resolvents (k, ins, outs): S.
         """
-        found = np.zeros((self.size, self.size))
+        zeros = np.zeros((self.size, self.size))
         for a in self._blocks:
             left, onward = outs[:, a.rows], resolvents[:, a.columns]
             for b in self._blocks:
@@ -377,8 +379,8 @@ class _Moves:
                 shape = len(a.rows), len(b.columns), len(a.columns), len(b.rows)
                 sums = (ends.T @ between).real.reshape(shape).transpose(0, 2, 3, 1)
                 pairs = sums.reshape(len(a.rows) * len(a.columns), -1)
-                found[np.ix_(a.of, b.of)] += pairs[np.ix_(a.place, b.place)]
-        return found
+                zeros[np.ix_(a.of, b.of)] += pairs[np.ix_(a.place, b.place)]
+        return zeros
 
 
 def _products(a: Complex, b: Complex) -> Complex:

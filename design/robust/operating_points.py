@@ -114,14 +114,18 @@ def judge_family(
     steady = {row.point for row in rows if row.condition == conditions[0].name and row.stable}
     largest = max((_effort(plants[p], K) for p in steady), default=float("nan"))
     fastest = float(np.abs(np.linalg.eigvals(np.asarray(K.A))).max(initial=0.0))
-    asked = (
+    requested = (
         ("effort", largest, largest <= effort_cap, f"<= {effort_cap:g}"),
         ("fastest pole", fastest, fastest <= fastest_pole, f"<= {fastest_pole:g} rad/s"),
     )
     violations = (
         *(f"{row.point}, {row.condition}: unstable" for row in rows if not row.stable),
         *_short_of(rows, conditions, (worst_swing, inter_area), targets or {}),
-        *(f"{name} is {value:.4g}, asked {wanted}" for name, value, held, wanted in asked if not held),
+        *(
+            f"{name} is {value:.4g}, asked {own_requested}"
+            for name, value, held, own_requested in requested
+            if not held
+        ),
     )
     progress(1.0)
     return FamilyCertificate(
@@ -149,15 +153,15 @@ def _short_of(
     """Give what the rows of each kind of condition miss of its target, or of what is asked of all."""
     kinds = {c.name: c.kind if c.kind in targets else "" for c in conditions}
     for kind in dict.fromkeys(kinds.values()):
-        some = [row for row in rows if kinds[row.condition] == kind]
+        selected = [row for row in rows if kinds[row.condition] == kind]
         where = f" with signals {kind}" if kind else ""
-        wanted = targets.get(kind, asked)
+        requested = targets.get(kind, asked)
         for name, of, least in zip(
-            ("worst swing", "inter-area"), ("worst_swing", "inter_area"), wanted, strict=True
+            ("worst swing", "inter-area"), ("worst_swing", "inter_area"), requested, strict=True
         ):
-            value = min(float(getattr(row, of)) for row in some)
+            value = min(float(getattr(row, of)) for row in selected)
             if not value >= least:
-                yield f"{name} damping{where} is {value:.4g}, asked {_asked(some, of, least)}"
+                yield f"{name} damping{where} is {value:.4g}, asked {_asked(selected, of, least)}"
 
 
 def _asked(rows: Sequence[FamilyRow], of: str, wanted: float) -> str:
@@ -174,14 +178,14 @@ def _loss_criteria(
 ) -> dict[str, float]:
     """Return lost signals -> the loss criterion of the rest, the largest over all plants."""
     lost = {" and ".join(c.lost): c.lost for c in conditions if c.lost}
-    kept = {name: [s for s in K.input_labels if s not in gone] for name, gone in lost.items()}
+    retained = {name: [s for s in K.input_labels if s not in missing] for name, missing in lost.items()}
 
     def gain(plant: JudgedPlant, rest: Sequence[str]) -> float:
         if isinstance(plant, LargePlant):
             return plant.loss_criterion(K, rest)
         return loss_criterion(plant, K, rest)
 
-    return {name: max(gain(plant, rest) for plant in plants.values()) for name, rest in kept.items()}
+    return {name: max(gain(plant, rest) for plant in plants.values()) for name, rest in retained.items()}
 
 
 def inter_area_band(modes: Mapping[str, Mode] | None) -> tuple[float, float]:
@@ -190,9 +194,9 @@ def inter_area_band(modes: Mapping[str, Mode] | None) -> tuple[float, float]:
     From half the slowest such mode of the open loop to between its fastest and the slowest local one;
     `INTER_AREA_HZ` where no mode has that name.
     """
-    found = {name: mode.frequency_hz for name, mode in (modes or {}).items()}
-    between = [hertz for name, hertz in found.items() if name.startswith("inter-area")]
-    local = [hertz for name, hertz in found.items() if name.startswith("local")]
+    result = {name: mode.frequency_hz for name, mode in (modes or {}).items()}
+    between = [hertz for name, hertz in result.items() if name.startswith("inter-area")]
+    local = [hertz for name, hertz in result.items() if name.startswith("local")]
     if not between:
         return INTER_AREA_HZ
     above = [hertz for hertz in local if hertz > max(between)]

@@ -122,11 +122,11 @@ def seen_by(K: control.StateSpace) -> dict[str, tuple[str, ...]]:
     """Return output -> the inputs that reach it, by the structure of A, B, C, D."""
     _, B, _, D = matrices(K)
     inputs = np.array(K.input_labels)
-    found = {}
+    seen = {}
     for row, output in enumerate(K.output_labels):
         reached = np.any(B[_states_of(K, row)] != 0.0, axis=0) | (D[row] != 0.0)
-        found[output] = tuple(str(name) for name in inputs[reached])
-    return found
+        seen[output] = tuple(str(name) for name in inputs[reached])
+    return seen
 
 
 def masked(K: control.StateSpace, sees: Mapping[str, Sequence[str]]) -> control.StateSpace:
@@ -139,11 +139,11 @@ def masked(K: control.StateSpace, sees: Mapping[str, Sequence[str]]) -> control.
     blocks: list[tuple[Any, Any, Any, int]] = []
     direct = np.zeros_like(D)
     for row, output in enumerate(K.output_labels):
-        kept = np.array([name in sees.get(output, ()) for name in inputs], dtype=float)
-        direct[row] = D[row] * kept
+        retained = np.array([name in sees.get(output, ()) for name in inputs], dtype=float)
+        direct[row] = D[row] * retained
         states = _states_of(K, row)
-        if len(states) and np.any(B[states] * kept):
-            blocks.append((A[np.ix_(states, states)], B[states] * kept, C[row, states], row))
+        if len(states) and np.any(B[states] * retained):
+            blocks.append((A[np.ix_(states, states)], B[states] * retained, C[row, states], row))
     size = sum(len(a) for a, _, _, _ in blocks)
     A_all, B_all, C_all = np.zeros((size, size)), np.zeros((size, len(inputs))), np.zeros((len(D), size))
     first = 0
@@ -190,10 +190,10 @@ def signal_worth(
     afar = signals_from_afar(K)
 
     def row(
-        name: str, system: control.StateSpace, among: Sequence[Condition], some: Sequence[str]
+        name: str, system: control.StateSpace, among: Sequence[Condition], selected: Sequence[str]
     ) -> WorthRow:
         late = [_only(c, system.input_labels) for c in among]
-        judged = judge_family({p: plants[p] for p in some}, system, late, bands_hz=bands_hz)
+        judged = judge_family({p: plants[p] for p in selected}, system, late, bands_hz=bands_hz)
         steady = all(each.stable for each in judged.rows)
         return WorthRow(name, steady, judged.inter_area, judged.worst_swing, judged.effort)
 
@@ -202,7 +202,7 @@ def signal_worth(
     nothing = control.ss([], [], [], np.zeros((len(outputs), len(inputs))), inputs=inputs, outputs=outputs)
     rows = []
     for signal in inputs if afar else ():
-        rest = {a: [other for other in some if other != signal] for a, some in sees.items()}
+        rest = {a: [other for other in selected if other != signal] for a, selected in sees.items()}
         rows.append(row(f"without {signal}", masked(K, rest), NOW, points[:1]))
     if afar:
         rows.append(row(OWN_MASKED, own_alone(K), there, points))
@@ -220,7 +220,9 @@ def signals_from_afar(K: control.StateSpace) -> tuple[str, ...]:
     """Return the inputs that reach an output of another machine."""
     own = own_signals(list(K.output_labels), list(K.input_labels))
     sees = seen_by(K)
-    return tuple(s for s in K.input_labels if any(s in some and s not in own[a] for a, some in sees.items()))
+    return tuple(
+        s for s in K.input_labels if any(s in selected and s not in own[a] for a, selected in sees.items())
+    )
 
 
 def own_alone(K: control.StateSpace) -> control.StateSpace:

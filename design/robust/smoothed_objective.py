@@ -219,9 +219,9 @@ class Objective:
 
         The penalty is the sum of their squares. margin : those so near within a bound too, below 0.
         """
-        found = [self.pole_hinges(K, margin)]
-        found += [self._effort_hinges(K, *grid, margin) for grid in self.grids]
-        values, rows = zip(*found, strict=True)
+        result = [self.pole_hinges(K, margin)]
+        result += [self._effort_hinges(K, *grid, margin) for grid in self.grids]
+        values, rows = zip(*result, strict=True)
         return np.concatenate(values), np.concatenate(rows)
 
     def pack_gradient(
@@ -261,10 +261,10 @@ class Objective:
             # a model whose weight is below rounding adds nothing to the gradient
             share = (np.exp(self.rho * (v - top)) / total).sum(axis=1)
             few = np.flatnonzero(share > 1e-8)
-            for k, found in zip(map(int, few), eigensystems(loops[few]), strict=True):
-                if found is None:  # a defective matrix: its neighbours carry the gradient
+            for k, damping in zip(map(int, few), eigensystems(loops[few]), strict=True):
+                if damping is None:  # a defective matrix: its neighbours carry the gradient
                     continue
-                values, right, left = found
+                values, right, left = damping
                 (excess,), (dv,) = self.excess(values[None], [group[k]])
                 weight = np.exp(self.rho * (excess - top)) / total
                 M = ((right * (weight * dv)) @ left).T.real

@@ -89,8 +89,8 @@ def check_spec(spec: RobustSpec) -> None:
             "set dc_block = false or washout_s = 0"
         )
     filters = int(spec.washout_s > 0.0)
-    wanted = [(who, order, filters) for who, (_, order) in spec.sees.items()]
-    for who, order, least in wanted or [("the controller", spec.order, filters * len(spec.actuators))]:
+    requested = [(who, order, filters) for who, (_, order) in spec.sees.items()]
+    for who, order, least in requested or [("the controller", spec.order, filters * len(spec.actuators))]:
         if not order > least:
             raise ValueError(
                 f"robust design: order of {who} is {order}; its washouts take {least} states, at least "
@@ -112,9 +112,9 @@ def check_spec(spec: RobustSpec) -> None:
 def _check_stages(spec: RobustSpec) -> None:
     """Refuse stages and caps for conditions that are not among those of the design."""
     known = {condition.name for condition in spec.conditions}
-    wanted = [("effort_under", spec.effort_under)]
-    wanted += [(f"stage {k}", stage.conditions) for k, stage in enumerate(spec.stages, start=1)]
-    for what, names in wanted:
+    requested = [("effort_under", spec.effort_under)]
+    requested += [(f"stage {k}", stage.conditions) for k, stage in enumerate(spec.stages, start=1)]
+    for what, names in requested:
         if strange := sorted(set(names) - known):
             raise ValueError(f"robust design: {what} names {strange}; the design's are {sorted(known)}")
 

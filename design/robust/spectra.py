@@ -23,8 +23,8 @@ def eigenvalues(loops: Array) -> Complex:
     """Return the eigenvalues (k, n) of stacked matrices (k, n, n)."""
     shares = [loops[k : k + SHARE] for k in range(0, len(loops), SHARE)]
     with ThreadPoolExecutor() as pool:
-        found = [each.astype(complex) for each in pool.map(np.linalg.eigvals, shares)]
-    return np.concatenate([np.zeros((0, loops.shape[-1]), dtype=complex), *found])
+        result = [each.astype(complex) for each in pool.map(np.linalg.eigvals, shares)]
+    return np.concatenate([np.zeros((0, loops.shape[-1]), dtype=complex), *result])
 
 
 def eigensystems(loops: Sequence[Array] | Array) -> Iterator[tuple[Complex, Complex, Complex] | None]:

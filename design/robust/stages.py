@@ -74,23 +74,23 @@ def staged_search(
     all after the first stage goes on. descend : L-BFGS for some evaluations; gives both of these.
     progress : called with (one of `stage_parts`, the share of it that is done, the objective).
     """
-    tell = progress or _silent
+    report = progress or _silent
     count_of = len(starts) + guesses
     first = stages[0].of(objective)
     begun = [*starts, *(first_guess(first, rng, bound) for _ in range(guesses))]
     reached, count = [], 0
     for what, theta in zip(stage_parts(1, len(stages), count_of), begun, strict=True):
-        theta, used = _through(first, stages[0], theta, balanced, descend, partial(tell, what))
+        theta, used = _through(first, stages[0], theta, balanced, descend, partial(report, what))
         count += used
         reached.append((first.value(theta), theta))
-        tell(what, 1.0, reached[-1][0])
+        report(what, 1.0, reached[-1][0])
     theta = min(reached, key=lambda each: each[0])[1]
     for k, stage in enumerate(stages[1:], start=2):
-        some = stage.of(objective)
+        selected = stage.of(objective)
         (what,) = stage_parts(k, len(stages), count_of)
-        theta, used = _through(some, stage, theta, balanced, descend, partial(tell, what))
+        theta, used = _through(selected, stage, theta, balanced, descend, partial(report, what))
         count += used
-        tell(what, 1.0, some.value(theta))
+        report(what, 1.0, selected.value(theta))
     return theta, count, reached
 
 

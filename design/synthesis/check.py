@@ -91,8 +91,8 @@ def describe_reach(A: Matrix, B: Matrix, C: Matrix, mode: complex) -> str:
     """Return the controllability and observability of an eigenvalue of A in words."""
     values, reach, seen = modal_parts(A, B, C)
     k = int(np.argmin(np.abs(values - mode)))
-    said = f"controllability {reach[k]:.1e}, observability {seen[k]:.1e} of the strongest mode's"
-    return said + ("; it is unstable and stays so" if not mode.real < 0.0 else "")
+    message = f"controllability {reach[k]:.1e}, observability {seen[k]:.1e} of the strongest mode's"
+    return message + ("; it is unstable and stays so" if not mode.real < 0.0 else "")
 
 
 def require_reachable(

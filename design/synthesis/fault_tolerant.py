@@ -216,14 +216,14 @@ class _Run:
             if last is None:
                 return None
             fixed = {"Y": last.Y} if k % 2 else {"Bh": last.Bh}
-            found = self.half_step(damping_ratio_of, **fixed)
-            if found is None:
+            result = self.half_step(damping_ratio_of, **fixed)
+            if result is None:
                 return last
             if k % 2 == 0:
-                if earlier is not None and self._settled(earlier, found):
-                    return found
-                earlier = found
-            last = found
+                if earlier is not None and self._settled(earlier, result):
+                    return result
+                earlier = result
+            last = result
             if stop_when_met and last.margin >= 0.0:
                 return last
         return last
@@ -294,8 +294,8 @@ def _explain(
         }
 
     def feasible(fraction: float) -> bool:
-        found = run.to(targets(fraction), stop_when_met=True)
-        return found is not None and found.margin >= 0.0
+        result = run.to(targets(fraction), stop_when_met=True)
+        return result is not None and result.margin >= 0.0
 
     fraction = largest_feasible(feasible, 0.0, 1.0, steps=7)
     if fraction is None:

@@ -38,13 +38,13 @@ class GeneralizedPlant:
     def __post_init__(self) -> None:
         n, (p2, m2) = self.A.shape[0], (self.C2.shape[0], self.B2.shape[1])
         p1, m1 = self.D11.shape
-        wanted = {"A": (n, n), "B1": (n, m1), "B2": (n, m2), "C1": (p1, n), "C2": (p2, n)}
-        wanted |= {"D12": (p1, m2), "D21": (p2, m1)}
-        for name, shape in wanted.items():
+        requested = {"A": (n, n), "B1": (n, m1), "B2": (n, m2), "C1": (p1, n), "C2": (p2, n)}
+        requested |= {"D12": (p1, m2), "D21": (p2, m1)}
+        for name, shape in requested.items():
             a = getattr(self, name)
             if a.shape != shape:
                 raise ValueError(f"generalized plant: {name} is {a.shape}, the other matrices want {shape}")
-        for name in (*wanted, "D11"):
+        for name in (*requested, "D11"):
             if not np.all(np.isfinite(getattr(self, name))):
                 raise ValueError(f"generalized plant: {name} has numbers that are not finite")
 

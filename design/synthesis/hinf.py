@@ -167,16 +167,16 @@ def hinf_region(
     slack = conditioning.gamma_slack
     refusal: UncertifiedDesign | None = None
     for r in (0.0, *_SLACKS) if slack is None else (slack, *(x for x in _SLACKS if x > slack)):
-        gamma, trial, found = optimum, problem, solution
+        gamma, trial, result = optimum, problem, solution
         if r > 0.0:
             gamma = (1.0 + r) * optimum
             trial = conditioned_problem(P, region, gamma)
-            found = solve(trial, engine)
+            result = solve(trial, engine)
             solves += 1
-        if not usable(trial, found):
+        if not usable(trial, result):
             continue
         try:
-            K = _recover(P, found, what)
+            K = _recover(P, result, what)
             pattern = {"normal": (P.C2, P.D21)}
             poles_of, norm_of = checked(P, K, pattern, {"normal": region}, gamma, what=what)
         except UncertifiedDesign as error:
@@ -194,9 +194,9 @@ def hinf_region(
             facts={
                 "gamma_optimum": optimum,
                 "gamma_slack": r,
-                "gap": found.gap,
-                "iterations": found.iterations,
-                "status": found.status,
+                "gap": result.gap,
+                "iterations": result.iterations,
+                "status": result.status,
             },
         )
     if refusal is not None:
@@ -253,8 +253,8 @@ def _explain(
 
     def feasible(zeta: float) -> bool:
         trial = region_problem(P, PoleRegion(zeta, region.decay_rate, region.radius), 1e-3)
-        found = solve(trial, engine)
-        return usable(trial, found)
+        result = solve(trial, engine)
+        return usable(trial, result)
 
     reachable = largest_feasible(feasible, 0.0, region.damping_ratio) if region.damping_ratio > 0.0 else None
     if reachable is not None:
@@ -273,13 +273,13 @@ def _explain(
             continue
         trial = region_problem(P, loosened, 1e-3)
         if usable(trial, solve(trial, engine)):
-            asked = getattr(region, name)
-            nearest = _nearest(P, region, name, asked, engine)
+            requested = getattr(region, name)
+            nearest = _nearest(P, region, name, requested, engine)
             raise InfeasibleDesign(
-                f"{what}: no controller meets {name} = {asked:.4g} ({region.describe()}); without it the "
+                f"{what}: no controller meets {name} = {requested:.4g} ({region.describe()}); without it the "
                 f"design is feasible, the nearest feasible value is {nearest:.4g}{weak_words(weak)}",
                 constraint=name,
-                asked=asked,
+                asked=requested,
                 reachable=nearest,
             )
     try:
@@ -312,8 +312,8 @@ def _nearest(P: GeneralizedPlant, region: PoleRegion, name: str, asked: float, e
 
     if name == "decay_rate":
         return largest_feasible(feasible, 0.0, asked) or 0.0
-    found = largest_feasible(feasible, 1e-4 / asked, 1.0 / asked, steps=14)
-    return float("inf") if found is None else 1.0 / found
+    result = largest_feasible(feasible, 1e-4 / asked, 1.0 / asked, steps=14)
+    return float("inf") if result is None else 1.0 / result
 
 
 def _recover(P: GeneralizedPlant, solution: Solution, what: str) -> tuple[Matrix, Matrix, Matrix]:

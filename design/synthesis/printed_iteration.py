@@ -155,8 +155,8 @@ class _Search:
         solution = solve(problem, self.engine)
         if not usable(problem, solution) or not solution.scalars["margin"] > 0.0:
             return None
-        given = {"Y": fixed["Y"]} if "Y" in fixed else {"B^": fixed["Bh"]}
-        return _Step(theta, {**solution.values, **given})
+        provided = {"Y": fixed["Y"]} if "Y" in fixed else {"B^": fixed["Bh"]}
+        return _Step(theta, {**solution.values, **provided})
 
     def problem(self, theta: float, fixed: Mapping[str, Matrix]) -> Problem:
         """Return eq. 4.25 and 4.26 for every pattern at one half-angle; the largest margin up to a cap."""

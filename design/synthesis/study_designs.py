@@ -177,11 +177,11 @@ def design_wdc(
         conditioning=Conditioning(spec.trace_weight),
         engine=engine,
     )
-    made = synthesis.controller, reduced_order(loop, synthesis.controller, spec.order)
-    full, K = (on_difference(k, spec.remote, spec.local, spec.actuator) for k in made)
+    result = synthesis.controller, reduced_order(loop, synthesis.controller, spec.order)
+    full, K = (on_difference(k, spec.remote, spec.local, spec.actuator) for k in result)
     facts = {"gamma": synthesis.gamma, "mixed_sensitivity": synthesis.norm_of["normal"]}
     P = mixed_sensitivity(loop, *spec.weights())
-    norms = closed_norm(P, made[0]), closed_norm(P, made[1])
+    norms = closed_norm(P, result[0]), closed_norm(P, result[1])
     return _finish(
         "wdc",
         "H-infinity mixed sensitivity with a pole region",
@@ -224,8 +224,8 @@ def design_cc(
     )
     K = reduced_order(loop, synthesis.controller, spec.order)
     facts = {"effort_bound": synthesis.gamma}
-    made = synthesis.controller, K
-    return _finish("cc", "least effort with a pole region", plant, made, None, spec, synthesis, facts, {})
+    result = synthesis.controller, K
+    return _finish("cc", "least effort with a pole region", plant, result, None, spec, synthesis, facts, {})
 
 
 def design_cc_like(
@@ -353,7 +353,7 @@ def _finish(
     name: str,
     method: str,
     plant: control.StateSpace,
-    made: tuple[control.StateSpace, control.StateSpace],
+    result: tuple[control.StateSpace, control.StateSpace],
     norms: tuple[float, float] | None,
     spec: StudySpec,
     synthesis: Synthesis,
@@ -365,7 +365,7 @@ def _finish(
     It must be stable for every promised pattern, and reducing its order must not have raised norm and effort
     by more than `spec.price_cap`. made : before and after; norms : of the two, None: the effort is the norm.
     """
-    full, K = made
+    full, K = result
     efforts = {}
     for pattern, lost in {"normal": (), **loss_of}.items():
         poles = closed_loop_poles(plant, K, lost)

@@ -72,9 +72,9 @@ def solve_structured(
             f"structured engine: tolerance {tolerance!r} and max_iterations {max_iterations!r} "
             "must be positive"
         )
-    wanted = max(tolerance, stop_gap or 0.0)
+    requested = max(tolerance, stop_gap or 0.0)
     with _pools().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
-        return _solve(problem, wanted, max_iterations, callback)
+        return _solve(problem, requested, max_iterations, callback)
 
 
 def _solve(problem: Problem, tolerance: float, max_iterations: int, callback: _Callback) -> Solution:
@@ -128,10 +128,10 @@ def _phase_one(problem: Problem, run: Iteration, max_iterations: int) -> tuple[S
         return below > 3 or progress.objective < -0.3 * size
 
     search = Iteration(elastic, 1e-6, max_iterations, enough, start=np.append(y, size))
-    found = search.solve()
+    phase_one = search.solve()
     if search.exact and search.y[-1] < 0.0:
-        return found, search.y[:-1]
-    certificate = run.farkas(list(found.multipliers or ())[: len(problem.blocks)])
+        return phase_one, search.y[:-1]
+    certificate = run.farkas(list(phase_one.multipliers or ())[: len(problem.blocks)])
     if certificate is None:
-        return replace(found, status="failed"), None
-    return replace(found, status="infeasible", multipliers=tuple(certificate), message=run.verdict), None
+        return replace(phase_one, status="failed"), None
+    return replace(phase_one, status="infeasible", multipliers=tuple(certificate), message=run.verdict), None

@@ -146,8 +146,8 @@ class Iteration:
     def _scalings(self) -> list[Scaling] | None:
         """Scale to S and Z and factor the normal equations; None where they have no factor."""
         scalings = [Scaling(Ls, Fz) for Ls, Fz in zip(self.Ls, self.Fz, strict=True)]
-        found = self.normal.factor([s.Ri for s in scalings], [s.G for s in scalings])
-        return scalings if found else None
+        result = self.normal.factor([s.Ri for s in scalings], [s.G for s in scalings])
+        return scalings if result else None
 
     def _point(self) -> _Point:
         Z = [F @ F.conj().T for F in self.Fz]
@@ -255,21 +255,21 @@ class Iteration:
         crosses = [(a @ b + b @ a) / 2.0 for a, b in zip(ds, dz, strict=True)]
         targets = [s.target(sigma * mu, x) for s, x in zip(scalings, crosses, strict=True)]
         accuracy = 1e-12 if self.exact else 1e-8
-        found = direction(targets, accuracy)
+        result = direction(targets, accuracy)
         share = min(0.98, 0.9 + 0.09 * least)
-        ap, ad = lengths(found[2], found[3], share)
+        ap, ad = lengths(result[2], result[3], share)
         for _ in range(self.correctors):
             longer = min(1.0, ap + 0.3), min(1.0, ad + 0.3)
             targets = [
                 K + s.centring(longer[0] * a, longer[1] * b, sigma * mu)
-                for K, s, a, b in zip(targets, scalings, found[2], found[3], strict=True)
+                for K, s, a, b in zip(targets, scalings, result[2], result[3], strict=True)
             ]
             other = direction(targets, accuracy)
             bp, bd = lengths(other[2], other[3], share)
             if not (bp * bd > 1.02 * ap * ad and min(bp, bd) >= 0.9 * min(ap, ad)):
                 break
-            found, ap, ad = other, bp, bd
-        dy, dS, _, dz = found
+            result, ap, ad = other, bp, bd
+        dy, dS, _, dz = result
         if not np.all(np.isfinite(dy)):
             return None
         return self._move(scalings, dy, dS, dz, ap, ad)
@@ -413,5 +413,5 @@ class Iteration:
 
 def _all_found(factors: list[Matrix | None]) -> list[Matrix] | None:
     """Return the factors where there is one for each matrix."""
-    found = [F for F in factors if F is not None]
-    return found if len(found) == len(factors) else None
+    rows = [F for F in factors if F is not None]
+    return rows if len(rows) == len(factors) else None

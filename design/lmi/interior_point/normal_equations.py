@@ -69,10 +69,10 @@ class NormalEquations:
         """
         x = self._precondition(right)
         r = right - self._apply(x)
-        wanted = accuracy * float(np.linalg.norm(right * self._weights))
+        requested = accuracy * float(np.linalg.norm(right * self._weights))
         p, last = r, 0.0
         for _ in range(15 if self.careful else 3):
-            if not float(np.linalg.norm(r * self._weights)) > wanted:
+            if not float(np.linalg.norm(r * self._weights)) > requested:
                 break
             z = self._precondition(r)
             rz = float(r @ z)

@@ -94,8 +94,8 @@ class AffineMap:
         self.dtypes: list[type] = [np.complex128 if c else np.float64 for c in self.is_complex]
         self.constants = self.views(np.zeros(self.starts[-1]))
         for C, block in zip(self.constants, problem.blocks, strict=True):
-            given = block.constant if C.dtype == np.complex128 else np.real(block.constant)
-            C[...] = (given + given.conj().T) / 2.0
+            provided = block.constant if C.dtype == np.complex128 else np.real(block.constant)
+            C[...] = (provided + provided.conj().T) / 2.0
         self._assemble(problem)
         self.cost = self._objective(problem)
 
