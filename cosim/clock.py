@@ -142,8 +142,8 @@ class Clock:
             raise ScenarioError(f"step_s = {step_s!r}: must be positive and longer than 2 ns")
         if not stop > start:
             raise ScenarioError(f"stop_s = {stop_s!r}: must lie after the start, {start_s!r} s")
-        marks = sorted({to_ticks(m, "event time") for m in marks_s})
-        return cls(start, stop, step, tuple(m for m in marks if start < m < stop), edges)
+        event_times = sorted({to_ticks(m, "event time") for m in marks_s})
+        return cls(start, stop, step, tuple(m for m in event_times if start < m < stop), edges)
 
     @cached_property
     def steps(self) -> Steps:
@@ -151,28 +151,28 @@ class Clock:
         import numpy as np
 
         grid = np.arange(self.start + self.step, self.stop, self.step, dtype=np.int64)
-        marks = np.array(self.marks, dtype=np.int64)
+        event_times = np.array(self.marks, dtype=np.int64)
         points = np.array(self.points, dtype=np.int64)
-        kept = np.append(grid, self.stop)  # of 1e7 steps each array counts: no more of them than needed
+        retained = np.append(grid, self.stop)  # of 1e7 steps each array counts: no more of them than needed
         del grid
-        if marks.size:
-            kept = np.union1d(kept, marks)
+        if event_times.size:
+            retained = np.union1d(retained, event_times)
         around = [points]
         near = np.empty(0, dtype=np.int64)
         if self.edges:
-            bent = np.append(marks, np.array(self.kinks, dtype=np.int64))
-            around += [points + 1, bent - 1, bent, bent + 1]
-            near = np.concatenate([bent, bent + 1, points + 1])
+            slope_events = np.append(event_times, np.array(self.kinks, dtype=np.int64))
+            around += [points + 1, slope_events - 1, slope_events, slope_events + 1]
+            near = np.concatenate([slope_events, slope_events + 1, points + 1])
         extra = np.concatenate(around)
         extra = extra[(self.start < extra) & (extra < self.stop)]
-        ends = np.union1d(kept, extra) if extra.size else kept
+        ends = np.union1d(retained, extra) if extra.size else retained
         short = np.append(ends[0] - self.start == 1, ends[1:] - ends[:-1] == 1)
         edge = np.zeros(len(ends), dtype=bool)
         edge[short] = np.isin(ends[short], near)
         recorded = np.ones(len(ends), dtype=bool)
-        if ends is not kept:
+        if ends is not retained:
             recorded[:] = False
-            recorded[np.searchsorted(ends, kept)] = True
+            recorded[np.searchsorted(ends, retained)] = True
         ticks = array("q")
         ticks.frombytes(ends.data.cast("B"))
         return Steps(self.start, ticks, edge, recorded)
@@ -211,28 +211,30 @@ def event_on_ticks(event: Any, where: str) -> Any:
     ------
     ScenarioError : it would begin and end at the same tick.
     """
-    given = {key: getattr(event, key, None) for key in ("start_s", "end_s")}
-    used = {key: on_tick(at, f"{where} ({event.kind}): {key}") for key, at in given.items() if at is not None}
+    own = {key: getattr(event, key, None) for key in ("start_s", "end_s")}
+    used = {key: on_tick(at, f"{where} ({event.kind}): {key}") for key, at in own.items() if at is not None}
     if "end_s" in used and not used["end_s"] > used["start_s"]:
         raise ScenarioError(
-            f"{where} ({event.kind}): start_s = {given['start_s']!r} and end_s = {given['end_s']!r} fall "
+            f"{where} ({event.kind}): start_s = {own['start_s']!r} and end_s = {own['end_s']!r} fall "
             "on one tick of the clock (1 ns), allowed: at least 1e-9 apart"
         )
-    same = all(used[key] == given[key] for key in used)
+    same = all(used[key] == own[key] for key in used)
     return event if same else event.model_copy(update=used)
 
 
-def roundings(given: Any, used: Any, where: str = "") -> list[str]:
+def roundings(provided: Any, used: Any, where: str = "") -> list[str]:
     """Return a line for each time of a table that is not taken as it was written."""
-    if isinstance(given, BaseModel):
-        given = dict(given)
-    if isinstance(given, Mapping):
+    if isinstance(provided, BaseModel):
+        provided = dict(provided)
+    if isinstance(provided, Mapping):
         fields = used if isinstance(used, Mapping) else dict(used) if isinstance(used, BaseModel) else {}
-        pairs = [(f"{where}.{k}" if where else str(k), value, fields.get(k)) for k, value in given.items()]
-    elif isinstance(given, list | tuple) and isinstance(used, list | tuple):
-        pairs = [(f"{where} {k}", a, b) for k, (a, b) in enumerate(zip(given, used, strict=False), start=1)]
-    elif isinstance(given, float) and isinstance(used, float) and moved(given, used):
-        return [f"{where} = {given!r} s is taken as {used!r} s, a tick of the clock"]
+        pairs = [(f"{where}.{k}" if where else str(k), value, fields.get(k)) for k, value in provided.items()]
+    elif isinstance(provided, list | tuple) and isinstance(used, list | tuple):
+        pairs = [
+            (f"{where} {k}", a, b) for k, (a, b) in enumerate(zip(provided, used, strict=False), start=1)
+        ]
+    elif isinstance(provided, float) and isinstance(used, float) and moved(provided, used):
+        return [f"{where} = {provided!r} s is taken as {used!r} s, a tick of the clock"]
     else:
         return []
     return [line for name, a, b in pairs for line in roundings(a, b, name)]

@@ -49,8 +49,8 @@ def go_on(fmu: Any, order: int, time_s: float, length_s: float) -> None:
     StepError : it wants to end, tells no or an impossible time, or gets nowhere with the shortest step.
     """
     end, now, part = time_s + length_s, time_s, length_s
-    given = [(fmu.u[i], *(fmu.du[3 * i : 3 * i + 3] if order else (0.0,) * 3)) for i in _inputs(fmu)]
-    said = fmu.last_log()
+    provided = [(fmu.u[i], *(fmu.du[3 * i : 3 * i + 3] if order else (0.0,) * 3)) for i in _inputs(fmu)]
+    log = fmu.last_log()
     try:
         for _ in range(_MOST_RETURNS):
             reached = reached_s(fmu, now, now + part)
@@ -62,14 +62,14 @@ def go_on(fmu: Any, order: int, time_s: float, length_s: float) -> None:
                     break
             done = True
             while done and part > 4.0 * math.ulp(end):
-                done = _offered(fmu, given, order, time_s, now, part, said)
+                done = _offered(fmu, provided, order, time_s, now, part, log)
                 if done:
                     now, part = now + part, end - (now + part)
             if done:
                 fmu.time_s = end
                 return
     finally:
-        for i, d in zip(_inputs(fmu), given, strict=True):
+        for i, d in zip(_inputs(fmu), provided, strict=True):
             fmu.u[i] = d[0]
             if order:
                 fmu.du[3 * i : 3 * i + 3] = list(d[1:])
@@ -84,11 +84,17 @@ def go_on(fmu: Any, order: int, time_s: float, length_s: float) -> None:
 
 
 def _offered(
-    fmu: Any, given: list[tuple[float, ...]], order: int, start_s: float, now: float, part: float, said: str
+    fmu: Any,
+    provided: list[tuple[float, ...]],
+    order: int,
+    start_s: float,
+    now: float,
+    part: float,
+    message: str,
 ) -> bool:
     """Offer an FMU the step from `now` over `part`; return whether it took it."""
     try:
-        _continue_inputs(fmu, given, order, now - start_s)
+        _continue_inputs(fmu, provided, order, now - start_s)
         return bool(fmu.try_step(now, part))
     except StepError as refused:
         raise StepError(
@@ -96,7 +102,7 @@ def _offered(
             instance=fmu.name,
             call="fmi2DoStep",
             time_s=start_s,
-            last_log=said,
+            last_log=message,
             advice='early = "roll back" puts it back first' if fmu.description.saves_state else "",
         ) from refused
 
@@ -165,11 +171,11 @@ def _inputs(fmu: Any) -> range:
     return range(len(fmu.bound_inputs))
 
 
-def _continue_inputs(fmu: Any, given: list[tuple[float, ...]], order: int, at: float) -> None:
+def _continue_inputs(fmu: Any, provided: list[tuple[float, ...]], order: int, at: float) -> None:
     """Send the inputs' polynomials as they are `at` seconds into the step."""
-    for i, d in zip(_inputs(fmu), given, strict=True):
-        kept = [d[1 + k] if k < order else 0.0 for k in range(3)]
-        cut: ip.Polynomial = (d[0], kept[0], kept[1], kept[2])
+    for i, d in zip(_inputs(fmu), provided, strict=True):
+        derivatives = [d[1 + k] if k < order else 0.0 for k in range(3)]
+        cut: ip.Polynomial = (d[0], derivatives[0], derivatives[1], derivatives[2])
         fmu.u[i] = ip.value_at(cut, at)
         if order:
             fmu.du[3 * i : 3 * i + 3] = [ip.slope_at(cut, at), cut[2] + at * cut[3], cut[3]]

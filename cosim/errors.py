@@ -84,15 +84,15 @@ def machine_error(error: BaseException) -> OSError | None:
     seen: set[int] = set()
     todo: list[BaseException | None] = [error]
     while todo:
-        here = todo.pop()
-        if here is None or id(here) in seen:
+        own_error = todo.pop()
+        if own_error is None or id(own_error) in seen:
             continue
-        seen.add(id(here))
-        if isinstance(here, OSError) and here.errno in MACHINE:
-            return here
-        if isinstance(here, MemoryError):
+        seen.add(id(own_error))
+        if isinstance(own_error, OSError) and own_error.errno in MACHINE:
+            return own_error
+        if isinstance(own_error, MemoryError):
             return OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
-        todo += [here.__cause__, here.__context__]
+        todo += [own_error.__cause__, own_error.__context__]
     return None
 
 

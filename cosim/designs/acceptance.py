@@ -177,8 +177,8 @@ class Trial:
 
     def angles(self, cycles: Mapping[Try, float]) -> dict[Try, float]:
         """Return the largest angle between two machines after each fault of so many cycles, rad."""
-        found = self._runs.largest_angles([self._run(setting, n) for setting, n in cycles.items()])
-        return dict(zip(cycles, found, strict=True))
+        largest_angles = self._runs.largest_angles([self._run(setting, n) for setting, n in cycles.items()])
+        return dict(zip(cycles, largest_angles, strict=True))
 
     def kept(self, cycles: Mapping[Try, float]) -> dict[Try, bool]:
         """Whether no two machines come more than half a turn apart."""
@@ -187,8 +187,8 @@ class Trial:
     def clearing_cycles(self, tries: Sequence[Try]) -> dict[Try, float | None]:
         """Return the longest fault that keeps synchronism (0: not one cycle; None: the longest tried)."""
         t = self.table
-        found = longest_kept(tries, self.kept, 1.0, t.longest_cycles, t.resolution_cycles)
-        return {each: None if n >= t.longest_cycles else n for each, n in found.items()}
+        clearing = longest_kept(tries, self.kept, 1.0, t.longest_cycles, t.resolution_cycles)
+        return {each: None if n >= t.longest_cycles else n for each, n in clearing.items()}
 
     def _run(self, each: Try, cycles: float) -> FaultRun:
         t, (setting, controlled) = self.table, each
@@ -246,9 +246,9 @@ def judge_acceptance(
             for alone, settings in groups:
                 holds = angles[alone, False] < np.pi
                 count += len(settings)
-                kept = {s: angles[s, True] for s in settings if angles[s, True] < np.pi}
-                largest = max([largest, *kept.values()])
-                different = [str(s) for s in settings if holds != (s in kept)]
+                retained = {s: angles[s, True] for s in settings if angles[s, True] < np.pi}
+                largest = max([largest, *retained.values()])
+                different = [str(s) for s in settings if holds != (s in retained)]
                 (lost if holds else gained).extend(different)
             if clearing:
                 rows += _clearing_rows(trial, groups)
@@ -265,7 +265,7 @@ def _angles(trial: Trial, groups: Sequence[tuple[Setting, list[Setting]]], cycle
 def _clearing_rows(trial: Trial, groups: Sequence[tuple[Setting, list[Setting]]]) -> list[ClearingRow]:
     """Search each fault's clearing time without control and with it, the first signal lost."""
     hardest = {alone: next((s for s in settings if s.lost), settings[0]) for alone, settings in groups}
-    found = trial.clearing_cycles(
+    clearing = trial.clearing_cycles(
         [each for alone, hard in hardest.items() for each in ((alone, False), (hard, True))]
     )
     return [
@@ -273,29 +273,29 @@ def _clearing_rows(trial: Trial, groups: Sequence[tuple[Setting, list[Setting]]]
             alone.point,
             alone.ceilings,
             str(alone.fault),
-            found[alone, False],
-            found[hard, True],
+            clearing[alone, False],
+            clearing[hard, True],
             alone.load_kind,
         )
         for alone, hard in hardest.items()
     ]
 
 
-def in_words(found: Mapping[str, Any] | None) -> str:
+def in_words(result: Mapping[str, Any] | None) -> str:
     """Return the acceptance of a certificate in a line: what is lost first, or that nothing is.
 
-    found : as `Acceptance.as_dict` gives it; None: never judged.
+    result : as `Acceptance.as_dict` gives it; None: never judged.
     """
-    if found is None:
+    if result is None:
         return "non-linear faults: not judged"
-    text = f"non-linear faults: {len(found['lost'])} of {found['cases']} lost that hold without it"
-    if found["lost"]:
-        text += f" (first: {found['lost'][0]})"
-    text += f", {len(found['gained'])} gained"
-    if found["clearing_mean_change_cycles"] is not None:
+    text = f"non-linear faults: {len(result['lost'])} of {result['cases']} lost that hold without it"
+    if result["lost"]:
+        text += f" (first: {result['lost'][0]})"
+    text += f", {len(result['gained'])} gained"
+    if result["clearing_mean_change_cycles"] is not None:
         text += (
-            f"; clearing times {found['clearing_mean_change_cycles']:+.1f} cycles on average, "
-            f"{found['clearing_worst_change_cycles']:+.1f} at worst"
+            f"; clearing times {result['clearing_mean_change_cycles']:+.1f} cycles on average, "
+            f"{result['clearing_worst_change_cycles']:+.1f} at worst"
         )
     return text
 

@@ -77,18 +77,18 @@ class FamilyPlant:
         """
         if self.small is not None:
             return self.small
-        made = low_rank_reduction(
+        model = low_rank_reduction(
             self.blocks,
             MODEL_STATES,
             inputs=self.actuators,
             outputs={name: {name: 1.0} for name in self.signals},
         )
-        if not made.error <= MODEL_ERROR:
+        if not model.error <= MODEL_ERROR:
             raise ReductionError(
-                f"{self.case.name}: {MODEL_STATES} states leave an error of {made.error:.1e} over the peak, "
+                f"{self.case.name}: {MODEL_STATES} states leave an error of {model.error:.1e} over the peak, "
                 f"allowed: {MODEL_ERROR:g}; take fewer signals or actuators"
             )
-        return made.system
+        return model.system
 
     @cached_property
     def modes(self) -> Mapping[str, Mode] | None:

@@ -102,8 +102,8 @@ class FaultRuns:
         Raises whatever ended a run other than a step that failed (StepError).
         """
         for first in range(0, len(runs), TOGETHER):
-            some = runs[first : first + TOGETHER]
-            masters = [self._master(lane, run) for lane, run in enumerate(some)]
+            chunk = runs[first : first + TOGETHER]
+            masters = [self._master(lane, run) for lane, run in enumerate(chunk)]
             for master in masters:
                 master.start()
             errors = advance_together(masters)
@@ -114,12 +114,12 @@ class FaultRuns:
 
     def largest_angles(self, runs: Sequence[GridRun]) -> list[float]:
         """Return the largest angle between two machines of each run, rad; inf where it ended early."""
-        found = []
+        result = []
         for run, data in zip(runs, self.run(runs), strict=True):
             angles = np.array([data[f"plant.{m.name}_delta"] for m in self.case.machines])
             ended = bool(data.time_s[-1] >= run.stop_s - 1e-9)
-            found.append(float(np.ptp(angles, axis=0).max()) if ended else np.inf)
-        return found
+            result.append(float(np.ptp(angles, axis=0).max()) if ended else np.inf)
+        return result
 
     def _master(self, lane: int, run: GridRun) -> Master:
         system = system_of(
@@ -130,12 +130,12 @@ class FaultRuns:
             fmus=self._fmus,
         )
         live = self._live.setdefault((lane, id(run.controller), tuple(system.instances)), {})
-        for name, made in system.instances.items():
+        for name, instance in system.instances.items():
             if name in live:
-                live[name].set_start(made.start)
+                live[name].set_start(instance.start)
             else:
                 group = self._library if name == "plant" else None
-                live[name] = participant_of(name, made.file, made.start, group=group)
+                live[name] = participant_of(name, instance.file, instance.start, group=group)
         return system.master(live.values())
 
 
@@ -156,8 +156,8 @@ def longest_kept(
     good = {s: (high if last[s] else low) if first[s] else 0.0 for s in settings}
     bad = {s: high for s in settings if first[s] and not last[s]}
     while bad:
-        found = kept({s: 0.5 * (good[s] + limit) for s, limit in bad.items()})
-        for s, holds in found.items():
+        stable = kept({s: 0.5 * (good[s] + limit) for s, limit in bad.items()})
+        for s, holds in stable.items():
             middle = 0.5 * (good[s] + bad[s])
             good[s], bad[s] = (middle, bad[s]) if holds else (good[s], middle)
         bad = {s: limit for s, limit in bad.items() if limit - good[s] > tolerance}

@@ -105,9 +105,9 @@ def uncontrolled_speeds(case: Case, fault: FaultTable, cache: Path) -> tuple[Arr
             file = folder / "case.toml"
             export_toml(case, file)
             data = run_scenario(fault_scenario(file, case, window), cache=cache).trajectory.data
-        kept: dict[str, Any] = {m.name: data[f"plant.{m.name}_dw"].to_numpy() for m in case.machines}
+        retained: dict[str, Any] = {m.name: data[f"plant.{m.name}_dw"].to_numpy() for m in case.machines}
         with path.open("wb") as out:
-            np.savez(out, time_s=data["time_s"].to_numpy(), **kept)
+            np.savez(out, time_s=data["time_s"].to_numpy(), **retained)
 
     with np.load(artefact(cache, "uncontrolled", key, ".npz", make)) as z:
         return z["time_s"], {name: z[name] for name in z.files if name != "time_s"}
@@ -168,8 +168,8 @@ def predicted_drive(
         in_rad = {name: case.omega_b * values for name, values in speeds.items()}
         for lost in losses:
             worst = max(worst, mean_drive(controller.system, time_s, in_rad, lost, fault))
-    said = "kept" if worst < KEPT_BELOW else "lost" if worst > LOST_ABOVE else "uncertain"
-    return worst, said
+    message = "kept" if worst < KEPT_BELOW else "lost" if worst > LOST_ABOVE else "uncertain"
+    return worst, message
 
 
 def after_fault(
@@ -199,5 +199,5 @@ def after_fault(
     first = data[f"plant.{swing.ahead}_dw"]
     apart = (first - data[f"plant.{swing.behind}_dw"] if swing.behind else first).abs()
     settled = float(data["time_s"][apart > 0.02 * apart.max()].max()) - fault.start_s
-    kept = bool(spread < np.pi)
-    return FaultRow(point, tuple(lost), kept, spread, settled, kept and settled <= fault.settle_s)
+    retained = bool(spread < np.pi)
+    return FaultRow(point, tuple(lost), retained, spread, settled, retained and settled <= fault.settle_s)

@@ -34,11 +34,11 @@ def ranked_loops(
     UserError : no operating point, no such mode, signal or actuator.
     """
     plant = sparse_linear_plant(case, cache)
-    found = all_modes(plant, case.areas, band_hz=band_hz, below=below)
+    result = all_modes(plant, case.areas, band_hz=band_hz, below=below)
     others = []
     for name, other in (points or {}).items():
         there = sparse_linear_plant(other, cache)
         # a mode that is a little better damped there is still the same one
         modes = all_modes(there, other.areas, band_hz=band_hz, below=max(below, _BELOW)).modes
         others.append(LoopPoint(name, there, modes))
-    return choose_loops(plant, found.modes, case.areas, points=others, **options)
+    return choose_loops(plant, result.modes, case.areas, points=others, **options)

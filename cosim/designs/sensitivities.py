@@ -36,17 +36,17 @@ def parameter_sensitivities(
     CaseError : a path that is no number of the case, or a value beside it that the case refuses.
     """
     modes = modes_of(linear_plant(case, cache), case.areas)
-    found: dict[str, Mapping[str, Sensitivity]] = {}
+    by_mode: dict[str, Mapping[str, Sensitivity]] = {}
     for path in paths:
 
         def matrix_of(value: float, path: str = path) -> npt.NDArray[np.float64]:
             return state_matrix(with_parameter(case, path, value), cache)
 
         value = parameter_value(case, path)
-        found[path] = eigenvalue_sensitivity(
+        by_mode[path] = eigenvalue_sensitivity(
             modes, matrix_of, value, parameter=path, step=parameter_step(path)
         )
-    return found
+    return by_mode
 
 
 def all_mode_sensitivities(
@@ -58,15 +58,15 @@ def all_mode_sensitivities(
     ------
     CaseError : as `parameter_sensitivities`.
     """
-    found: dict[str, Mapping[str, Sensitivity]] = {}
+    by_mode: dict[str, Mapping[str, Sensitivity]] = {}
     for path in paths:
 
         def plant_of(value: float, path: str = path) -> SparsePlant:
             return sparse_linear_plant(with_parameter(case, path, value), cache)
 
         value, step = parameter_value(case, path), parameter_step(path)
-        found[path] = sparse_sensitivity(modes, plant_of, value, parameter=path, step=step)
-    return found
+        by_mode[path] = sparse_sensitivity(modes, plant_of, value, parameter=path, step=step)
+    return by_mode
 
 
 def state_matrix(case: Case, cache: Path) -> npt.NDArray[np.float64]:

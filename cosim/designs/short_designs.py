@@ -44,10 +44,10 @@ class ShortDesign:
     @property
     def sentence(self) -> str:
         """What the signals from afar are worth in these loops."""
-        said = f"inter-area {self.damping:.3f} against {self.own:.3f} with the own machines' speeds alone"
+        message = f"inter-area {self.damping:.3f} against {self.own:.3f} with the own machines' speeds alone"
         if self.damping - self.own >= PAYS:
-            return f"the link buys {self.damping - self.own:.3f}, {said}"
-        return f"a local stabilizer does as well: do not build this link; {said}"
+            return f"the link buys {self.damping - self.own:.3f}, {message}"
+        return f"a local stabilizer does as well: do not build this link; {message}"
 
 
 def short_designs(
@@ -73,20 +73,20 @@ def short_designs(
         _signals_of(one, case)
     blocks = sparse_linear_plant(case, cache)
     small = remove_reference(linear_plant(case, cache)) if blocks.nstates <= DENSE_STATES else None
-    found = []
+    designs = []
     for k, one in enumerate(sets):
         sees = _signals_of(one, case)
-        signals = tuple(dict.fromkeys(s for some in sees.values() for s in some))
+        signals = tuple(dict.fromkeys(s for seen in sees.values() for s in seen))
         plant = FamilyPlant(case, signals, tuple(sees), blocks, small)
-        alone = {a: tuple(s for s in some if s == f"{a.removesuffix('_vs')}_dw") for a, some in sees.items()}
+        alone = {a: tuple(s for s in seen if s == f"{a.removesuffix('_vs')}_dw") for a, seen in sees.items()}
         own = FamilyPlant(
-            case, tuple(s for some in alone.values() for s in some), tuple(alone), blocks, small
+            case, tuple(s for seen in alone.values() for s in seen), tuple(alone), blocks, small
         )
         reached = _reached(plant, sees, latency_s)
         rival = _reached(own, alone, latency_s) if alone != sees else reached
-        found.append(ShortDesign(one, reached, max(rival, _uncontrolled(plant))))
+        designs.append(ShortDesign(one, reached, max(rival, _uncontrolled(plant))))
         told(k + 1)
-    return tuple(found)
+    return tuple(designs)
 
 
 def _uncontrolled(plant: FamilyPlant) -> float:
@@ -97,7 +97,7 @@ def _uncontrolled(plant: FamilyPlant) -> float:
 
 def _signals_of(chosen: LoopSet, case: Case) -> dict[str, tuple[str, ...]]:
     """Return actuator -> its own speed and those of its best signal."""
-    machines, found = [m.name for m in case.machines], {}
+    machines, signals = [m.name for m in case.machines], {}
     speeds = {f"{name}_dw": {name} for name in machines}
     speeds |= {swing_name(a, b): {a, b} for a in machines for b in machines if a != b}
     for actuator, signal in chosen.loops.items():
@@ -107,8 +107,8 @@ def _signals_of(chosen: LoopSet, case: Case) -> dict[str, tuple[str, ...]]:
                 "(--signals speed)"
             )
         seen = speeds[signal] | {actuator.removesuffix("_vs")}
-        found[actuator] = tuple(f"{name}_dw" for name in machines if name in seen)
-    return found
+        signals[actuator] = tuple(f"{name}_dw" for name in machines if name in seen)
+    return signals
 
 
 def _reached(plant: FamilyPlant, sees: dict[str, tuple[str, ...]], latency_s: float) -> float:
@@ -119,7 +119,7 @@ def _reached(plant: FamilyPlant, sees: dict[str, tuple[str, ...]], latency_s: fl
         signals=signals,
         actuators=tuple(sees),
         conditions=conditions,
-        sees={a: (some, _STATES) for a, some in sees.items()},
+        sees={a: (signal_names, _STATES) for a, signal_names in sees.items()},
         effort_cap=((0.05, _CAP), (300.0, _CAP)),
         effort_under=("N",),
         offsets=_offsets(band_hz),
@@ -129,10 +129,10 @@ def _reached(plant: FamilyPlant, sees: dict[str, tuple[str, ...]], latency_s: fl
         stages=(Stage(rho=(80.0,), steps=12),),
     )
     try:
-        made = design_robust({"base": plant.searched}, spec, plant.case.omega_b)
+        design = design_robust({"base": plant.searched}, spec, plant.case.omega_b)
     except InfeasibleDesign:
         return 0.0
-    judged = judge_family({"base": plant.judged}, made.system, conditions, bands_hz={"base": band_hz})
+    judged = judge_family({"base": plant.judged}, design.system, conditions, bands_hz={"base": band_hz})
     return float(judged.inter_area)
 
 

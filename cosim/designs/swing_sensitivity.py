@@ -84,7 +84,7 @@ def swing_penalty(
     ------
     ScenarioError : an actuator that is no set-point, or no fault after which the grid holds without control.
     """
-    found: list[SwingCase] = []
+    swing_cases: list[SwingCase] = []
     for point in table.points or tuple(cases):
         for ceiling in (None, *(table.ceilings or acceptance.ceilings)):
             case = cases[point] if ceiling is None else with_ceilings(cases[point], *ceiling)
@@ -94,7 +94,7 @@ def swing_penalty(
                     continue
                 name = f"{point}, {'no ceilings' if ceiling is None else ceiling}, fault at {fault}"
                 sensitivity = np.column_stack([swing.sensitivity[a] for a in actuators])
-                found += [
+                swing_cases += [
                     SwingCase(
                         f"{name}, {' and '.join(lost) or 'nothing'} lost",
                         _seen(swing, signals, lost, table.latency_s, acceptance, case.omega_b),
@@ -102,12 +102,12 @@ def swing_penalty(
                     )
                     for lost in losses
                 ]
-    if not found:
+    if not swing_cases:
         raise ScenarioError(
             "first_swing: no fault of the acceptance leaves a first peak without control; shorten it "
             "(acceptance.clear_cycles) or name other points"
         )
-    return SwingPenalty(found, STEP_S, table.limit_pu or limit_pu, table.margins_deg[0])
+    return SwingPenalty(swing_cases, STEP_S, table.limit_pu or limit_pu, table.margins_deg[0])
 
 
 def _seen(
@@ -124,8 +124,8 @@ def _seen(
         speed = omega_b * swing.speeds[signal.removesuffix("_dw")]
         time = STEP_S * np.arange(speed.size)
         column = np.interp(time - latency_s, time, speed, left=0.0)
-        gone = acceptance.start_s + time >= acceptance.lost_s
-        columns.append(np.where(gone & (signal in lost), 0.0, column))
+        after_loss = acceptance.start_s + time >= acceptance.lost_s
+        columns.append(np.where(after_loss & (signal in lost), 0.0, column))
     return np.column_stack(columns)
 
 

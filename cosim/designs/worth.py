@@ -62,19 +62,19 @@ def rival_table(table: DesignTable) -> DesignTable:
     }
     for stage in keys.get("stage", ()):
         stage["conditions"] = tuple(dict.fromkeys(renamed[c] for c in stage.get("conditions", ())))
-    seen = {s for some in own.values() for s in some}
+    seen = {s for selected in own.values() for s in selected}
     if table.guard is not None and set(table.guard.watched.values()) <= seen:
         keys["guard"] = table.guard
-    made = DesignTable.model_validate(keys)
-    made._grid = table._grid
-    return made
+    model_validate = DesignTable.model_validate(keys)
+    model_validate._grid = table._grid
+    return model_validate
 
 
 def _own_of(table: DesignTable) -> dict[str, tuple[str, ...]]:
     """Return actuator -> the signals of its own machine; ScenarioError where no rival can be made of them."""
     sees = {part.actuator: part.signals for part in table.part}
     sees = sees or dict.fromkeys(table.actuators, table.signals)
-    own = {a: own_signals([a], some)[a] for a, some in sees.items()}
+    own = {a: own_signals([a], selected)[a] for a, selected in sees.items()}
     if all(set(own[a]) == set(sees[a]) for a in sees):
         raise ScenarioError(
             f"design {table.name}: sees no signal from another machine, so its worth is that of the whole"
@@ -107,14 +107,14 @@ def design_rival(
 
 def rival_on_record(controller: Controller) -> Controller | None:
     """Return the rival in a controller's record. Raises ControllerError where it is there and is none."""
-    kept = controller.design.get(RECORD)
-    return None if kept is None else Controller.from_dict(kept)
+    retained = controller.design.get(RECORD)
+    return None if retained is None else Controller.from_dict(retained)
 
 
 def with_rival(controller: Controller, rival: Controller) -> Controller:
     """Return `controller` with its rival in its record, the rival's own certificate left out."""
-    kept = {**replace(rival, certificate=None).as_dict(), "design": {}}
-    return replace(controller, design={**controller.design, RECORD: plain(kept)})
+    retained = {**replace(rival, certificate=None).as_dict(), "design": {}}
+    return replace(controller, design={**controller.design, RECORD: plain(retained)})
 
 
 def worth(
@@ -131,14 +131,14 @@ def worth(
     rival : default that of its record. clearing : clearing times of the design's acceptance too (minutes).
     """
     rival = rival if rival is not None else rival_on_record(controller)
-    found = family_plants(table, cache)
+    result = family_plants(table, cache)
     K = controller.system
     linear = signal_worth(
-        {name: each.judged for name, each in found.items()},
+        {name: each.judged for name, each in result.items()},
         K,
         table.family(),
         None if rival is None else rival.system,
-        bands_hz={name: inter_area_band(each.modes) for name, each in found.items()},
+        bands_hz={name: inter_area_band(each.modes) for name, each in result.items()},
         remark=_remark(table) if rival is None else "",
     )
     progress(0.3)
@@ -197,22 +197,22 @@ def _remark(table: DesignTable) -> str:
 def certified_worth(
     table: DesignTable,
     controller: Controller,
-    found: FamilyCertificate,
+    certified: FamilyCertificate,
     cache: Path,
     *,
     progress: Callable[[float], object] = lambda share: None,
 ) -> FamilyCertificate:
     """Return a certificate with the worth of the signals; with clearing times where it searched them."""
-    searched = found.acceptance is not None
+    searched = certified.acceptance is not None
     measured = worth(table, controller, cache, clearing=searched, progress=progress)
-    return replace(found, worth=plain(measured.as_dict()))
+    return replace(certified, worth=plain(measured.as_dict()))
 
 
 def with_worth(table: DesignTable, controller: Controller, cache: Path) -> Controller:
     """Return a controller with the worth of its signals in its certificate."""
     measured = worth(table, controller, cache)
-    kept = {**(controller.certificate or {}), "worth": plain(measured.as_dict())}
-    return replace(controller, certificate=kept)
+    retained = {**(controller.certificate or {}), "worth": plain(measured.as_dict())}
+    return replace(controller, certificate=retained)
 
 
 def _common_rises(
@@ -247,14 +247,16 @@ def _clearing(table: DesignTable, controller: Controller, cache: Path) -> float 
 
     Over the points and faults of the acceptance at its first latency; ceilings and loads of the case.
     """
-    wanted = table.acceptance
-    assert wanted is not None
+    requested = table.acceptance
+    assert requested is not None
     changes: list[float] = []
     for point, case in family_cases(table).items():
-        pairs = [(alone, some[0]) for alone, some in settings_of(wanted, point, None, controller.inputs)]
-        with Trial(case, controller, wanted, cache) as trial:
-            found = trial.clearing_cycles([t for a, k in pairs for t in ((a, False), (k, True))])
-        both = [(found[alone, False], found[kept, True]) for alone, kept in pairs]
+        pairs = [
+            (alone, selected[0]) for alone, selected in settings_of(requested, point, None, controller.inputs)
+        ]
+        with Trial(case, controller, requested, cache) as trial:
+            clearing_cycles = trial.clearing_cycles([t for a, k in pairs for t in ((a, False), (k, True))])
+        both = [(clearing_cycles[alone, False], clearing_cycles[retained, True]) for alone, retained in pairs]
         changes += [b - a for a, b in both if a is not None and b is not None]
     return float(np.mean(changes)) if changes else None
 
@@ -262,14 +264,14 @@ def _clearing(table: DesignTable, controller: Controller, cache: Path) -> float 
 HEADER = ("signals", "stable", "inter-area", "worst swing", "effort", "common rise (pu)", "clearing (cycles)")
 
 
-def table_rows(found: Mapping[str, Any]) -> Sequence[tuple[str, ...]]:
+def table_rows(result: Mapping[str, Any]) -> Sequence[tuple[str, ...]]:
     """Return the rows of the table of a worth, as `SignalWorth.as_dict` gives it."""
 
     def number(value: float | None, digits: str) -> str:
         return "-" if value is None or not np.isfinite(value) else format(value, digits)
 
-    rival = found["rival"]
-    some = [found["open_loop"], found["whole"], *found["masked"], *([] if rival is None else [rival])]
+    rival = result["rival"]
+    selected = [result["open_loop"], result["whole"], *result["masked"], *([] if rival is None else [rival])]
     return [
         (
             row["name"],
@@ -280,5 +282,5 @@ def table_rows(found: Mapping[str, Any]) -> Sequence[tuple[str, ...]]:
             number(row["common_rise"], ".3f"),
             number(row["clearing_cycles"], "+.1f"),
         )
-        for row in some
+        for row in selected
     ]

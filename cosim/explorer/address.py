@@ -47,8 +47,8 @@ def address_of(subject: Subject, scenario: Scenario) -> str | None:
         return None
     nothing = {"loss": 0.0, "burst": 1.0, "lost": base.stop_s, "back": base.stop_s}
     absent = {key: nothing.get(key.partition(".")[2]) for key in start.keys() - state.keys()}
-    wanted = {"op": places[0], **absent, **state}
-    differs = {k: v for k, v in wanted.items() if k not in _TIMES and v != start.get(k, 0)}
+    requested = {"op": places[0], **absent, **state}
+    differs = {k: v for k, v in requested.items() if k not in _TIMES and v != start.get(k, 0)}
     return link_of(differs) if all(_within(k, v) for k, v in differs.items()) else None
 
 

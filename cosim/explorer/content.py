@@ -123,31 +123,31 @@ def _swing(subject: Subject) -> dict[str, Any]:
 
 
 def _controller(subject: Subject, name: str) -> dict[str, Any]:
-    made = subject.controllers[name]
+    controller = subject.controllers[name]
     values: dict[str, Any] = {
         "key": name,
-        "name": made.name,
-        "inputs": list(made.inputs),
-        "outputs": list(made.outputs),
-        "limit": made.limit_pu,
+        "name": controller.name,
+        "inputs": list(controller.inputs),
+        "outputs": list(controller.outputs),
+        "limit": controller.limit_pu,
     }
-    if not isinstance(made, Controller):
-        return values | {"bank": [member.name for member in made.members], "modal": None}
-    K = made.system
+    if not isinstance(controller, Controller):
+        return values | {"bank": [member.name for member in controller.members], "modal": None}
+    K = controller.system
     # as Controller.block: speeds in pu at the FMU, rad/s in the design
-    scale = [subject.case.omega_b if u.endswith("_dw") else 1.0 for u in made.inputs]
+    scale = [subject.case.omega_b if u.endswith("_dw") else 1.0 for u in controller.inputs]
     return values | {
-        "order": made.order,
+        "order": controller.order,
         "C": K.C.tolist(),
         "D": K.D.tolist(),
         "scale": scale,
-        "modal": _or_why(lambda: modal(K, made.inputs, made.outputs)),
+        "modal": _or_why(lambda: modal(K, controller.inputs, controller.outputs)),
     }
 
 
 def _point(subject: Subject, number: int) -> dict[str, Any]:
     point = subject.points[number]
-    actuators = sorted({u for made in subject.controllers.values() for u in made.outputs})
+    actuators = sorted({u for controller in subject.controllers.values() for u in controller.outputs})
     signals = sorted({s for s, _ in subject.channels.values()})
     speeds = [f"{m.name}_dw" for m in point.case.machines]
     outputs = list(dict.fromkeys([*speeds, *signals]))

@@ -28,8 +28,8 @@ def bus_positions(case: Case) -> dict[int, tuple[float, float]]:
         weight[i, j] = weight[j, i] = 0.8 if branch.kind == "transformer" else 1.0
     distance = shortest_path(np.where(np.isfinite(weight), weight, 0.0), directed=False)
     reach = distance[np.isfinite(distance)].max()
-    wanted = np.where(np.isfinite(distance), distance, reach + 1.0)
-    places = _majorized(_scaled(wanted), wanted)
+    requested = np.where(np.isfinite(distance), distance, reach + 1.0)
+    places = _majorized(_scaled(requested), requested)
     return {
         number: (float(x), float(y)) for number, (x, y) in zip(numbers, _turned(case, places), strict=True)
     }
@@ -65,8 +65,8 @@ def _turned(case: Case, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float
     _, _, axes = np.linalg.svd(places, full_matrices=False)
     places = places @ axes.T
     area = np.array([bus.area for bus in case.buses])
-    here = area == area.min()
-    if places[here, 0].mean() > places[:, 0].mean() + 1e-9:
+    in_area = area == area.min()
+    if places[in_area, 0].mean() > places[:, 0].mean() + 1e-9:
         places[:, 0] *= -1.0
     homes = [k for k, bus in enumerate(case.buses) if bus.number in {m.bus for m in case.machines}]
     if places[homes, 1].mean() < 0.0:

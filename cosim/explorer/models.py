@@ -173,8 +173,8 @@ def _equal(reference: bytes, start: int, target: bytes, at: int) -> int:
     length, most = 0, min(len(reference) - start, len(target) - at)
     while length < most:
         span = min(4096, most - length)
-        here, there = start + length, at + length
-        if reference[here : here + span] == target[there : there + span]:
+        local, there = start + length, at + length
+        if reference[local : local + span] == target[there : there + span]:
             length += span
             continue
         while reference[start + length] == target[at + length]:

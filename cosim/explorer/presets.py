@@ -69,12 +69,12 @@ def _latency(subject: Subject, ms: float) -> dict[str, float]:
 
 def late_ms(subject: Subject, name: str) -> float | None:
     """Return a common latency, ms, a tenth beyond the delay margin of a controller; None without a margin."""
-    made = subject.controllers[name]
-    if not isinstance(made, Controller):
+    controller = subject.controllers[name]
+    if not isinstance(controller, Controller):
         return None
     try:
         plant = speeds_in_rad(subject.linear(subject.points[0]), subject.case.omega_b)
-        margin = delay_margin(plant, made.system).margin_s
+        margin = delay_margin(plant, controller.system).margin_s
     except ValueError:
         return None
     late = 10.0 * math.ceil(100.0 * _LATE * margin) if np.isfinite(margin) else np.inf

@@ -65,13 +65,13 @@ class Subject:
                 continue
             try:
                 which = self.own.get(name, name)
-                made = controller_of(which, self.case, self.cache, folder=self.scenario.folder)
+                controller = controller_of(which, self.case, self.cache, folder=self.scenario.folder)
             except _DESIGN_FAILS:
                 if name == self.scenario.controller:
                     raise
                 continue
-            if made is not None and (name == self.scenario.controller or self._fits(made)):
-                fitting[name] = made
+            if controller is not None and (name == self.scenario.controller or self._fits(controller)):
+                fitting[name] = controller
         return fitting
 
     def _may_fit(self, name: str) -> bool:
@@ -81,15 +81,17 @@ class Subject:
             return {"G2", "G4"} <= set(self.case.areas) and len(self.case.machines) == 4
         return True
 
-    def _fits(self, made: AnyController) -> bool:
+    def _fits(self, controller: AnyController) -> bool:
         """Whether its signals and actuators exist, and it was made for this grid where it says for which."""
-        specification = made.design.get("specification", {})
+        specification = controller.design.get("specification", {})
         designed_for = specification.get("case") if isinstance(specification, Mapping) else None
         if designed_for is not None and designed_for != self.case.name:
             return False
         point = self.point
         known = {f"{m.name}_{what}" for m in self.case.machines for what in ("dw", "delta", "pe", "vt")}
-        return set(made.outputs) <= set(point.input_names) and set(made.inputs) <= known | {"tie_p"}
+        return set(controller.outputs) <= set(point.input_names) and set(controller.inputs) <= known | {
+            "tie_p"
+        }
 
     def with_controller(self, name: str) -> Scenario:
         """Return the scenario with another controller as it is, and no channels."""
@@ -108,8 +110,8 @@ class Subject:
             n: (c.signal, _given(c)) for n, c in self.scenario.channels.items() if c.signal
         }
         taken = {signal for signal, _ in named.values()}
-        for controller, made in self.controllers.items():
-            for signal in made.inputs:
+        for controller, block in self.controllers.items():
+            for signal in block.inputs:
                 if signal in taken:
                     continue
                 role = "remote" if self.is_remote(signal, controller) else "local"
@@ -142,7 +144,7 @@ class Subject:
     @property
     def first(self) -> str | None:
         """The controller that the page begins its story with: the scenario's, else the first that fits."""
-        return next((n for n, made in self.controllers.items() if isinstance(made, Controller)), None)
+        return next((n for n, block in self.controllers.items() if isinstance(block, Controller)), None)
 
     def is_remote(self, signal: str, controller: str) -> bool:
         """Whether a signal comes from another area than the controller's actuators are in."""
@@ -199,7 +201,7 @@ def _of_scenario(scenario: Scenario, cache: Path) -> Subject:
             f"{scenario.name}: {', '.join(parts)}: a page holds one plant, one controller and a channel for "
             "each of its signals; take these out, or run the scenario with `interarea run`"
         )
-    if any(way.pmu for way in scenario.signals):
+    if any(path.pmu for path in scenario.signals):
         raise ScenarioError(
             f"{scenario.name}: a page holds no PMU; take it out, or run the scenario with `interarea run`"
         )

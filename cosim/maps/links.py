@@ -51,17 +51,17 @@ class Explorer:
 
     def cells(self, rows: pd.DataFrame, x: str, y: str) -> dict[Cell, str]:
         """Return the address of the worst run of each cell that the page can open."""
-        found: dict[Cell, str] = {}
+        links: dict[Cell, str] = {}
         groups = rows.groupby([x, y])
         if self.subject is None or groups.ngroups > _MOST:
-            return found
+            return links
         for at, group in groups:
             a, b = cast("tuple[float, float]", at)
             number = next(iter(worst_runs(group, 1)), int(group.run.iloc[0]))
             address = self.run(number)
             if address is not None:
-                found[float(a), float(b)] = address
-        return found
+                links[float(a), float(b)] = address
+        return links
 
 
 def write_runs(plan: SweepPlan, path: Path, cache: Path) -> Explorer:

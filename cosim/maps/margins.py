@@ -70,7 +70,7 @@ def margins_of(
     runner : whose cache and scratch folder are used. workers : processes that search side by side; default
         one for each core. progress : called with the share that is done.
     """
-    sweep, found = plan.sweep, list[Margin]()
+    sweep, margins = plan.sweep, list[Margin]()
     names = [name for name in sweep.parameters if kind_of(sweep, name) in ("latency", "loss")]
     for k, name in enumerate(names):
 
@@ -85,8 +85,8 @@ def margins_of(
         else:
             high = max(_SEARCHED_S, float(rows[name].max())) if kind_of(sweep, name) == "latency" else 1.0
             edges = _searched(plan, name, high, runner, workers, tell)
-        found += [_margin(plan, runner, name, values, high, row) for values, row in edges]
-    return found
+        margins += [_margin(plan, runner, name, values, high, row) for values, row in edges]
+    return margins
 
 
 def _searched(
@@ -137,7 +137,7 @@ def _key(values: Mapping[str, Value]) -> str:
 def _corners(sweep: Sweep, name: str) -> list[dict[str, Value]]:
     """Return the points at which a margin is computed: every case, operating point and controller."""
     choices = {other: _choices(sweep, other) for other in sweep.parameters if other != name}
-    return [dict(zip(choices, some, strict=True)) for some in product(*choices.values())][:_MOST_MARGINS]
+    return [dict(zip(choices, values, strict=True)) for values in product(*choices.values())][:_MOST_MARGINS]
 
 
 def _choices(sweep: Sweep, name: str) -> Sequence[Value]:

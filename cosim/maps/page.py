@@ -63,43 +63,43 @@ def write_maps(
     ------
     SweepError : no results in `folder`.
     """
-    tell = progress or _silent
+    report = progress or _silent
     plan, rows = read_plan(folder), read_rows(folder)
     cached = default_cache() if cache is None else cache
     path.parent.mkdir(parents=True, exist_ok=True)
     searching, again, exploring, drawing = STEPS
     with temporary_folder() as scratch, Runner(plan, cached, scratch) as runner:
-        tell(searching, 0.0)
+        report(searching, 0.0)
         margins: list[Margin] = []
         if plan.controllers:
             margins = margins_of(
-                plan, rows, runner, workers=workers, progress=lambda share: tell(searching, share)
+                plan, rows, runner, workers=workers, progress=lambda share: report(searching, share)
             )
-        tell(searching, 1.0)
-        curves = _curves(plan, rows, runner, worst, lambda share: tell(again, share))
-    tell(exploring, 0.0)
+        report(searching, 1.0)
+        curves = _curves(plan, rows, runner, worst, lambda share: report(again, share))
+    report(exploring, 0.0)
     explorer = write_runs(plan, path.with_name(f"{path.stem}-explorer.html"), cached)
-    tell(exploring, 1.0)
+    report(exploring, 1.0)
     drawn = _draw(plan.sweep, rows, margins, curves, explorer)
     opens = _titles(plan, rows, explorer)
     svg: dict[str, Markup] = {}
     for key, figure in drawn.items():
-        tell(drawing, len(svg) / len(drawn))
+        report(drawing, len(svg) / len(drawn))
         svg[key] = page_figure(figure, key, links=opens if key.startswith("map-") else None)
     text = _render(plan, rows, margins, svg, folder, explorer)
-    tell(drawing, 1.0)
+    report(drawing, 1.0)
     return write_whole(path, text.encode("utf-8"))
 
 
 def labels_of(sweep: Sweep) -> dict[str, str]:
     """Return the axis label of each parameter: its own label, or what it is, with its unit."""
-    found = {}
+    labels = {}
     for name, p in sweep.parameters.items():
         kind = kind_of(sweep, name)
         unit = p.unit or _UNITS.get(kind, "")
         words = p.label or (_WORDS[kind] if kind in _WORDS and name in (kind, _WORDS[kind]) else name)
-        found[name] = f"{words} ({unit})" if unit else words
-    return found
+        labels[name] = f"{words} ({unit})" if unit else words
+    return labels
 
 
 def _draw(
@@ -111,21 +111,21 @@ def _draw(
 ) -> dict[str, Figure]:
     labels = labels_of(sweep)
     facet, _ = facets_of(sweep, rows)
-    found = _maps(sweep, rows, margins, labels, explorer)
+    maps = _maps(sweep, rows, margins, labels, explorer)
     names = numeric(sweep, rows)
     damped = "damping_least" in rows and rows["damping_least"].notna().any()
     if names and damped and not sweep.parameters[names[0]].sampled:
-        found["line"] = figures.line_figure(rows, names[0], facet, labels)
+        maps["line"] = figures.line_figure(rows, names[0], facet, labels)
     for kind in ("latency", "loss"):
-        some = [m for m in margins if kind_of(sweep, m.name) == kind and m.is_known]
-        if some:
-            found[f"margin-{kind}"] = _margins(some, labels, facet)
+        known = [m for m in margins if kind_of(sweep, m.name) == kind and m.is_known]
+        if known:
+            maps[f"margin-{kind}"] = _margins(known, labels, facet)
     spread = figures.distribution_figure(rows, facet)
     if spread is not None:
-        found["distribution"] = spread
+        maps["distribution"] = spread
     if curves:
-        found["worst"] = figures.worst_figure(curves)
-    return found
+        maps["worst"] = figures.worst_figure(curves)
+    return maps
 
 
 def _margins(margins: list[Margin], labels: Mapping[str, str], facet: str) -> Figure:
@@ -146,16 +146,16 @@ def _maps(
 ) -> dict[str, Figure]:
     """Draw stability and damping over each pair of parameters: cells on a grid, else points."""
     facet, parts = _by_facet(sweep, rows)
-    found: dict[str, Figure] = {}
+    result: dict[str, Figure] = {}
     for k, (x, y) in enumerate(pairs_of(sweep, rows)):
         if not is_grid(rows, x, y):
-            found[f"map-{k}"] = figures.point_figure(rows, x, y, labels)
+            result[f"map-{k}"] = figures.point_figure(rows, x, y, labels)
             continue
         maps = {name: map_of(part, x, y) for name, part in parts.items()}
         links = {} if explorer is None else {n: explorer.cells(part, x, y) for n, part in parts.items()}
         lines = _lines(sweep, margins, x, y, facet, maps)
-        found[f"map-{k}"] = figures.map_figure(maps, labels, lines, links)
-    return found
+        result[f"map-{k}"] = figures.map_figure(maps, labels, lines, links)
+    return result
 
 
 def _by_facet(sweep: Sweep, rows: pd.DataFrame) -> tuple[str, dict[str, pd.DataFrame]]:
@@ -166,12 +166,12 @@ def _by_facet(sweep: Sweep, rows: pd.DataFrame) -> tuple[str, dict[str, pd.DataF
 
 def _titles(plan: SweepPlan, rows: pd.DataFrame, explorer: Explorer) -> dict[str, str]:
     """Return address -> what it opens, of every run that the explorer's page can be."""
-    found = {}
+    titles = {}
     for run in rows.run:
         address = explorer.known(int(run))
         if address is not None:
-            found[address] = f"open run {run}: {point_text(plan.sweep.values(int(run)))}"
-    return found
+            titles[address] = f"open run {run}: {point_text(plan.sweep.values(int(run)))}"
+    return titles
 
 
 def first_figure(sweep: Sweep, rows: pd.DataFrame) -> Figure:
@@ -191,19 +191,19 @@ def _lines(
     sweep: Sweep, margins: list[Margin], x: str, y: str, facet: str, maps: Mapping[str, Any]
 ) -> dict[str, list[tuple[str, Any, Any]]]:
     """Return the margins in latency over a map whose first axis is latency: certified and simulated."""
-    found: dict[str, list[tuple[str, Any, Any]]] = {}
+    lines: dict[str, list[tuple[str, Any, Any]]] = {}
     if kind_of(sweep, x) != "latency":
-        return found
+        return lines
     for name, one in maps.items():
-        mine = [m for m in margins if m.name == x and (not facet or str(m.values.get(facet)) == name)]
+        of_line = [m for m in margins if m.name == x and (not facet or str(m.values.get(facet)) == name)]
         for label, margin in (("certified margin (linear)", _certified), ("simulated margin", _simulated)):
-            known = _known_margins(mine, margin, y, one.x)
+            known = _known_margins(of_line, margin, y, one.x)
             constant = len({at for _, at in known}) == 1
             # one simulated without loss is no line over all losses
             if known and not (constant and margin is _simulated and kind_of(sweep, y) == "loss"):
                 line = _vertical(known, one.y) if constant else _through(known)
-                found.setdefault(name, []).append((label, *line))
-    return found
+                lines.setdefault(name, []).append((label, *line))
+    return lines
 
 
 def _vertical(known: list[tuple[float, float]], y: Any) -> tuple[Any, Any]:
@@ -219,12 +219,12 @@ def _known_margins(
     margins: list[Margin], value_of: Callable[[Margin], float | None], y: str, x: Any
 ) -> list[tuple[float, float]]:
     """Return (margin, value of parameter `y`) of those that lie within a map's `x`."""
-    found = []
+    known_margins = []
     for m in margins:
         value, at = value_of(m), m.values.get(y)
         if value is not None and isinstance(at, int | float) and x.min() <= value <= x.max():
-            found.append((float(value), float(at)))
-    return found
+            known_margins.append((float(value), float(at)))
+    return known_margins
 
 
 def _certified(m: Margin) -> float | None:
@@ -239,20 +239,22 @@ def _curves(
     plan: SweepPlan, rows: pd.DataFrame, runner: Runner, count: int, tell: Callable[[float], object]
 ) -> list[Any]:
     """Simulate the worst runs again."""
-    found: list[Any] = []
+    curves_of: list[Any] = []
     worst = worst_runs(rows, count) if plan.sweep.searched is None else []
     for run in worst:
-        tell(len(found) / len(worst))
+        tell(len(curves_of) / len(worst))
         values = plan.sweep.values(run)
-        kept, curves = runner.simulate(values)
-        assert kept.system.swing is not None
-        swing = kept.system.swing.of(curves)
+        record, curves = runner.simulate(values)
+        assert record.system.swing is not None
+        swing = record.system.swing.of(curves)
         controls = {c.partition(".")[2]: curves[c] for c in curves.reals_of("controller")}
         row = rows[rows.run == run].iloc[0]
         verdict = "" if "stable" not in row else "stable" if row["stable"] else "not stable"
-        found.append((f"run {run}, {verdict}: {point_text(values)}", curves.time_s.copy(), swing, controls))
+        curves_of.append(
+            (f"run {run}, {verdict}: {point_text(values)}", curves.time_s.copy(), swing, controls)
+        )
     tell(1.0)
-    return found
+    return curves_of
 
 
 def point_text(values: Mapping[str, Any], first: str = "") -> str:

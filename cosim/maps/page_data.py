@@ -48,7 +48,7 @@ def kind_of(sweep: Sweep, name: str) -> str:
 def numeric(sweep: Sweep, rows: pd.DataFrame) -> list[str]:
     """Return the parameters with at least two numbers, latency, loss and tie flow first."""
     order = {"latency": 0, "loss": 1, "tie": 2, "other": 3}
-    found = [
+    names = [
         n
         for n, p in sweep.parameters.items()
         if p.bisect is None
@@ -56,7 +56,7 @@ def numeric(sweep: Sweep, rows: pd.DataFrame) -> list[str]:
         and pd.api.types.is_numeric_dtype(rows[n])
         and rows[n].nunique() > 1
     ]
-    return sorted(found, key=lambda n: order[kind_of(sweep, n)])
+    return sorted(names, key=lambda n: order[kind_of(sweep, n)])
 
 
 def pairs_of(sweep: Sweep, rows: pd.DataFrame) -> list[tuple[str, str]]:

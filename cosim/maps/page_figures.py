@@ -72,8 +72,8 @@ def point_figure(rows: pd.DataFrame, x: str, y: str, labels: Mapping[str, str]) 
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
         axes = figure.subplots()
-        some = rows.iloc[:: max(1, len(rows) // _MOST_POINTS)]
-        ok = some[some.status == "ok"]
+        thinned = rows.iloc[:: max(1, len(rows) // _MOST_POINTS)]
+        ok = thinned[thinned.status == "ok"]
         flag = ok["stable"].astype(bool) if "stable" in ok else pd.Series(True, index=ok.index)
         good, bad = ok[flag], ok[~flag]
         damping = good.get("damping_least")
@@ -81,7 +81,7 @@ def point_figure(rows: pd.DataFrame, x: str, y: str, labels: Mapping[str, str]) 
             good[x], good[y], c=SERIES[0] if damping is None else damping, cmap=DAMPING, s=14, label="stable"
         )
         axes.scatter(bad[x], bad[y], color=SERIES[1], marker="x", s=22, label="not stable")
-        failed = some[some.status != "ok"]
+        failed = thinned[thinned.status != "ok"]
         if len(failed):
             axes.scatter(failed[x], failed[y], color=MUTED, marker="+", s=22, label="failed")
         if damping is not None:
@@ -115,14 +115,14 @@ def line_figure(rows: pd.DataFrame, x: str, groups: str, labels: Mapping[str, st
 
 def distribution_figure(rows: pd.DataFrame, groups: str) -> Figure | None:
     """Draw how damping, settling time, peak and effort are distributed; None without such columns."""
-    wanted = {
+    labels = {
         "damping_least": "least damping ratio",
         "settling_time_s": "settling time (s)",
         "peak_pu": "peak (10⁻³ pu)",
         "effort_pu2s": "control effort (pu² s)",
     }
     ok = rows[rows.status == "ok"]
-    shown = [c for c in wanted if c in ok and ok[c].notna().sum() > 1]
+    shown = [c for c in labels if c in ok and ok[c].notna().sum() > 1]
     if not shown:
         return None
     with mpl.rc_context(STYLE):
@@ -144,7 +144,7 @@ def distribution_figure(rows: pd.DataFrame, groups: str) -> Figure | None:
                     drawstyle="steps-post",
                     label=str(name),
                 )
-            axis.set_xlabel(wanted[column])
+            axis.set_xlabel(labels[column])
             axis.set_ylim(0.0, 1.02)
         axes[0].set_ylabel("share of runs at most")
         if groups:

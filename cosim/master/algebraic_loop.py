@@ -24,13 +24,13 @@ from .signals import Signal
 
 def _product(matrix: list[list[float]], vector: list[float]) -> list[float]:
     """Return matrix times vector, every sum in the order of the columns, as the kernel has it."""
-    found = [0.0] * len(vector)
+    product = [0.0] * len(vector)
     for i, row in enumerate(matrix):
         total = 0.0
         for j, value in enumerate(vector):
             total += row[j] * value
-        found[i] = total
-    return found
+        product[i] = total
+    return product
 
 
 class Broyden:
@@ -158,8 +158,8 @@ def initialise(graph: Graph, nodes: Mapping[str, Node], tick: int, tolerance: fl
         if not group.torn:
             _sweep(group.members, nodes, tick)
             continue
-        torn = {str(c.source): c.source for c in group.torn}
-        signals = [_signal(nodes[e.instance], e.variable) for _, e in sorted(torn.items())]
+        tearing = {str(c.source): c.source for c in group.torn}
+        signals = [_signal(nodes[e.instance], e.variable) for _, e in sorted(tearing.items())]
         worst = max(worst, _solve(group.members, signals, nodes, tick, tolerance))
     return worst
 

@@ -70,8 +70,8 @@ class Graph:
     def into(self, instance: str) -> tuple[Connection, ...]:
         """Connections into `instance`, by input in the order of its description."""
         place = {p.name: k for k, p in enumerate(self.descriptions[instance].inputs)}
-        found = [c for c in self.connections if c.target.instance == instance]
-        return tuple(sorted(found, key=lambda c: place[c.target.variable]))
+        inputs = [c for c in self.connections if c.target.instance == instance]
+        return tuple(sorted(inputs, key=lambda c: place[c.target.variable]))
 
     @property
     def order(self) -> tuple[str, ...]:
@@ -241,13 +241,13 @@ def _greedy(part: tuple[str, ...], inside: Sequence[Connection]) -> tuple[str, .
 def _port(descriptions: Mapping[str, Description], end: End, wanted: str) -> Port:
     description = descriptions[end.instance]
     inputs, outputs = description.input_of, description.output_of
-    here, other = (outputs, inputs) if wanted == "output" else (inputs, outputs)
-    if end.variable in here:
-        return here[end.variable]
+    side, other = (outputs, inputs) if wanted == "output" else (inputs, outputs)
+    if end.variable in side:
+        return side[end.variable]
     if end.variable in other:
         role = "source" if wanted == "output" else "target"
         raise GraphError(f"{end} has the wrong causality for a {role}: an {wanted} is needed")
-    raise GraphError(f"{end.instance} has no {wanted} {end.variable!r}; {nearest(end.variable, here)}")
+    raise GraphError(f"{end.instance} has no {wanted} {end.variable!r}; {nearest(end.variable, side)}")
 
 
 def _conversion(source: End, a: Port, target: End, b: Port) -> tuple[float, float]:

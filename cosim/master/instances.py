@@ -194,8 +194,8 @@ class FmuParticipant:
 
     def address(self, function: str) -> int | None:
         """Return the address of one of the FMU's functions, None when it has no such function."""
-        found = getattr(self._raw, function, None)
-        return None if found is None else cast(found, c_void_p).value
+        entry = getattr(self._raw, function, None)
+        return None if entry is None else cast(entry, c_void_p).value
 
     # -- one step -------------------------------------------------------------------------
 

@@ -48,9 +48,9 @@ def advance_together(masters: Sequence[Master], *, watch: Watch | None = None) -
         except Exception as error:
             ended[number] = error
     for first in range(0, len(handed), MOST_TOGETHER):
-        some = handed[first : first + MOST_TOGETHER]
-        with _side_by_side([kernel for _, kernel in some]):
-            _step(masters, some, watch, ended)
+        chunk = handed[first : first + MOST_TOGETHER]
+        with _side_by_side([kernel for _, kernel in chunk]):
+            _step(masters, chunk, watch, ended)
     return ended
 
 
@@ -89,26 +89,26 @@ def _step(
 @contextmanager
 def _side_by_side(kernels: Sequence[Kernel]) -> Iterator[None]:
     """Join the participants that have a group library, as many as it steps at once."""
-    found: dict[tuple[Path, Path], list[tuple[Kernel, int]]] = defaultdict(list)
+    groups: dict[tuple[Path, Path], list[tuple[Kernel, int]]] = defaultdict(list)
     libraries: dict[Path, GroupLibrary] = {}
     for kernel in kernels:
         for number, p in enumerate(kernel.participants):
             if p.group is not None:
                 libraries[p.group.path] = p.group
-                found[p.group.path, p.file.path].append((kernel, number))
+                groups[p.group.path, p.file.path].append((kernel, number))
     works: list[GroupWork] = []
     try:
-        for (path, _), places in found.items():
+        for (path, _), places in groups.items():
             library = libraries[path]
             parts = -(-len(places) // library.lanes)
             for part in range(parts):
-                mine = places[part::parts]
-                kernel, number = mine[0]
-                work = library.work(kernel.components[number], len(mine))
+                chunk = places[part::parts]
+                kernel, number = chunk[0]
+                work = library.work(kernel.components[number], len(chunk))
                 if work is None:
                     continue
                 works.append(work)
-                for kernel, number in mine:
+                for kernel, number in chunk:
                     kernel.join(number, library.step, work.address)
         yield
     finally:

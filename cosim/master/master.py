@@ -111,11 +111,11 @@ class Master:
         pairs = sorted(connections)
         self.latency_s = dict(latency_s or {})
         ticks = latency_ticks(self.latency_s, descriptions)
-        marks = tuple(marks_s)
+        event_times = tuple(marks_s)
         self.step_s, self.step_reason = (
             (step_s, "given")
             if step_s is not None
-            else step_and_reason(self.latency_s.values(), [stop_s, *marks])
+            else step_and_reason(self.latency_s.values(), [stop_s, *event_times])
         )
         self.inputs, self.loops, self.tolerance, self.substeps = inputs, loops, tolerance, substeps
         holds = inputs.startswith("hold")
@@ -124,7 +124,7 @@ class Master:
             start_s=start_s,
             stop_s=stop_s,
             step_s=self.step_s,
-            marks_s=marks,
+            marks_s=event_times,
             latency_ticks=ticks,
             edges=not holds,
             points=() if holds else points,
@@ -322,8 +322,8 @@ class Master:
         """Go back to `saved`; the records up to then are kept as they are."""
         for n, p in self.participants.items():
             p.restore(saved.states[n])
-        for s, kept in zip(self.signals, saved.signals, strict=True):
-            s.paste(kept)
+        for s, retained in zip(self.signals, saved.signals, strict=True):
+            s.paste(retained)
         self._index, self._records.count = saved.index, saved.rows
 
     def release(self, saved: Saved) -> None:

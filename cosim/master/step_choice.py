@@ -30,7 +30,7 @@ def step_and_reason(latencies_s: Iterable[float], instants_s: Iterable[float] = 
     why = "the longest step" if limit == _DEFAULT else "the shortest latency"
     if limit == _LEAST and limit > min([_DEFAULT, *latencies]):
         why = "the shortest step, which is longer than the shortest latency"
-    for times, said in (
+    for times, reason in (
         ([*latencies, *instants], "divides all latencies and instants"),
         (latencies, "divides all latencies, events between steps shorten them"),
     ):
@@ -39,7 +39,7 @@ def step_and_reason(latencies_s: Iterable[float], instants_s: Iterable[float] = 
         parts = next((n for n in range(least, 2 * least) if shared % n == 0), 0)
         if parts and 2 * (shared // parts) > limit:
             step = shared // parts
-            return seconds(step), f"chosen: {why}{'' if step == limit else ', shortened'}; {said}"
+            return seconds(step), f"chosen: {why}{'' if step == limit else ', shortened'}; {reason}"
     return seconds(limit), f"chosen: {why}"
 
 
@@ -84,28 +84,28 @@ def clock_of(
     if rigid:
         _refuse_off_grid(plain, rigid[0], step_s)
         return Clock(plain.start, plain.stop, plain.step, plain.marks, edges=False)
-    marks = _with_echoes(plain, latency_ticks.values())
+    event_times = _with_echoes(plain, latency_ticks.values())
     inside = tuple(sorted({p for p in points if plain.start < p < plain.stop}))
     first = {plain.start + d for n, d in latency_ticks.items() if d and not _steps_only(descriptions[n])}
-    kinks = () if at_rest else tuple(sorted(t for t in first.difference(marks) if t < plain.stop))
-    return Clock(plain.start, plain.stop, plain.step, marks, edges=edges, points=inside, kinks=kinks)
+    kinks = () if at_rest else tuple(sorted(t for t in first.difference(event_times) if t < plain.stop))
+    return Clock(plain.start, plain.stop, plain.step, event_times, edges=edges, points=inside, kinks=kinks)
 
 
 def _with_echoes(clock: Clock, latencies: Collection[int]) -> tuple[int, ...]:
     """Return the marks, and each again a latency later while the run lasts."""
-    late = {mark + d for mark in clock.marks for d in latencies}
+    late = {event + d for event in clock.marks for d in latencies}
     return tuple(sorted({*clock.marks, *(m for m in late if m < clock.stop)}))
 
 
 def _refuse_off_grid(clock: Clock, rigid: str, step_s: float) -> None:
     """Raise GraphError where a mark or the end is no multiple of the step."""
-    for mark in (*clock.marks, clock.stop):
-        off = (mark - clock.start) % clock.step
+    for event in (*clock.marks, clock.stop):
+        off = (event - clock.start) % clock.step
         if off:
             raise GraphError(
                 f"{rigid} takes steps of one length only (canHandleVariableCommunicationStepSize "
-                f"= false), but t = {seconds(mark)} s is no multiple of step_s = {step_s:g}; "
-                f"use {seconds(mark - off)} or {seconds(mark - off + clock.step)}"
+                f"= false), but t = {seconds(event)} s is no multiple of step_s = {step_s:g}; "
+                f"use {seconds(event - off)} or {seconds(event - off + clock.step)}"
             )
 
 

@@ -19,22 +19,22 @@ from .signals import Kind, Signal
 
 def make_signals(participants: Mapping[str, Participant], graph: Graph, inputs: Inputs) -> list[Signal]:
     """Return the signals in the order of their names, and bind each participant's inputs and slopes."""
-    found = []
+    signals = []
     for end in sorted({c.source for c in graph.connections}):
         p = participants[end.instance]
         index = next(k for k, o in enumerate(p.description.outputs) if o.name == end.variable)
         port = p.description.outputs[index]
         kind = _kind(p, port.discrete, inputs)
-        found.append(Signal(str(end), end.instance, index, -1, kind, port.nominal))
+        signals.append(Signal(str(end), end.instance, index, -1, kind, port.nominal))
     for name, p in participants.items():
-        sloped = [s for s in found if s.owner == name and s.kind == "hermite"]
+        sloped = [s for s in signals if s.owner == name and s.kind == "hermite"]
         for k, s in enumerate(sloped):
             s.slope_index = k
         p.bind(
             [c.target.variable for c in graph.into(name)],
             [p.description.outputs[s.index].name for s in sloped],
         )
-    return found
+    return signals
 
 
 def _kind(p: Participant, discrete: bool, inputs: Inputs) -> Kind:
@@ -65,8 +65,8 @@ def make_nodes(
         order = 0 if holds else min(3, d.input_order)
         held = all(f.signal.kind == "held" for f in feeds)
         parts = 1 if holds or order or held or not d.variable_step else substeps
-        mine = [s for s in signals if s.owner == name]
-        nodes[name] = Node(p, feeds, mine, order=order, substeps=parts)
+        owned = [s for s in signals if s.owner == name]
+        nodes[name] = Node(p, feeds, owned, order=order, substeps=parts)
     return nodes
 
 

@@ -312,11 +312,11 @@ def latency_damping_plot(
         for k, (wiring, rows) in enumerate(exact.items()):
             delay, zeta = np.asarray(rows, dtype=float).T
             axes.plot(1e3 * delay, zeta, color=SERIES[k], linestyle=DASHES[k], label=f"{wiring}, exact")
-            marks = np.asarray(measured.get(wiring, ()), dtype=float).reshape(-1, 2)
-            if len(marks):
+            event_times = np.asarray(measured.get(wiring, ()), dtype=float).reshape(-1, 2)
+            if len(event_times):
                 axes.plot(
-                    1e3 * marks[:, 0],
-                    marks[:, 1],
+                    1e3 * event_times[:, 0],
+                    event_times[:, 1],
                     "os^"[k % 3],
                     color=SERIES[k],
                     markersize=4.5,

@@ -101,9 +101,9 @@ def _curves_of(figure: Figure) -> dict[str, Any]:
             )
             row = {"name": name, "at": [round(v, 1) for v in at], "x": [*axis.get_xlim()], "curves": curves}
             axes.append(row | ({"log": True} if axis.get_xscale() == "log" else {}))
-    found: dict[str, Any] = {"size": [wide, high], "axes": axes}
+    data: dict[str, Any] = {"size": [wide, high], "axes": axes}
     bars = [bar for axis in figure.axes for bar in _bars_of(axis, high)]
-    return found | ({"bars": bars} if bars else {})
+    return data | ({"bars": bars} if bars else {})
 
 
 def _named_curves(axis: Axes) -> list[dict[str, Any]]:

@@ -55,16 +55,16 @@ def places_of(case: Case) -> dict[int, Place]:
     The windings of a transformer stand in one substation: a bus without a place (of a generator, or the star
     of three windings) has that of the bus at the other side. Longitudes run on over the 180th meridian.
     """
-    given = [(b.number, b.longitude_deg, b.latitude_deg) for b in case.buses]
-    known = {k: (x, y) for k, x, y in given if x is not None and y is not None}
+    located = [(b.number, b.longitude_deg, b.latitude_deg) for b in case.buses]
+    known = {k: (x, y) for k, x, y in located if x is not None and y is not None}
     if not known:
         return {}
     first = next(iter(known.values()))[0]
     places = {k: (first + (x - first + 180.0) % 360.0 - 180.0, y) for k, (x, y) in known.items()}
     windings = [(b.from_bus, b.to_bus) for b in case.branches if b.kind == "transformer"]
     waiting = [*windings, *((b, a) for a, b in windings)]
-    while found := {b: places[a] for a, b in waiting if a in places and b not in places}:
-        places |= found
+    while placed := {b: places[a] for a, b in waiting if a in places and b not in places}:
+        places |= placed
     return places
 
 
@@ -77,7 +77,7 @@ def mode_map(shape: Mapping[str, complex], case: Case, places: Mapping[int, Plac
     """
     leader = max(shape.values(), key=abs)
     at = {m.name: places[m.bus] for m in case.machines if m.bus in places and m.name in shape}
-    turned = {m: shape[m] / leader for m in sorted(at, key=lambda m: -abs(shape[m]))}  # the small on top
+    rotated = {m: shape[m] / leader for m in sorted(at, key=lambda m: -abs(shape[m]))}  # the small on top
     ends = [(b.from_bus, b.to_bus) for b in case.branches]
     lines = [(places[a], places[b]) for a, b in ends if a in places and b in places]
     spots = np.array([*places.values()])
@@ -91,8 +91,8 @@ def mode_map(shape: Mapping[str, complex], case: Case, places: Mapping[int, Plac
         axes.set_aspect(1.0 / squeeze)
         axes.grid(visible=False)
         axes.add_collection(LineCollection(lines, colors=MUTED, linewidths=0.4, alpha=0.6, zorder=1))
-        _arrows(axes, turned, at)
-        _names(axes, turned, at, 0.25 * inch, squeeze)
+        _arrows(axes, rotated, at)
+        _names(axes, rotated, at, 0.25 * inch, squeeze)
         room = 1.15 * _LONGEST * inch
         axes.set_xlim(low[0] - room / squeeze, high[0] + room / squeeze)
         axes.set_ylim(low[1] - room, high[1] + room)
@@ -105,21 +105,21 @@ def mode_map(shape: Mapping[str, complex], case: Case, places: Mapping[int, Plac
     return figure
 
 
-def _arrows(axes: Any, turned: Mapping[str, complex], at: Mapping[str, Place]) -> None:
+def _arrows(axes: Any, rotated: Mapping[str, complex], at: Mapping[str, Place]) -> None:
     """Machines with the largest in one colour, against it in the other, at rest as dots."""
-    moving = [m for m in turned if abs(turned[m]) > _STILL]
-    for colour, label, some in (
-        (MUTED, f"below {100 * _STILL:g} %", [m for m in turned if m not in set(moving)]),
-        (SERIES[0], "with the largest", [m for m in moving if turned[m].real >= 0.0]),
-        (SERIES[1], "against it", [m for m in moving if turned[m].real < 0.0]),
+    moving = [m for m in rotated if abs(rotated[m]) > _STILL]
+    for colour, label, machines in (
+        (MUTED, f"below {100 * _STILL:g} %", [m for m in rotated if m not in set(moving)]),
+        (SERIES[0], "with the largest", [m for m in moving if rotated[m].real >= 0.0]),
+        (SERIES[1], "against it", [m for m in moving if rotated[m].real < 0.0]),
     ):
-        if not some:
+        if not machines:
             continue
-        spots = np.array([at[m] for m in some])
+        spots = np.array([at[m] for m in machines])
         axes.scatter(*spots.T, s=6.0, color=colour, linewidths=0, zorder=2, label=label)
         if colour == MUTED:
             continue
-        arrows = np.array([turned[m] for m in some]) * _LONGEST
+        arrows = np.array([rotated[m] for m in machines]) * _LONGEST
         axes.quiver(
             *spots.T, arrows.real, arrows.imag, color=colour, angles="uv", units="inches",
             scale_units="inches", scale=1.0, width=0.018, headwidth=4.5, headlength=5, headaxislength=4.5,
@@ -129,16 +129,16 @@ def _arrows(axes: Any, turned: Mapping[str, complex], at: Mapping[str, Place]) -
 
 
 def _names(
-    axes: Any, turned: Mapping[str, complex], at: Mapping[str, Place], gap: float, squeeze: float
+    axes: Any, rotated: Mapping[str, complex], at: Mapping[str, Place], gap: float, squeeze: float
 ) -> None:
     """Name the first machines that are a `gap` of degrees apart."""
     placed: list[Place] = []
-    for machine in turned:
+    for machine in rotated:
         x, y = at[machine]
         if len(placed) == _NAMED or any(np.hypot((x - a) * squeeze, y - b) < gap for a, b in placed):
             continue
         placed.append((x, y))
-        right = turned[machine].real < 0.0  # on the side that the arrow leaves free
+        right = rotated[machine].real < 0.0  # on the side that the arrow leaves free
         axes.annotate(
             machine, (x, y), xytext=(4 if right else -4, 0), textcoords="offset points", size=7, color=INK,
             ha="left" if right else "right", va="center", zorder=4,

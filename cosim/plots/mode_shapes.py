@@ -49,9 +49,9 @@ def mode_shape_plot(shape: Mapping[str, complex], area_of: Mapping[str, int], ti
     """
     scale = max(abs(v) for v in shape.values())
     leader = max(shape.values(), key=abs)
-    turned = {m: v / leader * abs(leader) / scale for m, v in shape.items()}
+    rotated = {m: v / leader * abs(leader) / scale for m, v in shape.items()}
     with mpl.rc_context(STYLE):
-        many = len(turned) > MANY_ARROWS
+        many = len(rotated) > MANY_ARROWS
         figure = Figure(figsize=(4.6, 4.6) if many else (3.4, 3.1), layout="constrained")
         axes: Any = figure.subplots(subplot_kw={"projection": "polar"})
         axes.set_ylim(0, 1.3 if many else 1.18)
@@ -61,13 +61,13 @@ def mode_shape_plot(shape: Mapping[str, complex], area_of: Mapping[str, int], ti
         axes.spines["polar"].set_visible(False)
         areas = sorted(set(area_of.values()))
         placed: list[complex] = []
-        named = list(turned)
+        named = list(rotated)
         if len(named) > MOST_NAMES:
-            named = sorted(turned, key=lambda m: -abs(turned[m]))[:NAMED]
+            named = sorted(rotated, key=lambda m: -abs(rotated[m]))[:NAMED]
         gap = min(0.2, 6.2 / len(named))
-        angles = rim_angles([float(np.angle(turned[m])) for m in named], gap) if many else []
+        angles = rim_angles([float(np.angle(rotated[m])) for m in named], gap) if many else []
         rim = dict(zip(named, angles, strict=False))
-        for machine, value in turned.items():
+        for machine, value in rotated.items():
             k = areas.index(area_of[machine])
             colour = SERIES[k % len(SERIES)]
             angle, radius = float(np.angle(value)), abs(value)
@@ -125,9 +125,9 @@ def rim_angles(angles: Sequence[float], gap: float) -> list[float]:
         raise ValueError(f"{len(angles)} names {gap:g} rad apart do not fit round a circle of 2 pi")
     order = sorted(range(len(angles)), key=lambda k: angles[k])
     # begin after the widest empty sector, so that no cluster lies across the cut
-    turned = [angles[k] for k in order]
-    holes = [(turned[(k + 1) % len(turned)] - turned[k]) % (2.0 * math.pi) for k in range(len(turned))]
-    cut = max(range(len(holes)), key=holes.__getitem__) + 1 if len(turned) > 1 else 0
+    ordered = [angles[k] for k in order]
+    holes = [(ordered[(k + 1) % len(ordered)] - ordered[k]) % (2.0 * math.pi) for k in range(len(ordered))]
+    cut = max(range(len(holes)), key=holes.__getitem__) + 1 if len(ordered) > 1 else 0
     order = order[cut:] + order[:cut]
     line = [angles[k] + (2.0 * math.pi if angles[k] < angles[order[0]] else 0.0) for k in order]
     clusters = [[value] for value in line]

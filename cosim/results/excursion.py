@@ -75,8 +75,8 @@ def parts_of(case: Case, machines: Sequence[str]) -> list[list[int]]:
     if sum(m.slack for m in case.machines) == 1:  # each part has one
         return [list(range(len(machines)))]
     at = {m.name: m.bus for m in case.machines}
-    found = [[k for k, name in enumerate(machines) if at[name] in part] for part in islands_of(case)]
-    return [places for places in found if places]
+    islands = [[k for k, name in enumerate(machines) if at[name] in part] for part in islands_of(case)]
+    return [places for places in islands if places]
 
 
 def machines_judged(case: Case, events: Iterable[Any]) -> list[str]:

@@ -178,8 +178,10 @@ class Judge:
             how = f"{text} (no linear loop: {roots})"
             return _Swings(poles, least_of_fit(fit, fitted), fitted, fit.error, how, text)
         least = known.least
-        told = (damping_ratio(least), hertz(least), known.name_of(least)) if least is not None else _NOTHING
-        return _Swings(known.named, told, fitted, fit.error, _ROOTS, text)
+        least_row = (
+            (damping_ratio(least), hertz(least), known.name_of(least)) if least is not None else _NOTHING
+        )
+        return _Swings(known.named, least_row, fitted, fit.error, _ROOTS, text)
 
 
 def motion_of(case: Case, scenario: Scenario, stop_s: float) -> Motion:

@@ -117,9 +117,9 @@ def refined(time_s: Array, values: Array, poles: ComplexArray) -> ComplexArray:
     largest = 0.95 * np.pi / (time_s[1] - time_s[0])
 
     def poles_at(x: Array) -> ComplexArray:
-        found = x[: poles.size].astype(complex)
-        found[swinging] += 1j * x[poles.size :]
-        return found
+        result = x[: poles.size].astype(complex)
+        result[swinging] += 1j * x[poles.size :]
+        return result
 
     def misfit(x: Array) -> Array:
         return np.asarray(amplitudes_of(time_s, values, poles_at(x))[1].ravel())

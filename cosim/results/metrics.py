@@ -170,14 +170,14 @@ def robust_ring_down(
     used = scale > 0.0
     if not poles.size or not np.any(used):
         return first
-    found = pencil.refined(time_s, values[:, used] / np.max(scale), poles)
-    amplitudes, misfit = pencil.amplitudes_of(time_s, values, found)
+    refined = pencil.refined(time_s, values[:, used] / np.max(scale), poles)
+    amplitudes, misfit = pencil.amplitudes_of(time_s, values, refined)
     error = float(np.max(np.abs(misfit) / np.where(used, scale, 1.0)))
     strength = np.max(np.abs(amplitudes), axis=1)
     modes = tuple(
-        RingDownMode(complex(found[k]), tuple(amplitudes[k].tolist()))
+        RingDownMode(complex(refined[k]), tuple(amplitudes[k].tolist()))
         for k in np.argsort(-strength)
-        if found[k].imag > 1e-6
+        if refined[k].imag > 1e-6
     )
     return RingDown(modes, first.window_s, error, "variable projection")
 

@@ -94,5 +94,5 @@ class Result:
 
     def explain(self) -> str:
         """Return how it was stepped: step, order, loops, unconnected inputs, delay and packet ledgers."""
-        told = "".join(f"\n\nwarning: {line}" for line in self.warnings)
-        return f"{self.explanation}\n\n{self.packets}{told}"
+        warnings = "".join(f"\n\nwarning: {line}" for line in self.warnings)
+        return f"{self.explanation}\n\n{self.packets}{warnings}"

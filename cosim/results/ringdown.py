@@ -200,13 +200,13 @@ def _names(shapes: npt.NDArray[np.complex128], areas: Sequence[int]) -> list[tup
     total = between + sum(inside.values())
     local = np.array(list(inside.values()))
     largest = np.argmax(local, axis=0)
-    found = []
+    names = []
     for k, all_motion in enumerate(total):
         own = local[largest[k], k]
         name = "inter-area" if between[k] >= own else f"local area {list(inside)[largest[k]]}"
         # a shape that is nothing at all swings nowhere: its share is none
-        found.append((name, float(max(between[k], own) / all_motion) if all_motion > 0.0 else 0.0))
-    return found
+        names.append((name, float(max(between[k], own) / all_motion) if all_motion > 0.0 else 0.0))
+    return names
 
 
 def control_limit_pu(master: Master) -> float | None:

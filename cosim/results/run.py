@@ -160,24 +160,24 @@ class Run(Result):
         ValueError : the mode does not show in the window; the message names those that do.
         """
         if start_s is None and stop_s is None:
-            found = dict(self.metrics.damping_ratio)
+            ratios = dict(self.metrics.damping_ratio)
             if self.metrics.least_damping_ratio is not None:
-                found[LEAST] = self.metrics.least_damping_ratio
+                ratios[LEAST] = self.metrics.least_damping_ratio
         else:
             window = fit_window(self.scenario)
             chosen = (window[0] if start_s is None else start_s, window[1] if stop_s is None else stop_s)
             step = self.ledger.step_s
             named, fit = ring_down_of(self.trajectory, self.case, chosen, step)
-            found = {name: m.damping_ratio for name, m in named.items()}
+            ratios = {name: m.damping_ratio for name, m in named.items()}
             if not fit.good:
                 raise ValueError(
                     f"mode {mode!r}: the ring-down from {chosen[0]:g} to {chosen[1]:g} s is fitted within "
                     f"{fit.error:.1%} only, wanted {GOOD_FIT:.0%} for a mode to have a name; choose another "
                     "window, or leave start_s and stop_s out"
                 )
-        if mode not in found:
-            raise ValueError(f"mode {mode!r} does not show in this run; {nearest(mode, found)}")
-        return found[mode]
+        if mode not in ratios:
+            raise ValueError(f"mode {mode!r} does not show in this run; {nearest(mode, ratios)}")
+        return ratios[mode]
 
     def settling_time_s(self, column: str | None = None, *, band: float = 0.02) -> float | None:
         """Return the time from the last disturbance to where a signal stays within `band` of its peak.

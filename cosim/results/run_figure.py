@@ -118,8 +118,8 @@ def _spans(run: Ran, end_s: float) -> list[tuple[str, list[tuple[float, float]]]
     """Return what is shaded: disturbances first, then the outages of each channel; label, times (s)."""
     events = [(times[0], times[-1]) for times in (instants(e) for e in run.scenario.event) if times]
     short = 0.002 * end_s  # what lasts an instant is drawn as a line
-    found = [("disturbance", [(a, max(b, a + short)) for a, b in events if a < end_s])]
+    spans = [("disturbance", [(a, max(b, a + short)) for a, b in events if a < end_s])]
     for name, channel in run.scenario.channels.items():
         outages = [(a, min(b, end_s)) for a, b in channel.outages_s if a < end_s]
-        found.append((f"{name} lost", outages))
-    return [(label, when) for label, when in found if when]
+        spans.append((f"{name} lost", outages))
+    return [(label, when) for label, when in spans if when]

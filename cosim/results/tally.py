@@ -46,9 +46,9 @@ class Tally:
         """Count the points of a part."""
         self.points += len(part.time_s)
         for name in (n for n in self.channels if f"{n}.age" in part):
-            age, found = part[f"{name}.age"], self.ages.setdefault(name, Ages())
-            found.last, found.total = float(age[-1]), found.total + float(np.sum(age))
-            found.largest, found.points = max(found.largest, float(np.max(age))), found.points + len(age)
+            age, result = part[f"{name}.age"], self.ages.setdefault(name, Ages())
+            result.last, result.total = float(age[-1]), result.total + float(np.sum(age))
+            result.largest, result.points = max(result.largest, float(np.max(age))), result.points + len(age)
         for name in part.units:
             bad = np.flatnonzero(~np.isfinite(part[name]))
             if bad.size:
@@ -105,8 +105,8 @@ class Settling:
             return
         later = np.maximum.accumulate(x[::-1])[::-1]  # the largest from here on
         new = np.flatnonzero((x[:-1] > later[1:]) & (x[:-1] > self.band * self.peak))
-        kept = self._kept[:, self._kept[1] > max(later[0], self.band * self.peak)]
-        self._kept = np.hstack([kept, [t[new], x[new], t[new + 1], x[new + 1]]])
+        retained = self._kept[:, self._kept[1] > max(later[0], self.band * self.peak)]
+        self._kept = np.hstack([retained, [t[new], x[new], t[new + 1], x[new + 1]]])
         self._last = float(x[-1])
 
     @property
@@ -152,16 +152,16 @@ class Curves:
 
     def add(self, part: Trajectory, names: Iterable[str]) -> None:
         """Take a part, of which `names` are kept."""
-        kept = part.thinned(list(dict.fromkeys([TIME, *names])), 0, 1)
+        retained = part.thinned(list(dict.fromkeys([TIME, *names])), 0, 1)
         if self._width == 1:  # copies, without which all other columns would stay too
-            columns = {name: kept[name].copy() for name in kept.units}
-            self._parts.append(Trajectory(columns, kept.units, kept.descriptions, kept.engine))
+            columns = {name: retained[name].copy() for name in retained.units}
+            self._parts.append(Trajectory(columns, retained.units, retained.descriptions, retained.engine))
             return
         begin = np.arange(0, len(part.time_s), self._width)
-        drawn = {name: _envelope(kept[name], begin) for name in kept.units}
-        first = [] if self._parts else [kept.thinned(list(kept.units), 0, len(part.time_s))]
-        self._parts += [*first, Trajectory(drawn, kept.units, kept.descriptions, kept.engine)]
-        self._last = [kept.thinned(list(kept.units), -1, 1)]
+        drawn = {name: _envelope(retained[name], begin) for name in retained.units}
+        first = [] if self._parts else [retained.thinned(list(retained.units), 0, len(part.time_s))]
+        self._parts += [*first, Trajectory(drawn, retained.units, retained.descriptions, retained.engine)]
+        self._last = [retained.thinned(list(retained.units), -1, 1)]
 
     @property
     def trajectory(self) -> Trajectory:

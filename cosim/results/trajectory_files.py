@@ -72,10 +72,12 @@ class TrajectoryFiles:
 
     def add(self, part: Trajectory) -> None:
         """Write the points of a part."""
-        kept = part.thinned(chosen(list(part.units), self._record), -self._points % self._every, self._every)
+        retained = part.thinned(
+            chosen(list(part.units), self._record), -self._points % self._every, self._every
+        )
         self._points += len(part.time_s)
         self.last = part
-        self._write(kept)
+        self._write(retained)
 
     def _write(self, kept: Trajectory) -> None:
         first = self._parquet is None

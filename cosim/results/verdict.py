@@ -145,10 +145,10 @@ class Motion:
         for rows, mean in zip(self.islands, means, strict=True):
             if len(rows) > 1:  # of a machine alone its own speed
                 relative[rows] -= mean
-        time, some = time_s[inside], {"speeds": relative, "means": means}
+        time, selected = time_s[inside], {"speeds": relative, "means": means}
         if controls:
-            some["controls"] = np.array(list(controls.values()))
-        for name, values in some.items():
+            selected["controls"] = np.array(list(controls.values()))
+        for name, values in selected.items():
             self._spans[name].add(time, values[:, inside])
 
     def verdict(self, limit_pu: float | None, root: complex | None = None) -> Verdict:
@@ -167,14 +167,14 @@ class Motion:
         if not end - begin >= min(LEAST_S, self.stop_s):
             return self._made(NOT_JUDGED, f"the run ends {end - begin:.2g} s after the last event")
         used = self._spans["controls"].size[2]
-        found = self._decays()
+        decays = self._decays()
         if limit_pu is not None and used is not None:
             at = np.flatnonzero(used >= (1.0 - AT_LIMIT) * limit_pu)
             if at.size:
                 name = self._controls[int(at[0])]
                 what = f"{name} is at its limit of {limit_pu:g} pu in the last {self.width_s:.3g} s"
-                return self._made(STANDING, what, *found[2])
-        name, why, spans = found
+                return self._made(STANDING, what, *decays[2])
+        name, why, spans = decays
         rate = 0.0 if root is None else root.real
         seen = spans[0] >= NOTHING and rate * (end - begin) >= SHOWS
         if root is not None and rate > 0.0 and name in (SETTLED, SLOW) and not seen:
@@ -271,8 +271,8 @@ class Spans:
             inside = (time_s >= begin) & (time_s <= end)
             if not np.any(inside):
                 continue
-            some = values[:, inside]
-            low, high = some.min(axis=1), some.max(axis=1)
+            selected = values[:, inside]
+            low, high = selected.min(axis=1), selected.max(axis=1)
             old_low, old_high = self._low[k], self._high[k]
             self._low[k] = low if old_low is None else np.minimum(old_low, low)
             self._high[k] = high if old_high is None else np.maximum(old_high, high)

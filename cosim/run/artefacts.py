@@ -59,8 +59,8 @@ def plant_fmu(
         )
         return plant_block(case, event_slots=event_slots, show=show, more=more)
 
-    given = [case.model_dump_json(), event_slots, None if show is None else list(show), list(more)]
-    return _kept_fmu(cache, "plant", case.name, given, block)
+    provided = [case.model_dump_json(), event_slots, None if show is None else list(show), list(more)]
+    return _kept_fmu(cache, "plant", case.name, provided, block)
 
 
 def concentrator_fmu(signals: int, cache: Path) -> Path:
@@ -96,10 +96,10 @@ def channel_fmu(cache: Path) -> Path:
     return _kept_fmu(cache, "channel", "channel", [], block)
 
 
-def _kept_fmu(cache: Path, kind: str, name: str, given: list[Any], block: Callable[[], Block]) -> Path:
-    """Return the FMU of a block, which is made from `given` only when no FMU made of the same is there."""
+def _kept_fmu(cache: Path, kind: str, name: str, provided: list[Any], block: Callable[[], Block]) -> Path:
+    """Return the FMU of a block, which is made from `provided` only when no FMU made of the same is there."""
     key = content_hash(
-        given,
+        provided,
         source_hash("models"),
         source_hash("models", "*.[ch]"),
         source_hash("fmu_build/write"),

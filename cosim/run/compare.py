@@ -67,9 +67,9 @@ class Compared:
                 "frequency_hz": z.imag / (2.0 * np.pi),
                 "damping_ratio": damping_ratio(z),
             }
-            for latency_s, found in self.locus.items()
-            if isinstance(found, LoopModes)
-            for z in sorted({complex(r.real, abs(r.imag)) for r in found.roots}, key=damping_ratio)
+            for latency_s, result in self.locus.items()
+            if isinstance(result, LoopModes)
+            for z in sorted({complex(r.real, abs(r.imag)) for r in result.roots}, key=damping_ratio)
         ]
 
 
@@ -96,12 +96,12 @@ def compare_controllers(
         raise ScenarioError(f"{scenario.name}: case is missing; controllers are compared on one")
     systems: dict[str, System] = {}
     wrong = Collected()
-    for name, given in zip(names, controllers, strict=True):
+    for name, provided in zip(names, controllers, strict=True):
         with wrong:
-            one = scenario.model_copy(update={"controller": given, "folder": _folder(scenario, given)})
+            one = scenario.model_copy(update={"controller": provided, "folder": _folder(scenario, provided)})
             systems[name] = system_of(one, cache=cache, case=scenario.load_case())
     wrong.end(ScenarioError)
-    found = []
+    rows = []
     for name, system in systems.items():
         run = system.warned().run(progress=lambda now, end, name=name: progress(name, 0.5 * now / end))  # type: ignore[misc]
         assert isinstance(run, Run)
@@ -110,8 +110,8 @@ def compare_controllers(
             locus[latency_s] = _swings_at(system, latency_s)
             progress(name, 0.5 + 0.5 * k / len(LATENCIES_S))
         progress(name, 1.0)
-        found.append(Compared(name, run, locus))
-    return found
+        rows.append(Compared(name, run, locus))
+    return rows
 
 
 def _folder(scenario: Scenario, controller: str) -> Path:

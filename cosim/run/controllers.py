@@ -121,16 +121,16 @@ def _design(
     order = {} if reduce else {"order": relative.nstates}
     spec = replace((specs or {}).get(name) or designs.SPECIFICATIONS[name](), **order)
     if isinstance(spec, designs.WdcSpec):
-        made = designs.design_wdc(relative, spec, omega_b=case.omega_b)
+        design = designs.design_wdc(relative, spec, omega_b=case.omega_b)
     elif isinstance(spec, designs.FtcSpec):
-        made = designs.design_ftc(relative, spec, omega_b=case.omega_b)
+        design = designs.design_ftc(relative, spec, omega_b=case.omega_b)
     else:
         reference = design_controller(case, "ftc", cache, specs=specs)
-        made = designs.design_cc_like(reference, relative, spec, omega_b=case.omega_b)
+        design = designs.design_cc_like(reference, relative, spec, omega_b=case.omega_b)
     if not reduce:
-        return made
+        return design
     plant = speeds_in_rad(relative, case.omega_b)
-    return replace(made, certificate=certificate(plant, made, modes_of(relative, case.areas)))
+    return replace(design, certificate=certificate(plant, design, modes_of(relative, case.areas)))
 
 
 def active_bank(case: Case, cache: Path) -> ControllerBank:

@@ -46,12 +46,12 @@ def _told_without_fmus(scenario: Scenario, case: Any, missing: bool) -> bool:
     keys = ("plant", "show", "record", "connections", "fmus", "concentrators")
     if scenario.master.joint or any(getattr(scenario, key) for key in keys):
         return False
-    speeds, ways = {f"{m.name}_dw" for m in case.machines}, scenario.signals
-    if not all(way.pmu is None and way.signal in speeds for way in ways):
+    speeds, paths = {f"{m.name}_dw" for m in case.machines}, scenario.signals
+    if not all(path.pmu is None and path.signal in speeds for path in paths):
         return False
     if missing or scenario.controller == "none":
         return True
     if scenario.controller not in shipped_names():
         return False
     inputs = set(parse_json((FOLDER / f"{scenario.controller}.json").read_bytes())["inputs"])
-    return {way.signal for way in ways} <= inputs <= speeds
+    return {path.signal for path in paths} <= inputs <= speeds

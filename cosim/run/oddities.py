@@ -37,8 +37,8 @@ def times_past_the_end(scenario: Scenario) -> list[str]:
 def made_for_another(controller: Controller | ControllerBank | None, case: Case) -> list[str]:
     """Return a line where the record of a controller names another case than the one it is to run with."""
     design = getattr(controller, "design", {}) or {}
-    given = design.get("specification")
-    named = given.get("case") if isinstance(given, dict) else None
+    provided = design.get("specification")
+    named = provided.get("case") if isinstance(provided, dict) else None
     if controller is None or not named or not isinstance(named, str) or Path(named).suffix:
         return []
     if f"{case.name}-".startswith(f"{named}-"):  # other operating points of a case have its name in front

@@ -161,8 +161,8 @@ def system_of(
         with wrong:
             _start_plant(system, scenario)
         with wrong:
-            made = _add_controller(system, scenario, which)
-            system.warnings += made_for_another(made, case)
+            result = _add_controller(system, scenario, which)
+            system.warnings += made_for_another(result, case)
         with wrong:
             system.swing = swing or swing_of(case, system.fmus.cache, scenario.swing)
     for name, line in scenario.lines.items():
@@ -215,21 +215,21 @@ def _add_controller(
         if Path(which).suffix == ".fmu":
             system.controller(which)
             return None
-        made = controller_of(which, scenario.as_given(system.case), system.fmus.cache)
+        controller = controller_of(which, scenario.as_given(system.case), system.fmus.cache)
     else:
-        made = controller_of(which, system.case, system.fmus.cache)
-    given = made
+        controller = controller_of(which, system.case, system.fmus.cache)
+    provided = controller
     gain, limit = scenario.controller_gain, scenario.controller_limit_pu
-    if made is not None and (gain != 1.0 or limit is not None):
-        if not isinstance(made, Controller):
+    if controller is not None and (gain != 1.0 or limit is not None):
+        if not isinstance(controller, Controller):
             raise ScenarioError(
                 f"{scenario.name}: controller_gain and controller_limit_pu change one controller, "
                 f"{scenario.controller!r} is a bank; change its members"
             )
-        made = system.fmus.scaled(made, gain, limit)
-    if made is not None:
-        system.controller(made)
-    return given
+        controller = system.fmus.scaled(controller, gain, limit)
+    if controller is not None:
+        system.controller(controller)
+    return provided
 
 
 def _connect_signals(system: System, scenario: Scenario) -> None:
@@ -237,29 +237,29 @@ def _connect_signals(system: System, scenario: Scenario) -> None:
     plant = system.parts[PLANT].file.description
     signals, inputs = [p.name for p in plant.outputs], plant.input_of
     controller = system.parts.get(CONTROLLER)
-    title, wanted, taken = "", [], {}
+    title, requested, taken = "", [], {}
     if controller is not None:
         # beside its Real signals a supervisor has flags of validity, and tells which member is active
         description = controller.file.description
         title, taken = description.title, description.input_of
-        wanted = [p.name for p in description.inputs if p.type == "Real"]
+        requested = [p.name for p in description.inputs if p.type == "Real"]
         outputs = [p.name for p in description.outputs if p.type == "Real"]
         driving, warnings = outputs_used(title, outputs, inputs, scenario.connections)
         system.connections += [(f"{CONTROLLER}.{name}", f"{PLANT}.{name}") for name in driving]
         system.warnings += warnings
     wrong = Collected()
-    for way in scenario.signals:  # the others are connected by scenario.connections
-        signal, y, valid = way.signal, way.y, way.valid
-        where = _where(scenario, signal, way.u)
+    for path in scenario.signals:  # the others are connected by scenario.connections
+        signal, y, valid = path.signal, path.y, path.valid
+        where = _where(scenario, signal, path.u)
         with wrong:
-            _connect_source(system, way, signals, where)
-        if controller is not None and (way.pmu is not None or signal in signals):
+            _connect_source(system, path, signals, where)
+        if controller is not None and (path.pmu is not None or signal in signals):
             with wrong:
-                _known(signal, wanted, f"{where} is no input of controller {title}")
+                _known(signal, requested, f"{where} is no input of controller {title}")
             system.connections.append((y, f"{CONTROLLER}.{signal}"))
             if f"{signal}_valid" in taken:
                 system.connections.append((valid, f"{CONTROLLER}.{signal}_valid"))
-    for signal in _without(wanted, _fed(scenario)):
+    for signal in _without(requested, _fed(scenario)):
         with wrong:
             _known(signal, signals, f"controller {title}: input {signal!r} is no output of the plant")
         system.connections.append((f"{PLANT}.{signal}", f"{CONTROLLER}.{signal}"))
@@ -270,10 +270,10 @@ def _unknown_buses(scenario: Scenario, case: Case) -> list[str]:
     """Return a line for each PMU at a bus that the case does not have."""
     buses = [b.number for b in case.buses]
     return [
-        f"{scenario.name}: {way.u.partition('.')[0]}: pmu.bus = {way.pmu.bus} does not exist; "
-        f"{nearest(str(way.pmu.bus), map(str, buses))}"
-        for way in scenario.signals
-        if way.pmu is not None and way.pmu.bus not in buses
+        f"{scenario.name}: {path.u.partition('.')[0]}: pmu.bus = {path.pmu.bus} does not exist; "
+        f"{nearest(str(path.pmu.bus), map(str, buses))}"
+        for path in scenario.signals
+        if path.pmu is not None and path.pmu.bus not in buses
     ]
 
 
@@ -303,7 +303,7 @@ def _where(scenario: Scenario, signal: str, end: str) -> str:
 def _fed(scenario: Scenario) -> set[str]:
     """Return the controller's inputs that the scenario connects: by a way for the signal or by name."""
     by_name = {path[-1].removeprefix(f"{CONTROLLER}.") for path in scenario.connections}
-    return by_name | {way.signal for way in scenario.signals}
+    return by_name | {own_path.signal for own_path in scenario.signals}
 
 
 def _known(name: str, names: Iterable[str], what: str) -> None:

@@ -73,8 +73,8 @@ def _modes(case: Case, cache: Path) -> list[Mode]:
     plant = sparse_linear_plant(case, cache)
     swings: list[Mode] = []
     for below in _BELOW:
-        found = all_modes(plant, case.areas, band_hz=_BAND_HZ, below=below).modes
-        swings = [m for m in found if m.name.startswith(("inter-area", "local"))]
+        modes = all_modes(plant, case.areas, band_hz=_BAND_HZ, below=below).modes
+        swings = [m for m in modes if m.name.startswith(("inter-area", "local"))]
         if any(m.name.startswith("inter-area") for m in swings):
             break
     if not swings:

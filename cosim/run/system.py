@@ -140,12 +140,12 @@ class System:
         if not self.plants:
             raise ScenarioError(f"{name}: add the plant first; its case gives the controller its base speed")
         case = next(reversed(self.plants.values()))
-        made = controller_of(controller, case, self.fmus.cache)
-        if made is None:
+        rows = controller_of(controller, case, self.fmus.cache)
+        if rows is None:
             return self
-        file = self.fmus.controller(made, case.omega_b)
-        self.bank = made if isinstance(made, ControllerBank) else None
-        return self.put(Instance(name, file, block=lambda: made.block(case.omega_b)))
+        file = self.fmus.controller(rows, case.omega_b)
+        self.bank = rows if isinstance(rows, ControllerBank) else None
+        return self.put(Instance(name, file, block=lambda: rows.block(case.omega_b)))
 
     def fmu(
         self,
@@ -168,12 +168,12 @@ class System:
         GraphError : see `FmuFile` and `FmuParticipant`. ScenarioError : a time limit without isolate.
         """
         process: dict[str, Any] = {"isolate": isolate, "time_limit_s": time_limit_s}
-        made = Instance(name, self.fmus.open(Path(file)), start, process=process)
-        participant_of(name, made.file, start, **process).close()  # refuses wrong start values here
+        instance = Instance(name, self.fmus.open(Path(file)), start, process=process)
+        participant_of(name, instance.file, start, **process).close()  # refuses wrong start values here
         self.at_rest = False
         if latency_s:
             self.latency_s[name] = latency_s
-        return self.put(made)
+        return self.put(instance)
 
     def add(self, participant: Participant, *, latency_s: float = 0.0) -> System:
         """Add a participant of any kind; `latency_s` as in `fmu`."""
@@ -279,16 +279,16 @@ class System:
                 raise ScenarioError("event: there is no plant yet for it to happen to; add the plant first")
             raise ScenarioError(f"event: plant = {plant!r}; {nearest(str(plant), self.plants)}")
         try:
-            found = event_of({"kind": kind, **fields}, where="event") if isinstance(kind, str) else kind
+            rows = event_of({"kind": kind, **fields}, where="event") if isinstance(kind, str) else kind
         except CaseError as error:
             raise ScenarioError(str(error)) from None
         where = f"event {1 + sum(len(events) for events in self.events.values())}"
-        given, found = found, event_on_ticks(found, where)
-        self.rounded += roundings(given, found, where)
-        events = [*self.events.get(plant, []), found]
+        provided, rows = rows, event_on_ticks(rows, where)
+        self.rounded += roundings(provided, rows, where)
+        events = [*self.events.get(plant, []), rows]
         event_parameters(self.plants[plant], events)  # refuses an unknown target here
         self.events[plant] = events
-        self.marks += [t for t in (found.start_s, getattr(found, "end_s", None)) if t is not None]
+        self.marks += [t for t in (rows.start_s, getattr(rows, "end_s", None)) if t is not None]
         return self
 
     def mark(self, *times_s: float) -> System:
@@ -315,8 +315,8 @@ class System:
             return self._others[name]
         if name not in self.parts:
             raise GraphError(f"no instance {name!r}; {nearest(name, [*self.parts, *self._others])}")
-        made = self._with_events(self.parts[name])
-        return participant_of(name, made.file, made.start, **made.process)
+        events = self._with_events(self.parts[name])
+        return participant_of(name, events.file, events.start, **events.process)
 
     @property
     def signals(self) -> list[str]:

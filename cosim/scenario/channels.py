@@ -213,13 +213,13 @@ class ChannelLine(Table):
     def marks_s(self) -> tuple[float, ...]:
         """Instants at which the output may jump, packets aside: outages, the end of holding in one,
         faults of the signal."""
-        marks = {t for window in self.outages_s for t in window}
+        event_times = {t for window in self.outages_s for t in window}
         if self.on_loss == "hold_then_zero":
-            marks |= {start + self.hold_s for start, end in self.outages_s if start + self.hold_s < end}
+            event_times |= {start + self.hold_s for start, end in self.outages_s if start + self.hold_s < end}
         if not self.reporting_interval_s:
             ends = {t for f in self.signal_faults for t in (f.start_s, f.end_s) if t is not None}
-            marks |= {t + self.latency_s for t in ends}
-        return tuple(sorted(marks))
+            event_times |= {t + self.latency_s for t in ends}
+        return tuple(sorted(event_times))
 
     def arrivals(self, start_s: float, stop_s: float) -> list[int]:
         """Return the ticks at which a packet comes out or is missed, or what is held for it ends."""

@@ -93,9 +93,9 @@ def wrong_targets(case: Case, events: Iterable[Any], where: str) -> list[str]:
     from interarea.models.case.events import event_of
 
     wrong = Collected()
-    for k, given in enumerate(events, start=1):
+    for k, provided in enumerate(events, start=1):
         try:
-            event = event_of(given, where="") if isinstance(given, Mapping) else given
+            event = event_of(provided, where="") if isinstance(provided, Mapping) else provided
         except UserError:  # told by whoever reads it
             continue
         if not hasattr(event, "kind"):

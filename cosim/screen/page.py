@@ -61,13 +61,13 @@ def write_grid(screening: Screening, folder: Path, cache: Path) -> Explorer:
 
 
 def write_screening(
-    screening: Screening, found: Sequence[Found], folder: Path, explorer: Explorer = Explorer()
+    screening: Screening, result: Sequence[Found], folder: Path, explorer: Explorer = Explorer()
 ) -> Path:
     """Write `screen.html`, `screen.csv` and `screen.json` into `folder`; return the page.
 
     explorer : what its places open, from `write_grid`.
     """
-    rows = [asdict(one) for one in found]
+    rows = [asdict(one) for one in result]
     for row in rows:  # JSON has no infinity: as long as was tried
         row["critical_at_least"] = row["critical_s"] is not None and math.isinf(row["critical_s"])
         if row["critical_at_least"]:
@@ -77,46 +77,46 @@ def write_screening(
     write_whole(folder / "screen.csv", pd.DataFrame(rows).to_csv(index=False, lineterminator="\n").encode())
     environment = page_environment(Path(__file__).parent)
     environment.filters["plain"] = plain
-    controllers = list(dict.fromkeys(one.controller for one in found))
+    controllers = list(dict.fromkeys(one.controller for one in result))
     groups: dict[tuple[str, str], dict[str, Found]] = {}
-    for one in found:
+    for one in result:
         groups.setdefault((one.place, one.outage), {})[one.controller] = one
     text = environment.get_template("screen.html.j2").render(
         screening=screening,
         place=PLACE[screening.kind],
         controllers=controllers,
-        counts={c: _counts(found, c) for c in controllers},
+        counts={c: _counts(result, c) for c in controllers},
         groups=list(groups.items())[:SHOWN],
         total=len(groups),
         explorer=explorer,
-        failed=[one for one in found if one.verdict == "failed"],
-        searched=any(one.critical_s is not None for one in found),
-        svg=page_figure(angle_figure(found), "angles"),
+        failed=[one for one in result if one.verdict == "failed"],
+        searched=any(one.critical_s is not None for one in result),
+        svg=page_figure(angle_figure(result), "angles"),
     )
     return write_whole(folder / "screen.html", text.encode("utf-8"))
 
 
-def _counts(found: Sequence[Found], controller: str) -> dict[str, Any]:
+def _counts(result: Sequence[Found], controller: str) -> dict[str, Any]:
     """How often each verdict fell, and the extremes of what kept synchronism."""
-    mine = [one for one in found if one.controller == controller]
-    kept = [one for one in mine if one.verdict == "kept"]
+    own = [one for one in result if one.controller == controller]
+    retained = [one for one in own if one.verdict == "kept"]
     return {
-        **{verdict: sum(one.verdict == verdict for one in mine) for verdict in ("kept", "lost", "failed")},
-        "swinging": sum(one.came_to in NO_SUCCESS for one in kept),
-        "voltage": min((v for one in kept if (v := one.voltage_pu) is not None), default=None),
-        "nadir": min((f for one in kept if (f := one.nadir_hz) is not None), default=None),
-        "zenith": max((f for one in kept if (f := one.zenith_hz) is not None), default=None),
+        **{verdict: sum(one.verdict == verdict for one in own) for verdict in ("kept", "lost", "failed")},
+        "swinging": sum(one.came_to in NO_SUCCESS for one in retained),
+        "voltage": min((v for one in retained if (v := one.voltage_pu) is not None), default=None),
+        "nadir": min((f for one in retained if (f := one.nadir_hz) is not None), default=None),
+        "zenith": max((f for one in retained if (f := one.zenith_hz) is not None), default=None),
     }
 
 
-def angle_figure(found: Sequence[Found]) -> Figure:
+def angle_figure(result: Sequence[Found]) -> Figure:
     """Draw the largest angle of each disturbance, sorted, a curve for each controller."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")
         axes = figure.subplots()
-        for k, controller in enumerate(dict.fromkeys(one.controller for one in found)):
-            mine = [one for one in found if one.controller == controller and one.verdict != "failed"]
-            angles = [OUT_OF_STEP_DEG if one.verdict == "lost" else one.angle_deg or 0.0 for one in mine]
+        for k, controller in enumerate(dict.fromkeys(one.controller for one in result)):
+            own = [one for one in result if one.controller == controller and one.verdict != "failed"]
+            angles = [OUT_OF_STEP_DEG if one.verdict == "lost" else one.angle_deg or 0.0 for one in own]
             line = {
                 "color": SERIES[k % len(SERIES)],
                 "linestyle": DASHES[k % len(DASHES)],

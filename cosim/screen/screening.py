@@ -58,15 +58,15 @@ class Screening:
         SweepError : a place that does not exist, with the nearest.
         """
         known: list[Any] = [b.number for b in case.buses]
-        asked: Sequence[Any] = self.buses
+        requested: Sequence[Any] = self.buses
         if self.kind == "trip":
-            known, asked = [b.name for b in case.branches if b.in_service], self.branches
-        for place in asked:
+            known, requested = [b.name for b in case.branches if b.in_service], self.branches
+        for place in requested:
             if place not in known:
                 raise SweepError(
                     f"{case.name}: no {PLACE[self.kind]} {place}; {nearest(str(place), map(str, known))}"
                 )
-        return list(dict.fromkeys(asked)) or known
+        return list(dict.fromkeys(requested)) or known
 
     def event(self, place: Any) -> dict[str, Any]:
         """Return the disturbance at a place, as in a scenario file."""
@@ -186,7 +186,7 @@ def _key(row: Mapping[Any, Any], screening: Screening) -> tuple[str, str, str]:
 
 def _critical(rows: pd.DataFrame, screening: Screening) -> dict[tuple[str, str, str], float | None]:
     """Return the critical clearing time of each run; None where its search failed."""
-    found: dict[tuple[str, str, str], float | None] = {}
+    result: dict[tuple[str, str, str], float | None] = {}
     for row in rows.to_dict("records"):
         good, bad = row["cleared"], row["cleared_unstable"]
         if row["status"] != "ok":
@@ -195,8 +195,8 @@ def _critical(rows: pd.DataFrame, screening: Screening) -> dict[tuple[str, str, 
             value = 0.0
         else:
             value = math.inf if pd.isna(bad) else float(good) - START_S
-        found[_key(row, screening)] = value
-    return found
+        result[_key(row, screening)] = value
+    return result
 
 
 def worst_first(
@@ -206,9 +206,9 @@ def worst_first(
 
     The run without controller decides; the others of its place follow it.
     """
-    found = [_found(row, screening, critical) for row in rows.to_dict("records")]
+    result = [_found(row, screening, critical) for row in rows.to_dict("records")]
     groups: dict[tuple[str, str], list[Found]] = {}
-    for one in found:
+    for one in result:
         groups.setdefault((one.place, one.outage), []).append(one)
     for group in groups.values():
         group.sort(key=lambda one: one.controller != "none")

@@ -60,12 +60,12 @@ def latency_analysis(
     count = round(max(spec["latency"]["values_s"]) / GRID_S)
     grid = np.array([round(GRID_S * k, 6) for k in range(count + 1)])
     wirings = {"synchronous": list(K.input_labels), "non_synchronous": [spec["remote"]]}
-    found = {}
+    result = {}
     for k, (wiring, signals) in enumerate(wirings.items()):
         margin = delay_margin(plant, K, signals)
         sweep = damping_over_latency(plant, K, grid, signals, roots=roots)
         damping = {name: sweep.damping(name) for name in roots}
-        found[wiring] = {
+        result[wiring] = {
             "margin_s": float(margin.margin_s) if np.isfinite(margin.margin_s) else None,
             "margin_searched_s": float(margin.searched_s),
             "damping": _rows(grid, [least_damping(plant, K, dict.fromkeys(signals, float(t))) for t in grid]),
@@ -73,7 +73,7 @@ def latency_analysis(
             "modes": {name: _rows(grid, z) for name, z in damping.items()},
         }
         progress((k + 1) / len(wirings))
-    return found
+    return result
 
 
 def redesigned(
@@ -98,9 +98,9 @@ def redesigned(
     """
     plant = speeds_in_rad(relative, omega_b)
     rows: list[dict[str, Any]] = []
-    for asked in wanted:
-        change = {key: asked[key] for key in ("order", "plant_order") if key in asked}
-        spec = replace(base, latency_s=asked["latency_s"], latency_on=asked["on"], **change)
+    for requested in wanted:
+        change = {key: requested[key] for key in ("order", "plant_order") if key in requested}
+        spec = replace(base, latency_s=requested["latency_s"], latency_on=requested["on"], **change)
         signals = [spec.remote, spec.local] if spec.latency_on == "both" else [spec.remote]
         late = dict.fromkeys(signals, spec.latency_s)
         row: dict[str, Any] = {
@@ -113,19 +113,21 @@ def redesigned(
         }
         rows.append(row)
         try:
-            made = design_wdc(relative, spec, omega_b=omega_b).system
+            result = design_wdc(relative, spec, omega_b=omega_b).system
         except (ReductionError, InfeasibleDesign, UncertifiedDesign) as error:
             row["failed"] = str(error)
             continue
-        margin = delay_margin(plant, made, signals).margin_s
-        undelayed, lost = (closed_loop_matrix(plant, made, lost=gone) for gone in ((), (spec.remote,)))
+        margin = delay_margin(plant, result, signals).margin_s
+        undelayed, lost = (
+            closed_loop_matrix(plant, result, lost=missing) for missing in ((), (spec.remote,))
+        )
         row |= {
             "margin_s": float(margin) if np.isfinite(margin) else None,
-            "least_damping": least_damping(plant, made, late),
-            "least_damping_pade": least_swing(pade_poles(plant, made, late, spec.pade_order)),
+            "least_damping": least_damping(plant, result, late),
+            "least_damping_pade": least_swing(pade_poles(plant, result, late, spec.pade_order)),
             "least_damping_undelayed": least_swing(np.linalg.eigvals(undelayed)),
             "least_damping_remote_lost": least_swing(np.linalg.eigvals(lost)),
-            "effort": effort(plant, made),
+            "effort": effort(plant, result),
         }
     return rows
 

@@ -172,10 +172,10 @@ def _time_figure(row: Mapping[str, Any], p: StudyParts) -> Figure:
         actuators = sorted({c.outputs[0].removesuffix("_vs") for c in p.controllers.values()})
         return time_plot(shown, ylabel=f"control of {', '.join(actuators)} (pu)", scale=1.0)
     curves = {text: swing_of(p, run) for text, run in row["runs"].items()}
-    wanted: dict[str, Any] = {key: row[key] for key in ("marks", "span_s") if key in row}
+    requested: dict[str, Any] = {key: row[key] for key in ("marks", "span_s") if key in row}
     if row.get("micro"):
-        wanted |= {"scale": 1e6, "ylabel": difference_label(p.spec["swing"], 6)}
-    return time_plot(curves, **{"ylabel": label, **wanted})
+        requested |= {"scale": 1e6, "ylabel": difference_label(p.spec["swing"], 6)}
+    return time_plot(curves, **{"ylabel": label, **requested})
 
 
 def _against(p: StudyParts, order: str) -> dict[str, control.StateSpace]:
@@ -208,8 +208,8 @@ def loop_functions(p: StudyParts) -> tuple[Array, Array]:
 
 def weight_gains(p: StudyParts) -> tuple[Array, Array]:
     """Return |W1| and |W2| over `OMEGA`, those that this controller was designed with."""
-    asked = p.controllers[p.spec["sensitivity"]].design["specification"]
-    weights = WdcSpec(low_pass=asked["low_pass"], high_pass=tuple(asked["high_pass"])).weights()
+    requested = p.controllers[p.spec["sensitivity"]].design["specification"]
+    weights = WdcSpec(low_pass=requested["low_pass"], high_pass=tuple(requested["high_pass"])).weights()
     low, high = (np.abs(response(W, OMEGA)[:, 0, 0]) for W in weights)
     return low, high
 

@@ -56,16 +56,16 @@ def order_rows(plant: control.StateSpace, full: Controller, modes: Modes) -> lis
     Rows: order, `norm` (of the design's objective), `effort`, `inter_area` and `least_damping`; `failed` says
     why there is none, else None.
     """
-    asked = full.design["specification"]
+    requested = full.design["specification"]
     K = full.system
     loop = select(plant, list(K.output_labels), list(K.input_labels))
     k, P = K, effort_plant(loop)
-    if "low_pass" in asked:
-        remote, local = asked["remote"], asked["local"]
+    if "low_pass" in requested:
+        remote, local = requested["remote"], requested["local"]
         loop = select(plant, list(K.output_labels), {"difference": {remote: 1.0, local: -1.0}})
         column = list(K.input_labels).index(remote)
         k = control.ss(K.A, K.B[:, [column]], K.C, K.D[:, [column]])
-        weights = WdcSpec(low_pass=asked["low_pass"], high_pass=tuple(asked["high_pass"])).weights()
+        weights = WdcSpec(low_pass=requested["low_pass"], high_pass=tuple(requested["high_pass"])).weights()
         P = mixed_sensitivity(loop, *weights)
     rows: list[dict[str, Any]] = []
     for order in range(K.nstates, 2, -1):
@@ -75,7 +75,7 @@ def order_rows(plant: control.StateSpace, full: Controller, modes: Modes) -> lis
         except ReductionError as error:
             rows[-1]["failed"] = str(error)
             continue
-        both = on_difference(small, remote, local, K.output_labels[0]) if "low_pass" in asked else small
+        both = on_difference(small, remote, local, K.output_labels[0]) if "low_pass" in requested else small
         both = control.ss(
             both.A, both.B, both.C, both.D, inputs=list(K.input_labels), outputs=list(K.output_labels)
         )
@@ -122,9 +122,9 @@ def printed_ftc(
     plant = speeds_in_rad(relative, omega_b)
     loop = select(plant, [spec.actuator], list(spec.signals))
     design_plant = balanced_truncation(loop, spec.plant_order).system
-    made = printed_iteration(design_plant, spec.loss_of)
+    result = printed_iteration(design_plant, spec.loss_of)
     rows = []
-    for name, K in (("printed", made.controller), ("ours", shipped.system)):
+    for name, K in (("printed", result.controller), ("ours", shipped.system)):
         row: dict[str, Any] = {
             "method": name,
             "order": int(K.nstates),
@@ -143,10 +143,10 @@ def printed_ftc(
             row[f"{label}_effort"] = effort(G, K) if normal else None
         rows.append(row)
     return {
-        "theta_rad": list(made.facts["theta_rad"]),
-        "damping_ratio_asked": [float(np.cos(theta)) for theta in made.facts["theta_rad"]],
-        "stopped": made.facts["stopped"],
-        "lmi_problems": made.solves,
+        "theta_rad": list(result.facts["theta_rad"]),
+        "damping_ratio_asked": [float(np.cos(theta)) for theta in result.facts["theta_rad"]],
+        "stopped": result.facts["stopped"],
+        "lmi_problems": result.solves,
         "rows": rows,
     }
 
@@ -174,7 +174,7 @@ def method_record(
         plant, modes = speeds_in_rad(relative, case.omega_b), modes_of(relative, case.areas)
         full = {name: design_controller(case, name, cache, reduce=False, specs=specs) for name in names}
         record: dict[str, Any] = {
-            "orders": {name: order_rows(plant, made, modes) for name, made in full.items()},
+            "orders": {name: order_rows(plant, result, modes) for name, result in full.items()},
             "inter_area_roots": {n: inter_area_roots(plant, c, remote) for n, c in controllers.items()},
         }
         ftc = specs.get("ftc", FtcSpec())

@@ -98,7 +98,7 @@ def monte_carlo_documents(
     """Return the scenarios of the Monte Carlo runs, `seeds` of each controller, by name."""
     packets = spec["packets"]
     jitter = packets["jitter"]
-    way = {
+    path = {
         "reporting_interval_s": packets["interval_s"],
         "latency_s": jitter["least_s"],
         "latency": {"kind": "gamma", "shape": jitter["shape"], "scale_s": jitter["scale_s"]},
@@ -111,8 +111,8 @@ def monte_carlo_documents(
             f"{name.upper()}, random latency and loss, seed {seed}",
             name,
             jitter["disturbance"],
-            way | {"seed": 2 * seed},
-            way | {"seed": 2 * seed + 1},
+            path | {"seed": 2 * seed},
+            path | {"seed": 2 * seed + 1},
         )
         for name in controllers
         for seed in range(1, jitter["seeds"] + 1)
@@ -132,14 +132,14 @@ def monte_carlo_rows(
     runs = run_all(monte_carlo_documents(spec, controllers), controllers, cache, progress)
     rows = []
     for name in controllers:
-        mine = [run for key, run in runs.items() if key.startswith(f"{name}-jitter-")]
+        own = [run for key, run in runs.items() if key.startswith(f"{name}-jitter-")]
         rows.append(
             {
                 "controller": name,
-                "runs": len(mine),
-                "stable": sum(bool(r.metrics["stable"]) for r in mine),
-                "settling_time_s": _spread([r.metrics["settling_time_s"] for r in mine]),
-                "inter_area": _spread([r.metrics["damping_ratio"].get("inter-area") for r in mine]),
+                "runs": len(own),
+                "stable": sum(bool(r.metrics["stable"]) for r in own),
+                "settling_time_s": _spread([r.metrics["settling_time_s"] for r in own]),
+                "inter_area": _spread([r.metrics["damping_ratio"].get("inter-area") for r in own]),
             }
         )
     return rows

@@ -155,9 +155,9 @@ def run_all(
     with temporary_folder() as own:
         # a state-space model of python-control cannot be pickled
         files = {name: controllers[name].save(Path(own) / f"{name}.json") for name in controllers}
-        alike = sorted(missing, key=lambda name: str(documents[name]["controller"]))
-        given = [(documents[n], files.get(documents[n]["controller"]), folders[n]) for n in alike]
-        parts = [given[k : k + TOGETHER] for k in range(0, len(given), TOGETHER)]
+        identical = sorted(missing, key=lambda name: str(documents[name]["controller"]))
+        provided = [(documents[n], files.get(documents[n]["controller"]), folders[n]) for n in identical]
+        parts = [provided[k : k + TOGETHER] for k in range(0, len(provided), TOGETHER)]
         if len(parts) > 1 and processes > 1:
             kernel_or_reason()  # compiled once, not by each process
             with process_pool(processes) as pool:
@@ -206,11 +206,11 @@ def run_folders(
     }
 
 
-def _run_into(given: Sequence[tuple[Document, Path | None, Path]], cache: Path) -> None:
+def _run_into(provided: Sequence[tuple[Document, Path | None, Path]], cache: Path) -> None:
     """Run scenarios with their controllers and keep their results in their folders; FMUs are opened once."""
     with threadpool_limits(1), closing(Fmus(cache)) as fmus:
-        controllers = {file: Controller.load(file) for _, file, _ in given if file is not None}
-        for document, file, folder in given:
+        controllers = {file: Controller.load(file) for _, file, _ in provided if file is not None}
+        for document, file, folder in provided:
             own = None if file is None else controllers[file]
             run = system_of(load_scenario(document), controller=own, cache=cache, fmus=fmus).warned().run()
             assert isinstance(run, Run)

@@ -44,34 +44,34 @@ def load_study(name: str) -> Mapping[str, Any]:
         raise ScenarioError(
             f"study {name!r} is neither bundled nor a TOML file; {nearest(name, study_names())}"
         )
-    given = read_toml(path, "study", ScenarioError)
-    if isinstance(given.get("case"), str):
-        given["case"] = str(beside(path.parent, given["case"]))
-    found = Collected()
-    spec = given
-    with found:
-        spec = in_seconds(given, lambda: load_case(str(given.get("case", ""))).frequency_hz)
+    provided = read_toml(path, "study", ScenarioError)
+    if isinstance(provided.get("case"), str):
+        provided["case"] = str(beside(path.parent, provided["case"]))
+    collected = Collected()
+    spec = provided
+    with collected:
+        spec = in_seconds(provided, lambda: load_case(str(provided.get("case", ""))).frequency_hz)
     try:
         StudyTable.model_validate(spec)
     except ValidationError as error:
-        found.lines += [f"{path}: {_by_key(line, spec)}" for line in mistakes(error, StudyTable)]
-    found.lines += [line for line in _wrong_names(spec, str(path)) if line not in found.lines]
+        collected.lines += [f"{path}: {_by_key(line, spec)}" for line in mistakes(error, StudyTable)]
+    collected.lines += [line for line in _wrong_names(spec, str(path)) if line not in collected.lines]
     if "claims" in spec and isinstance(spec["claims"], str):
         spec["claims"] = str(path.parent / spec["claims"])
-        with found:
+        with collected:
             read_claims(Path(spec["claims"]))
-    found.end(ScenarioError)
+    collected.end(ScenarioError)
     return spec
 
 
 def _by_key(line: str, spec: Mapping[str, Any]) -> str:
     """Return a mistake with the name of its figure or scenario in place of its number."""
-    found = re.match(r"(figure|scenario)\.(\d+)(?:[.:] ?)?", line)
-    if found is None:
+    match = re.match(r"(figure|scenario)\.(\d+)(?:[.:] ?)?", line)
+    if match is None:
         return line
-    row = spec[found[1]][int(found[2])]
-    given = row.get("key", row.get("name")) if isinstance(row, Mapping) else None
-    return f"{found[1]} {given or int(found[2]) + 1}: {line[found.end() :]}"
+    row = spec[match[1]][int(match[2])]
+    provided = row.get("key", row.get("name")) if isinstance(row, Mapping) else None
+    return f"{match[1]} {provided or int(match[2]) + 1}: {line[match.end() :]}"
 
 
 def _wrong_names(spec: Mapping[str, Any], where: str) -> list[str]:
@@ -85,8 +85,8 @@ def _wrong_names(spec: Mapping[str, Any], where: str) -> list[str]:
     for place, rows in named.items():
         document = {"case": spec.get("case"), "event": rows}
         lines += [line.replace(": event ", f": {place} ", 1) for line in wrong_names(document, where, Path())]
-    ways = {key: {"signal": spec[key]} for key in ("remote", "local") if key in spec}
-    for line in wrong_names({"case": spec.get("case"), "channels": ways}, where, Path()):
+    paths = {key: {"signal": spec[key]} for key in ("remote", "local") if key in spec}
+    for line in wrong_names({"case": spec.get("case"), "channels": paths}, where, Path()):
         lines.append(re.sub(r"channels\.(\w+)\.signal", r"\1", line))
     return list(dict.fromkeys(lines))
 
@@ -108,9 +108,9 @@ def read_claims(path: Path) -> dict[str, Any]:
     """
     if not path.is_file():
         raise ScenarioError(f"{path}: no such file of claims; name a TOML file, or leave `claims` out")
-    given = read_toml(path, "claims", ScenarioError)
+    provided = read_toml(path, "claims", ScenarioError)
     try:
-        ClaimsTable.model_validate(given)
+        ClaimsTable.model_validate(provided)
     except ValidationError as error:
         raise ScenarioError(*(f"{path}: {line}" for line in mistakes(error, ClaimsTable))) from None
-    return given
+    return provided

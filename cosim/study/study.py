@@ -94,11 +94,11 @@ def run_study(
     spec = load_study(name)
     specs = design_specs(spec)
     cache = default_cache()
-    told = progress or (lambda _stage, _done: None)
+    reported = progress or (lambda _stage, _done: None)
 
     def stage(label: str) -> Callable[[float], None]:
-        told(label, 0.0)
-        return lambda done: told(label, done)
+        reported(label, 0.0)
+        return lambda done: reported(label, done)
 
     with threadpool_limits(1), ExitStack() as ending:
         done = stage("plant")
@@ -198,7 +198,7 @@ def run_study(
             plant,
             reductions,
             controllers,
-            {label: made.system for label, made in unreduced.items()},
+            {label: parts_of_study.system for label, parts_of_study in unreduced.items()},
             delay,
             runs,
         )

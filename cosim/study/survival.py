@@ -146,8 +146,8 @@ def _make_rows(
         angles = faults.largest_angles(dict.fromkeys(settings, faults.clearing_s))
 
         def kept(tried: Mapping[Setting, float]) -> dict[Setting, bool]:
-            found = faults.largest_angles({s: n * cycle_s for s, n in tried.items()})
-            return {setting: angle < np.pi for setting, angle in found.items()}
+            result = faults.largest_angles({s: n * cycle_s for s, n in tried.items()})
+            return {setting: angle < np.pi for setting, angle in result.items()}
 
         critical = longest_kept(settings, kept, cycles["from"], cycles["to"], cycles["tolerance"])
     plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)

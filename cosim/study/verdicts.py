@@ -99,8 +99,8 @@ def _step(value: Any, word: str) -> Any:
         at = float(word[1:])
         return min(value, key=lambda row: abs(row[0] - at))[1]
     if "=" in word:
-        wanted = [entry.partition("=")[::2] for entry in word.split("&")]
-        return next(row for row in value if all(str(row[key]) == text for key, text in wanted))
+        requested = [entry.partition("=")[::2] for entry in word.split("&")]
+        return next(row for row in value if all(str(row[key]) == text for key, text in requested))
     return value[int(word)]
 
 

@@ -129,10 +129,10 @@ def _collect(
     ticks: deque[tuple[float, int]] = deque([(last, store.count)])
     failed = forked = 0
     try:
-        for some in outcomes:
-            waiting += some
-            failed += sum(o.row["status"] == "failed" for o in some)
-            forked += sum(o.forked for o in some)
+        for selected in outcomes:
+            waiting += selected
+            failed += sum(o.row["status"] == "failed" for o in selected)
+            forked += sum(o.forked for o in selected)
             now = time.monotonic()
             longest = min(_PART_LONGEST_S, max(_PART_S, _PART_SHARE * (now - begin)))
             if len(waiting) >= _PART_ROWS or (waiting and now - last > longest):

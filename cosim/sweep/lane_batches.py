@@ -75,11 +75,11 @@ def how_many(jobs: Sequence[Job], lanes: int) -> int:
     plant = plant_key(jobs[0])
     if plant is None:
         return 1
-    some = list(takewhile(lambda job: plant_key(job) == plant, jobs[:lanes]))
-    stops = [job.point.scenario.stop_s for job in some if job.point is not None]
-    shared = [0.0, *(min(max(job.like_next_s, 0.0), stop) for job, stop in zip(some, stops, strict=True))]
-    one_by_one = sum(stops) - math.fsum(shared[: len(some)])
-    together = min(common_s(some), *stops) if len(some) > 1 else 0.0
+    selected = list(takewhile(lambda job: plant_key(job) == plant, jobs[:lanes]))
+    stops = [job.point.scenario.stop_s for job in selected if job.point is not None]
+    shared = [0.0, *(min(max(job.like_next_s, 0.0), stop) for job, stop in zip(selected, stops, strict=True))]
+    one_by_one = sum(stops) - math.fsum(shared[: len(selected)])
+    together = min(common_s(selected), *stops) if len(selected) > 1 else 0.0
     rest = max(stops) - together
-    beside = together + (_SHARED + _EACH * len(some)) * rest
-    return len(some) if beside < one_by_one else 1
+    beside = together + (_SHARED + _EACH * len(selected)) * rest
+    return len(selected) if beside < one_by_one else 1

@@ -83,13 +83,13 @@ class LiveFmus(Fmus):
     def case(self, change: CaseChange, slots: int) -> Case:
         """Return a changed case whose plant is there until some others have been asked for."""
         key = (change, slots)
-        found = self._live.pop(key, None) or self._made(change, slots)
-        self._live[key] = found
+        result = self._live.pop(key, None) or self._made(change, slots)
+        self._live[key] = result
         while len(self._live) > KEPT:
             old, plant = self._live.popitem(last=False)
             self.on_drop(old)
             plant.close()
-        return found.case
+        return result.case
 
     def _made(self, change: CaseChange, slots: int) -> Plant:
         base = self._cases.setdefault(change.case, self.plan.case(change.case))

@@ -118,14 +118,14 @@ def plan_sweep(
     folder = sweep.base.folder
     paths = {n: load_scenario({"case": n, "stop_s": 1.0, "folder": folder}).case_path for n in names}
     cases = {n: load_case(path) for n, path in paths.items()}
-    made = _controllers_of(sweep, cases, controllers or {}, cache)
-    check_paths(sweep, cases[names[0]], _parameters_of(made, cases))
+    result = _controllers_of(sweep, cases, controllers or {}, cache)
+    check_paths(sweep, cases[names[0]], _parameters_of(result, cases))
     check_values(sweep, cases[names[0]])
     areas = sorted({area for case in cases.values() for area in case.areas.values()})
     return SweepPlan(
         sweep,
         {n: json.loads(json.dumps(c.document())) for n, c in cases.items()},
-        {key: _content(controller) for key, controller in made.items()},
+        {key: _content(controller) for key, controller in result.items()},
         ("inter-area", *(f"local area {a}" for a in areas)),
         code_version(),
         {
@@ -152,22 +152,22 @@ def _controllers_of(
     sweep: Sweep, cases: Mapping[str, Case], own: Mapping[str, ControllerLike], cache: Path
 ) -> dict[str, Controller | ControllerBank]:
     """Return "CASE/NAME" -> each controller that a run may have, designed for the case as its file has it."""
-    made: dict[str, Controller | ControllerBank] = {}
+    controllers: dict[str, Controller | ControllerBank] = {}
     for name in _listed(sweep, "controller") or [sweep.base.controller]:
         for key, case in cases.items():
             try:
-                found = controller_of(own.get(name, name), case, cache, folder=sweep.base.folder)
+                result = controller_of(own.get(name, name), case, cache, folder=sweep.base.folder)
             except ScenarioError as error:
                 raise ScenarioError(f"{sweep.name}: {error}") from None
-            if found is not None:
-                made[f"{key}/{name}"] = found
-    return made
+            if result is not None:
+                controllers[f"{key}/{name}"] = result
+    return controllers
 
 
-def _parameters_of(made: Mapping[str, Controller | ControllerBank], cases: Mapping[str, Case]) -> set[str]:
+def _parameters_of(result: Mapping[str, Controller | ControllerBank], cases: Mapping[str, Case]) -> set[str]:
     """Return the names of the parameters that the controllers' FMUs have."""
     parameters: set[str] = set()
-    for key, controller in made.items():
+    for key, controller in result.items():
         table = controller.block(cases[case_in(key, cases)].omega_b).table
         parameters |= {v.name for v in table if v.role == "parameter"}
     return parameters

@@ -69,10 +69,10 @@ class CaseChange:
                 table[words[-1]] = value
             case = case.with_changes(change)
         if self.operating:
-            wanted: dict[str, Any] = dict(self.operating)
-            out = wanted.get("out", ())
-            wanted["out"] = (out,) if isinstance(out, str) and out else tuple(out)
-            case = operating_variant(case, **wanted)
+            requested: dict[str, Any] = dict(self.operating)
+            out = requested.get("out", ())
+            requested["out"] = (out,) if isinstance(out, str) and out else tuple(out)
+            case = operating_variant(case, **requested)
         return case
 
 
@@ -120,9 +120,9 @@ class _Places:
 
     def __init__(self, table: dict[str, Any]) -> None:
         self.table = table
-        given = table.pop("operating_point", {})  # of which parameters change entries
+        provided = table.pop("operating_point", {})  # of which parameters change entries
         self.operating: dict[str, Value] = {
-            k: tuple(v) if isinstance(v, list) else v for k, v in given.items()
+            k: tuple(v) if isinstance(v, list) else v for k, v in provided.items()
         }
         self.entries: dict[Path_, Value] = {}
         self.gain = 1.0

@@ -26,7 +26,7 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
         files.append(Path(load_kernel(cache)._name))
     files += [own_fmu(cache, key) for key in dict.fromkeys(plan.fmus.values())]
     files += [concentrator_fmu(len(c.signals), cache) for c in plan.sweep.base.concentrators.values()]
-    if any(way.pmu for way in plan.sweep.base.signals):
+    if any(path.pmu for path in plan.sweep.base.signals):
         files.append(pmu_fmu(cache))
     cases = {name: plan.case(name) for name in plan.cases}
     for grid in {plant_sources(case): case for case in cases.values()}.values():
@@ -38,7 +38,7 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
     files += [plant_fmu(case, cache, show=show, more=more) for case in cases.values()]
     for key in plan.controllers:
         name = case_in(key, cases)
-        made = plan.controller(name, key[len(name) + 1 :])
-        if made is not None:
-            files.append(controller_fmu(made, cases[name].omega_b, cache))
+        controller = plan.controller(name, key[len(name) + 1 :])
+        if controller is not None:
+            files.append(controller_fmu(controller, cases[name].omega_b, cache))
     return files

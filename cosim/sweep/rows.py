@@ -97,14 +97,14 @@ def schema_of(plan: SweepPlan) -> pa.Schema:
 
 def _measured_fields(plan: SweepPlan, signal: str) -> list[pa.Field]:
     """Return the columns of what is measured; `signal` names the speed difference."""
-    wanted, fields = plan.sweep.metrics, []
-    if "least" in wanted:
+    requested, fields = plan.sweep.metrics, []
+    if "least" in requested:
         text = "of everything that swings, the least damped"
         fields += [
             _field("damping_least", pa.float64(), "1", f"damping ratio {text}"),
             _field("frequency_least", pa.float64(), "Hz", f"frequency {text}"),
         ]
-    if "stable" in wanted:
+    if "stable" in requested:
         fields += [
             _field(
                 "stable",
@@ -115,7 +115,7 @@ def _measured_fields(plan: SweepPlan, signal: str) -> list[pa.Field]:
             _field("verdict", pa.string(), "", f"{', '.join(VERDICTS)} or {NOT_JUDGED}; {RULE}"),
         ]
     for kind, unit in (("damping", "1"), ("frequency", "Hz")):
-        if kind in wanted:
+        if kind in requested:
             text = f"{kind} of the mode: its root in the loop, else in the ring-down; null: it does not show"
             fields += [_field(column_of_mode(kind, mode), pa.float64(), unit, text) for mode in plan.modes]
     for name, column, unit, text in (
@@ -130,11 +130,11 @@ def _measured_fields(plan: SweepPlan, signal: str) -> list[pa.Field]:
         ("effort", "effort_pu2s", "pu2 s", "integral of the square of the control signals"),
         ("fit_error", "fit_error", "1", "largest misfit of the ring-down over the largest signal"),
     ):
-        if name in wanted:
+        if name in requested:
             fields.append(_field(column, pa.float64(), unit, text))
-    if SYNCHRONISM in wanted:
+    if SYNCHRONISM in requested:
         fields += [_field(c, *rest) for c, rest in _EXCURSION.items()]
-    if "packets" in wanted:
+    if "packets" in requested:
         fields += [_field(c, pa.int64(), "", f"packets {w}, all channels") for c, w in PACKETS.items()]
     return fields
 
@@ -160,9 +160,9 @@ def measured(
         row |= {"damping_least": metrics.least_damping_ratio, "frequency_least": metrics.least_frequency_hz}
     if "stable" in wanted:
         row |= {"stable": metrics.stable, "verdict": None if (v := metrics.verdict) is None else v.name}
-    for name, found in (("damping", metrics.damping_ratio), ("frequency", metrics.frequency_hz)):
+    for name, result in (("damping", metrics.damping_ratio), ("frequency", metrics.frequency_hz)):
         if name in wanted:
-            row |= {column_of_mode(name, mode): found.get(mode) for mode in modes}
+            row |= {column_of_mode(name, mode): result.get(mode) for mode in modes}
     for name, column in _COLUMNS.items():
         if name in wanted:
             row[column] = getattr(metrics, column)
@@ -172,9 +172,9 @@ def measured(
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
 
 
-def excursion_row(found: Excursion) -> Row:
+def excursion_row(excursion: Excursion) -> Row:
     """Return the columns of `SYNCHRONISM`."""
-    return {column: getattr(found, column) for column in _EXCURSION}
+    return {column: getattr(excursion, column) for column in _EXCURSION}
 
 
 def packet_counts(participant: Any) -> dict[str, float]:
@@ -186,8 +186,8 @@ def packet_counts(participant: Any) -> dict[str, float]:
 def trajectory_table(sweep: Sweep, run: int, curves: Trajectory) -> pa.Table:
     """Return a trajectory as a table with the run's number in front."""
     data = curves.data
-    wanted = sweep.trajectories.columns
-    chosen = [c for c in map(str, data) if c == "time_s" or not wanted or c in wanted]
+    requested = sweep.trajectories.columns
+    chosen = [c for c in map(str, data) if c == "time_s" or not requested or c in requested]
     every = slice(None, None, sweep.trajectories.every)
     arrays = {c: pa.array(data[c].to_numpy()[every]) for c in chosen}
     return pa.table({"run": pa.array([run] * len(arrays["time_s"]), pa.int64()), **arrays})

@@ -88,11 +88,11 @@ class Runner:
         ------
         TimeUpError, StepError, ScenarioError, CaseError, PowerFlowError
         """
-        kept, _ = self._ready(point_of(self.plan.sweep, values, seed=seed, base=self._packed))
+        retained, _ = self._ready(point_of(self.plan.sweep, values, seed=seed, base=self._packed))
         self.on_start()
-        kept.master.start()
-        kept.master.advance(progress=self._watch())
-        return kept, kept.master.trajectory
+        retained.master.start()
+        retained.master.advance(progress=self._watch())
+        return retained, retained.master.trajectory
 
     def edge(
         self, values: Mapping[str, Value], name: str, search: Search
@@ -118,8 +118,8 @@ class Runner:
         if SYNCHRONISM not in self.plan.sweep.metrics:
             return bool(self.simulate(values, seed=seed)[0].measure(("stable",), ())["stable"])
         try:
-            kept, trajectory = self.simulate(values, seed=seed)
-            return kept.excursion(trajectory).synchronous
+            retained, trajectory = self.simulate(values, seed=seed)
+            return retained.excursion(trajectory).synchronous
         except StepError:  # voltages have collapsed
             self._free_instances()
             return False
@@ -164,11 +164,11 @@ class Runner:
             if sweep.searched is not None:
                 return Outcome(self._search(run, values))
             point = job.point or point_of(sweep, values, base=self._packed)
-            kept, instances = self._ready(point)
+            retained, instances = self._ready(point)
             self.on_start()
-            forked = kept.start(job, instances, kept.beginnings)
-            self._advance(kept, jobs, k, instances)
-            return self._measured(job, kept, forked)
+            forked = retained.start(job, instances, retained.beginnings)
+            self._advance(retained, jobs, k, instances)
+            return self._measured(job, retained, forked)
         except Exception as error:  # a failing run is a row, never the end of a sweep
             if isinstance(error, StepError):
                 self._free_instances()  # after an FMU's error its instance is not to be trusted
@@ -184,10 +184,10 @@ class Runner:
         begun = self._all_begun(ready, ended, watch)
         if begun and not has_lanes(begun[0][1]):
             self._alone.add(plant_key(jobs[0]))
-        masters = [kept.master for _, kept, _ in begun]
-        found = advance_together(masters, watch=lambda _, now_s, stop_s: watch(now_s, stop_s))
-        ended |= {job.run: error for (job, _, _), error in zip(begun, found, strict=True)}
-        home = {job.run: (kept, forked) for job, kept, forked in begun}
+        masters = [retained.master for _, retained, _ in begun]
+        result = advance_together(masters, watch=lambda _, now_s, stop_s: watch(now_s, stop_s))
+        ended |= {job.run: error for (job, _, _), error in zip(begun, result, strict=True)}
+        home = {job.run: (retained, forked) for job, retained, forked in begun}
         # what ran out of time with company may be quick enough alone
         late = [job for job in jobs if isinstance(ended[job.run], TimeUpError)]
         quick = [job for job in jobs if not isinstance(ended[job.run], TimeUpError)]
@@ -212,7 +212,7 @@ class Runner:
         for job in jobs:
             assert job.point is not None
             try:
-                ready.append((job, *self._ready(job.point, [kept for _, kept, _ in ready])))
+                ready.append((job, *self._ready(job.point, [retained for _, retained, _ in ready])))
             except Exception as error:
                 ended[job.run] = error
         return ready
@@ -225,9 +225,9 @@ class Runner:
     ) -> list[tuple[Job, Kept, bool]]:
         """Start the masters; return those that have begun and whether from what another job left."""
         begun: list[tuple[Job, Kept, bool]] = []
-        for job, kept, instances in ready:
+        for job, retained, instances in ready:
             try:
-                begun.append((job, kept, self._begun(ready, job, kept, instances, watch)))
+                begun.append((job, retained, self._begun(ready, job, retained, instances, watch)))
             except Exception as error:
                 ended[job.run] = error
         return begun
@@ -296,8 +296,8 @@ class Runner:
     # -- private --------------------------------------------------------------------------
 
     def _free_instances(self) -> None:
-        for kept in self._kept.values():
-            kept.close()
+        for retained in self._kept.values():
+            retained.close()
         self._kept.clear()
 
     def _failed(self, run: int, failure: str, error: BaseException) -> Outcome:
@@ -337,7 +337,7 @@ class Runner:
             instances["controller"] = replace(instances["controller"], start=own)
             system.parts["controller"] = instances["controller"]  # of which its linear loop is made
         structure = (change, slots, scenario.controller, tuple(instances))
-        kept = self._instances(structure, instances, busy, system.plants["plant"])
+        retained = self._instances(structure, instances, busy, system.plants["plant"])
         key = (
             scenario.stop_s,
             scenario.step_s,
@@ -346,10 +346,10 @@ class Runner:
             scenario.master,
             tuple(system.connections),
         )
-        if kept.key != key:
-            kept.master, kept.key = system.master(kept.participants.values()), key
-        kept.system = system
-        return kept, instances
+        if retained.key != key:
+            retained.master, retained.key = system.master(retained.participants.values()), key
+        retained.system = system
+        return retained, instances
 
     def _library_of(self, case: Case) -> GroupLibrary | None:
         own = case.own_devices and self.library is not None
@@ -358,21 +358,23 @@ class Runner:
     def _instances(
         self, structure: tuple[Any, ...], instances: Instances, busy: Sequence[Kept], case: Case
     ) -> Kept:
-        place = sum(any(kept is b for b in busy) for s, kept in self._kept.items() if s[:-1] == structure)
+        place = sum(
+            any(retained is b for b in busy) for s, retained in self._kept.items() if s[:-1] == structure
+        )
         structure = (*structure, place)
-        kept = self._kept.pop(structure, None) or Kept()
-        for name, made in instances.items():
-            if name in kept.participants:
-                kept.participants[name].set_start(made.start)
+        retained = self._kept.pop(structure, None) or Kept()
+        for name, result in instances.items():
+            if name in retained.participants:
+                retained.participants[name].set_start(result.start)
             else:
                 group = self._library_of(case) if name == "plant" else None
-                kept.participants[name] = participant_of(
-                    name, made.file, made.start, group=group, **made.process
+                retained.participants[name] = participant_of(
+                    name, result.file, result.start, group=group, **result.process
                 )
-        self._kept[structure] = kept
+        self._kept[structure] = retained
         while len(self._kept) > KEPT * self.lanes:
             self._kept.popitem(last=False)[1].close()
-        return kept
+        return retained
 
     def _drop(self, plant: tuple[CaseChange, int]) -> None:
         """Free the instances of a plant that goes."""

@@ -96,15 +96,15 @@ def alike_until_s(one: Job, other: Job) -> float:
 
 def in_order(jobs: Sequence[Job]) -> list[Job]:
     """Return the jobs as given or sorted by what acts when, whichever costs less, with `like_next_s`."""
-    given = _linked(jobs)
+    provided = _linked(jobs)
     first: dict[tuple[Value, ...], int] = {}
     for job in jobs:
         first.setdefault(job.base, len(first))
-    found = _linked(sorted(jobs, key=lambda job: (first[job.base], job.acts)))
-    more = _cost_s(found) - _cost_s(given)
+    linked = _linked(sorted(jobs, key=lambda job: (first[job.base], job.acts)))
+    more = _cost_s(linked) - _cost_s(provided)
     several = len({job.point.scenario.marks_s for job in jobs if job.point is not None}) > 1
     # sorted, one fork at a time is enough for instants that move
-    return found if more < 0.0 or (more == 0.0 and several) else given
+    return linked if more < 0.0 or (more == 0.0 and several) else provided
 
 
 def _linked(jobs: Sequence[Job]) -> list[Job]:

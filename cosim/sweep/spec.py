@@ -117,9 +117,9 @@ class Sweep(Table):
 
     def paths(self, name: str) -> tuple[Path_, ...]:
         """Return where parameter `name` goes, `*` written out for each channel."""
-        given = self.parameters[name].path
-        found: list[Path_] = []
-        for text in (name,) if given is None else (given,) if isinstance(given, str) else given:
+        provided = self.parameters[name].path
+        result: list[Path_] = []
+        for text in (name,) if provided is None else (provided,) if isinstance(provided, str) else provided:
             words = split_path(text, f"parameters.{name}")
             if words[0] in ("channels", "concentrators") and words[1:2] == ("*",):
                 lines = getattr(self.base, words[0])
@@ -127,10 +127,10 @@ class Sweep(Table):
                     raise SweepError(
                         f"parameters.{name}: path = {text!r}, but the scenario has no {words[0]}"
                     )
-                found += [(words[0], line, *words[2:]) for line in lines]
+                result += [(words[0], line, *words[2:]) for line in lines]
             else:
-                found.append(words)
-        return tuple(found)
+                result.append(words)
+        return tuple(result)
 
     # -- which run is which ---------------------------------------------------------------
 
@@ -166,14 +166,14 @@ class Sweep(Table):
         rest = run
         for name, size in reversed(self.axes):
             rest, place[name] = divmod(rest, size)
-        found: dict[str, Value] = {}
+        result: dict[str, Value] = {}
         for name, p in self.parameters.items():
             if p.sampled:
                 is_time = any(words[-1].endswith("_s") for words in self.paths(name))
-                found[name] = p.drawn_value(name, self.seed, place[""], self.samples or 1, is_time=is_time)
+                result[name] = p.drawn_value(name, self.seed, place[""], self.samples or 1, is_time=is_time)
             elif p.bisect is None:
-                found[name] = p.grid_value(place[name])
-        return found
+                result[name] = p.grid_value(place[name])
+        return result
 
     def _rank(self, name: str) -> int:
         ranks = []
@@ -249,35 +249,37 @@ def load_sweep(source: str | Path | Mapping[str, Any]) -> Sweep:
 
 def sweep_of(table: Mapping[str, Any], where: str, folder: Path) -> Sweep:
     """Return the sweep of a table; `where` names it in errors, files are looked for in `folder`."""
-    raw, found = dict(table), Collected()
+    raw, sweep = dict(table), Collected()
     base = raw.pop("base", None)
     if base is not None:
-        found.lines.append(f"{where}: base = {base!r}: no such key; {meant('base', _KEYS)}")
-    with found:
+        sweep.lines.append(f"{where}: base = {base!r}: no such key; {meant('base', _KEYS)}")
+    with sweep:
         raw["base"] = _base(raw.pop("scenario", None), where, folder, raw)
     try:
         swept = Sweep.model_validate(raw)
     except ValidationError as error:
-        told = mistakes(error, Sweep)
-        found.lines += [f"{where}: {line}" for line in told if line != "base is missing"]
-    found.end(SweepError)
+        reported = mistakes(error, Sweep)
+        sweep.lines += [f"{where}: {line}" for line in reported if line != "base is missing"]
+    sweep.end(SweepError)
     return swept
 
 
 _KEYS = [*(k for k in Sweep.model_fields if k != "base"), "scenario"]
 
 
-def _base(given: Any, where: str, folder: Path, others: Mapping[str, Any]) -> Scenario:
+def _base(provided: Any, where: str, folder: Path, others: Mapping[str, Any]) -> Scenario:
     """Return the scenario that a sweep names or holds."""
-    if given is None:
+    if provided is None:
         near = get_close_matches("scenario", others, 1)
         hint = f" (is {near[0]!r} meant as that?)" if near else ""
         raise SweepError(
             f"{where}: scenario is missing, allowed: a file, a bundled name or a [scenario] table{hint}"
         )
-    if isinstance(given, Mapping):
-        return load_scenario({"folder": folder, **given})
-    if isinstance(given, str) and given:
-        beside = folder / given
-        return load_scenario(beside if beside.is_file() or beside.suffix else given)
-    raise SweepError(f"{where}: scenario = {given!r}, allowed: a file, a bundled name or a [scenario] table")
+    if isinstance(provided, Mapping):
+        return load_scenario({"folder": folder, **provided})
+    if isinstance(provided, str) and provided:
+        beside = folder / provided
+        return load_scenario(beside if beside.is_file() or beside.suffix else provided)
+    raise SweepError(
+        f"{where}: scenario = {provided!r}, allowed: a file, a bundled name or a [scenario] table"
+    )

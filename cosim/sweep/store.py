@@ -135,9 +135,9 @@ class SweepStore:
                 if curves is not None:
                     curves.unlink()
                 self.done[runs] = False
-                rest, gone = table.filter(pa.array(~failed)), pa.array(runs[failed])
+                rest, missing = table.filter(pa.array(~failed)), pa.array(runs[failed])
                 if curve is not None:
-                    keep = pc.invert(pc.is_in(curve.column("run"), value_set=gone))
+                    keep = pc.invert(pc.is_in(curve.column("run"), value_set=missing))
                     write_part(self.folder, CURVES, number, curve.filter(keep))
                 if rest.num_rows:
                     write_part(self.folder, ROWS, number, rest)
@@ -184,7 +184,7 @@ class SweepStore:
             self._write("manifest.json", _manifest(self.plan))
         self._next = 0
         curves = curves_of(self.folder)
-        kept = set()
+        retained = set()
         for part in parts_of(self.folder):
             number = number_of(part)
             self._next = max(self._next, number + 1)
@@ -200,9 +200,9 @@ class SweepStore:
             if np.any(self.done[runs]):
                 raise SweepError(f"{part}: has runs that another part has too; remove one of them")
             self.done[runs] = True
-            kept.add(number)
+            retained.add(number)
         for number, part in curves.items():
-            if number not in kept:
+            if number not in retained:
                 part.unlink()  # its rows never came, or are gone: those runs are done again
 
     def _write(self, name: str, value: Any) -> None:
@@ -237,11 +237,11 @@ def _fitted(row: dict[str, Any], kinds: _Kinds) -> dict[str, Any]:
 
 def _kinds(schema: pa.Schema) -> _Kinds:
     """Return the columns with what makes their values fit, where that is needed."""
-    made: _Kinds = []
+    kinds: _Kinds = []
     for column in schema:
         words, number = pa.types.is_string(column.type), pa.types.is_floating(column.type)
-        made.append((column.name, str if words else float if number else None))
-    return made
+        kinds.append((column.name, str if words else float if number else None))
+    return kinds
 
 
 def _manifest(plan: SweepPlan) -> dict[str, Any]:
@@ -256,13 +256,13 @@ def _manifest(plan: SweepPlan) -> dict[str, Any]:
 
 def _check_manifest(path: Path, plan: SweepPlan) -> None:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(path.read_text(encoding="utf-8"))
         old = json.loads(path.with_name("sweep.json").read_text(encoding="utf-8"))
     except (OSError, json.JSONDecodeError, UnicodeDecodeError) as error:
         raise SweepError(f"{path}: is damaged ({error}); use another folder") from None
     new = json.loads(json.dumps(plan.document()))
     differences = list(_differences(old, new, ()))
-    if found.get("specification") != plan.hash or differences:
+    if data.get("specification") != plan.hash or differences:
         shown = "; ".join(differences[:5]) + (
             f"; and {len(differences) - 5} more" if len(differences) > 5 else ""
         )

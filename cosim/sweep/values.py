@@ -166,10 +166,10 @@ class Parameter(Table):
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
-        given = [f for f in _FORMS if getattr(self, f) is not None]
-        if len(given) != 1:
+        provided = [f for f in _FORMS if getattr(self, f) is not None]
+        if len(provided) != 1:
             raise ValueError(
-                f"has {' and '.join(given) or 'no values'}, allowed: exactly one of {', '.join(_FORMS)}"
+                f"has {' and '.join(provided) or 'no values'}, allowed: exactly one of {', '.join(_FORMS)}"
             )
         if self.values is not None:
             seen: list[str] = []

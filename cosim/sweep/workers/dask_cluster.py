@@ -195,19 +195,19 @@ class _Cluster:
     def turn(self) -> list[Outcome]:
         """Wait a moment; return what has come back."""
         time.sleep(_LOOK_S)
-        found: list[Outcome] = []
+        result: list[Outcome] = []
         for future in [f for f in self.active if f.status != "pending"]:
             runs = self.active.pop(future)
             if future.status == "finished":
                 try:
-                    found += future.result(timeout=60.0)
+                    result += future.result(timeout=60.0)
                 except Exception:  # lost on the way: the runs are done again
                     self.again.append(runs)
             elif future.status == "error":
-                found += self._judge(future, runs)
+                result += self._judge(future, runs)
             else:
                 self.again.append(runs)  # cancelled: the scheduler or what it had is gone
-        return found
+        return result
 
     def _judge(self, future: Any, runs: list[int]) -> list[Outcome]:
         """Take a task that ended with an error: it killed workers, or the cluster cannot do it."""
@@ -258,8 +258,8 @@ def compute(runs: list[int], names: list[str], *blobs: Any) -> list[Outcome]:
     ------
     SweepError : this worker has another version, or its machine fails: disk, quota, open files, memory.
     """
-    given = dict(zip(names, blobs, strict=True))
-    document = given.pop("")
+    provided = dict(zip(names, blobs, strict=True))
+    document = provided.pop("")
     plan = plan_of_document(document)
     if plan.version != code_version():
         raise SweepError(
@@ -267,7 +267,7 @@ def compute(runs: list[int], names: list[str], *blobs: Any) -> list[Outcome]:
             f"({code_version()}, here {plan.version}); install the same there, or stop that worker"
         )
     try:
-        return list(_runner(plan, given).outcomes(runs))
+        return list(_runner(plan, provided).outcomes(runs))
     except MemoryError:
         raise SweepError(f"a worker on {socket.gethostname()}: {os.strerror(errno.ENOMEM)}") from None
     except OSError as error:
@@ -277,12 +277,12 @@ def compute(runs: list[int], names: list[str], *blobs: Any) -> list[Outcome]:
 
 def _runner(plan: SweepPlan, files: Mapping[str, bytes]) -> Runner:
     """Return this thread's runner for a plan; FMU instances live on from task to task."""
-    kept = getattr(_here, "runner", None)
-    if kept is not None and (kept.plan.hash, kept.plan.version) == (plan.hash, plan.version):
-        return kept  # type: ignore[no-any-return]
-    if kept is not None:
-        kept.close()
-        shutil.rmtree(kept.scratch, ignore_errors=True)
+    retained = getattr(_here, "runner", None)
+    if retained is not None and (retained.plan.hash, retained.plan.version) == (plan.hash, plan.version):
+        return retained  # type: ignore[no-any-return]
+    if retained is not None:
+        retained.close()
+        shutil.rmtree(retained.scratch, ignore_errors=True)
     root = _folder()
     cache = root / "cache"
     with _files:

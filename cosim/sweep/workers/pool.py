@@ -120,17 +120,17 @@ class _Pool:
 
     def turn(self) -> list[Outcome]:
         """Wait a moment for messages; return the outcomes among them."""
-        found: list[Outcome] = []
+        result: list[Outcome] = []
         pipes: dict[Any, _Worker] = {w.pipe: w for w in self.workers}
         for pipe in wait(list(pipes), timeout=0.5):
-            self._listen(pipes[pipe], found)
+            self._listen(pipes[pipe], result)
         for worker in self.workers:
             if worker.under_way.seconds > self.limit_s and not worker.overdue:
                 worker.overdue = worker.under_way.runs
                 worker.kill()
-        return found
+        return result
 
-    def _listen(self, worker: _Worker, found: list[Outcome]) -> None:
+    def _listen(self, worker: _Worker, result: list[Outcome]) -> None:
         pipe: Connection = worker.pipe
         try:
             while pipe.poll():
@@ -140,7 +140,7 @@ class _Pool:
                     for outcome in message[1]:
                         if outcome.row["run"] in worker.todo:
                             del worker.todo[outcome.row["run"]]
-                            found.append(outcome)
+                            result.append(outcome)
                 elif message[0] == "error":
                     raise OSError(
                         message[1], os.strerror(message[1]) if message[1] else message[2], message[2]
@@ -151,9 +151,9 @@ class _Pool:
                         return
                     worker.give(runs)
         except (EOFError, ConnectionError):
-            self._bury(worker, found)
+            self._bury(worker, result)
 
-    def _bury(self, worker: _Worker, found: list[Outcome]) -> None:
+    def _bury(self, worker: _Worker, result: list[Outcome]) -> None:
         """A worker died: its runs are done again, but for one that keeps killing workers.
 
         Of several runs under way together each is done alone then, which shows which of them it is.
@@ -167,14 +167,14 @@ class _Pool:
                 del worker.todo[run]
         elif under_way and worker.overdue == under_way:
             del worker.todo[under_way[0]]
-            found.append(self._failed(under_way[0], "time limit", "did not come back from an FMU's call"))
+            result.append(self._failed(under_way[0], "time limit", "did not come back from an FMU's call"))
         elif under_way:
             run = under_way[0]
             killed = code == -signal.SIGKILL if hasattr(signal, "SIGKILL") else False
             self.deaths[run, killed] += 1
             if self.deaths[run, killed] >= (_KILLED if killed else _CRASHED):
                 del worker.todo[run]
-                found.append(
+                result.append(
                     self._failed(run, "worker died", f"the process ended each time: {_ending(code)}")
                 )
         elif not worker.served:

@@ -57,7 +57,7 @@ class UnderWay:
 
 def work(
     pipe: Connection,
-    lifeline: Connection,
+    parent_pipe: Connection,
     shared: Any,
     document: dict[str, Any],
     cache: Path,
@@ -65,7 +65,7 @@ def work(
 ) -> None:
     """Serve `pipe` until it says None; temporary files go into `scratch` (the main process removes it)."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the main process's business
-    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
+    threading.Thread(target=_end_with, args=(parent_pipe,), daemon=True).start()
     scratch.mkdir(parents=True, exist_ok=True)
     tempfile.tempdir = str(scratch)
     from threadpoolctl import threadpool_limits
@@ -105,9 +105,9 @@ def _serve(pipe: Connection, runner: Any, runs: Sequence[int], under_way: UnderW
         pipe.send(("rows", rows))
 
 
-def _end_with(lifeline: Connection) -> None:
-    """End this process when the other end of `lifeline` is gone, whatever the main thread is doing."""
+def _end_with(parent_pipe: Connection) -> None:
+    """End this process when the other end of `parent_pipe` is gone, whatever the main thread is doing."""
     try:
-        lifeline.recv()
+        parent_pipe.recv()
     except (EOFError, OSError):
         end_at_once()
