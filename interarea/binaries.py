@@ -87,13 +87,13 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m interarea.binaries", description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--platforms", default=",".join(PLATFORMS), help="default: %(default)s")
-    given = parser.parse_args(words)
-    unknown = set(given.platforms.split(",")) - set(PLATFORMS)
+    provided = parser.parse_args(words)
+    unknown = set(provided.platforms.split(",")) - set(PLATFORMS)
     if unknown:
         parser.error(f"unknown platforms {sorted(unknown)}; allowed: {', '.join(PLATFORMS)}")
     if os.environ.pop("CC", ""):
         print("CC is set and not used: what travels is compiled by zig, for every platform", file=sys.stderr)
-    files = compile_into(given.folder, given.platforms.split(","))
+    files = compile_into(provided.folder, provided.platforms.split(","))
     print(f"{len(files)} binaries, {sum(p.stat().st_size for p in files) / 1e6:.1f} MB packed")
     return 0
 

@@ -51,14 +51,14 @@ def kinds() -> dict[str, str]:
 
 def schema(kind: str) -> dict[str, Any]:
     """Return the JSON Schema of a kind of file, in the form that the file has."""
-    made = _raw(kind)
-    properties = made.get("properties", {})
+    raw = _raw(kind)
+    properties = raw.get("properties", {})
     for key in _INNER.get(kind, ()):
         properties.pop(key, None)
     if kind == "case":
         for row, own in _ROW_IDS.items():  # the key of the row is its id
-            del made["$defs"][row]["properties"][own]
-            made["$defs"][row]["required"].remove(own)
+            del raw["$defs"][row]["properties"][own]
+            raw["$defs"][row]["required"].remove(own)
         for table in _TABLES_OF_ROWS:
             row = properties[table].get("items", {})
             beside = {"source": {"type": "string"}, "defaults": {"type": "object"}}
@@ -68,20 +68,20 @@ def schema(kind: str) -> dict[str, Any]:
         texts = {"type": "object", "additionalProperties": {"type": "string"}}
         properties["devices"] = {"anyOf": [names, texts]}
         properties["base"] = {"type": "string", "description": "a variant: the case that it changes"}
-        made["required"] = ["name"]
+        raw["required"] = ["name"]
     if kind in ("scenario", "case"):
         events = _raw("events")
-        made.setdefault("$defs", {}).update(events.pop("$defs", {}))
+        raw.setdefault("$defs", {}).update(events.pop("$defs", {}))
         text = "faults, trips, pulses and steps, a table each; all are in docs/formats/events.md"
         properties["event"] = {"type": "array", "items": events, "description": text}
     if kind == "sweep":
         text = "the scenario that is varied: bundled name, a file beside this one, or its keys"
         properties["scenario"] = {"anyOf": [{"type": "string"}, {"type": "object"}], "description": text}
         del properties["base"]
-        made["required"] = ["scenario"]
-        for name in [n for n in made.get("$defs", {}) if n not in _used(made)]:
-            del made["$defs"][name]
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **made, "title": f"interarea {kind}"}
+        raw["required"] = ["scenario"]
+        for name in [n for n in raw.get("$defs", {}) if n not in _used(raw)]:
+            del raw["$defs"][name]
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **raw, "title": f"interarea {kind}"}
 
 
 #: a time in periods of the case's frequency
@@ -90,9 +90,9 @@ _CYCLES = {"type": "string", "pattern": "cycle|start|s$"}
 _UNSAID = (_CYCLES, {"type": "null"})
 
 
-def _allow_cycles(made: dict[str, Any]) -> None:
+def _allow_cycles(result: dict[str, Any]) -> None:
     """Let every time be words such as "8 cycles", and the loss of a channel be a number."""
-    for part in (made, *made.get("$defs", {}).values()):
+    for part in (result, *result.get("$defs", {}).values()):
         properties = part.get("properties", {})
         for key, rule in properties.items():
             if key.endswith("_s") and "$ref" not in rule:
@@ -110,20 +110,20 @@ def _loose(row: Mapping[str, Any]) -> dict[str, Any]:
     return {"anyOf": [dict(row), {"const": "none"}, {"type": "object"}]}
 
 
-def _used(made: Mapping[str, Any]) -> set[str]:
-    text = json.dumps(made["properties"])
-    found: set[str] = set()
-    while more := set(re.findall(r'"#/\$defs/(\w+)"', text)) - found:
-        found |= more
-        text = json.dumps([made["$defs"][name] for name in more])
-    return found
+def _used(result: Mapping[str, Any]) -> set[str]:
+    text = json.dumps(result["properties"])
+    names: set[str] = set()
+    while more := set(re.findall(r'"#/\$defs/(\w+)"', text)) - names:
+        names |= more
+        text = json.dumps([result["$defs"][name] for name in more])
+    return names
 
 
 def _raw(kind: str) -> dict[str, Any]:
     if kind == "events":
         from interarea.models.case.events import Event
 
-        made = TypeAdapter(Event).json_schema()
+        json_schema = TypeAdapter(Event).json_schema()
     elif kind == "controller":
         return _controller_schema()
     elif kind == "device":
@@ -131,10 +131,10 @@ def _raw(kind: str) -> dict[str, Any]:
 
         return device_schema()
     else:
-        made = _model(kind).model_json_schema(by_alias=True)
+        json_schema = _model(kind).model_json_schema(by_alias=True)
     if kind in ("scenario", "events", "study"):
-        _allow_cycles(made)
-    return made
+        _allow_cycles(json_schema)
+    return json_schema
 
 
 def _model(kind: str) -> type[BaseModel]:
@@ -183,8 +183,8 @@ def _controller_schema() -> dict[str, Any]:
 
 def page(kind: str) -> str:
     """Return the reference page of a kind of file: a table of keys for each of its tables."""
-    made = schema(kind)
-    comments, examples = _comments(kind), _examples(kind, made)
+    result = schema(kind)
+    comments, examples = _comments(kind), _examples(kind, result)
     lines = [
         f"# Every key of {'events' if kind == 'events' else f'a {kind}'}",
         "",
@@ -198,10 +198,10 @@ def page(kind: str) -> str:
             'and in an event `"start + 8 cycles"`.',
             "",
         ]
-    if "properties" in made:
-        lines += _table("top level", made, comments, examples)
+    if "properties" in result:
+        lines += _table("top level", result, comments, examples)
     elsewhere = _raw("events")["$defs"] if kind in ("scenario", "case", "study") else {}
-    for name, part in sorted(made.get("$defs", {}).items()):
+    for name, part in sorted(result.get("$defs", {}).items()):
         if "properties" in part and name not in elsewhere:
             lines += _table(name, part, comments, examples)
     if kind == "device":
@@ -235,8 +235,8 @@ def _table(
         words = rule.get("description") or comments.get(f"{name}.{key}", "")
         if not words and "const" in rule:
             words = "says which of them it is"
-        given = [f"`{json.dumps(value)}`" for value in rule.get("examples", ())]
-        example = examples.get(name, {}).get(key) or next(iter(given), "")
+        provided = [f"`{json.dumps(value)}`" for value in rule.get("examples", ())]
+        example = examples.get(name, {}).get(key) or next(iter(provided), "")
         cells = (f"`{key}`", _holds(rule), unit, default, example, " ".join(str(words).split()))
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
     yield ""
@@ -291,15 +291,18 @@ def _example_files(kind: str) -> list[Mapping[str, Any]]:
     folders |= {"study": SPECIFICATIONS, "claims": SPECIFICATIONS}
     folders["device"] = Path(devices.__file__).parent
     name = "scenario" if kind == "events" else kind
-    found = [TEMPLATES / f"{name}.toml", *(sorted(folders[kind].rglob("*.toml")) if kind in folders else ())]
-    found.append(TEMPLATES / f"all_{name}.toml")
-    return [tomllib.loads(file.read_text(encoding="utf-8")) for file in found if file.is_file()]
+    example_files = [
+        TEMPLATES / f"{name}.toml",
+        *(sorted(folders[kind].rglob("*.toml")) if kind in folders else ()),
+    ]
+    example_files.append(TEMPLATES / f"all_{name}.toml")
+    return [tomllib.loads(file.read_text(encoding="utf-8")) for file in example_files if file.is_file()]
 
 
-def _examples(kind: str, made: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+def _examples(kind: str, result: Mapping[str, Any]) -> dict[str, dict[str, str]]:
     """Return table -> key -> the first short value that a file which comes along gives it."""
-    found: dict[str, dict[str, str]] = {}
-    defs = made.get("$defs", {})
+    examples: dict[str, dict[str, str]] = {}
+    defs = result.get("$defs", {})
 
     def visit(name: str, rule: Mapping[str, Any], data: Any) -> None:
         if "$ref" in rule:
@@ -321,33 +324,33 @@ def _examples(kind: str, made: Mapping[str, Any]) -> dict[str, dict[str, str]]:
             if key in known:
                 text = json.dumps(value, ensure_ascii=False)
                 if len(text) <= 60 and value not in ({}, [], ""):
-                    found.setdefault(name, {}).setdefault(key, f"`{text}`")
+                    examples.setdefault(name, {}).setdefault(key, f"`{text}`")
                 visit(f"{name}.{key}", known[key], value)
             elif isinstance(rule.get("additionalProperties"), Mapping):
                 visit(name, rule["additionalProperties"], value)
 
     for data in _example_files(kind):
-        visit("top level", {"$ref": f"#/$defs/{kind}"} if kind in defs else made, data)
+        visit("top level", {"$ref": f"#/$defs/{kind}"} if kind in defs else result, data)
         if kind == "events":
             for event in data.get("event", ()):
-                visit("", made, event)
-    return found
+                visit("", result, event)
+    return examples
 
 
 def _comments(kind: str) -> dict[str, str]:
     """Return what the `#:` comments beside the fields say, by model.field."""
     if kind in ("controller", "device"):
         return {}
-    found: dict[str, str] = {}
+    comments: dict[str, str] = {}
     for model in _models(kind):
         inherited = [c for c in model.__mro__ if c not in (BaseModel, object)]
         for owner in reversed(inherited):
             for name, words in _field_comments(owner):
                 alias = getattr(getattr(model, "model_fields", {}).get(name), "alias", None)
-                found[f"{model.__name__}.{alias or name}"] = words
+                comments[f"{model.__name__}.{alias or name}"] = words
                 if kind != "events" and model is _model(kind):
-                    found[f"top level.{name}"] = words
-    return found
+                    comments[f"top level.{name}"] = words
+    return comments
 
 
 def _field_comments(model: type) -> Iterator[tuple[str, str]]:
@@ -369,16 +372,16 @@ def _models(kind: str) -> list[type]:
     from interarea.models.case.events import Event
 
     todo: list[Any] = [*([] if kind == "events" else [_model(kind)]), *get_args(Event)]
-    found: list[type] = []
+    models: list[type] = []
     while todo:
         one = todo.pop(0)
         if isinstance(one, type) and (issubclass(one, BaseModel) or is_dataclass(one)):
-            if one not in found:
-                found.append(one)
+            if one not in models:
+                models.append(one)
                 todo += [f.annotation for f in getattr(one, "model_fields", {}).values()]
         else:
             todo += [a for a in get_args(one) if not isinstance(a, str)]
-    return found
+    return models
 
 
 def write(pages: Path) -> list[Path]:

@@ -85,7 +85,7 @@ def import_case(
     """
     from interarea.models.importers.file import import_grid
 
-    found = import_grid(
+    imported = import_grid(
         grid,
         dyr=dyr,
         frequency_hz=frequency_hz,
@@ -99,8 +99,8 @@ def import_case(
         devices=devices,
     )
     if report is not None:
-        report(found.report.text())
-    return found.case
+        report(imported.report.text())
+    return imported.case
 
 
 def linearise(case: Case | str | Path, *, reference: bool = False) -> control.StateSpace:

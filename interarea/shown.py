@@ -100,7 +100,7 @@ class RankedLoops(LoopChoice):
         """Return one row a loop: mode, actuator, signal, kind, index, lead_deg, moves_beside, times."""
         keys = ("mode", "actuator", "signal", "kind", "index", "lead_deg")
         rows = []
-        for loop in (loop for some in self.loops.values() for loop in some):
+        for loop in (loop for ranked in self.loops.values() for loop in ranked):
             beside = {"moves_beside": loop.beside[0], "times": loop.beside[1]}
             rows.append({key: getattr(loop, key) for key in keys} | beside)
         return _frame(rows)
@@ -163,8 +163,8 @@ class Certificate:
     @property
     def worth(self) -> str:
         """What the signals from other machines are worth, in a sentence; empty where it was not measured."""
-        found = getattr(self.record, "worth", None)
-        return "" if found is None else str(found["sentence"])
+        result = getattr(self.record, "worth", None)
+        return "" if result is None else str(result["sentence"])
 
     @property
     def rows(self) -> pd.DataFrame:
@@ -199,9 +199,9 @@ class Certificate:
         points, conditions = (list(dict.fromkeys(table[key])) for key in ("point", "condition"))
         figure, axes = new_figure(height=0.35 * len(points) + 1.2)
         for k, condition in enumerate(conditions):
-            some = table[table.condition == condition].set_index("point")
+            part = table[table.condition == condition].set_index("point")
             places = np.arange(len(points)) + 0.1 * (k - (len(conditions) - 1) / 2)
-            axes.plot([some.worst_swing[p] for p in points], places, "o", markersize=4, label=condition)
+            axes.plot([part.worst_swing[p] for p in points], places, "o", markersize=4, label=condition)
         axes.set_yticks(range(len(points)), points)
         axes.invert_yaxis()
         axes.set_xlabel("least damping ratio of the swings")
@@ -209,12 +209,12 @@ class Certificate:
         return figure
 
     def __repr__(self) -> str:
-        said = "holds what was asked" if self.ok else "; ".join(self.violations)
-        return f"Certificate({self.controller} on {self.case}: {said})"
+        message = "holds what was asked" if self.ok else "; ".join(self.violations)
+        return f"Certificate({self.controller} on {self.case}: {message})"
 
     def _repr_html_(self) -> str:
-        said = "holds what was asked" if self.ok else "; ".join(self.violations)
-        return _html(f"{self.controller} on {self.case}: {said}", self.to_frame())
+        message = "holds what was asked" if self.ok else "; ".join(self.violations)
+        return _html(f"{self.controller} on {self.case}: {message}", self.to_frame())
 
 
 @dataclass(frozen=True, repr=False)
@@ -262,8 +262,8 @@ class SweepResults:
 
         page = Path(file or self.folder / "maps.html")
         with notebook_bars(STEPS) as report:
-            tell = progress or report
-            return write_maps(self.folder, page, worst=worst, workers=workers, progress=tell)
+            own_report = progress or report
+            return write_maps(self.folder, page, worst=worst, workers=workers, progress=own_report)
 
     def __repr__(self) -> str:
         counts = self.summary

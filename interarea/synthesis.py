@@ -96,12 +96,12 @@ def load_controller(
     >>> load_controller("robust").inputs
     ('G2_dw', 'G4_dw')
     """
-    made = controller_of(name, case_like(case), default_cache())
-    if made is None:
+    controller = controller_of(name, case_like(case), default_cache())
+    if controller is None:
         raise ScenarioError(
             "controller 'none' is no controller, allowed: what `interarea list` names, or a file"
         )
-    return made
+    return controller
 
 
 def controller_like(
@@ -147,18 +147,18 @@ def certify(
     """
     table = _table(spec or "robust", case)
     loaded = table.grid
-    made = controller_like(controller, loaded)
-    if isinstance(made, ControllerBank):
+    result = controller_like(controller, loaded)
+    if isinstance(result, ControllerBank):
         plant = remove_reference(linear_plant(loaded, default_cache()))
-        proof = certify_bank(speeds_in_rad(plant, loaded.omega_b), made)
-        return Certificate(made.name, loaded.name, proof)
-    own = specification_of(made) if spec is None else None
+        proof = certify_bank(speeds_in_rad(plant, loaded.omega_b), result)
+        return Certificate(result.name, loaded.name, proof)
+    own = specification_of(result) if spec is None else None
     if own is not None:
         table = own if case is None else own.on(case)
     with notebook_bars(steps_of(table, acceptance=False)) as report:
-        found = certify_family(table, made, default_cache(), progress=progress or report or silent)
-        found = certified_worth(table, made, found, default_cache())
-    return Certificate(made.name, table.case, found, {c.name: c.in_words for c in table.family()})
+        rows = certify_family(table, result, default_cache(), progress=progress or report or silent)
+        rows = certified_worth(table, result, rows, default_cache())
+    return Certificate(result.name, table.case, rows, {c.name: c.in_words for c in table.family()})
 
 
 def _table(spec: str | Path | Mapping[str, Any], case: Case | str | Path | None) -> DesignTable:

@@ -48,11 +48,11 @@ def cache(
     going: list[Kept] = damaged(folder) if check else []
     bad, left = len(going), sweep(folder)
     freed = remove(going)
-    kept = artefacts_in(folder)
-    count = _unused(kept, unused_days)
-    count += _too_many(kept[count:], keep_mb)
-    freed += remove(kept[:count])
-    _show(folder, kept[count:], bad, freed, json_=json_)
+    retained = artefacts_in(folder)
+    count = _unused(retained, unused_days)
+    count += _too_many(retained[count:], keep_mb)
+    freed += remove(retained[:count])
+    _show(folder, retained[count:], bad, freed, json_=json_)
     if json_:
         return
     if check:
@@ -66,15 +66,20 @@ def cache(
 def _show(folder: Path, kept: Sequence[Kept], bad: int, freed: int, *, json_: bool) -> None:
     """Print how much there is of each kind."""
     kinds = {kind: [k for k in kept if k.kind == kind] for kind in sorted({k.kind for k in kept})}
-    sizes = {kind: sum(k.size for k in some) for kind, some in kinds.items()}
+    sizes = {kind: sum(k.size for k in selected) for kind, selected in kinds.items()}
     if json_:
-        about = {kind: {"files": len(some), "bytes": sizes[kind]} for kind, some in kinds.items()}
+        about = {kind: {"files": len(selected), "bytes": sizes[kind]} for kind, selected in kinds.items()}
         document = {"folder": str(folder), "kinds": about, "damaged": bad, "freed": freed}
         typer.echo(json.dumps(document, indent=1))
         return
     rows = [
-        (kind, str(len(some)), f"{sizes[kind] / _MB:.1f}", f"{(time.time() - some[0].used_s) / _DAY_S:.0f}")
-        for kind, some in kinds.items()
+        (
+            kind,
+            str(len(selected)),
+            f"{sizes[kind] / _MB:.1f}",
+            f"{(time.time() - selected[0].used_s) / _DAY_S:.0f}",
+        )
+        for kind, selected in kinds.items()
     ]
     print_table(str(folder), ("kind", "files", "MB", "longest unused, days"), rows)
 

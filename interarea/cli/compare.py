@@ -56,28 +56,28 @@ def compare(
 
     with stage_progress(controllers) as progress:
         stages = {Path(c).stem if Path(c).suffix else c: c for c in controllers}
-        found = compare_controllers(
+        result = compare_controllers(
             loaded,
             controllers,
             cache=default_cache(),
             progress=lambda name, done: progress(stages[name], done),
         )
-    rows = [one.row() for one in found]
+    rows = [one.row() for one in result]
     worth = _worth(loaded, controllers)
     document = {
         "scenario": loaded.name,
         "controllers": rows,
-        "roots": {o.name: o.roots() for o in found},
+        "roots": {o.name: o.roots() for o in result},
         "worth": worth,
     }
     files: list[Path] = []
     if out is not None:
-        for one in found:
+        for one in result:
             one.run.save(out / one.name)
         command = shlex.join(
             ["interarea", "compare", *controllers, "--scenario", scenario, "--out", str(out)]
         )
-        files = [out / "compare.json", write_comparison(found, loaded, out / "compare.html", command)]
+        files = [out / "compare.json", write_comparison(result, loaded, out / "compare.html", command)]
         write_json(document, files[0])
     if json_:
         typer.echo(json.dumps(document, indent=2, allow_nan=False))
@@ -87,8 +87,8 @@ def compare(
             ("controller", "verdict", *_COLUMNS.values()),
             [(r["controller"], r["verdict"], *map(_cell, (r[k] for k in _COLUMNS))) for r in rows],
         )
-        for name, said in worth.items():
-            typer.echo(f"{name}: {said}")
+        for name, message in worth.items():
+            typer.echo(f"{name}: {message}")
     for file in files:
         (note if json_ else typer.echo)(file)
 
@@ -102,12 +102,12 @@ def _worth(scenario: Scenario, controllers: list[str]) -> dict[str, str]:
 
     case = scenario.load_case()
     late = {c.signal: c.latency_s for c in scenario.channels.values()}
-    said = {}
+    message = {}
     for name in controllers:
-        made = None if name == "none" else load_controller(name, case=case)
-        if isinstance(made, Controller):
-            said[made.name] = worth_at(case, made, default_cache(), latency_s_of=late).sentence
-    return said
+        worth = None if name == "none" else load_controller(name, case=case)
+        if isinstance(worth, Controller):
+            message[worth.name] = worth_at(case, worth, default_cache(), latency_s_of=late).sentence
+    return message
 
 
 def _cell(value: Any) -> str:

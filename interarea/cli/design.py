@@ -74,41 +74,41 @@ def design(
     rival_step = ("own-signal rival",) if worth and has_rival(table) else ()
     with stage_progress((*DESIGN_STEPS, *rival_step, "alternatives")) as report:
         done = run_design(table, cache, progress=report)
-        made = done.controller
+        result = done.controller
         if rival_step:
             rival = design_rival(table, cache, progress=lambda _, share, __: report(rival_step[0], share))
-            made = with_rival(made, rival)
+            result = with_rival(result, rival)
             report(rival_step[0], 1.0)
-        made = with_worth(table, made, cache)
+        result = with_worth(table, result, cache)
         out.parent.mkdir(parents=True, exist_ok=True)
-        made.save(out)
-        found = _certificate_of(made)
+        result.save(out)
+        certificate = _certificate_of(result)
         report("alternatives", 0.0)
-        alternatives = compare(table, {made.name: made.system, **done.tried, **others}, cache)
+        alternatives = compare(table, {result.name: result.system, **done.tried, **others}, cache)
         drawn = save_comparison(table, alternatives, cache, plots) if plots is not None else ()
         report("alternatives", 1.0)
     if json_:
         document = {
-            "controller": made.name,
-            "certificate": made.certificate,
+            "controller": result.name,
+            "certificate": result.certificate,
             "alternatives": [dict(zip(HEADER, a.cells(), strict=True)) for a in alternatives],
             "files": [str(path) for path in (out, *drawn)],
         }
         typer.echo(json.dumps(document, indent=2, allow_nan=False))
     else:
-        _show(made.name, found, table)
+        _show(result.name, certificate, table)
         print_table("alternatives over the family", HEADER, [a.cells() for a in alternatives])
         for path in (out, *drawn):
             typer.echo(path)
-    if not found.passed:
+    if not certificate.passed:
         raise typer.Exit(1)
 
 
-def _certificate_of(made: Controller) -> FamilyCertificate:
+def _certificate_of(controller: Controller) -> FamilyCertificate:
     """Return the certificate in a controller's record as what it was."""
     from interarea.design.robust.operating_points import FamilyCertificate, FamilyRow
 
-    record = dict(made.certificate or {})
+    record = dict(controller.certificate or {})
     del record["passed"]
     rows = tuple(FamilyRow(**row) for row in record.pop("rows"))
     return FamilyCertificate(rows=rows, **record)
@@ -126,10 +126,10 @@ def _system(name: str, case: Case) -> control.StateSpace:
     from interarea.design.controllers.bank import ControllerBank
     from interarea.models.errors import UserError
 
-    made = _named(name, case)
-    if isinstance(made, ControllerBank):
+    system = _named(name, case)
+    if isinstance(system, ControllerBank):
         raise UserError(f"--against {name}: is a bank, allowed: one controller")
-    return made.system
+    return system.system
 
 
 def certify(
@@ -189,49 +189,49 @@ def certify(
     if case is not None:
         table = table.on(case)
     grid = table.grid
-    made = _named(controller, grid)
-    if isinstance(made, ControllerBank):
-        _certify_bank(made, grid, json_, out)
+    result = _named(controller, grid)
+    if isinstance(result, ControllerBank):
+        _certify_bank(result, grid, json_, out)
         return
     if spec is None:
-        table = _own_family(made, controller, case) or table
+        table = _own_family(result, controller, case) or table
     steps = steps_of(table, acceptance=acceptance)
     with stage_progress([*(["own-signal rival"] if worth else []), *steps, "worth of the signals"]) as report:
         if worth:
-            made = with_rival(made, _rival(table, made, report))
-        found = recompute(table, made, default_cache(), acceptance=acceptance, progress=report)
-        found = certified_worth(
+            result = with_rival(result, _rival(table, result, report))
+        rows = recompute(table, result, default_cache(), acceptance=acceptance, progress=report)
+        rows = certified_worth(
             table,
-            made,
-            found,
+            result,
+            rows,
             default_cache(),
             progress=lambda share: report("worth of the signals", share),
         )
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
-        judged_by(table, made, found).save(out)
+        judged_by(table, result, rows).save(out)
     if json_:
-        typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
+        typer.echo(json.dumps(rows.as_dict(), indent=2, allow_nan=False))
     else:
-        _show(made.name, found, table)
+        _show(result.name, rows, table)
         if not acceptance:
             from interarea.cosim.designs.acceptance import first_failures, kept_certificate
 
-            known = kept_certificate(controller, table.grid.hash) or made.certificate
+            known = kept_certificate(controller, table.grid.hash) or result.certificate
             typer.echo(f"on record: {first_failures(known)}")
-    if not found.passed:
+    if not rows.passed:
         raise typer.Exit(1)
 
 
-def _rival(table: DesignTable, made: Controller, report: Callable[[str, float], object]) -> Controller:
+def _rival(table: DesignTable, controller: Controller, report: Callable[[str, float], object]) -> Controller:
     """Design the own-signal rival of a controller that the design of `table` fits."""
     from interarea.cosim.designs.worth import design_rival
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.errors import UserError
 
-    if set(table.signals) != set(made.inputs) or set(table.actuators) != set(made.outputs):
+    if set(table.signals) != set(controller.inputs) or set(table.actuators) != set(controller.outputs):
         raise UserError(
-            f"--worth: {made.name} sees {', '.join(made.inputs)}, the design that judges it "
+            f"--worth: {controller.name} sees {', '.join(controller.inputs)}, the design that judges it "
             f"{', '.join(table.signals)}; give its own design with --spec"
         )
     name = "own-signal rival"
@@ -240,11 +240,11 @@ def _rival(table: DesignTable, made: Controller, report: Callable[[str, float], 
     return rival
 
 
-def _own_family(made: Controller, name: str, case: str | None) -> DesignTable | None:
+def _own_family(controller: Controller, name: str, case: str | None) -> DesignTable | None:
     """Return the design in a controller's record, for another case if one is given; None is told."""
     from interarea.cosim.designs.design_file import specification_of
 
-    own = specification_of(made)
+    own = specification_of(controller)
     if own is None:
         typer.echo(f"{name} names no family of its own: judged by that of `robust`", err=True)
         return None
@@ -263,33 +263,33 @@ def _certify_bank(bank: ControllerBank, case: Case, json_: bool, out: Path | Non
         raise UserError(f"--out {out}: {bank.name} is a bank, allowed: one controller")
     with busy(f"certifying {bank.name}"):
         plant = speeds_in_rad(remove_reference(linear_plant(case, default_cache())), case.omega_b)
-        found = certify_bank(plant, bank)
+        result = certify_bank(plant, bank)
     if json_:
-        typer.echo(json.dumps(found.as_dict(), indent=2))
+        typer.echo(json.dumps(result.as_dict(), indent=2))
         return
-    typer.echo(f"{bank.name} on {case.name}: {found.kind}, {len(found.loops)} loops (active: what arrives)")
-    for loop in found.loops:
+    typer.echo(f"{bank.name} on {case.name}: {result.kind}, {len(result.loops)} loops (active: what arrives)")
+    for loop in result.loops:
         typer.echo(f"  {loop}")
-    if found.dwell_s > 0.0:
-        typer.echo(f"stable when changes of the signals are at least {found.dwell_s:.3g} s apart")
+    if result.dwell_s > 0.0:
+        typer.echo(f"stable when changes of the signals are at least {result.dwell_s:.3g} s apart")
     else:
         typer.echo(
-            f"every sequence of losses and returns decays at {found.decay_rate:.4f} 1/s or faster "
-            f"(slowest loop alone: {found.slowest:.4f} 1/s)"
+            f"every sequence of losses and returns decays at {result.decay_rate:.4f} 1/s or faster "
+            f"(slowest loop alone: {result.slowest:.4f} 1/s)"
         )
     typer.echo("lost is what a channel marks as lost; a signal that is stuck or wrong is not detected")
 
 
-def _show_worth(found: Mapping[str, Any]) -> None:
+def _show_worth(result: Mapping[str, Any]) -> None:
     from interarea.cosim.designs.worth import HEADER, table_rows
 
-    if found["afar"]:
+    if result["afar"]:
         print_table(
             "worth of the signals, nothing lost (`without`: at the first point, at once)",
             HEADER,
-            table_rows(found),
+            table_rows(result),
         )
-    typer.echo(found["sentence"])
+    typer.echo(result["sentence"])
 
 
 def _show_conditions(table: DesignTable) -> None:
@@ -301,7 +301,7 @@ def _show_conditions(table: DesignTable) -> None:
     )
 
 
-def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
+def _show(name: str, certified: FamilyCertificate, table: DesignTable) -> None:
     from interarea.cosim.designs.acceptance import in_words
 
     print_table(
@@ -316,7 +316,7 @@ def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
                 f"{row.inter_area:.3f}",
                 f"{row.rightmost:.3f}",
             )
-            for row in found.rows
+            for row in certified.rows
         ],
     )
     _show_conditions(table)
@@ -325,22 +325,24 @@ def _show(name: str, found: FamilyCertificate, table: DesignTable) -> None:
         "above 400 states, and in `interarea run`, the modes themselves, followed from the open loop"
     )
     typer.echo(
-        f"worst swing {found.worst_swing:.4f}, inter-area {found.inter_area:.4f}, effort {found.effort:.4f}, "
-        f"fastest pole {found.fastest_pole:.1f} rad/s"
+        f"worst swing {certified.worst_swing:.4f}, inter-area {certified.inter_area:.4f}, "
+        f"effort {certified.effort:.4f}, fastest pole {certified.fastest_pole:.1f} rad/s"
     )
-    for lost, gain in found.loss_criterion.items():
+    for lost, gain in certified.loss_criterion.items():
         typer.echo(f"{lost} lost: loop gain of the rest at real s {gain:.3f} (unstable above 1)")
-    if found.drive is not None:
-        typer.echo(f"drive after the fault {found.drive:.3f} pu: synchronism {found.predicted} (predicted)")
-    for run in found.faults:
-        said = f"settled in {run['settled_s']:.1f} s" if run["synchronism"] else "SYNCHRONISM LOST"
-        typer.echo(f"fault at {run['point']}, {' and '.join(run['lost']) or 'nothing'} lost: {said}")
-    if found.worth is not None:
-        _show_worth(found.worth)
-    if found.acceptance is not None:
-        typer.echo(in_words(found.acceptance))
-    for violation in found.violations:
+    if certified.drive is not None:
+        typer.echo(
+            f"drive after the fault {certified.drive:.3f} pu: synchronism {certified.predicted} (predicted)"
+        )
+    for run in certified.faults:
+        message = f"settled in {run['settled_s']:.1f} s" if run["synchronism"] else "SYNCHRONISM LOST"
+        typer.echo(f"fault at {run['point']}, {' and '.join(run['lost']) or 'nothing'} lost: {message}")
+    if certified.worth is not None:
+        _show_worth(certified.worth)
+    if certified.acceptance is not None:
+        typer.echo(in_words(certified.acceptance))
+    for violation in certified.violations:
         typer.echo(f"violated: {violation}")
-    slips = any(not run["synchronism"] for run in found.faults)
+    slips = any(not run["synchronism"] for run in certified.faults)
     unasked = " what its design asks for; synchronism is not among it" if slips else ""
-    typer.echo(f"passed{unasked}" if found.passed else "does not pass")
+    typer.echo(f"passed{unasked}" if certified.passed else "does not pass")

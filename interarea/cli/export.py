@@ -60,13 +60,13 @@ def build(
     folder_for(out)
     blocks = {loaded.name: plant_block(loaded, show=show)}
     if controller is not None:
-        made = controller_of(controller, loaded, cache)
-        if made is not None:
-            blocks |= {"channel": channel_block(), made.name: made.block(loaded.omega_b)}
+        result = controller_of(controller, loaded, cache)
+        if result is not None:
+            blocks |= {"channel": channel_block(), result.name: result.block(loaded.omega_b)}
     files = {}
-    with steps([f"{name}.fmu" for name in blocks]) as tell:
+    with steps([f"{name}.fmu" for name in blocks]) as report:
         for name, block in blocks.items():
-            tell(f"{name}.fmu")
+            report(f"{name}.fmu")
             fmu = complete_fmu(block_fmu(block, cache, platforms=names_of(platforms)), cache)
             files[name] = str(place(fmu, out / f"{name}.fmu"))
     if json_:
@@ -170,5 +170,5 @@ def explore(
 
     file_for(out, suffix=".html")
     with busy(f"writing {out}"):
-        made = write_explorer(subject, out, cache=default_cache())
-    tell_file(made, json_)
+        explorer = write_explorer(subject, out, cache=default_cache())
+    tell_file(explorer, json_)

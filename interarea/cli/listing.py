@@ -24,16 +24,16 @@ def list_bundled(
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
     """List what is bundled: cases, scenarios, controllers, designs, studies, and what takes them."""
-    found = bundled()
+    result = bundled()
     if json_:
-        typer.echo(json.dumps(found, indent=2))
+        typer.echo(json.dumps(result, indent=2))
         return
     print_table(
         "what can be named without a path",
         ("kind", "name", "what it is"),
         [
             (kind if k == 0 else "", name, title)
-            for kind, rows in found.items()
+            for kind, rows in result.items()
             for k, (name, title) in enumerate(rows.items())
         ],
     )

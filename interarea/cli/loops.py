@@ -72,13 +72,13 @@ def loops(
         choice = _chosen(loaded, *region_of(band, below), options)
         designs = _designed(loaded, choice, tried, latency) if tried else ()
     if json_:
-        found = {"case": loaded.name, **_as_dict(choice)}
+        result = {"case": loaded.name, **_as_dict(choice)}
         if tried:
-            found["designs"] = [
+            result["designs"] = [
                 {"actuators": d.chosen.actuators, "damping": d.damping, "own": d.own, "worth": d.sentence}
                 for d in designs
             ]
-        typer.echo(json.dumps(found, indent=2, allow_nan=False))
+        typer.echo(json.dumps(result, indent=2, allow_nan=False))
         return
     _print_choice(loaded.name, choice)
     if tried:
@@ -116,8 +116,8 @@ def _designed(case: Case, choice: LoopChoice, tried: int, latency_s: float) -> l
     from interarea.cosim.designs.short_designs import LATENCY_S, short_designs
     from interarea.fmu_build.write.cache import default_cache
 
-    made = short_designs(case, choice.sets[:tried], default_cache(), latency_s=latency_s or LATENCY_S)
-    return sorted(made, key=lambda design: -design.damping)
+    result = short_designs(case, choice.sets[:tried], default_cache(), latency_s=latency_s or LATENCY_S)
+    return sorted(result, key=lambda design: -design.damping)
 
 
 def _print_designs(name: str, designs: Sequence[ShortDesign], latency_s: float) -> None:

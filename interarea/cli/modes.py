@@ -83,7 +83,7 @@ def modes(
     around = _around(controller, latency, sensitivity)
     if plot is not None:
         folder_for(plot, "--plot")
-    if any(given is not None for given in (band, below, controller)):
+    if any(provided is not None for provided in (band, below, controller)):
         _refuse_beside_band(margins=margins)
         loaded = at_point(case, tie_flow, circuit_out, load_scale)
         region, paths = region_of(band, below), sensitivity or []
@@ -98,22 +98,22 @@ def modes(
         loaded = at_point(case, tie_flow, circuit_out, load_scale)
         limits = _start_rows(loaded) if margins else []
         system = linear_matrices(loaded, cache)
-        found = modes_of(system, loaded.areas)
+        result = modes_of(system, loaded.areas)
         moved: dict[str, Mapping[str, Sensitivity]] = {}
         if sensitivity:
             from interarea.cosim.designs.sensitivities import parameter_sensitivities
 
             moved = parameter_sensitivities(loaded, sensitivity, cache)
-    files = _plots(found, loaded, plot)
+    files = _plots(result, loaded, plot)
     if json_:
-        document = _as_dict(loaded, found, participation, moved, files)
+        document = _as_dict(loaded, result, participation, moved, files)
         if margins:
             document["margins"] = limits
         typer.echo(json.dumps(document, indent=2, allow_nan=False))
         return
-    _print_modes(f"{loaded.name}: {system.nstates} states, swing modes", found, participation)
+    _print_modes(f"{loaded.name}: {system.nstates} states, swing modes", result, participation)
     if shapes:
-        _print_shapes(found, loaded)
+        _print_shapes(result, loaded)
     for path, by_mode in moved.items():
         _print_sensitivity(path, by_mode)
     if margins:
@@ -150,11 +150,11 @@ def _around(
     return controller, latency_s
 
 
-def _refuse_beside_band(**given: object) -> None:
+def _refuse_beside_band(**provided: object) -> None:
     """Refuse what belongs to the named swing modes of a small grid."""
     from interarea.design.modes.modes import ModeError
 
-    named = [f"--{name}" for name, value in given.items() if value]
+    named = [f"--{name}" for name, value in provided.items() if value]
     if named:
         raise ModeError(f"{named[0]} with --band, --below or --controller: not together; leave one out")
 
@@ -191,27 +191,27 @@ def _all_modes(
     with busy(f"all modes of {case.name}"):
         plant = sparse_linear_plant(case, default_cache())
         loop = None if around is None else _with_controller(case, plant, *around, band_hz[1])
-        found = all_modes(plant, case.areas, band_hz=band_hz, below=below, loop=loop)
-        moved = all_mode_sensitivities(case, found.modes, paths if found.modes else [], default_cache())
-        by_name = {mode.name: mode for mode in found.modes}
+        result = all_modes(plant, case.areas, band_hz=band_hz, below=below, loop=loop)
+        moved = all_mode_sensitivities(case, result.modes, paths if result.modes else [], default_cache())
+        by_name = {mode.name: mode for mode in result.modes}
         files = _plots(by_name, case, plot)
     if as_json:
         states = plant.nstates
-        document = {"case": case.name, "states": states, **found.as_dict(count, shapes=shapes)}
+        document = {"case": case.name, "states": states, **result.as_dict(count, shapes=shapes)}
         document |= {"controller": around and around[0], "latency_s": around and around[1]}
         document["sensitivity"] = _sensitivity_dict(moved)
         document["plots"] = [str(file) for file in files]
         typer.echo(json.dumps(document, indent=2, allow_nan=False))
         return
-    low, high = found.band_hz
+    low, high = result.band_hz
     title = (
         f"{case.name}: {plant.nstates} states, modes from {low:g} to {high:g} Hz below a damping ratio of "
     )
-    title += f"{found.below:g}: {len(by_name)}, counted independently: {found.counted}"
+    title += f"{result.below:g}: {len(by_name)}, counted independently: {result.counted}"
     if around is not None:
         title += f"; with {around[0]}, signals {around[1]:g} s late"
     _print_modes(title, by_name, count)
-    for line in (*found.moved, *found.remarks):
+    for line in (*result.moved, *result.remarks):
         typer.echo(line)
     if shapes and by_name:
         _print_shapes(by_name, case)
@@ -230,29 +230,29 @@ def _with_controller(
     from interarea.design.modes.modes import ModeError
     from interarea.synthesis import load_controller
 
-    made = load_controller(name)
-    if not isinstance(made, Controller):
+    controller = load_controller(name)
+    if not isinstance(controller, Controller):
         raise ModeError(f"--controller {name}: a bank switches between controllers; name a single one")
-    late = dict.fromkeys(made.inputs, latency_s)
-    return LatePlant(plant, made.system, late, omega_b=case.omega_b, high_hz=high_hz)
+    late = dict.fromkeys(controller.inputs, latency_s)
+    return LatePlant(plant, controller.system, late, omega_b=case.omega_b, high_hz=high_hz)
 
 
 def _as_dict(
     case: Case,
-    found: Modes,
+    result: Modes,
     count: int,
     moved: Mapping[str, Mapping[str, Sensitivity]],
     files: list[Path],
 ) -> dict[str, Any]:
     from interarea.cosim.study.rows import mode_rows
 
-    rows = mode_rows(found)
-    for name, mode in found.items():
+    rows = mode_rows(result)
+    for name, mode in result.items():
         rows[name]["participation"] = mode.most(count)
         rows[name]["shape"] = {
             machine: {"size": abs(z), "angle_deg": degrees(phase(z))} for machine, z in mode.shape.items()
         }
-    values = [[float(z.real), float(z.imag)] for z in found.eigenvalues]
+    values = [[float(z.real), float(z.imag)] for z in result.eigenvalues]
     return {
         "case": case.name,
         "states": len(values),
@@ -263,7 +263,7 @@ def _as_dict(
     }
 
 
-def _print_modes(title: str, found: Mapping[str, Mode], count: int) -> None:
+def _print_modes(title: str, result: Mapping[str, Mode], count: int) -> None:
     print_table(
         title,
         ("mode", "frequency (Hz)", "damping ratio", "eigenvalue (1/s)", "takes part most"),
@@ -275,10 +275,10 @@ def _print_modes(title: str, found: Mapping[str, Mode], count: int) -> None:
                 f"{mode.eigenvalue.real:.4f} ± {mode.eigenvalue.imag:.4f}j",
                 ", ".join(f"{state} {share:.3f}" for state, share in mode.most(count).items()),
             )
-            for name, mode in found.items()
+            for name, mode in result.items()
         ],
     )
-    for mode in found.values():
+    for mode in result.values():
         if mode.doubt:
             typer.echo(mode.doubt)
 
@@ -287,14 +287,14 @@ def _size_and_angle(entry: complex) -> str:
     return f"{abs(entry):.2f} {round(degrees(phase(entry))):+d}°"
 
 
-def _print_shapes(found: Mapping[str, Mode], case: Case) -> None:
+def _print_shapes(result: Mapping[str, Mode], case: Case) -> None:
     machines = [m.name for m in case.machines]
     print_table(
         "speeds of the machines (size, angle in degrees)",
         ("mode", *machines),
         [
             (name, *(_size_and_angle(mode.shape[machine]) for machine in machines))
-            for name, mode in found.items()
+            for name, mode in result.items()
         ],
     )
 
@@ -387,10 +387,10 @@ def _print_margins(rows: list[dict[str, Any]]) -> None:
     )
 
 
-def _plots(found: Mapping[str, Mode], case: Case, folder: Path | None) -> list[Path]:
+def _plots(result: Mapping[str, Mode], case: Case, folder: Path | None) -> list[Path]:
     """Write one plot a mode, if a folder is given."""
     if folder is None:
         return []
     from interarea.cosim.plots.mode_map import save_shapes
 
-    return save_shapes(found, case, folder)
+    return save_shapes(result, case, folder)

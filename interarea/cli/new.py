@@ -60,16 +60,16 @@ def show(
     """Print a bundled case, scenario, controller, design or study as its file has it, with its source."""
     kind, _, short = name.rpartition("/")
     files = bundled_files()
-    found = [(k, rows[short]) for k, rows in files.items() if short in rows and kind in ("", k)]
-    if not found and short in DESIGNED:
+    result = [(k, rows[short]) for k, rows in files.items() if short in rows and kind in ("", k)]
+    if not result and short in DESIGNED:
         typer.echo(
             json.dumps({"kind": "controllers", "about": DESIGNED[short]}) if json_ else DESIGNED[short]
         )
         return
-    if not found:
+    if not result:
         known = [*DESIGNED, *(n for rows in files.values() for n in rows)]
         raise UserError(f"show {name}: nothing bundled has this name; {nearest(name, known)}")
-    texts = [{"kind": k, "file": str(file), "text": read_text(file)} for k, file in found]
+    texts = [{"kind": k, "file": str(file), "text": read_text(file)} for k, file in result]
     if json_:
         typer.echo(json.dumps(texts, indent=2))
         return
@@ -112,12 +112,12 @@ def device(
         raise UserError(
             f"{model.device.name}: no value for {', '.join(lacking)}; give --set {lacking[0]}=..."
         )
-    found = response_of(model, parameters, _assigned("--at", at or []), base_mva=base_mva, stop_s=stop_s)
+    response = response_of(model, parameters, _assigned("--at", at or []), base_mva=base_mva, stop_s=stop_s)
     if json_:
-        typer.echo(json.dumps(_document(model, found, drawn), indent=2, allow_nan=False))
+        typer.echo(json.dumps(_document(model, response, drawn), indent=2, allow_nan=False))
         return
     typer.echo(_described(model))
-    _tell(model, found)
+    _tell(model, response)
     for name in drawn:
         typer.echo(name)
 
@@ -141,53 +141,53 @@ def _described(model: Model) -> str:
     return f"{device.name}: {device.title} ({device.kind})\n{diagram_text(device)}"
 
 
-def _document(model: Model, found: Response, drawn: list[str]) -> dict[str, Any]:
+def _document(model: Model, response: Response, drawn: list[str]) -> dict[str, Any]:
     """What `device` prints as JSON."""
-    rest, device = found.rest, model.device
+    rest, device = response.rest, model.device
     return {
         "device": device.name,
         "title": device.title,
         "kind": device.kind,
         "states": dict(zip(rest.instance.state_names, rest.states, strict=True)),
-        "references": _references(model, found),
+        "references": _references(model, response),
         "signals": dict(rest.signals),
         "steps": list(rest.steps),
-        "poles": [[float(p.real), float(p.imag)] for p in found.poles],
-        "step": {"of": found.step[0], "size": found.step[1]},
-        "times_s": found.times.tolist(),
-        "output": found.output.tolist(),
+        "poles": [[float(p.real), float(p.imag)] for p in response.poles],
+        "step": {"of": response.step[0], "size": response.step[1]},
+        "times_s": response.times.tolist(),
+        "output": response.output.tolist(),
         "files": drawn,
     }
 
 
-def _references(model: Model, found: Response) -> dict[str, float]:
-    return {name: found.rest.instance.values[name] for name in model.device.references}
+def _references(model: Model, response: Response) -> dict[str, float]:
+    return {name: response.rest.instance.values[name] for name in model.device.references}
 
 
-def _tell(model: Model, found: Response) -> None:
+def _tell(model: Model, response: Response) -> None:
     """Print rest, poles and step response in words."""
-    rest = found.rest
+    rest = response.rest
     typer.echo("\nat rest")
-    for name, value in (dict(rest.signals) | _references(model, found)).items():
+    for name, value in (dict(rest.signals) | _references(model, response)).items():
         typer.echo(f"  {name} = {value:.6g}")
     for margin in rest.margins:
         typer.echo(f"  {margin.signal} within {margin.low:.4g} .. {margin.high:.4g}: {margin.least:.4g} away")
-    poles = ", ".join(f"{p.real:.4g}{p.imag:+.4g}j" if p.imag else f"{p.real:.4g}" for p in found.poles)
+    poles = ", ".join(f"{p.real:.4g}{p.imag:+.4g}j" if p.imag else f"{p.real:.4g}" for p in response.poles)
     typer.echo(f"poles, inputs held (1/s): {poles or 'none'}")
-    typer.echo(f"{model.device.output} after {found.step[0]} {found.step[1]:+g}")
-    for k in range(0, len(found.times), 20):
-        typer.echo(f"  {found.times[k]:8.3f} s  {found.output[k]:+.6g}")
+    typer.echo(f"{model.device.output} after {response.step[0]} {response.step[1]:+g}")
+    for k in range(0, len(response.times), 20):
+        typer.echo(f"  {response.times[k]:8.3f} s  {response.output[k]:+.6g}")
 
 
 def _assigned(option: str, texts: list[str]) -> dict[str, float]:
     """Return NAME=VALUE texts as numbers by name."""
-    found = {}
+    assigned = {}
     for text in texts:
         name, sign, value = text.partition("=")
         try:
-            found[name.strip()] = float(value)
+            assigned[name.strip()] = float(value)
         except ValueError:
             sign = ""
-        if not sign or not math.isfinite(found[name.strip()]):
+        if not sign or not math.isfinite(assigned[name.strip()]):
             raise UserError(f"{option} {text}: allowed: a name, =, a number, as KA=200")
-    return found
+    return assigned

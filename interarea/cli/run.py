@@ -78,8 +78,8 @@ def run(
     from interarea.cosim.run.names import refuse_wrong_names
     from interarea.cosim.scenario.scenario import load_scenario
 
-    given = {"record": tuple(record) if record else None, "every": every, "strict": strict}
-    loaded = load_scenario(scenario).model_copy(update={k: v for k, v in given.items() if v is not None})
+    provided = {"record": tuple(record) if record else None, "every": every, "strict": strict}
+    loaded = load_scenario(scenario).model_copy(update={k: v for k, v in provided.items() if v is not None})
     refuse_wrong_names(loaded)
     tested = None
     if self_test:
@@ -266,7 +266,7 @@ def _survived(scenario: Scenario, case: Case) -> str:
     if known is not None:
         return first_failures(known)
     try:
-        made = controller_of(scenario.controller_path or scenario.controller, case, default_cache())
+        controller = controller_of(scenario.controller_path or scenario.controller, case, default_cache())
     except ControllerError:  # an FMU that is no linear controller: no record
-        made = None
-    return first_failures(None if made is None else made.certificate)
+        controller = None
+    return first_failures(None if controller is None else controller.certificate)

@@ -207,35 +207,35 @@ def screen(
         solver_step_s=solver_step,
     )
     with sweeping(out) as show:
-        found = run_screening(
+        result = run_screening(
             screening, out, clearing=clearing_times, workers=workers, scheduler=scheduler, progress=show
         )
     explorer = Explorer()
     if explore:
         with busy(f"writing {out / 'explorer.html'}"):
             explorer = write_grid(screening, out, default_cache())
-    page = write_screening(screening, found, out, explorer)
+    page = write_screening(screening, result, out, explorer)
     if json_:
         rows = json.loads(page.with_suffix(".json").read_text(encoding="utf-8"))
         typer.echo(json.dumps({"page": str(page), **rows}, indent=2, allow_nan=False))
     else:
-        _tell_losses(found)
+        _tell_losses(result)
         typer.echo(page)
-    if all(one.verdict == "failed" for one in found):
-        print(f"first reason: {found[0].reason}", file=sys.stderr)
+    if all(one.verdict == "failed" for one in result):
+        print(f"first reason: {result[0].reason}", file=sys.stderr)
         raise typer.Exit(1)
 
 
-def _tell_losses(found: Sequence[Found]) -> None:
+def _tell_losses(result: Sequence[Found]) -> None:
     """Print with each controller how many of the events lose synchronism."""
     from interarea.cosim.screen.page import NO_SUCCESS
 
-    for name in dict.fromkeys(one.controller for one in found):
-        mine = [one.verdict for one in found if one.controller == name]
-        failed = f", {mine.count('failed')} failed" if "failed" in mine else ""
-        swinging = sum(one.came_to in NO_SUCCESS for one in found if one.controller == name)
+    for name in dict.fromkeys(one.controller for one in result):
+        own = [one.verdict for one in result if one.controller == name]
+        failed = f", {own.count('failed')} failed" if "failed" in own else ""
+        swinging = sum(one.came_to in NO_SUCCESS for one in result if one.controller == name)
         swings = f", {swinging} keep it with a swing that does not fall" if swinging else ""
-        typer.echo(f"controller {name}: {mine.count('lost')} of {len(mine)} lose synchronism{swings}{failed}")
+        typer.echo(f"controller {name}: {own.count('lost')} of {len(own)} lose synchronism{swings}{failed}")
 
 
 def _seconds(text: str, grid: str) -> float:
@@ -243,15 +243,15 @@ def _seconds(text: str, grid: str) -> float:
     from interarea.cosim.scenario.scenario import load_scenario
     from interarea.models.case.case import load_case
 
-    found = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*(s|ms|cycles?)\s*", text)
-    if found is None or not float(found[1]) > 0.0:
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*(s|ms|cycles?)\s*", text)
+    if match is None or not float(match[1]) > 0.0:
         raise SweepError(
             f'--clearing = {text}, allowed: a time above 0 such as "6 cycles", "100 ms", "0.1 s"'
         )
-    if found[2] in ("s", "ms"):
-        return float(found[1]) * (1.0 if found[2] == "s" else 1e-3)
+    if match[2] in ("s", "ms"):
+        return float(match[1]) * (1.0 if match[2] == "s" else 1e-3)
     case = load_case(load_scenario({"case": grid, "stop_s": 1.0}).case_path)
-    return float(found[1]) / case.frequency_hz
+    return float(match[1]) / case.frequency_hz
 
 
 @contextmanager

@@ -142,11 +142,11 @@ def _nobody(text: object) -> None:
 def busy(what: str) -> Iterator[None]:
     """Show on stderr that something is under way: on a terminal, else with `--verbose` a line."""
     if quiet() or not sys.stderr.isatty():
-        told = note if "verbose" in _levels else _nobody
+        reported = note if "verbose" in _levels else _nobody
         begin_s = time.monotonic()
-        told(what)
+        reported(what)
         yield
-        told(f"{what}: done in {time.monotonic() - begin_s:.1f} s")
+        reported(f"{what}: done in {time.monotonic() - begin_s:.1f} s")
         return
     from rich.console import Console
 
