@@ -127,10 +127,10 @@ class DesignTable(Table):
                 self.ask.fastest_pole > self.slowest_pole,
             ),
         )
-        for requested, value, by, bound, agreed in contradictions:
+        for asked, value, by, bound, agreed in contradictions:
             if not agreed:
                 raise ValueError(
-                    f"{requested} = {value:g} contradicts {by} ({bound:g}): the certificate would fail"
+                    f"{asked} = {value:g} contradicts {by} ({bound:g}): the certificate would fail"
                 )
         return self
 
@@ -163,11 +163,11 @@ class DesignTable(Table):
     @model_validator(mode="after")
     def _one_form(self) -> DesignTable:
         single = {"remote": self.remote, "local": self.local, "actuator": self.actuator}
-        provided = [key for key, value in single.items() if value is not None]
-        if self.part and provided:
-            raise ValueError(f"give either [[part]] or {', '.join(single)}, got both ({', '.join(provided)})")
-        if not self.part and len(provided) < len(single):
-            missing = [key for key in single if key not in provided]
+        given = [key for key, value in single.items() if value is not None]
+        if self.part and given:
+            raise ValueError(f"give either [[part]] or {', '.join(single)}, got both ({', '.join(given)})")
+        if not self.part and len(given) < len(single):
+            missing = [key for key in single if key not in given]
             raise ValueError(f"missing {', '.join(missing)} (or one [[part]] for each actuator)")
         return self
 
@@ -274,13 +274,13 @@ def run_design(
     linearising, searching, certifying = DESIGN_STEPS
     progress(linearising, 0.0, "")
     _check_followed(table)
-    plants_of, spec, omega_b = family_plants(table, cache), table.spec(), table.grid.omega_b
-    plants = {name: each.searched for name, each in plants_of.items()}
+    found, spec, omega_b = family_plants(table, cache), table.spec(), table.grid.omega_b
+    plants = {name: each.searched for name, each in found.items()}
     for name, plant in plants.items():
-        require_moved(name, plant, spec, plants_of[name].modes)
+        require_moved(name, plant, spec, found[name].modes)
     if table.first_swing is not None and table.acceptance is not None:
         penalty = swing_penalty(
-            {name: each.case for name, each in plants_of.items()},
+            {name: each.case for name, each in found.items()},
             table.first_swing,
             table.acceptance,
             table.signals,
@@ -295,19 +295,19 @@ def run_design(
     def tell(what: str, share: float, reached: float) -> None:
         progress(searching, min(share, 0.999), f"{what}: objective {reached:.4f}")
 
-    designed = design_robust(plants, spec, omega_b, progress=tell)
+    made = design_robust(plants, spec, omega_b, progress=tell)
     progress(searching, 1.0, "")
     facts = {
         "method": "smoothed worst damping over operating points, losses and latencies",
-        "objective": designed.objective,
-        "evaluations": designed.evaluations,
+        "objective": made.objective,
+        "evaluations": made.evaluations,
     }
     guard = None if table.guard is None else table.guard.guard()
-    system = designed.system if guard is None else _seeing(designed.system, guard.follows)
+    system = made.system if guard is None else _seeing(made.system, guard.follows)
     controller = Controller(table.name, system, table.limit_pu, facts, guard=guard)
     held = certify(table, controller, cache, progress=lambda _, share: progress(certifying, share, ""))
     progress(certifying, 1.0, "")
-    tried = {f"start {k}": K for k, K in enumerate(designed.tried, start=1)}
+    tried = {f"start {k}": K for k, K in enumerate(made.tried, start=1)}
     return Designed(judged_by(table, controller, held), tried)
 
 
@@ -348,9 +348,9 @@ def judge(
 
     progress : called with the share that is done.
     """
-    plants_of = family_plants(table, cache)
+    found = family_plants(table, cache)
     return judge_family(
-        {name: each.judged for name, each in plants_of.items()},
+        {name: each.judged for name, each in found.items()},
         K,
         table.family(),
         worst_swing=table.ask.worst_swing,
@@ -358,7 +358,7 @@ def judge(
         targets={t.under: (t.worst_swing, t.inter_area) for t in table.target},
         effort_cap=table.ask.effort,
         fastest_pole=table.ask.fastest_pole,
-        bands_hz={name: inter_area_band(each.modes) for name, each in plants_of.items()},
+        bands_hz={name: inter_area_band(each.modes) for name, each in found.items()},
         progress=progress,
     )
 
@@ -366,12 +366,12 @@ def judge(
 def steps_of(table: DesignTable, *, acceptance: bool) -> list[str]:
     """Return what `certify` goes through, by the names it tells."""
     linear, faults, accepting = CERTIFICATE_STEPS
-    requested = {
+    wanted = {
         linear: True,
         accepting: acceptance and table.acceptance is not None,
         faults: table.fault is not None,
     }
-    return [step for step, is_wanted in requested.items() if is_wanted]
+    return [step for step, is_wanted in wanted.items() if is_wanted]
 
 
 def certify(
@@ -388,7 +388,7 @@ def certify(
     progress : called with one of `steps_of` and the share of it that is done.
     """
     linear, faults, accepting = CERTIFICATE_STEPS
-    certificate = judge(table, controller.system, cache, progress=lambda share: progress(linear, share))
+    found = judge(table, controller.system, cache, progress=lambda share: progress(linear, share))
     if acceptance and table.acceptance is not None:
         tried = judge_acceptance(
             controller,
@@ -397,16 +397,16 @@ def certify(
             cache,
             progress=lambda share: progress(accepting, share),
         )
-        certificate = replace(
-            certificate,
+        found = replace(
+            found,
             acceptance=tried.as_dict(),
             violations=(
-                *certificate.violations,
+                *found.violations,
                 *(f"{case}: synchronism lost, kept without it" for case in tried.lost),
             ),
         )
     if table.fault is None:
-        return certificate
+        return found
     cases = family_cases(table)
     losses = list(dict.fromkeys(c.lost for c in table.family() if c.lost)) or [()]
     drive, predicted = predicted_drive(controller, cases, table.fault, losses, cache)
@@ -418,18 +418,18 @@ def certify(
     progress(faults, 1.0)
     missed = tuple(run.missed for run in runs if not run.passed)
     return replace(
-        certificate,
+        found,
         drive=drive,
         predicted=predicted,
         faults=tuple(asdict(run) for run in runs),
-        violations=(*certificate.violations, *(missed if table.ask.synchronism else ())),
+        violations=(*found.violations, *(missed if table.ask.synchronism else ())),
     )
 
 
-def judged_by(table: DesignTable, controller: Controller, certified: FamilyCertificate) -> Controller:
-    """Return `controller` with the design that judged it, and what was `certified`, in its record."""
+def judged_by(table: DesignTable, controller: Controller, found: FamilyCertificate) -> Controller:
+    """Return `controller` with the design that judged it, and what was `found`, in its record."""
     design = {**controller.design, "specification": _recorded(table)}
-    return replace(controller, design=design, certificate=certified.as_dict())
+    return replace(controller, design=design, certificate=found.as_dict())
 
 
 def specification_of(controller: Controller) -> DesignTable | None:
@@ -439,13 +439,11 @@ def specification_of(controller: Controller) -> DesignTable | None:
 
     Raises ScenarioError where the record is there and is no design.
     """
-    provided = controller.design.get("specification")
-    if provided is None or (
-        isinstance(provided, Mapping) and "conditions" not in provided and "point" not in provided
-    ):
+    given = controller.design.get("specification")
+    if given is None or (isinstance(given, Mapping) and "conditions" not in given and "point" not in given):
         return None
     try:
-        return DesignTable.model_validate(provided)
+        return DesignTable.model_validate(given)
     except ValidationError as error:
-        message = f"controller {controller.name}: its specification"
-        raise ScenarioError(*(f"{message}: {line}" for line in mistakes(error, DesignTable))) from error
+        said = f"controller {controller.name}: its specification"
+        raise ScenarioError(*(f"{said}: {line}" for line in mistakes(error, DesignTable))) from error
