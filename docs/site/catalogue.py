@@ -15,6 +15,7 @@ from written import written_page
 
 import interarea as ia
 from interarea.cli.app import COMMANDS, load
+from interarea.command_help import EXAMPLES
 from interarea.cosim.explorer.page import write_explorer
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.blocks.channel import channel_block
@@ -34,34 +35,6 @@ _KINDS = {
     "synthesis": "Controllers",
     "simulation": "Simulation",
     "exchange": "FMUs and SSPs",
-}
-
-
-#: an example of each command
-EXAMPLES = {
-    "list": "interarea list --json",
-    "cases": "interarea cases",
-    "show": "interarea show lost-signal",
-    "new": "interarea new scenario --out mine.toml",
-    "modes": "interarea modes nets-nyps --band 0.1:2.5 --below 0.1 --shapes",
-    "loops": "interarea loops nets-nyps --below 0.2 --together 4 --latency 0.1",
-    "run": "interarea run lost-signal --out out/run --explain",
-    "compare": "interarea compare none robust robust_latency --scenario wide-area-damping --out out/compared",
-    "sweep": "interarea sweep examples/latency_loss.toml --out out/sweep",
-    "maps": "interarea maps out/sweep",
-    "screen": "interarea screen two-area-thesis --controller robust --clearing-times --out out/screen",
-    "explore": "interarea explore two-area-thesis --out page.html",
-    "design": "interarea design robust --out robust.json",
-    "certify": "interarea certify robust --acceptance",
-    "build": "interarea build two-area-thesis --controller robust --platforms linux64,win64 --out fmus",
-    "ssp": "interarea ssp lost-signal --out loop.ssp",
-    "container": "interarea container lost-signal --out loop.fmu",
-    "check": "interarea check loop.ssp",
-    "import": "interarea import docs/tutorial/grid.raw --dyr docs/tutorial/grid.dyr --out grid.toml",
-    "export": "interarea export new-england --out grid.raw",
-    "device": "interarea device sexs --draw sexs.svg",
-    "cache": "interarea cache --check",
-    "study": "interarea study thesis --out out/thesis --no-second-solver",
 }
 
 

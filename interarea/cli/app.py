@@ -17,6 +17,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from .. import __version__
+from ..command_help import EXAMPLES, SUMMARIES
 from .terminal import complain, say_warning, set_level, steady_streams
 
 INTERRUPTED = 130  #: exit code after Ctrl-C, as shells have it; of another signal N 128 + N
@@ -151,6 +152,7 @@ def load(name: str) -> Any:
     command, shared = typer.main.get_command(single), typer.Typer(add_completion=False, **_SETTINGS)
     shared.command()(_shared_options)
     command.params += [p for p in typer.main.get_command(shared).params if p.name in ("quiet", "verbose")]
+    command.epilog = f"Example: {EXAMPLES[name]}"
     return command
 
 
@@ -179,7 +181,7 @@ class _Commands(_QuickHelp, TyperGroup):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        for name, (_, line) in COMMANDS.items():
+        for name, line in SUMMARIES.items():
             self.add_command(TyperCommand(name=name, help=line, rich_markup_mode=None), name)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
