@@ -8,7 +8,6 @@ loads nothing until a name is used; what stands in `__all__` is public, all else
 from __future__ import annotations
 
 import os
-import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -72,18 +71,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *_PLACE})
-
-
-class _MovedModules:
-    """Asked last for a module that nobody found: one that moved is named in the error (`moved`)."""
-
-    @staticmethod
-    def find_spec(name: str, path: object = None, target: object = None) -> None:
-        if name.startswith(f"{__name__}."):
-            from interarea.moved import explain
-
-            explain(name)
-
-
-if not any(getattr(finder, "__name__", "") == _MovedModules.__name__ for finder in sys.meta_path):
-    sys.meta_path.append(_MovedModules)
