@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from interarea.models.documents import DocumentError, other_kind, parse_toml
+from interarea.models.documents import DocumentError, other_kind, parse_toml, read_document
 
 
 def read_toml(path: Path, wanted: str, error: type[Exception]) -> dict[str, Any]:
@@ -15,12 +15,13 @@ def read_toml(path: Path, wanted: str, error: type[Exception]) -> dict[str, Any]
 
     Raises
     ------
-    error : a folder, an archive, not TOML, not UTF-8, nested too deeply, or plainly of another kind; names
-        the file. OSError : it cannot be read.
+    error : not readable, no regular file, an archive, not TOML, not UTF-8, nested too deeply, or plainly of
+        another kind; names the file.
     """
-    if path.is_dir():
-        raise error(f"{path}: is a folder, wanted: a {wanted} file")
-    content = path.read_bytes()
+    try:
+        content = read_document(path, f"a {wanted} file")
+    except DocumentError as fault:
+        raise error(str(fault)) from None
     if content.startswith(b"PK\x03\x04"):
         raise error(
             f"{path}: is no TOML but an archive, as an FMU or SSP is (`interarea check`), "

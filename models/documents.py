@@ -12,10 +12,12 @@ import json
 import re
 import tomllib
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
-from .errors import UserError
+from .errors import UserError, reason
 
+LARGEST_DOCUMENT = 256 << 20  #: bytes; a case takes 0.7 kB a bus (wecc-240), so this is some 380 000 buses
 LARGEST = 1e30  #: size of a number; a limit that is absent counts as this
 _LARGEST_INTEGER = 2**63 - 1
 _SHOWN = 40  #: characters of a number in a message
@@ -23,6 +25,45 @@ _SHOWN = 40  #: characters of a number in a message
 
 class DocumentError(UserError):
     """A text that is no TOML or JSON, or that has a number which none can be."""
+
+
+def read_document(path: Path, wanted: str) -> bytes:
+    """Return the bytes of a file of the user's: a regular one, for a device or pipe may never end.
+
+    wanted : what the file should be, with its article ("a scenario file").
+
+    Raises
+    ------
+    DocumentError : names the file: it is not there, a folder, no regular file, too large, or cannot be read.
+
+    >>> read_document(Path("/dev/zero"), "a scenario file")
+    Traceback (most recent call last):
+    interarea.models.documents.DocumentError: /dev/zero: is no regular file, wanted: a scenario file
+    """
+    require_regular(path, wanted)
+    try:
+        with path.open("rb") as file:
+            content = file.read(LARGEST_DOCUMENT + 1)
+    except FileNotFoundError:
+        raise DocumentError(f"{path}: no such file, wanted: {wanted}") from None
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        raise DocumentError(f"{path}: cannot be read: {reason(error)}") from None
+    if len(content) > LARGEST_DOCUMENT:
+        raise DocumentError(f"{path}: more than {LARGEST_DOCUMENT >> 20} MiB, allowed: less for {wanted}")
+    return content
+
+
+def require_regular(path: Path, wanted: str, error: type[UserError] = DocumentError) -> None:
+    """Raise `error`, which names the file, unless `path` is a regular file or a link to one."""
+    if path.is_file():
+        return
+    if path.is_dir():
+        what = "is a folder"
+    elif path.exists():
+        what = "is no regular file"
+    else:
+        what = "no such file"
+    raise error(f"{path}: {what}, wanted: {wanted}")
 
 
 def parse_toml(content: bytes | str) -> dict[str, Any]:

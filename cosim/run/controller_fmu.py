@@ -20,6 +20,7 @@ from interarea.design.controllers.controller import (
 from interarea.fmu_build.open.description import ModelDescription
 from interarea.fmu_build.open.fmu_file import describe
 from interarea.models.blocks.binary_table import unpack_record
+from interarea.models.documents import require_regular
 
 _ARRAYS = "resources/model.bin"  #: of a supervisor: the matrices of its members
 
@@ -33,8 +34,7 @@ def controller_from_fmu(path: Path, omega_b: float) -> Controller | ControllerBa
     ------
     ControllerError : no such file, or the FMU of something else.
     """
-    if not path.is_file():
-        raise ControllerError(f"controller FMU {path}: not found")
+    require_regular(path, "the FMU of a controller", ControllerError)
     description = describe(path)
     weights = any(v.name.endswith(".weight") for v in description.variables)
     return (_bank if weights else _linear)(path, description, omega_b)

@@ -17,7 +17,7 @@ import numpy as np
 
 from interarea.models.blocks.supervisor import MAX_BANK, MAX_SIGNALS, Matrices, supervisor_block
 from interarea.models.blocks.variables import Block
-from interarea.models.documents import DocumentError, parse_json
+from interarea.models.documents import DocumentError, parse_json, read_document
 from interarea.models.files import write_whole
 
 from ..lmi.problem import Matrix
@@ -246,8 +246,8 @@ def load_controller(path: str | Path) -> Controller | ControllerBank:
     ControllerError : names the file and the key at fault.
     """
     try:
-        data = parse_json(Path(path).read_bytes())
-    except (OSError, DocumentError):
+        data = parse_json(read_document(Path(path), "the JSON file of a controller"))
+    except DocumentError:
         return Controller.load(path)  # which says what is wrong with the file
     if not isinstance(data, dict) or data.get("kind") != "bank":
         return Controller.load(path)

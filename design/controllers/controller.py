@@ -18,7 +18,7 @@ import numpy as np
 
 from interarea.models.blocks.controller import Guard, controller_block
 from interarea.models.blocks.variables import Block
-from interarea.models.documents import DocumentError, parse_json
+from interarea.models.documents import DocumentError, parse_json, read_document
 from interarea.models.errors import UserError
 from interarea.models.files import write_whole
 
@@ -187,9 +187,11 @@ class Controller:
         """
         path = Path(path)
         try:
-            data = parse_json(path.read_bytes())
-        except FileNotFoundError as error:
-            raise ControllerError(f"controller file {path}: not found") from error
+            content = read_document(path, "the JSON file of a controller")
+        except DocumentError as error:
+            raise ControllerError(str(error)) from None
+        try:
+            data = parse_json(content)
         except DocumentError as error:
             raise ControllerError(f"controller file {path}: {error}") from None
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
+from interarea.models.documents import require_regular
 from interarea.models.files import temporary_folder
 
 from ..finding import CheckError, Finding, Report
@@ -41,8 +42,7 @@ def check_file(path: Path | str, *, run: bool = True, timeout_s: float = TIMEOUT
     CheckError : no such file, or no zip archive.
     """
     path = Path(path)
-    if not path.is_file():
-        raise CheckError(f"{path}: there is no such file")
+    require_regular(path, "an FMU or SSP", CheckError)
     if not zipfile.is_zipfile(path):
         raise CheckError(f"{path}: is no zip archive, so neither an FMU nor an SSP")
     report = Report(str(path))

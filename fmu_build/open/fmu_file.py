@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from interarea.models.documents import require_regular
 from interarea.models.files import new_folder
 
 from ..errors import BuildError, FmuFileError
@@ -198,8 +199,7 @@ def describe(path: Path, interface: str = "CoSimulation") -> ModelDescription:
 
 def _looked_at(path: Path, interface: str) -> tuple[ModelDescription, list[str], tuple[str, ...]]:
     """Return the description, the names of the archive's entries, and what was put right in the first."""
-    if not path.is_file():
-        raise FmuFileError(f"{path}: no such FMU file")
+    require_regular(path, "an FMU", FmuFileError)
     report = Report(str(path))
     content = read_checked(path, DESCRIPTION, MOST_BYTES, report)
     root = None if content is None else parse_xml(content[1], DESCRIPTION, report)

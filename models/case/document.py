@@ -10,7 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_args
 
-from ..documents import DocumentError, other_kind, parse_toml
+from ..documents import DocumentError, other_kind, parse_toml, read_document
 from ..errors import CaseError, nearest, reason
 from ..files import read_text, toml_files
 
@@ -166,8 +166,10 @@ def _text(name_or_path: str | Path, beside: Path | None) -> tuple[str, str, Path
     if name.endswith(".toml"):
         path = Path(name) if beside is None else beside / name
         try:
-            return path.read_text(encoding="utf-8"), str(path), path.parent
-        except (OSError, UnicodeDecodeError) as error:
+            return read_document(path, "a case file").decode("utf-8"), str(path), path.parent
+        except DocumentError as error:
+            raise CaseError(str(error)) from None
+        except UnicodeDecodeError as error:
             raise CaseError(f"{path}: the case file cannot be read: {reason(error)}") from None
     known = case_names()
     if name not in known:

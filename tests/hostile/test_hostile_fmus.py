@@ -290,4 +290,4 @@ def test_what_is_missing(entries: Entries, tmp_path: Path, scratch: Path) -> Non
     for gone, says in ((XML, "is not in the archive"), (library(entries), "no binary for this platform")):
         rest = {n: c for n, c in entries.items() if n != gone}
         assert says in opened(packed(tmp_path / "x.fmu", rest), scratch)
-    assert "no such FMU file" in opened(tmp_path / "gone" / "x.fmu", scratch)
+    assert "no such file, wanted: an FMU" in opened(tmp_path / "gone" / "x.fmu", scratch)

@@ -58,7 +58,7 @@ def test_the_file_goes_into_the_plan_by_its_content(own: Any, cache: Path, tmp_p
     again = plan_of_document(json.loads(json.dumps(plan.document())))
     with Runner(again, cache, tmp_path / "scratch") as runner:
         assert runner.outcome(0).row["status"] == "ok"
-    with pytest.raises(FmuFileError, match="no such FMU file"):
+    with pytest.raises(FmuFileError, match="no such file, wanted: an FMU"):
         plan_sweep(load_sweep(table), cache)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ...documents import DocumentError, parse_toml
+from ...documents import DocumentError, parse_toml, require_regular
 from ...errors import DeviceError, nearest, reason
 from .device import KINDS, MBASE, Check, Computed, Device, DyrModel, Line
 from .diagram import Diagram
@@ -32,9 +32,8 @@ def read_device(path: str | Path) -> Device:
 
 def device_text(path: str | Path) -> str:
     """Return what a device file holds; DeviceError : it cannot be read, or is too long."""
+    require_regular(Path(path), "the TOML file of a device", DeviceError)
     try:
-        if Path(path).exists() and not Path(path).is_file():  # a pipe would wait for ever
-            raise DeviceError(f"{path}: is no file, allowed: the TOML file of a device")
         with Path(path).open("rb") as file:
             raw = file.read(LARGEST_FILE + 1)
     except OSError as error:

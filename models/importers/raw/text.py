@@ -10,6 +10,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+from ...documents import require_regular
 from ...errors import CaseError, reason
 
 LARGEST_BYTES = 1 << 30  #: of the unpacked text; a packed file can claim any size
@@ -32,6 +33,7 @@ def read_lines(path: Path) -> list[str]:
     ------
     CaseError : the file cannot be read, is damaged, larger than 1 GiB or not text.
     """
+    require_regular(path, "a text file", CaseError)
     try:
         with path.open("rb") as plain:
             start = plain.read(6)

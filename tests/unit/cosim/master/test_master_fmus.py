@@ -95,7 +95,7 @@ def test_start_values_are_checked(lag: FmuFile, start: dict[str, float], says: s
 
 
 def test_what_is_no_fmi_2_fmu_is_refused(lag: FmuFile, tmp_path: Path) -> None:
-    with pytest.raises(FmuFileError, match="no such FMU file"):
+    with pytest.raises(FmuFileError, match="no such file, wanted: an FMU"):
         FmuFile(tmp_path / "none.fmu")
     (tmp_path / "text.fmu").write_text("no zip", encoding="utf-8")
     with pytest.raises(FmuFileError, match="not an FMU"):

@@ -113,7 +113,7 @@ def test_a_path_goes_through_channels_and_any_participant() -> None:
         (lambda s: s.controller("wdc"), ScenarioError, "add the plant first"),
         (lambda s: s.plant("two-area-thesys"), CaseError, "two-area-thesis"),
         (lambda s: s.event("vref_pulse", **PULSE), ScenarioError, "add the plant first"),
-        (lambda s: s.fmu("x", "missing.fmu"), FmuFileError, "missing.fmu: no such FMU file"),
+        (lambda s: s.fmu("x", "missing.fmu"), FmuFileError, "missing.fmu: no such file, wanted: an FMU"),
         (lambda s: s.connect("a.y", "b.v").master(), GraphError, "b has no input 'v'; there are: u"),
         (lambda s: s.participant("aa"), GraphError, "did you mean 'a'"),
     ],

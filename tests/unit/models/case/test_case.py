@@ -126,7 +126,7 @@ def test_an_id_given_twice_is_named_with_its_line(tmp_path: Path) -> None:
 
 
 def test_missing_file_and_missing_key_name_the_file(tmp_path: Path) -> None:
-    with pytest.raises(CaseError, match=r"no\.toml: the case file cannot be read"):
+    with pytest.raises(CaseError, match=r"no\.toml: no such file, wanted: a case file"):
         load_case(tmp_path / "no.toml")
     with pytest.raises(CaseError, match=r"grid\.toml: name is missing"):
         load_case(_file(tmp_path, 'title = "x"\n'))

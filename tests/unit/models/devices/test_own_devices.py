@@ -209,7 +209,7 @@ WRONG = [
         r"KA = 150.0, allowed: above 400",
     ),
     ('["."]', {}, r"devices: '.', allowed"),
-    ('["f.toml"]', {"f.toml/x": ""}, r"f.toml: is no file, allowed: the TOML file of a device"),
+    ('["f.toml"]', {"f.toml/x": ""}, r"f.toml: is no regular file, wanted: the TOML file of a device"),
 ]
 
 
