@@ -96,7 +96,7 @@ def _allow_cycles(result: dict[str, Any]) -> None:
         properties = part.get("properties", {})
         for key, rule in properties.items():
             if key.endswith("_s") and "$ref" not in rule:
-                about = {k: rule[k] for k in ("default", "description", "title") if k in rule}
+                about = {k: rule[k] for k in ("default", "description", "examples", "title") if k in rule}
                 plain = {k: v for k, v in rule.items() if k not in about}
                 forms = plain.pop("anyOf", None) or [plain]
                 properties[key] = {"anyOf": [*forms, _CYCLES], **about}

@@ -23,10 +23,9 @@ Seconds = Annotated[float, Field(ge=0.0)]
 class _Fault(Table):
     """Measurements in [start_s, end_s) are wrong (semantics: models/c/channel/signal_fault.h)."""
 
-    start_s: Seconds  #: first time at which the signal is measured wrong
-    end_s: Annotated[float, Field(gt=0.0)] | None = (
-        None  #: first time at which it is right again; default: never
-    )
+    start_s: Annotated[Seconds, Field(examples=[2.0])]  #: first time at which the signal is measured wrong
+    #: first time at which it is right again; default: never
+    end_s: Annotated[float, Field(gt=0.0)] | None = None
 
     packets: ClassVar[bool] = False  # whether it acts on packets alone
     seeded: ClassVar[bool] = False  # whether it has random numbers

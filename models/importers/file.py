@@ -57,7 +57,7 @@ def import_grid(
         how |= {"converters": converters, "release_limits": release_limits, "devices": devices}
         return _import_published(str(grid), dyr, how)
     if not file.is_file():
-        what = "is a folder" if file.is_dir() else "no such file"
+        what = "is a folder" if file.is_dir() else "is no regular file" if file.exists() else "no such file"
         raise CaseError(f"{file}: {what}, allowed: {FORMATS}, or {', '.join(PUBLISHED)}")
     if converters not in ("refuse", "current"):
         raise CaseError(f"converters = {converters!r}, allowed: refuse, current")

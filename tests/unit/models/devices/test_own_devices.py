@@ -194,7 +194,7 @@ def test_lines_of_parameters_that_multiply_are_refused_before_they_are_put_in() 
 
 OTHER = AVR.replace("MY_AVR", "OTHER")
 WRONG = [
-    ('["no.toml"]', {}, r"devices: .*no.toml: the device file cannot be read: no such file"),
+    ('["no.toml"]', {}, r"devices: .*no.toml: no such file, wanted: the TOML file of a device"),
     ('["avr.txt"]', {}, r"devices: 'avr.txt', allowed: the name of a .toml file"),
     ("[3]", {}, r"devices: '3', allowed: the name of a .toml file"),
     ("3", {}, r"devices = '3', allowed: a list of device files"),
@@ -209,7 +209,7 @@ WRONG = [
         r"KA = 150.0, allowed: above 400",
     ),
     ('["."]', {}, r"devices: '.', allowed"),
-    ('["f.toml"]', {"f.toml/x": ""}, r"f.toml: is no regular file, wanted: the TOML file of a device"),
+    ('["f.toml"]', {"f.toml/x": ""}, r"f.toml: is a folder, wanted: the TOML file of a device"),
 ]
 
 

@@ -69,7 +69,7 @@ def test_its_own_dynamic_data_and_a_file_of_that_name_come_first(wheel, tmp_path
 
 def test_a_registry_that_does_not_answer_is_one_line(tmp_path, monkeypatch):
     refused = subprocess.CompletedProcess([], 1, "", "WARNING: retrying\nERROR: No matching distribution\n")
-    monkeypatch.setattr(module.subprocess, "run", lambda *_, **__: refused)
+    monkeypatch.setattr(module, "run_guarded", lambda *_, **__: refused)
     with pytest.raises(CaseError, match=r"andes==2\.0\.0: pip does not get it: ERROR: No matching") as caught:
         module.fetched(module.ANDES, tmp_path)
     assert "\n" not in str(caught.value)

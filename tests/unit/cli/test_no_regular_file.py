@@ -1,0 +1,56 @@
+"""A device, pipe, socket or folder in place of an input is refused before anything is read from it."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from command_line import invoke
+
+
+def _socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(path.name)  # the name of a socket has at most 108 characters
+
+
+#: kind -> what makes it; reading the first never ends, opening the second never returns
+KINDS: dict[str, Callable[[Path], object]] = {
+    "device": lambda path: path.symlink_to("/dev/zero"),
+    "pipe": lambda path: os.mkfifo(path),
+    "socket": _socket,
+    "folder": lambda path: path.mkdir(),
+}
+INPUTS = {
+    "scenario": "run input.toml --out out",
+    "case": "modes input.toml",
+    "sweep": "sweep input.toml --out out",
+    "design": "design input.toml --out out.json",
+    "device": "device input.toml",
+    "study": "study input.toml --out out",
+    "grid": "import input.raw --out out.toml",
+    "packed grid": "import input.m.gz --out out.toml",
+    "FMU": "check input.fmu",
+    "SSP": "check input.ssp",
+    "controller": "certify input.json",
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("command", INPUTS.values(), ids=INPUTS)
+@pytest.mark.timeout(20)
+def test_what_is_no_regular_file_is_refused(
+    kind: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name = next(word for word in command.split() if word.startswith("input."))
+    KINDS[kind](tmp_path / name)
+    code, out, err = invoke(command.split(), monkeypatch)
+    assert code == 2, err
+    assert not out
+    assert err.count("\n") == 1, err
+    assert name in err
+    assert "internal error" not in err
+    assert sorted(p.name for p in tmp_path.iterdir()) == [name]  # nothing was written
