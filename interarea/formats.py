@@ -235,7 +235,10 @@ def _table(
         words = rule.get("description") or comments.get(f"{name}.{key}", "")
         if not words and "const" in rule:
             words = "says which of them it is"
-        provided = [f"`{json.dumps(value)}`" for value in rule.get("examples", ())]
+        provided = [
+            f"`{json.dumps(value)}`"
+            for value in rule.get("examples", [rule[k] for k in ("const",) if k in rule])
+        ]
         example = examples.get(name, {}).get(key) or next(iter(provided), "")
         cells = (f"`{key}`", _holds(rule), unit, default, example, " ".join(str(words).split()))
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -16,9 +16,8 @@ Verdict = Literal["settled", "settling slowly", "standing swing", "growing", "sy
 class Expectation(Table):
     """The stated outcome: `damping_ratio` and `settling_time_s` as [least, most]."""
 
-    stable: bool | None = (
-        None  #: whether the machines stay together and what is left of the disturbance falls
-    )
+    #: whether the machines stay together and what is left of the disturbance falls
+    stable: bool | None = None
     synchronism: bool | None = None  #: whether no two machines of an island come half a turn apart
     verdict: Verdict | None = None  #: what the run comes to
     damping_ratio: Mapping[str, tuple[float, float]] = {}  #: mode -> [least, most]

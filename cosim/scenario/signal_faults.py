@@ -25,7 +25,7 @@ class _Fault(Table):
 
     start_s: Annotated[Seconds, Field(examples=[2.0])]  #: first time at which the signal is measured wrong
     #: first time at which it is right again; default: never
-    end_s: Annotated[float, Field(gt=0.0)] | None = None
+    end_s: Annotated[float, Field(gt=0.0)] | None = Field(default=None, examples=[3.0])
 
     packets: ClassVar[bool] = False  # whether it acts on packets alone
     seeded: ClassVar[bool] = False  # whether it has random numbers
@@ -62,7 +62,7 @@ class BiasedSignal(_Fault):
     """`size` is added."""
 
     kind: Literal["bias"]  #: a constant is added
-    size: float  #: in the unit of the signal
+    size: Annotated[float, Field(examples=[0.003])]  #: in the unit of the signal
 
     @property
     def numbers(self) -> tuple[float, float]:
@@ -74,7 +74,7 @@ class RampedSignal(_Fault):
     """`rate_per_s` is added each second."""
 
     kind: Literal["ramp"]  #: what is added grows evenly
-    rate_per_s: float  #: in the unit of the signal each second
+    rate_per_s: Annotated[float, Field(examples=[0.001])]  #: in the unit of the signal each second
 
     @property
     def numbers(self) -> tuple[float, float]:
@@ -86,8 +86,8 @@ class DriftingSignal(_Fault):
     """`size` is added, reached with a time constant: size (1 - exp(-(t - start_s) / time_s))."""
 
     kind: Literal["drift"]  #: what is added grows towards `size`
-    size: float  #: in the unit of the signal
-    time_s: Annotated[float, Field(gt=0.0)]  #: time constant
+    size: Annotated[float, Field(examples=[0.003])]  #: in the unit of the signal
+    time_s: Annotated[float, Field(gt=0.0, examples=[2.0])]  #: time constant
 
     @property
     def numbers(self) -> tuple[float, float]:
@@ -117,7 +117,7 @@ class NoisySignal(_Fault):
     """Each packet has random noise."""
 
     kind: Literal["noise"]  #: random noise, independent from packet to packet
-    rms: Annotated[float, Field(ge=0.0)]  #: standard deviation in the unit of the signal
+    rms: Annotated[float, Field(ge=0.0, examples=[2e-5])]  #: standard deviation in the unit of the signal
 
     packets: ClassVar[bool] = True
     seeded: ClassVar[bool] = True
@@ -132,7 +132,7 @@ class SpikedSignal(_Fault):
     """Some packets are far off, up or down."""
 
     kind: Literal["spike"]  #: single wrong packets
-    size: float  #: by which they are off, in the unit of the signal
+    size: Annotated[float, Field(examples=[0.01])]  #: by which they are off, in the unit of the signal
     probability: Annotated[float, Field(ge=0.0, le=1.0)] = 0.1  #: of each packet
 
     packets: ClassVar[bool] = True
@@ -148,7 +148,7 @@ class ReplayedSignal(_Fault):
     """The packets of the last `length_s` before the start are sent again and again, with new stamps."""
 
     kind: Literal["replay"]  #: old packets once more
-    length_s: Annotated[float, Field(gt=0.0)]  #: how much of what was is sent again
+    length_s: Annotated[float, Field(gt=0.0, examples=[1.5])]  #: how much of what was is sent again
 
     packets: ClassVar[bool] = True
 
@@ -170,7 +170,7 @@ class MistimedSignal(_Fault):
     """The clock of the source is wrong: values are older than their stamps."""
 
     kind: Literal["time_error"]  #: a wrong time stamp
-    offset_s: Seconds  #: by which a value is older than its stamp says
+    offset_s: Annotated[Seconds, Field(examples=[0.3])]  #: by which a value is older than its stamp says
     drift_s_per_s: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0  #: by which this grows each second
 
     @property
@@ -183,8 +183,8 @@ class OscillatingSignal(_Fault):
     """A sine is added."""
 
     kind: Literal["oscillating"]  #: a sine is added
-    amplitude: float  #: in the unit of the signal
-    frequency_hz: Annotated[float, Field(gt=0.0)]  #: such as that of the mode
+    amplitude: Annotated[float, Field(examples=[0.001])]  #: in the unit of the signal
+    frequency_hz: Annotated[float, Field(gt=0.0, examples=[0.55])]  #: such as that of the mode
 
     @property
     def numbers(self) -> tuple[float, float]:
@@ -196,7 +196,7 @@ class SwappedSignal(_Fault):
     """What another signal of the same concentrator measures is sent in its place."""
 
     kind: Literal["swap"]  #: another signal in its place
-    other: Annotated[int, Field(ge=1)]  #: number of that signal in the concentrator, from 1
+    other: Annotated[int, Field(ge=1, examples=[2])]  #: number of that signal in the concentrator, from 1
 
     packets: ClassVar[bool] = True
 
