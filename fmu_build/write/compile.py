@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from interarea.models.files import temporary_folder
 from interarea.models.processes import run_guarded, side_by_side
 
 from ..errors import BuildError, NoCompilerError
@@ -259,6 +260,10 @@ def _digest(kind: str, sources: dict[str, bytes], flags: list[str], to: Platform
 def _run_compiler(command: list[str], folder: Path, cache: Path, kind: str, platform: str) -> None:
     cached = (cache / COMPILERS_OWN).absolute()
     before = cached.is_dir()
+    if not str(cached).isprintable():  # zig cannot read back the name of a folder with a newline
+        with temporary_folder() as own:
+            _compile(command, folder, own, kind, platform)
+        return
     try:
         _compile(command, folder, cached, kind, platform)
     except BuildError:
