@@ -386,7 +386,8 @@ class _Reader:
             return value
         if token not in self.names:
             if token[0].isalpha():
-                raise CaseError(f"{self.where}: {token} is not known here; {nearest(token, self.names)}")
+                said = " ".join(self.whole.split())[:80]
+                raise CaseError(f"{self.where}: {said}: {token} is not known; {nearest(token, self.names)}")
             raise self.no()
         return self.names[token]
 

@@ -64,7 +64,7 @@ def test_bad_file_is_named(tmp_path: Path, change: dict[str, object], word: str)
 
 
 def test_missing_and_broken_files(tmp_path: Path) -> None:
-    with pytest.raises(ControllerError, match="not found"):
+    with pytest.raises(ControllerError, match="no such file"):
         Controller.load(tmp_path / "none.json")
     (tmp_path / "x.json").write_text("{")
     with pytest.raises(ControllerError, match="not valid JSON"):
