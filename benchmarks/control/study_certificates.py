@@ -11,7 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from interarea.cosim import designs
-from interarea.cosim.designs.acceptance import first_failures, judge_acceptance
+from interarea.cosim.designs.acceptance import judge_acceptance
+from interarea.cosim.designs.certificate_words import first_failures
 from interarea.cosim.designs.design_file import certify, load_design
 from interarea.cosim.designs.family import family_cases
 from interarea.cosim.run.controllers import design_controller

@@ -1,17 +1,18 @@
-"""Whether a controller keeps a grid together that stays together without it, and for how long a fault.
+"""Whether a controller keeps a grid together and calms it down, and for how long a fault.
 
 Eigenvalues do not show it: a controller with good ones can add to the first swing after a fault and lose a
 grid that holds without it, most of all where exciters have ceilings. So every combination of operating
 point, exciter ceiling, kind of loads, fault, lost signal and latency is run through the non-linear plant,
-beside the same without control; and for each point, ceiling, kind and fault the clearing time that is just
-survived is searched for both.
+beside the same without control, as long as the slowest root of the linear loop in which it ends asks for
+(`fault_loops`), and judged by the rule of every run (`results.verdict`). A run that neither loses synchronism
+nor decays is run for a minute before that is held against a controller. For each point, ceiling, kind and
+fault the clearing time that is just survived is searched for both.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -19,12 +20,12 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from pydantic import Field
 
-from interarea.design.controllers.controller import Controller
-from interarea.models.case.case import Case, load_case
+from interarea.models.case.case import Case
 from interarea.models.table import Table
 
-from ..scenario.names import CONTROLLER_NAMES
-from .fault_runs import FaultRun, FaultRuns, longest_kept
+from ..errors import ScenarioError
+from .fault_loops import LONG_S, ControllerOrBank, FaultLoops, LoopEnd
+from .fault_runs import FaultRun, FaultRuns, Outcome, longest_kept
 from .first_swing import Positive, after_clearing
 
 Exponent = Annotated[float, Field(ge=0.0)]
@@ -45,7 +46,7 @@ class AcceptanceTable(Table):
 
     ceilings : (least, most) field voltage of every exciter that has limits, pu; as the case has them too.
     loads : exponents of P and Q of every load; as the case has them too.
-    latency_s : of every signal. Each signal is lost in turn at `lost_s`, and none.
+    latency_s : of every signal. Each signal but those of `never_lost` is lost in turn at `lost_s`, and none.
     clear_cycles : of the fault, periods of the case's frequency.
     """
 
@@ -60,7 +61,10 @@ class AcceptanceTable(Table):
     clear_cycles: Positive = 8.0  #: how long the fault lasts, periods of the case's frequency
     start_s: Positive = 1.0  #: when the fault begins
     lost_s: Positive = 1.5  #: from when on the lost signal is lost
-    stop_s: Positive = 10.0  #: end of each run
+    #: signals whose loss the controller need not survive; a certificate names them first
+    never_lost: tuple[str, ...] = ()
+    #: end of each run; a run whose linear loop has a root slower than 0.05 1/s takes at least 60 s
+    stop_s: Positive = 10.0
     x_pu: Positive = 1e-4  #: reactance of the fault to earth
     longest_cycles: Positive = 30.0  #: clearing times are searched from 1 cycle to this
     resolution_cycles: Positive = 0.15  #: how finely a clearing time is searched
@@ -108,13 +112,33 @@ class ClearingRow:
 
 @dataclass(frozen=True)
 class Acceptance:
-    """What came out. lost: kept without control only; gained: kept with control only."""
+    """What came out.
+
+    lost : kept without control only. gained : kept with control only, and decaying. standing : kept, but
+    nothing that decays where it does without control, with verdict. loops : how many linear loops the faults
+    end in; unstable : those that are unstable and would be stable without control, with their root.
+    """
 
     cases: int
     lost: tuple[str, ...]
     gained: tuple[str, ...]
     largest_angle_deg: float  #: of the kept runs, between any two machines
     clearing: tuple[ClearingRow, ...]
+    standing: tuple[str, ...] = ()
+    loops: int = 0
+    unstable: tuple[str, ...] = ()
+    longest_s: float = 0.0  #: the longest run that the linear loops, or a verdict, asked for
+    #: operating points and branches without which no power flow is found: there the loop with them is judged
+    unsolved: tuple[str, ...] = ()
+
+    @property
+    def violations(self) -> tuple[str, ...]:
+        """What is held against the controller, each in words."""
+        return (
+            *(f"{case}: synchronism lost, kept without it" for case in self.lost),
+            *(f"{case}; decays without it" for case in self.standing),
+            *(f"linear loop {loop}, stable without it" for loop in self.unstable),
+        )
 
     @property
     def changes_cycles(self) -> tuple[float, ...]:
@@ -144,8 +168,18 @@ def settings_of(
     signals: Sequence[str],
     loads: tuple[float, float] | None = None,
 ) -> Iterator[tuple[Setting, list[Setting]]]:
-    """Give each setting of an operating point without control and those with control that belong to it."""
-    losses: list[tuple[str, ...]] = [(), *((name,) for name in signals)] if len(signals) > 1 else [()]
+    """Give each setting of an operating point without control and those with control that belong to it.
+
+    Raises
+    ------
+    ScenarioError : `never_lost` names what is no signal of the controller.
+    """
+    if strange := sorted(set(table.never_lost) - set(signals)):
+        raise ScenarioError(
+            f"acceptance: never_lost names {', '.join(strange)}; the controller's signals are "
+            f"{', '.join(signals)}"
+        )
+    losses = [(), *((name,) for name in signals if name not in table.never_lost)]
     for fault in table.fault:
         yield (
             Setting(point, ceiling, fault, loads=loads),
@@ -159,13 +193,14 @@ class Trial:
     def __init__(
         self,
         case: Case,
-        controller: Controller,
+        controller: ControllerOrBank,
         table: AcceptanceTable,
         cache: Path,
         ceiling: tuple[float, float] | None = None,
         loads: tuple[float, float] | None = None,
     ) -> None:
         self.controller, self.table = controller, table
+        self.longest_s = 0.0  #: of the runs that `outcomes` made
         case = case if ceiling is None else with_ceilings(case, *ceiling)
         self._runs = FaultRuns(case if loads is None else with_loads(case, *loads), cache)
 
@@ -179,6 +214,21 @@ class Trial:
         """Return the largest angle between two machines after each fault of so many cycles, rad."""
         largest_angles = self._runs.largest_angles([self._run(setting, n) for setting, n in cycles.items()])
         return dict(zip(cycles, largest_angles, strict=True))
+
+    def outcomes(self, ends: Mapping[Try, LoopEnd], *, least_s: float = 0.0) -> dict[Try, Outcome]:
+        """Return what each fault of `clear_cycles` came to, run as long as its linear loop asks for.
+
+        least_s : of every run.
+        """
+        t = self.table
+        lengths = [max(end.run_s(t.stop_s, t.lost_s), least_s) for end in ends.values()]
+        self.longest_s = max([self.longest_s, *lengths])
+        runs = [
+            replace(self._run(each, t.clear_cycles), stop_s=stop_s)
+            for each, stop_s in zip(ends, lengths, strict=True)
+        ]
+        outcomes = self._runs.outcomes(runs, [end.root for end in ends.values()])
+        return dict(zip(ends, outcomes, strict=True))
 
     def kept(self, cycles: Mapping[Try, float]) -> dict[Try, bool]:
         """Whether no two machines come more than half a turn apart."""
@@ -220,7 +270,7 @@ def with_loads(case: Case, of_p: float, of_q: float) -> Case:
 
 
 def judge_acceptance(
-    controller: Controller,
+    controller: ControllerOrBank,
     cases: Mapping[str, Case],
     table: AcceptanceTable,
     cache: Path,
@@ -234,32 +284,100 @@ def judge_acceptance(
     progress : called with the share of the operating points and ceilings that is done.
     """
     places = list(product(cases, (None, *table.ceilings), (None, *table.loads)))
-    lost: list[str] = []
-    gained: list[str] = []
+    loops: dict[tuple[str, tuple[float, float] | None], FaultLoops] = {}
+    found = _Found()
     rows: list[ClearingRow] = []
-    largest, count = 0.0, 0
     for done, (point, ceiling, loads) in enumerate(places):
         progress(done / len(places))
+        if (point, loads) not in loops:
+            case = cases[point] if loads is None else with_loads(cases[point], *loads)
+            loops[point, loads] = FaultLoops(case, controller, cache)
         groups = list(settings_of(table, point, ceiling, controller.inputs, loads))
         with Trial(cases[point], controller, table, cache, ceiling, loads) as trial:
-            angles = _angles(trial, groups, table.clear_cycles)
-            for alone, settings in groups:
-                holds = angles[alone, False] < np.pi
-                count += len(settings)
-                retained = {s: angles[s, True] for s in settings if angles[s, True] < np.pi}
-                largest = max([largest, *retained.values()])
-                different = [str(s) for s in settings if holds != (s in retained)]
-                (lost if holds else gained).extend(different)
+            ends = _ends(loops[point, loads], groups)
+            if ceiling is None:  # the exciters' ceilings are no part of a linear loop
+                found.take_loops(groups, ends)
+            found.take_runs(groups, _outcomes(trial, ends))
             if clearing:
                 rows += _clearing_rows(trial, groups)
+            found.longest_s = max(found.longest_s, trial.longest_s)
     progress(1.0)
-    return Acceptance(count, tuple(lost), tuple(gained), float(np.degrees(largest)), tuple(rows))
+    unsolved = dict.fromkeys(f"{p} without {b}" for (p, _), each in loops.items() for b in each.unsolved)
+    return found.acceptance(tuple(rows), tuple(unsolved))
 
 
-def _angles(trial: Trial, groups: Sequence[tuple[Setting, list[Setting]]], cycles: float) -> dict[Try, float]:
-    """Run every setting without control and with it, all side by side."""
-    tries = [(s, s is not alone) for alone, settings in groups for s in (alone, *settings)]
-    return trial.angles(dict.fromkeys(tries, cycles))
+Groups: TypeAlias = Sequence[tuple[Setting, list[Setting]]]
+
+
+@dataclass
+class _Found:
+    """What the runs and loops of an acceptance came to, as they come."""
+
+    lost: list[str] = field(default_factory=list)
+    gained: list[str] = field(default_factory=list)
+    standing: list[str] = field(default_factory=list)
+    unstable: list[str] = field(default_factory=list)
+    largest: float = 0.0
+    cases: int = 0
+    loops: int = 0
+    longest_s: float = 0.0
+
+    def take_runs(self, groups: Groups, outcomes: Mapping[Try, Outcome]) -> None:
+        """Compare each run with that without control."""
+        for alone, settings in groups:
+            without = outcomes[alone, False]
+            self.cases += len(settings)
+            for s in settings:
+                run = outcomes[s, True]
+                if run.synchronous:
+                    self.largest = max(self.largest, run.angle_rad)
+                if without.synchronous and not run.synchronous:
+                    self.lost.append(str(s))
+                elif run.stable and not without.synchronous:
+                    self.gained.append(str(s))
+                elif run.synchronous and not run.stable and (without.stable or not without.synchronous):
+                    self.standing.append(f"{s}: {run.verdict}")
+
+    def take_loops(self, groups: Groups, ends: Mapping[Try, LoopEnd]) -> None:
+        """Compare each linear loop with that without control."""
+        for alone, settings in groups:
+            self.loops += len(settings)
+            for s in settings:
+                end = ends[s, True]
+                if ends[alone, False].stable and not end.stable:
+                    root = f"{end.root.real:+.3g} +- {end.root.imag:.3g}j"
+                    self.unstable.append(f"after {s}: unstable (rightmost root {root} 1/s)")
+
+    def acceptance(self, rows: tuple[ClearingRow, ...], unsolved: tuple[str, ...]) -> Acceptance:
+        """Return it as a whole."""
+        return Acceptance(
+            self.cases,
+            tuple(self.lost),
+            tuple(self.gained),
+            float(np.degrees(self.largest)),
+            rows,
+            tuple(self.standing),
+            self.loops,
+            tuple(self.unstable),
+            self.longest_s,
+            unsolved,
+        )
+
+
+def _ends(loops: FaultLoops, groups: Groups) -> dict[Try, LoopEnd]:
+    """Return the linear loop that each setting ends in, without control and with it."""
+    return {
+        (s, s is not alone): loops.end(s.fault.trip, s.lost, s.latency_s, controlled=s is not alone)
+        for alone, settings in groups
+        for s in (alone, *settings)
+    }
+
+
+def _outcomes(trial: Trial, ends: Mapping[Try, LoopEnd]) -> dict[Try, Outcome]:
+    """Run every setting side by side; what stays together without decaying for a minute at least."""
+    outcomes = trial.outcomes(ends)
+    open_ended = {k: ends[k] for k, run in outcomes.items() if run.synchronous and not run.stable}
+    return outcomes | trial.outcomes(open_ended, least_s=LONG_S)
 
 
 def _clearing_rows(trial: Trial, groups: Sequence[tuple[Setting, list[Setting]]]) -> list[ClearingRow]:
@@ -279,48 +397,3 @@ def _clearing_rows(trial: Trial, groups: Sequence[tuple[Setting, list[Setting]]]
         )
         for alone, hard in hardest.items()
     ]
-
-
-def in_words(result: Mapping[str, Any] | None) -> str:
-    """Return the acceptance of a certificate in a line: what is lost first, or that nothing is.
-
-    result : as `Acceptance.as_dict` gives it; None: never judged.
-    """
-    if result is None:
-        return "non-linear faults: not judged"
-    text = f"non-linear faults: {len(result['lost'])} of {result['cases']} lost that hold without it"
-    if result["lost"]:
-        text += f" (first: {result['lost'][0]})"
-    text += f", {len(result['gained'])} gained"
-    if result["clearing_mean_change_cycles"] is not None:
-        text += (
-            f"; clearing times {result['clearing_mean_change_cycles']:+.1f} cycles on average, "
-            f"{result['clearing_worst_change_cycles']:+.1f} at worst"
-        )
-    return text
-
-
-def first_failures(certificate: Mapping[str, Any] | None) -> str:
-    """Return in a line the first conditions in which a controller fails by its certificate for a family.
-
-    Linear: the first operating point and condition that is unstable; then its acceptance, as `in_words`.
-    """
-    rows = (certificate or {}).get("rows", ())
-    unstable = [row for row in rows if not row["stable"]]
-    text = in_words((certificate or {}).get("acceptance"))
-    if not unstable:
-        return text
-    first = f"{unstable[0]['point']}, {unstable[0]['condition']}"
-    return f"unstable in {len(unstable)} of {len(rows)} linear conditions (first: {first}); {text}"
-
-
-def kept_certificate(name: str, case_hash: str) -> dict[str, Any] | None:
-    """Return what a controller of the study holds at two points of `robust_latency`; None of any other.
-
-    Found by ``benchmarks/control/study_certificates.py`` for the case of that design: nothing is known of
-    another.
-    """
-    path = Path(__file__).parent / f"certificate_{name}.json"
-    if name not in CONTROLLER_NAMES or not path.exists() or case_hash != load_case("two-area-thesis").hash:
-        return None
-    return dict(json.loads(path.read_text(encoding="utf-8")))

@@ -26,6 +26,7 @@ from interarea.models.table import Table
 from ..errors import ScenarioError, nearest
 from ..toml_file import read_toml
 from .acceptance import AcceptanceTable, judge_acceptance
+from .certificate_words import not_covered
 from .design_tables import (
     AskTable,
     GuardTable,
@@ -400,11 +401,9 @@ def certify(
         found = replace(
             found,
             acceptance=tried.as_dict(),
-            violations=(
-                *found.violations,
-                *(f"{case}: synchronism lost, kept without it" for case in tried.lost),
-            ),
+            violations=(*found.violations, *tried.violations),
         )
+    found = replace(found, not_covered=not_covered(table, controller.inputs, found.acceptance))
     if table.fault is None:
         return found
     cases = family_cases(table)

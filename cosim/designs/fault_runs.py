@@ -10,6 +10,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.errors import BuildError
 from interarea.fmu_build.write.lane_library import GroupLibrary, plant_group
@@ -22,10 +23,12 @@ from ..master.instances import FmuParticipant
 from ..master.isolated import participant_of
 from ..master.lockstep import advance_together
 from ..master.master import Master
-from ..results.ringdown import Swing
+from ..results.judge import motion_of
+from ..results.ringdown import Swing, control_limit_pu
+from ..results.verdict import Verdict
 from ..run.instance import Fmus
 from ..run.run import system_of
-from ..scenario.scenario import load_scenario
+from ..scenario.scenario import Scenario, load_scenario
 from ..trajectory import Trajectory
 
 #: side by side at most; the processor's vectors take them in parts
@@ -42,7 +45,7 @@ class FaultRun:
 
     events: Sequence[Mapping[str, Any]]
     stop_s: float
-    controller: Controller | None = None
+    controller: Controller | ControllerBank | None = None
     latency_s: float = 0.0
     lost_s: Mapping[str, float] = field(default_factory=dict)
 
@@ -61,13 +64,34 @@ class FaultRun:
         return document
 
 
+@dataclass(frozen=True)
+class Outcome:
+    """What a run came to.
+
+    angle_rad : largest between two machines; inf, and no verdict, where it ended early.
+    """
+
+    angle_rad: float
+    verdict: Verdict | None
+
+    @property
+    def synchronous(self) -> bool:
+        """Whether no two machines came half a turn apart."""
+        return self.angle_rad < np.pi
+
+    @property
+    def stable(self) -> bool:
+        """Whether it has settled or does so slowly."""
+        return self.verdict is not None and self.verdict.stable
+
+
 class GridRun(Protocol):
     """What is run: a scenario as a document, and its controller as an object."""
 
     @property
     def stop_s(self) -> float: ...
     @property
-    def controller(self) -> Controller | None: ...
+    def controller(self) -> Controller | ControllerBank | None: ...
     def document(self) -> dict[str, Any]: ...
 
 
@@ -101,29 +125,63 @@ class FaultRuns:
 
         Raises whatever ended a run other than a step that failed (StepError).
         """
+        return (master.trajectory for _, master in self._ended(runs))
+
+    def outcomes(self, runs: Sequence[GridRun], roots: Sequence[complex | None]) -> list[Outcome]:
+        """Return what each run came to.
+
+        roots : rightmost of the linear loop in which each run ends, 1/s; None where it is not known.
+        """
+        result = []
+        for run, root, (scenario, master) in zip(runs, roots, self._ended(runs), strict=True):
+            data = master.trajectory
+            angle = self._largest_angle(run, data)
+            if not np.isfinite(angle):
+                result.append(Outcome(angle, None))
+                continue
+            motion = motion_of(self.case, scenario, run.stop_s)
+            speeds, angles = (
+                np.array([data[f"plant.{name}_{what}"] for name in motion.machines])
+                for what in ("dw", "delta")
+            )
+            controls = {name: data[name] for name in data.reals_of("controller")}
+            motion.add(data.time_s, speeds, angles, controls)
+            limit = None if run.controller is None else control_limit_pu(master)
+            result.append(Outcome(angle, motion.verdict(limit, root)))
+        return result
+
+    def _ended(self, runs: Sequence[GridRun]) -> Iterator[tuple[Scenario, Master]]:
         for first in range(0, len(runs), TOGETHER):
             chunk = runs[first : first + TOGETHER]
-            masters = [self._master(lane, run) for lane, run in enumerate(chunk)]
+            scenarios = [self._scenario(run) for run in chunk]
+            masters = [
+                self._master(lane, run, scenario)
+                for lane, (run, scenario) in enumerate(zip(chunk, scenarios, strict=True))
+            ]
             for master in masters:
                 master.start()
             errors = advance_together(masters)
-            for master, error in zip(masters, errors, strict=True):
+            for scenario, master, error in zip(scenarios, masters, errors, strict=True):
                 if error is not None and not isinstance(error, StepError):
                     raise error
-                yield master.trajectory
+                yield scenario, master
 
     def largest_angles(self, runs: Sequence[GridRun]) -> list[float]:
         """Return the largest angle between two machines of each run, rad; inf where it ended early."""
-        result = []
-        for run, data in zip(runs, self.run(runs), strict=True):
-            angles = np.array([data[f"plant.{m.name}_delta"] for m in self.case.machines])
-            ended = bool(data.time_s[-1] >= run.stop_s - 1e-9)
-            result.append(float(np.ptp(angles, axis=0).max()) if ended else np.inf)
-        return result
+        return [self._largest_angle(run, data) for run, data in zip(runs, self.run(runs), strict=True)]
 
-    def _master(self, lane: int, run: GridRun) -> Master:
+    def _largest_angle(self, run: GridRun, data: Trajectory) -> float:
+        """Return the largest angle between two machines, rad; inf where the run ended early."""
+        angles = np.array([data[f"plant.{m.name}_delta"] for m in self.case.machines])
+        ended = bool(data.time_s[-1] >= run.stop_s - 1e-9)
+        return float(np.ptp(angles, axis=0).max()) if ended else float(np.inf)
+
+    def _scenario(self, run: GridRun) -> Scenario:
+        return load_scenario(run.document() | ({"show": self._show} if self._show else {}))
+
+    def _master(self, lane: int, run: GridRun, scenario: Scenario) -> Master:
         system = system_of(
-            load_scenario(run.document() | ({"show": self._show} if self._show else {})),
+            scenario,
             case=self.case,
             controller="none" if run.controller is None else run.controller,
             swing=self._swing,

@@ -162,7 +162,7 @@ def _linear(loop: Loop, buses: Mapping[str, int]) -> tuple[LinearMatrices, dict[
 def _controller(loop: Loop, part: Instance, lost: frozenset[str]) -> control.StateSpace:
     """The linear controller that acts while these signals are lost, speeds in rad/s."""
     if loop.bank is not None:
-        return _member(loop.bank, lost)
+        return loop.bank.acting(lost).system
     starts = {v.name: part.file.start_of(v.name) for v in part.file.model.variables if "[" in v.name}
     starts |= {k: float(v) for k, v in part.start.items() if k in starts}
     ports = part.file.description
@@ -172,13 +172,6 @@ def _controller(loop: Loop, part: Instance, lost: frozenset[str]) -> control.Sta
         return matrices_of_parameters(starts, inputs, outputs, loop.case.omega_b)
     except ControllerError as error:
         raise NotLinearError(f"{part.file.path.name} is no linear controller") from error
-
-
-def _member(bank: ControllerBank, lost: frozenset[str]) -> control.StateSpace:
-    """The member that is active while these signals are lost; one that does nothing where none is."""
-    name = bank.active([s for s in bank.inputs if s not in lost])
-    member = next((m for m in bank.members if m.name == name), None)
-    return bank.members[0].scaled(0.0).system if member is None else member.system
 
 
 def _sent(loop: Loop, way: Way, at_s: float) -> SignalWay:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -107,6 +107,12 @@ class ControllerBank:
         """Return the name of the member that is active while just these signals are trusted."""
         have = set(trusted)
         return next((m.name for m in self.members if have.issuperset(m.inputs)), OFF)
+
+    def acting(self, lost: Collection[str]) -> Controller:
+        """Return the member that is active while these signals are lost; where none is, one of gain 0."""
+        name = self.active([s for s in self.inputs if s not in lost])
+        member = next((m for m in self.members if m.name == name), None)
+        return self.members[0].scaled(0.0) if member is None else member
 
     def signal_sets(self) -> list[tuple[str, ...]]:
         """Return every set of trusted signals, the full one first."""

@@ -66,6 +66,7 @@ class FamilyCertificate:
     acceptance: Mapping[str, Any] | None = None
     #: what the signals from other machines are worth (`SignalWorth.as_dict`); None: not measured
     worth: Mapping[str, Any] | None = None
+    not_covered: str = ""  #: in words: what it says nothing of
 
     @property
     def passed(self) -> bool:

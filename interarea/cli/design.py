@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
     import control
 
+    from interarea.cosim.designs.acceptance import Acceptance
     from interarea.cosim.designs.design_file import DesignTable
+    from interarea.design.certificates.switching import SwitchingCertificate
     from interarea.design.controllers.bank import ControllerBank
     from interarea.design.controllers.controller import Controller
     from interarea.design.robust.operating_points import FamilyCertificate
@@ -191,7 +193,7 @@ def certify(
     grid = table.grid
     result = _named(controller, grid)
     if isinstance(result, ControllerBank):
-        _certify_bank(result, grid, json_, out)
+        _certify_bank(result, table, json_, out, acceptance=acceptance)
         return
     if spec is None:
         table = _own_family(result, controller, case) or table
@@ -215,7 +217,7 @@ def certify(
     else:
         _show(result.name, rows, table)
         if not acceptance:
-            from interarea.cosim.designs.acceptance import first_failures, kept_certificate
+            from interarea.cosim.designs.certificate_words import first_failures, kept_certificate
 
             known = kept_certificate(controller, table.grid.hash) or result.certificate
             typer.echo(f"on record: {first_failures(known)}")
@@ -251,9 +253,17 @@ def _own_family(controller: Controller, name: str, case: str | None) -> DesignTa
     return own if case is None else own.on(case)
 
 
-def _certify_bank(bank: ControllerBank, case: Case, json_: bool, out: Path | None) -> None:
-    """Print what is proven for every sequence of losses; exit code 1 where a pause between them is needed."""
+def _certify_bank(
+    bank: ControllerBank, table: DesignTable, json_: bool, out: Path | None, *, acceptance: bool
+) -> None:
+    """Print what is proven for every sequence of losses and, if asked for, what faults came to.
+
+    Exit code 1 where faults hold without the bank and not with it.
+    """
+    from interarea.cosim.designs.acceptance import judge_acceptance
     from interarea.cosim.designs.bank_certificate import certify_bank
+    from interarea.cosim.designs.design_file import CERTIFICATE_STEPS
+    from interarea.cosim.designs.family import family_cases
     from interarea.cosim.run.artefacts import linear_plant
     from interarea.design.linear.linearise import remove_reference, speeds_in_rad
     from interarea.fmu_build.write.cache import default_cache
@@ -261,13 +271,44 @@ def _certify_bank(bank: ControllerBank, case: Case, json_: bool, out: Path | Non
 
     if out is not None:
         raise UserError(f"--out {out}: {bank.name} is a bank, allowed: one controller")
+    case, cache = table.grid, default_cache()
     with busy(f"certifying {bank.name}"):
-        plant = speeds_in_rad(remove_reference(linear_plant(case, default_cache())), case.omega_b)
+        plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
         result = certify_bank(plant, bank)
+    tried = None
+    if acceptance and table.acceptance is not None:
+        with stage_progress([CERTIFICATE_STEPS[-1]]) as report:
+            tried = judge_acceptance(
+                bank,
+                family_cases(table),
+                table.acceptance,
+                cache,
+                progress=lambda share: report(CERTIFICATE_STEPS[-1], share),
+            )
+    _show_bank(bank, table, result, tried, json_)
+    if tried is not None and tried.violations:
+        raise typer.Exit(1)
+
+
+def _show_bank(
+    bank: ControllerBank,
+    table: DesignTable,
+    result: SwitchingCertificate,
+    tried: Acceptance | None,
+    json_: bool,
+) -> None:
+    from interarea.cosim.designs.certificate_words import bank_not_covered, in_words
+
+    faults = None if tried is None else tried.as_dict()
+    missing = bank_not_covered(table, faults)
     if json_:
-        typer.echo(json.dumps(result.as_dict(), indent=2))
+        record = {**result.as_dict(), "acceptance": faults, "not_covered": missing}
+        typer.echo(json.dumps(record, indent=2))
         return
-    typer.echo(f"{bank.name} on {case.name}: {result.kind}, {len(result.loops)} loops (active: what arrives)")
+    typer.echo(f"not covered: {missing}")
+    typer.echo(
+        f"{bank.name} on {table.grid.name}: {result.kind}, {len(result.loops)} loops (active: what arrives)"
+    )
     for loop in result.loops:
         typer.echo(f"  {loop}")
     if result.dwell_s > 0.0:
@@ -278,6 +319,9 @@ def _certify_bank(bank: ControllerBank, case: Case, json_: bool, out: Path | Non
             f"(slowest loop alone: {result.slowest:.4f} 1/s)"
         )
     typer.echo("lost is what a channel marks as lost; a signal that is stuck or wrong is not detected")
+    typer.echo(in_words(faults))
+    for violation in () if tried is None else tried.violations:
+        typer.echo(f"violated: {violation}")
 
 
 def _show_worth(result: Mapping[str, Any]) -> None:
@@ -302,8 +346,10 @@ def _show_conditions(table: DesignTable) -> None:
 
 
 def _show(name: str, certified: FamilyCertificate, table: DesignTable) -> None:
-    from interarea.cosim.designs.acceptance import in_words
+    from interarea.cosim.designs.certificate_words import in_words
 
+    if certified.not_covered:
+        typer.echo(f"not covered: {certified.not_covered}")
     print_table(
         f"{name}: full plants, linearised and without limits, exact latency",
         ("operating point", "condition", "stable", "worst swing", "inter-area", "rightmost (1/s)"),

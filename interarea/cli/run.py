@@ -257,7 +257,7 @@ def _tested(scenario: Scenario) -> SelfTest:
 
 def _survived(scenario: Scenario, case: Case) -> str:
     """What the controller's record holds of losses, latencies and faults: a run shows one of them at most."""
-    from interarea.cosim.designs.acceptance import first_failures, kept_certificate
+    from interarea.cosim.designs.certificate_words import first_failures, kept_certificate
     from interarea.cosim.run.controllers import controller_of
     from interarea.design.controllers.controller import ControllerError
     from interarea.fmu_build.write.cache import default_cache

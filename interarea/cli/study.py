@@ -24,7 +24,7 @@ def study(
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of the files' names")] = False,
 ) -> None:
     """Run a whole study: FMUs, designs, co-simulations, figures, report.html and study.json."""
-    from interarea.cosim.designs.acceptance import first_failures, kept_certificate
+    from interarea.cosim.designs.certificate_words import first_failures, kept_certificate
     from interarea.cosim.scenario.names import CONTROLLER_NAMES
     from interarea.cosim.study.study import STAGES, run_study
 

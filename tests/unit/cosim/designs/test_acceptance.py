@@ -13,21 +13,24 @@ from interarea.cosim.designs.acceptance import (
     AcceptanceTable,
     Setting,
     Trial,
-    first_failures,
     judge_acceptance,
-    kept_certificate,
     settings_of,
     with_ceilings,
     with_loads,
 )
+from interarea.cosim.designs.certificate_words import first_failures, kept_certificate, not_covered
 from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.designs.fault_loops import LONG_S, LONGEST_S, SLOW, FaultLoops, LoopEnd
 from interarea.cosim.designs.fault_runs import FaultRun
 from interarea.cosim.designs.first_swing import after_clearing
+from interarea.cosim.errors import ScenarioError
 from interarea.cosim.results.ringdown import Swing
 from interarea.cosim.run.artefacts import linear_plant
-from interarea.cosim.run.controllers import design_controller
+from interarea.cosim.run.controllers import controller_of, design_controller
 from interarea.cosim.run.run import system_of
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.design.certificates.closed_loop import closed_loop_matrix
+from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.bundled import shipped_controller
 from interarea.design.controllers.controller import Controller
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
@@ -94,6 +97,76 @@ def test_without_a_guard_the_grid_is_lost_where_it_holds_alone(cache: Path) -> N
     guarded = judge_acceptance(shipped_controller("robust"), CASES, TABLE, cache, clearing=False)
     assert guarded.lost == ()
     assert guarded.largest_angle_deg < 100.0
+
+
+@pytest.mark.slow
+def test_a_limit_cycle_after_a_loss_is_no_success(cache: Path) -> None:
+    """`robust_latency` without its local signal keeps synchronism; a minute shows that nothing decays."""
+    K, grid = shipped_controller("robust_latency"), {"base": load_case("two-area-thesis")}
+    bus_8 = AcceptanceTable(fault=({"bus": 8},), latency_s=(0.05, 0.1))  # type: ignore[arg-type]
+    found = judge_acceptance(K, grid, bus_8, cache, clearing=False)
+    assert (found.cases, found.loops, found.lost, found.longest_s) == (6, 6, (), 60.0)
+    places = [f"base, fault at bus 8, G4_dw lost, {ms} ms" for ms in (50, 100)]
+    assert [s.partition(":")[0] for s in found.standing] == places
+    assert all("standing swing: controller.G4_vs is at its limit of 0.05 pu" in s for s in found.standing)
+    assert [s.partition(":")[0] for s in found.unstable] == [f"after {place}" for place in places]
+    assert len(found.violations) == 4
+
+    exempt = bus_8.model_copy(update={"never_lost": ("G4_dw",)})
+    held = judge_acceptance(K, grid, exempt, cache, clearing=False)
+    assert (held.cases, held.violations) == (4, ())
+    better = judge_acceptance(shipped_controller("robust"), grid, bus_8, cache, clearing=False)
+    assert (better.violations, better.longest_s) == ((), 10.0)
+
+
+@pytest.mark.slow
+def test_a_bank_that_loses_the_grid_when_a_flag_falls_fails(cache: Path) -> None:
+    few = AcceptanceTable(fault=({"bus": 8, "trip": "8-9 a"},))  # type: ignore[arg-type]
+    bank = controller_of("active", load_case("two-area-thesis"), cache)
+    assert isinstance(bank, ControllerBank)
+    found = judge_acceptance(bank, CASES, few, cache, clearing=False)
+    assert found.lost == ("tie +100, fault at bus 8, 8-9 a tripped, G2_dw lost, 100 ms",)
+    # with loads of constant power there is no power flow without the circuit
+    assert found.unsolved == ("tie +100 without 8-9 a",)
+
+
+def test_a_loop_that_grows_slowly_is_run_for_longer(cache: Path) -> None:
+    """The law of the length of a run, and roots against those of a loop closed by hand."""
+    assert LoopEnd(True, complex(-SLOW)).run_s(10.0, 1.5) == 10.0
+    assert LoopEnd(True, complex(-0.049)).run_s(10.0, 1.5) == LONG_S
+    assert LoopEnd(True, complex(-1e-9)).run_s(10.0, 1.5) == LONGEST_S
+    assert LoopEnd(True, complex(np.nan)).run_s(10.0, 1.5) >= LONG_S
+    case, K = load_case("two-area-thesis"), shipped_controller("robust_latency")
+    loops = FaultLoops(case, K, cache)
+    end = loops.end(None, ("G4_dw",))
+    plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
+    poles = np.linalg.eigvals(closed_loop_matrix(plant, K.system, lost=("G4_dw",)))
+    assert end.root.real == pytest.approx(poles.real.max(), abs=1e-8)
+    assert not end.stable
+    assert loops.end(None, ("G4_dw",), controlled=False).stable
+    assert loops.end("8-9 a", ("G4_dw",)).stable  # another grid, another loop
+
+
+def test_what_a_certificate_leaves_out_is_said() -> None:
+    table = load_design("robust_latency")
+    text = not_covered(table, table.signals, None)
+    assert text == (
+        "non-linear faults (--acceptance runs them); the loss of G4_dw; two signals lost at once; a signal "
+        "that is wrong while marked as valid"
+    )
+    record = Acceptance(0, (), (), 0.0, ()).as_dict()
+    assert "G4_dw" not in not_covered(table, table.signals, record)  # every signal is lost in turn there
+    assert table.acceptance is not None
+    exempt = table.acceptance.model_copy(update={"never_lost": ("G4_dw",)})
+    own = table.model_copy(update={"acceptance": exempt})
+    assert "the loss of G4_dw;" in not_covered(own, own.signals, record)
+    assert "the design names none" in not_covered(load_design("robust_linear"), ("G2_dw", "G4_dw"), None)
+
+
+def test_a_signal_that_the_controller_lacks_cannot_be_exempt() -> None:
+    table = TABLE.model_copy(update={"never_lost": ("G9_dw",)})
+    with pytest.raises(ScenarioError, match="never_lost names G9_dw; the controller's signals are G2_dw"):
+        list(settings_of(table, "base", None, ["G2_dw", "G4_dw"]))
 
 
 @pytest.mark.slow

@@ -1,0 +1,110 @@
+"""What a certificate says of losses, latencies and faults, in a line; and what it does not cover."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from interarea.design.delay.signal_conditions import Condition
+from interarea.models.case.case import load_case
+
+from ..scenario.names import CONTROLLER_NAMES
+from .acceptance import AcceptanceTable
+
+
+class Judging(Protocol):
+    """What of a design says what a certificate covers."""
+
+    @property
+    def acceptance(self) -> AcceptanceTable | None: ...
+    def family(self) -> Sequence[Condition]: ...
+
+
+def not_covered(table: Judging, signals: Sequence[str], acceptance: Mapping[str, Any] | None) -> str:
+    """Return in words what a certificate by the design `table` says nothing of.
+
+    signals : of the controller. acceptance : its record (`Acceptance.as_dict`); None: it was not run.
+    """
+    parts, asked = _faults_left_out(table, acceptance), table.acceptance
+    alone = {condition.lost for condition in table.family() if len(condition.lost) == 1}
+    exempt = () if asked is None else asked.never_lost
+    missing = [s for s in signals if s in exempt or (acceptance is None and (s,) not in alone)]
+    if missing:
+        parts.append(f"the loss of {', of '.join(missing)}")
+    if not any(len(condition.lost) > 1 for condition in table.family()) and len(signals) > 1:
+        parts.append("two signals lost at once")
+    return "; ".join([*parts, _WRONG])
+
+
+def bank_not_covered(table: Judging, acceptance: Mapping[str, Any] | None) -> str:
+    """Return in words what the switching certificate of a bank, and its faults by `table`, say nothing of."""
+    linear = ["late signals and other operating points in the proof of switching"]
+    return "; ".join([*_faults_left_out(table, acceptance), *linear, _WRONG])
+
+
+_WRONG = "a signal that is wrong while marked as valid"
+
+
+def _faults_left_out(table: Judging, acceptance: Mapping[str, Any] | None) -> list[str]:
+    if table.acceptance is None:
+        return ["non-linear faults (the design names none)"]
+    if acceptance is None:
+        return ["non-linear faults (--acceptance runs them)"]
+    if acceptance["unsolved"]:
+        places = ", ".join(acceptance["unsolved"])
+        return [f"linear loops after faults where no power flow is found ({places}: with the branch)"]
+    return []
+
+
+def in_words(result: Mapping[str, Any] | None) -> str:
+    """Return the acceptance of a certificate in a line: what is lost first, or that nothing is.
+
+    result : as `Acceptance.as_dict` gives it; None: never judged.
+    """
+    if result is None:
+        return "non-linear faults: not judged"
+    text = f"non-linear faults: {len(result['lost'])} of {result['cases']} lost that hold without it"
+    if result["lost"]:
+        text += f" (first: {result['lost'][0]})"
+    text += f", {len(result['gained'])} gained"
+    if "standing" not in result:
+        text += "; decay not judged"
+    elif result["standing"]:
+        text += f"; {len(result['standing'])} do not decay (first: {result['standing'][0]})"
+    if result.get("unstable"):
+        text += f"; {len(result['unstable'])} of {result['loops']} linear loops that faults end in are "
+        text += f"unstable (first: {result['unstable'][0]})"
+    if result["clearing_mean_change_cycles"] is not None:
+        text += (
+            f"; clearing times {result['clearing_mean_change_cycles']:+.1f} cycles on average, "
+            f"{result['clearing_worst_change_cycles']:+.1f} at worst"
+        )
+    return text
+
+
+def first_failures(certificate: Mapping[str, Any] | None) -> str:
+    """Return in a line the first conditions in which a controller fails by its certificate for a family.
+
+    Linear: the first operating point and condition that is unstable; then its acceptance, as `in_words`.
+    """
+    rows = (certificate or {}).get("rows", ())
+    unstable = [row for row in rows if not row["stable"]]
+    text = in_words((certificate or {}).get("acceptance"))
+    if not unstable:
+        return text
+    first = f"{unstable[0]['point']}, {unstable[0]['condition']}"
+    return f"unstable in {len(unstable)} of {len(rows)} linear conditions (first: {first}); {text}"
+
+
+def kept_certificate(name: str, case_hash: str) -> dict[str, Any] | None:
+    """Return what a controller of the study holds at two points of `robust_latency`; None of any other.
+
+    Found by ``benchmarks/control/study_certificates.py`` for the case of that design: nothing is known of
+    another.
+    """
+    path = Path(__file__).parent / f"certificate_{name}.json"
+    if name not in CONTROLLER_NAMES or not path.exists() or case_hash != load_case("two-area-thesis").hash:
+        return None
+    return dict(json.loads(path.read_text(encoding="utf-8")))

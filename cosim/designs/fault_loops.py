@@ -1,0 +1,120 @@
+"""The linear loop in which a fault ends, and for how long a run has to go on to show that it decays.
+
+After a fault the branch that cleared it is out and lost signals are gone: that loop, linearised at the power
+flow solved anew without the branch, decides whether what is left of the fault dies out. Where no power flow
+is found without the branch (its loads are of constant power, those of a run are not), the loop with it is
+taken, and told (`FaultLoops.unsolved`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import log
+from pathlib import Path
+from typing import TypeAlias
+
+import control
+import numpy as np
+
+from interarea.design.certificates.large_loop import LargePlant
+from interarea.design.controllers.bank import ControllerBank
+from interarea.design.controllers.controller import Controller
+from interarea.design.delay.curves import delayed_loop, rightmost_roots
+from interarea.design.delay.signal_conditions import Condition
+from interarea.design.linear.matrices import STANDING
+from interarea.models.case.case import Case
+from interarea.models.case.variants import operating_variant
+from interarea.models.grid.powerflow import PowerFlowError
+
+from ..results.verdict import SETTLED_SHARE
+from .family import FamilyPlant
+
+ControllerOrBank: TypeAlias = Controller | ControllerBank
+SLOW = 0.05  #: 1/s: a loop whose slowest root decays less fast is run for `LONG_S` at least
+LONG_S, LONGEST_S = 60.0, 240.0  #: of such a run
+_LEFT = -2.5  # 1/s: roots left of it are slow for no run
+
+
+@dataclass(frozen=True)
+class LoopEnd:
+    """The linear loop after a fault. root : the rightmost that does not stand at 0, 1/s.
+
+    Of a plant above `family.DENSE_STATES` states, the rightmost of the swings.
+    """
+
+    stable: bool
+    root: complex
+
+    def run_s(self, stop_s: float, since_s: float) -> float:
+        """Return how long a run must be: `stop_s`, or as long as the slowest root asks for.
+
+        Where that root decays by less than `SLOW`: at least `LONG_S`, until what is left since `since_s` is a
+        fifth, at most `LONGEST_S`.
+
+        >>> LoopEnd(True, -0.1 + 0j).run_s(10.0, 1.5), LoopEnd(True, -0.02 + 0.6j).run_s(10.0, 1.5)
+        (10.0, 81.97189562170501)
+        >>> LoopEnd(False, 0.03 + 0.6j).run_s(10.0, 1.5)
+        60.0
+        """
+        rate = -self.root.real
+        if rate >= SLOW:
+            return stop_s
+        needed = since_s + log(1.0 / SETTLED_SHARE) / rate if rate > 0.0 else LONG_S
+        return max(stop_s, LONG_S, min(needed, LONGEST_S))
+
+
+class FaultLoops:
+    """Linear loops of one operating point, with each branch that a fault trips out; found when asked for."""
+
+    def __init__(self, case: Case, controller: ControllerOrBank, cache: Path) -> None:
+        self.case, self.controller, self._cache = case, controller, cache
+        self._plants: dict[str | None, FamilyPlant] = {}
+        self.unsolved: list[str] = []  #: branches without which no power flow is found
+        self._found: dict[tuple[str | None, tuple[str, ...], float, bool], LoopEnd] = {}
+
+    def end(
+        self, trip: str | None, lost: Sequence[str] = (), latency_s: float = 0.0, *, controlled: bool = True
+    ) -> LoopEnd:
+        """Return the loop with branch `trip` out, these signals lost, the others late."""
+        if trip is not None and not self.case.branch(trip).in_service:
+            trip = None  # it is out already
+        key = (trip, tuple(lost), latency_s, controlled)
+        if key not in self._found:
+            self._found[key] = self._end(self._plant(trip), lost, latency_s, controlled)
+        return self._found[key]
+
+    def _plant(self, trip: str | None) -> FamilyPlant:
+        if trip not in self._plants:
+            case = self.case if trip is None else operating_variant(self.case, out=(trip,))
+            signals, actuators = tuple(self.controller.inputs), tuple(self.controller.outputs)
+            try:
+                self._plants[trip] = FamilyPlant.of(case, signals, actuators, self._cache)
+            except PowerFlowError:
+                if trip is None:
+                    raise
+                self.unsolved.append(trip)
+                self._plants[trip] = self._plant(None)
+        return self._plants[trip]
+
+    def _end(self, plant: FamilyPlant, lost: Sequence[str], latency_s: float, controlled: bool) -> LoopEnd:
+        K = self.controller.acting(lost) if isinstance(self.controller, ControllerBank) else self.controller
+        system = K.system if controlled else K.scaled(0.0).system
+        signals = [str(name) for name in system.input_labels]
+        gone = tuple(name for name in signals if name in lost)
+        late = {name: latency_s for name in signals if name not in gone}
+        if isinstance(plant.judged, LargePlant):
+            facts = plant.judged.facts(system, Condition("after a fault", gone, late))
+            return LoopEnd(facts.stable, complex(facts.rightmost))
+        return _dense_end(plant.judged, system, gone, late)
+
+
+def _dense_end(
+    plant: control.StateSpace, K: control.StateSpace, lost: Sequence[str], late: dict[str, float]
+) -> LoopEnd:
+    roots = rightmost_roots(delayed_loop(plant, K, late, lost=lost), right_of=_LEFT)
+    moving = roots[np.abs(roots) > STANDING]
+    if not moving.size:
+        return LoopEnd(True, complex(_LEFT))
+    root = complex(moving[int(np.argmax(moving.real))])
+    return LoopEnd(bool(roots.real.max() < STANDING), complex(root.real, abs(root.imag)))
