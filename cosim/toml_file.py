@@ -15,8 +15,8 @@ def read_toml(path: Path, wanted: str, error: type[Exception]) -> dict[str, Any]
 
     Raises
     ------
-    error : not readable, no regular file, an archive, not TOML, not UTF-8, nested too deeply, or plainly of
-        another kind; names the file.
+    error : no regular file, an archive, not TOML, not UTF-8, nested too deeply, or plainly of another kind;
+        names the file. OSError : it cannot be read.
     """
     try:
         content = read_document(path, f"a {wanted} file")

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from .errors import UserError, reason
+from .errors import UserError
 
 LARGEST_DOCUMENT = 256 << 20  #: bytes; a case takes 0.7 kB a bus (wecc-240), so this is some 380 000 buses
 LARGEST = 1e30  #: size of a number; a limit that is absent counts as this
@@ -34,7 +34,8 @@ def read_document(path: Path, wanted: str) -> bytes:
 
     Raises
     ------
-    DocumentError : names the file: it is not there, a folder, no regular file, too large, or cannot be read.
+    DocumentError : names the file: it is not there, a folder, no regular file, or too large.
+    OSError : it cannot be read.
 
     >>> read_document(Path("/dev/zero"), "a scenario file")
     Traceback (most recent call last):
@@ -46,8 +47,6 @@ def read_document(path: Path, wanted: str) -> bytes:
             content = file.read(LARGEST_DOCUMENT + 1)
     except FileNotFoundError:
         raise DocumentError(f"{path}: no such file, wanted: {wanted}") from None
-    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
-        raise DocumentError(f"{path}: cannot be read: {reason(error)}") from None
     if len(content) > LARGEST_DOCUMENT:
         raise DocumentError(f"{path}: more than {LARGEST_DOCUMENT >> 20} MiB, allowed: less for {wanted}")
     return content

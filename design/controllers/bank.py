@@ -253,7 +253,7 @@ def load_controller(path: str | Path) -> Controller | ControllerBank:
     """
     try:
         data = parse_json(read_document(Path(path), "the JSON file of a controller"))
-    except DocumentError:
+    except (OSError, DocumentError):
         return Controller.load(path)  # which says what is wrong with the file
     if not isinstance(data, dict) or data.get("kind") != "bank":
         return Controller.load(path)

@@ -169,7 +169,7 @@ def _text(name_or_path: str | Path, beside: Path | None) -> tuple[str, str, Path
             return read_document(path, "a case file").decode("utf-8"), str(path), path.parent
         except DocumentError as error:
             raise CaseError(str(error)) from None
-        except UnicodeDecodeError as error:
+        except (OSError, UnicodeDecodeError) as error:
             raise CaseError(f"{path}: the case file cannot be read: {reason(error)}") from None
     known = case_names()
     if name not in known:
