@@ -52,8 +52,8 @@ class LoopEnd:
         Where that root decays by less than `SLOW`: at least `LONG_S`, until what is left since `since_s` is a
         fifth, at most `LONGEST_S`.
 
-        >>> LoopEnd(True, -0.1 + 0j).run_s(10.0, 1.5), LoopEnd(True, -0.02 + 0.6j).run_s(10.0, 1.5)
-        (10.0, 81.97189562170501)
+        >>> LoopEnd(True, -0.1 + 0j).run_s(10.0, 1.5), round(LoopEnd(True, -0.02 + 0.6j).run_s(10.0, 1.5), 3)
+        (10.0, 81.972)
         >>> LoopEnd(False, 0.03 + 0.6j).run_s(10.0, 1.5)
         60.0
         """
