@@ -235,10 +235,8 @@ def _table(
         words = rule.get("description") or comments.get(f"{name}.{key}", "")
         if not words and "const" in rule:
             words = "says which of them it is"
-        provided = [
-            f"`{json.dumps(value)}`"
-            for value in rule.get("examples", [rule[k] for k in ("const",) if k in rule])
-        ]
+        own_examples = rule.get("examples") or ([rule["const"]] if "const" in rule else [])
+        provided = [f"`{json.dumps(value)}`" for value in own_examples]
         example = examples.get(name, {}).get(key) or next(iter(provided), "")
         cells = (f"`{key}`", _holds(rule), unit, default, example, " ".join(str(words).split()))
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -146,19 +146,19 @@ def certify(
     True
     """
     table = _table(spec or "robust", case)
-    loaded = table.grid
-    result = controller_like(controller, loaded)
-    if isinstance(result, ControllerBank):
-        plant = remove_reference(linear_plant(loaded, default_cache()))
-        proof = certify_bank(speeds_in_rad(plant, loaded.omega_b), result)
-        return Certificate(result.name, loaded.name, proof)
-    own = specification_of(result) if spec is None else None
+    grid = table.grid
+    judged = controller_like(controller, grid)
+    if isinstance(judged, ControllerBank):
+        plant = remove_reference(linear_plant(grid, default_cache()))
+        proof = certify_bank(speeds_in_rad(plant, grid.omega_b), judged)
+        return Certificate(judged.name, grid.name, proof)
+    own = specification_of(judged) if spec is None else None
     if own is not None:
         table = own if case is None else own.on(case)
     with notebook_bars(steps_of(table, acceptance=False)) as report:
-        rows = certify_family(table, result, default_cache(), progress=progress or report or silent)
-        rows = certified_worth(table, result, rows, default_cache())
-    return Certificate(result.name, table.case, rows, {c.name: c.in_words for c in table.family()})
+        certificate = certify_family(table, judged, default_cache(), progress=progress or report or silent)
+        certificate = certified_worth(table, judged, certificate, default_cache())
+    return Certificate(judged.name, table.case, certificate, {c.name: c.in_words for c in table.family()})
 
 
 def _table(spec: str | Path | Mapping[str, Any], case: Case | str | Path | None) -> DesignTable:

@@ -199,5 +199,7 @@ def after_fault(
     first = data[f"plant.{swing.ahead}_dw"]
     apart = (first - data[f"plant.{swing.behind}_dw"] if swing.behind else first).abs()
     settled = float(data["time_s"][apart > 0.02 * apart.max()].max()) - fault.start_s
-    retained = bool(spread < np.pi)
-    return FaultRow(point, tuple(lost), retained, spread, settled, retained and settled <= fault.settle_s)
+    synchronous = bool(spread < np.pi)
+    return FaultRow(
+        point, tuple(lost), synchronous, spread, settled, synchronous and settled <= fault.settle_s
+    )

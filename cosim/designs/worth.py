@@ -65,9 +65,9 @@ def rival_table(table: DesignTable) -> DesignTable:
     seen = {s for selected in own.values() for s in selected}
     if table.guard is not None and set(table.guard.watched.values()) <= seen:
         keys["guard"] = table.guard
-    model_validate = DesignTable.model_validate(keys)
-    model_validate._grid = table._grid
-    return model_validate
+    rival = DesignTable.model_validate(keys)
+    rival._grid = table._grid
+    return rival
 
 
 def _own_of(table: DesignTable) -> dict[str, tuple[str, ...]]:
@@ -107,14 +107,14 @@ def design_rival(
 
 def rival_on_record(controller: Controller) -> Controller | None:
     """Return the rival in a controller's record. Raises ControllerError where it is there and is none."""
-    retained = controller.design.get(RECORD)
-    return None if retained is None else Controller.from_dict(retained)
+    record = controller.design.get(RECORD)
+    return None if record is None else Controller.from_dict(record)
 
 
 def with_rival(controller: Controller, rival: Controller) -> Controller:
     """Return `controller` with its rival in its record, the rival's own certificate left out."""
-    retained = {**replace(rival, certificate=None).as_dict(), "design": {}}
-    return replace(controller, design={**controller.design, RECORD: plain(retained)})
+    record = {**replace(rival, certificate=None).as_dict(), "design": {}}
+    return replace(controller, design={**controller.design, RECORD: plain(record)})
 
 
 def worth(
@@ -131,14 +131,14 @@ def worth(
     rival : default that of its record. clearing : clearing times of the design's acceptance too (minutes).
     """
     rival = rival if rival is not None else rival_on_record(controller)
-    result = family_plants(table, cache)
+    plants = family_plants(table, cache)
     K = controller.system
     linear = signal_worth(
-        {name: each.judged for name, each in result.items()},
+        {name: plant.judged for name, plant in plants.items()},
         K,
         table.family(),
         None if rival is None else rival.system,
-        bands_hz={name: inter_area_band(each.modes) for name, each in result.items()},
+        bands_hz={name: inter_area_band(plant.modes) for name, plant in plants.items()},
         remark=_remark(table) if rival is None else "",
     )
     progress(0.3)
@@ -211,8 +211,8 @@ def certified_worth(
 def with_worth(table: DesignTable, controller: Controller, cache: Path) -> Controller:
     """Return a controller with the worth of its signals in its certificate."""
     measured = worth(table, controller, cache)
-    retained = {**(controller.certificate or {}), "worth": plain(measured.as_dict())}
-    return replace(controller, certificate=retained)
+    record = {**(controller.certificate or {}), "worth": plain(measured.as_dict())}
+    return replace(controller, certificate=record)
 
 
 def _common_rises(
@@ -252,11 +252,12 @@ def _clearing(table: DesignTable, controller: Controller, cache: Path) -> float 
     changes: list[float] = []
     for point, case in family_cases(table).items():
         pairs = [
-            (alone, selected[0]) for alone, selected in settings_of(requested, point, None, controller.inputs)
+            (alone, controlled[0])
+            for alone, controlled in settings_of(requested, point, None, controller.inputs)
         ]
         with Trial(case, controller, requested, cache) as trial:
-            clearing_cycles = trial.clearing_cycles([t for a, k in pairs for t in ((a, False), (k, True))])
-        both = [(clearing_cycles[alone, False], clearing_cycles[retained, True]) for alone, retained in pairs]
+            cycles = trial.clearing_cycles([t for a, k in pairs for t in ((a, False), (k, True))])
+        both = [(cycles[alone, False], cycles[controlled, True]) for alone, controlled in pairs]
         changes += [b - a for a, b in both if a is not None and b is not None]
     return float(np.mean(changes)) if changes else None
 
@@ -271,7 +272,7 @@ def table_rows(result: Mapping[str, Any]) -> Sequence[tuple[str, ...]]:
         return "-" if value is None or not np.isfinite(value) else format(value, digits)
 
     rival = result["rival"]
-    selected = [result["open_loop"], result["whole"], *result["masked"], *([] if rival is None else [rival])]
+    rows = [result["open_loop"], result["whole"], *result["masked"], *([] if rival is None else [rival])]
     return [
         (
             row["name"],
@@ -282,5 +283,5 @@ def table_rows(result: Mapping[str, Any]) -> Sequence[tuple[str, ...]]:
             number(row["common_rise"], ".3f"),
             number(row["clearing_cycles"], "+.1f"),
         )
-        for row in selected
+        for row in rows
     ]

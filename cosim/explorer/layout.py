@@ -28,8 +28,8 @@ def bus_positions(case: Case) -> dict[int, tuple[float, float]]:
         weight[i, j] = weight[j, i] = 0.8 if branch.kind == "transformer" else 1.0
     distance = shortest_path(np.where(np.isfinite(weight), weight, 0.0), directed=False)
     reach = distance[np.isfinite(distance)].max()
-    requested = np.where(np.isfinite(distance), distance, reach + 1.0)
-    places = _majorized(_scaled(requested), requested)
+    distances = np.where(np.isfinite(distance), distance, reach + 1.0)
+    places = _majorized(_scaled(distances), distances)
     return {
         number: (float(x), float(y)) for number, (x, y) in zip(numbers, _turned(case, places), strict=True)
     }

@@ -140,12 +140,12 @@ class System:
         if not self.plants:
             raise ScenarioError(f"{name}: add the plant first; its case gives the controller its base speed")
         case = next(reversed(self.plants.values()))
-        rows = controller_of(controller, case, self.fmus.cache)
-        if rows is None:
+        loaded = controller_of(controller, case, self.fmus.cache)
+        if loaded is None:
             return self
-        file = self.fmus.controller(rows, case.omega_b)
-        self.bank = rows if isinstance(rows, ControllerBank) else None
-        return self.put(Instance(name, file, block=lambda: rows.block(case.omega_b)))
+        file = self.fmus.controller(loaded, case.omega_b)
+        self.bank = loaded if isinstance(loaded, ControllerBank) else None
+        return self.put(Instance(name, file, block=lambda: loaded.block(case.omega_b)))
 
     def fmu(
         self,
@@ -279,16 +279,16 @@ class System:
                 raise ScenarioError("event: there is no plant yet for it to happen to; add the plant first")
             raise ScenarioError(f"event: plant = {plant!r}; {nearest(str(plant), self.plants)}")
         try:
-            rows = event_of({"kind": kind, **fields}, where="event") if isinstance(kind, str) else kind
+            event = event_of({"kind": kind, **fields}, where="event") if isinstance(kind, str) else kind
         except CaseError as error:
             raise ScenarioError(str(error)) from None
         where = f"event {1 + sum(len(events) for events in self.events.values())}"
-        provided, rows = rows, event_on_ticks(rows, where)
-        self.rounded += roundings(provided, rows, where)
-        events = [*self.events.get(plant, []), rows]
+        untimed, event = event, event_on_ticks(event, where)
+        self.rounded += roundings(untimed, event, where)
+        events = [*self.events.get(plant, []), event]
         event_parameters(self.plants[plant], events)  # refuses an unknown target here
         self.events[plant] = events
-        self.marks += [t for t in (rows.start_s, getattr(rows, "end_s", None)) if t is not None]
+        self.marks += [t for t in (event.start_s, getattr(event, "end_s", None)) if t is not None]
         return self
 
     def mark(self, *times_s: float) -> System:

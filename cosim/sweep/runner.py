@@ -337,7 +337,7 @@ class Runner:
             instances["controller"] = replace(instances["controller"], start=own)
             system.parts["controller"] = instances["controller"]  # of which its linear loop is made
         structure = (change, slots, scenario.controller, tuple(instances))
-        retained = self._instances(structure, instances, busy, system.plants["plant"])
+        live = self._instances(structure, instances, busy, system.plants["plant"])
         key = (
             scenario.stop_s,
             scenario.step_s,
@@ -346,10 +346,10 @@ class Runner:
             scenario.master,
             tuple(system.connections),
         )
-        if retained.key != key:
-            retained.master, retained.key = system.master(retained.participants.values()), key
-        retained.system = system
-        return retained, instances
+        if live.key != key:
+            live.master, live.key = system.master(live.participants.values()), key
+        live.system = system
+        return live, instances
 
     def _library_of(self, case: Case) -> GroupLibrary | None:
         own = case.own_devices and self.library is not None

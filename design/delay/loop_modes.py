@@ -73,9 +73,9 @@ class SignalWay:
             return path
         shift = np.exp(-s * self.interval_s)
         path = path * (1.0 - shift) / (s * self.interval_s)
-        retained = 1.0 - self.loss
+        arriving = 1.0 - self.loss
         return np.asarray(
-            path * retained / (1.0 - self.loss * shift) if self.on_loss == "hold" else path * retained
+            path * arriving / (1.0 - self.loss * shift) if self.on_loss == "hold" else path * arriving
         )
 
     def slope(self, s: ComplexArray) -> ComplexArray:

@@ -121,18 +121,18 @@ def planned(spec: RobustSpec, conditions: float, points: int) -> dict[str, float
     >>> planned(spec, 1.0, 2)
     {'start 1 of 1': 1200.0, 'polish 3 of 3': 1800.0}
     """
-    provided = int(spec.start is not None)
+    starts_given = int(spec.start is not None)
     models = conditions * points
     each = ROUND * max(spec.evaluations // ROUND, 1)
     parts: dict[str, float] = {}
     if spec.stages:
         for k, stage in enumerate(spec.stages, start=1):
             share = len(stage.points or range(points)) * (len(stage.conditions) or conditions)
-            for what in stage_parts(k, len(spec.stages), spec.starts + provided):
+            for what in stage_parts(k, len(spec.stages), spec.starts + starts_given):
                 parts[what] = share * len(stage.rho) * TURNS * (stage.steps * STEP + BETWEEN)
     else:
         tried = conditions * (min(spec.starts_on, points) or points)
-        count = spec.starts + provided
+        count = spec.starts + starts_given
         parts |= {f"start {k} of {count}": tried * each for k in range(1, count + 1)}
         parts |= {
             f"polish {k + 3} of {spec.polishes}": models * 3 * ROUND for k in range(0, spec.polishes, 3)

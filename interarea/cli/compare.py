@@ -102,12 +102,12 @@ def _worth(scenario: Scenario, controllers: list[str]) -> dict[str, str]:
 
     case = scenario.load_case()
     late = {c.signal: c.latency_s for c in scenario.channels.values()}
-    message = {}
+    sentences = {}
     for name in controllers:
-        worth = None if name == "none" else load_controller(name, case=case)
-        if isinstance(worth, Controller):
-            message[worth.name] = worth_at(case, worth, default_cache(), latency_s_of=late).sentence
-    return message
+        loaded = None if name == "none" else load_controller(name, case=case)
+        if isinstance(loaded, Controller):
+            sentences[loaded.name] = worth_at(case, loaded, default_cache(), latency_s_of=late).sentence
+    return sentences
 
 
 def _cell(value: Any) -> str:

@@ -76,29 +76,29 @@ def design(
     rival_step = ("own-signal rival",) if worth and has_rival(table) else ()
     with stage_progress((*DESIGN_STEPS, *rival_step, "alternatives")) as report:
         done = run_design(table, cache, progress=report)
-        result = done.controller
+        designed = done.controller
         if rival_step:
             rival = design_rival(table, cache, progress=lambda _, share, __: report(rival_step[0], share))
-            result = with_rival(result, rival)
+            designed = with_rival(designed, rival)
             report(rival_step[0], 1.0)
-        result = with_worth(table, result, cache)
+        designed = with_worth(table, designed, cache)
         out.parent.mkdir(parents=True, exist_ok=True)
-        result.save(out)
-        certificate = _certificate_of(result)
+        designed.save(out)
+        certificate = _certificate_of(designed)
         report("alternatives", 0.0)
-        alternatives = compare(table, {result.name: result.system, **done.tried, **others}, cache)
+        alternatives = compare(table, {designed.name: designed.system, **done.tried, **others}, cache)
         drawn = save_comparison(table, alternatives, cache, plots) if plots is not None else ()
         report("alternatives", 1.0)
     if json_:
         document = {
-            "controller": result.name,
-            "certificate": result.certificate,
+            "controller": designed.name,
+            "certificate": designed.certificate,
             "alternatives": [dict(zip(HEADER, a.cells(), strict=True)) for a in alternatives],
             "files": [str(path) for path in (out, *drawn)],
         }
         typer.echo(json.dumps(document, indent=2, allow_nan=False))
     else:
-        _show(result.name, certificate, table)
+        _show(designed.name, certificate, table)
         print_table("alternatives over the family", HEADER, [a.cells() for a in alternatives])
         for path in (out, *drawn):
             typer.echo(path)
@@ -128,10 +128,10 @@ def _system(name: str, case: Case) -> control.StateSpace:
     from interarea.design.controllers.bank import ControllerBank
     from interarea.models.errors import UserError
 
-    system = _named(name, case)
-    if isinstance(system, ControllerBank):
+    loaded = _named(name, case)
+    if isinstance(loaded, ControllerBank):
         raise UserError(f"--against {name}: is a bank, allowed: one controller")
-    return system.system
+    return loaded.system
 
 
 def certify(
@@ -191,37 +191,37 @@ def certify(
     if case is not None:
         table = table.on(case)
     grid = table.grid
-    result = _named(controller, grid)
-    if isinstance(result, ControllerBank):
-        _certify_bank(result, table, json_, out, acceptance=acceptance)
+    loaded = _named(controller, grid)
+    if isinstance(loaded, ControllerBank):
+        _certify_bank(loaded, table, json_, out, acceptance=acceptance)
         return
     if spec is None:
-        table = _own_family(result, controller, case) or table
+        table = _own_family(loaded, controller, case) or table
     steps = steps_of(table, acceptance=acceptance)
     with stage_progress([*(["own-signal rival"] if worth else []), *steps, "worth of the signals"]) as report:
         if worth:
-            result = with_rival(result, _rival(table, result, report))
-        rows = recompute(table, result, default_cache(), acceptance=acceptance, progress=report)
-        rows = certified_worth(
+            loaded = with_rival(loaded, _rival(table, loaded, report))
+        certificate = recompute(table, loaded, default_cache(), acceptance=acceptance, progress=report)
+        certificate = certified_worth(
             table,
-            result,
-            rows,
+            loaded,
+            certificate,
             default_cache(),
             progress=lambda share: report("worth of the signals", share),
         )
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
-        judged_by(table, result, rows).save(out)
+        judged_by(table, loaded, certificate).save(out)
     if json_:
-        typer.echo(json.dumps(rows.as_dict(), indent=2, allow_nan=False))
+        typer.echo(json.dumps(certificate.as_dict(), indent=2, allow_nan=False))
     else:
-        _show(result.name, rows, table)
+        _show(loaded.name, certificate, table)
         if not acceptance:
             from interarea.cosim.designs.certificate_words import first_failures, kept_certificate
 
-            known = kept_certificate(controller, table.grid.hash) or result.certificate
+            known = kept_certificate(controller, table.grid.hash) or loaded.certificate
             typer.echo(f"on record: {first_failures(known)}")
-    if not rows.passed:
+    if not certificate.passed:
         raise typer.Exit(1)
 
 
