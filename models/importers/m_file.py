@@ -64,6 +64,8 @@ _IDLE = re.compile(
 )
 
 
+_MARKED = re.compile(r"[%#'\"]|\.\.\.")  # a comment, a quote or the end of a line that goes on
+_SIGN = re.compile(r"([\[\]{}();,])")
 _DEPTH = {"[": 1, "{": 1, "(": 1, "]": -1, "}": -1, ")": -1}
 
 
@@ -140,25 +142,28 @@ def _refused(where: str, text: str) -> CaseError:
 def _statements(path: Path, lines: list[str]) -> list[_Statement]:
     """Cut a file at the ends of lines and semicolons outside brackets; `...` goes on in the next line."""
     statements: list[_Statement] = []
-    text, first, depth = "", 0, 0
+    pieces: list[str] = []  # of the statement, which may be a table of 100 MB: never joined before its end
+    begun, first, depth = False, 0, 0
     for number, raw in _outside_block_comments(lines):
         line, goes_on = _code(raw, f"{path}:{number}")
         for part, sign in _parts(line):
-            first = first if text.strip() else number
-            text += part
+            first = first if begun else number
+            pieces.append(part)
             depth += _DEPTH.get(sign, 0)
             if depth < 0:
                 raise CaseError(f"{path}:{number}: a {sign} closes nothing, allowed: one for each opened")
             if sign in (";", ",") and depth == 0:
-                statements.append(_Statement(first, text))
-                text = ""
+                statements.append(_Statement(first, "".join(pieces)))
+                pieces, begun = [], False
             else:
-                text += sign
+                pieces.append(sign)
+                begun = begun or bool(sign or part.strip())
         if depth:
-            text += "\n"
+            pieces.append("\n")
         elif not goes_on:
-            statements.append(_Statement(first, text))
-            text = ""
+            statements.append(_Statement(first, "".join(pieces)))
+            pieces, begun = [], False
+    text = "".join(pieces)
     if depth or text.strip():
         what = (re.match(r"[\w.]+", text.strip()) or ["a statement"])[0]
         raise CaseError(
@@ -179,6 +184,8 @@ def _outside_block_comments(lines: list[str]) -> Iterator[tuple[int, str]]:
 
 def _code(raw: str, where: str) -> tuple[str, bool]:
     """A line without its comment, and whether it goes on in the next one; text in quotes is left empty."""
+    if not _MARKED.search(raw):
+        return raw, False
     code, k = "", 0
     while k < len(raw):
         c = raw[k]
@@ -199,6 +206,9 @@ def _code(raw: str, where: str) -> tuple[str, bool]:
 
 def _parts(line: str) -> list[tuple[str, str]]:
     """The text before each bracket, comma and semicolon outside quotes, with that sign; the last with ""."""
+    if "'" not in line:
+        pieces = [*_SIGN.split(line), ""]
+        return list(zip(pieces[::2], pieces[1::2], strict=True))
     parts, text, quoted = [], "", False
     for c in line:
         quoted ^= c == "'"
