@@ -70,6 +70,12 @@ range = { start = 0.01, stop = 0.05, count = 2000 }
 """
 
 
+def _heed_signals() -> None:
+    """Let the command heed what this process may have been started to ignore, as `nohup` has it."""
+    for number in ("SIGINT", "SIGTERM", "SIGHUP"):
+        signal.signal(getattr(signal, number), signal.SIG_DFL)
+
+
 def prepare(files: Path) -> None:
     """Write what the commands read, and fill the default cache."""
     fmu = whims_fmu(files)
@@ -97,7 +103,12 @@ def stopped(name: str, number: str, files: Path, wait_s: float) -> list[str]:
         said = Path(folder) / "said"
         with said.open("wb") as errors:
             main = subprocess.Popen(
-                _command(words), stdout=errors, stderr=errors, env=surroundings, start_new_session=True
+                _command(words),
+                stdout=errors,
+                stderr=errors,
+                env=surroundings,
+                start_new_session=True,
+                preexec_fn=_heed_signals,
             )
             with suppress(subprocess.TimeoutExpired):
                 main.wait(wait_s)
