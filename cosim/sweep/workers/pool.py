@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import multiprocessing
 import os
 import shutil
 import signal
 import sys
+import tempfile
 import threading
 import time
 from collections import Counter, deque
@@ -18,6 +20,8 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+
+from interarea.models.files import new_folder
 
 from ...errors import SweepError
 from ..plan import SweepPlan
@@ -224,9 +228,29 @@ def _context() -> Any:
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["interarea.cosim.sweep.workers.worker", "interarea.cosim.sweep.runner"])
-    with _deaf_to_interrupts():  # inherited: Ctrl-C while the server loads must not print its traceback
+    # inherited: Ctrl-C while the server loads must not print its traceback
+    with _deaf_to_interrupts(), _temporary_files_in(_sockets()):
         forkserver.ensure_running()
     return context
+
+
+@functools.cache
+def _sockets() -> Path:
+    """Folder for the server's socket; ours go even if this process is killed, multiprocessing's do not.
+
+    The name of a socket has at most 107 bytes, of which multiprocessing adds 32.
+    """
+    own = new_folder()
+    return own if len(os.fsencode(own)) <= 107 - 32 else Path(tempfile.gettempdir())
+
+
+@contextmanager
+def _temporary_files_in(folder: Path) -> Iterator[None]:
+    before, tempfile.tempdir = tempfile.tempdir, str(folder)
+    try:
+        yield
+    finally:
+        tempfile.tempdir = before
 
 
 @contextmanager
