@@ -157,7 +157,7 @@ def _statements(path: Path, lines: list[str]) -> list[_Statement]:
                 pieces, begun = [], False
             else:
                 pieces.append(sign)
-                begun = begun or bool(sign or part.strip())
+                begun |= (part + sign).strip() != ""
         if depth:
             pieces.append("\n")
         elif not goes_on:
