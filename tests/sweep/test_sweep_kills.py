@@ -5,8 +5,11 @@ from __future__ import annotations
 import errno
 import multiprocessing
 import os
+import pickle
 import random
 import signal
+import subprocess
+import sys
 from collections import Counter
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -196,3 +199,20 @@ def test_a_full_disk_is_an_error_and_what_was_written_stays_valid(
         assert store.append(_outcomes(plan, 2)) == 1
     assert list(read_rows(tmp_path / "s").run) == [0, 1, 2]
     assert not list((tmp_path / "s" / "runs").glob(".*"))
+
+
+@needs_proc
+@pytest.mark.parametrize("message", [b"", pickle.dumps(list(range(1000)))[:50]], ids=["none", "half"])
+def test_a_worker_whose_main_process_is_killed_at_its_start_ends_without_a_traceback(message: bytes) -> None:
+    program = (
+        "import os, signal\n"
+        "from multiprocessing import forkserver\n"
+        "from interarea.cosim.sweep.workers import pool\n"
+        "pool._context()\n"
+        "_, write = forkserver.connect_to_new_process([])\n"
+        f"os.write(write, {message!r})\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    # the end of its error stream comes when the last process has ended
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (ended.returncode, ended.stderr) == (-signal.SIGKILL, "")

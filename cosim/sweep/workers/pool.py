@@ -227,7 +227,9 @@ def _context() -> Any:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["interarea.cosim.sweep.workers.worker", "interarea.cosim.sweep.runner"])
+    ours = "interarea.cosim.sweep"
+    loaded = ("workers.fork_server", "workers.worker", "runner")
+    context.set_forkserver_preload([f"{ours}.{name}" for name in loaded])
     # inherited: Ctrl-C while the server loads must not print its traceback
     with _deaf_to_interrupts(), _temporary_files_in(_sockets()):
         forkserver.ensure_running()
