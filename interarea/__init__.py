@@ -21,6 +21,7 @@ if all(os.path.isfile(os.path.join(_ROOT, *f)) for f in (("pyproject.toml",), ("
 
 if TYPE_CHECKING:  # what the table below says, for type checkers and editors
     from interarea.cosim.errors import StepError as StepError
+    from interarea.cosim.records.read import read_record as read_record
     from interarea.cosim.run.system import System as System
     from interarea.design.controllers.controller import Controller as Controller
     from interarea.design.errors import InfeasibleDesign as InfeasibleDesign
@@ -53,6 +54,7 @@ _PUBLIC = {
     "exchange": "build_fmu write_ssp write_container check",
     "design.controllers.controller": "Controller",
     "cosim.run.system": "System",
+    "cosim.records.read": "read_record",
     "models.errors": "InterareaError UserError",
     "design.errors": "InfeasibleDesign UncertifiedDesign",
     "cosim.errors": "StepError",

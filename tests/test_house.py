@@ -31,7 +31,7 @@ ORDER = {
         *("synthesis", "certificates", "robust"),
     ],
     "cosim": [
-        *("plots", "master", "scenario", "results", "run", "export", "designs", "explorer"),
+        *("plots", "master", "scenario", "results", "run", "export", "designs", "records", "explorer"),
         *("sweep", "maps", "screen", "study"),
     ],
     "interarea": ["cli"],

@@ -43,6 +43,9 @@ FUNCTIONS = {
     "scheduler: str | None = None, large: bool = False, "
     "progress: Callable[[Progress], object] | None = None -> SweepResults",
     "read_sweep": "folder: str | Path -> SweepResults",
+    "read_record": "source: str | Path | pd.DataFrame, *, units: Mapping[str, str] | None = None, "
+    "rate_hz: float | None = None, window_s: tuple[float, float] | None = None, fill_s: float = 0.5, "
+    "frequency_hz: float = 60.0 -> Record",
     "build_fmu": "thing: Case | Controller | ControllerBank | SystemLike | str, path: str | Path, *, "
     "case: Case | str | Path = 'two-area-thesis', platforms: Sequence[str] | None = None -> Path",
     "write_ssp": "scenario: str | Path | Mapping[str, Any], path: str | Path, *, "

@@ -1,0 +1,1 @@
+"""Records of measurements: read, metered, located, played in."""

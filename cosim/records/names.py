@@ -1,0 +1,167 @@
+"""What a channel is, told by its name and unit as the files of different makers have them."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from .record import Channel
+
+_RAD = math.pi / 180.0
+#: unit as files write it, in small letters -> quantity it is the unit of ("" several), unit here, factor
+_UNITS: dict[str, tuple[str, str, float]] = {
+    "hz": ("frequency", "Hz", 1.0),
+    "mhz": ("frequency", "Hz", 1e-3),
+    "kv": ("voltage", "kV", 1.0),
+    "v": ("voltage", "kV", 1e-3),
+    "a": ("current", "A", 1.0),
+    "amp": ("current", "A", 1.0),
+    "amps": ("current", "A", 1.0),
+    "ka": ("current", "A", 1e3),
+    "mw": ("active power", "MW", 1.0),
+    "kw": ("active power", "MW", 1e-3),
+    "w": ("active power", "MW", 1e-6),
+    "mvar": ("reactive power", "Mvar", 1.0),
+    "kvar": ("reactive power", "Mvar", 1e-3),
+    "var": ("reactive power", "Mvar", 1e-6),
+    "deg": ("voltage angle", "rad", _RAD),
+    "degree": ("voltage angle", "rad", _RAD),
+    "degrees": ("voltage angle", "rad", _RAD),
+    "°": ("voltage angle", "rad", _RAD),
+    "rad": ("voltage angle", "rad", 1.0),
+    "pu": ("", "pu", 1.0),
+    "p.u.": ("", "pu", 1.0),
+    "1": ("", "1", 1.0),
+    "": ("", "", 1.0),
+}
+#: kind of measurement in the second row of the IEEE form -> quantity
+_IEEE = {
+    "F": "frequency",
+    "VM": "voltage",
+    "VA": "voltage angle",
+    "IM": "current",
+    "IA": "current angle",
+    "P": "active power",
+    "Q": "reactive power",
+    "STAT": "status",
+}
+#: our own outputs: pattern of the name -> quantity
+_OWN = (
+    (r"(?P<at>.+)_dw", "speed"),
+    (r"(?P<at>.+)_delta", "rotor angle"),
+    (r"(?P<at>.+)_pe", "active power"),
+    (r"(?P<at>.+)_vt", "voltage"),
+    (r"(?P<at>tie)_p", "active power"),
+    (r"(?P<at>bus\d+)\.v", "voltage"),
+    (r"(?P<at>bus\d+)\.angle", "voltage angle"),
+    (r"(?P<at>branch\[.+\])\.p", "active power"),
+    (r"(?P<at>branch\[.+\])\.q", "reactive power"),
+    (r"(?P<at>branch\[.+\])\.i", "current"),
+)
+#: PSS/E: first word of a channel -> quantity, unit here, factor; powers of machines are pu of SBASE
+_PSSE = {
+    "ANGL": ("rotor angle", "rad", _RAD),
+    "POWR": ("active power", "pu", 1.0),
+    "VARS": ("reactive power", "pu", 1.0),
+    "VOLT": ("voltage", "pu", 1.0),
+    "ETRM": ("voltage", "pu", 1.0),
+    "VANG": ("voltage angle", "rad", _RAD),
+    "FREQ": ("frequency", "pu", 1.0),
+    "SPD": ("speed", "pu", 1.0),
+}
+_PSSE_NAME = re.compile(
+    r"\s*(?P<kind>[A-Z]+)\s*(?P<bus>\d+)\s*(?:\[[^\]]*\])?\s*"
+    r"(?:TO\s+(?P<to>\d+)\s+CKT\s+'?(?P<circuit>[^' ]+)\s*'?|(?P<id>\S+))?\s*$"
+)
+#: words of a name -> quantity, for tables of other makes; the first that fits
+_WORDS = (
+    (r"\b(va|v_?ang\w*|volt\w*[ _]?ang\w*|theta)\b", "voltage angle"),
+    (r"\b(ia|i_?ang\w*|curr\w*[ _]?ang\w*)\b", "current angle"),
+    (r"\b(vm|v_?mag\w*|volt\w*|vt|v)\b", "voltage"),
+    (r"\b(im|i_?mag\w*|curr\w*|i)\b", "current"),
+    (r"\b(f|freq\w*)\b", "frequency"),
+    (r"\b(dw|speed|omega)\b", "speed"),
+    (r"\b(delta)\b", "rotor angle"),
+    (r"\b(p|pe|mw|active\w*)\b", "active power"),
+    (r"\b(q|mvar|reactive\w*)\b", "reactive power"),
+    (r"\b(stat\w*)\b", "status"),
+)
+
+
+@dataclass(frozen=True)
+class Raw:
+    """A channel as a file has it: value here = `factor` x number there + `offset`."""
+
+    channel: Channel
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+def known_unit(unit: str) -> bool:
+    """Whether a unit is one that is known here."""
+    return unit.strip().casefold() in _UNITS
+
+
+def known_units() -> str:
+    """Return the known units as a message lists them."""
+    return ", ".join(sorted(u for u in _UNITS if u not in ("", "1", "°")))
+
+
+def ieee_channel(terminal: str, kind: str, unit: str) -> Raw:
+    """Return the channel of a column of the IEEE form."""
+    quantity = _IEEE.get(kind.strip().upper(), "other")
+    _, own, factor = _UNITS.get(unit.strip().casefold(), ("", "1", 1.0))
+    return Raw(Channel(f"{terminal} {kind.strip()}", quantity, own or "1", terminal), factor)
+
+
+def own_channel(column: str, unit: str) -> Raw | None:
+    """Return the channel of a column ``INSTANCE.VARIABLE`` of a run; None of another name."""
+    instance, dot, variable = column.partition(".")
+    if not dot:
+        return None
+    for pattern, quantity in _OWN:
+        if found := re.fullmatch(pattern, variable):
+            at = found["at"]
+            return Raw(Channel(column, quantity, unit, at if instance == "plant" else f"{instance}.{at}"))
+    return Raw(Channel(column, "other", unit or "1", ""))
+
+
+def psse_channel(name: str, frequency_hz: float) -> Raw | None:
+    """Return the channel of a PSS/E name such as ``POWR 101[NUC-A 21.6]1``; None of another name."""
+    found = _PSSE_NAME.match(name.strip().strip('"'))
+    if found is None or found["kind"] not in _PSSE:
+        return None
+    quantity, unit, factor = _PSSE[found["kind"]]
+    offset, text = 0.0, " ".join(name.strip().strip('"').split())
+    if quantity == "frequency":  # pu deviation
+        unit, factor, offset = "Hz", frequency_hz, frequency_hz
+    if found["to"]:  # flows are MW and Mvar
+        terminal = f"{found['bus']}-{found['to']} {found['circuit']}"
+        unit = {"active power": "MW", "reactive power": "Mvar"}.get(quantity, unit)
+    elif quantity in ("voltage", "voltage angle", "frequency") and found["kind"] != "ETRM":
+        terminal = f"bus{found['bus']}"
+    else:
+        terminal = f"{found['bus']} {found['id'] or '1'}"
+    return Raw(Channel(text, quantity, unit, terminal), factor, offset)
+
+
+def _without_unit(column: str, unit: str) -> tuple[str, str]:
+    """Return a name without the unit in brackets at its end, and that unit unless one is known."""
+    bracket = re.search(r"[\[(]\s*([^\[\]()]*)\s*[\])]\s*$", column)
+    if bracket and not unit and known_unit(bracket[1]):
+        return column[: bracket.start()].strip(), bracket[1]
+    return column, unit
+
+
+def other_channel(column: str, unit: str = "", quantity: str = "", terminal: str = "") -> Raw:
+    """Return the channel of any column, by its unit and the words of its name, such as ``Bus 7 VM [kV]``."""
+    column, unit = _without_unit(column, unit)
+    by_unit, own, factor = _UNITS.get(unit.strip().casefold(), ("", unit or "1", 1.0))
+    words = re.sub(r"[_.:]+", " ", column).casefold()
+    by_word, place = next(((w, p) for r, w in _WORDS if (p := re.search(r, words))), ("", None))
+    fits = not by_unit or by_word == by_unit or (own == "rad" and by_word.endswith("angle"))
+    quantity = quantity or (by_word if fits and by_word else by_unit) or "other"
+    if not terminal and place is not None and quantity == by_word:
+        terminal = (column[: place.start()] + column[place.end() :]).strip(" _.:-")
+    return Raw(Channel(column, quantity, own or "1", terminal), factor)

@@ -1,0 +1,325 @@
+"""Records as the files of different makers have them; each format is written here and read back."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import interarea as ia
+from interarea.cosim.records.read import read_record
+from interarea.cosim.records.record import RecordError
+
+RATE = 30.0
+TIME = np.arange(300) / RATE
+ANGLE = 170.0 + 40.0 * TIME + np.sin(2 * np.pi * 0.5 * TIME)  # degrees, wraps
+COLUMNS = {
+    "F": ("HZ", 60.0 + 0.1 * np.sin(TIME)),
+    "VM": ("KV", 200.0 + np.sin(TIME)),
+    "VA": ("DEG", (ANGLE + 180.0) % 360.0 - 180.0),
+    "IM": ("AMP", 300.0 + 10 * np.sin(TIME)),
+    "IA": ("DEG", (ANGLE - 20.0 + 180.0) % 360.0 - 180.0),
+}
+
+
+def ieee_csv(path: Path, *, time: np.ndarray = TIME, columns: dict = COLUMNS, places=("Sub:1:Ln:1",)) -> Path:
+    """Write a csv of the IEEE form, with stamps rounded to 1 ms as real ones are."""
+    kinds = list(columns)
+    rows = [
+        ["Time", *(p for p in places for _ in kinds)],
+        ["T", *(k for _ in places for k in kinds)],
+        ["sec", *(columns[k][0] for _ in places for k in kinds)],
+        ["", *(p.rpartition(":")[2] for p in places for _ in kinds)],
+    ]
+    for k, t in enumerate(time):
+        cells = ["" if np.isnan(v := columns[c][1][k]) else f"{v:.6f}" for _ in places for c in kinds]
+        rows.append([f"{t:.3f}", *cells])
+    path.write_text("\n".join(",".join(row) for row in rows) + "\n")
+    return path
+
+
+def test_the_ieee_form_keeps_rate_terminals_units_and_unwraps_angles(tmp_path: Path) -> None:
+    record = read_record(ieee_csv(tmp_path / "pmu.csv", places=("Sub:1:Ln:1", "Sub:2:Ln:7")))
+    assert 1.0 / record.step_s == pytest.approx(RATE, rel=1e-5)  # stamps of 0.033, 0.067 are rounded ones
+    assert list(record.terminals) == ["Sub:1:Ln:1", "Sub:2:Ln:7"]
+    assert set(record.table()["unit"]) == {"Hz", "kV", "rad", "A"}
+    np.testing.assert_allclose(record.of("Sub:2:Ln:7", "voltage angle"), np.deg2rad(ANGLE), atol=1e-7)
+    with pytest.raises(ValueError, match="read-only"):
+        record.values[0, 0] = 1.0
+
+
+def test_missing_frames_and_samples_are_interpolated_and_said(tmp_path: Path) -> None:
+    columns = {k: (u, v.copy()) for k, (u, v) in COLUMNS.items()}
+    columns["VA"][1][50:54] = np.nan
+    keep = np.delete(np.arange(300), [100, 101, 200])
+    columns = {k: (u, v[keep]) for k, (u, v) in columns.items()}
+    record = read_record(ieee_csv(tmp_path / "pmu.csv", time=TIME[keep], columns=columns))
+    assert len(record.time_s) == 300
+    np.testing.assert_allclose(record["Sub:1:Ln:1 VA"], np.deg2rad(ANGLE), atol=2e-3)  # 4 samples of 0.5 Hz
+    assert "3 frames are missing: interpolated" in record.notes
+    assert any("VA: 4 samples are missing: interpolated" in n for n in record.notes)
+
+
+def test_a_long_gap_cuts_the_record_and_a_channel_with_one_is_left_out(tmp_path: Path) -> None:
+    keep = np.delete(np.arange(300), np.arange(40, 80))
+    cut = {k: (u, v[keep]) for k, (u, v) in COLUMNS.items()}
+    record = read_record(ieee_csv(tmp_path / "cut.csv", time=TIME[keep], columns=cut))
+    assert record.length_s == pytest.approx(219 / RATE)
+    assert any("2.67 to 9.967 s is taken" in n or "only 2.66" in n for n in record.notes)
+    holed = {k: (u, v.copy()) for k, (u, v) in COLUMNS.items()}
+    holed["IM"][1][100:140] = np.nan
+    record = read_record(ieee_csv(tmp_path / "holed.csv", columns=holed))
+    assert "Sub:1:Ln:1 IM" not in [c.name for c in record.channels]
+    assert any("IM: a gap of 1.37 s: left out" in n for n in record.notes)
+
+
+def test_what_a_stat_word_calls_wrong_is_left_out(tmp_path: Path) -> None:
+    status = np.zeros(300)
+    status[60:65] = 0x8000
+    spoiled = COLUMNS["VM"][1].copy()
+    spoiled[60:65] = 0.0
+    columns = {**COLUMNS, "VM": ("KV", spoiled), "STAT": ("", status)}
+    record = read_record(ieee_csv(tmp_path / "pmu.csv", columns=columns))
+    np.testing.assert_allclose(record["Sub:1:Ln:1 VM"], COLUMNS["VM"][1], atol=5e-3)
+    assert any("5 samples are flagged as wrong" in n for n in record.notes)
+
+
+def comtrade(folder: Path, kind: str, revision: str = "2013") -> Path:
+    """Write a COMTRADE pair of two analog and 17 status channels, by the words of the standard."""
+    a, b = (0.01, 200.0) if kind in ("ASCII", "BINARY") else (1e-6 if kind == "BINARY32" else 1.0, 0.0)
+    volts, degrees = COLUMNS["VM"][1], COLUMNS["VA"][1]
+    lines = [f"North,PMU 7,{revision}", "19,2A,17D"]
+    lines += [f"1,VM,,L1,kV,{a},{b},0,-99999,99998,1,1,P", f"2,VA,,L1,deg,{a},{b},0,-99999,99998,1,1,P"]
+    lines += [f"{k},D{k},,,0" for k in range(1, 18)]
+    lines += [
+        "60",
+        "1",
+        f"{RATE:g},300",
+        "28/04/2025,12:32:57.000000",
+        "28/04/2025,12:32:58.000000",
+        kind,
+        "1",
+    ]
+    (folder / "r.cfg").write_text("\r\n".join(lines) + "\r\n")
+    packed = b""
+    for k, (v, d) in enumerate(zip(volts, degrees, strict=True)):
+        stamp, flags = round(k * 1e6 / RATE), [int(j == 16 and k > 100) for j in range(17)]
+        raw = [(v - b) / a, (d - b) / a]
+        if kind != "FLOAT32":
+            raw = [round(x) for x in raw]
+        if kind == "ASCII":
+            packed += (",".join(map(str, [k + 1, stamp, *raw, *flags])) + "\r\n").encode()
+            continue
+        letter = {"BINARY": "h", "BINARY32": "i", "FLOAT32": "f"}[kind]
+        words = [sum(bit << j for j, bit in enumerate(flags[:16])), flags[16]]
+        packed += struct.pack(f"<II{letter}{letter}HH", k + 1, stamp, *raw, *words)
+    (folder / "r.dat").write_bytes(packed)
+    return folder / "r.cfg"
+
+
+@pytest.mark.parametrize("kind", ["ASCII", "BINARY32", "FLOAT32"])
+def test_comtrade_of_each_kind_reads_the_same(kind: str, tmp_path: Path) -> None:
+    record = read_record(comtrade(tmp_path, kind))
+    if kind != "ASCII":
+        np.testing.assert_allclose(record["VA"], np.deg2rad(ANGLE), atol=1e-6)
+    np.testing.assert_allclose(record["VM"], COLUMNS["VM"][1], atol=0.0051 if kind == "ASCII" else 2e-5)
+    assert record.start == "28/04/2025 12:32:57.000000"
+    assert list(record.terminals) == ["L1"]
+
+
+def test_sixteen_bits_of_a_binary_file_with_a_missing_sample(tmp_path: Path) -> None:
+    path = comtrade(tmp_path, "ASCII")
+    lines = path.read_text().replace("ASCII", "BINARY").replace(",0.01,200.0,", ",0.005,210.0,")
+    path.write_text(lines)
+    numbers = np.round((COLUMNS["VM"][1] - 210.0) / 0.005).astype("<i2")
+    numbers[77] = -32768
+    rows = (struct.pack("<IIhhHH", k + 1, 0, n, int(k % 7), 0, 0) for k, n in enumerate(numbers))
+    (tmp_path / "r.dat").write_bytes(b"".join(rows))
+    record = read_record(path)
+    np.testing.assert_allclose(record["VM"], COLUMNS["VM"][1], atol=0.0026)
+    assert any("VM: 1 samples are missing" in n for n in record.notes)
+
+
+@pytest.mark.parametrize("kind", ["ASCII", "BINARY32", "FLOAT32"])
+def test_the_comtrade_package_reads_the_same_numbers(kind: str, tmp_path: Path) -> None:
+    other = pytest.importorskip("comtrade")
+    path = comtrade(tmp_path, kind)
+    theirs = other.load(str(path), str(tmp_path / "r.dat"))
+    record = read_record(path)
+    np.testing.assert_allclose(record["VM"], theirs.analog[0], rtol=1e-6)
+    assert record.start[:10] == theirs.start_timestamp.strftime("%d/%m/%Y")
+
+
+def test_a_comtrade_file_of_both_parts(tmp_path: Path) -> None:
+    cfg = comtrade(tmp_path, "FLOAT32")
+    both = b"--- file type: CFG ---\r\n" + cfg.read_bytes()
+    data = (tmp_path / "r.dat").read_bytes()
+    (tmp_path / "r.cff").write_bytes(both + b"--- file type: DAT BINARY: %d ---\r\n" % len(data) + data)
+    np.testing.assert_array_equal(read_record(tmp_path / "r.cff").values, read_record(cfg).values)
+
+
+def test_channels_of_psse(tmp_path: Path) -> None:
+    names = [
+        "Time(s)",
+        "POWR   101[NUC-A       21.600]1",
+        "VOLT   151[NUCPANT    500.00]",
+        "FREQ   151[NUCPANT    500.00]",
+        "POWR 151 TO 152 CKT '1 '",
+        "ANGL   101[NUC-A       21.600]1",
+        "SPD    101[NUC-A       21.600]1",
+    ]
+    frame = pd.DataFrame({"t": TIME, "p": 7.5 + np.sin(TIME), "v": 1.01 + 0.01 * np.sin(TIME)})
+    frame = frame.assign(
+        f=1e-3 * np.sin(TIME), flow=400 + np.sin(TIME), d=30 + np.sin(TIME), w=1e-3 * np.sin(TIME)
+    )
+    path = tmp_path / "channels.csv"
+    rows = frame.to_csv(index=False, header=False, float_format="%.8f")
+    path.write_text(
+        "PSS(R)E SAMPLE CASE\nALL DATA ARE FICTITIOUS\n" + ",".join(f'"{n}"' for n in names) + "\n" + rows
+    )
+    record = read_record(path, frequency_hz=50.0)
+    assert [(c.quantity, c.unit, c.terminal) for c in record.channels] == [
+        ("active power", "pu", "101 1"),
+        ("voltage", "pu", "bus151"),
+        ("frequency", "Hz", "bus151"),
+        ("active power", "MW", "151-152 1"),
+        ("rotor angle", "rad", "101 1"),
+        ("speed", "pu", "101 1"),
+    ]
+    np.testing.assert_allclose(record.of("bus151", "frequency"), 50.0 + 0.05 * np.sin(TIME), atol=1e-6)
+
+
+def test_a_run_is_read_back(tmp_path: Path) -> None:
+    run = ia.simulate("ring-down")
+    run.save(tmp_path)
+    for name in ("trajectory.parquet", "trajectory.csv"):
+        record = ia.read_record(tmp_path / name)
+        assert record.terminals["G2"] == {
+            "speed": "plant.G2_dw",
+            "rotor angle": "plant.G2_delta",
+            "active power": "plant.G2_pe",
+            "voltage": "plant.G2_vt",
+        }
+        np.testing.assert_allclose(record["plant.tie_p"], run["plant.tie_p"], rtol=0, atol=1e-12)
+
+
+def test_a_frame_keeps_what_it_is(tmp_path: Path) -> None:
+    record = read_record(ieee_csv(tmp_path / "pmu.csv"))
+    again = read_record(record.to_frame())
+    np.testing.assert_allclose(again.values, record.values)
+    assert again.channels == record.channels
+    dated = record.to_frame().set_index(
+        pd.Timestamp("2025-04-28 12:32") + pd.to_timedelta(record.time_s, unit="s")
+    )
+    assert read_record(dated).start.startswith("2025-04-28 12:32")
+
+
+def test_resampling_takes_out_what_would_alias(tmp_path: Path) -> None:
+    low, high = np.sin(2 * np.pi * 0.7 * TIME), np.sin(2 * np.pi * 12.3 * TIME)
+    record = read_record(ieee_csv(tmp_path / "a.csv", columns={"F": ("HZ", 60 + low + high)}), rate_hz=10.0)
+    assert 1.0 / record.step_s == pytest.approx(10.0, rel=1e-4)
+    inner = slice(10, -10)
+    expected = 60 + np.sin(2 * np.pi * 0.7 * record.time_s)
+    np.testing.assert_allclose(record.values[inner, 0], expected[inner], atol=0.03)  # of an alias of size 1
+    assert any("resampled from 30" in n for n in record.notes)
+
+
+def _text(content: str):
+    return lambda path: path.with_suffix(".csv").write_text(content)
+
+
+def _with_time(change) -> object:
+    time = TIME.copy()
+    change(time)
+    return lambda path: ieee_csv(path, time=time)
+
+
+WRONG = {
+    "prose": (_text("Dear Sir,\nplease find enclosed\n"), "no row begins with Time"),
+    "toml": (_text('title = "x"\n[[event]]\nkind = "bus_fault"\n'), "no row begins with Time"),
+    "empty": (_text(""), "is empty, wanted: a PMU csv"),
+    "header alone": (_text("Time,F\n"), "no samples follow the header"),
+    "binary": (lambda path: path.write_bytes(bytes(range(256)) * 9), "is binary and of no kind"),
+    "short": (_text("Time,F [Hz]\n0,60\n0.1,60.1\n"), "2 samples, wanted: at least 8"),
+    "millivolts": (
+        lambda path: ieee_csv(path, columns={"VM": ("KV", 1e3 * COLUMNS["VM"][1])}),
+        r"VM is 2\.\d+e\+05 kV, allowed: up to 2000 kV; .*units = \{'VM': 'V'\}",
+    ),
+    "radians": (
+        lambda path: ieee_csv(path, columns={"VA": ("DEG", (2 * TIME + np.pi) % (2 * np.pi) - np.pi)}),
+        r"VA is degrees that jump by 6\.283, allowed: jumps by 360; .*'rad'",
+    ),
+    "degrees": (
+        lambda path: ieee_csv(path, columns={"VA": ("RAD", COLUMNS["VA"][1])}),
+        r"VA is radians that jump by 360, .*'deg'",
+    ),
+    "millihertz": (
+        lambda path: ieee_csv(path, columns={"F": ("HZ", 1e3 * COLUMNS["F"][1])}),
+        "F is 6.003e.04 Hz, allowed: 40 to 70 Hz",
+    ),
+    "back": (
+        _with_time(lambda t: t.__setitem__(slice(100, None), t[100:] - 2.0)),
+        "the time goes back from 3.3",
+    ),
+    "jump": (
+        _with_time(lambda t: t.__iadd__(50.0 * (np.arange(300) // 100))),
+        "time stamps jump, by 50 s at 3.3",
+    ),
+    "uneven": (_with_time(lambda t: t.__ipow__(1.5)), "lie at no even spacing"),
+    "still": (
+        lambda path: ieee_csv(path, columns={"F": ("HZ", np.full(300, 60.0))}),
+        "no channel moves in 9.96",
+    ),
+    "no time": (
+        _text("Time,F\n" + "\n".join(f"{k},60" if k != 9 else "x,60" for k in range(20))),
+        "row 11 has 'x'",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_file_is_refused_in_one_line_that_says_what_would_do(name: str, tmp_path: Path) -> None:
+    write, says = WRONG[name]
+    write(tmp_path / "r.csv")
+    with pytest.raises(RecordError, match=says) as raised:
+        read_record(tmp_path / "r.csv")
+    assert len(raised.value.args) == 1
+    assert "r.csv" in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (lambda c, d: d.unlink(), "its data are missing, wanted: r.dat beside it"),
+        (
+            lambda c, d: d.write_bytes(d.read_bytes()[:-3]),
+            "bytes, allowed: a multiple of the 20 of a FLOAT32",
+        ),
+        (
+            lambda c, d: c.write_text(c.read_text().replace("19,2A,17D", "many")),
+            "line 2 is 'many', wanted: number of",
+        ),
+        (lambda c, d: c.write_text(c.read_text()[:60]), "line|ends at"),
+        (
+            lambda c, d: c.write_text(c.read_text().replace("FLOAT32", "FLOAT99")),
+            "'FLOAT99', wanted: ASCII, BINARY",
+        ),
+    ],
+)
+def test_a_damaged_comtrade_names_the_line(damage, says: str, tmp_path: Path) -> None:
+    path = comtrade(tmp_path, "FLOAT32")
+    damage(path, tmp_path / "r.dat")
+    with pytest.raises(RecordError, match=says):
+        read_record(path)
+
+
+def test_units_named_by_the_caller_are_taken_or_refused(tmp_path: Path) -> None:
+    path = ieee_csv(tmp_path / "r.csv", columns={"VM": ("KV", 1e3 * COLUMNS["VM"][1])})
+    np.testing.assert_allclose(read_record(path, units={"VM": "V"}).values[:, 0], COLUMNS["VM"][1], rtol=1e-6)
+    with pytest.raises(RecordError, match="units names 'VX', which no channel or quantity is; did you mean"):
+        read_record(path, units={"VX": "V"})
+    with pytest.raises(RecordError, match="= 'furlong', allowed: a, amp"):
+        read_record(path, units={"VM": "furlong"})
