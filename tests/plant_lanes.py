@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from interarea.cosim.run.artefacts import plant_fmu
-from interarea.fmu_build.open.fmi2 import CallFailed, Instance, Library
+from interarea.fmu_build.open.fmi2 import CallFailed, Instance, Library, Log
 from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.write.lane_library import GroupLibrary, GroupWork, plant_group
 from interarea.fmu_build.write.package import build_fmu
@@ -140,7 +140,7 @@ class PlantLanes:
         return Runs(step_s * np.arange(steps + 1), y, names, [r.error for r in runs], ended, cpu_s)
 
     def _started(self, row: Mapping[str, float | int]) -> _Run:
-        log: list[str] = []
+        log = Log()
         file = self.file
         library = Library(file.model, file.interface, file.folder, self.group.path, log=log)
         made = _Run(library.fresh(), log=log)

@@ -7,16 +7,17 @@ from ctypes import byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p,
 from typing import Any, NoReturn
 
 from interarea.fmu_build.open.description import ScalarVariable
-from interarea.fmu_build.open.fmi2 import DISCARD, STATUS, Instance, Library
+from interarea.fmu_build.open.fmi2 import DISCARD, STATUS, WARNING, Instance, Library
 from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.open.ports import Description
 from interarea.fmu_build.write.lane_library import GroupLibrary
 
 from ..early_return import EarlyReturn, go_on, reached_s
 from ..errors import GraphError, StepError, nearest
+from .fmu_log import FmuLog
 
 Value = float | int | bool | str
-_LOGGED = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
+_SELDOM = ("logEvents", "logAll")  # log categories that are left off where the FMU has others
 
 
 class FmuParticipant:
@@ -47,12 +48,18 @@ class FmuParticipant:
         self.description: Description = file.description
         self.set_start(start or {})
         self._fmu: Instance | None = None
-        self._log: list[str] = []
+        self.log = FmuLog(name, lambda: self.now_s)
         self._initialised = False
         self.time_s: float | None = None  #: where the last step ended
+        self.kernel_node: Any = None  #: its mirror in the kernel, while that steps it
         self.sent_order = 0  #: of the input derivatives last sent
         self.stops_early = False  #: a step not done to its end is raised (`EarlyReturn`), not gone on with
         self.bind((), ())
+
+    @property
+    def now_s(self) -> float | None:
+        """Time to which it has come, s; inside a step that of its start."""
+        return self.time_s if self.kernel_node is None else float(self.kernel_node.time)
 
     def set_start(self, start: Mapping[str, Value]) -> None:
         """Take other start values; they hold from the next `begin`, which resets the instance."""
@@ -115,17 +122,18 @@ class FmuParticipant:
 
     def begin(self, start_s: float, stop_s: float) -> None:
         """Instantiate (first time) or reset, set start values and enter initialisation."""
+        self.log.forget()
         if self._fmu is None:
             self._instantiate()
         else:
             self._call("fmi2Reset", self._raw.fmi2Reset(self._c), None)
         self._initialised = False
+        self.time_s = start_s
         setup = self._raw.fmi2SetupExperiment(self._c, 0, 0.0, start_s, 1, stop_s)
         self._call("fmi2SetupExperiment", setup, start_s)
         for variable, value in self._start.values():
             self._set(variable, value, start_s)
         self._call("fmi2EnterInitializationMode", self._raw.fmi2EnterInitializationMode(self._c), start_s)
-        self.time_s = start_s
 
     def ready(self) -> None:
         """Leave initialisation."""
@@ -159,7 +167,7 @@ class FmuParticipant:
         file = self.file
         binary = file.binary if self.group is None else self.group.path
         try:
-            library = Library(file.model, file.interface, file.folder, binary, log=self._log)
+            library = Library(file.model, file.interface, file.folder, binary, log=self.log)
         except (OSError, AttributeError) as error:
             raise StepError(str(error), instance=self.name, call="loading the FMU", time_s=None) from error
         fmu = library.instantiate(name=self.name, logging=True)
@@ -173,8 +181,9 @@ class FmuParticipant:
                 last_log=self.last_log(),
             )
         self._fmu = fmu
-        known = [c.encode() for c in file.model.log_categories if c in _LOGGED]
+        known = [c.encode() for c in file.model.log_categories if c not in _SELDOM]
         if known:
+            fmu.call("SetDebugLogging", 0, 0, None)
             fmu.call("SetDebugLogging", 1, len(known), (c_char_p * len(known))(*known))
         self._raw = library.dll
         self._c = c_void_p(fmu.component)
@@ -209,16 +218,16 @@ class FmuParticipant:
                 for k, i in enumerate(self._real_inputs):
                     u[k] = self.u[i]
             status = self._set_real(self._c, self._u_vr, self._n_u, u)
-            if status > 1:
-                self.fail("fmi2SetReal", status)
+            if status:
+                self._call("fmi2SetReal", status, self.time_s)
             if order:
                 references, count, orders, values, places = self._derivatives[order]
                 du = self.du
                 for k, i in places:
                     values[k] = du[i]
                 status = self._set_derivatives(self._c, references, count, orders, values)
-                if status > 1:
-                    self.fail("fmi2SetRealInputDerivatives", status)
+                if status:
+                    self._call("fmi2SetRealInputDerivatives", status, self.time_s)
         for i, kind, reference in self._other_inputs:
             value = c_int(int(self.u[i]))
             setter = self._raw.fmi2SetBoolean if kind == "Boolean" else self._raw.fmi2SetInteger
@@ -227,11 +236,12 @@ class FmuParticipant:
     def advance(self, time_s: float, length_s: float) -> None:
         """Step from `time_s` over `length_s`."""
         status = self._do_step(self._c, c_double(time_s), c_double(length_s), 1)
-        if status > 1:
+        if status:
             self.time_s = time_s
             if status != DISCARD:
-                self.fail("fmi2DoStep", status)
-            self.discarded(time_s, length_s)
+                self._call("fmi2DoStep", status, time_s)
+            else:
+                self.discarded(time_s, length_s)
         self.time_s = time_s + length_s
 
     def discarded(self, time_s: float, length_s: float) -> None:
@@ -248,8 +258,8 @@ class FmuParticipant:
         """Step; return False when the FMU discards the step."""
         self.time_s = time_s
         status = self._do_step(self._c, c_double(time_s), c_double(length_s), 1)
-        if status > DISCARD:
-            self.fail("fmi2DoStep", status)
+        if status != DISCARD:
+            self._call("fmi2DoStep", status, time_s)
         return bool(status != DISCARD)
 
     def status_of(self, function: str, kind: int) -> float | None:
@@ -265,8 +275,8 @@ class FmuParticipant:
         if self._y_reals:
             y: Any = self.y if self._y_all_real else self._y_buffer
             status = self._get_real(self._c, self._y_vr, self._n_y, y)
-            if status > 1:
-                self.fail("fmi2GetReal", status)
+            if status:
+                self._call("fmi2GetReal", status, self.time_s)
             if not self._y_all_real:
                 for k, j in enumerate(self._y_reals):
                     self.y[j] = y[k]
@@ -276,8 +286,8 @@ class FmuParticipant:
             self.y[j] = float(box.value)
         if slopes and self.bound_slopes:
             status = self._get_derivatives(self._c, self._dy_vr, self._n_dy, self._dy_order, self.dy)
-            if status > 1:
-                self.fail("fmi2GetRealOutputDerivatives", status)
+            if status:
+                self._call("fmi2GetRealOutputDerivatives", status, self.time_s)
 
     def save(self) -> c_void_p:
         """Copy the FMU state."""
@@ -305,14 +315,16 @@ class FmuParticipant:
 
     def last_log(self) -> str:
         """Return the last line the FMU logged, or an empty string."""
-        return self._log[-1] if self._log else ""
+        return self.log[-1] if self.log else ""
 
     # -- private --------------------------------------------------------------------------
 
     def _call(self, call: str, status: int, time_s: float | None) -> None:
-        """Raise unless `status` is ok or warning."""
-        if status > 1:
+        """Raise unless `status` is ok or warning; count a warning."""
+        if status > WARNING:
             self.fail(call, status, time_s)
+        if status == WARNING:
+            self.log.warned(call, time_s)
 
     def fail(self, call: str, status: int, time_s: float | None = None) -> NoReturn:
         """Raise the error of an FMI call that returned `status`."""

@@ -28,6 +28,7 @@ from interarea.fmu_build.write.lane_library import GroupLibrary
 from interarea.models.processes import end_with_parent
 
 from ..errors import ScenarioError, StepError
+from .fmu_log import FmuLog
 from .instances import FmuParticipant, Value
 
 _PATIENCE_S = 5.0
@@ -73,6 +74,7 @@ class WorkerParticipant(FmuParticipant):
         if self._process is None or self._process.poll() is not None:
             self._spawn()
         self._unsent = None
+        self.log.forget()
         start = {name: value for name, (_, value) in self._start.items()}
         self._ask("set_start", start)
         self._ask("bind", self.bound_inputs, self.bound_slopes)
@@ -180,13 +182,15 @@ class WorkerParticipant(FmuParticipant):
             with watch.over(limit_s):
                 pickle.dump((method, arguments, unsent, self.stops_early), process.stdin)
                 process.stdin.flush()
-                failed, result = pickle.load(process.stdout)
+                failed, result, news = pickle.load(process.stdout)
         except (EOFError, OSError, pickle.UnpicklingError) as error:
             process.wait()
             if watch.fired:
                 what = f"no answer within {limit_s:g} s, so its process was killed"
                 raise self._died(method, what, advice="allow more with time_limit_s") from error
             raise self._died(method, f"the FMU crashed its process ({_death(process.returncode)})") from error
+        if news is not None:
+            self.log.merge(news)
         if failed:
             raise result
         return result
@@ -262,12 +266,12 @@ def _death(code: int) -> str:
         return f"signal {-code}"
 
 
-class _Spoken(list[str]):
+class _Spoken(FmuLog):
     """Log lines that are written down at once: after a crash nobody could ask for them."""
 
-    def append(self, line: str) -> None:
-        print(line, file=sys.stderr, flush=True)
-        super().append(line)
+    def add(self, status: int, message: str) -> None:
+        print(message, file=sys.stderr, flush=True)
+        super().add(status, message)
 
 
 class _Served(FmuParticipant):
@@ -275,7 +279,7 @@ class _Served(FmuParticipant):
 
     def __init__(self, name: str, path: str) -> None:
         super().__init__(name, FmuFile(Path(path)))
-        self._log = _Spoken()
+        self.log = _Spoken(name, lambda: self.now_s)
         self._states: dict[int, Any] = {}
         self._last_state = 0
 
@@ -321,7 +325,8 @@ def serve(calls: IO[bytes], answers: IO[bytes]) -> None:
                 answer = (False, result)
             except Exception as error:
                 answer = (True, error)
-            pickle.dump(answer, answers)
+            news = None if served is None else served.log.news()
+            pickle.dump((*answer, news), answers)
             answers.flush()
     finally:
         if served is not None:

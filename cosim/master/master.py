@@ -34,6 +34,7 @@ from ..participant import Participant
 from ..stepping_words import EARLY, INPUTS, LOOPS, Early, Inputs, Loops, early_word
 from ..trajectory import Trajectory
 from .algebraic_loop import initialise, iterate_loop
+from .fmu_log import FmuLog
 from .graph import Graph, LoopSet, build_graph
 from .instances import FmuParticipant
 from .kernel.build import kernel_or_reason
@@ -286,6 +287,11 @@ class Master:
         self._cancelled = True
         if self._kernel is not None:
             self._kernel.cancel()
+
+    @property
+    def fmu_logs(self) -> list[FmuLog]:
+        """What the FMUs logged since the start, in the order of their names."""
+        return [p.log for p in self._stopping]
 
     def close(self) -> None:
         """End all participants."""

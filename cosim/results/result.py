@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from interarea.models.files import write_whole
+
 from ..trajectory import Trajectory
 from .delay_ledger import DelayLedger, PacketLedger
 from .record import write_json, write_record
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 class Result:
     """`trajectory`, delay `ledger`, `packets` and the `explanation` of how it was stepped.
 
+    fmu_log : every message that an FMU logged: instance, time, status, text.
     warnings : a line on each thing that did no harm here and is not as it should be, or was hardly meant.
     """
 
@@ -35,6 +38,7 @@ class Result:
     explanation: str
     scenario: Scenario | None = None  #: that was run, None of a system put together in Python
     warnings: tuple[str, ...] = ()
+    fmu_log: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.trajectory!r})"
@@ -60,7 +64,8 @@ class Result:
     def save(self, folder: str | Path, *, record: Sequence[str] = (), every: int = 1) -> list[Path]:
         """Write trajectory.csv, trajectory.parquet, ledger.json into a folder; return the files.
 
-        Of a scenario scenario.toml too, resolved, and run.json: versions, seeds, commit.
+        Of a scenario scenario.toml too, resolved, and run.json: versions, seeds, commit. Where an FMU logged
+        something fmu_log.txt.
 
         record, every : columns and points of the trajectory, as the keys of a scenario.
 
@@ -84,6 +89,11 @@ class Result:
         }
         files = [folder / "ledger.json"]
         write_json(ledgers, files[0])
+        log = folder / "fmu_log.txt"
+        if self.fmu_log:
+            files.append(write_whole(log, "".join(f"{line}\n" for line in self.fmu_log)))
+        else:
+            log.unlink(missing_ok=True)  # that of an earlier run
         if self.scenario is not None:
             files += write_record(folder, self.scenario, getattr(self, "case", None))
         return files

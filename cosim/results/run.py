@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 
 _SHOWN = 4  # modes in a line: inter-area ones first, then the least damped
+METRICS_FILES = ("metrics.json", "run.svg", "report.html")
 LEAST = "least"  #: in place of a mode's name: what is damped least
 
 
@@ -120,7 +121,7 @@ class Run(Result):
         from .run_page import run_page
 
         files = super().save_beside(folder)
-        metrics, figure, page = (folder / n for n in ("metrics.json", "run.svg", "report.html"))
+        metrics, figure, page = (folder / name for name in METRICS_FILES)
         write_json(self.metrics.as_dict(), metrics)
         save_figure(self.plot(), figure)
         write_whole(page, run_page(self, explorer))

@@ -13,10 +13,10 @@ from interarea.models.blocks.plant import event_parameters
 from interarea.models.case.case import Case
 from interarea.models.errors import Collected
 
-from ..errors import ScenarioError, nearest
+from ..errors import ScenarioError, StepError, nearest
 from ..results.result import Result
 from ..results.ringdown import Swing
-from ..results.run import Run
+from ..results.run import METRICS_FILES, Run
 from ..results.trajectory_files import TrajectoryFiles, chosen
 from ..scenario.names import wrong_targets
 from ..scenario.scenario import Scenario, load_scenario
@@ -91,7 +91,8 @@ def write_run(
 
     Raises
     ------
-    As `run_system`; DestinationError : a file that cannot be written.
+    As `run_system`; DestinationError : a file that cannot be written. StepError : an FMU failed, or ended
+    the run; what there is up to then has been written, without metrics, and the message says where.
     """
     loaded = load_scenario(scenario)
     _refuse_joint(loaded)
@@ -102,10 +103,23 @@ def write_run(
         gathered.add(part)
 
     with TrajectoryFiles(folder, loaded.record, loaded.every) as files, system.master(sink=take) as master:
-        gathered = system.gathered(master)
-        master.advance(progress=progress)
-        result = system.result(master, gathered)
-    return result, [*files.files, *result.save_beside(folder, explorer)]
+        gathered, failed = system.gathered(master), None
+        try:
+            master.advance(progress=progress)
+        except StepError as error:
+            if master.index < 0:
+                raise  # there is nothing to write
+            take(master.trajectory)
+            failed = error
+        result = system.result(master, gathered, failed)
+    written = [*files.files, *result.save_beside(folder, explorer)]
+    if failed is None:
+        return result, written
+    for name in METRICS_FILES:
+        (folder / name).unlink(missing_ok=True)  # of an earlier run
+    until = f"results up to t = {float(result.trajectory.time_s[-1]):.9g} s are in {folder}"
+    failed.args = (f"{failed}; {until}",)
+    raise failed
 
 
 def _refuse_joint(scenario: Scenario) -> None:

@@ -33,19 +33,16 @@ from interarea.models.blocks.plant import event_parameters
 from interarea.models.blocks.pmu import PmuFilter, pmu_block
 from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case, load_case
-from interarea.models.case.events import event_of
-from interarea.models.errors import CaseError
 from interarea.models.mistakes import mistakes
 
-from ..clock import event_on_ticks, on_tick, roundings
-from ..errors import GraphError, ScenarioError, ScenarioWarning, nearest
+from ..clock import on_tick, roundings
+from ..errors import GraphError, ScenarioError, ScenarioWarning, StepError, nearest
 from ..master.graph import end_of, pairs_of
 from ..master.instances import FmuParticipant, Value
 from ..master.isolated import participant_of
 from ..master.master import Master
 from ..master.records import Sink
 from ..participant import Participant
-from ..results.delay_ledger import delay_ledger, explain, packet_ledger
 from ..results.judge import Gathered, Judge
 from ..results.latency_test import SelfTest
 from ..results.metrics import METRICS, RING_DOWN
@@ -53,14 +50,16 @@ from ..results.result import Result
 from ..results.ringdown import Swing, control_limit_pu
 from ..results.run import Run
 from ..results.tally import Curves, Tally
-from ..scenario.channels import ChannelLine, Delays, hold_packets, points_of
+from ..scenario.channels import ChannelLine, hold_packets, points_of
 from ..scenario.concentrators import ConcentratorLine
 from ..scenario.scenario import Scenario
 from .artefacts import EVENT_SLOTS
 from .controllers import ControllerLike, controller_of
+from .events import timed_event
 from .instance import Fmus, Instance
 from .latency import self_test_of
 from .linear_loop import Loop, linear_swings
+from .outcome import fields_of_result
 
 Line = ChannelLine | ConcentratorLine
 AnyLine = TypeVar("AnyLine", ChannelLine, ConcentratorLine)
@@ -278,16 +277,12 @@ class System:
             if not self.plants:
                 raise ScenarioError("event: there is no plant yet for it to happen to; add the plant first")
             raise ScenarioError(f"event: plant = {plant!r}; {nearest(str(plant), self.plants)}")
-        try:
-            event = event_of({"kind": kind, **fields}, where="event") if isinstance(kind, str) else kind
-        except CaseError as error:
-            raise ScenarioError(str(error)) from None
         where = f"event {1 + sum(len(events) for events in self.events.values())}"
-        untimed, event = event, event_on_ticks(event, where)
-        self.rounded += roundings(untimed, event, where)
+        event, rounded = timed_event(kind, fields, where)
         events = [*self.events.get(plant, []), event]
         event_parameters(self.plants[plant], events)  # refuses an unknown target here
         self.events[plant] = events
+        self.rounded += rounded
         self.marks += [t for t in (event.start_s, getattr(event, "end_s", None)) if t is not None]
         return self
 
@@ -391,24 +386,26 @@ class System:
             judge = Judge(self.case, self.swing, self.scenario, **until, wanted=wanted)
         return Gathered(Tally(tuple(self.channels)), judge, Curves(master.recorded))
 
-    def result(self, master: Master, gathered: Gathered | None = None) -> Result:
-        """Return what a master has done so far, or gave to `gathered` as it ran; with a case a `Run`."""
+    def result(
+        self, master: Master, gathered: Gathered | None = None, failed: StepError | None = None
+    ) -> Result:
+        """Return what a master has done so far, or gave to `gathered` as it ran; with a case a `Run`.
+
+        failed : what ended the run before its time; then there are no metrics, hence no `Run`.
+        """
         done = master.trajectory if gathered is None else gathered.curves.trajectory
         if gathered is None:
             gathered = self.gathered(master, float(done.time_s[-1]))
             gathered.count(done)
-        delays = {name: Delays(p.delay_s, 0.0, measuring_s=p.delay_s) for name, p in self.pmus.items()}
-        delays |= {name: line.delays(master.clock) for name, line in self.channels.items()}
-        ledger = delay_ledger(master, delays, self.rounded)
-        common: dict[str, Any] = {
-            "trajectory": done,
-            "ledger": ledger,
-            "packets": packet_ledger(done, gathered.tally),
-            "explanation": explain(master, ledger),
-            "warnings": (*self.warnings, *gathered.tally.warnings),
-            "scenario": self.scenario,
-        }
-        if (judge := gathered.judge) is None:
+        common = fields_of_result(
+            *(master, done, gathered.tally),
+            pmus=self.pmus,
+            channels=self.channels,
+            rounded=self.rounded,
+            warnings=self.warnings,
+            failed=failed,
+        ) | {"scenario": self.scenario}
+        if (judge := gathered.judge) is None or failed is not None:
             return Result(**common)
         loop, limit = self.linear_loop(), control_limit_pu(master)
         common |= {"case": self.case, "swing": judge.swing}

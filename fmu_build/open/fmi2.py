@@ -77,17 +77,27 @@ class _Callbacks(ctypes.Structure):
 
 
 _MOST_LINES = 100
-_logs: dict[int, list[str]] = {}  # by componentEnvironment
+
+
+class Log(list[str]):
+    """The last messages that the instances of a library logged."""
+
+    def add(self, status: int, message: str) -> None:
+        """Take one message, logged with an fmi2Status."""
+        self.append(message)
+        del self[:-_MOST_LINES]
+
+
+_logs: dict[int, Log] = {}  # by componentEnvironment
 _next_log = itertools.count(1)
 
 
 @_LOGGER  # type: ignore[untyped-decorator]
-def _logger(environment: int | None, _name: bytes, _status: int, _category: bytes, message: bytes) -> None:
-    """Keep the last lines of each instance: one logger for all, for the proxy knows only one."""
-    lines = _logs.get(environment or 0)
-    if lines is not None:
-        lines.append(message.decode("utf-8", "replace").strip() if message else "")
-        del lines[:-_MOST_LINES]
+def _logger(environment: int | None, _name: bytes, status: int, _category: bytes, message: bytes) -> None:
+    """Hand a message to the log of its library: one logger for all, for the proxy knows only one."""
+    log = _logs.get(environment or 0)
+    if log is not None:
+        log.add(status, message.decode("utf-8", "replace").strip() if message else "")
 
 
 @functools.cache
@@ -137,7 +147,7 @@ class CallFailed(Exception):
 class Library:
     """The shared library of one interface of an unpacked FMU, which is not unpacked further or looked at.
 
-    log : receives what its instances log, last lines.
+    log : receives what its instances log.
     """
 
     def __init__(
@@ -147,11 +157,11 @@ class Library:
         folder: Path,
         binary: Path,
         *,
-        log: list[str] | None = None,
+        log: Log | None = None,
     ) -> None:
         self.d, self.interface, self.folder = d, interface, folder
         self.resources = (folder / "resources").resolve().as_uri()
-        self.log: list[str] = [] if log is None else log
+        self.log = Log() if log is None else log
         self.dll = ctypes.CDLL(str(binary.resolve()))
         for name, arguments in _SIGNATURES.items():
             function = getattr(self.dll, f"fmi2{name}", None)

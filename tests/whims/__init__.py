@@ -13,11 +13,15 @@ _DEGREES = (
     '<UnitDefinitions><Unit name="deg"><BaseUnit rad="1" factor="0.017453292519943295"/></Unit>'
     "</UnitDefinitions>"
 )
-PARAMETERS = ("early_at", "kick", "longest", "end_at", "nan_at", "abort_at", "back_at", "hang_at", "x0")
+TIMES = ("early_at", "kick", "longest", "end_at", "nan_at", "abort_at", "back_at", "hang_at", "warn_at")
+PARAMETERS = (*TIMES, "alone", "x0")
 
 
-def whims_fmu(folder: Path, *, saves_state: bool = True, unit: str = "") -> Path:
-    """Build the FMU in `folder`; `unit` of its input (deg is defined, others are not)."""
+def whims_fmu(folder: Path, *, saves_state: bool = True, unit: str = "", once: bool = False) -> Path:
+    """Build the FMU in `folder`; `unit` of its input (deg is defined, others are not).
+
+    once : whether its description allows one instance in a process only.
+    """
     platform = host_platform()
     names = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
     sources = {name: (fmi_headers() / name).read_bytes() for name in names}
@@ -39,7 +43,7 @@ def whims_fmu(folder: Path, *, saves_state: bool = True, unit: str = "") -> Path
         '<fmiModelDescription fmiVersion="2.0" modelName="whims" guid="{whims}">'
         '<CoSimulation modelIdentifier="whims" canHandleVariableCommunicationStepSize="true" '
         'canInterpolateInputs="true" maxOutputDerivativeOrder="1" '
-        f'canGetAndSetFMUstate="{saves}"/>'
+        f'canGetAndSetFMUstate="{saves}" canBeInstantiatedOnlyOncePerProcess="{str(once).lower()}"/>'
         f"{_DEGREES if unit == 'deg' else ''}"
         f"<ModelVariables>{''.join(variables)}</ModelVariables>"
         '<ModelStructure><Outputs><Unknown index="2" dependencies=""/></Outputs>'

@@ -1,5 +1,6 @@
 /* An integrator dx/dt = u, y = x, FMI 2.0 co-simulation, that does on demand what no FMU should or few do:
- * return early from a step, refuse long steps, ask to end, give NaN, abort, hang. All times in s, 1e30 = never. */
+ * return early from a step, refuse long steps, ask to end, give NaN, abort, hang, warn, tolerate no other instance
+ * in its process. All times in s, 1e30 = never. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -7,7 +8,8 @@
 
 #include "fmi2Functions.h"
 
-enum { U, Y, EARLY_AT, KICK, LONGEST, END_AT, NAN_AT, ABORT_AT, BACK_AT, HANG_AT, X0, COUNT };
+enum { U, Y, EARLY_AT, KICK, LONGEST, END_AT, NAN_AT, ABORT_AT, BACK_AT, HANG_AT, WARN_AT, ALONE, X0, COUNT };
+static int alive; /* instances in this process */
 
 typedef struct {
     double v[COUNT], du[3], t, last;
@@ -24,13 +26,18 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     Whims *m = calloc(1, sizeof *m);
     (void)name, (void)guid, (void)resources, (void)visible, (void)logging;
     if (m == NULL || type != fmi2CoSimulation) return NULL;
+    ++alive;
     m->call = *call;
     for (int k = EARLY_AT; k < X0; ++k) m->v[k] = 1e30;
     m->v[KICK] = 0.0;
     return m;
 }
 
-void fmi2FreeInstance(fmi2Component c) { free(c); }
+void fmi2FreeInstance(fmi2Component c)
+{
+    --alive;
+    free(c);
+}
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String names[])
 {
     (void)c, (void)on, (void)n, (void)names;
@@ -46,7 +53,12 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has, fmi2Real tolera
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { (void)c; return fmi2OK; }
 fmi2Status fmi2ExitInitializationMode(fmi2Component c)
 {
-    ((Whims *)c)->v[Y] = ((Whims *)c)->v[X0];
+    Whims *m = c;
+    m->v[Y] = m->v[X0];
+    if (m->v[ALONE] < 1e30 && alive > 1) {
+        m->call.logger(m->call.componentEnvironment, "whims", fmi2Error, "logStatusError", "%d instances", alive);
+        return fmi2Error;
+    }
     return fmi2OK;
 }
 fmi2Status fmi2Terminate(fmi2Component c) { (void)c; return fmi2OK; }
@@ -135,6 +147,11 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_se
     }
     integrate(m, end);
     if (v[NAN_AT] < end) m->v[Y] = NAN;
+    if (v[WARN_AT] < end) {
+        m->call.logger(m->call.componentEnvironment, "whims", fmi2Warning, "logStatusWarning",
+                       "u = %.2f is odd at 100%% load", m->v[U]);
+        return fmi2Warning;
+    }
     return fmi2OK;
 }
 

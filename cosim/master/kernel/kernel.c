@@ -107,11 +107,12 @@ static int node_stepped(Run *r)
     KernelNode *node = r->node;
 
     r->at = AT_PART;
-    if (r->status > fmi2Warning) {
+    if (r->status != fmi2OK) {
         node->time = r->time;
-        if (r->status != fmi2Discard || k->discarded == NULL
-            || k->discarded((int32_t)(node - k->nodes), r->time, r->time_length) != 0)
-            return call_failed(k, node, CALL_DO_STEP, r->status);
+        if ((r->status != fmi2Discard || k->discarded == NULL
+             || k->discarded((int32_t)(node - k->nodes), r->time, r->time_length) != 0)
+            && call_failed(k, node, CALL_DO_STEP, r->status))
+            return KERNEL_CALL_FAILED;
     }
     node->time = r->time + r->time_length;
     return KERNEL_OK;

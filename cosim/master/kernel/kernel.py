@@ -230,6 +230,7 @@ class Kernel:
             mirror.ticks[:n], mirror.values[:n] = s.ticks, s.values
         for mirror, node in zip(self._k_nodes, self._nodes, strict=True):
             mirror.time = node.participant.time_s  # type: ignore[attr-defined]
+            node.participant.kernel_node = mirror  # type: ignore[attr-defined]
 
     def _store(self) -> None:
         for mirror, s in zip(self._k_signals, self._signals, strict=False):
@@ -240,7 +241,12 @@ class Kernel:
             n = mirror.n_past
             s.ticks, s.values = mirror.ticks[:n], mirror.values[:n]
         for mirror, node in zip(self._k_nodes, self._nodes, strict=True):
-            node.participant.time_s = mirror.time  # type: ignore[attr-defined]
+            p: FmuParticipant = node.participant  # type: ignore[assignment]
+            p.time_s, p.kernel_node = mirror.time, None
+            for call, times in zip(built.CALLS, mirror.warnings, strict=True):
+                if times:
+                    p.log.warned(call, mirror.first_warning, times)
+            mirror.warnings[:] = [0] * len(built.CALLS)
 
     def _discarded(self, number: int, time_s: float, length_s: float) -> int:
         """Let the participant finish a step that was discarded; called by the kernel."""

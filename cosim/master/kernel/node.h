@@ -5,12 +5,21 @@
 
 #include "signals.h"
 
-static int call_failed(Kernel *k, const KernelNode *node, int call, fmi2Status status)
+/* Looks at what a call returned: a warning is counted, what is worse is a failure. */
+static int call_failed(Kernel *k, KernelNode *node, int call, fmi2Status status)
 {
+    if (status == fmi2OK) return 0;
+    if (status == fmi2Warning) {
+        int64_t before = 0;
+        for (int i = 0; i < CALL_COUNT; ++i) before += node->warnings[i];
+        if (before == 0) node->first_warning = node->time;
+        ++node->warnings[call];
+        return 0;
+    }
     k->node = (int32_t)(node - k->nodes);
     k->call = call;
     k->status = (int32_t)status;
-    return KERNEL_CALL_FAILED;
+    return 1;
 }
 
 /* Sets the inputs from u (Reals) and the others' signals, and derivatives up to `order` from du. */
@@ -21,11 +30,11 @@ static int send(Kernel *k, KernelNode *node, int order)
     if (node->n_u_real > 0) {
         const size_t n = (size_t)node->n_u_real;
         status = node->set_real(node->component, node->u_reference, n, node->u);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_SET_REAL, status);
+        if (call_failed(k, node, CALL_SET_REAL, status)) return KERNEL_CALL_FAILED;
         if (order > 0) {
             status = node->set_derivatives(node->component, node->du_reference, n * (size_t)order,
                                            node->du_order, node->du);
-            if (status > fmi2Warning) return call_failed(k, node, CALL_SET_DERIVATIVES, status);
+            if (call_failed(k, node, CALL_SET_DERIVATIVES, status)) return KERNEL_CALL_FAILED;
         }
     }
     for (int i = node->n_u_real; i < node->n_u; ++i) {
@@ -34,7 +43,7 @@ static int send(Kernel *k, KernelNode *node, int order)
         status = feed->type == TYPE_BOOLEAN
                      ? node->set_boolean(node->component, node->u_reference + i, 1, &value)
                      : node->set_integer(node->component, node->u_reference + i, 1, &value);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_SET_INTEGER, status);
+        if (call_failed(k, node, CALL_SET_INTEGER, status)) return KERNEL_CALL_FAILED;
     }
     return KERNEL_OK;
 }
@@ -85,25 +94,25 @@ static int receive(Kernel *k, KernelNode *node, double *row)
     if (n_real > 0) {
         const int direct = n_real == node->n_y;
         status = node->get_real(node->component, node->y_reference, (size_t)n_real, direct ? y : node->y_real);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_GET_REAL, status);
+        if (call_failed(k, node, CALL_GET_REAL, status)) return KERNEL_CALL_FAILED;
         if (!direct)
             for (int i = 0; i < n_real; ++i) y[place[i]] = node->y_real[i];
     }
     if (n_integer > 0) {
         status = node->get_integer(node->component, node->y_reference + n_real, (size_t)n_integer,
                                    node->y_integer);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_GET_INTEGER, status);
+        if (call_failed(k, node, CALL_GET_INTEGER, status)) return KERNEL_CALL_FAILED;
     }
     if (n_boolean > 0) {
         status = node->get_boolean(node->component, node->y_reference + n_real + n_integer,
                                    (size_t)n_boolean, node->y_integer + n_integer);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_GET_INTEGER, status);
+        if (call_failed(k, node, CALL_GET_INTEGER, status)) return KERNEL_CALL_FAILED;
     }
     for (int i = 0; i < n_integer + n_boolean; ++i) y[place[n_real + i]] = (double)node->y_integer[i];
     if (node->n_dy > 0) {
         status = node->get_derivatives(node->component, node->dy_reference, (size_t)node->n_dy,
                                        node->dy_order, node->dy);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_GET_DERIVATIVES, status);
+        if (call_failed(k, node, CALL_GET_DERIVATIVES, status)) return KERNEL_CALL_FAILED;
     }
     const KernelSignal *sent = k->signals + node->first_signal;   /* what nobody takes harms nobody */
     for (int i = 0; i < node->n_signals; ++i)
@@ -119,7 +128,7 @@ static int save_members(Kernel *k, const KernelGroup *group)
     for (int i = 0; i < group->count; ++i) {
         KernelNode *node = k->nodes + k->members[group->first + i];
         const fmi2Status status = node->get_state(node->component, &node->state);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_GET_STATE, status);
+        if (call_failed(k, node, CALL_GET_STATE, status)) return KERNEL_CALL_FAILED;
     }
     return KERNEL_OK;
 }
@@ -129,7 +138,7 @@ static int restore_members(Kernel *k, const KernelGroup *group)
     for (int i = 0; i < group->count; ++i) {
         KernelNode *node = k->nodes + k->members[group->first + i];
         const fmi2Status status = node->set_state(node->component, node->state);
-        if (status > fmi2Warning) return call_failed(k, node, CALL_SET_STATE, status);
+        if (call_failed(k, node, CALL_SET_STATE, status)) return KERNEL_CALL_FAILED;
     }
     return KERNEL_OK;
 }

@@ -27,7 +27,7 @@ enum {
 };
 enum {
     CALL_SET_REAL = 0, CALL_SET_DERIVATIVES, CALL_SET_INTEGER, CALL_DO_STEP, CALL_GET_REAL, CALL_GET_INTEGER,
-    CALL_GET_DERIVATIVES, CALL_GET_STATE, CALL_SET_STATE
+    CALL_GET_DERIVATIVES, CALL_GET_STATE, CALL_SET_STATE, CALL_COUNT
 };
 
 /* One connected output over the present step: signals.py. Times in ticks of 1 ns. */
@@ -71,6 +71,8 @@ typedef struct {
     void *work;                     /* of `lanes`; nodes with the same one are stepped at once */
     fmi2FMUstate state;             /* before the step, of a member of a loop   */
     double time;                    /* end of its last step, as the FMU was told */
+    double first_warning;           /* its `time` at the first call that returned fmi2Warning */
+    int64_t warnings[CALL_COUNT];   /* such calls, by call                      */
 
     const KernelFeed *feeds;        /* Real inputs first                        */
     const fmi2ValueReference *u_reference;      /* of the Real inputs, then of the others */

@@ -197,7 +197,7 @@ def test_a_run_that_fails_leaves_with_its_own_reason(
     with loop_of(changes, cache, by_hand) as loop:
         with pytest.raises(StepError) as wanted:
             loop.master.advance()
-        log = list(loop.master.participants["plant"]._log)  # type: ignore[attr-defined]
+        log = list(loop.master.participants["plant"].log)  # type: ignore[attr-defined]
         records = bits(loop.master)
     others = [0, 2, 4]
     described = [RUNS[k] for k in others]
@@ -212,7 +212,7 @@ def test_a_run_that_fails_leaves_with_its_own_reason(
         assert error.trajectory is not None
         assert wanted.value.trajectory is not None
         assert error.trajectory.data.equals(wanted.value.trajectory.data)
-        assert failed.participants["plant"]._log == log  # type: ignore[attr-defined]
+        assert failed.participants["plant"].log == log  # type: ignore[attr-defined]
         assert bits(failed) == records
         assert [bits(m) for m in masters] == [alone[k] for k in others]
 
