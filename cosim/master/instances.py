@@ -50,6 +50,7 @@ class FmuParticipant:
         self._fmu: Instance | None = None
         self.log = FmuLog(name, lambda: self.now_s)
         self._initialised = False
+        self.closed = False  #: ended for good
         self.time_s: float | None = None  #: where the last step ended
         self.kernel_node: Any = None  #: its mirror in the kernel, while that steps it
         self.sent_order = 0  #: of the input derivatives last sent
@@ -155,6 +156,7 @@ class FmuParticipant:
 
     def close(self) -> None:
         """Terminate and free the instance."""
+        self.closed = True
         if self._fmu is None:
             return
         if self._initialised:

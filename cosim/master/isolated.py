@@ -10,6 +10,7 @@ limit fails the run as a crash does: the process is killed.
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import os
 import pickle
@@ -19,6 +20,7 @@ import sys
 import tempfile
 import threading
 import time
+import weakref
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -32,6 +34,9 @@ from .fmu_log import FmuLog
 from .instances import FmuParticipant, Value
 
 _PATIENCE_S = 5.0
+_log = logging.getLogger("interarea")
+#: by guid: the instance in this process of an FMU that allows no other there
+_single: weakref.WeakValueDictionary[str, FmuParticipant] = weakref.WeakValueDictionary()
 TIME_LIMIT_S = 60.0  #: of one call, by default
 #: FMI calls by the method that makes them, for errors
 _CALL_OF = {
@@ -212,17 +217,27 @@ def participant_of(
 ) -> FmuParticipant:
     """Return an instance of `file`: in this process (with `group`), or with `isolate` in one of its own.
 
+    An FMU that can be instantiated only once per process gets one of its own, too, while this one has an
+    instance of it (FMI 2.0.4, 4.3.1: canBeInstantiatedOnlyOncePerProcess).
+
     Raises
     ------
     ScenarioError : a time limit for what is not isolated, or none above 0.
     """
+    once, guid = file.model.flag(file.interface, "canBeInstantiatedOnlyOncePerProcess"), file.model.guid
+    if once and not isolate and (other := _single.get(guid)) is not None and not other.closed:
+        _log.info("%s: %s allows one instance a process: it gets one of its own", name, file.path.name)
+        isolate = True
     if isolate:
         return WorkerParticipant(
             name, file, start, time_limit_s=TIME_LIMIT_S if time_limit_s is None else time_limit_s
         )
     if time_limit_s is not None:
         raise ScenarioError(f"{name}: time_limit_s ends calls of an isolated FMU; set isolate = true")
-    return FmuParticipant(name, file, start, group=group)
+    participant = FmuParticipant(name, file, start, group=group)
+    if once:
+        _single[guid] = participant
+    return participant
 
 
 class _Watch(threading.Thread):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,12 +10,13 @@ from typing import Any
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.open.fmu_file import FmuFile
-from interarea.models.blocks.plant import plant_block
+from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case
 
+from ..errors import GraphError
 from ..master.instances import Value
-from .artefacts import channel_fmu, concentrator_fmu, plant_fmu, pmu_fmu
+from .artefacts import EVENT_SLOTS, channel_fmu, concentrator_fmu, plant_fmu, pmu_fmu
 from .controllers import controller_fmu
 
 
@@ -31,6 +32,39 @@ class Instance:
     start: Mapping[str, Value] = field(default_factory=dict)
     block: Callable[[], Block] | None = None
     process: Mapping[str, Any] = field(default_factory=dict)
+
+
+def start_values(
+    name: str,
+    file: FmuFile,
+    start: Mapping[str, Value] | None,
+    values: Mapping[str, Value],
+    **options: object,
+) -> dict[str, Value]:
+    """Return the start values of instance `name` that a call gave as a mapping and as keywords.
+
+    options : keywords of the call that are no start values.
+
+    Raises
+    ------
+    GraphError : a value given twice; an option whose name is that of a variable, so that either may be meant.
+    """
+    if start is not None and not isinstance(start, Mapping):
+        raise GraphError(
+            f"{name}: start = {start!r}, allowed: start values by name; of a variable called start: "
+            f"start={{'start': {start!r}}}"
+        )
+    given = dict(start or {})
+    if twice := sorted(given.keys() & values.keys()):
+        raise GraphError(f"{name}: {twice[0]} is given twice, in start and as a keyword; give it once")
+    for option, value in options.items():
+        if value and option in file.variables and option not in given:
+            raise GraphError(
+                f"{name}: {option} = {value!r} is an option here, and {file.path.name} has a variable of "
+                f"that name; give the variable in start={{{option!r}: ...}}, with its start value "
+                f"{file.variables[option].start} where the option is meant"
+            )
+    return given | dict(values)
 
 
 class Fmus:
@@ -54,6 +88,14 @@ class Fmus:
         if key not in self._plants:
             self._plants[key] = plant_block(case, event_slots=event_slots, more=more)
         return self._plants[key]
+
+    def with_events(
+        self, plant: Instance, case: Case, events: Sequence[Any], slots: int, more: tuple[str, ...]
+    ) -> Instance:
+        """Return the instance of a plant with its events among its start values."""
+        start = {**plant.start, **event_parameters(case, events)}
+        file = plant.file if slots == EVENT_SLOTS else self.plant(case, slots, more)
+        return Instance(plant.name, file, start, lambda: self.plant_block(case, slots, more))
 
     def pmu(self) -> FmuFile:
         """Return the PMU."""

@@ -56,7 +56,7 @@ from ..scenario.scenario import Scenario
 from .artefacts import EVENT_SLOTS
 from .controllers import ControllerLike, controller_of
 from .events import timed_event
-from .instance import Fmus, Instance
+from .instance import Fmus, Instance, start_values
 from .latency import self_test_of
 from .linear_loop import Loop, linear_swings
 from .outcome import fields_of_result
@@ -151,13 +151,15 @@ class System:
         name: str,
         file: str | Path,
         *,
+        start: Mapping[str, Value] | None = None,
         latency_s: float = 0.0,
         isolate: bool = False,
         time_limit_s: float | None = None,
-        **start: Value,
+        **values: Value,
     ) -> System:
         """Add any FMI 2.0 co-simulation FMU with start values for its parameters, states or inputs.
 
+        start : start values by name; those whose names are no keywords of this method can be `values` too.
         latency_s : a promise that its inputs need at least that long to reach its outputs.
         isolate : run it in a process of its own, which it may crash (`WorkerParticipant`).
         time_limit_s : longest time one call may take there; default `TIME_LIMIT_S`.
@@ -167,12 +169,13 @@ class System:
         GraphError : see `FmuFile` and `FmuParticipant`. ScenarioError : a time limit without isolate.
         """
         process: dict[str, Any] = {"isolate": isolate, "time_limit_s": time_limit_s}
-        instance = Instance(name, self.fmus.open(Path(file)), start, process=process)
-        participant_of(name, instance.file, start, **process).close()  # refuses wrong start values here
+        opened = self.fmus.open(Path(file))
+        begin = start_values(name, opened, start, values, latency_s=latency_s, **process)
+        participant_of(name, opened, begin, **process).close()  # refuses wrong start values here
         self.at_rest = False
         if latency_s:
             self.latency_s[name] = latency_s
-        return self.put(instance)
+        return self.put(Instance(name, opened, begin, process=process))
 
     def add(self, participant: Participant, *, latency_s: float = 0.0) -> System:
         """Add a participant of any kind; `latency_s` as in `fmu`."""
@@ -437,11 +440,8 @@ class System:
 
     def _with_events(self, instance: Instance) -> Instance:
         """Return a plant with its events as start values; others as they are."""
-        case = self.plants.get(instance.name)
-        if case is None:
+        name = instance.name
+        if name not in self.plants:
             return instance
-        slots = self._slots(instance.name)
-        start = {**instance.start, **event_parameters(case, self.events.get(instance.name, ()))}
-        more = self.shows[instance.name]
-        file = instance.file if slots == EVENT_SLOTS else self.fmus.plant(case, slots, more)
-        return Instance(instance.name, file, start, lambda: self.fmus.plant_block(case, slots, more))
+        events = self.events.get(name, ())
+        return self.fmus.with_events(instance, self.plants[name], events, self._slots(name), self.shows[name])

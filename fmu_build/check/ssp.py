@@ -66,6 +66,7 @@ def check_ssp(folder: Path, report: Report, check_fmu: CheckFmu) -> None:
     if experiment is not None:
         _experiment(experiment, report)
     report.facts["components"] = check.components
+    check.note_once()
 
 
 def _experiment(experiment: Any, report: Report) -> None:
@@ -85,6 +86,7 @@ class _Check:
     def __init__(self, folder: Path, report: Report, check_fmu: CheckFmu, units: Units) -> None:
         self.folder, self.report, self.check_fmu, self.units = folder, report, check_fmu, units
         self.components = 0
+        self.users: dict[Path, list[str]] = {}  #: of each FMU its components
         self.fmus: dict[Path, ModelDescription | None] = {}
 
     def system(self, system: Any, where: str) -> dict[str, Connector]:
@@ -139,8 +141,9 @@ class _Check:
         description = None
         if file is not None and component.get("type", _FMU) == _FMU:
             description = self.fmu(file)
-        if description is None:
+        if file is None or description is None:
             return connectors
+        self.users.setdefault(file, []).append(where)
         implementation = component.get("implementation", "any")
         if implementation != "any" and implementation not in description.interfaces:
             self.report.add(
@@ -185,6 +188,20 @@ class _Check:
             root = report.facts.get("description")
             self.fmus[file] = read_description(root) if root is not None else None
         return self.fmus[file]
+
+    def note_once(self) -> None:
+        """Note components that share an FMU of which a process can hold one instance only."""
+        for file, users in self.users.items():
+            d = self.fmus[file]
+            once = d is not None and any(
+                d.flag(i, "canBeInstantiatedOnlyOncePerProcess") for i in d.interfaces
+            )
+            if once and len(users) > 1:
+                name = file.relative_to(self.folder.resolve()).as_posix()
+                self.report.notes.append(
+                    f"{', '.join(users)}: {name} can be instantiated only once per process; each needs a "
+                    "process of its own"
+                )
 
     def against_fmu(self, connectors: dict[str, Connector], d: ModelDescription, where: str) -> None:
         """Connectors are variables of the FMU, of the same causality, type and dimension."""
