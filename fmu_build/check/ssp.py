@@ -2,50 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote, urlsplit
 
 from ..finding import Finding, Report
-from ..open.description import ModelDescription, ScalarVariable, read_description
+from ..open.description import ModelDescription, read_description
 from ..open.units import Units, unit_definitions
 from ..open.xml import obeys_schema, read_xml
+from .ssp_bindings import LOOSE, SSC, SSD, Bindings, Connector, Scope
 
-SSD = "{http://ssp-standard.org/SSP1/SystemStructureDescription}"
-SSC = "{http://ssp-standard.org/SSP1/SystemStructureCommon}"
-SSV = "{http://ssp-standard.org/SSP1/SystemStructureParameterValues}"
-SSM = "{http://ssp-standard.org/SSP1/SystemStructureParameterMapping}"
 STRUCTURE = "SystemStructure.ssd"
 _FMU = "application/x-fmu-sharedlibrary"
 _SCHEMAS = {
     "1.0": "ssp/schema/SystemStructureDescription.xsd",
     "1.1": "ssp/schema/SystemStructureDescription11.xsd",
 }
-_VALUES = "ssp/schema/SystemStructureParameterValues.xsd"
-_MAPPING = "ssp/schema/SystemStructureParameterMapping.xsd"
 #: What a connector may be connected to as a source, inside its component and seen from outside.
 _KINDS = {"input", "output", "parameter", "calculatedParameter", "inout"}
-_LOOSE = {
-    ("Integer", "Real"),
-    ("Enumeration", "Integer"),
-    ("Integer", "Enumeration"),
-    ("Enumeration", "Real"),
-}
-
+Elements = Mapping[str, Mapping[str, Connector]]
 #: Checks an FMU file below the archive and returns what it found and the root of its description.
 CheckFmu = Callable[[Path], Report]
-
-
-@dataclass(frozen=True)
-class Connector:
-    """A connector of an element or a system."""
-
-    name: str
-    kind: str
-    type: str | None
-    unit: str | None
 
 
 def check_ssp(folder: Path, report: Report, check_fmu: CheckFmu) -> None:
@@ -85,31 +63,33 @@ class _Check:
 
     def __init__(self, folder: Path, report: Report, check_fmu: CheckFmu, units: Units) -> None:
         self.folder, self.report, self.check_fmu, self.units = folder, report, check_fmu, units
+        self.bindings = Bindings(folder, report, units)
         self.components = 0
         self.users: dict[Path, list[str]] = {}  #: of each FMU its components
         self.fmus: dict[Path, ModelDescription | None] = {}
 
-    def system(self, system: Any, where: str) -> dict[str, Connector]:
-        """Check a system and everything in it; return its own connectors."""
-        own = self.connectors(system, where)
-        elements: dict[str, dict[str, Connector]] = {}
+    def system(self, system: Any, where: str) -> Scope:
+        """Check a system and everything in it; return what it has inside."""
+        scope = Scope(self.connectors(system, where))
         holder = system.find(f"{SSD}Elements")
         for element in holder if holder is not None else ():
             if not isinstance(element.tag, str):
                 continue
             name = element.get("name", "")
             place = f"{where}.{name}"
-            if name in elements:
+            if name in scope.elements:
                 self.report.add("SSP names", place, "two elements have this name", "rename one")
             if element.tag == f"{SSD}System":
-                elements[name] = self.system(element, place)
+                scope.elements[name] = self.system(element, place)
             elif element.tag == f"{SSD}Component":
                 self.components += 1
-                elements[name] = self.component(element, place)
+                scope.elements[name] = self.component(element, place)
             else:
-                elements[name] = self.connectors(element, place)
-        self.connections(system, where, own, elements)
-        return own
+                scope.elements[name] = Scope(self.connectors(element, place), known=False)
+        self.bindings.of(system, scope, where)
+        elements = {name: element.connectors for name, element in scope.elements.items()}
+        self.connections(system, where, scope.connectors, elements)
+        return scope
 
     def connectors(self, element: Any, where: str) -> dict[str, Connector]:
         """Read connectors; names are unique and units are defined."""
@@ -125,24 +105,20 @@ class _Check:
                 self.report.add(
                     "SSP connectors", f"{where}.{name}", f"kind is {kind!r}", "write a kind of SSP"
                 )
-            self.unit_is_defined(unit, f"{where}.{name}", self.units)
+            self.bindings.unit_is_defined(unit, f"{where}.{name}", self.units)
             base = None if typed is None else typed.tag.rpartition("}")[2]
-            by_name[name] = Connector(name, kind, base, unit)
+            by_name[name] = Connector(name, kind, base, unit, self.units.dimension(unit or ""))
         return by_name
 
-    def unit_is_defined(self, unit: str | None, where: str, units: Units) -> None:
-        if unit is not None and unit not in units.names:
-            self.report.add("SSP units", where, f"unit {unit} is not defined", "define it in Units")
-
-    def component(self, component: Any, where: str) -> dict[str, Connector]:
+    def component(self, component: Any, where: str) -> Scope:
         """Check the source of a component against its connectors and parameter bindings."""
         connectors = self.connectors(component, where)
-        file = self.file(component.get("source", ""), where)
+        file = self.bindings.file(component.get("source", ""), where)
         description = None
         if file is not None and component.get("type", _FMU) == _FMU:
             description = self.fmu(file)
         if file is None or description is None:
-            return connectors
+            return Scope(connectors, known=False)
         self.users.setdefault(file, []).append(where)
         implementation = component.get("implementation", "any")
         if implementation != "any" and implementation not in description.interfaces:
@@ -153,24 +129,9 @@ class _Check:
                 "ask for an interface that the FMU has",
             )
         self.against_fmu(connectors, description, where)
-        for binding in component.findall(f"{SSD}ParameterBindings/{SSD}ParameterBinding"):
-            self.binding(binding, description, where)
-        return connectors
-
-    def file(self, source: str, where: str) -> Path | None:
-        """Return the file of a relative URI inside the archive, with a finding when there is none."""
-        parts = urlsplit(source)
-        if parts.scheme or parts.netloc or parts.path.startswith("/"):
-            self.report.notes.append(f"{where}: {source} lies outside the archive and was not looked at")
-            return None
-        target = (self.folder / unquote(parts.path)).resolve()
-        if not target.is_relative_to(self.folder.resolve()):
-            self.report.add("SSP source", where, f"{source} leaves the archive", "use a path inside")
-        elif not target.is_file():
-            self.report.add("SSP source", where, f"{source!r} is not in the archive", "pack the file")
-        else:
-            return target
-        return None
+        scope = Scope(_of_fmu(connectors, description), description)
+        self.bindings.of(component, scope, where)
+        return scope
 
     def fmu(self, file: Path) -> ModelDescription | None:
         """Check an FMU once and return its description if it can be read."""
@@ -239,80 +200,12 @@ class _Check:
                         "use a unit of the same dimension",
                     )
 
-    def binding(self, binding: Any, d: ModelDescription, where: str) -> None:
-        """Every parameter of a set is a variable that can be set, of that type and dimension."""
-        mapping = self.mapping(binding, where)
-        root = self.part(binding, where, _VALUES, f"{SSV}ParameterSet", f"{SSD}ParameterValues")
-        if root is None:
-            return
-        units = unit_definitions(root, SSV + "Units", SSC)
-        variables = {v.name: v for v in d.variables}
-        for parameter in root.findall(f"{SSV}Parameters/{SSV}Parameter"):
-            source = binding.get("prefix", "") + parameter.get("name", "")
-            value = next((t for t in parameter if isinstance(t.tag, str)), None)
-            for name in [source] if mapping is None else mapping.get(source, []):
-                place = f"{where} parameter {name}"
-                v = variables.get(name)
-                if v is None:
-                    self.report.add(
-                        "SSP parameters", place, "the FMU has no such variable", "correct the name"
-                    )
-                    continue
-                self.parameter(value, v, d, units, place)
-
-    def mapping(self, binding: Any, where: str) -> dict[str, list[str]] | None:
-        """Return source -> targets of a binding's mapping; None where names stay as they are."""
-        mapped = binding.find(f"{SSD}ParameterMapping")
-        root = None if mapped is None else self.part(mapped, where, _MAPPING, f"{SSM}ParameterMapping")
-        if root is None:
-            return None
-        mapping: dict[str, list[str]] = {}
-        for entry in root.findall(f"{SSM}MappingEntry"):
-            mapping.setdefault(entry.get("source", ""), []).append(entry.get("target", ""))
-        return mapping
-
-    def parameter(self, value: Any, v: ScalarVariable, d: ModelDescription, units: Any, place: str) -> None:
-        """A variable can be set, to a value of its type in a unit of its dimension."""
-        if v.causality not in ("parameter", "input") and v.initial not in ("exact", "approx"):
-            self.report.add(
-                "SSP parameters",
-                place,
-                f"a {v.causality} that cannot be set",
-                "set a parameter or input",
-            )
-        if value is None:
-            return
-        kind, unit = value.tag.rpartition("}")[2], value.get("unit")
-        if kind != v.type and (kind, v.type) not in _LOOSE:
-            self.report.add(
-                "SSP parameters",
-                place,
-                f"is {kind}, the variable is {v.type}",
-                "use the type of the FMU",
-            )
-        self.unit_is_defined(unit, place, units if units.names else self.units)
-        of_fmu = d.unit_of(v)
-        if unit and of_fmu and unit != of_fmu and units.dimension(unit) != d.dimension(of_fmu):
-            self.report.add(
-                "SSP units",
-                place,
-                f"has unit {unit}, the variable {of_fmu}",
-                "use a unit of the same dimension",
-            )
-
-    def part(self, holder: Any, where: str, schema: str, tag: str, inline: str = "") -> Any | None:
-        """Return the root of an SSV or SSM, given inside the structure or as a file of its own."""
-        if holder.get("source"):
-            file = self.file(holder.get("source"), where)
-            if file is None:
-                return None
-            name = file.relative_to(self.folder.resolve()).as_posix()
-            root = read_xml(file, name, self.report)
-            return root if root is not None and obeys_schema(root, schema, name, self.report) else None
-        return holder.find(f"{inline}/{tag}") if inline else holder.find(tag)
-
     def connections(
-        self, system: Any, where: str, own: dict[str, Connector], elements: dict[str, dict[str, Connector]]
+        self,
+        system: Any,
+        where: str,
+        own: Mapping[str, Connector],
+        elements: Elements,
     ) -> None:
         """Ends exist, point the right way, have one source, and types and dimensions that go together."""
         fed: dict[tuple[str | None, str], str] = {}
@@ -330,6 +223,8 @@ class _Check:
             if start is None or end is None:
                 continue
             self.connection(text, start, end, from_element=bool(ends[0][0]), to_element=bool(ends[1][0]))
+            if c.get("suppressUnitConversion", "false") not in ("true", "1"):
+                self.dimensions(text, start, end)
             if ends[1] in fed:
                 self.report.add(
                     "SSP connections", text, f"the target is also fed by {fed[ends[1]]}", "keep one of them"
@@ -338,7 +233,10 @@ class _Check:
         self.note_open(where, elements, fed.keys())
 
     def note_open(
-        self, where: str, elements: dict[str, dict[str, Connector]], fed: Collection[tuple[str | None, str]]
+        self,
+        where: str,
+        elements: Elements,
+        fed: Collection[tuple[str | None, str]],
     ) -> None:
         """Note the inputs of elements that nothing feeds."""
         for element, connectors in elements.items():
@@ -360,16 +258,30 @@ class _Check:
                 f"goes from {start.kind} to {end.kind}",
                 "connect an output to an input",
             )
-        if start.type and end.type and start.type != end.type and (start.type, end.type) not in _LOOSE:
+        if start.type and end.type and start.type != end.type and (start.type, end.type) not in LOOSE:
             self.report.add(
                 "SSP connections", text, f"goes from {start.type} to {end.type}", "connect the same type"
             )
-        if start.unit and end.unit and start.unit != end.unit:
-            one, other = self.units.dimension(start.unit), self.units.dimension(end.unit)
-            if one is None or other is None or one != other:
-                self.report.add(
-                    "SSP units",
-                    text,
-                    f"goes from {start.unit} to {end.unit}",
-                    "connect the same dimension",
-                )
+
+    def dimensions(self, text: str, start: Connector, end: Connector) -> None:
+        """Units of both ends, their own or those of the FMU, have the same dimension."""
+        if not start.unit or not end.unit or start.unit == end.unit:
+            return
+        if start.dimension is None or start.dimension != end.dimension:
+            self.report.add(
+                *("SSP units", text, f"goes from {start.unit} to {end.unit}"), "connect the same dimension"
+            )
+
+
+def _of_fmu(connectors: Mapping[str, Connector], d: ModelDescription) -> dict[str, Connector]:
+    """Return connectors with the types and units of their FMU where they state none."""
+    variables = {v.name: v for v in d.variables}
+    completed = dict(connectors)
+    for name, c in connectors.items():
+        if (v := variables.get(name)) is None:
+            continue
+        unit = d.unit_of(v)
+        if c.unit is None and unit is not None:
+            c = replace(c, unit=unit, dimension=d.dimension(unit))
+        completed[name] = replace(c, type=c.type or v.type)
+    return completed
