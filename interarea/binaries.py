@@ -30,6 +30,7 @@ from interarea.models.blocks import controller, supervisor
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.concentrator import concentrator_block
 from interarea.models.blocks.container import container_sources
+from interarea.models.blocks.detector import detector_block
 from interarea.models.blocks.plant import plant_sources
 from interarea.models.blocks.pmu import pmu_block
 from interarea.models.case.case import case_names, load_case
@@ -42,6 +43,7 @@ def kinds() -> Iterator[tuple[str, dict[str, bytes]]]:
         "loop": container_sources(),
         "channel": channel_block().sources,
         "concentrator": concentrator_block(1).sources,
+        "detector": detector_block(("signal",)).sources,
         "pmu": pmu_block().sources,
         "controller": (controller.SOURCE,),
         "supervisor": (supervisor.SOURCE,),

@@ -11,6 +11,7 @@ from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.concentrator import concentrator_block
 from interarea.models.blocks.container import LoopMember, loop_block
 from interarea.models.blocks.controller import controller_block
+from interarea.models.blocks.detector import detector_block
 from interarea.models.blocks.plant import plant_block
 from interarea.models.blocks.pmu import pmu_block
 from interarea.models.blocks.supervisor import supervisor_block
@@ -41,6 +42,7 @@ def blocks() -> dict[str, Block]:
         ),
         "channel": channel_block(),
         "concentrator": concentrator_block(2),
+        "detector": detector_block(["G1_dw", "G2_dw", "G4_dw"]),
         "pmu": pmu_block(),
         "plant": plant,
         "loop": closed_loop(plant, controller),

@@ -40,7 +40,7 @@ PYTHON = [p for floor in FLOORS for p in sorted((ROOT / floor).rglob("*.py"))]
 SOURCES = PYTHON + [p for floor in FLOORS for p in sorted((ROOT / floor).rglob("*.[ch]"))]
 #: C has its order of folders too: each includes from those before it.
 C_ORDER = [
-    *(f"models/c/{k}" for k in ("block", "channel", "concentrator", "controller")),
+    *(f"models/c/{k}" for k in ("block", "channel", "concentrator", "controller", "detector")),
     *(f"models/c/plant/{k}" for k in ("numbers", "machine", "network", "flow", "start", "events")),
     *(f"models/c/{k}" for k in ("plant", "plant/lanes", "pmu", "container")),
     *(

@@ -195,8 +195,7 @@ def _of_scenario(scenario: Scenario, cache: Path) -> Subject:
         raise ScenarioError(
             f"{scenario.name}: case is missing; a page holds the C of this package, not FMUs of others"
         )
-    if scenario.concentrators or scenario.fmus or scenario.connections:
-        parts = [n for n in ("concentrators", "fmus", "connections") if getattr(scenario, n)]
+    if parts := [n for n in ("concentrators", "detector", "fmus", "connections") if getattr(scenario, n)]:
         raise ScenarioError(
             f"{scenario.name}: {', '.join(parts)}: a page holds one plant, one controller and a channel for "
             "each of its signals; take these out, or run the scenario with `interarea run`"

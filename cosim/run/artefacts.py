@@ -74,6 +74,17 @@ def concentrator_fmu(signals: int, cache: Path) -> Path:
     return _kept_fmu(cache, "concentrator", f"concentrator{signals}", [signals], block)
 
 
+def detector_fmu(signals: Sequence[str], cache: Path) -> Path:
+    """Return the FMU of a detector of these signals; its thresholds are its parameters."""
+
+    def block() -> Block:
+        from interarea.models.blocks.detector import detector_block
+
+        return detector_block(signals)
+
+    return _kept_fmu(cache, "detector", f"detector{len(signals)}", list(signals), block)
+
+
 def pmu_fmu(cache: Path) -> Path:
     """Return the FMU of one PMU; class and window are its parameters."""
 

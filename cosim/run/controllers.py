@@ -14,6 +14,8 @@ from interarea.design.controllers.bundled import shipped_controller, shipped_nam
 from interarea.design.controllers.controller import Controller, ControllerError
 from interarea.fmu_build.write.cache import artefact, code_hash, content_hash, file_hash, numerics_versions
 from interarea.fmu_build.write.package import block_fmu
+from interarea.models.blocks.controller import with_trust
+from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case
 
 from ..errors import ScenarioError, nearest
@@ -152,6 +154,14 @@ def active_bank(case: Case, cache: Path) -> ControllerBank:
     return ControllerBank.load(artefact(cache, "controllers", f"active-{key}", ".json", make))
 
 
-def controller_fmu(controller: Controller | ControllerBank, omega_b: float, cache: Path) -> Path:
-    """Return the FMU of a controller: pu in, pu out; `omega_b` in rad/s."""
-    return block_fmu(controller.block(omega_b), cache)
+def controller_fmu(
+    controller: Controller | ControllerBank, omega_b: float, cache: Path, *, trust: bool = False
+) -> Path:
+    """Return the FMU of a controller: pu in, pu out; `omega_b` in rad/s. trust : `controller_block_of`."""
+    return block_fmu(controller_block_of(controller, omega_b, trust=trust), cache)
+
+
+def controller_block_of(controller: Controller | ControllerBank, omega_b: float, *, trust: bool) -> Block:
+    """Return the block of a controller; trust : one that is no bank has flags for a detector too."""
+    block = controller.block(omega_b)
+    return with_trust(block) if trust and isinstance(controller, Controller) else block

@@ -16,7 +16,7 @@ from interarea.models.case.case import Case
 
 from ..errors import GraphError
 from ..master.instances import Value
-from .artefacts import EVENT_SLOTS, channel_fmu, concentrator_fmu, plant_fmu, pmu_fmu
+from .artefacts import EVENT_SLOTS, channel_fmu, concentrator_fmu, detector_fmu, plant_fmu, pmu_fmu
 from .controllers import controller_fmu
 
 
@@ -74,7 +74,7 @@ class Fmus:
         self.cache = cache
         self.loops: dict[Any, Any] = {}  #: linear plants and what swings with them (`linear_loop`)
         self._files: dict[Path, FmuFile] = {}
-        self._controllers: dict[int, tuple[Controller | ControllerBank, FmuFile]] = {}
+        self._controllers: dict[tuple[int, bool], tuple[Controller | ControllerBank, FmuFile]] = {}
         self._scaled: dict[tuple[int, float, float | None], tuple[Controller, Controller]] = {}
         self._plants: dict[tuple[str, int, tuple[str, ...]], Block] = {}
 
@@ -109,12 +109,19 @@ class Fmus:
         """Return the concentrator of so many signals."""
         return self.open(concentrator_fmu(signals, self.cache))
 
-    def controller(self, controller: Controller | ControllerBank, omega_b: float) -> FmuFile:
-        """Return the FMU of a controller; `omega_b` in rad/s."""
-        if id(controller) not in self._controllers:
-            file = self.open(controller_fmu(controller, omega_b, self.cache))
-            self._controllers[id(controller)] = (controller, file)
-        return self._controllers[id(controller)][1]
+    def detector(self, signals: Sequence[str]) -> FmuFile:
+        """Return the detector of these signals."""
+        return self.open(detector_fmu(signals, self.cache))
+
+    def controller(
+        self, controller: Controller | ControllerBank, omega_b: float, *, trust: bool = False
+    ) -> FmuFile:
+        """Return the FMU of a controller; `omega_b` in rad/s. trust : see `controller_block_of`."""
+        key = (id(controller), trust)
+        if key not in self._controllers:
+            file = self.open(controller_fmu(controller, omega_b, self.cache, trust=trust))
+            self._controllers[key] = (controller, file)
+        return self._controllers[key][1]
 
     def scaled(self, controller: Controller, gain: float, limit_pu: float | None) -> Controller:
         """Return a controller with another gain and limit, the same object for the same."""

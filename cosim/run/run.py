@@ -23,6 +23,7 @@ from ..scenario.scenario import Scenario, load_scenario
 from ..scenario.ways import Way
 from ..trajectory import Trajectory
 from .controllers import ControllerLike, controller_of
+from .detector import add_detector, flags
 from .instance import Fmus, Instance
 from .oddities import made_for_another, outputs_used, times_past_the_end
 from .swing_signal import swing_of
@@ -185,6 +186,7 @@ def system_of(
             system.line(name, line, f"{scenario.name}: {kind}.{name}")
     if scenario.case:
         with wrong:
+            add_detector(system, scenario)
             _connect_signals(system, scenario)
     for name, table in scenario.fmus.items():
         with wrong:
@@ -242,7 +244,7 @@ def _add_controller(
             )
         controller = system.fmus.scaled(controller, gain, limit)
     if controller is not None:
-        system.controller(controller)
+        system.controller(controller, trust=scenario.detector is not None)
     return provided
 
 
@@ -267,12 +269,12 @@ def _connect_signals(system: System, scenario: Scenario) -> None:
         where = _where(scenario, signal, path.u)
         with wrong:
             _connect_source(system, path, signals, where)
-        if controller is not None and (path.pmu is not None or signal in signals):
+        witness = scenario.detector is not None and signal not in requested
+        if controller is not None and not witness and (path.pmu is not None or signal in signals):
             with wrong:
                 _known(signal, requested, f"{where} is no input of controller {title}")
             system.connections.append((y, f"{CONTROLLER}.{signal}"))
-            if f"{signal}_valid" in taken:
-                system.connections.append((valid, f"{CONTROLLER}.{signal}_valid"))
+            system.connections += flags(signal, valid, taken, scenario.detector is not None)
     for signal in _without(requested, _fed(scenario)):
         with wrong:
             _known(signal, signals, f"controller {title}: input {signal!r} is no output of the plant")

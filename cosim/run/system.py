@@ -5,8 +5,7 @@
     grid.controller("wdc")
     grid.channel("remote", latency_s=0.1, outages_s=[(10.0, 12.0)])
     grid.connect("plant.G2_dw", "remote", "controller.G2_dw")
-    grid.connect("plant.G4_dw", "controller.G4_dw")
-    grid.connect("controller.G4_vs", "plant.G4_vs")
+    grid.connect("plant.G4_dw", "controller.G4_dw").connect("controller.G4_vs", "plant.G4_vs")
     grid.event("vref_pulse", machine="G1", size_pu=0.05, start_s=1.0, end_s=1.2)
     result = grid.run()
     result.data  # a DataFrame; units in result.units
@@ -18,6 +17,7 @@ becomes a system too (`run.system_of`): for a run, for the many of a sweep, for 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 from warnings import warn
@@ -54,7 +54,7 @@ from ..scenario.channels import ChannelLine, hold_packets, points_of
 from ..scenario.concentrators import ConcentratorLine
 from ..scenario.scenario import Scenario
 from .artefacts import EVENT_SLOTS
-from .controllers import ControllerLike, controller_of
+from .controllers import ControllerLike, controller_block_of, controller_of
 from .events import timed_event
 from .instance import Fmus, Instance, start_values
 from .latency import self_test_of
@@ -125,10 +125,10 @@ class System:
         self.plants[name], self.shows[name] = loaded, tuple(show)
         return self.put(Instance(name, self.fmus.plant(loaded, self._slots(name), self.shows[name])))
 
-    def controller(self, controller: ControllerLike, name: str = CONTROLLER) -> System:
+    def controller(self, controller: ControllerLike, name: str = CONTROLLER, trust: bool = False) -> System:
         """Add a controller: an object, its file, any FMU (``.fmu``), or a name (see `controller_of`).
 
-        A named controller is designed for the plant added before, once into the cache.
+        A named one is designed for the plant added before, once into the cache. trust : with flags.
 
         Raises
         ------
@@ -142,9 +142,10 @@ class System:
         loaded = controller_of(controller, case, self.fmus.cache)
         if loaded is None:
             return self
-        file = self.fmus.controller(loaded, case.omega_b)
+        file = self.fmus.controller(loaded, case.omega_b, trust=trust)
         self.bank = loaded if isinstance(loaded, ControllerBank) else None
-        return self.put(Instance(name, file, block=lambda: loaded.block(case.omega_b)))
+        block = partial(controller_block_of, loaded, case.omega_b, trust=trust)
+        return self.put(Instance(name, file, block=block))
 
     def fmu(
         self,
@@ -225,7 +226,7 @@ class System:
         return self
 
     def pmu(self, name: str, measures: PmuFilter) -> System:
-        """Add a PMU with a filter of `pmu_filter`: inputs ``re``, ``im``, outputs ``deviation``, ``v``, .."""
+        """Add a PMU with a filter of `pmu_filter`: inputs ``re``, ``im``, outputs ``deviation``, .."""
         self.pmus[name] = measures
         return self.put(Instance(name, self.fmus.pmu(), measures.parameters, pmu_block))
 
@@ -238,11 +239,7 @@ class System:
     ) -> System:
         """Add a concentrator: inputs ``u1``.., aligned outputs ``y1``.., ``valid1``.., ``age`` and counts.
 
-        signals : of each the keys of `SignalWay`. keys : of `ConcentratorLine`.
-
-        Raises
-        ------
-        ScenarioError : a key or value that it does not take.
+        signals : of each the keys of `SignalWay`. keys : of `ConcentratorLine`. ScenarioError : others.
         """
         if line is None:
             table = {"signals": tuple(signals), **keys}

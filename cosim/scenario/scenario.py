@@ -68,6 +68,8 @@ Changes to what `case` and `controller` name, so that no copy of either is neede
     [plant]                            # start values of the plant FMU's parameters
     "G1.exciter.Efd_max" = 5.0
 
+A detector of wrong signals, which may travel only to be compared: `[detector]`, all its keys optional.
+
 Optional besides: `swing = ["G2", "G4"]`, the machines whose difference of speeds the run is judged by
 (default: those of the case, else the extreme ones of the inter-area mode's shape); `title`, `source`,
 `[master]` (inputs, loops, tolerance, arrivals, early; `joint = true`: one block and no master) and
@@ -82,11 +84,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import (
     BaseModel,
-    BeforeValidator,
     Field,
     ValidationError,
     field_validator,
@@ -100,10 +101,11 @@ from interarea.models.table import ShortName, Table, Title
 
 from ..clock import event_on_ticks, on_tick, roundings
 from ..errors import ScenarioError, nearest
-from ..stepping_words import Early, Inputs, Loops, early_word
 from ..toml_file import read_toml
 from .channels import Seconds
+from .detector import DetectorTable
 from .expectation import Expectation
+from .master_table import MasterTable
 from .names import NAMED_CONTROLLERS, beside, grid_of, wrong_names
 from .ways import ChannelTable, ConcentratorTable, Way, signal_faults_of, ways_of
 
@@ -138,25 +140,6 @@ class FmuTable(Table):
         return {"isolate": self.isolate, "time_limit_s": self.time_limit_s}
 
 
-class MasterTable(Table):
-    """How the master hands inputs over and what it does with loops (see `Master`)."""
-
-    #: how inputs move between communication points: cubics, straight lines, or held
-    inputs: Inputs = "hermite"
-    #: loops without a channel: iterate with saved states, extrapolate, or whichever is possible
-    loops: Loops = "auto"
-    tolerance: Annotated[float, Field(gt=0.0, lt=1.0)] = 1e-7  #: of the iteration, relative
-    #: when an FMU ends a step early: continue from there with it, or set all back to the last point
-    early: Annotated[Early, BeforeValidator(early_word)] = "continue"
-    arrivals: Literal["exact", "grid"] = "exact"  #: packets come out at their instant, or on the grid
-    joint: bool = False  #: no master: plant, controller and channels in one block (`run_joint`)
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """What `Master` takes of this table."""
-        return self.model_dump(exclude={"arrivals", "joint"})
-
-
 class OperatingPointTable(Table):
     """Another operating point of the case: see `operating_variant`."""
 
@@ -185,6 +168,8 @@ class Scenario(Table):
     #: name -> several signals aligned by time stamp (IEEE C37.247)
     concentrators: Mapping[ShortName, ConcentratorTable] = {}
     fmus: Mapping[ShortName, FmuTable] = {}  #: name -> an FMU of one's own
+    #: says which signals are trusted, and takes the others away from the controller
+    detector: DetectorTable | None = None
     connections: tuple[tuple[str, ...], ...] = ()  #: [from, channels on the way, to] for FMUs of one's own
     #: refuse an FMU whose description breaks the standard even where it does no harm; else a warning tells
     strict: bool = False
@@ -285,6 +270,8 @@ class Scenario(Table):
                         f"{' and '.join(_RESERVED)}, used once"
                     )
                 seen.add(name)
+        if self.detector is not None:
+            yield from self.detector.wrong(self.signals, seen)
         for way in self.signals:
             if way.source in seen:
                 yield f"{way.source}: the name of the PMU before {way.u} is taken, allowed: one not in use"

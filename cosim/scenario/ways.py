@@ -95,6 +95,12 @@ class Way(NamedTuple):
     valid: str
     pmu: PmuTable | None
     interval_s: float  #: between packets
+    quantum: float = 0.0  #: of which values are multiples
+
+    @property
+    def age(self) -> str:
+        """Output of its line that says how old the signal is."""
+        return f"{self.u.partition('.')[0]}.age"
 
     @property
     def source(self) -> str:
@@ -119,7 +125,8 @@ def ways_of(
     """Yield the way of each signal that is named; the others are connected by hand."""
     for name, c in channels.items():
         if c.signal:
-            yield Way(c.signal, f"{name}.u", f"{name}.y", f"{name}.valid", c.pmu, c.reporting_interval_s)
+            ends = (f"{name}.u", f"{name}.y", f"{name}.valid")
+            yield Way(c.signal, *ends, c.pmu, c.reporting_interval_s, c.quantum)
     for name, table in concentrators.items():
         for i, s in enumerate(table.signals, start=1):
             if s.signal:

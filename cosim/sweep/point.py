@@ -31,7 +31,8 @@ from interarea.models.case.variants import operating_variant
 from ..errors import SweepError, nearest
 from ..scenario.channels import derived_seed
 from ..scenario.document import scenario_document
-from ..scenario.scenario import MasterTable, Scenario, load_scenario
+from ..scenario.master_table import MasterTable
+from ..scenario.scenario import Scenario, load_scenario
 from ..scenario.ways import ChannelTable, ConcentratorTable, SignalTable
 from .spec import Path_, Sweep
 from .values import Value

@@ -11,7 +11,7 @@ from interarea.fmu_build.write.lane_library import plant_group
 from interarea.models.blocks.plant import plant_block, plant_sources
 
 from ..master.kernel.build import load_kernel
-from ..run.artefacts import channel_fmu, concentrator_fmu, plant_fmu, pmu_fmu
+from ..run.artefacts import channel_fmu, concentrator_fmu, detector_fmu, plant_fmu, pmu_fmu
 from ..run.controllers import controller_fmu
 from .plan import SweepPlan, case_in, own_fmu
 
@@ -26,6 +26,9 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
         files.append(Path(load_kernel(cache)._name))
     files += [own_fmu(cache, key) for key in dict.fromkeys(plan.fmus.values())]
     files += [concentrator_fmu(len(c.signals), cache) for c in plan.sweep.base.concentrators.values()]
+    detected = plan.sweep.base.detector is not None
+    if detected:
+        files.append(detector_fmu(tuple(way.signal for way in plan.sweep.base.signals), cache))
     if any(path.pmu for path in plan.sweep.base.signals):
         files.append(pmu_fmu(cache))
     cases = {name: plan.case(name) for name in plan.cases}
@@ -40,5 +43,5 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
         name = case_in(key, cases)
         controller = plan.controller(name, key[len(name) + 1 :])
         if controller is not None:
-            files.append(controller_fmu(controller, cases[name].omega_b, cache))
+            files.append(controller_fmu(controller, cases[name].omega_b, cache, trust=detected))
     return files

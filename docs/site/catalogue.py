@@ -21,6 +21,7 @@ from interarea.fmu_build.write.cache import default_cache
 from interarea.models.blocks.channel import channel_block
 from interarea.models.blocks.concentrator import concentrator_block
 from interarea.models.blocks.controller import Guard, controller_block
+from interarea.models.blocks.detector import detector_block
 from interarea.models.blocks.plant import plant_block
 from interarea.models.blocks.pmu import pmu_block
 from interarea.models.blocks.supervisor import supervisor_block
@@ -141,6 +142,7 @@ def blocks() -> Iterator[tuple[str, Block]]:
     yield "Plant", plant_block(ia.load_case("two-area-thesis"))
     yield "Channel", channel_block()
     yield "Concentrator of two signals", concentrator_block(2)
+    yield "Detector of wrong signals, for three", detector_block(["G1_dw", "G2_dw", "G4_dw"])
     yield "Phasor measurement unit", pmu_block()
     signals, actuators = ["G2_dw", "G4_dw"], ["G4_vs"]
     one = (np.array([[-1.0]]), np.array([[1.0, -1.0]]), np.array([[0.1]]), np.zeros((1, 2)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -176,6 +176,24 @@ def controller_block(
         },
         provenance=dict(provenance or {}),
     )
+
+
+def with_trust(block: Block) -> Block:
+    """Return the block of a controller with an input ``SIGNAL_trusted`` for each: where false it takes 0."""
+    signals = [v.name for v in block.table.of_role("input")]
+    flags = {s: f"{s}_trusted" for s in signals}
+    table = [_dependent(v, flags) for v in block.table]
+    table += [
+        Variable(flag, "input", f"Whether {s} is trusted", type="Boolean", start=True)
+        for s, flag in flags.items()
+    ]
+    return replace(block, table=VariableTable(table))
+
+
+def _dependent(v: Variable, flags: Mapping[str, str]) -> Variable:
+    """Return a variable that depends on the flags of the signals that it depends on."""
+    seen = v.depends_on or ()
+    return replace(v, depends_on=(*seen, *(flags[s] for s in seen if s in flags))) if seen else v
 
 
 def _guard_states(guard: Guard | None, outputs: Sequence[str]) -> dict[str, tuple[str, str]]:

@@ -17,7 +17,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {kind: build_fmu(block, folder) for kind, block in blocks().items()}
 
 
-@pytest.fixture(params=["decay", "controller", "channel", "concentrator", "pmu", "plant", "loop"])
+@pytest.fixture(params=["decay", "controller", "channel", "concentrator", "detector", "pmu", "plant", "loop"])
 def fmu(request: pytest.FixtureRequest, built: dict[str, Path]) -> Path:
     """Return the FMU file of each block kind in turn."""
     return built[request.param]

@@ -55,7 +55,9 @@ def test_archive_has_what_a_receiver_needs(fmu: Path) -> None:
         }
 
 
-@pytest.mark.parametrize("kind", ["decay", "controller", "channel", "concentrator", "pmu", "plant", "loop"])
+@pytest.mark.parametrize(
+    "kind", ["decay", "controller", "channel", "concentrator", "detector", "pmu", "plant", "loop"]
+)
 def test_same_block_gives_same_bytes(kind: str, built: dict[str, Path], tmp_path: Path) -> None:
     again = build_fmu(blocks()[kind], tmp_path / "other_name.fmu")
     assert again.read_bytes() == built[kind].read_bytes()

@@ -30,6 +30,7 @@ FMUS: dict[str, Callable[[Case, Path], Path]] = {
     "plant of NETS-NYPS": lambda case, cache: plant_fmu(load_case("nets-nyps"), cache),
     "channel": lambda case, cache: channel_fmu(cache),
     "concentrator": lambda case, cache: block_fmu(blocks()["concentrator"], cache),
+    "detector": lambda case, cache: block_fmu(blocks()["detector"], cache),
     "pmu": lambda case, cache: block_fmu(blocks()["pmu"], cache),
     "wdc": lambda case, cache: controller_fmu(design_controller(case, "wdc", cache), case.omega_b, cache),
     "cc": lambda case, cache: controller_fmu(design_controller(case, "cc", cache), case.omega_b, cache),

@@ -19,6 +19,7 @@ CALLS = {
     "supervisor": 200_000,
     "channel": 100_000,
     "concentrator": 100_000,
+    "detector": 50_000,
     "pmu": 50_000,
     "plant": 100_000,
     "loop": 20_000,

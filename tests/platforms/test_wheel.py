@@ -99,6 +99,7 @@ def test_the_wheel_holds_every_file_of_the_package(wheel: Path, tracked: list[st
         "loop",
         "channel",
         "concentrator",
+        "detector",
         "pmu",
         "controller",
         "supervisor",

@@ -20,7 +20,9 @@
  * limit; then, where the record has `guard` (per output the number of the input
  * that it watches, or -1), side of each guarded output, threshold, washout and
  * lowpass, and where it has `guard.follows` (the number of an input), flow. A limited output moves with its limit only: its directional
- * derivative is that of the limit. On a limit itself the inner side is taken.  */
+ * derivative is that of the limit. On a limit itself the inner side is taken.
+ *
+ * With a Boolean input for each signal, u is 0 in place of a signal that is not trusted. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -121,6 +123,13 @@ static void multiply(const double *M, const double *N, size_t rows, size_t n, si
     }
 }
 
+/* u, or where signals have flags a copy with 0 in place of those not trusted. */
+static const double *trusted(const Block *b, const double *u, double *copy)
+{
+    for (size_t j = 0; j < b->layout.n_iu; ++j) copy[j] = b->iu[j] ? u[j] : 0.0;
+    return b->layout.n_iu > 0 ? copy : u;
+}
+
 BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNeeds *needs,
                         BlockMessage *message)
 {
@@ -130,7 +139,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
     const size_t guards = guards_of(record, p, &watched), turned = follows >= 0 ? 1u : 0u;
     const size_t own = guards > 0 ? guards + 3 + turned : 0, extra = 2 * guards + turned;
     const size_t n = layout->n_x - extra;
-    int fits = layout->n_x >= extra && layout->n_iu + layout->n_ip == 0
+    int fits = layout->n_x >= extra && (layout->n_iu == 0 || layout->n_iu == m) && layout->n_ip == 0
                && turned <= guards && follows < (int32_t)m
                && layout->n_p == n * n + n * m + p * n + p * m + 1 + own;
 
@@ -142,7 +151,7 @@ BlockStatus block_needs(const Record *record, const BlockLayout *layout, BlockNe
         return BLOCK_ERROR;
     }
     needs->n_memory = M_COUNT;
-    needs->n_scratch = p;
+    needs->n_scratch = p + 2 * layout->n_iu;
     return BLOCK_OK;
 }
 
@@ -175,6 +184,7 @@ BlockStatus block_derivatives(Block *b, double t, const double *x, const double 
     const Gains g = gains_of(b);
 
     (void)t, (void)message;
+    u = trusted(b, u, b->scratch + b->layout.n_y);
     multiply(g.A, g.B, g.n, g.n, b->layout.n_u, x, u, dx);
     for (size_t i = 0, k = 0; k < g.guards; ++i) {
         if (g.watched[i] < 0) continue;
@@ -193,6 +203,7 @@ BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, 
     const Gains g = gains_of(b);
 
     (void)t, (void)message;
+    u = trusted(b, u, b->scratch + b->layout.n_y);
     multiply(g.C, g.D, b->layout.n_y, g.n, b->layout.n_u, x, u, y);
     for (size_t i = 0, k = 0; i < b->layout.n_y; ++i) {
         double high = g.limit, low = g.limit;
@@ -226,6 +237,8 @@ BlockStatus block_directional(Block *b, double t, const double *x, const double 
     const double turn = turn_of(&g, x), vturn = turn_slope(&g, turn, vx);
 
     (void)t, (void)message;
+    u = trusted(b, u, b->scratch + p);
+    vu = trusted(b, vu, b->scratch + p + b->layout.n_iu);
     if (vdx != NULL && g.follows >= 0) vdx[course] = (vu[g.follows] - vx[course]) / g.washout;
     if (vdx != NULL) multiply(g.A, g.B, g.n, g.n, m, vx, vu, vdx);
     if (vy != NULL) {

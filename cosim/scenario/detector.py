@@ -1,0 +1,95 @@
+"""The detector of a scenario: its keys, the signals that it compares, the FMU parameters they become."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import Field
+
+from interarea.models.table import Table
+
+from .ways import Way
+
+if TYPE_CHECKING:  # tables are checked before what runs them, numpy with it, is loaded
+    from ..master.instances import Value
+
+DETECTOR = "detector"  #: name of its instance
+_MOST_STAMPS = 256  # that a mean is taken over (detector.h)
+Positive = Annotated[float, Field(gt=0.0)]
+
+
+class DetectorTable(Table):
+    """Which signals are trusted (semantics: models/c/detector/detector.h); it sees all that travel.
+
+    A signal that no input of the controller takes is a witness: it is compared with the others.
+    """
+
+    range_pu: Annotated[float, Field(gt=0.0, examples=[0.05])] = 0.05  #: largest magnitude of a signal
+    jump_pu_per_s: Annotated[float, Field(gt=0.0, examples=[0.24])] = 0.24  #: its largest change in a second
+    repeat_frames: Annotated[int, Field(ge=1)] = 10  #: equal frames in a row while others move: too many
+    #: largest distance of a signal's mean from the median of the others
+    apart_pu: Annotated[float, Field(gt=0.0, examples=[0.001])] = 0.001
+    #: share of what the others swing by which it may be further apart
+    apart_share: Annotated[float, Field(ge=0.0)] = 0.75
+    average_s: Positive = 2.0  #: time over which means are taken: a period of the slowest swing, or more
+    #: how long a signal passes every test before it is trusted again; twice as long each further time
+    return_s: Annotated[float, Field(ge=0.0, examples=[5.0])] = 5.0
+    wait_s: Annotated[float, Field(ge=0.0)] = 1.0  #: signals later than this are not waited for
+
+    def wrong(self, ways: Sequence[Way], names: Collection[str]) -> Iterator[str]:
+        """Yield why these signals cannot be compared; names : of other instances."""
+        if DETECTOR in names:
+            yield f"detector: the name of its instance, {DETECTOR!r}, is taken, allowed: one not in use"
+        if not ways:
+            yield "detector: no signal travels through a channel or a concentrator, allowed: at least one"
+        without = [w.signal for w in ways if not w.interval_s]
+        if without:
+            yield (
+                f"detector: {', '.join(without)} travels without packets, allowed: set reporting_interval_s "
+                "of its channel"
+            )
+        other = [w.signal for w in ways if w.pmu is not None and w.pmu.quantity != "frequency"]
+        if other:
+            yield f"detector: {', '.join(other)} is no frequency, allowed: speeds (dw) and frequencies"
+        yield from self._wrong_packets(sorted({w.interval_s for w in ways if w.interval_s}))
+
+    def _wrong_packets(self, intervals: Sequence[float]) -> Iterator[str]:
+        if len(intervals) > 1:
+            each = " and ".join(f"{t:g} s" for t in intervals)
+            yield f"detector: packets come every {each}, allowed: one reporting interval for all signals"
+        elif intervals and not intervals[0] <= self.average_s <= _MOST_STAMPS * intervals[0] * (1 + 1e-9):
+            yield (
+                f"detector: average_s = {self.average_s:g} with packets every {intervals[0]:g} s, allowed: "
+                f"1 to {_MOST_STAMPS} packets"
+            )
+
+    def parameters(self, ways: Sequence[Way]) -> dict[str, Value]:
+        """Return the parameters of the FMU for these signals."""
+        quantum = max(w.quantum for w in ways)
+        start: dict[str, Value] = {
+            "interval": ways[0].interval_s,
+            "wait": self.wait_s,
+            "average": self.average_s,
+            "return_time": self.return_s,
+            "moving": max(1e-6, 4.0 * quantum),  # the rounded top of a swing repeats, and is not stuck
+            "share": self.apart_share,
+            "repeats": self.repeat_frames,
+        }
+        for i in range(1, len(ways) + 1):
+            start |= {
+                f"range[{i}]": self.range_pu,
+                f"jump[{i}]": self.jump_pu_per_s,
+                f"apart[{i}]": self.apart_pu,
+            }
+        return start
+
+
+def few_signals(ways: Sequence[Way]) -> list[str]:
+    """Return a line where so few signals are compared that none can be named."""
+    if len(ways) >= 3:
+        return []
+    return [
+        f"detector: it sees {len(ways)} signals; of two that disagree it cannot say which is wrong, so only "
+        "range, jump and repetition are tested; add channels of witnesses"
+    ]

@@ -1,0 +1,92 @@
+"""Which of several measured frequencies are to be trusted, as a block (semantics: detector/detector.h)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from .sizes import MOST_SIGNALS
+from .variables import Block, Variable, VariableTable
+
+_FOLDER = Path(__file__).resolve().parents[1] / "c"
+#: what the integer output NAME_reason says, by its value
+REASONS = ("trusted", "lost", "range", "jump", "repeat", "apart")
+MOST_STAMPS = 256  #: that a mean is taken over (detector.h)
+
+
+def detector_block(signals: Sequence[str], name: str = "detector", *, step_s: float = 0.01) -> Block:
+    """Return the block of a detector of these signals: inputs NAME, ``NAME_age`` (s) and ``NAME_valid``.
+
+    Boolean outputs: ``NAME_usable``, the flag is up and the signal is not isolated; ``NAME_trusted``, it is
+    not isolated. Integer outputs: ``NAME_reason`` (`REASONS`) and ``isolations``, how many there were.
+    FMI parameters: ``interval``, ``wait``, ``average``, ``return_time`` (s), ``moving`` (pu), ``share``,
+    ``repeats``; of each signal ``range[i]``, ``jump[i]`` (a second), ``apart[i]`` in its unit.
+
+    Raises
+    ------
+    ValueError : fewer than 1 or more than 32 signals, or one named twice.
+    """
+    if not 1 <= len(signals) <= MOST_SIGNALS or len(set(signals)) != len(signals):
+        raise ValueError(
+            f"detector {name}: signals are {list(signals)}, allowed: 1 to {MOST_SIGNALS} different names"
+        )
+    return Block(
+        kind="detector",
+        name=name,
+        description="Detector of wrong signals: which of several measured frequencies are to be trusted",
+        table=VariableTable([*_ports(signals), *_parameters(signals)]),
+        data={},
+        sources=(_FOLDER / "detector" / "detector.c",),
+        step_s=step_s,
+        model_exchange=False,
+        documentation={"Behaviour": _BEHAVIOUR},
+    )
+
+
+def _ports(signals: Sequence[str]) -> Iterator[Variable]:
+    for s in signals:
+        yield Variable(s, "input", f"Signal {s} as it arrives", unit="pu", start=0.0)
+    for s in signals:
+        yield Variable(f"{s}_age", "input", f"Time since the stamp of {s}", unit="s", start=0.0)
+    for s in signals:
+        yield Variable(f"{s}_valid", "input", f"Whether {s} arrives", type="Boolean", start=True)
+    for s in signals:
+        text = f"{s} arrives and is not isolated"
+        yield Variable(f"{s}_usable", "output", text, type="Boolean", depends_on=())
+    for s in signals:
+        yield Variable(f"{s}_trusted", "output", f"{s} is not isolated", type="Boolean", depends_on=())
+    numbered = ", ".join(f"{k} {word}" for k, word in enumerate(REASONS))
+    for s in signals:
+        text = f"Why {s} cannot be used: {numbered}"
+        yield Variable(f"{s}_reason", "output", text, type="Integer", depends_on=())
+    yield Variable("isolations", "output", "Isolations so far", type="Integer", depends_on=())
+
+
+def _parameters(signals: Sequence[str]) -> Iterator[Variable]:
+    for key, text, unit, start in (
+        ("interval", "Interval of frames", "s", 0.02),
+        ("wait", "Lag up to which signals wait for each other", "s", 1.0),
+        ("average", "Time over which means are compared", "s", 2.0),
+        ("return_time", "How long a signal passes every test before it comes back, the first time", "s", 5.0),
+        ("moving", "Change from frame to frame by which a signal moves", "pu", 1e-6),
+        ("share", "Share of the others' span by which a mean may be further apart", "1", 0.75),
+    ):
+        yield Variable(key, "parameter", text, unit=unit, start=start, min=0.0)
+    for i, s in enumerate(signals, start=1):
+        for key, text, start in (
+            ("range", f"Largest magnitude of {s}", 0.05),
+            ("jump", f"Largest change of {s} in a second", 0.24),
+            ("apart", f"Largest distance of the mean of {s} from the others", 1e-3),
+        ):
+            unit = "pu/s" if key == "jump" else "pu"
+            yield Variable(f"{key}[{i}]", "parameter", text, unit=unit, start=start, min=0.0)
+    text = "Equal frames in a row that are too many"
+    yield Variable("repeats", "parameter", text, type="Integer", start=10, min=1)
+
+
+_BEHAVIOUR = (
+    "<p>Each frame of a signal is tested for its range, its change and repetition; the means of all signals "
+    "over <code>average</code> are compared at the same stamps. A signal that fails is isolated until it has "
+    "passed every test for <code>return_time</code>, twice as long each further time. Outputs follow from "
+    "the inputs at the beginning of a step.</p>"
+)

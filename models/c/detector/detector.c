@@ -1,0 +1,258 @@
+#include "detector.h"
+
+#include <math.h>
+#include <stdio.h>
+
+#include "../block/sampled.h"
+
+static const double SLACK = 1e-9; /* s; instants closer than this count as equal */
+static const double MOST_FAILURES = 7.0;
+
+static double *memory_of(const Block *b, size_t i) { return b->memory + M_SIGNALS + DM_COUNT * i; }
+static const double *limits_of(const Block *b, size_t i) { return b->p + P_SIGNAL + PER_SIGNAL * i; }
+static size_t count_of(const Block *b) { return b->layout.n_iu; }
+static int trusted(const Block *b, size_t i) { return b->iu[i] && memory_of(b, i)[DM_ISOLATED] == 0.0; }
+
+BlockStatus block_needs(const Record *record, const BlockLayout *l, BlockNeeds *needs, BlockMessage *message)
+{
+    const size_t n = l->n_iu;
+
+    (void)record;
+    if (n < 1 || n > DETECTOR_SIGNALS || l->n_u != 2 * n || l->n_x + l->n_y + l->n_w + l->n_iw != 0
+        || l->n_p != P_SIGNAL + PER_SIGNAL * n || l->n_iy != 3 * n + 1 || l->n_ip != IP_COUNT) {
+        snprintf(message->text, sizeof message->text, "detector: the variables do not fit this binary");
+        return BLOCK_ERROR;
+    }
+    needs->n_memory = M_SIGNALS + DM_COUNT * n;
+    needs->n_scratch = n;
+    return BLOCK_OK;
+}
+
+static const char *wrong(const Block *b)
+{
+    const double *p = b->p;
+
+    if (!(p[P_INTERVAL] >= 1e-4 && p[P_INTERVAL] <= 1e3)) return "interval must lie in 1e-4 to 1e3 s";
+    if (!(p[P_AVERAGE] >= p[P_INTERVAL] && p[P_AVERAGE] <= p[P_INTERVAL] * (double)DETECTOR_STAMPS + SLACK))
+        return "average must lie in 1 to 256 intervals";
+    if (!(p[P_WAIT] >= 0.0 && p[P_RETURN] >= 0.0 && p[P_MOVING] >= 0.0 && p[P_SHARE] >= 0.0))
+        return "wait, return_time, moving and share must not be negative";
+    if (!(b->ip[IP_REPEATS] >= 1)) return "repeats must be at least 1";
+    for (size_t i = 0; i < count_of(b); ++i)
+        for (int k = 0; k < PER_SIGNAL; ++k)
+            if (!(limits_of(b, i)[k] > 0.0)) return "range, jump and apart of a signal must be positive";
+    return NULL;
+}
+
+BlockStatus block_start(Block *b, double t, BlockMessage *message)
+{
+    const char *bad = wrong(b);
+
+    if (bad != NULL) {
+        snprintf(message->text, sizeof message->text, "detector: %s", bad);
+        return BLOCK_ERROR;
+    }
+    for (size_t k = 0; k < M_SIGNALS + DM_COUNT * count_of(b); ++k) b->memory[k] = 0.0;
+    b->memory[M_STAMP] = ceil((t - SLACK) / b->p[P_INTERVAL]);
+    for (size_t k = 0; k < b->layout.n_iy; ++k) b->iy[k] = k < 2 * count_of(b);
+    return BLOCK_OK;
+}
+
+/* Signal i fails a test at time t. */
+static void fail(Block *b, size_t i, double t, int reason)
+{
+    double *m = memory_of(b, i);
+
+    m[DM_FAILED_AT] = t;
+    if (m[DM_ISOLATED] != 0.0) return;
+    m[DM_ISOLATED] = 1.0;
+    m[DM_REASON] = (double)reason;
+    m[DM_FAILURES] = fmin(m[DM_FAILURES] + 1.0, MOST_FAILURES);
+    b->memory[M_ALARMS] += 1.0;
+}
+
+/* Stamp and value of the frame that is `back` before the newest. */
+static const double *frame(const double *m, size_t back)
+{
+    const size_t number = (size_t)m[DM_FRAMES] - 1 - back;
+    return m + DM_FRAME + 2 * (number % DETECTOR_FRAMES);
+}
+
+static size_t frames(const double *m)
+{
+    return m[DM_FRAMES] < (double)DETECTOR_FRAMES ? (size_t)m[DM_FRAMES] : DETECTOR_FRAMES;
+}
+
+static int another_moves(const Block *b, size_t i)
+{
+    for (size_t j = 0; j < count_of(b); ++j)
+        if (j != i && trusted(b, j) && memory_of(b, j)[DM_MOVES] != 0.0) return 1;
+    return 0;
+}
+
+/* Tests the newest frame of signal i. */
+static void test_frame(Block *b, size_t i, double t)
+{
+    double *m = memory_of(b, i);
+    const double *now = frame(m, 0), *limits = limits_of(b, i);
+
+    if (!(fabs(now[1]) <= limits[S_RANGE])) fail(b, i, t, REASON_RANGE);
+    if (frames(m) < 2) return;
+    const double *before = frame(m, 1);
+    const double passed = now[0] - before[0], change = fabs(now[1] - before[1]);
+
+    if (passed <= (double)DETECTOR_GAP * b->p[P_INTERVAL] + SLACK && !(change <= limits[S_JUMP] * passed))
+        fail(b, i, t, REASON_JUMP);
+    m[DM_MOVES] = change > b->p[P_MOVING] ? 1.0 : 0.0;
+    if (change > 0.0) m[DM_REPEATS] = 0.0;
+    else if (another_moves(b, i)) m[DM_REPEATS] += 1.0;
+    if (m[DM_REPEATS] >= (double)b->ip[IP_REPEATS]) fail(b, i, t, REASON_REPEAT);
+}
+
+/* Takes the value that signal i has at time t, if it is a new frame. */
+static void receive(Block *b, size_t i, double t, const double *u_poly)
+{
+    const double stamp = t - u_poly[4 * (count_of(b) + i)];
+    double *m = memory_of(b, i), *slot;
+
+    if (!b->iu[i] || (m[DM_FRAMES] > 0.0 && !(stamp > frame(m, 0)[0] + SLACK))) return;
+    slot = m + DM_FRAME + 2 * ((size_t)m[DM_FRAMES] % DETECTOR_FRAMES);
+    slot[0] = stamp;
+    slot[1] = u_poly[4 * i];
+    m[DM_FRAMES] += 1.0;
+    test_frame(b, i, t);
+}
+
+/* Whether signal i takes part in what is compared at time t. */
+static int present(const Block *b, size_t i, double t)
+{
+    const double *m = memory_of(b, i);
+    return b->iu[i] && m[DM_FRAMES] > 0.0 && t - frame(m, 0)[0] <= b->p[P_WAIT] + SLACK;
+}
+
+/* The value of a signal at stamp c on the line between its frames; NAN where they are not there. */
+static double value_at(const Block *b, const double *m, double c)
+{
+    const size_t count = frames(m);
+
+    for (size_t back = 0; back < count; ++back) {
+        const double *f = frame(m, back), *after;
+        if (f[0] > c + SLACK) continue;
+        if (back == 0 || f[0] >= c - SLACK) return f[0] >= c - SLACK ? f[1] : NAN;
+        after = frame(m, back - 1);
+        if (after[0] - f[0] > (double)DETECTOR_GAP * b->p[P_INTERVAL] + SLACK) return NAN;
+        return f[1] + (after[1] - f[1]) * (c - f[0]) / (after[0] - f[0]);
+    }
+    return NAN;
+}
+
+/* Mean and span over the last `count` stamps; NAN where more than a quarter of them lacks a value. */
+static void average(double *m, size_t newest, size_t count)
+{
+    double sum = 0.0, least = INFINITY, most = -INFINITY;
+    size_t known = 0;
+
+    for (size_t back = 0; back < count; ++back) {
+        const double value = m[DM_ALIGNED + (newest - back) % DETECTOR_STAMPS];
+        if (isnan(value)) continue;
+        sum += value;
+        least = fmin(least, value);
+        most = fmax(most, value);
+        ++known;
+    }
+    m[DM_MEAN] = 4 * known >= 3 * count && known > 0 ? sum / (double)known : NAN;
+    m[DM_SPAN] = most - least;
+}
+
+/* By how much the mean of signal i is apart from the others, over what is allowed; NAN: fewer than two others. */
+static double apart(const Block *b, size_t i)
+{
+    double *sorted = b->scratch, span = 0.0;
+    size_t count = 0;
+
+    for (size_t j = 0; j < count_of(b); ++j) {
+        const double mean = memory_of(b, j)[DM_MEAN];
+        size_t k = count;
+        if (j == i || !trusted(b, j) || isnan(mean)) continue;
+        for (; k > 0 && sorted[k - 1] > mean; --k) sorted[k] = sorted[k - 1];
+        sorted[k] = mean;
+        span = fmax(span, memory_of(b, j)[DM_SPAN]);
+        ++count;
+    }
+    if (count < 2) return NAN;
+    return fabs(memory_of(b, i)[DM_MEAN] - 0.5 * (sorted[(count - 1) / 2] + sorted[count / 2]))
+           / (limits_of(b, i)[S_APART] + b->p[P_SHARE] * span);
+}
+
+/* Compares the means over the last stamps. */
+static void compare_means(Block *b, double t)
+{
+    const size_t count = (size_t)(b->p[P_AVERAGE] / b->p[P_INTERVAL] + 0.5), newest = (size_t)b->memory[M_STAMPS] - 1;
+    size_t furthest = 0;
+    double most = 0.0;
+
+    if (newest + 1 < count) return;
+    for (size_t i = 0; i < count_of(b); ++i) average(memory_of(b, i), newest, count);
+    for (size_t i = 0; i < count_of(b); ++i) {
+        const double ratio = apart(b, i);
+        if (!(ratio > 1.0)) continue;
+        if (!trusted(b, i)) {
+            if (b->iu[i]) fail(b, i, t, REASON_APART);
+        } else if (ratio > most) {
+            most = ratio;
+            furthest = i;
+        }
+    }
+    if (most > 1.0) fail(b, furthest, t, REASON_APART);
+}
+
+/* Compares the signals at every stamp that all of them have reached by time t. */
+static void compare(Block *b, double t)
+{
+    const double interval = b->p[P_INTERVAL];
+    double *m = b->memory, reached = INFINITY;
+
+    for (size_t i = 0; i < count_of(b); ++i)
+        if (present(b, i, t)) reached = fmin(reached, frame(memory_of(b, i), 0)[0]);
+    if (isinf(reached)) return;
+    reached = floor((reached + SLACK) / interval);
+    if (reached - m[M_STAMP] >= (double)DETECTOR_FRAMES) { /* after a pause of all of them */
+        m[M_STAMP] = reached;
+        m[M_STAMPS] = 0.0;
+    }
+    for (; m[M_STAMP] <= reached; m[M_STAMP] += 1.0, m[M_STAMPS] += 1.0) {
+        for (size_t i = 0; i < count_of(b); ++i) {
+            double *own = memory_of(b, i);
+            own[DM_ALIGNED + (size_t)m[M_STAMPS] % DETECTOR_STAMPS] =
+                present(b, i, t) ? value_at(b, own, m[M_STAMP] * interval) : NAN;
+        }
+    }
+    if (m[M_STAMPS] > 0.0) compare_means(b, t);
+}
+
+BlockStatus block_step(Block *b, double t, double h, const double *u_poly, double *dy, BlockMessage *message)
+{
+    const size_t n = count_of(b);
+
+    (void)h, (void)dy, (void)message;
+    for (size_t i = 0; i < n; ++i) receive(b, i, t, u_poly);
+    compare(b, t);
+    for (size_t i = 0; i < n; ++i) {
+        double *m = memory_of(b, i);
+        const double passed = t - m[DM_FAILED_AT];
+        if (m[DM_ISOLATED] != 0.0 && passed >= b->p[P_RETURN] * ldexp(1.0, (int)m[DM_FAILURES] - 1) - SLACK)
+            m[DM_ISOLATED] = m[DM_REPEATS] = 0.0;
+        b->iy[i] = trusted(b, i);
+        b->iy[n + i] = m[DM_ISOLATED] == 0.0;
+        b->iy[2 * n + i] = m[DM_ISOLATED] != 0.0 ? (int)m[DM_REASON] : b->iu[i] ? REASON_NONE : REASON_LOST;
+    }
+    b->iy[3 * n] = (int)b->memory[M_ALARMS];
+    return BLOCK_OK;
+}
+
+BlockStatus block_directional(Block *b, double t, const double *x, const double *u, const double *vx,
+                              const double *vu, double *vdx, double *vy, BlockMessage *message)
+{
+    (void)b, (void)t, (void)x, (void)u, (void)vx, (void)vu, (void)vdx, (void)vy, (void)message;
+    return BLOCK_OK;
+}

@@ -1,0 +1,50 @@
+#ifndef INTERAREA_DETECTOR_H
+#define INTERAREA_DETECTOR_H
+/* Which of several measured frequencies are to be trusted.
+ *
+ * Input i is what a channel or a concentrator hands over: value, age and flag. A frame is a value with a new
+ * stamp, stamp = t - age, while the flag is up. Tests of each frame of signal i, which need no model:
+ *
+ *     range   |u| > range[i]
+ *     jump    |u - u'| > jump[i] (stamp - stamp'), u' the frame before, not more than GAP intervals older
+ *     repeat  `repeats` frames in a row have the same bits, while another trusted signal moves by more than
+ *             `moving` from frame to frame
+ *
+ * and of all signals at the same stamps c = k interval, which the slowest of them has reached (one that lags by
+ * more than `wait` is left out); between frames u is a straight line:
+ *
+ *     apart   |mean(u_i) - median of mean(u_j)| > apart[i] + share max(span(u_j)),   j another trusted signal,
+ *
+ * mean and span (largest less smallest) over the last `average` seconds: all frequencies of one network agree when
+ * averaged over the period of its slowest swing. The first half wave of a swing has a mean too, hence the span.
+ * The test needs two others, and only the signal that is furthest beyond its limit is named at a stamp.
+ *
+ * A signal that fails is isolated. It comes back when it has passed every test for return 2^(n - 1), n the number
+ * of times it was isolated so far, at most 2^6 return. Of each signal
+ *
+ *     usable   its flag is up and it is not isolated: for a bank, which fades a signal out and chooses by the rest
+ *     trusted  it is not isolated: for a controller without a bank, which takes 0 in place of the signal
+ *     reason   one of REASON_
+ *
+ * Outputs of a step follow from the inputs where it begins.                                                 */
+#include "../block/block.h"
+
+enum { DETECTOR_SIGNALS = 32, DETECTOR_FRAMES = 128, DETECTOR_STAMPS = 256, DETECTOR_GAP = 5 };
+/* Real inputs: the values, then the ages. */
+/* Real parameters: the common ones, then PER_SIGNAL of each signal. Integer parameter: IP_REPEATS. */
+enum { P_INTERVAL, P_WAIT, P_AVERAGE, P_RETURN, P_MOVING, P_SHARE, P_SIGNAL };
+enum { S_RANGE, S_JUMP, S_APART, PER_SIGNAL };
+enum { IP_REPEATS, IP_COUNT };
+/* Integer outputs: usable of each, trusted of each, reason of each, then the number of isolations so far. */
+enum { REASON_NONE, REASON_LOST, REASON_RANGE, REASON_JUMP, REASON_REPEAT, REASON_APART };
+
+/* Discrete state: a head, then of each signal DM_COUNT numbers. */
+enum { M_STAMP, M_STAMPS, M_ALARMS, M_SIGNALS };
+enum {
+    DM_ISOLATED, DM_REASON, DM_FAILED_AT, DM_FAILURES, DM_REPEATS, DM_MOVES, DM_FRAMES, DM_MEAN, DM_SPAN,
+    DM_FRAME, /* stamp and value of each of the last frames */
+    DM_ALIGNED = DM_FRAME + 2 * DETECTOR_FRAMES,
+    DM_COUNT = DM_ALIGNED + DETECTOR_STAMPS
+};
+
+#endif

@@ -1,0 +1,139 @@
+"""The detector's tests of frames and of means: what each fires at, when, and what comes back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from fmpy.fmi1 import FMICallException
+from fmu_runner import Runner
+
+from interarea.fmu_build.write.package import build_fmu
+from interarea.models.blocks.detector import REASONS, detector_block
+
+SIGNALS = ("a", "b", "c", "d")
+FRAME_S = 0.02
+AMPLITUDE, MODE_HZ = 2e-3, 0.5  # 120 mHz at 60 Hz, one period is the mean's time
+AGE_S = {"a": 0.1, "b": 0.0, "c": 0.06, "d": 0.0}
+Sent = Callable[[float, float], float]  # stamp and true value to what is sent
+
+
+@pytest.fixture(scope="module")
+def detector(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_fmu(detector_block(SIGNALS), tmp_path_factory.mktemp("detector") / "detector.fmu")
+
+
+def true_value(signal: str, s: float) -> float:
+    """Two groups of machines swing against each other, from rest at 1 s on."""
+    side = 1.0 if signal in "ab" else -0.8
+    return side * AMPLITUDE * math.sin(2 * math.pi * MODE_HZ * max(s - 1.0, 0.0))
+
+
+def follow(
+    path: Path,
+    wrong: dict[str, Sent],
+    stop_s: float = 6.0,
+    lost: Callable[[str, float], bool] = lambda *_: False,
+    **parameters: float,
+) -> dict[str, list[tuple[float, str]]]:
+    """Send frames; of each signal every change of its reason, with the time of its last frame then."""
+    changes: dict[str, list[tuple[float, str]]] = {s: [] for s in SIGNALS}
+    with Runner(path) as run:
+        run.start({"average": 2.0, **parameters})
+        for k in range(round(stop_s / FRAME_S)):
+            t = k * FRAME_S
+            for s in SIGNALS:
+                stamp = max(t - AGE_S[s], 0.0)
+                value = true_value(s, stamp)
+                value = wrong[s](stamp, value) if s in wrong else value
+                run.set_of({s: value, f"{s}_age": t - stamp, f"{s}_valid": not lost(s, t)})
+            run.step(t, FRAME_S)
+            for s in SIGNALS:
+                reason = REASONS[run.get(f"{s}_reason")]
+                before = changes[s][-1][1] if changes[s] else "trusted"
+                if reason != before:
+                    changes[s].append((round(t - AGE_S[s], 9), reason))
+                assert run.get(f"{s}_trusted") == (reason in ("trusted", "lost"))
+                assert run.get(f"{s}_usable") == (reason == "trusted")
+    return changes
+
+
+def test_a_swing_of_all_is_trusted(detector: Path) -> None:
+    assert follow(detector, {}) == {s: [] for s in SIGNALS}
+
+
+@pytest.mark.parametrize(
+    ("sent", "reason", "at_s"),
+    [
+        # the frame after START is the first that repeats; ten of them
+        (lambda s, v: true_value("b", min(s, 2.2)), "repeat", 2.2 + 10 * FRAME_S),
+        (lambda s, v: v if s < 2.2 - 1e-9 else v + 0.06, "range", 2.2),
+        (lambda s, v: v if s < 2.2 - 1e-9 else v + 0.006, "jump", 2.2),
+        # the mean over 100 frames passes 1e-3 + .75 span at the 93rd frame (jump allows 4.8e-3)
+        (lambda s, v: v if s < 3.0 - 1e-9 else v + 4.3e-3, "apart", 3.0 + 93 * FRAME_S),
+    ],
+)
+def test_each_test_names_the_signal_at_the_stated_frame(
+    detector: Path, sent: Sent, reason: str, at_s: float
+) -> None:
+    found = follow(detector, {"b": sent})
+    assert all(found[s] == [] for s in "acd")
+    assert found["b"][0][1] == reason
+    # what is compared at one stamp waits for the slowest of the signals, 0.1 s
+    late_s = max(AGE_S.values()) if reason == "apart" else 0.0
+    assert found["b"][0][0] == pytest.approx(at_s + late_s, abs=FRAME_S + 1e-9)
+
+
+def test_a_signal_at_rest_repeats_without_harm(detector: Path) -> None:
+    """Before 1 s nothing moves; a real signal repeats then as a stuck one does."""
+    assert follow(detector, {"b": lambda s, v: 0.0}, stop_s=1.0)["b"] == []
+
+
+def test_it_comes_back_after_the_stated_time_and_later_each_time(detector: Path) -> None:
+    spikes = (2.2, 3.2, 5.2)
+    sent: Sent = lambda s, v: v + 0.01 * any(abs(s - at) < 1e-9 for at in spikes)  # noqa: E731
+    found = follow(detector, {"d": sent}, stop_s=9.0, return_time=0.5)["d"]
+    assert [why for _, why in found] == 3 * ["jump", "trusted"]
+    out = [t for t, why in found if why == "jump"]
+    back = [t for t, why in found if why == "trusted"]
+    assert out == pytest.approx(list(spikes), abs=1e-9)
+    # the frame after a spike jumps too: from there on .5, 1 and 2 s
+    assert [b - o for o, b in zip(out, back, strict=True)] == pytest.approx([0.52, 1.02, 2.02], abs=1e-9)
+
+
+def test_a_lost_signal_is_no_alarm_and_is_back_at_once(detector: Path) -> None:
+    found = follow(detector, {}, lost=lambda s, t: s == "a" and 2.0 <= t < 2.5 - 1e-9)
+    assert [why for _, why in found["a"]] == ["lost", "trusted"]
+    assert found["a"][1][0] - found["a"][0][0] == pytest.approx(0.5)
+    assert all(found[s] == [] for s in "bcd")
+
+
+def test_two_signals_never_accuse_each_other(tmp_path: Path) -> None:
+    path = build_fmu(detector_block(("a", "b")), tmp_path / "two.fmu")
+    with Runner(path) as run:
+        run.start()
+        for k in range(300):
+            run.set_of({"a": 1e-3 * math.sin(k), "b": 1e-3 * math.sin(k) + 3e-3 * (k > 100)})
+            run.step(k * FRAME_S, FRAME_S)
+        assert run.get("isolations") == 0
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"average": 9.0}, "average must lie in 1 to 256 intervals"),
+        ({"apart[2]": 0.0}, "range, jump and apart of a signal must be positive"),
+    ],
+)
+def test_parameters_that_cannot_be(detector: Path, keys: dict[str, float], says: str) -> None:
+    with Runner(detector) as run:
+        with pytest.raises(FMICallException):
+            run.start(keys)
+        assert any(says in line for line in run.log), run.log
+
+
+def test_signals_that_cannot_be() -> None:
+    with pytest.raises(ValueError, match="allowed: 1 to 32 different names"):
+        detector_block(["a", "a"])
