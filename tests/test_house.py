@@ -46,6 +46,7 @@ C_ORDER = [
     *(
         "fmu_build/c",
         "fmu_build/c/group",
+        "fmu_build/c/dll",
         "cosim/master/kernel",
         "cosim/explorer/web/libc",
         "cosim/explorer/web",

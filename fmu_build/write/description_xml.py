@@ -15,7 +15,7 @@ import numpy.typing as npt
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.variables import STEP_PARAMETER, Block, Enumeration, Variable
 
-RECORD_FORMAT = 1  #: read by c/fmi2_instantiate.c
+RECORD_FORMAT = 1  #: read by c/layout.c
 
 #: parameters that the initial unknowns list altogether
 MOST_DEPENDENCIES = 2_000_000
@@ -121,8 +121,8 @@ def _tables(block: Block) -> dict[str, npt.ArrayLike | bytes]:
             [1.0 if v.nominal is None else v.nominal for v in table.of_role("state")], dtype=np.float64
         ),
         "start.integer": table.start_integers(),
-        "min.integer": np.array([_integer_range(v)[0] for v in integers], dtype=np.int32),
-        "max.integer": np.array([_integer_range(v)[1] for v in integers], dtype=np.int32),
+        "min.integer": np.array([integer_range(v)[0] for v in integers], dtype=np.int32),
+        "max.integer": np.array([integer_range(v)[1] for v in integers], dtype=np.int32),
         "flags.integer": np.array([_flag(v) for v in integers], dtype=np.int32),
         "type.integer": np.array([_INTEGER_TYPES[v.type] for v in integers], dtype=np.int32),
         "names.real": b"".join(v.name.encode("utf-8") + b"\0" for v in reals),
@@ -141,7 +141,7 @@ def _flag(v: Variable) -> int:
     return _SET_START if v.role in ("state", "parameter") else _SET_NEVER
 
 
-def _integer_range(v: Variable) -> tuple[int, int]:
+def integer_range(v: Variable) -> tuple[int, int]:
     if v.enumeration is not None:
         values = [item[1] for item in v.enumeration.items]
         return min(values), max(values)

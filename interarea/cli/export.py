@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .modes import CaseName
 from .study import OutFolder
 from .terminal import FileAsJson, busy, steps, tell_file
+
+if TYPE_CHECKING:
+    from interarea.models.blocks.variables import Block
 
 ScenarioFile = Annotated[
     str, typer.Argument(metavar="SCENARIO.toml", help="scenario file, or a bundled name", show_default=False)
@@ -42,6 +45,17 @@ def build(
         ),
     ] = None,
     platforms: Platforms = None,
+    dll: Annotated[
+        str | None,
+        typer.Option(
+            "--dll",
+            metavar="LIST",
+            help="the controller and a channel as IEEE/CIGRE DLLs too, for win64,win32,linux64",
+        ),
+    ] = None,
+    sample_time: Annotated[
+        float, typer.Option("--sample-time", metavar="S", help="interval at which a tool calls a DLL, s")
+    ] = 0.001,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of lines")] = False,
 ) -> None:
     """Build the plant FMU of a case, complete: documentation, sources and cross-check files."""
@@ -69,11 +83,37 @@ def build(
             report(f"{name}.fmu")
             fmu = complete_fmu(block_fmu(block, cache, platforms=names_of(platforms)), cache)
             files[name] = str(place(fmu, out / f"{name}.fmu"))
+    dlls = _dlls(
+        [b for b in blocks.values() if b.kind != "plant"], out, names_of(dll) or [], sample_time, cache
+    )
     if json_:
-        typer.echo(json.dumps({"case": loaded.name, "fmus": files}, indent=2))
+        typer.echo(
+            json.dumps({"case": loaded.name, "fmus": files} | ({"dlls": dlls} if dll else {}), indent=2)
+        )
         return
-    for file in files.values():
+    for file in (*files.values(), *dlls):
         typer.echo(file)
+
+
+def _dlls(
+    blocks: list[Block], out: Path, platforms: list[str], sample_time_s: float, cache: Path
+) -> list[str]:
+    """Write each block as a DLL of each platform, ``OUT/PLATFORM/NAME.dll``."""
+    from interarea.fmu_build.errors import BuildError
+    from interarea.fmu_build.write.real_code import build_dll
+
+    if platforms and not blocks:
+        raise BuildError("--dll: no controller was named; allowed: with --controller CONTROLLER")
+    files = []
+    for platform in platforms:
+        (out / platform).mkdir(exist_ok=True)
+        for block in blocks:
+            with busy(f"{block.name} for {platform}"):
+                file = build_dll(
+                    block, out / platform, platform=platform, sample_time_s=sample_time_s, cache=cache
+                )
+            files.append(str(file))
+    return files
 
 
 def ssp(

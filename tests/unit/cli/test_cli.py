@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from interarea.cli.terminal import DEBUG_VARIABLE, complain
+from interarea.fmu_build.open.real_code import RealCodeLibrary
 
 SCENARIO = """
 case = "two-area-thesis"
@@ -220,3 +221,15 @@ def test_screen_writes_its_page_and_says_how_many_slip(interarea, tmp_path: Path
 def test_screen_refuses_in_one_line(interarea, tmp_path: Path, words, why: str) -> None:  # type: ignore[no-untyped-def]
     code, _, said = interarea("screen", "two-area-thesis", *words, "--out", str(tmp_path / "screen"))
     assert code == 2 and why in said and len(said.splitlines()) == 1
+
+
+def test_build_writes_the_controller_as_a_dll(interarea, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    code, out, err = interarea(
+        *("build", "two-area-thesis", "--controller", "robust", "--dll", "linux64", "--sample-time", "0.002"),
+        *("--out", tmp_path),
+    )
+    assert code == 0, err
+    assert {line.split("/")[-1] for line in out.splitlines()} >= {"robust.so", "channel.so", "robust.fmu"}
+    assert RealCodeLibrary(tmp_path / "linux64" / "robust.so").info.sample_time_s == 0.002
+    code, _, err = interarea("build", "two-area-thesis", "--dll", "linux64", "--out", tmp_path)
+    assert code == 2 and "--dll: no controller was named" in err
