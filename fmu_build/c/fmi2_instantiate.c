@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "instance.h"
-#include "layout.h"
+#include "placement.h"
 #include "resource.h"
 
 const char *fmi2GetTypesPlatform(void)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from interarea.models.blocks.binary_table import pack_record
 from interarea.models.blocks.variables import STEP_PARAMETER, Block, Enumeration, Variable
 
-RECORD_FORMAT = 1  #: read by c/layout.c
+RECORD_FORMAT = 1  #: read by c/placement.c
 
 #: parameters that the initial unknowns list altogether
 MOST_DEPENDENCIES = 2_000_000

@@ -23,7 +23,7 @@ from .description_xml import integer_range, product_version, record_entries
 from .sources import fmi_sources, gather_sources, record_source
 
 _C = Path(__file__).resolve().parents[1] / "c"
-_LAYER = ("fmi2_common", "fmi2_cs", "fmi2_values", "instance", "layout", "solver")
+_LAYER = ("fmi2_common", "fmi2_cs", "fmi2_values", "instance", "placement", "solver")
 _MARK = b"interarea-record"
 _LEAST_ROOM = 1 << 14
 MOST_SIGNALS, MOST_PARAMETERS = 256, 1024  #: c/dll/real_code.c

@@ -12,7 +12,7 @@
 #include <string.h>
 
 #include "instance.h"
-#include "layout.h"
+#include "placement.h"
 #include "real_code.h"
 #include "real_code_data.h"
 

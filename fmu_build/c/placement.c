@@ -2,7 +2,7 @@
 #include <stdio.h>
 
 #include "instance.h"
-#include "layout.h"
+#include "placement.h"
 #include "solver.h"
 
 enum { FORMAT = 1 };

@@ -1,5 +1,5 @@
-#ifndef INTERAREA_LAYOUT_H
-#define INTERAREA_LAYOUT_H
+#ifndef INTERAREA_PLACEMENT_H
+#define INTERAREA_PLACEMENT_H
 #include "instance.h"
 
 enum { WHY_SIZE = 512 };
