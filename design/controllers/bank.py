@@ -9,19 +9,20 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from interarea.models.blocks.guard import Guard
 from interarea.models.blocks.supervisor import MAX_BANK, MAX_SIGNALS, Matrices, supervisor_block
 from interarea.models.blocks.variables import Block
 from interarea.models.documents import DocumentError, parse_json, read_document
 from interarea.models.files import write_whole
 
 from ..lmi.problem import Matrix
-from .controller import Controller, ControllerError, document, plain, table_html
+from .controller import Controller, ControllerError, document, guard_of, plain, table_html
 from .json_text import json_text
 
 if TYPE_CHECKING:
@@ -45,6 +46,8 @@ class ControllerBank:
     design : how it was made, JSON values.
     certificate : what was proven (`switching.SwitchingCertificate.as_dict`), None before.
     lyapunov : the matrix of that proof, states of the plant first; None where there is none.
+    guard : which side of the limit falls while a first swing lasts, whoever acts; its threshold in rad/s.
+        Those of members are not regarded.
     """
 
     name: str
@@ -56,6 +59,7 @@ class ControllerBank:
     design: Mapping[str, Any] = field(default_factory=dict)
     certificate: Mapping[str, Any] | None = None
     lyapunov: Matrix | None = None
+    guard: Guard | None = None
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
@@ -81,6 +85,14 @@ class ControllerBank:
             least = "positive" if key == "limit_pu" else "not negative"
             if not (math.isfinite(value) and (value > 0.0 or (value == 0.0 and key != "limit_pu"))):
                 raise ControllerError(f"bank {self.name}: {key} is {value}, wanted finite and {least}")
+        self._check_guard()
+
+    def _check_guard(self) -> None:
+        if self.guard is not None:
+            try:
+                self.guard.check(self.name, self.inputs, self.outputs)
+            except ValueError as error:
+                raise ControllerError(str(error)) from error
 
     def _repr_html_(self) -> str:
         lines = {
@@ -155,6 +167,7 @@ class ControllerBank:
             fade_s=self.fade_s,
             loss_s=self.loss_s,
             return_s=self.return_s,
+            guard=None if self.guard is None else self.guard.in_pu(omega_b),
             extra={} if self.lyapunov is None else {"lyapunov": self.lyapunov},
             documentation=documentation,
             provenance={"method": str(self.design.get("method", "given")), "order": str(self.order)},
@@ -174,6 +187,7 @@ class ControllerBank:
             "design": plain(self.design),
             "certificate": None if self.certificate is None else plain(self.certificate),
             "lyapunov": None if self.lyapunov is None else np.asarray(self.lyapunov).tolist(),
+            **({} if self.guard is None else {"guard": asdict(self.guard)}),
         }
         return write_whole(path, json_text(data))
 
@@ -226,7 +240,27 @@ def bank_of_record(
         parameters["loss_time"],
         parameters["return_time"],
         lyapunov=_square(arrays.get("lyapunov")),
+        guard=_guard(arrays.get("guard"), inputs, outputs, parameters, omega_b),
     )
+
+
+def _guard(
+    weights: Any,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    parameters: Mapping[str, float],
+    omega_b: float,
+) -> Guard | None:
+    """Return the guard of an FMU's record and parameters; its threshold in rad/s."""
+    if weights is None:
+        return None
+    rows = dict(zip(outputs, np.asarray(weights).reshape(len(outputs), len(inputs)), strict=True))
+    seen = {y: tuple(s for s, weight in zip(inputs, row, strict=True) if weight) for y, row in rows.items()}
+    watched = {y: signals[0] if len(signals) == 1 else signals for y, signals in seen.items() if signals}
+    sides = {y: parameters[f"guard_side[{k}]"] for k, y in enumerate(watched, start=1)}
+    numbers = (parameters[f"guard_{what}"] for what in ("threshold", "washout", "lowpass"))
+    threshold, washout_s, lowpass_s = numbers
+    return Guard(watched, sides, threshold * omega_b, washout_s, lowpass_s)
 
 
 def _square(entries: Any) -> Matrix | None:
@@ -270,6 +304,7 @@ def load_controller(path: str | Path) -> Controller | ControllerBank:
             design=data.get("design", {}),
             certificate=data.get("certificate"),
             lyapunov=None if P is None else np.array(P, dtype=float),
+            guard=None if data.get("guard") is None else guard_of(data["guard"]),
         )
     except KeyError as error:
         raise ControllerError(f"bank file {path}: missing {error.args[0]}") from error

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from interarea.models.blocks.controller import Guard, controller_block
+from interarea.models.blocks.controller import controller_block
+from interarea.models.blocks.guard import Guard
 from interarea.models.blocks.variables import Block
 from interarea.models.documents import DocumentError, parse_json, read_document
 from interarea.models.errors import UserError
@@ -231,10 +232,6 @@ class Controller:
         except (TypeError, ValueError) as error:
             raise ControllerError(f"A, B, C, D do not fit {m} inputs and {p} outputs ({error})") from error
 
-    def _guard_in_pu(self, omega_b: float) -> Guard | None:
-        """The guard as the FMU has it: its threshold in the unit of the speeds that come in."""
-        return None if self.guard is None else replace(self.guard, threshold=self.guard.threshold / omega_b)
-
     def block(self, omega_b: float) -> Block:
         """Return the block for the FMU builder: speeds in pu (dw_rad = omega_b dw_pu), actuators in pu.
 
@@ -271,7 +268,7 @@ class Controller:
             list(self.inputs),
             list(self.outputs),
             limit=self.limit_pu,
-            guard=self._guard_in_pu(omega_b),
+            guard=None if self.guard is None else self.guard.in_pu(omega_b),
             documentation=documentation,
             provenance={"method": str(self.design.get("method", "given")), "order": str(self.order)},
         )
@@ -320,7 +317,8 @@ def guard_of(data: Any) -> Guard:
         raise ControllerError(f"guard has {got}, allowed: {', '.join(keys)}")
     numbers = {k: float(data[k]) for k in keys[2:] if k in data and k != "follows"}
     sides = {k: float(v) for k, v in data["sides"].items()}
-    return Guard(dict(data["watched"]), sides, follows=data.get("follows"), **numbers)
+    watched = {y: s if isinstance(s, str) else tuple(s) for y, s in data["watched"].items()}
+    return Guard(watched, sides, follows=data.get("follows"), **numbers)
 
 
 def plain(value: Any) -> Any:

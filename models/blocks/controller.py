@@ -3,61 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from .guard import (
+    COURSE,
+    Guard,
+    guard_equations,
+    guard_parameters,
+    guard_record,
+    guard_states,
+    guard_variables,
+)
 from .variables import Block, Variable, VariableTable
 
-
-@dataclass(frozen=True)
-class Guard:
-    """Which side of an output's limit falls while a first swing lasts.
-
-    watched : output -> the input, a speed, that tells of the swing.
-    sides : output -> share of the limit that falls, above 0 of the upper one, below 0 of the lower one.
-    threshold : deviation of the speed from its slow course at which that share has fallen, pu.
-    washout_s, lowpass_s : time constants of that slow course and of letting go, s.
-    follows : input, a power flow, with whose sign the sides turn: which side adds to a swing depends on which
-        end of a tie sends. None: they stand.
-    flow_pu : slow course of that flow at which the sides are whole.
-    """
-
-    watched: Mapping[str, str]
-    sides: Mapping[str, float]
-    threshold: float
-    washout_s: float = 10.0
-    lowpass_s: float = 1.0
-    follows: str | None = None
-    flow_pu: float = 0.1
-
-    def check(self, name: str, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        """Raise ValueError where the guard does not fit a controller with these inputs and outputs."""
-        strange = [*(set(self.watched) - set(outputs)), *(set(self.watched.values()) - set(inputs))]
-        if strange or not self.watched or set(self.sides) != set(self.watched):
-            raise ValueError(
-                f"controller {name}: guard watches {dict(self.watched)} with sides {dict(self.sides)}, "
-                f"allowed: outputs of {list(outputs)}, inputs of {list(inputs)}, the same outputs in both"
-            )
-        if self.follows is not None and self.follows not in inputs:
-            raise ValueError(
-                f"controller {name}: guard follows {self.follows!r}, allowed: inputs of {list(inputs)}"
-            )
-        for what, value in (
-            ("threshold", self.threshold),
-            ("washout_s", self.washout_s),
-            ("lowpass_s", self.lowpass_s),
-            ("flow_pu", self.flow_pu),
-        ):
-            if not (value > 0.0 and np.isfinite(value)):
-                raise ValueError(f"controller {name}: guard {what} is {value}, allowed: above 0")
-        if not all(-1.0 <= side <= 1.0 for side in self.sides.values()):
-            raise ValueError(f"controller {name}: guard sides are {dict(self.sides)}, allowed: -1 to 1")
-
-
-COURSE = "flow_course"  #: state of guards that follow a flow
 SOURCE = Path(__file__).resolve().parents[1] / "c" / "controller" / "state_space.c"
 
 
@@ -76,15 +38,6 @@ def _state_variables(states: Sequence[str], inputs: Sequence[str]) -> list[Varia
         )
         for i, s in numbered
     ]
-
-
-def _guard_record(
-    guard: Guard, inputs: Sequence[str], outputs: Sequence[str]
-) -> dict[str, npt.NDArray[np.int32]]:
-    """Return which input the guard of each output watches, -1 without one, and which is the flow."""
-    places = [inputs.index(guard.watched[y]) if y in guard.watched else -1 for y in outputs]
-    follows = {} if guard.follows is None else {"guard.follows": [inputs.index(guard.follows)]}
-    return {name: np.array(each, dtype=np.int32) for name, each in ({"guard": places} | follows).items()}
 
 
 def controller_block(
@@ -135,8 +88,10 @@ def controller_block(
         guard.check(name, inputs, outputs)
     states = [f"x[{i + 1}]" for i in range(n)]
     variables = _state_variables(states, inputs)
-    filters = _guard_states(guard, outputs)
-    variables = _with_guard_states(variables, guard, filters)
+    filters = guard_states(guard, outputs)
+    own = [] if guard is None else guard_variables(guard, filters)
+    half, extra = len(variables) // 2, len(own) // 2
+    variables = [*variables[:half], *own[:extra], *variables[half:], *own[extra:]]
     variables += [Variable(u, "input", f"Measured signal {u}", unit="pu", start=0.0) for u in inputs]
     variables += [
         Variable(
@@ -161,17 +116,17 @@ def controller_block(
             tunable=True,
         )
     )
-    variables += _guard_parameters(guard, outputs)
+    variables += guard_parameters(guard, outputs)
     return Block(
         kind="controller",
         name=name,
         description=f"Linear controller of order {n} with outputs limited to +-{limit:g} pu",
         table=VariableTable(variables),
-        data={} if guard is None else _guard_record(guard, inputs, outputs),
+        data={} if guard is None else guard_record(guard, inputs, outputs),
         sources=(SOURCE,),
         internal_step_s=_internal_step_s(matrices["A"]),
         documentation={
-            "Equations": _equations(guard),
+            "Equations": _EQUATIONS + guard_equations(guard),
             **(documentation or {}),
         },
         provenance=dict(provenance or {}),
@@ -196,54 +151,6 @@ def _dependent(v: Variable, flags: Mapping[str, str]) -> Variable:
     return replace(v, depends_on=(*seen, *(flags[s] for s in seen if s in flags))) if seen else v
 
 
-def _guard_states(guard: Guard | None, outputs: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """Names of the two filter states of each guarded output, in the order of the outputs."""
-    guarded = [] if guard is None else [y for y in outputs if y in guard.watched]
-    return {y: (f"{y}_slow_course", f"{y}_swing") for y in guarded}
-
-
-def _with_guard_states(
-    linear: Sequence[Variable], guard: Guard | None, filters: Mapping[str, tuple[str, str]]
-) -> list[Variable]:
-    """States first, then derivatives: those of the linear part, then those of the guards."""
-    if guard is None:
-        return list(linear)
-    states, derivatives = [], []
-    for y, (slow, swing) in filters.items():
-        signal = guard.watched[y]
-        for state, what, seen in (
-            (slow, f"Slow course of {signal}, which the guard of {y} takes off", (slow, signal)),
-            (swing, f"Low pass of what is left of {signal}", (slow, swing, signal)),
-        ):
-            states.append(Variable(state, "state", what, unit="pu", start=0.0))
-            derivatives.append(
-                Variable(
-                    f"der({state})",
-                    "derivative",
-                    f"Derivative of {state}",
-                    unit="1/s",
-                    derivative_of=state,
-                    depends_on=seen,
-                )
-            )
-    if guard.follows is not None:
-        what = f"Slow course of {guard.follows}, with whose sign the sides of the guards turn"
-        # a start value would be overwritten with the flow at rest
-        states.append(Variable(COURSE, "state", what, unit="pu", start=0.0))
-        derivatives.append(
-            Variable(
-                f"der({COURSE})",
-                "derivative",
-                f"Derivative of {COURSE}",
-                unit="1/s",
-                derivative_of=COURSE,
-                depends_on=(COURSE, guard.follows),
-            )
-        )
-    half = len(linear) // 2
-    return [*linear[:half], *states, *linear[half:], *derivatives]
-
-
 def _seen_by(
     y: str, linear: tuple[str, ...], guard: Guard | None, filters: Mapping[str, tuple[str, str]]
 ) -> tuple[str, ...]:
@@ -251,64 +158,13 @@ def _seen_by(
     if guard is None or y not in filters:
         return linear
     turning = () if guard.follows is None else (COURSE,)
-    return tuple(dict.fromkeys((*linear, *filters[y], *turning, guard.watched[y])))
-
-
-def _guard_parameters(guard: Guard | None, outputs: Sequence[str]) -> list[Variable]:
-    if guard is None:
-        return []
-    rows = [
-        (
-            f"guard_side[{k + 1}]",
-            guard.sides[y],
-            f"{y}: share of the upper (+) or lower (-) limit that falls",
-            "1",
-        )
-        for k, y in enumerate(y for y in outputs if y in guard.watched)
-    ]
-    rows += [
-        ("guard_threshold", guard.threshold, "Speed deviation at which that share has fallen whole", "pu"),
-        ("guard_washout", guard.washout_s, "Time constant of the slow course that is taken off", "s"),
-        ("guard_lowpass", guard.lowpass_s, "Time constant with which the guard lets go", "s"),
-    ]
-    if guard.follows is not None:
-        text = f"Slow course of {guard.follows} at which the sides are whole; below 0 they are turned"
-        rows.append(("guard_flow", guard.flow_pu, text, "pu"))
-    return [
-        Variable(
-            name,
-            "parameter",
-            text,
-            unit=unit,
-            start=float(value),
-            min=-1.0 if name.startswith("guard_side") else 0.0,
-            max=1.0 if name.startswith("guard_side") else None,
-            tunable=True,
-        )
-        for name, value, text, unit in rows
-    ]
+    return tuple(dict.fromkeys((*linear, *filters[y], *turning, *guard.signals(y))))
 
 
 _EQUATIONS = (
     "<p>dx/dt = A x + B u, y = min(max(C x + D u, &minus;limit), limit). "
     "The matrices are the parameters <code>A[i,j]</code> .. <code>D[i,j]</code>.</p>"
 )
-_GUARD_EQUATIONS = (
-    "<p>An output with a guard watches a speed s: dw/dt = (s &minus; w) / guard_washout, "
-    "dl/dt = (s &minus; w &minus; l) / guard_lowpass, q = min(1, max(|s &minus; w|, |l|) / guard_threshold). "
-    "Where its guard_side is above 0 the upper limit is limit (1 &minus; q guard_side), where it is below 0 "
-    "the lower one &minus;limit (1 + q guard_side): no control on the side that adds to a first swing.</p>"
-)
-_TURNING = (
-    "<p>The sides turn with the slow course c of a flow f, which starts at the flow at rest: "
-    "dc/dt = (f &minus; c) / guard_washout, each guard_side times max(&minus;1, min(1, c / guard_flow)).</p>"
-)
-
-
-def _equations(guard: Guard | None) -> str:
-    if guard is None:
-        return _EQUATIONS
-    return _EQUATIONS + _GUARD_EQUATIONS + ("" if guard.follows is None else _TURNING)
 
 
 def _internal_step_s(A: npt.NDArray[np.float64]) -> float:

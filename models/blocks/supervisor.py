@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from .controller import _internal_step_s
+from .guard import Data, Guard, guard_equations, guard_parameters, guard_record, guard_states, guard_variables
 from .variables import Block, Variable, VariableTable
 
 SOURCE = Path(__file__).resolve().parents[1] / "c" / "controller" / "supervisor.c"
@@ -31,6 +33,7 @@ def supervisor_block(
     loss_s: float = 0.0,
     return_s: float = 1.0,
     dwell_s: float = 0.0,
+    guard: Guard | None = None,
     extra: Mapping[str, Array] | None = None,
     documentation: Mapping[str, str] | None = None,
     provenance: Mapping[str, str] | None = None,
@@ -50,21 +53,28 @@ def supervisor_block(
     limit : pu. fade_s : time constant of the bumpless transfer, 0 = at once.
     loss_s, return_s : how long a flag must be down, or up again, before it is believed. dwell_s : least time
         between two switches.
+    guard : which side of an output's limit falls while a first swing lasts; None: neither.
     extra : arrays that go into the FMU's resource file beside the bank (a Lyapunov matrix).
     documentation, provenance : see `Block`.
 
     Raises
     ------
-    ValueError : sizes that do not fit, names that are not known, times or limits out of range.
+    ValueError : sizes that do not fit, names that are not known, times or limits out of range, a guard of
+        signals that are not there, or one that follows a flow.
     """
     times = {"fade_time": fade_s, "loss_time": loss_s, "return_time": return_s, "dwell_time": dwell_s}
     _check_sizes(name, bank, choice, len(inputs), len(outputs))
     _check_numbers(name, times, limit)
+    if guard is not None:
+        guard.check(name, inputs, outputs)
+        if guard.follows is not None:
+            raise ValueError(f"supervisor {name}: its guard follows {guard.follows!r}, allowed: none")
     names = list(bank)
-    data: dict[str, Array | npt.NDArray[np.int32] | bytes] = {
+    data: dict[str, Data] = {
         "orders": np.array([len(K[0]) for K in bank.values()], dtype=np.int32),
         "choice": np.array([names.index(c) for c in choice], dtype=np.int32),
         **{letter: _stacked([K[k] for K in bank.values()]) for k, letter in enumerate("ABCD")},
+        **({} if guard is None else guard_record(guard, inputs, outputs)),
         **(extra or {}),
     }
     fastest = [_internal_step_s(K[0]) for K in bank.values()]
@@ -74,9 +84,10 @@ def supervisor_block(
         description=f"Bank of {len(bank)} controllers in hot standby, chosen by the validity of the signals",
         table=VariableTable(
             [
-                *_state_variables(bank, choice, inputs),
-                *_port_variables(bank, inputs, outputs),
+                *_state_variables(bank, choice, inputs, guard, outputs),
+                *_port_variables(bank, inputs, outputs, guard),
                 *_parameters(times, limit),
+                *guard_parameters(guard, outputs),
                 *_flags(names, inputs),
             ]
         ),
@@ -84,7 +95,7 @@ def supervisor_block(
         sources=(SOURCE,),
         internal_step_s=min([*fastest, 0.1 * fade_s] if fade_s > 0.0 else fastest),
         model_exchange=False,  # flags are looked at where steps begin; model exchange has no steps
-        documentation={"Equations": _EQUATIONS, **(documentation or {})},
+        documentation={"Equations": _EQUATIONS + guard_equations(guard), **(documentation or {})},
         provenance=dict(provenance or {}),
     )
 
@@ -132,27 +143,39 @@ def _states(bank: Mapping[str, Matrices], inputs: Sequence[str]) -> tuple[list[s
 
 
 def _state_variables(
-    bank: Mapping[str, Matrices], choice: Sequence[str], inputs: Sequence[str]
+    bank: Mapping[str, Matrices],
+    choice: Sequence[str],
+    inputs: Sequence[str],
+    guard: Guard | None,
+    outputs: Sequence[str],
 ) -> Iterator[Variable]:
     states, weights, masks = _states(bank, inputs)
+    own = [] if guard is None else guard_variables(guard, guard_states(guard, outputs))
+    own = [replace(variable, depends_on=None) for variable in own]  # guards watch what is trusted of a signal
     for s in states:
         yield Variable(s, "state", "State of a controller of the bank", start=0.0)
     for s, who in zip(weights, bank, strict=True):  # the flags start up: the choice for all signals is active
         yield Variable(s, "state", "Weight of a controller in the output", start=float(who == choice[-1]))
     for s in masks:
         yield Variable(s, "state", "Weight of a signal, 0 when not trusted", start=1.0)
+    yield from own[: len(own) // 2]
     for s in (*states, *weights, *masks):
         yield Variable(f"der({s})", "derivative", f"Derivative of {s}", unit="1/s", derivative_of=s)
+    yield from own[len(own) // 2 :]
 
 
 def _port_variables(
-    bank: Mapping[str, Matrices], inputs: Sequence[str], outputs: Sequence[str]
+    bank: Mapping[str, Matrices], inputs: Sequence[str], outputs: Sequence[str], guard: Guard | None
 ) -> Iterator[Variable]:
     for u in inputs:
         yield Variable(u, "input", f"Measured signal {u}", unit="pu", start=0.0)
-    through = inputs if any(np.any(K[3]) for K in bank.values()) else ()
-    depends_on = (*(s for group in _states(bank, inputs) for s in group), *through)
+    direct = any(np.any(K[3]) for K in bank.values())
+    filters = guard_states(guard, outputs)
     for y in outputs:
+        watched = () if guard is None or y not in filters else guard.signals(y)
+        through = inputs if direct else watched
+        own = (s for group in _states(bank, inputs) for s in group)
+        depends_on = (*own, *filters.get(y, ()), *through)
         text = f"Control signal {y}, limited to plus or minus `limit`"
         yield Variable(y, "output", text, unit="pu", depends_on=depends_on)
 

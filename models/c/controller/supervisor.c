@@ -3,7 +3,10 @@
  *     dx_i/dt = A_i x_i + B_i v,   v_j = m_j u_j          every controller runs all the time
  *     dm_j/dt = (trusted_j - m_j) / fade_time             a signal that is not trusted fades out
  *     dw_i/dt = ([i is active] - w_i) / fade_time         weights fade from the old to the active one
- *     y = min(max(sum_i w_i (C_i x_i + D_i v), -limit), limit)
+ *     y = min(max(sum_i w_i (C_i x_i + D_i v), -low), high)
+ *
+ * Without a guard (guard.h) low = high = limit. Guards watch the faded signals v;
+ * they move the limits alone, so that near the equilibrium the loop is linear.
  *
  * Weights and m stay in [0, 1] and the weights sum to 1, so the loop is at every
  * instant a convex combination of the loops (controller i, signals in set S):
@@ -18,6 +21,7 @@
 #include <stdio.h>
 
 #include "../block/block.h"
+#include "guard.h"
 
 const int block_is_sampled = 0;
 
@@ -80,16 +84,26 @@ static int bank_of(const Record *record, const BlockLayout *layout, Bank *bank)
 BlockStatus block_needs(const Record *record, const BlockLayout *n, BlockNeeds *needs, BlockMessage *message)
 {
     Bank bank;
+    const size_t guards = guards_of(record, n->n_y, n->n_u).guards;
 
-    if (!bank_of(record, n, &bank) || n->n_x != bank.states + bank.n + bank.signals || n->n_p != P_COUNT
+    if (!bank_of(record, n, &bank) || n->n_x != bank.states + bank.n + bank.signals + 2 * guards
+        || n->n_p != P_COUNT + (guards > 0 ? guards + 3 : 0)
         || n->n_iu != bank.signals || n->n_iy != IY_COUNT || n->n_w + n->n_iw + n->n_ip > 0) {
         snprintf(message->text, sizeof message->text,
                  "supervisor: the variables and the bank in the record do not fit each other");
         return BLOCK_ERROR;
     }
     needs->n_memory = M_SIGNALS + S_COUNT * bank.signals;
-    needs->n_scratch = bank.signals + bank.actuators;
+    needs->n_scratch = 2 * bank.signals + bank.actuators;
     return BLOCK_OK;
+}
+
+static Guards guards(const Block *b)
+{
+    Guards g = guards_of(b->record, b->layout.n_y, b->layout.n_u);
+
+    guards_set(&g, b->p + P_COUNT);
+    return g;
 }
 
 static double *signal_memory(const Block *b, size_t j)
@@ -123,8 +137,15 @@ static void tell(const Block *b)
 BlockStatus block_start(Block *b, double t, BlockMessage *message)
 {
     static const char *const names[P_COUNT] = {"limit", "fade_time", "loss_time", "return_time", "dwell_time"};
+    const Guards g = guards(b);
     Bank bank;
 
+    if (!guards_can_act(&g)) {
+        snprintf(message->text, sizeof message->text,
+                 "supervisor: guard_threshold is %g, guard_washout %g, guard_lowpass %g; all must be positive",
+                 g.threshold, g.washout, g.lowpass);
+        return BLOCK_ERROR;
+    }
     for (int k = 0; k < P_COUNT; ++k)
         if (!(k == P_LIMIT ? b->p[k] > 0.0 : b->p[k] >= 0.0)) {
             snprintf(message->text, sizeof message->text, "supervisor: %s is %g, it must %s", names[k], b->p[k],
@@ -240,11 +261,18 @@ BlockStatus block_derivatives(Block *b, double t, const double *x, const double 
 {
     Bank bank;
     const double fade = b->p[P_FADE];
+    const Guards g = guards(b);
 
     (void)t, (void)message;
     (void)bank_of(b->record, &b->layout, &bank);
     faded(&bank, x, u, b->scratch);
     bank_derivatives(&bank, x, b->scratch, dx);
+    for (size_t i = 0, k = b->layout.n_x - 2 * g.guards; k < b->layout.n_x; ++i) {
+        if (!guards_watch(&g, i)) continue;
+        const Swing s = guards_swing(&g, x + k, guards_seen(&g, i, b->scratch));
+        guards_derivatives(&g, s.fast, s.slow, dx + k);
+        k += 2;
+    }
     for (size_t i = 0; i < bank.n; ++i) {
         const double target = (double)i == b->memory[M_ACTIVE] ? 1.0 : 0.0;
         dx[bank.states + i] = fade > 0.0 ? (target - x[bank.states + i]) / fade : 0.0;
@@ -260,46 +288,77 @@ BlockStatus block_outputs(Block *b, double t, const double *x, const double *u, 
                           BlockMessage *message)
 {
     Bank bank;
-    const double limit = b->p[P_LIMIT];
+    const Guards g = guards(b);
 
     (void)t, (void)message;
     (void)bank_of(b->record, &b->layout, &bank);
     faded(&bank, x, u, b->scratch);
     for (size_t k = 0; k < bank.actuators; ++k) y[k] = 0.0;
     add_outputs(&bank, x + bank.states, x, b->scratch, y);
-    for (size_t k = 0; k < bank.actuators; ++k) y[k] = y[k] > limit ? limit : y[k] < -limit ? -limit : y[k];
+    for (size_t i = 0, k = 0; i < bank.actuators; ++i) {
+        double high = b->p[P_LIMIT], low = high;
+        if (guards_watch(&g, i)) {
+            const double *own = x + b->layout.n_x - 2 * (g.guards - k);
+            const Swing s = guards_swing(&g, own, guards_seen(&g, i, b->scratch));
+            high *= 1.0 - fmax(s.share * g.side[k], 0.0);
+            low *= 1.0 + fmin(s.share * g.side[k], 0.0);
+            ++k;
+        }
+        y[i] = y[i] > high ? high : y[i] < -low ? -low : y[i];
+    }
     tell(b);
     return BLOCK_OK;
+}
+
+/* vy of a limited output is that of its limit; vdx of the guards. v, vv: faded signals and their direction. */
+static void guard_directional(Block *b, const double *x, const double *vx, const double *v, const double *vv,
+                              const double *y, double *vdx, double *vy)
+{
+    const Guards g = guards(b);
+    const double limit = b->p[P_LIMIT];
+
+    for (size_t i = 0, k = 0; i < b->layout.n_y; ++i) {
+        double high = limit, low = limit, slope = 0.0;
+        if (guards_watch(&g, i)) {
+            const size_t own = b->layout.n_x - 2 * (g.guards - k);
+            const Swing s = guards_swing(&g, x + own, guards_seen(&g, i, v));
+            const double vfast = guards_seen(&g, i, vv) - vx[own], vslow = vx[own + 1];
+            if (vdx != NULL) guards_derivatives(&g, vfast, vslow, vdx + own);
+            slope = guards_slope(&g, &s, k, limit, 1.0, vfast, vslow, 0.0);
+            high *= 1.0 - fmax(s.share * g.side[k], 0.0);
+            low *= 1.0 + fmin(s.share * g.side[k], 0.0);
+            ++k;
+        }
+        if (vy == NULL) continue;
+        if (y[i] > high) vy[i] = high < limit ? slope : 0.0;
+        else if (y[i] < -low) vy[i] = low < limit ? -slope : 0.0;
+    }
 }
 
 BlockStatus block_directional(Block *b, double t, const double *x, const double *u, const double *vx,
                               const double *vu, double *vdx, double *vy, BlockMessage *message)
 {
     Bank bank;
-    double *v = b->scratch, *y = b->scratch + b->layout.n_u;
-    const double fade = b->p[P_FADE], limit = b->p[P_LIMIT];
+    double *v = b->scratch, *vv = v + b->layout.n_u, *y = vv + b->layout.n_u;
+    const double fade = b->p[P_FADE];
     size_t masks;
 
     (void)t, (void)message;
     (void)bank_of(b->record, &b->layout, &bank);
     masks = bank.states + bank.n;
+    faded(&bank, x, u, v);
+    for (size_t j = 0; j < bank.signals; ++j) vv[j] = vx[masks + j] * u[j] + x[masks + j] * vu[j];
     if (vy != NULL) {
-        /* whether a limit holds the output decides before v is overwritten by its direction */
-        faded(&bank, x, u, v);
         for (size_t k = 0; k < bank.actuators; ++k) y[k] = vy[k] = 0.0;
         add_outputs(&bank, x + bank.states, x, v, y);
         add_outputs(&bank, vx + bank.states, x, v, vy);
-    }
-    for (size_t j = 0; j < bank.signals; ++j) v[j] = vx[masks + j] * u[j] + x[masks + j] * vu[j];
-    if (vy != NULL) {
-        add_outputs(&bank, x + bank.states, vx, v, vy);
-        for (size_t k = 0; k < bank.actuators; ++k)
-            if (fabs(y[k]) > limit) vy[k] = 0.0;
+        add_outputs(&bank, x + bank.states, vx, vv, vy);
     }
     if (vdx != NULL) {
-        bank_derivatives(&bank, vx, v, vdx);
+        bank_derivatives(&bank, vx, vv, vdx);
         for (size_t k = bank.states; k < masks + bank.signals; ++k) vdx[k] = fade > 0.0 ? -vx[k] / fade : 0.0;
     }
+    guard_directional(b, x, vx, v, vv, y, vdx, vy);
     return BLOCK_OK;
 }
 

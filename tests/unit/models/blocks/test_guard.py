@@ -10,13 +10,15 @@ import pytest
 from plant_shim import BlockShim
 
 from interarea.fmu_build.write.sources import record_source
-from interarea.models.blocks.controller import Guard, controller_block
+from interarea.models.blocks.controller import controller_block
+from interarea.models.blocks.guard import Guard
+from interarea.models.blocks.supervisor import supervisor_block
 
 LIMIT, THRESHOLD, WASHOUT, LOWPASS = 0.05, 0.002, 3.0, 1.0
 
 
-def _shim(side: float, gain: float = 100.0) -> BlockShim:
-    guard = Guard({"G4_vs": "G4_dw"}, {"G4_vs": side}, THRESHOLD, WASHOUT, LOWPASS)
+def _shim(side: float, gain: float = 100.0, watched: str | tuple[str, ...] = "G4_dw") -> BlockShim:
+    guard = Guard({"G4_vs": watched}, {"G4_vs": side}, THRESHOLD, WASHOUT, LOWPASS)
     block = controller_block(
         "K",
         [[-1.0]],
@@ -68,6 +70,78 @@ def test_derivatives_are_those_of_differences(side: float, remote: float) -> Non
         back = shim.derivatives(x - eps * vx, u - eps * vu)
         assert dy == pytest.approx((ahead[1] - back[1]) / (2 * eps), rel=1e-6, abs=1e-6)
         assert dx == pytest.approx((ahead[0] - back[0]) / (2 * eps), rel=1e-6, abs=1e-6)
+
+
+def test_the_mean_of_several_signals_is_watched() -> None:
+    """As one signal that has their mean; when one is lost the guard sees half of the other."""
+    several, one = _shim(1.0, watched=("G2_dw", "G4_dw")), _shim(1.0)
+    x = [0.0, 2e-4, -1e-4]
+    for remote, local in ((1e-3, 6e-4), (0.0, 1e-3), (1e-3, 0.0), (-3e-4, 9e-4)):
+        dx, y = several.derivatives(x, [remote, local])
+        expected = one.derivatives(x, [remote, 0.5 * (remote + local)])
+        assert y == pytest.approx(expected[1], abs=1e-15)
+        assert dx[1:] == pytest.approx(expected[0][1:], abs=1e-15)
+    rng = np.random.default_rng(5)
+    for _ in range(5):
+        state, u, vx, vu = (
+            rng.normal(size=3) * 5e-4,
+            rng.normal(size=2),
+            rng.normal(size=3),
+            rng.normal(size=2),
+        )
+        dx, dy = several.directional(vx, vu, state, u)
+        ahead = several.derivatives(state + 1e-9 * vx, u + 1e-9 * vu)
+        back = several.derivatives(state - 1e-9 * vx, u - 1e-9 * vu)
+        assert dy == pytest.approx((ahead[1] - back[1]) / 2e-9, rel=1e-6, abs=1e-6)
+        assert dx == pytest.approx((ahead[0] - back[0]) / 2e-9, rel=1e-6, abs=1e-6)
+    with pytest.raises(ValueError, match="guard watches"):
+        Guard({"G4_vs": ()}, {"G4_vs": 1.0}, 1e-3).check("K", ["G2_dw"], ["G4_vs"])
+    with pytest.raises(ValueError, match="guard watches"):
+        Guard({"G4_vs": ("G2_dw", "G9_dw")}, {"G4_vs": 1.0}, 1e-3).check("K", ["G2_dw"], ["G4_vs"])
+
+
+def _bank(gain: float) -> BlockShim:
+    """One member that passes G2_dw on; the guard watches the mean of both signals."""
+    K = np.array([[-1.0]]), np.zeros((1, 2)), np.array([[0.0]]), np.array([[gain, 0.0]])
+    guard = Guard({"G4_vs": ("G2_dw", "G4_dw")}, {"G4_vs": 1.0}, THRESHOLD, WASHOUT, LOWPASS)
+    names = ["G2_dw", "G4_dw"]
+    block = supervisor_block("B", {"one": K}, ["one"] * 4, names, ["G4_vs"], limit=LIMIT, guard=guard)
+    return BlockShim(replace(block, sources=(*block.sources, record_source())))
+
+
+@pytest.mark.parametrize("trust", [(1.0, 1.0), (0.0, 1.0), (0.3, 0.9)])
+def test_the_guard_of_a_supervisor_watches_what_is_trusted(trust: tuple[float, float]) -> None:
+    """As the guard of one controller that gets the faded signals."""
+    several, one = _bank(100.0), _shim(1.0, watched=("G2_dw", "G4_dw"))
+    for filters in ([0.0, 0.0], [2e-4, -1e-3]):
+        for u in ([1.0, 1e-3], [1e-3, -1e-3], [-1.0, 5e-4]):
+            faded = [m * each for m, each in zip(trust, u, strict=True)]
+            dx, y = several.derivatives([0.0, 1.0, *trust, *filters], u)
+            expected = one.derivatives([0.0, *filters], faded)
+            assert y == pytest.approx(expected[1], abs=1e-15)
+            assert dx[-2:] == pytest.approx(expected[0][1:], abs=1e-15)
+
+
+def test_derivatives_of_a_guarded_supervisor_are_those_of_differences() -> None:
+    shim, rng = _bank(100.0), np.random.default_rng(7)
+    for remote in (1.0, -1.0, 1e-5):
+        x = np.array([*rng.normal(size=1), 1.0, 0.7, 0.9, *(rng.normal(size=2) * 5e-4)])
+        u, vx, vu = np.array([remote, 4e-4]), rng.normal(size=6), rng.normal(size=2)
+        dx, dy = shim.directional(vx, vu, x, u)
+        ahead = shim.derivatives(x + 1e-9 * vx, u + 1e-9 * vu)
+        back = shim.derivatives(x - 1e-9 * vx, u - 1e-9 * vu)
+        assert dy == pytest.approx((ahead[1] - back[1]) / 2e-9, rel=1e-5, abs=1e-6)
+        assert dx == pytest.approx((ahead[0] - back[0]) / 2e-9, rel=1e-5, abs=1e-6)
+
+
+def test_what_a_supervisor_cannot_guard_is_refused() -> None:
+    K = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.zeros((1, 1))
+    for guard, says in (
+        (Guard({"G4_vs": "G9_dw"}, {"G4_vs": 1.0}, 1e-3), "guard watches"),
+        (Guard({"G4_vs": "G4_dw"}, {"G4_vs": 1.0}, 1e-3, follows="G4_dw"), "its guard follows 'G4_dw'"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            supervisor_block("B", {"one": K}, ["one"] * 2, ["G4_dw"], ["G4_vs"], guard=guard)
 
 
 FLOW = 0.4

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import control
@@ -17,6 +18,7 @@ from interarea.design.controllers.bank import OFF, ControllerBank, load_controll
 from interarea.design.controllers.controller import Controller, ControllerError
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.channel import channel_block
+from interarea.models.blocks.guard import Guard
 
 OMEGA_B = 2.0 * np.pi * 60.0
 SIGNALS = ("G2_dw", "G4_dw")
@@ -147,6 +149,17 @@ def test_file_and_fmu_hold_the_same_bank(fmu: Path, tmp_path: Path) -> None:
         for mine, theirs in zip(wanted.matrices().values(), found.matrices().values(), strict=True):
             for a, b in zip(mine, theirs, strict=True):
                 np.testing.assert_allclose(b, a, rtol=1e-15)
+
+
+def test_file_and_fmu_hold_the_same_guard(tmp_path: Path) -> None:
+    guard = Guard({"G4_vs": SIGNALS}, {"G4_vs": -0.5}, 0.25, 8.0, 2.0)
+    wanted = bank(guard=guard)
+    fmu = build_fmu(wanted.block(OMEGA_B), tmp_path / "bank.fmu")
+    for found in (load_controller(wanted.save(tmp_path / "bank.json")), controller_from_fmu(fmu, OMEGA_B)):
+        assert isinstance(found, ControllerBank) and found.guard is not None
+        assert replace(found.guard, threshold=round(found.guard.threshold, 12)) == guard
+    with pytest.raises(ControllerError, match="guard watches"):
+        bank(guard=Guard({"G4_vs": "G9_dw"}, {"G4_vs": 1.0}, 0.25))
 
 
 def test_choice_of_member() -> None:
