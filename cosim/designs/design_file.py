@@ -62,7 +62,8 @@ class DesignTable(Table):
     #: decentralised: one table for each actuator, instead of `actuator`, `remote` and `local`
     part: tuple[PartTable, ...] = ()
     #: N: all signals at once; L: the remote one lost; s100: all 100 ms late; ns150: the remote one 150 ms
-    #: late; L:G2_dw: that signal lost; joined by +
+    #: late; L:G2_dw: that signal lost; x2:G2_dw: that signal twice as large, x-1:G2_dw: of the wrong
+    #: polarity; joined by +
     conditions: tuple[str, ...] = Field(min_length=1)
     point: tuple[PointTable, ...] = Field(min_length=1)  #: the operating points, each a change to the case
     washout_s: Annotated[float, Field(ge=0.0)] = 0.0  #: time constant of a washout at each output; 0: none
@@ -95,7 +96,7 @@ class DesignTable(Table):
     #: `within` say how
     stage: tuple[StageTable, ...] = ()
     ask: AskTable = AskTable()  #: what the certificate asks for
-    target: tuple[TargetTable, ...] = ()  #: other wishes where signals are all there, late or lost
+    target: tuple[TargetTable, ...] = ()  #: other wishes where signals are all there, late, lost or scaled
     fault: FaultTable | None = None  #: the fault that the certificate runs at every operating point
     #: non-linear faults that `interarea certify NAME --acceptance` runs
     acceptance: AcceptanceTable | None = None
@@ -117,22 +118,7 @@ class DesignTable(Table):
 
     @model_validator(mode="after")
     def _caps_agree(self) -> DesignTable:
-        least = min(cap for _, cap in self.effort_cap)
-        contradictions = (
-            ("ask.effort", self.ask.effort, "every effort_cap", least, self.ask.effort >= least),
-            (
-                "ask.fastest_pole",
-                self.ask.fastest_pole,
-                "slowest_pole",
-                self.slowest_pole,
-                self.ask.fastest_pole > self.slowest_pole,
-            ),
-        )
-        for asked, value, by, bound, agreed in contradictions:
-            if not agreed:
-                raise ValueError(
-                    f"{asked} = {value:g} contradicts {by} ({bound:g}): the certificate would fail"
-                )
+        self.ask.check(min(cap for _, cap in self.effort_cap), self.slowest_pole)
         return self
 
     @property
@@ -153,6 +139,14 @@ class DesignTable(Table):
         for k, stage in enumerate(self.stage, start=1):
             if strange := sorted(set(stage.points) - known):
                 raise ValueError(f"stage {k} names the points {strange}; the design's are {sorted(known)}")
+        return self
+
+    @model_validator(mode="after")
+    def _targets_agree(self) -> DesignTable:
+        known = ("all", "late", "lost", "scaled", *self.conditions)
+        for target in self.target:
+            if target.under not in known:
+                raise ValueError(f"target.under = {target.under!r}, allowed: {', '.join(known)}")
         return self
 
     @model_validator(mode="after")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
@@ -50,11 +51,31 @@ class AskTable(Table):
     fastest_pole: Positive = float("inf")  #: largest magnitude of the controller's poles, rad/s
     synchronism: bool = False  #: after the fault of `fault`, at every operating point
 
+    def check(self, least_cap: float, slowest_pole: float) -> None:
+        """Raise ValueError where no controller within the bounds of the search can hold what is asked."""
+        contradictions = (
+            ("ask.effort", self.effort, "every effort_cap", least_cap, self.effort >= least_cap),
+            (
+                "ask.fastest_pole",
+                self.fastest_pole,
+                "slowest_pole",
+                slowest_pole,
+                self.fastest_pole > slowest_pole,
+            ),
+        )
+        for asked, value, by, bound, agreed in contradictions:
+            if not agreed:
+                raise ValueError(
+                    f"{asked} = {value:g} contradicts {by} ({bound:g}): the certificate would fail"
+                )
+
 
 class TargetTable(Table):
     """What is wanted under one kind of condition, instead of what `ask` and `offset` want of all."""
 
-    under: Literal["all", "late", "lost"]  #: signals all there at once, some late, or some lost
+    #: `all` signals there at once, some `late`, `lost` or `scaled`; or the code of one of the `conditions`,
+    #: whose target comes before that of its kind
+    under: str
     #: (rad/s, damping) that the search wants under it on top of `offset` of the design; none: as much
     more: Offsets = ()
     worst_swing: Ratio = 0.0  #: least damping ratio of any swing mode that the certificate asks for
@@ -89,7 +110,9 @@ class StageTable(Table):
 class GuardTable(Table):
     """Which side of the output limit falls while a first swing lasts (`models.blocks.controller.Guard`)."""
 
-    watched: dict[str, str] = Field(min_length=1)  #: output -> signal, a speed, that tells of the swing
+    #: output -> signal, a speed, that tells of the swing; or several, whose mean does: the guard goes on when
+    #: one of them is lost
+    watched: dict[str, str | tuple[str, ...]] = Field(min_length=1)
     sides: dict[str, Annotated[float, Field(ge=-1.0, le=1.0)]]  #: above 0 the upper limit falls
     threshold: Positive  #: rad/s
     #: time constant of the washout before it, so that a lasting deviation does not hold the limit shut
@@ -98,6 +121,18 @@ class GuardTable(Table):
     #: output of the plant, a power flow, with whose sign the sides turn, such as `tie_p`; none: they stand
     follows: str | None = None
     flow_pu: Positive = 0.1  #: slow course of that flow at which the sides are whole
+
+    def of(self, signals: Collection[str]) -> GuardTable | None:
+        """Return it for a controller that sees these signals alone; None where it watches none of them."""
+        watched = {y: tuple(s for s in self._signals(y) if s in signals) for y in self.watched}
+        kept = {y: seen[0] if len(seen) == 1 else seen for y, seen in watched.items() if seen}
+        if not kept or (self.follows is not None and self.follows not in signals):
+            return None
+        return self.model_copy(update={"watched": kept, "sides": {y: self.sides[y] for y in kept}})
+
+    def _signals(self, output: str) -> tuple[str, ...]:
+        seen = self.watched[output]
+        return (seen,) if isinstance(seen, str) else seen
 
     def guard(self) -> Guard:
         """Return it as a controller has it."""

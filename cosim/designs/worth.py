@@ -41,8 +41,8 @@ Progress = Callable[[str, float, str], object]
 def rival_table(table: DesignTable) -> DesignTable:
     """Return the design of the best controller that sees the machines of its actuators alone.
 
-    Order, effort, points, search and limits stay. Losses and the latency of the remote signal alone are no
-    conditions of it, which is to the rival's advantage.
+    Order, effort, points, search and limits stay. Losses, scales and the latency of the remote signal alone
+    are no conditions of it, which is to the rival's advantage.
 
     Raises
     ------
@@ -60,11 +60,13 @@ def rival_table(table: DesignTable) -> DesignTable:
         "effort_under": tuple(dict.fromkeys(renamed[c] for c in table.effort_under)),
         "starts": max(table.starts, 1 if table.start_from is None else _STARTS),
     }
+    renamed_away = set(table.conditions) - set(keys["conditions"])
+    keys["target"] = [t for t in keys.get("target", ()) if t["under"] not in renamed_away]
     for stage in keys.get("stage", ()):
         stage["conditions"] = tuple(dict.fromkeys(renamed[c] for c in stage.get("conditions", ())))
     seen = {s for selected in own.values() for s in selected}
-    if table.guard is not None and set(table.guard.watched.values()) <= seen:
-        keys["guard"] = table.guard
+    if table.guard is not None:
+        keys["guard"] = table.guard.of(seen)
     rival = DesignTable.model_validate(keys)
     rival._grid = table._grid
     return rival
@@ -90,7 +92,7 @@ def _own_of(table: DesignTable) -> dict[str, tuple[str, ...]]:
 
 
 def _without_losses(code: str) -> str:
-    """Return a condition's code less what concerns the signals from afar.
+    """Return a condition's code less losses, scales and what concerns the signals from afar.
 
     >>> _without_losses("L+s100"), _without_losses("s200+L:G5_dw"), _without_losses("ns150")
     ('s100', 's200', 'N')

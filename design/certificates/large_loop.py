@@ -71,7 +71,9 @@ class LargePlant:
     def late(self, K: control.StateSpace, condition: Condition, gain: float = 1.0) -> LatePlant:
         """Return the loop under a condition, its gain lowered to a share."""
         A, B, C, D = matrices(K)
-        there = np.array([name not in condition.lost for name in K.input_labels], dtype=float)
+        there = np.array(
+            [0.0 if name in condition.lost else condition.scale_of.get(name, 1.0) for name in K.input_labels]
+        )
         names = {"inputs": list(K.input_labels), "outputs": list(K.output_labels)}
         seen = control.ss(A, B * there, gain * C, gain * D * there, **names)
         late = {name: s for name, s in condition.latency_s_of.items() if name not in condition.lost}

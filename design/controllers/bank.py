@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from interarea.models.blocks.guard import Guard
+from interarea.models.blocks.controller import Guard
 from interarea.models.blocks.supervisor import MAX_BANK, MAX_SIGNALS, Matrices, supervisor_block
 from interarea.models.blocks.variables import Block
 from interarea.models.documents import DocumentError, parse_json, read_document

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from interarea.models.blocks.controller import controller_block
-from interarea.models.blocks.guard import Guard
+from interarea.models.blocks.controller import Guard, controller_block
 from interarea.models.blocks.variables import Block
 from interarea.models.documents import DocumentError, parse_json, read_document
 from interarea.models.errors import UserError

@@ -158,6 +158,7 @@ def delayed_loop(
     latency_s_of: Mapping[str, float] | None = None,
     *,
     lost: Iterable[str] = (),
+    scale_of: Mapping[str, float] | None = None,
 ) -> DelayedLoop:
     r"""Close the loop u = + K y with exact latencies on the controller's input signals.
 
@@ -173,6 +174,7 @@ def delayed_loop(
     controller : K.
     latency_s_of : controller input -> latency, s; others 0.
     lost : controller inputs that read zero.
+    scale_of : controller input -> factor on it; others 1.
 
     Raises
     ------
@@ -181,10 +183,11 @@ def delayed_loop(
     """
     state_space(controller, "controller")
     latencies = dict(latency_s_of or {})
-    lost = tuple(lost)
+    lost, scales = tuple(lost), dict(scale_of or {})
     signals = list(controller.input_labels)
     _known(latencies, signals, "controller input")
     _known(lost, signals, "controller input")
+    _known(scales, signals, "controller input")
     picked = select(plant, list(controller.output_labels), signals)
     A, B, C, D = (np.asarray(M, dtype=float) for M in (picked.A, picked.B, picked.C, picked.D))
     Ak, Bk, Ck, Dk = (
@@ -203,7 +206,8 @@ def delayed_loop(
     for i, name in enumerate(signals):
         if name in lost:
             continue
-        channels.append(DelayedChannel(name, checked_latency(latencies.get(name, 0.0), name), b[:, i], c[i]))
+        late = checked_latency(latencies.get(name, 0.0), name)
+        channels.append(DelayedChannel(name, late, scales.get(name, 1.0) * b[:, i], c[i]))
     return DelayedLoop(A0, tuple(channels))
 
 

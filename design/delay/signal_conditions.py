@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
+from typing import TypeVar
+
+T = TypeVar("T")
+_LATE = re.compile(r"(n?s)([0-9]+)")
+_SCALE = re.compile(r"x(-?\d+(?:\.\d+)?):(.+)")
 
 
 @dataclass(frozen=True)
 class Condition:
-    """Names of lost signals, and the latency (s) of others; a signal not named is there at once."""
+    """Names of lost signals, latency (s) and scale of others; a signal not named is there at once, as it is.
+
+    A scale is the factor by which a signal is wrong: 2 twice as large, -1 of the wrong polarity.
+    """
 
     name: str
     lost: tuple[str, ...] = ()
     latency_s_of: Mapping[str, float] = field(default_factory=dict)
+    scale_of: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for signal, latency in self.latency_s_of.items():
@@ -20,30 +31,40 @@ class Condition:
                 raise ValueError(
                     f"condition {self.name!r}: latency of {signal} is {latency!r} s; finite and not negative"
                 )
+        for signal, scale in self.scale_of.items():
+            if not isfinite(scale):
+                raise ValueError(f"condition {self.name!r}: scale of {signal} is {scale!r}; finite")
 
     @property
     def kind(self) -> str:
-        """Whether signals are "lost", else "late", else "all" there at once.
+        """Whether signals are "lost", else "scaled", else "late", else "all" there at once.
 
-        >>> [condition_of(code, "G4_dw", "G2_dw").kind for code in ("N", "s100", "L", "L+s100")]
-        ['all', 'late', 'lost', 'lost']
+        >>> [condition_of(code, "G4_dw", "G2_dw").kind for code in ("N", "s100", "L", "L+s100", "x2:G4_dw")]
+        ['all', 'late', 'lost', 'lost', 'scaled']
         """
-        return "lost" if self.lost else "late" if self.latency_s_of else "all"
+        if self.lost:
+            return "lost"
+        return "scaled" if self.scale_of else "late" if self.latency_s_of else "all"
+
+    def wanted(self, targets: Mapping[str, T]) -> T | None:
+        """Return what `targets` (by name of a condition, or by kind) has for this one: by its name first."""
+        return targets.get(self.name, targets.get(self.kind))
 
     @property
     def in_words(self) -> str:
-        """What is lost and what is late, in words.
+        """What is lost, what is late and what is scaled, in words.
 
         >>> Condition("L+s100", ("G2_dw",), {"G4_dw": 0.1}).in_words
         'G2_dw lost, G4_dw 100 ms late'
-        >>> Condition("N").in_words
-        'every signal at once'
+        >>> Condition("x2:G4_dw", scale_of={"G4_dw": 2.0}).in_words, Condition("N").in_words
+        ('G4_dw times 2', 'every signal at once')
         """
         late: dict[float, list[str]] = {}
         for signal, latency in self.latency_s_of.items():
             late.setdefault(latency, []).append(signal)
         parts = [f"{' and '.join(self.lost)} lost"] if self.lost else []
         parts += [f"{' and '.join(names)} {1e3 * value:g} ms late" for value, names in late.items()]
+        parts += [f"{signal} times {scale:g}" for signal, scale in self.scale_of.items()]
         return ", ".join(parts) or "every signal at once"
 
 
@@ -62,28 +83,37 @@ def condition_of_many(code: str, signals: Sequence[str], *, remote: str | None =
     """Return the condition of a short code for any number of signals.
 
     ``N`` normal, ``L:G2_dw`` that signal lost, ``s100`` every signal late by 100 ms, ``s100+L:G2_dw`` both.
+    ``x2:G2_dw`` that signal twice as large, ``x-1:G2_dw`` of the wrong polarity.
     With a `remote` signal also ``L``, it is lost, and ``ns150``, it alone is late.
 
     Raises ValueError for any other code.
     """
     lost: list[str] = []
     latency: dict[str, float] = {}
+    scales: dict[str, float] = {}
     for part in code.split("+"):
-        kind, digits = part.rstrip("0123456789"), part.lstrip("ns")
-        if part == "N":
-            continue
-        if part == "L" and remote is not None:
-            lost.append(remote)
-        elif part.startswith("L:") and part[2:] in signals:
-            lost.append(part[2:])
-        elif kind == "s" and digits.isdigit():
-            latency = dict.fromkeys(signals, int(digits) / 1000.0)
-        elif kind == "ns" and digits.isdigit() and remote is not None:
-            latency = {remote: int(digits) / 1000.0}
-        else:
+        if (gone := _lost_by(part, signals, remote)) is not None:
+            lost.append(gone)
+        elif (scaled := _SCALE.fullmatch(part)) is not None and scaled[2] in signals:
+            scales[scaled[2]] = float(scaled[1])
+        elif (late := _LATE.fullmatch(part)) is not None and (late[1] == "s" or remote is not None):
+            named = signals if late[1] == "s" else (str(remote),)
+            latency = dict.fromkeys(named, int(late[2]) / 1000.0)
+        elif part != "N":
             short = "N, L, s<ms>, ns<ms>" if remote is not None else "N, s<ms>"
             raise ValueError(
-                f"condition {code!r}: parts are {short} or L:<one of {', '.join(signals)}> joined by +, "
-                f"got {part!r}"
+                f"condition {code!r}: parts are {short}, L:<one of {', '.join(signals)}> or "
+                f"x<factor>:<one of them> joined by +, got {part!r}"
             )
-    return Condition(code, tuple(lost), {k: v for k, v in latency.items() if k not in lost})
+    return Condition(code, tuple(lost), _but(latency, lost), _but(scales, lost))
+
+
+def _lost_by(part: str, signals: Sequence[str], remote: str | None) -> str | None:
+    """Return the signal that a part of a code loses, None where it loses none."""
+    if part == "L":
+        return remote
+    return part[2:] if part.startswith("L:") and part[2:] in signals else None
+
+
+def _but(values: Mapping[str, float], lost: Sequence[str]) -> dict[str, float]:
+    return {signal: value for signal, value in values.items() if signal not in lost}

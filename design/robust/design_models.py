@@ -42,7 +42,7 @@ def build_objective(plants: Mapping[str, control.StateSpace], spec: RobustSpec, 
         response = frequency_response(full.A, full.B, full.C, full.D, omega)
         for condition in spec.conditions:
             name = f"{point}: {condition.name}"
-            requested = (spec.more.get(point), spec.more_under.get(condition.kind))
+            requested = (spec.more.get(point), condition.wanted(spec.more_under))
             more = tuple(each for each in requested if each is not None)
             models.append(replace(_design_model(name, small, spec, condition), more=more))
             held = not spec.effort_under or condition.name in spec.effort_under
@@ -110,7 +110,7 @@ def _structure(spec: RobustSpec) -> npt.NDArray[np.bool_] | None:
 def _design_model(
     name: str, plant: control.StateSpace, spec: RobustSpec, condition: Condition
 ) -> DesignModel:
-    """Chain washout, plant and Pade models; lost signals give zero."""
+    """Chain washout, plant and Pade models; lost signals give zero, scaled ones so much more."""
     A, B, C = (np.asarray(M, dtype=float) for M in (plant.A, plant.B, plant.C))
     if spec.washout_s > 0.0:
         # u_plant = u - w,  T w' = u - w, one per actuator
@@ -134,7 +134,7 @@ def _design_model(
             row = np.hstack([late.D @ C[k : k + 1, :size], late.C])
         else:
             row = C[k : k + 1]
-        rows.append(row)
+        rows.append(condition.scale_of.get(signal, 1.0) * row)
     width = A.shape[0]
     C_seen = np.vstack([np.hstack([row, np.zeros((1, width - row.shape[1]))]) for row in rows])
     return DesignModel(name, A, B, C_seen)
@@ -149,6 +149,7 @@ def _effort_grid(
     seen = response.copy()
     for k, signal in enumerate(spec.signals):
         late = np.exp(-1j * omega * condition.latency_s_of.get(signal, 0.0))
+        late = condition.scale_of.get(signal, 1.0) * late
         seen[:, k, :] *= 0.0 if signal in condition.lost else late[:, None]
     if spec.washout_s > 0.0:
         s = 1j * omega * spec.washout_s

@@ -98,7 +98,7 @@ def judge_family(
     plants : operating point -> full plant without reference angle, speeds in rad/s, or a large one as blocks.
     K : inputs named by signal (rad/s), outputs by actuator (pu), u = +K y.
     worst_swing, inter_area : damping ratios asked of every row.
-    targets : kind of condition ("all", "late", "lost") -> both, asked of its rows instead.
+    targets : condition, or kind of it ("all", "late", "lost", "scaled"), -> both, asked of its rows instead.
     effort_cap, fastest_pole : pu per rad/s, rad/s.
     bands_hz : operating point -> where its inter-area modes are (`inter_area_band`); default `INTER_AREA_HZ`.
     progress : called with the share of the rows that is done.
@@ -152,10 +152,11 @@ def _short_of(
     targets: Mapping[str, tuple[float, float]],
 ) -> Iterator[str]:
     """Give what the rows of each kind of condition miss of its target, or of what is asked of all."""
-    kinds = {c.name: c.kind if c.kind in targets else "" for c in conditions}
-    for kind in dict.fromkeys(kinds.values()):
-        selected = [row for row in rows if kinds[row.condition] == kind]
-        where = f" with signals {kind}" if kind else ""
+    under = {c.name: next((k for k in (c.name, c.kind) if k in targets), "") for c in conditions}
+    for kind in dict.fromkeys(under.values()):
+        selected = [row for row in rows if under[row.condition] == kind]
+        where = f" under {kind}" if kind in {c.name for c in conditions} else f" with signals {kind}"
+        where = where if kind else ""
         requested = targets.get(kind, asked)
         for name, of, least in zip(
             ("worst swing", "inter-area"), ("worst_swing", "inter_area"), requested, strict=True
@@ -215,7 +216,7 @@ def _row(
     if isinstance(plant, LargePlant):
         facts = plant.facts(K, condition)
         return FamilyRow(point, condition.name, **asdict(facts))
-    loop = delayed_loop(plant, K, condition.latency_s_of, lost=condition.lost)
+    loop = delayed_loop(plant, K, condition.latency_s_of, lost=condition.lost, scale_of=condition.scale_of)
     # roots left of this line are better damped than WELL_DAMPED at the lower end of the inter-area band
     roots = rightmost_roots(loop, right_of=-2.5)
     rightmost = float(roots.real.max())

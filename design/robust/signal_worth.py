@@ -176,8 +176,8 @@ def signal_worth(
 ) -> SignalWorth:
     """Judge `K` with all signals, without each, with the own machines' alone, and its rival.
 
-    Every operating point counts, under the conditions in which nothing is lost; one signal after the other is
-    masked at the first point with nothing late, which costs little.
+    Every operating point counts, under the conditions in which nothing is lost or scaled; one signal after
+    the other is masked at the first point with nothing late, which costs little.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def signal_worth(
     rival : the best controller known that sees the own machines' signals alone.
     remark : why there is none.
     """
-    there = [c for c in conditions if not c.lost] or list(NOW)
+    there = [c for c in conditions if c.kind in ("all", "late")] or list(NOW)
     sees = seen_by(K)
     afar = signals_from_afar(K)
 

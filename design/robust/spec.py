@@ -54,7 +54,7 @@ class RobustSpec:
     offsets: BandOffsets = field(default_factory=BandOffsets)
     #: operating point -> damping wanted there on top of `offsets`
     more: Mapping[str, BandOffsets] = field(default_factory=dict)
-    #: kind of condition (`Condition.kind`) -> damping wanted under it on top of both
+    #: condition, or kind of it (`Condition.kind`), -> damping wanted under it on top of both
     more_under: Mapping[str, BandOffsets] = field(default_factory=dict)
     rho: float = 600.0  #: how closely the smoothed worst follows the worst
     plant_order: int = 16
@@ -99,7 +99,7 @@ def check_spec(spec: RobustSpec) -> None:
     if spec.start is None and spec.starts < 1:
         raise ValueError("robust design: starts = 0, allowed only beside a controller to start from")
     for condition in spec.conditions:
-        unknown = {*condition.lost, *condition.latency_s_of} - set(spec.signals)
+        unknown = {*condition.lost, *condition.latency_s_of, *condition.scale_of} - set(spec.signals)
         if unknown:
             raise ValueError(
                 f"condition {condition.name!r} names {sorted(unknown)}; the controller's signals are "

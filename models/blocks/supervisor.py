@@ -9,8 +9,16 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from .controller import _internal_step_s
-from .guard import Data, Guard, guard_equations, guard_parameters, guard_record, guard_states, guard_variables
+from .controller import (
+    Data,
+    Guard,
+    _internal_step_s,
+    guard_equations,
+    guard_parameters,
+    guard_record,
+    guard_states,
+    guard_variables,
+)
 from .variables import Block, Variable, VariableTable
 
 SOURCE = Path(__file__).resolve().parents[1] / "c" / "controller" / "supervisor.c"

@@ -90,7 +90,12 @@ def test_codes_of_conditions() -> None:
     assert condition_of("ns150", "G4_dw", "G2_dw").latency_s_of == {"G2_dw": 0.15}
     several = condition_of_many("s100+L:G1_dw", ("G1_dw", "G2_dw"))
     assert several == Condition("s100+L:G1_dw", ("G1_dw",), {"G2_dw": 0.1})
-    with pytest.raises(ValueError, match=r"L:<one of G1_dw, G2_dw> joined by \+, got 'L:G9_dw'"):
+    wrong = condition_of_many("s100+x-1:G1_dw+x0.5:G2_dw", ("G1_dw", "G2_dw"))
+    assert wrong.scale_of == {"G1_dw": -1.0, "G2_dw": 0.5} and wrong.latency_s_of["G1_dw"] == 0.1
+    for code in ("x2:G9_dw", "x:G1_dw", "x1e400:G1_dw"):
+        with pytest.raises(ValueError, match=r"x<factor>:<one of them> joined by \+, got 'x"):
+            condition_of_many(code, ("G1_dw", "G2_dw"))
+    with pytest.raises(ValueError, match=r"L:<one of G1_dw, G2_dw> or x.* joined by \+, got 'L:G9_dw'"):
         condition_of_many("L:G9_dw", ("G1_dw", "G2_dw"))
     with pytest.raises(ValueError, match="got 'ns100'"):
         condition_of_many("ns100", ("G1_dw", "G2_dw"))

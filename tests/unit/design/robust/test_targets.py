@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 from interarea.cosim.designs.design_file import design_of, load_design
-from interarea.design.delay.signal_conditions import Condition
+from interarea.cosim.errors import ScenarioError
+from interarea.design.delay.signal_conditions import Condition, condition_of_many
+from interarea.design.linear.linearise import select
 from interarea.design.robust.design import design_robust
+from interarea.design.robust.design_models import build_objective
 from interarea.design.robust.operating_points import judge_family
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.spec import RobustSpec
@@ -72,6 +75,56 @@ def test_each_kind_of_condition_is_asked_for_its_own_target() -> None:
         "inter-area damping with signals all is 0.15, asked >= 0.2",
         "inter-area damping with signals lost is 0.05, asked >= 0.06",
     ]
+
+
+def test_a_scaled_signal_is_judged_and_asked_for_by_name() -> None:
+    """Gain g of a speed adds g / 8 to the damping .05: -1.6 gives .25, with the wrong polarity -.05."""
+    codes = ("N", "x2:B_dw", "x-1:B_dw")
+    conditions = [condition_of_many(code, ("A_dw", "B_dw")) for code in codes]
+    K = control.ss([], [], [], [[0.0, -0.8]], inputs=["A_dw", "B_dw"], outputs=["A_vs"])
+    slow = select(_grid(), ["A_vs"], ["A_dw", "B_dw"])
+    plant = {"base": control.ss(*_first_two_states(slow), inputs=["A_vs"], outputs=["A_dw", "B_dw"])}
+    found = judge_family(
+        plant, K, conditions, targets={"scaled": (0.24, 0.0), "x-1:B_dw": (-0.04, -0.06)}, worst_swing=0.16
+    )
+    assert [row.worst_swing for row in found.rows] == pytest.approx([0.15, 0.25, -0.05])
+    assert [v.partition(":")[0] for v in found.violations] == [
+        "base, x-1",
+        "worst swing damping is 0.15, asked >= 0.16",
+        "worst swing damping under x-1",
+    ]
+
+
+def _first_two_states(G: control.StateSpace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    return G.A[:2, :2], G.B[:2], G.C[:, :2], G.D
+
+
+def test_the_search_sees_a_scaled_signal_as_so_much_more_gain() -> None:
+    """Late and at once: as a controller whose gain from that signal is so much larger."""
+    codes = ("x-3:B_dw", "s100+x-3:B_dw")
+    scaled = tuple(condition_of_many(code, ("A_dw", "B_dw")) for code in codes)
+    plain = tuple(replace(condition, scale_of={}) for condition in scaled)
+    spec = RobustSpec(("A_dw", "B_dw"), ("A_vs",), scaled, order=2, plant_order=4)
+    seen, unscaled = (
+        build_objective({"base": _grid()}, replace(spec, conditions=conditions), 1.0)
+        for conditions in (scaled, plain)
+    )
+    A, C = np.array([[-1.0, 2.0], [-2.0, -1.0]]), np.array([[0.4, 0.2]])
+    B = np.array([[0.2, 0.1], [0.0, -0.1]])
+    found = seen.worst(seen.pack(A, B, C))
+    assert found == pytest.approx(unscaled.worst(unscaled.pack(A, B * [1.0, -3.0], C)))
+    assert found != pytest.approx(unscaled.worst(unscaled.pack(A, B, C)))
+    efforts = [
+        float(np.abs(grid.response[:, 1] / other.response[:, 1] + 3.0).max())
+        for grid, other in zip(seen.efforts, unscaled.efforts, strict=True)
+    ]
+    assert efforts == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
+def test_a_target_under_what_is_no_condition_is_refused() -> None:
+    keys = load_design("robust").model_dump(exclude_unset=True)
+    with pytest.raises(ScenarioError, match=r"target.under = 'x2:G2_dw', allowed: all, late"):
+        design_of(keys | {"target": [{"under": "x2:G2_dw"}]})
 
 
 def test_targets_of_a_design_file_reach_the_search() -> None:

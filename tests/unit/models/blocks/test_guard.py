@@ -10,8 +10,7 @@ import pytest
 from plant_shim import BlockShim
 
 from interarea.fmu_build.write.sources import record_source
-from interarea.models.blocks.controller import controller_block
-from interarea.models.blocks.guard import Guard
+from interarea.models.blocks.controller import Guard, controller_block
 from interarea.models.blocks.supervisor import supervisor_block
 
 LIMIT, THRESHOLD, WASHOUT, LOWPASS = 0.05, 0.002, 3.0, 1.0

@@ -18,7 +18,7 @@ from interarea.design.controllers.bank import OFF, ControllerBank, load_controll
 from interarea.design.controllers.controller import Controller, ControllerError
 from interarea.fmu_build.write.package import build_fmu
 from interarea.models.blocks.channel import channel_block
-from interarea.models.blocks.guard import Guard
+from interarea.models.blocks.controller import Guard
 
 OMEGA_B = 2.0 * np.pi * 60.0
 SIGNALS = ("G2_dw", "G4_dw")
