@@ -78,7 +78,7 @@ COMMANDS = {
     ),
     "design": (
         "design:design",
-        "Design a fixed-order controller for a family; exit code 1 if it misses what was asked.",
+        "Design a controller, from a design file or a grid alone; exit code 1 if it misses what was asked.",
     ),
     "certify": (
         "design:certify",
@@ -114,7 +114,7 @@ COMMANDS = {
     ),
     "study": (
         "study:study",
-        "Run a whole study: FMUs, designs, co-simulations, figures, report.html and study.json.",
+        "Run a whole study, or study a grid: modes, a design made for it, faults, report.html, study.json.",
     ),
 }
 _SETTINGS: dict[str, Any] = {

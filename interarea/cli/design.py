@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from interarea.cosim.designs.acceptance import Acceptance
     from interarea.cosim.designs.design_file import DesignTable
+    from interarea.cosim.grid_study.automatic import GridDesign
     from interarea.design.certificates.switching import SwitchingCertificate
     from interarea.design.controllers.bank import ControllerBank
     from interarea.design.controllers.controller import Controller
@@ -36,7 +37,12 @@ DesignFile = Annotated[
 
 def design(
     spec: Annotated[
-        str, typer.Argument(metavar="SPEC.toml", help="design file, or a bundled name", show_default=False)
+        str,
+        typer.Argument(
+            metavar="SPEC.toml|GRID",
+            help="design file or a bundled name; or a grid (case, .raw, .m): the design is made for it",
+            show_default=False,
+        ),
     ],
     out: Annotated[
         Path,
@@ -53,11 +59,16 @@ def design(
         bool,
         typer.Option(help="design the best controller without the signals from afar too, and compare"),
     ] = True,
+    dyr: Annotated[
+        Path | None, typer.Option("--dyr", metavar="FILE", help="PSS/E dynamic data of a grid")
+    ] = None,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of tables")] = False,
 ) -> None:
-    """Design a fixed-order controller for a family; exit code 1 if it misses what was asked.
+    """Design a controller, from a design file or a grid alone; exit code 1 if it misses what was asked.
 
-    The starts that were tried are shown beside the result, and so are controllers given by `--against`.
+    The starts that were tried are shown beside the result, and so are controllers given by `--against`. For
+    a grid, loops, operating points and what is asked follow from it by rules; the design file is written
+    beside the controller, each choice with its reason, to go on from.
     """
     from interarea.cosim.designs.comparison import HEADER, compare, save_comparison
     from interarea.cosim.designs.design_file import DESIGN_STEPS, load_design, run_design
@@ -66,10 +77,16 @@ def design(
     from interarea.models.case.case import load_case
 
     from .destination import file_for, folder_for
+    from .grids import grid_of
+    from .study import design_for_grid
 
+    file_for(out)
+    if (grid := grid_of(spec, dyr)) is not None:
+        made, written = design_for_grid(spec, grid[0], out)
+        _show_made(made, grid[1], written, json_=json_)
+        return
     table, cache = load_design(spec), default_cache()
     case = load_case(table.case)
-    file_for(out)
     if plots is not None:
         folder_for(plots, "--plots")
     others = {name: _system(name, case) for name in against or ()}
@@ -103,6 +120,23 @@ def design(
         for path in (out, *drawn):
             typer.echo(path)
     if not certificate.passed:
+        raise typer.Exit(1)
+
+
+def _show_made(made: GridDesign, assumptions: list[str], files: list[Path], *, json_: bool) -> None:
+    """Print what a design for a grid came to; exit code 1 where it misses what was asked."""
+    reasons = list(made.proposal.reasons)
+    if json_:
+        document = {"controller": made.controller.name, "certificate": made.certificate, "reasons": reasons}
+        document |= {"assumptions": assumptions, "files": [str(path) for path in files]}
+        typer.echo(json.dumps(document, indent=2, allow_nan=False))
+    else:
+        for line in (*assumptions, *reasons):
+            typer.echo(line)
+        _show(made.controller.name, _certificate_of(made.controller), made.proposal.table)
+        for path in files:
+            typer.echo(path)
+    if not made.certificate["passed"]:
         raise typer.Exit(1)
 
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from interarea.models.case.case import Case
 
 _GRIDS = (
     ".raw (PSS/E version 23 to 36) or .m (MATPOWER), plain, .gz, .xz or .bz2; or wecc-179, npcc, nordic-44: "
@@ -137,6 +140,45 @@ def export(
     for path, content in written:
         write_whole(path, content.text)
     _tell({path: content.losses for path, content in written}, json_)
+
+
+def grid_of(name: str, dyr: Path | None = None) -> tuple[Case, list[str]] | None:
+    """Return the grid that a word of the command line means, and what was assumed; None where it means none.
+
+    A bundled case, a TOML file with buses, a grid file of another program, or a grid that is downloaded.
+
+    Raises
+    ------
+    CaseError : a grid that cannot be read, or `dyr` for one that takes none.
+    """
+    from interarea.models.case.case import load_case
+    from interarea.models.case.document import case_names
+    from interarea.models.errors import CaseError
+    from interarea.models.importers.file import import_grid as read_grid
+    from interarea.models.importers.published import PUBLISHED
+
+    if name in case_names() or _is_case_file(Path(name)):
+        if dyr is not None:
+            raise CaseError(f"--dyr {dyr}: goes with a RAW file, not with the case {name}")
+        return load_case(name), []
+    suffixes = {suffix.lower() for suffix in Path(name).suffixes}
+    if name not in PUBLISHED and not suffixes & {".raw", ".m"} and dyr is None:
+        return None
+    imported = read_grid(name, dyr=dyr)
+    return imported.case, imported.report.text().splitlines()
+
+
+def _is_case_file(path: Path) -> bool:
+    """Whether a TOML file holds a grid, or a change to one; other mistakes are for its own reader."""
+    from interarea.models.documents import DocumentError, parse_toml, read_document
+
+    if path.suffix != ".toml" or not path.is_file():
+        return False
+    try:
+        table = parse_toml(read_document(path, "a case file"))
+    except DocumentError:
+        return False
+    return "buses" in table or "base" in table
 
 
 def _tell(written: Mapping[Path, Sequence[str]], as_json: bool) -> None:

@@ -1,14 +1,19 @@
-"""The command `study`: the whole study of a case."""
+"""The command `study`: the whole study of a case, or of anybody's grid."""
 
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .terminal import note, stage_progress
+
+if TYPE_CHECKING:
+    from interarea.cosim.grid_study.automatic import GridDesign
+    from interarea.models.case.case import Case
 
 OutFolder = Annotated[
     Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
@@ -17,20 +22,110 @@ OutFolder = Annotated[
 
 def study(
     out: OutFolder,
-    name: Annotated[str, typer.Argument(metavar="NAME", help="bundled study or TOML file")] = "thesis",
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="GRID|STUDY",
+            help="bundled study or its TOML file; or a grid: case, .raw, .m, or one to download",
+        ),
+    ] = "thesis",
+    dyr: Annotated[Path | None, typer.Option("--dyr", metavar="FILE", help="PSS/E dynamic data")] = None,
     second_solver: Annotated[
-        bool, typer.Option(help="solve every LMI by cvxpy with Clarabel too, in a process beside")
+        bool, typer.Option(help="of a study: solve every LMI by cvxpy with Clarabel too, in a process beside")
     ] = True,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of the files' names")] = False,
 ) -> None:
-    """Run a whole study: FMUs, designs, co-simulations, figures, report.html and study.json."""
+    """Run a whole study, or study a grid: modes, a design made for it, faults, report.html, study.json.
+
+    Of a grid: exit code 1 where no controller that holds what is asked came out; the page has the reason.
+    """
+    from .destination import folder_for
+    from .grids import grid_of
+
+    folder_for(out)
+    if (grid := grid_of(name, dyr)) is not None:
+        _study_grid(name, dyr, *grid, out, json_=json_)
+        return
+    _run_study(name, out, second_solver=second_solver, json_=json_)
+
+
+def _study_grid(
+    name: str, dyr: Path | None, case: Case, assumptions: list[str], out: Path, *, json_: bool
+) -> None:
+    from interarea.cosim.grid_study.page import headline
+    from interarea.cosim.grid_study.study import STAGES, study_grid
+    from interarea.fmu_build.write.cache import default_cache
+    from interarea.models.case.document import case_names
+    from interarea.models.case.write_toml import export_toml
+
+    named = name
+    if name not in case_names():
+        out.mkdir(parents=True, exist_ok=True)
+        export_toml(case, out / "case.toml")
+        named = "case.toml"
+    command = f"interarea study {name}{f' --dyr {dyr}' if dyr else ''} --out {out}"
+    with stage_progress(STAGES) as report:
+        result = study_grid(
+            case,
+            out,
+            default_cache(),
+            named=named,
+            assumptions=assumptions,
+            command=command,
+            report=report,
+        )
+    files = [str(out / name) for name in ("study.json", "report.html")]
+    passed = result["problem"] is None and result["certificate"]["passed"]
+    if json_:
+        typer.echo(json.dumps({"grid": name, "passed": passed, "files": files}, indent=2))
+    else:
+        for file in files:
+            typer.echo(file)
+    for line in headline(result):
+        note(line)
+    if not passed:
+        raise typer.Exit(1)
+
+
+def design_for_grid(name: str, case: Case, out: Path) -> tuple[GridDesign, list[Path]]:
+    """Make the design of a grid; write the controller, and the design file beside it; return the files."""
+    from interarea.cosim.grid_study.automatic import DESIGN_STAGES, design_grid
+    from interarea.fmu_build.write.cache import default_cache
+    from interarea.models.case.document import case_names
+    from interarea.models.case.write_toml import export_toml
+    from interarea.models.files import write_whole
+
+    from .destination import file_for
+
+    files, named = [out, file_for(out.with_suffix(".design.toml"))], name
+    if name not in case_names():
+        files.append(file_for(out.with_suffix(".case.toml")))
+        named = files[-1].name
+    with stage_progress(DESIGN_STAGES) as report:
+        done = design_grid(case, default_cache(), name=_identifier(out.stem), named=named, report=report)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    done.controller.save(out)
+    write_whole(files[1], done.proposal.text())
+    if named != name:
+        export_toml(case, files[-1])
+    return done, files
+
+
+def _identifier(text: str) -> str:
+    """Return a controller's name made of a file's.
+
+    >>> _identifier("2 my-grid")
+    '_2_my_grid'
+    """
+    name = re.sub("[^A-Za-z0-9_]+", "_", text)
+    return name if name.isidentifier() else f"_{name}"
+
+
+def _run_study(name: str, out: Path, *, second_solver: bool, json_: bool) -> None:
     from interarea.cosim.designs.certificate_words import first_failures, kept_certificate
     from interarea.cosim.scenario.names import CONTROLLER_NAMES
     from interarea.cosim.study.study import STAGES, run_study
 
-    from .destination import folder_for
-
-    folder_for(out)
     with stage_progress(STAGES) as progress:
         summary = run_study(name, out, progress, second_solver=second_solver)
     verdicts = [row["verdict"] for row in summary.get("printed", {}).get("verdicts", [])]

@@ -95,7 +95,7 @@ def test_a_file_of_another_kind_is_named_as_what_it_is(interarea, kinds, command
         "case": "is a case",
     }
     for kind, name in kinds.items():
-        if kind == wanted:
+        if kind == wanted or (kind == "case" and command in ("study", "design")):  # a grid will do there
             continue
         code, out, err = interarea(command, name, "--out", "results")
         assert code == 2 and out == "" and err.count("\n") == 1, err

@@ -1,0 +1,125 @@
+"""Operating points of a design, from the grid: what moves its inter-area modes most."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from interarea.design.modes.all_modes import all_modes
+from interarea.design.modes.loop_choice import signals_of
+from interarea.design.modes.loop_points import LoopPoint
+from interarea.design.modes.modes import Mode
+from interarea.models.case.case import Case
+from interarea.models.case.variants import operating_variant
+from interarea.models.errors import InterareaError
+from interarea.models.grid.powerflow import solve_powerflow
+
+from ..designs.design_tables import PointTable
+from ..run.artefacts import sparse_linear_plant
+from .weak_modes import BAND_HZ, BELOW, WeakModes
+
+#: branches whose outage is tried, points that these are to give, and those that go into the design
+TRIED, USABLE, KEPT = 40, 12, 4
+#: relative change of an eigenvalue below which another load or tie flow is no point of its own
+MOVED = 0.01
+LOADS = (1.05, 0.9)  #: factors on all loads and the power of all machines
+TIE_SHARE = 0.25  #: of the flow over the tie, where a case names one
+
+
+@dataclass(frozen=True)
+class TriedPoint:
+    """A change to the grid and what it does to the modes without control.
+
+    least : damping ratio of the worst inter-area mode there. moved : largest relative change of any such
+    mode's eigenvalue. local : least damping ratio of the other modes. problem : why it is no point, in words.
+    """
+
+    point: PointTable
+    least: float = 1.0
+    moved: float = 0.0
+    modes: tuple[Mode, ...] = ()
+    problem: str = ""
+
+
+def tried_points(
+    weak: WeakModes, cache: Path, *, progress: Callable[[float], object] = lambda share: None
+) -> tuple[TriedPoint, ...]:
+    """Try the outages of branches whose power swings most in the weak modes, other loads and tie flows."""
+    others = [PointTable(name=f"load {100 * (k - 1):+.0f} %", load_scale=k) for k in LOADS]
+    others += _tie_points(weak.case)
+    rows: list[TriedPoint] = []
+    for name in _swinging_branches(weak)[:TRIED]:
+        usable = sum(not row.problem for row in rows)
+        if usable == USABLE:
+            break
+        progress(usable / (USABLE + len(others)))
+        rows.append(_tried(weak, PointTable(name=f"{name} out", out=(name,)), cache))
+    for k, point in enumerate(others):
+        progress((USABLE + k) / (USABLE + len(others)))
+        rows.append(_tried(weak, point, cache))
+    progress(1.0)
+    return tuple(rows)
+
+
+def chosen_points(tried: Sequence[TriedPoint]) -> tuple[PointTable, ...]:
+    """Return the points of a design: the grid as it is, outages that leave least or move most, the rest."""
+    usable = [row for row in tried if not row.problem]
+    same = {(round(row.least, 3), round(row.moved, 2)): row for row in reversed(usable) if row.point.out}
+    outages = list(same.values())[::-1]  # of circuits in parallel or in series one
+    worst = sorted(outages, key=lambda row: row.least)[: KEPT // 2]
+    rest = [row for row in outages if row not in worst]
+    most = sorted(rest, key=lambda row: -row.moved)[: KEPT - len(worst)]
+    others = [row for row in usable if not row.point.out and row.moved >= MOVED]
+    return (PointTable(name="base"), *(row.point for row in (*worst, *most, *others)))
+
+
+def variant(case: Case, point: PointTable) -> Case:
+    """Return `case` at an operating point. Raises CaseError where there is none."""
+    return operating_variant(case, tie_flow_mw=point.tie_flow_mw, out=point.out, load_scale=point.load_scale)
+
+
+def _swinging_branches(weak: WeakModes) -> list[str]:
+    """Return the branches in service by how much their power swings in the targets, the most first."""
+    modes = weak.found.modes
+    aimed = [modes.index(mode) for mode in weak.targets]
+    right = np.array([mode.right for mode in modes]).T
+    value = np.array([mode.eigenvalue for mode in modes])
+    rows = [s for s in signals_of(weak.plant, right, value, weak.case.areas, aimed) if s.kind == "power"]
+    swings = np.abs(np.array([row.shows[aimed] for row in rows]))
+    share = (swings / np.maximum(swings.max(axis=0), 1e-300)).max(axis=1)
+    return [rows[k].name.removeprefix("power_") for k in np.argsort(-share, kind="stable")]
+
+
+def _tie_points(case: Case) -> list[PointTable]:
+    """Return more and less flow over the tie, where the case names one and loads at both of its sides."""
+    if case.tie is None:
+        return []
+    total = solve_powerflow(case).tie_p * case.base_mva
+    step = round(TIE_SHARE * abs(total), -1)
+    return [
+        PointTable(name=f"tie {sign * step:+.0f} MW", tie_flow_mw=sign * step) for sign in (1.0, -1.0) if step
+    ]
+
+
+def _tried(weak: WeakModes, point: PointTable, cache: Path) -> TriedPoint:
+    try:
+        changed = variant(weak.case, point)
+        plant = sparse_linear_plant(changed, cache)
+        found = all_modes(plant, changed.areas, band_hz=BAND_HZ, below=BELOW)
+        there = LoopPoint(point.name, plant, found.modes)
+        pairs = [(target, there.like(target)) for target in weak.targets]
+    except InterareaError as error:
+        return TriedPoint(point, problem=str(error).splitlines()[0])
+    if found.unstable or found.growing_slowly:
+        return TriedPoint(point, problem="unstable without control")
+    inter = [m for m in found.modes if m.name.startswith("inter-area")]
+    moves = [abs(m.eigenvalue - t.eigenvalue) / abs(t.eigenvalue) for t, m in pairs if m is not None]
+    return TriedPoint(
+        point,
+        least=min((m.damping_ratio for m in inter), default=1.0),
+        moved=max(moves, default=0.0),
+        modes=found.modes,
+    )

@@ -1,0 +1,172 @@
+"""The page of a grid's study, in the order in which a planner asks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from interarea.design.modes.modes import Mode
+from interarea.models.case.case import Case
+from interarea.models.files import write_whole
+
+from ..designs.certificate_words import in_words
+from ..designs.worth import HEADER as WORTH_HEADER
+from ..designs.worth import table_rows
+from ..maps.page import plain
+from ..plots.curves import DASHES, MUTED, SERIES, STYLE, WIDTH
+from ..plots.html import page_environment, page_figure
+from ..plots.mode_map import shape_plot
+
+SHAPES = 4  #: modes whose shapes are drawn
+
+
+def write_page(study: Mapping[str, Any], modes: Sequence[Mode], case: Case, path: Path) -> Path:
+    """Write the page of what `study` holds so far; a part that is not there yet says so.
+
+    modes : those shown, in the order of the page.
+    """
+    environment = page_environment(Path(__file__).parent)
+    environment.filters |= {"plain": plain, "ratio": _ratio}
+    text = environment.get_template("grid_study.html.j2").render(
+        study=study,
+        headline=headline(study),
+        modes=modes,
+        shapes=[page_figure(shape_plot(mode, case), f"shape-{k}") for k, mode in enumerate(modes[:SHAPES])],
+        damping=damping_rows((study.get("certificate") or {}).get("rows", ())),
+        left_out=damping_rows(study.get("left_out", ())),
+        worth=_worth(study),
+        latency=_latency(study),
+        faults=_faults(study),
+    )
+    return write_whole(path, text.encode("utf-8"))
+
+
+def headline(study: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return what the study comes to, a sentence each: the weakest mode, what was reached, the worth."""
+    modes = [m for m in study["modes"]["modes"] if m["name"].startswith("inter-area")]
+    lines = []
+    if study["modes"]["growing"]:
+        lines.append(f"The grid is unstable without control: {'; '.join(study['modes']['growing'])}.")
+    if modes:
+        least = min(modes, key=lambda m: float(m["damping_ratio"]))
+        lines.append(
+            f"The least damped inter-area mode without control is {least['name']}, "
+            f"{least['frequency_hz']:.2f} Hz, damping ratio {least['damping_ratio']:.3f}."
+        )
+    if (certificate := study.get("certificate")) is not None:
+        lines.append(
+            f"With the controller designed here it is at least {certificate['inter_area']:.3f} at every "
+            "operating point, latency and loss of one signal that was judged."
+        )
+        short = [row["point"] for row in study.get("left_out", ()) if not _holds(row, study["asked"])]
+        if short:
+            lines.append(
+                "At operating points that are not in the design it falls short of what was asked: "
+                f"{', '.join(dict.fromkeys(short))}."
+            )
+        if missed := len(certificate["violations"]):
+            lines.append(f"It misses {missed} of what was asked, first: {certificate['violations'][0]}.")
+        sentence = in_words(certificate["acceptance"])
+        lines.append(f"{sentence[:1].upper()}{sentence[1:]}.")
+    if "worth" in study:
+        sentence = study["worth"]["sentence"]
+        lines.append(f"{sentence[:1].upper()}{sentence[1:]}.")
+    if study["problem"]:
+        lines.append(f"It stops here: {study['problem']}.")
+    return tuple(lines)
+
+
+def _holds(row: Mapping[str, Any], asked: Mapping[str, float]) -> bool:
+    return bool(row["stable"]) and all(row[key] >= asked[key] for key in ("inter_area", "worst_swing"))
+
+
+def damping_rows(judged: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return for each operating point the least damping by kind of condition: all there, late, one lost."""
+    rows: dict[str, dict[str, Any]] = {}
+    for row in judged:
+        kind = "lost" if "L" in row["condition"] else "all" if row["condition"] == "N" else "late"
+        own = rows.setdefault(row["point"], {"point": row["point"], "stable": True})
+        own["stable"] &= row["stable"]
+        for key in ("inter_area", "worst_swing"):
+            own[f"{key}_{kind}"] = min(own.get(f"{key}_{kind}", 1.0), row[key])
+    return list(rows.values())
+
+
+def _worth(study: Mapping[str, Any]) -> dict[str, Any] | None:
+    if "worth" not in study:
+        return None
+    return {
+        "header": WORTH_HEADER,
+        "rows": table_rows(study["worth"]),
+        "sentence": study["worth"]["sentence"],
+    }
+
+
+def _faults(study: Mapping[str, Any]) -> dict[str, Any] | None:
+    certificate = study.get("certificate")
+    if certificate is None or certificate["acceptance"] is None:
+        return None
+    record = certificate["acceptance"]
+    rows = [row for row in record["clearing"] if row["without"] is not None]
+    return {
+        "record": record,
+        "sentence": in_words(record),
+        "rows": rows,
+        "svg": page_figure(_clearing_figure(rows), "clearing") if rows else "",
+    }
+
+
+def _latency(study: Mapping[str, Any]) -> dict[str, Any] | None:
+    rows = study.get("latency")
+    if rows is None:
+        return None
+    unstable = [row["latency_s"] for row in rows if not row["stable"]]
+    stable = [r["latency_s"] for r in rows if r["latency_s"] < min(unstable, default=float("inf"))]
+    return {
+        "svg": page_figure(_latency_figure(rows, study), "latency"),
+        "stable_to": max(stable, default=0.0),
+        "all": not unstable,
+    }
+
+
+def _latency_figure(rows: Sequence[Mapping[str, Any]], study: Mapping[str, Any]) -> Figure:
+    """Draw inter-area damping over the latency of all signals, a curve for each lost signal."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+        axes = figure.subplots()
+        for k, lost in enumerate(dict.fromkeys(row["lost"] for row in rows)):
+            own = [row for row in rows if row["lost"] == lost]
+            axes.plot(
+                [1e3 * row["latency_s"] for row in own],
+                [row["inter_area"] if row["stable"] else np.nan for row in own],
+                color=SERIES[k % len(SERIES)],
+                linestyle=DASHES[k % len(DASHES)],
+                label=f"{lost} lost" if lost else "nothing lost",
+            )
+        axes.axhline(study["asked"]["inter_area"], color=MUTED, linewidth=0.8)
+        axes.set_xlabel("latency of all signals (ms)")
+        axes.set_ylabel("inter-area damping ratio")
+        axes.legend(fontsize="small")
+    return figure
+
+
+def _clearing_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Draw the change of the clearing times where both are known, sorted."""
+    changes = [row["with_control"] - row["without"] for row in rows if row["with_control"] is not None]
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 2.6), layout="constrained")
+        axes = figure.subplots()
+        axes.bar(range(1, len(changes) + 1), sorted(changes), color=SERIES[0])
+        axes.axhline(0.0, color=MUTED, linewidth=0.8)
+        axes.set_xlabel("operating points and faults, sorted")
+        axes.set_ylabel("change (cycles)")
+    return figure
+
+
+def _ratio(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3f}".replace("-", "−")

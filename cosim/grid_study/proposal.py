@@ -1,0 +1,361 @@
+"""A design file made from the grid alone, each choice by a rule and with its reason.
+
+Modes, loops, signals, operating points, conditions, what is asked and what the search may give away follow
+from the grid. What comes out is a design as a person would write it (`designs.design_file`), to go on from.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from interarea.design.errors import InfeasibleDesign
+from interarea.design.modes.loop_choice import choose_loops
+from interarea.design.modes.loop_points import LoopSet
+from interarea.design.modes.modes import Mode
+from interarea.design.robust.operating_points import inter_area_band
+from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
+from interarea.models.case.write_toml import toml_text
+from interarea.models.errors import CaseError
+
+from ..designs.acceptance import AcceptanceTable, FaultPlace
+from ..designs.design_file import DesignTable, design_of
+from ..designs.design_tables import PointTable
+from ..designs.short_designs import LATENCY_S, ShortDesign, short_designs
+from ..designs.swing_sensitivity import STEP_S, first_swing
+from .operating_points import TriedPoint, chosen_points, tried_points, variant
+from .weak_modes import GIVEN_AWAY, WEAK, WeakModes
+
+STEPS = ("loops", "operating points")  #: of `find`
+
+#: sets of loops that are designed shortly for each number of actuators, and the most actuators
+SETS, MOST_ACTUATORS = 2, 4
+#: damping ratio of inter-area modes beyond which more is no reason for another actuator, nor to take more
+#: from other modes: a swing is then gone after one period
+ENOUGH = 0.25
+#: damping ratio that another actuator must add: less is within what short designs differ by
+WORTH_AN_ACTUATOR = 0.02
+SIGNALS = 3  #: of each actuator at most: with any one lost there are others
+ORDER = 4  #: states of each loop, as in the bundled designs of large grids
+#: pu per rad/s: noise of 1 mHz on a speed then moves an output by .0016 pu at most
+EFFORT = 0.25
+LIMIT_PU = 0.05  #: of each output, as field installations limit stabilizers [IEEE421.5-2016]
+LATENCIES_MS = (100, 200)  #: of all signals: the range of wide-area networks
+PLANT_ORDER = 40  #: of the models of the search; the certificate takes the full plants
+FAULTS, CLEAR_S = 6, 0.1  #: of the acceptance
+#: (rad/s, damping): slow roots are asked more than their stability, or the common speed runs away where a
+#: signal is lost (New England, `designs/design_new_england.toml`)
+_SLOW = ((0.0, 0.1), (0.15, 0.1), (0.3, 0.0), (0.5, -0.1))
+#: share of the lower end of the inter-area band from where its damping is asked for
+_RISE = 0.6
+#: (rad/s, damping) above the swings: modes of exciters and networks
+_ABOVE = ((20.0, -0.25), (30.0, -0.4))
+_LOCAL_TO = 16.0  # rad/s: 2.5 Hz
+_NEAR = 0.05  # relative distance of frequencies that share a node
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a grid shows before a design: short designs of sets of loops, and operating points tried."""
+
+    weak: WeakModes
+    loops: tuple[ShortDesign, ...]
+    points: tuple[TriedPoint, ...]
+
+    @property
+    def sets(self) -> tuple[ShortDesign, ...]:
+        """Sets of loops in the order in which they are tried.
+
+        The fewest actuators to which another adds too little, then the best set of each larger number.
+        """
+        best = min(max(design.damping for design in self.loops), ENOUGH)
+        good = [d for d in self.loops if d.damping >= best - WORTH_AN_ACTUATOR]
+        fewest = min(len(d.chosen.actuators) for d in good)
+        larger = range(fewest, max(len(d.chosen.actuators) for d in self.loops) + 1)
+        of_size = [[d for d in self.loops if len(d.chosen.actuators) == k] for k in larger]
+        return tuple(max(rows, key=lambda d: d.damping) for rows in of_size if rows)
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A design, the set of loops it is for, and the reason of each choice."""
+
+    table: DesignTable
+    findings: Findings
+    taken: ShortDesign
+    reasons: tuple[str, ...]
+
+    @property
+    def left_out(self) -> tuple[TriedPoint, ...]:
+        """Operating points that exist and are not in the design: what its controller is checked by."""
+        names = {point.name for point in self.table.point}
+        return tuple(row for row in self.findings.points if not row.problem and row.point.name not in names)
+
+    def text(self) -> str:
+        """Return the design file, the reasons as its comments."""
+        keys = self.table.model_dump(mode="json", exclude_unset=True)
+        head = "".join(f"# {line}\n" for line in self.reasons)
+        return head + toml_text(_plain(keys))
+
+
+def find(
+    weak: WeakModes, cache: Path, *, progress: Callable[[str, float], object] = lambda step, share: None
+) -> Findings:
+    """Design sets of loops shortly and try operating points.
+
+    progress : called with one of `STEPS` and the share of it that is done.
+
+    Raises
+    ------
+    ModeError : no actuator reaches the weak modes. InfeasibleDesign : no short design is stable.
+    """
+    loops, points = STEPS
+    designs = _short_designs(weak, cache, lambda share: progress(loops, share))
+    if not max(design.damping for design in designs) > 0.0:
+        raise InfeasibleDesign(
+            "no short design of any set of loops keeps the grid stable; name actuators and signals in a "
+            "design file",
+            constraint="loops",
+        )
+    return Findings(weak, designs, tried_points(weak, cache, progress=lambda share: progress(points, share)))
+
+
+def propose(
+    findings: Findings, taken: ShortDesign, cache: Path, *, name: str = "", case: str = ""
+) -> Proposal:
+    """Make a design for one set of loops.
+
+    name : of the controller, default that of the case. case : what the design file names it by.
+    """
+    weak, tried = findings.weak, findings.points
+    kept = chosen_points(tried)
+    names = {point.name for point in kept}
+    parts = {a: _signals(weak, a, s) for a, s in taken.chosen.loops.items()}
+    signals = tuple(dict.fromkeys(s for seen in parts.values() for s in seen))
+    acceptance = _acceptance(weak, tried, kept)
+    guard = _guard(weak, acceptance, parts, cache)
+    least = [_least_of_all(row) for row in tried if row.point.name in names]
+    least.append(min(m.damping_ratio for m in weak.found.modes))
+    keys: dict[str, Any] = {
+        "name": name or re.sub("^(?=[^A-Za-z_])|[^A-Za-z0-9_]+", "_", weak.case.name),
+        "case": case or weak.case.name,
+        "conditions": _conditions(signals),
+        "slowest_pole": 0.3,
+        "fastest_pole": 60.0,
+        "effort_cap": [[0.05, EFFORT], [300.0, EFFORT]],
+        "effort_under": ["N"],
+        "offset": _offset(weak, tried, names, min(taken.damping, ENOUGH)),
+        "plant_order": PLANT_ORDER,
+        "pade_order": 3,
+        "limit_pu": LIMIT_PU,
+        "starts": 2,
+        "seed": 1,
+        "ask": {
+            "inter_area": round(weak.wanted, 4),
+            "worst_swing": round(max(min(least) - GIVEN_AWAY, 0.0), 4),
+            "effort": round(1.15 * EFFORT, 3),
+            "fastest_pole": 66.0,
+        },
+        "acceptance": acceptance.model_dump(mode="json", exclude_unset=True),
+        "part": [{"actuator": a, "signals": list(s), "order": ORDER} for a, s in parts.items()],
+        "stage": [
+            {"points": ["base"], "rho": [60.0, 150.0], "steps": 25},
+            {"rho": [150.0, 600.0], "steps": 30},
+        ],
+        "point": [point.model_dump(mode="json", exclude_unset=True) for point in kept],
+    }
+    if guard:
+        keys["guard"] = guard
+    table = design_of(keys, where=f"the design made for {weak.case.name}")
+    table._grid = weak.case
+    return Proposal(table, findings, taken, _reasons(findings, taken, names))
+
+
+def _short_designs(
+    weak: WeakModes, cache: Path, progress: Callable[[float], object]
+) -> tuple[ShortDesign, ...]:
+    """Design the best sets of each size shortly."""
+    sets: list[LoopSet] = []
+    for together in range(1, MOST_ACTUATORS + 1):
+        if together > len(weak.plant.inputs):
+            break
+        choice = choose_loops(
+            weak.plant,
+            weak.found.modes,
+            weak.case.areas,
+            targets=[m.name for m in weak.targets],
+            kinds=("speed",),
+            latency_s=LATENCY_S,
+            together=together,
+            most=SETS,
+        )
+        sets += choice.sets
+
+    def told(done: int) -> None:
+        progress(done / len(sets))
+
+    def made() -> list[tuple[float, float]]:
+        rows = short_designs(weak.case, sets, cache, latency_s=LATENCY_S, told=told)
+        return [(row.damping, row.own) for row in rows]
+
+    key = content_hash(
+        weak.case.hash, [dict(one.loops) for one in sets], LATENCY_S, code_hash(short_designs.__module__)
+    )
+    reached = cached_json(cache, "grid-loops", key, made)
+    return tuple(ShortDesign(one, *values) for one, values in zip(sets, reached, strict=True))
+
+
+def _signals(weak: WeakModes, actuator: str, signal: str) -> tuple[str, ...]:
+    """Return what an actuator sees: its own speed, and those that swing against it most, weakest mode."""
+    own = actuator.removesuffix("_vs")
+    shape = weak.weakest.shape
+    against = sorted(
+        (m for m in shape if m != own), key=lambda m: float((shape[m] * np.conj(shape[own])).real)
+    )
+    first = [m for m in against if f"_{m}" in f"_{signal.removeprefix('dw_')}"] if "_" in signal else []
+    others = dict.fromkeys([*first, *against])
+    return tuple(f"{m}_dw" for m in [own, *list(others)[: SIGNALS - 1]])
+
+
+def _conditions(signals: Sequence[str]) -> list[str]:
+    """Nothing lost and each signal lost, at once and with all of them late."""
+    lost = ["", *(f"L:{name}" for name in signals)]
+    rows = [code or "N" for code in lost]
+    for late in LATENCIES_MS:
+        rows += [f"s{late}" + (f"+{code}" if code else "") for code in lost]
+    return rows
+
+
+def _offset(
+    weak: WeakModes, tried: Sequence[TriedPoint], names: set[str], reached: float
+) -> list[list[float]]:
+    """Ask the most of the inter-area band, of local modes what they have, of slow and fast ones less.
+
+    reached : inter-area damping ratio that is counted on: other modes keep theirs where it is reached.
+    """
+    low, high = (2.0 * pi * hz for hz in inter_area_band({m.name: m for m in weak.found.modes}))
+    modes = [*weak.found.modes, *(m for row in tried if row.point.name in names for m in row.modes)]
+    local = _local_nodes([m for m in modes if high < abs(m.eigenvalue.imag) < _LOCAL_TO], reached)
+    nodes = [[at, value] for at, value in _SLOW if at < _RISE * low]
+    nodes += [[_RISE * low, -0.1], [low, 0.0], [high, 0.0]]
+    nodes += [[at, value] for at, value in local if at > 1.03 * high]
+    last = nodes[-1][1]
+    nodes += [[_LOCAL_TO, last]] + [[at, min(value, last)] for at, value in _ABOVE]
+    return [[round(at, 3), round(value, 4)] for at, value in nodes]
+
+
+def _local_nodes(modes: Sequence[Mode], reached: float) -> list[list[float]]:
+    """Return (rad/s, damping) of local modes by frequency; near ones share the lower value."""
+    nodes: list[list[float]] = []
+    for mode in sorted(modes, key=lambda m: abs(m.eigenvalue.imag)):
+        at, value = abs(mode.eigenvalue.imag), min(mode.damping_ratio - GIVEN_AWAY - reached, 0.0)
+        if nodes and at < (1.0 + _NEAR) * nodes[-1][0]:
+            nodes[-1][1] = min(nodes[-1][1], value)
+        else:
+            nodes.append([at, value])
+    return nodes
+
+
+def _least_of_all(row: TriedPoint) -> float:
+    return min((mode.damping_ratio for mode in row.modes), default=1.0)
+
+
+def _acceptance(
+    weak: WeakModes, tried: Sequence[TriedPoint], points: Sequence[PointTable]
+) -> AcceptanceTable:
+    """Faults at the branches whose power swings most, each cleared by the trip of that branch.
+
+    A branch whose trip cuts the grid at some operating point is passed over.
+    """
+    ends = {branch.name: branch.from_bus for branch in weak.case.branches}
+    faults: list[FaultPlace] = []
+    for name in (row.point.out[0] for row in tried if row.point.out and not row.problem):
+        known = {fault.bus for fault in faults}
+        if len(faults) < FAULTS and ends[name] not in known and _whole_without(weak, points, name):
+            faults.append(FaultPlace(bus=ends[name], trip=name))
+    if not faults:
+        faults = [FaultPlace(bus=weak.case.machines[0].bus)]
+    cycles = round(CLEAR_S * weak.case.frequency_hz, 1)
+    return AcceptanceTable(fault=tuple(faults), latency_s=(0.15,), clear_cycles=cycles)
+
+
+def _whole_without(weak: WeakModes, points: Sequence[PointTable], branch: str) -> bool:
+    try:
+        for point in points:
+            variant(weak.case, point.model_copy(update={"out": (*point.out, branch)}))
+    except CaseError:
+        return False
+    return True
+
+
+def _guard(
+    weak: WeakModes,
+    acceptance: AcceptanceTable,
+    parts: Mapping[str, Sequence[str]],
+    cache: Path,
+) -> dict[str, Any]:
+    """Limit that side of each output that adds to the first swing, by pulses in runs without control."""
+    total = dict.fromkeys(parts, 0.0)
+    for fault in acceptance.fault:
+        swing = first_swing(weak.case, fault, acceptance, list(parts), cache)
+        if swing is None:
+            continue
+        for actuator in parts:
+            total[actuator] += STEP_S * float(swing.sensitivity[actuator].sum())
+    sides = {a: float(np.sign(value)) for a, value in total.items() if value}
+    if not sides:
+        return {}
+    watched = {a: parts[a][0] for a in sides}
+    return {"watched": watched, "sides": sides, "threshold": 0.3}  # control_any_grid: .3 rad/s
+
+
+def _reasons(findings: Findings, taken: ShortDesign, names: set[str]) -> tuple[str, ...]:
+    """Return the reason of each choice, one line each."""
+    weak, tried = findings.weak, findings.points
+    lines = [f"Made for {weak.case.name} from the grid alone; every number may be changed by hand."]
+    lines += ["Targets: " + ", ".join(_in_words(m) for m in weak.targets) + "."]
+    if weak.others:
+        lines.append(
+            f"Left as they are, weak but not inter-area (a stabilizer at their machines serves them): "
+            f"{', '.join(_in_words(m) for m in weak.others)}."
+        )
+    lines += [
+        f"Loops at {', '.join(d.chosen.actuators)}: a short design reaches {d.damping:.3f} ({d.sentence})."
+        for d in findings.loops
+    ]
+    first = findings.sets[0]
+    why = (
+        f"the fewest within {WORTH_AN_ACTUATOR:g} of the best or of {ENOUGH:g}"
+        if taken is first
+        else f"because a design for {', '.join(first.chosen.actuators)} missed what is asked"
+    )
+    lines.append(f"Taken: {', '.join(taken.chosen.actuators)}, {why}.")
+    for row in tried:
+        if not row.problem:
+            state = f"inter-area {row.least:.3f}, moves by {100.0 * row.moved:.0f} %"
+            lines.append(f"Point {row.point.name}: {state}{'; taken' if row.point.name in names else ''}.")
+    if missing := [row.point.name for row in tried if row.problem]:
+        lines.append(f"No operating point of a stable whole grid: {', '.join(missing)}.")
+    least = min([weak.weakest.damping_ratio, *(r.least for r in tried if r.point.name in names)])
+    lines.append(
+        f"Asked: inter-area {weak.wanted:.3f} (without control {least:.3f} at the worst point; "
+        f"+.05, or {WEAK:g}), every other mode not {GIVEN_AWAY:g} below its worst without control."
+    )
+    return tuple(lines)
+
+
+def _in_words(mode: Mode) -> str:
+    return f"{mode.name} ({mode.frequency_hz:.2f} Hz, damping {mode.damping_ratio:.3f})"
+
+
+def _plain(value: Any) -> Any:
+    """Return JSON values without what is none."""
+    if isinstance(value, Mapping):
+        return {k: _plain(v) for k, v in value.items() if v is not None}
+    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value

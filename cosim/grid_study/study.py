@@ -1,0 +1,220 @@
+"""The study of a grid: from its data to a page, each part written as soon as it is there."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from interarea.design.controllers.controller import Controller
+from interarea.design.delay.signal_conditions import Condition
+from interarea.design.errors import InfeasibleDesign
+from interarea.design.modes.modes import Mode
+from interarea.design.robust.operating_points import inter_area_band, judge_family
+from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, place
+from interarea.models.case.case import Case
+from interarea.models.errors import InterareaError
+from interarea.models.files import write_whole
+
+from ..designs.design_file import DesignTable
+from ..designs.family import FamilyPlant
+from ..designs.worth import design_rival, has_rival, with_rival, worth
+from ..run.artefacts import plant_fmu
+from ..run.controllers import controller_fmu
+from .automatic import DESIGN_STAGES, Report, design_for
+from .operating_points import variant
+from .page import write_page
+from .proposal import Proposal
+from .weak_modes import modes_of_grid, weak_modes
+
+STAGES = (*DESIGN_STAGES, "own-signal rival", "latency", "FMUs and page")
+#: s, of all signals: curves of damping
+LATENCIES_S = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
+
+
+def study_grid(
+    case: Case,
+    out: Path,
+    cache: Path,
+    *,
+    named: str = "",
+    assumptions: Sequence[str] = (),
+    command: str = "",
+    report: Report = lambda stage, share: None,
+) -> dict[str, Any]:
+    """Study a grid into the folder `out`; return what study.json holds.
+
+    named : how the design file names the case. assumptions : made while its data were read, for the page.
+    command : that repeats the study.
+
+    Writes report.html (from the first second on), study.json, design.toml, controller.json and fmus/. What
+    cannot be had stands in the place of its part, with the reason, under `problem`.
+
+    Raises
+    ------
+    OSError, BuildError : the machine cannot do it. CaseError : no operating point.
+    """
+    modes, (rival, latency, last) = STAGES[0], STAGES[len(DESIGN_STAGES) :]
+    study: dict[str, Any] = {
+        "case": case.name,
+        "command": command,
+        "assumptions": list(assumptions),
+        "buses": len(case.buses),
+        "machines": len(case.machines),
+        "problem": None,
+    }
+    shapes: tuple[Mode, ...] = ()
+
+    def written() -> None:
+        write_page(study, shapes, case, out / "report.html")
+
+    with threadpool_limits(1):
+        report(modes, 0.0)
+        found = modes_of_grid(case, cache)
+        shapes = found.shown
+        study["modes"] = found.as_dict()
+        written()
+        report(modes, 1.0)
+        try:
+            done = design_for(weak_modes(found), cache, named=named, report=report)
+            table, controller = done.proposal.table, done.controller
+            study["certificate"] = controller.certificate
+            study |= _proposed(done.proposal)
+            write_whole(out / "design.toml", done.proposal.text().encode())
+            written()
+            report(rival, 0.0)
+            if has_rival(table):
+                controller = with_rival(controller, _rival(table, case, cache, report))
+            report(rival, 1.0)
+            study["worth"] = worth(table, controller, cache).as_dict()
+            controller.save(out / "controller.json")
+            written()
+            report(latency, 0.0)
+            study["left_out"] = _left_out(done.proposal, controller, cache)
+            study["latency"] = _over_latency(table, controller, case, cache)
+            report(latency, 1.0)
+            report(last, 0.0)
+            place(plant_fmu(case, cache), out / "fmus" / "plant.fmu")
+            place(controller_fmu(controller, case.omega_b, cache), out / "fmus" / "controller.fmu")
+        except (InterareaError, InfeasibleDesign) as error:
+            study["problem"] = str(error)
+        study["versions"] = {"interarea": version("interarea")}
+        written()
+        text = json.dumps(_finite(study), indent=1, allow_nan=False)
+        write_whole(out / "study.json", f"{text}\n".encode())
+        report(last, 1.0)
+    return study
+
+
+def _proposed(proposal: Proposal) -> dict[str, Any]:
+    table = proposal.table
+    return {
+        "reasons": list(proposal.reasons),
+        "loops": [
+            {
+                "actuators": list(row.chosen.actuators),
+                "damping": row.damping,
+                "own": row.own,
+                "taken": row.chosen.actuators == proposal.taken.chosen.actuators,
+            }
+            for row in proposal.findings.loops
+        ],
+        "parts": [{"actuator": part.actuator, "signals": list(part.signals)} for part in table.part],
+        "points": [
+            {
+                "name": row.point.name,
+                "least": row.least,
+                "moved": row.moved,
+                "problem": row.problem,
+                "taken": any(row.point.name == point.name for point in table.point),
+            }
+            for row in proposal.findings.points
+        ],
+        "asked": {"inter_area": table.ask.inter_area, "worst_swing": table.ask.worst_swing},
+    }
+
+
+def _rival(table: DesignTable, case: Case, cache: Path, report: Report) -> Controller:
+    name = STAGES[len(DESIGN_STAGES)]
+    key = content_hash(
+        case.hash,
+        table.model_dump(mode="json"),
+        code_hash(worth.__module__),
+    )
+
+    def made() -> dict[str, Any]:
+        done = design_rival(table, cache, progress=lambda _, share, __: report(name, 0.99 * share))
+        return done.as_dict()
+
+    return Controller.from_dict(cached_json(cache, "grid-rival", key, made))
+
+
+def _left_out(proposal: Proposal, controller: Controller, cache: Path) -> list[dict[str, Any]]:
+    """Judge the controller at operating points that were tried and are not in the design."""
+    table = proposal.table
+    cases = {row.point.name: variant(table.grid, row.point) for row in proposal.left_out}
+    if not cases:
+        return []
+    key = content_hash(
+        [case.hash for case in cases.values()],
+        table.model_dump(mode="json"),
+        controller.as_dict(),
+        code_hash(judge_family.__module__),
+    )
+
+    def made() -> list[dict[str, Any]]:
+        plants = {
+            name: FamilyPlant.of(case, table.signals, table.actuators, cache) for name, case in cases.items()
+        }
+        judged = judge_family(
+            {name: plant.judged for name, plant in plants.items()},
+            controller.system,
+            table.family(),
+            bands_hz={name: inter_area_band(plant.modes) for name, plant in plants.items()},
+        )
+        return [asdict(row) for row in judged.rows]
+
+    return list(cached_json(cache, "grid-left-out", key, made))
+
+
+def _over_latency(
+    table: DesignTable, controller: Controller, case: Case, cache: Path
+) -> list[dict[str, Any]]:
+    """Return damping over the latency of all signals at the grid as it is, nothing and each signal lost."""
+    plant = FamilyPlant.of(case, table.signals, table.actuators, cache)
+    conditions = [
+        Condition(f"{lost or 'nothing'} {late}", (lost,) if lost else (), dict.fromkeys(table.signals, late))
+        for lost in ("", *table.signals)
+        for late in LATENCIES_S
+    ]
+    key = content_hash(case.hash, controller.as_dict(), LATENCIES_S, code_hash(judge_family.__module__))
+
+    def made() -> list[dict[str, Any]]:
+        judged = judge_family(
+            {"base": plant.judged},
+            controller.system,
+            conditions,
+            bands_hz={"base": inter_area_band(plant.modes)},
+        )
+        return [
+            {"lost": c.lost[0] if c.lost else "", "latency_s": late, **asdict(row)}
+            for c, late, row in zip(
+                conditions, LATENCIES_S * (1 + len(table.signals)), judged.rows, strict=True
+            )
+        ]
+
+    return list(cached_json(cache, "grid-latency", key, made))
+
+
+def _finite(value: Any) -> Any:
+    """Return JSON values, numbers that JSON does not have as None."""
+    if isinstance(value, float):
+        return value if abs(value) < float("inf") else None
+    if isinstance(value, Mapping):
+        return {str(k): _finite(v) for k, v in value.items()}
+    return [_finite(v) for v in value] if isinstance(value, list | tuple) else value

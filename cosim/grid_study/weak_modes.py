@@ -1,0 +1,113 @@
+"""What is to be damped in a grid: its inter-area modes, and which weak modes a design leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from interarea.design.linear.sparse_plant import SparsePlant
+from interarea.design.modes.all_modes import AllModes, all_modes
+from interarea.design.modes.modes import Mode
+from interarea.models.case.case import Case
+
+from ..errors import ScenarioError
+from ..run.artefacts import sparse_linear_plant
+
+#: Hz; electromechanical modes of large and small grids [Kundur1994, sec. 12.8]
+BAND_HZ = (0.1, 2.5)
+#: damping ratio up to which modes are looked for, and below which one counts as weak
+BELOW, WEAK = 0.4, 0.1
+#: what a design adds to the damping ratio of a weak mode at least, unless that reaches `WEAK`
+GAIN = 0.05
+#: what a design may take from the damping ratio of any other mode
+GIVEN_AWAY = 0.005
+
+
+@dataclass(frozen=True)
+class GridModes:
+    """All modes of a grid between the ends of `BAND_HZ`, without control."""
+
+    case: Case
+    plant: SparsePlant
+    found: AllModes
+
+    @property
+    def shown(self) -> tuple[Mode, ...]:
+        """Inter-area modes, and local ones that are weak, by damping."""
+        rows = [m for m in self.found.modes if m.name.startswith("inter-area") or m.damping_ratio < WEAK]
+        return tuple(sorted(rows, key=lambda m: (not m.name.startswith("inter-area"), m.damping_ratio)))
+
+    @property
+    def growing(self) -> list[str]:
+        """What grows, in words; empty where nothing does."""
+        rows = [f"{_described(m)}, with {', '.join(m.most(3))}" for m in self.found.unstable]
+        if self.found.growing_slowly:
+            hz = self.found.band_hz[0]
+            rows.append(f"{self.found.growing_slowly} eigenvalues slower than {hz:g} Hz that grow")
+        return rows
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the record as JSON values."""
+        return {"growing": self.growing, "weak": WEAK, **self.found.as_dict(4, shapes=True)}
+
+
+def modes_of_grid(case: Case, cache: Path) -> GridModes:
+    """Return the modes of a grid without control. Raises CaseError where it has no operating point."""
+    plant = sparse_linear_plant(case, cache)
+    return GridModes(case, plant, all_modes(plant, case.areas, band_hz=BAND_HZ, below=BELOW))
+
+
+@dataclass(frozen=True)
+class WeakModes:
+    """The modes of a grid without control. targets : inter-area ones; others : weak, but not among them."""
+
+    case: Case
+    plant: SparsePlant
+    found: AllModes
+    targets: tuple[Mode, ...]
+    others: tuple[Mode, ...]
+
+    @property
+    def weakest(self) -> Mode:
+        """The target that is damped least."""
+        return min(self.targets, key=lambda mode: mode.damping_ratio)
+
+    @property
+    def wanted(self) -> float:
+        """Inter-area damping ratio that a design is asked for: `GAIN` more than without, or `WEAK`."""
+        least = self.weakest.damping_ratio
+        return min(least + GAIN, max(WEAK, least))
+
+
+def weak_modes(grid: GridModes) -> WeakModes:
+    """Return which modes of a grid are to be damped.
+
+    Raises
+    ------
+    ScenarioError : a grid that grows by itself, with who takes part; no inter-area mode; none that is weak.
+    """
+    case, found = grid.case, grid.found
+    if grid.growing:
+        raise ScenarioError(
+            f"{case.name}: the grid is unstable without control: {'; '.join(grid.growing)}; make it stable "
+            "first (dispatch, exciter gains, stabilizers), then design"
+        )
+    targets = tuple(m for m in found.modes if m.name.startswith("inter-area"))
+    if not targets:
+        raise ScenarioError(
+            f"{case.name}: no inter-area mode between {BAND_HZ[0]:g} and {BAND_HZ[1]:g} Hz below a damping "
+            f"ratio of {BELOW:g}; nothing to design (areas of the buses decide the names)"
+        )
+    if not min(m.damping_ratio for m in targets) < WEAK:
+        listed = ", ".join(_described(m) for m in targets)
+        raise ScenarioError(
+            f"{case.name}: no weak inter-area mode, all have a damping ratio of {WEAK:g} or more: {listed}; "
+            "nothing to design"
+        )
+    others = tuple(m for m in found.modes if m not in targets and m.damping_ratio < WEAK)
+    return WeakModes(case, grid.plant, found, targets, others)
+
+
+def _described(mode: Mode) -> str:
+    return f"{mode.name} {mode.frequency_hz:.2f} Hz {mode.damping_ratio:.3f}"

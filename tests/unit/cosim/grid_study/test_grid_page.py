@@ -1,0 +1,117 @@
+"""The page of a grid's study: what it says first, and what stands where a part is missing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from interarea.cosim.grid_study.page import damping_rows, headline
+from interarea.cosim.grid_study.study import STAGES, study_grid
+from interarea.fmu_build.write.cache import default_cache
+from interarea.models.case.case import load_case
+
+
+def _certificate(**changed: Any) -> dict[str, Any]:
+    faults = {
+        "cases": 10,
+        "lost": [],
+        "gained": [],
+        "standing": [],
+        "unstable": [],
+        "loops": 5,
+        "clearing": [],
+        "clearing_mean_change_cycles": None,
+    }
+    return {"inter_area": 0.2, "passed": True, "violations": [], "rows": [], "acceptance": faults} | changed
+
+
+def _study(**parts: Any) -> dict[str, Any]:
+    mode = {"name": "inter-area", "frequency_hz": 0.6, "damping_ratio": 0.05}
+    return {"modes": {"modes": [mode], "growing": []}, "problem": None} | parts
+
+
+def test_what_is_missed_is_said_at_the_top() -> None:
+    bad = _certificate(passed=False, violations=["base, fault at bus 7: synchronism lost", "another"])
+    bad["acceptance"]["lost"] = ["base, fault at bus 7"]
+    lines = headline(_study(certificate=bad))
+    assert lines[2] == "It misses 2 of what was asked, first: base, fault at bus 7: synchronism lost."
+    assert lines[3].startswith("Non-linear faults: 1 of 10 lost that hold without it")
+    assert not any("misses" in line for line in headline(_study(certificate=_certificate())))
+
+
+def test_a_point_outside_the_design_that_falls_short_is_said_at_the_top() -> None:
+    row = {"point": "1-2 out", "stable": True, "inter_area": 0.09, "worst_swing": 0.05}
+    asked = {"inter_area": 0.1, "worst_swing": 0.05}
+    study = _study(certificate=_certificate(), asked=asked, left_out=[row])
+    assert any("not in the design it falls short of what was asked: 1-2 out." in t for t in headline(study))
+    row["inter_area"] = 0.1
+    assert not any("falls short" in line for line in headline(study))
+    row["stable"] = False  # a loop may be unstable and have no root in the band
+    assert any("falls short" in line for line in headline(study))
+
+
+def test_a_grid_that_grows_is_said_first() -> None:
+    study = _study()
+    study["modes"]["growing"] = ["local 1 1.20 Hz -0.010, with G1.delta"]
+    assert (
+        headline(study)[0] == "The grid is unstable without control: local 1 1.20 Hz -0.010, with G1.delta."
+    )
+
+
+def test_damping_is_the_least_of_each_kind_of_condition() -> None:
+    row = {"point": "base", "stable": True, "worst_swing": 0.1}
+    rows = [
+        row | {"condition": "N", "inter_area": 0.3},
+        row | {"condition": "s100", "inter_area": 0.25},
+        row | {"condition": "s200", "inter_area": 0.2},
+        row | {"condition": "s100+L:G2_dw", "inter_area": 0.15, "stable": False},
+    ]
+    (base,) = damping_rows(rows)
+    assert (base["inter_area_all"], base["inter_area_late"], base["inter_area_lost"]) == (0.3, 0.2, 0.15)
+    assert base["stable"] is False
+
+
+def test_a_study_that_cannot_go_on_has_the_reason_in_its_place(interarea: Any, tmp_path: Path) -> None:
+    code, out, err = interarea("study", "nets-nyps-no-pss", "--out", tmp_path / "out")
+    assert code == 1
+    assert "unstable without control" in err
+    folder = tmp_path / "out"
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert page.count("Not computed: nets-nyps-no-pss: the grid is unstable without control") == 6
+    assert "unstable" in json.loads((folder / "study.json").read_text(encoding="utf-8"))["problem"]
+    assert not (folder / "controller.json").exists()
+    assert out.splitlines() == [str(tmp_path / "out" / n) for n in ("study.json", "report.html")]
+
+
+def test_dynamic_data_beside_a_case_is_a_mistake(interarea: Any, tmp_path: Path) -> None:
+    code, _, err = interarea("study", "new-england", "--dyr", "a.dyr", "--out", tmp_path / "out")
+    assert code == 2
+    assert "--dyr a.dyr: goes with a RAW file, not with the case new-england" in err
+
+
+@pytest.mark.slow
+def test_a_study_of_a_grid_from_its_name_alone(interarea: Any, tmp_path: Path) -> None:
+    """No design file: the controller that comes out holds what is asked, by its own record judged anew."""
+    done: dict[str, float] = {}
+
+    def report(stage: str, share: float) -> None:
+        done[stage] = share
+
+    study = study_grid(load_case("two-area-thesis"), tmp_path, default_cache(), report=report)
+    assert set(done) == set(STAGES)
+    assert all(share == 1.0 for share in done.values())
+    assert study["problem"] is None
+    assert study["certificate"]["inter_area"] >= 0.22
+    assert (study["certificate"]["acceptance"]["lost"], study["certificate"]["violations"]) == ([], [])
+    code, out, _ = interarea("certify", tmp_path / "controller.json", "--json")
+    again = json.loads(out)
+    assert code == 0
+    assert again["inter_area"] == pytest.approx(study["certificate"]["inter_area"], abs=1e-9)
+    assert [row["stable"] for row in again["rows"]] == [True] * len(again["rows"])
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "not computed yet" not in page
+    assert study["worth"]["sentence"][1:60] in page
+    assert (tmp_path / "fmus" / "controller.fmu").is_file()
