@@ -166,6 +166,13 @@ def test_c_includes_go_one_way() -> None:
     assert not circle, " -> ".join(circle)
 
 
+def test_no_two_c_files_of_an_fmu_have_one_name() -> None:
+    """The sources of an FMU lie in one folder."""
+    names = [p.name for p in C_FILES if _name(p).startswith(("models/c/", "fmu_build/c/"))]
+    assert len(names) > 50
+    assert not {n for n in names if names.count(n) > 1}
+
+
 @pytest.mark.parametrize("path", sorted(p for p in C_FILES if p.suffix == ".h"), ids=_name)
 def test_a_header_declares_what_its_own_file_defines(path: Path) -> None:
     """A header that declares for many files is a hub: whoever needs one of them depends on all."""

@@ -1,4 +1,4 @@
-"""Check an FMU or SSP: archive, schema, semantic rules, binaries, and behaviour of the binaries."""
+"""Check an FMU, SSP or IEEE/CIGRE DLL: archive, schema, semantic rules, binaries, and their behaviour."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from ..open.description import read_description
 from ..open.xml import obeys_schema, read_xml
 from .binary import check_binaries
 from .delegated import fmpy_rules, toolbox_rules
-from .load import TIMEOUT_S, check_running
+from .load import TIMEOUT_S, check_running, run_topics
+from .real_code import INTERFACE, TOPICS, check_library
 from .semantics import check_semantics, check_units
 from .ssp import STRUCTURE, check_ssp
 
@@ -29,7 +30,7 @@ _SCHEMAS = {
 
 
 def check_file(path: Path | str, *, run: bool = True, timeout_s: float = TIMEOUT_S) -> Report:
-    """Check the FMU or SSP at `path` and return what was found.
+    """Check the FMU, SSP or IEEE/CIGRE DLL at `path` and return what was found.
 
     Parameters
     ----------
@@ -39,13 +40,22 @@ def check_file(path: Path | str, *, run: bool = True, timeout_s: float = TIMEOUT
 
     Raises
     ------
-    CheckError : no such file, or no zip archive.
+    CheckError : no such file, or neither a zip archive nor a library.
     """
     path = Path(path)
     require_regular(path, "an FMU or SSP", CheckError)
+    report = Report(str(path))
+    if path.suffix.lower() in (".dll", ".so", ".dylib"):
+        if not check_library(path, report):
+            return report
+        if run:
+            todo = [[INTERFACE, str(path.resolve()), topic] for topic in TOPICS]
+            run_topics(todo, path.parent, report, timeout_s)
+        else:
+            report.not_run.append("as was asked for")
+        return report
     if not zipfile.is_zipfile(path):
         raise CheckError(f"{path}: is no zip archive, so neither an FMU nor an SSP")
-    report = Report(str(path))
     with temporary_folder() as scratch:
         folder = scratch / "fmu"
         folder.mkdir()

@@ -46,6 +46,11 @@ def check_running(d: ModelDescription, folder: Path, report: Report, *, timeout_
             report.not_run.append(f"{interface} has no binary for this machine")
         else:
             todo += [[interface, str(binary), topic] for topic in _TOPICS]
+    run_topics(todo, folder, report, timeout_s)
+
+
+def run_topics(todo: list[list[str]], folder: Path, report: Report, timeout_s: float) -> None:
+    """Run topics ([interface, binary, topic]) in processes of their own: one that dies ends no other."""
     ran = report.facts.setdefault("topics", [])
     while todo:
         done = _run(todo, folder, report, timeout_s)

@@ -14,11 +14,14 @@ from typing import Any, TextIO
 
 from interarea.models.processes import end_with_parent
 
+from ..errors import FmuFileError
 from ..finding import Report
 from ..open.description import read_description
 from ..open.fmi2 import CallFailed, Library
+from ..open.real_code import RealCodeLibrary
 from ..open.xml import read_xml
 from . import declared as check_declared
+from . import real_code as check_real_code
 from . import runs as check_runs
 from . import sensitivity as check_sensitivity
 
@@ -42,17 +45,16 @@ def main(request_file: str, result_file: str) -> None:
     request = json.loads(Path(request_file).read_text(encoding="utf-8"))
     folder = Path(request["folder"])
     _no_core_dumps()
-    root = read_xml(folder / "modelDescription.xml", "modelDescription.xml", Report(""))
-    description = read_description(root)
-    libraries: dict[str, Library] = {}
+    libraries: dict[str, Any] = {}
     with Path(result_file).open("a", encoding="utf-8") as result:
         for interface, binary, topic in request["todo"]:
             _write(result, {"begin": [interface, topic]})
             reported: list[tuple[str, str, str, str]] = []
             try:
                 if interface not in libraries:
-                    libraries[interface] = Library(description, interface, folder, Path(binary))
-                TOPICS[topic](libraries[interface], lambda *f, told=reported: told.append(f))  # type: ignore[misc]
+                    libraries[interface] = _library(interface, folder, Path(binary))
+                topics = check_real_code.TOPICS if interface == check_real_code.INTERFACE else TOPICS
+                topics[topic](libraries[interface], lambda *f, told=reported: told.append(f))  # type: ignore[operator]
             except CallFailed as error:
                 reported.append(
                     (
@@ -62,11 +64,18 @@ def main(request_file: str, result_file: str) -> None:
                         "make this legal call work, or take back what the description declares",
                     )
                 )
-            except (OSError, AttributeError) as error:
+            except (OSError, AttributeError, FmuFileError) as error:
                 reported.append(
                     (f"run: {topic}", interface, f"cannot be loaded: {error}", "link it for this platform")
                 )
             _write(result, {"done": [interface, topic], "findings": reported})
+
+
+def _library(interface: str, folder: Path, binary: Path) -> Library | RealCodeLibrary:
+    if interface == check_real_code.INTERFACE:
+        return RealCodeLibrary(binary)
+    root = read_xml(folder / "modelDescription.xml", "modelDescription.xml", Report(""))
+    return Library(read_description(root), interface, folder, binary)
 
 
 def _write(result: TextIO, line: dict[str, Any]) -> None:

@@ -291,6 +291,13 @@ class RealCode:
         """Return what the last call has said."""
         return _text(self.raw.error) or _text(self.raw.message)
 
+    def text_addresses(self) -> tuple[int, int]:
+        """Return where the texts of errors and messages lie, 0 where there is none."""
+        at = [
+            c_void_p.from_buffer(self.raw, getattr(_Instance, name).offset) for name in ("error", "message")
+        ]
+        return at[0].value or 0, at[1].value or 0
+
     def snapshot(self) -> bytes:
         """Return states and outputs: all that a tool stores of an instance."""
         return b"".join(bytes(array) for array in self._stored())

@@ -167,13 +167,15 @@ def _written(
 
 
 def check(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="FMU or SSP file", show_default=False)],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="FMU, SSP or IEEE/CIGRE DLL", show_default=False)
+    ],
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of lines")] = False,
     run: Annotated[
         bool, typer.Option("--run/--no-run", help="load the FMU's binary and see how it behaves")
     ] = True,
 ) -> None:
-    """Check an FMU or SSP; one line per finding with its rule and fix; exit code 1 if there are any."""
+    """Check an FMU, SSP or DLL; one line per finding with its rule and fix; exit code 1 if there are any."""
     from interarea.fmu_build.check.check import check_file
 
     with busy(f"checking {file}"):

@@ -1,0 +1,372 @@
+"""Check an IEEE/CIGRE DLL [CIGRE958]: its description, and how it behaves where a tool would call it.
+
+Inputs swing about 1 and about 0; trajectories are compared bit by bit. What the interface leaves open is no
+finding: a second Model_Outputs at the same time may go on, Model_Iterate may change states.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import re
+import struct
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from ..finding import Report
+from ..open.real_code import ERROR, RealCode, RealCodeLibrary, Values
+
+INTERFACE = "DLL"
+Tell = Callable[[str, str, str, str], None]
+_STEPS = 40
+_SWINGS = ((1.0, 0.1), (0.0, 1e-3))  #: mean and amplitude of the inputs
+_MACHINES = {0x14C: 32, 0x8664: 64, 0xAA64: 64, 3: 32, 62: 64, 183: 64}  #: PE and ELF machine -> bits
+_HERE = 8 * struct.calcsize("P")
+
+
+def bits_of(path: Path) -> tuple[str, int] | None:
+    """Return ("PE" or "ELF", bits) of a library; None for another kind of file."""
+    head = path.read_bytes()[:4096]
+    if head[:4] == b"\x7fELF" and len(head) >= 20:
+        return "ELF", _MACHINES.get(struct.unpack_from("<H", head, 18)[0], 0)
+    if head[:2] == b"MZ" and len(head) >= 64:
+        at = struct.unpack_from("<I", head, 60)[0]
+        if head[at : at + 4] == b"PE\0\0" and len(head) >= at + 6:
+            return "PE", _MACHINES.get(struct.unpack_from("<H", head, at + 4)[0], 0)
+    return None
+
+
+def check_library(path: Path, report: Report) -> bool:
+    """Check the file itself; return whether it can be loaded here."""
+    kind = bits_of(path)
+    if kind is None:
+        report.add("DLL file", path.name, "is neither a Windows nor a Linux library", "give the compiled DLL")
+        return False
+    name, bits = kind
+    told = {
+        b
+        for part in (*path.parts[-3:-1], path.stem)
+        for b in re.findall(r"(?:win|linux|bin|_)(32|64)$", part)
+    }
+    if told and str(bits) not in told:
+        report.add(
+            "DLL bits",
+            path.name,
+            f"has {bits} bits; its name or folder says {' and '.join(sorted(told))}",
+            "build it for the tool that loads it: ATP takes 32 bits, PSCAD those of its Fortran compiler",
+        )
+    loads = bits == _HERE and name == ("PE" if sys.platform == "win32" else "ELF")
+    if not loads:
+        system = "Windows" if name == "PE" else "Linux"
+        report.not_run.append(f"a {bits}-bit library for {system} cannot be loaded here")
+    return loads
+
+
+def _run(model: RealCode, steps: Iterable[int], swing: tuple[float, float]) -> list[bytes]:
+    """Outputs after each call of Model_Outputs."""
+    return [_step(model, k, swing) for k in steps]
+
+
+def _step(model: RealCode, k: int, swing: tuple[float, float]) -> bytes:
+    step = model.library.info.sample_time_s
+    _excite(model, k, swing)
+    model.call("Model_Outputs", k * step)
+    return bytes(model.outputs.structure)
+
+
+def _excite(model: RealCode, k: int, swing: tuple[float, float]) -> None:
+    mean, size = swing
+    for i, port in enumerate(model.library.info.inputs):
+        if port.type != 10:
+            model.inputs[port.name] = mean + size * math.sin(0.3 * k + 1.0 + i)
+
+
+def _start(model: RealCode, swing: tuple[float, float], times: int = 1, fill: int = 0) -> int:
+    """What a tool calls before the first step; `fill`: bytes between the ports, which mean nothing."""
+    for values in (model.inputs, model.outputs, model.parameters):
+        _pad(values, fill)
+    _excite(model, 0, swing)
+    model.call("Model_FirstCall", 0.0)
+    code = 0
+    for _ in range(times):
+        code = max(code, model.call("Model_CheckParameters"))
+    zero = bytes(ctypes.sizeof(model.outputs.structure))
+    for _ in range(times):
+        ctypes.memmove(ctypes.addressof(model.outputs.structure), zero, len(zero))
+        code = max(code, model.call("Model_Initialize"))
+    return code
+
+
+def _gaps(values: Values) -> list[int]:
+    """Bytes of the structure that belong to no port."""
+    own = type(values.structure)
+    used = {
+        at
+        for field, *_ in own._fields_
+        for at in range(getattr(own, field).offset, getattr(own, field).offset + getattr(own, field).size)
+    }
+    return [at for at in range(ctypes.sizeof(own)) if at not in used]
+
+
+def _pad(values: Values, fill: int) -> None:
+    for at in _gaps(values):
+        ctypes.memset(ctypes.addressof(values.structure) + at, fill, 1)
+
+
+def description(library: RealCodeLibrary, tell: Tell) -> None:
+    """Names, ranges, sample time, and that the DLL runs with its defaults."""
+    info = library.info
+    for group in (info.inputs, info.outputs, info.parameters):
+        names = [p.name for p in group]
+        for p in group:
+            if not re.fullmatch(r"[A-Za-z_]\w*", p.name, re.ASCII):
+                tell("DLL names", repr(p.name), "is no C identifier", "use letters, digits and _ only")
+            elif names.count(p.name) > 1:
+                tell("DLL names", p.name, "is used twice", "give each port a name of its own")
+    for p in info.parameters:
+        if isinstance(p.start, int | float) and not p.low <= p.start <= p.high:
+            told = f"default {p.start:g} lies outside {p.low:g} to {p.high:g}"
+            tell("DLL ranges", p.name, told, "put the default into the range")
+    if not info.sample_time_s > 0.0:
+        tell("DLL sample time", INTERFACE, f"is {info.sample_time_s:g} s", "give a time above 0")
+    if info.version[0] != 1:
+        tell("DLL version", INTERFACE, f"is {info.version}, allowed: 1.x", "write the interface's version")
+    model = RealCode(library)
+    if _start(model, _SWINGS[0]) >= ERROR:
+        tell(
+            "DLL start", INTERFACE, f"refuses its own defaults: {model.text()}", "give defaults that it takes"
+        )
+
+
+def finite(library: RealCodeLibrary, tell: Tell) -> None:
+    """Finite inputs near 1 give finite outputs, or a return code of 2."""
+    model = RealCode(library)
+    if _start(model, _SWINGS[0]) >= ERROR:
+        return
+    for k in range(1, 4 * _STEPS):
+        _excite(model, k, _SWINGS[0] if k < 2 * _STEPS else (1.0, 0.5))
+        code = model.call("Model_Outputs", k * library.info.sample_time_s)
+        bad = [
+            p.name
+            for p in library.info.outputs
+            if p.type in (8, 9) and not math.isfinite(model.outputs[p.name])
+        ]
+        if bad and code < ERROR:
+            told = f"is {model.outputs[bad[0]]} after finite inputs with return code {code}"
+            tell("DLL errors", bad[0], told, "return 2 with LastErrorMessage")
+            return
+
+
+def padding(library: RealCodeLibrary, tell: Tell) -> None:
+    """Bytes between the ports of a structure are neither read nor written."""
+    for swing in _SWINGS:
+        rows = []
+        for fill in (0x00, 0x5A, 0x00):
+            model = RealCode(library)
+            _start(model, swing, fill=fill)
+            _pad(model.outputs, fill)
+            gaps = _gaps(model.outputs)
+            row = _run(model, range(1, _STEPS), swing)
+            written = any(r[at] != fill for r in row for at in gaps)
+            rows.append([bytes(b for at, b in enumerate(r) if at not in gaps) for r in row])
+            if written:
+                break
+        if written or rows[0] == rows[2] != rows[1]:
+            done = "writes" if written else "reads"
+            tell(
+                "DLL alignment",
+                INTERFACE,
+                f"{done} bytes of a structure that lie between its ports",
+                "lay structures out in natural alignment: no packing",
+            )
+            return
+
+
+def repeated_start(library: RealCodeLibrary, tell: Tell) -> None:
+    """Model_CheckParameters and Model_Initialize may be called several times."""
+    for swing in _SWINGS:
+        once, often = RealCode(library), RealCode(library)
+        _start(once, swing)
+        first = _run(once, range(1, _STEPS), swing)
+        _start(often, swing, times=5)
+        if _run(often, range(1, _STEPS), swing) != first:
+            tell(
+                "DLL repeated calls",
+                INTERFACE,
+                "Model_Initialize called five times gives another run than called once",
+                "start from the arguments alone: tools call it until the release time",
+            )
+            return
+
+
+def restart(library: RealCodeLibrary, tell: Tell) -> None:
+    """Model_Initialize at time 0 after a run begins the same run again; the DLL leaves the time alone."""
+    for swing in _SWINGS:
+        model = RealCode(library)
+        _start(model, swing)
+        first = _run(model, range(1, _STEPS), swing)
+        if model.raw.time != (_STEPS - 1) * library.info.sample_time_s:
+            tell("DLL time", INTERFACE, "Model_Outputs changes Time", "leave Time to the tool")
+            return
+        _start(model, swing)
+        if _run(model, range(1, _STEPS), swing) != first:
+            tell(
+                "DLL restart",
+                INTERFACE,
+                "after a run, Model_Initialize at time 0 does not begin the same run",
+                "set every state in Model_Initialize: time goes back in multiple runs",
+            )
+            return
+
+
+def two_instances(library: RealCodeLibrary, tell: Tell) -> None:
+    """An instance is not disturbed by another one with other inputs."""
+    for swing in _SWINGS:
+        alone = RealCode(library)
+        _start(alone, swing)
+        first = _run(alone, range(1, _STEPS), swing)
+        one, other = RealCode(library), RealCode(library)
+        _start(one, swing)
+        _start(other, (swing[0] * 0.8, swing[1] * 2))
+        rows = []
+        for k in range(1, _STEPS):
+            _step(other, k + 3, (swing[0] * 0.8, swing[1] * 2))
+            rows.append(_step(one, k, swing))
+        if rows != first:
+            tell(
+                "DLL instances",
+                INTERFACE,
+                "an instance runs otherwise when another one runs beside it",
+                "keep no variable of a run outside the instance: no globals, no static",
+            )
+            return
+
+
+def snapshot(library: RealCodeLibrary, tell: Tell) -> None:
+    """A run continued from the state arrays is the run itself."""
+    for swing in _SWINGS:
+        model = RealCode(library)
+        _start(model, swing)
+        _run(model, range(1, _STEPS // 2), swing)
+        saved = model.snapshot()
+        rows = _run(model, range(_STEPS // 2, _STEPS), swing)
+        model.restore(saved)
+        if _run(model, range(_STEPS // 2, _STEPS), swing) != rows:
+            tell(
+                "DLL snapshots",
+                INTERFACE,
+                "continued from its state arrays it runs otherwise",
+                "keep all states in IntStates, FloatStates and DoubleStates",
+            )
+            return
+
+
+def messages(library: RealCodeLibrary, tell: Tell) -> None:
+    """The texts of two instances do not lie in one place that the DLL writes to."""
+    places = []
+    for swing in _SWINGS:
+        model = RealCode(library)
+        _start(model, swing)
+        _step(model, 1, swing)
+        places.append(model.text_addresses())
+    for name, one, other in zip(("LastErrorMessage", "LastGeneralMessage"), *places, strict=True):
+        if one and one == other and _writable(one):
+            tell(
+                "DLL messages",
+                name,
+                "points to one text that all instances share and the DLL writes",
+                "keep the text of each instance in its own states",
+            )
+
+
+def _writable(address: int) -> bool:
+    """Whether this process may write there; False where that cannot be told."""
+    try:
+        lines = Path("/proc/self/maps").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return False
+    for line in lines:
+        span, rights = line.split()[:2]
+        low, high = (int(x, 16) for x in span.split("-"))
+        if low <= address < high:
+            return "w" in rights
+    return False
+
+
+def leaks(library: RealCodeLibrary, tell: Tell) -> None:
+    """Memory that the DLL takes is given back by Model_Terminate, and none is taken while it steps."""
+    used = _heap()
+    if used is None:
+        return
+    model = RealCode(library)
+
+    def lives(count: int) -> int:
+        before = used()
+        for _ in range(count):
+            _start(model, _SWINGS[0])
+            model.call("Model_Outputs", library.info.sample_time_s)
+            model.call("Model_Terminate")
+        return used() - before
+
+    def steps(count: int) -> int:
+        _start(model, _SWINGS[0])
+        before = used()
+        for k in range(1, count):
+            model.call("Model_Outputs", k * library.info.sample_time_s)
+        return used() - before
+
+    for what, growth in (("an instance started and terminated", lives), ("a call of Model_Outputs", steps)):
+        growth(20)
+        few, many = growth(100), growth(400)
+        if many - few > 300 * 8:
+            told = f"{what} loses {(many - few) / 300:.0f} bytes"
+            tell("DLL memory", INTERFACE, told, "free in Model_Terminate what Model_FirstCall took")
+
+
+class _Heap(ctypes.Structure):
+    _fields_ = [(f"f{k}", ctypes.c_size_t) for k in range(10)]
+
+
+def _heap() -> Callable[[], int] | None:
+    """Bytes in use of glibc's heap, or None where they cannot be counted."""
+    told = getattr(ctypes.CDLL(None), "mallinfo2", None) if sys.platform == "linux" else None
+    if told is None:
+        return None
+    told.restype = _Heap
+    return lambda: int(told().f7)
+
+
+def bounds(library: RealCodeLibrary, tell: Tell) -> None:
+    """Nothing is written beside the arrays of states."""
+    info = library.info
+    model = RealCode(library)
+    guarded = []
+    for name, kind, count in (
+        ("int_states", ctypes.c_int32, info.n_int),
+        ("float_states", ctypes.c_float, info.n_float),
+        ("double_states", ctypes.c_double, info.n_double),
+    ):
+        buffer = (ctypes.c_ubyte * (128 + count * ctypes.sizeof(kind)))(*([0xA5] * 64))
+        ctypes.memset(ctypes.addressof(buffer) + len(buffer) - 64, 0xA5, 64)
+        setattr(model.raw, name, ctypes.addressof(buffer) + 64)
+        guarded.append((name, buffer))
+    _start(model, _SWINGS[0])
+    _run(model, range(1, _STEPS), _SWINGS[0])
+    for name, buffer in guarded:
+        if any(b != 0xA5 for b in (*buffer[:64], *buffer[-64:])):
+            tell("DLL states", name, "is written beyond its declared number", "declare as many as it writes")
+
+
+TOPICS: dict[str, Callable[[RealCodeLibrary, Tell], None]] = {
+    "description": description,
+    "bounds": bounds,
+    "finite outputs": finite,
+    "alignment": padding,
+    "repeated start": repeated_start,
+    "restart": restart,
+    "two instances": two_instances,
+    "snapshot": snapshot,
+    "messages": messages,
+    "leaks": leaks,
+}

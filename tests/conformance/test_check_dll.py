@@ -1,0 +1,107 @@
+"""`interarea check` of IEEE/CIGRE DLLs: each defect seeded into a lag is found, and nothing else is told."""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from interarea.fmu_build.check.check import CheckError, check_file
+from interarea.fmu_build.write.cache import COMPILERS_OWN
+from interarea.fmu_build.write.compile import SYSTEM_LIBRARIES
+from interarea.fmu_build.write.real_code import build_dll
+from interarea.models.blocks.channel import channel_block
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the defects are compiled for Linux")
+SOURCE = Path(__file__).parent / "blocks" / "lag_dll.c"
+DEFECTS = re.findall(r"[A-Z_]+", SOURCE.read_text().split("enum {")[1].split("}")[0])
+#: defect -> rule that tells it, words of the message
+FOUND = {
+    "PACKED": ("DLL alignment", "reads bytes of a structure that lie between its ports"),
+    "NAME": ("DLL names", "is no C identifier"),
+    "RANGE": ("DLL ranges", "default 2 lies outside 3 to 10"),
+    "GLOBAL": ("DLL instances", "an instance runs otherwise when another one runs beside it"),
+    "CALLS": ("DLL repeated calls", "called five times gives another run"),
+    "TIME_BACK": ("DLL restart", "does not begin the same run"),
+    "NOT_A_NUMBER": ("DLL errors", "after finite inputs with return code 0"),
+    "NO_TERMINATE": ("run: description", "it does not have Model_Terminate"),
+    "LEAK": ("DLL memory", "an instance started and terminated loses 2"),
+    "SHARED_TEXT": ("DLL messages", "one text that all instances share"),
+    "OUTSIDE_STATES": ("DLL snapshots", "continued from its state arrays it runs otherwise"),
+    "WRITES_TIME": ("DLL time", "Model_Outputs changes Time"),
+    "BEYOND_STATES": ("DLL states", "is written beyond its declared number"),
+    "CRASH": ("run: bounds", "the binary crashes (SIGABRT)"),
+    "CRASH_ON_LOAD": ("run: description", "the binary crashes (SIGABRT)"),
+    "LEAK_STEP": ("DLL memory", "a call of Model_Outputs loses"),
+    "HANG": ("run: bounds", "the binary hangs: no answer after 5 s"),
+}
+
+
+def lag(defect: str, folder: Path, cache: Path) -> Path:
+    """Return the lag compiled with this defect."""
+    path = folder / f"{defect.lower()}.so"
+    kept = (cache / COMPILERS_OWN).absolute()
+    folders = {"GLOBAL": SYSTEM_LIBRARIES, "LOCAL": "objects"}
+    environment = {**os.environ} | {f"ZIG_{k}_CACHE_DIR": str(kept / name) for k, name in folders.items()}
+    command = [sys.executable, "-m", "ziglang", "cc", "-shared", "-fPIC", "-w", "-O1"]
+    command += [
+        "-target",
+        "x86_64-linux-gnu.2.17",
+        "-rtlib=none",
+        f"-DDEFECT={defect}",
+        f"-DIS_{defect}",
+        str(SOURCE),
+    ]
+    subprocess.run([*command, "-o", str(path), "-lm"], check=True, env=environment, capture_output=True)
+    return path
+
+
+@pytest.mark.slow  # two seconds each
+@pytest.mark.parametrize("defect", list(FOUND))
+def test_a_defect_is_found(defect: str, tmp_path: Path, cache: Path) -> None:
+    rule, words = FOUND[defect]
+    report = check_file(lag(defect, tmp_path, cache), timeout_s=5.0 if defect == "HANG" else 60.0)
+    told = [f for f in report.findings if f.rule == rule]
+    assert any(words in f.message for f in told), report
+    assert "\n" not in told[0].line()
+
+
+@pytest.mark.parametrize("defect", ["NONE", "NO_PARAMETERS"])
+def test_a_good_one_is_clean(defect: str, tmp_path: Path, cache: Path) -> None:
+    assert check_file(lag(defect, tmp_path, cache)).verdict == "clean"
+
+
+def test_every_defect_of_the_source_is_tried() -> None:
+    assert set(DEFECTS) == set(FOUND) | {"NONE", "NO_PARAMETERS", "BITS"}
+
+
+def test_bits_that_are_not_those_of_the_folder(tmp_path: Path) -> None:
+    """A library for 32 bits where one for 64 belongs: only its header is read."""
+    head = b"MZ" + bytes(58) + struct.pack("<I", 64) + b"PE\0\0" + struct.pack("<H", 0x14C) + bytes(64)
+    (tmp_path / "win64").mkdir()
+    file = tmp_path / "win64" / "lag.dll"
+    file.write_bytes(head)
+    (finding,) = check_file(file).findings
+    assert finding.rule == "DLL bits" and "has 32 bits; its name or folder says 64" in finding.message
+    file = tmp_path / "lag.dll"
+    file.write_bytes(head)
+    assert check_file(file).verdict.startswith("not run (a 32-bit library for Windows cannot be loaded here)")
+
+
+def test_files_that_are_no_dll(tmp_path: Path) -> None:
+    text = tmp_path / "x.dll"
+    text.write_text("hello")
+    (finding,) = check_file(text).findings
+    assert finding.rule == "DLL file" and "neither a Windows nor a Linux library" in finding.message
+    with pytest.raises(CheckError):
+        check_file(tmp_path / "missing.dll")
+
+
+def test_the_package_own_is_clean(tmp_path: Path, cache: Path) -> None:
+    file = build_dll(channel_block(capacity=64), tmp_path, platform="linux64", cache=cache)
+    assert check_file(file).verdict == "clean"
