@@ -3,12 +3,14 @@
 Temporary files lie in one folder per process, ``interarea-PID-XXXXXXXX``, with a lock that the operating
 system frees when the process ends, however it ends. Whoever needs a temporary folder first removes those
 whose lock is free. A file that has no name of its own yet, ``.NAME-PID-XXXXXXXX.partial``, has such a lock
-too; whoever writes beside it first removes it if that is free.
+too; whoever writes beside it first removes it if that is free. The files of one result get their names
+together, at its end (`together`).
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import lzma
 import os
 import shutil
@@ -16,6 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
 from typing import IO
 
@@ -47,9 +50,10 @@ def toml_files(folder: Path) -> dict[str, Path]:
 def write_whole(path: Path | str, content: bytes | str) -> Path:
     """Write a file beside `path`, force it to disk and rename it; return `path`.
 
-    Nobody ever opens half of it. Text is encoded as UTF-8.
+    Nobody ever opens half of it. Text is encoded as UTF-8. Within `together` it gets its name at the end.
     """
     path, raw = Path(path), content.encode("utf-8") if isinstance(content, str) else content
+    refuse_folder(path)
     if path.exists() and not path.is_file():  # /dev/stdout, a pipe: nothing to rename to
         path.write_bytes(raw)
         return path
@@ -59,6 +63,53 @@ def write_whole(path: Path | str, content: bytes | str) -> Path:
         return partial.settle()
 
 
+def refuse_folder(path: Path) -> None:
+    """Raise IsADirectoryError where a folder stands in the place of a file that is to be written."""
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+
+
+#: files that wait for their names; None where each gets its own at once
+_waiting: ContextVar[list[Partial] | None] = ContextVar("waiting", default=None)
+
+
+@contextlib.contextmanager
+def together() -> Iterator[None]:
+    """Give the files that are written meanwhile their names at the end: all of them, or after an error none.
+
+    Within another one, that one ends both. Files of other threads, and those `at_once`, do not wait.
+
+    Raises
+    ------
+    IsADirectoryError : a folder stands in the place of one of them.
+    """
+    if _waiting.get() is not None:
+        yield
+        return
+    waiting: list[Partial] = []
+    token = _waiting.set(waiting)
+    try:
+        yield
+        for partial in waiting:
+            refuse_folder(partial.path)
+        for partial in waiting:
+            partial.take_name()
+    finally:
+        _waiting.reset(token)
+        for partial in waiting:
+            partial.remove()
+
+
+@contextlib.contextmanager
+def at_once() -> Iterator[None]:
+    """Let files have their names at once even within `together`: they are read again before it ends."""
+    token = _waiting.set(None)
+    try:
+        yield
+    finally:
+        _waiting.reset(token)
+
+
 class Partial:
     """A hidden file beside `path`, open as `file` and locked; a context manager that ends without it.
 
@@ -66,6 +117,7 @@ class Partial:
     """
 
     def __init__(self, path: Path) -> None:
+        refuse_folder(path)
         if path.parent not in _looked:
             _looked.add(path.parent)
             remove_left(path.parent)
@@ -75,22 +127,37 @@ class Partial:
             handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=_PARTIAL)
             try:
                 os.close(handle)
-                self._partial, self._path = Path(name), path
+                self._partial, self.path = Path(name), path
                 file = locked(self._partial, make=True)
             except BaseException:
                 os.unlink(name)  # noqa: PTH108 - a path needs memory, of which there may be none
                 raise
         self.file: IO[bytes] = file
+        self._waits = False
 
     def settle(self) -> Path:
-        """Give the file its name (`settle`); return `path`."""
+        """Give the file its name (`settle`), within `together` at the end of that; return `path`."""
         self.file.flush()
+        waiting = _waiting.get()
+        if waiting is None:
+            return self.take_name()
+        waiting.append(self)
+        self._waits = True  # open, and so locked
+        return self.path
+
+    def take_name(self) -> Path:
+        """Force the file to disk and rename it; return `path`."""
         if fcntl is None:  # such a system renames no open file
             self.file.close()
         self._partial.chmod(0o644)
-        return settle(self._partial, self._path)
+        return settle(self._partial, self.path)
 
     def close(self) -> None:
+        """Close the file, and remove it if it has not been given its name and does not wait for it."""
+        if not self._waits:
+            self.remove()
+
+    def remove(self) -> None:
         """Close the file, and remove it if it has not been given its name."""
         with contextlib.suppress(OSError, ValueError):  # a full disk; a file that others closed
             self.file.close()
@@ -132,10 +199,14 @@ def settle(partial: Path, path: Path) -> Path:
 
 @contextlib.contextmanager
 def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
-    """Give a new folder below `parent` (default: the system's folder for temporary files) for a while."""
+    """Give a new folder below `parent` (default: the system's folder for temporary files) for a while.
+
+    What is written meanwhile is read again: it does not wait for a result to end (`at_once`).
+    """
     folder = new_folder(parent)
     try:
-        yield folder
+        with at_once():
+            yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

@@ -22,6 +22,7 @@ from interarea.design.linear.linearise import select, speeds_in_rad
 from interarea.design.linear.matrices import STANDING
 from interarea.design.linear.norms import response
 from interarea.design.robust.operating_points import FamilyCertificate
+from interarea.models.files import together
 
 from ..plots.curves import (
     DASHES,
@@ -66,6 +67,8 @@ class Alternative:
         )
 
 
+#: files of `save_comparison`
+FIGURES = ("root-loci.png", "controller-gain.png", "sensitivity.png", "effort-damping.png")
 HEADER = ("alternative", "order", "worst swing", "inter-area", "effort", "fastest pole", "unstable", "passes")
 
 
@@ -82,13 +85,16 @@ def save_comparison(
     """Draw the four figures at the design's first operating point into `folder`; return their files."""
     name, plant = next(iter(family_plants(table, cache).items()))
     G = speeds_in_rad(plant.searched, table.grid.omega_b)  # of a large one its model
-    figures = {
-        "root-loci": root_locus_figure(G, alternatives, name),
-        "controller-gain": gain_figure(alternatives),
-        "sensitivity": sensitivity_figure(G, alternatives, name),
-        "effort-damping": effort_figure(alternatives, table.ask.effort, table.ask.worst_swing),
-    }
-    return tuple(save_figure(figure, folder / f"{key}.png") for key, figure in figures.items())
+    figures = (
+        root_locus_figure(G, alternatives, name),
+        gain_figure(alternatives),
+        sensitivity_figure(G, alternatives, name),
+        effort_figure(alternatives, table.ask.effort, table.ask.worst_swing),
+    )
+    with together():
+        return tuple(
+            save_figure(figure, folder / name) for figure, name in zip(figures, FIGURES, strict=True)
+        )
 
 
 def root_locus_figure(G: control.StateSpace, alternatives: tuple[Alternative, ...], point: str) -> Figure:

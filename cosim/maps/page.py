@@ -14,7 +14,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from interarea.fmu_build.write.cache import default_cache
-from interarea.models.files import temporary_folder, write_whole
+from interarea.models.files import temporary_folder, together, write_whole
 
 from ..errors import SweepError
 from ..plots.html import page_environment, page_figure
@@ -78,17 +78,23 @@ def write_maps(
         report(searching, 1.0)
         curves = _curves(plan, rows, runner, worst, lambda share: report(again, share))
     report(exploring, 0.0)
-    explorer = write_runs(plan, path.with_name(f"{path.stem}-explorer.html"), cached)
-    report(exploring, 1.0)
-    drawn = _draw(plan.sweep, rows, margins, curves, explorer)
-    opens = _titles(plan, rows, explorer)
-    svg: dict[str, Markup] = {}
-    for key, figure in drawn.items():
-        report(drawing, len(svg) / len(drawn))
-        svg[key] = page_figure(figure, key, links=opens if key.startswith("map-") else None)
-    text = _render(plan, rows, margins, svg, folder, explorer)
-    report(drawing, 1.0)
-    return write_whole(path, text.encode("utf-8"))
+    with together():
+        explorer = write_runs(plan, explorer_beside(path), cached)
+        report(exploring, 1.0)
+        drawn = _draw(plan.sweep, rows, margins, curves, explorer)
+        opens = _titles(plan, rows, explorer)
+        svg: dict[str, Markup] = {}
+        for key, figure in drawn.items():
+            report(drawing, len(svg) / len(drawn))
+            svg[key] = page_figure(figure, key, links=opens if key.startswith("map-") else None)
+        text = _render(plan, rows, margins, svg, folder, explorer)
+        report(drawing, 1.0)
+        return write_whole(path, text.encode("utf-8"))
+
+
+def explorer_beside(page: Path) -> Path:
+    """Return where the explorer of the sweep's scenario goes, beside the page of its maps."""
+    return page.with_name(f"{page.stem}-explorer.html")
 
 
 def labels_of(sweep: Sweep) -> dict[str, str]:

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from interarea.design.modes.modes import Mode
 from interarea.models.case.case import Case
+from interarea.models.files import together
 
 from .curves import INK, MUTED, SERIES, STYLE, WIDTH, save_figure
 from .mode_shapes import mode_shape_plot
@@ -42,11 +43,11 @@ def shape_plot(mode: Mode, case: Case | None) -> Figure:
 
 def save_shapes(modes: Mapping[str, Mode], case: Case, folder: Path) -> list[Path]:
     """Write one SVG a mode, named after it, into `folder`, which is made."""
-    folder.mkdir(parents=True, exist_ok=True)
-    return [
-        save_figure(shape_plot(mode, case), folder / f"{name.replace(' ', '-')}.svg")
-        for name, mode in modes.items()
-    ]
+    with together():
+        return [
+            save_figure(shape_plot(mode, case), folder / f"{name.replace(' ', '-')}.svg")
+            for name, mode in modes.items()
+        ]
 
 
 def places_of(case: Case) -> dict[int, Place]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from interarea.models.files import write_whole
+from interarea.models.files import together, write_whole
 
 from ..trajectory import Trajectory
 from .delay_ledger import DelayLedger, PacketLedger
@@ -68,14 +68,16 @@ class Result:
         something fmu_log.txt.
 
         record, every : columns and points of the trajectory, as the keys of a scenario.
+        All of them are written, or after an error none.
 
         Raises
         ------
         DestinationError : a file that cannot be written. ScenarioError : a column that is not there.
         """
-        with TrajectoryFiles(Path(folder), record, every) as files:
-            files.add(self.trajectory)
-        return [*files.files, *self.save_beside(Path(folder))]
+        with together():
+            with TrajectoryFiles(Path(folder), record, every) as files:
+                files.add(self.trajectory)
+            return [*files.files, *self.save_beside(Path(folder))]
 
     def save_beside(self, folder: Path, explorer: str = "") -> list[Path]:
         """Write what `save` does beside the trajectory; `explorer` as `Run.save`."""

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from interarea.models.files import write_whole
+from interarea.models.files import together, write_whole
 
 from ..errors import nearest
 from ..scenario.scenario import Scenario
@@ -111,9 +111,10 @@ class Run(Result):
         explorer : address of the explorer's page of this run, for the page to link.
         """
         record = self.scenario.record if record is None else record
-        with TrajectoryFiles(Path(folder), record, every or self.scenario.every) as files:
-            files.add(self.trajectory)
-        return [*files.files, *self.save_beside(Path(folder), explorer)]
+        with together():
+            with TrajectoryFiles(Path(folder), record, every or self.scenario.every) as files:
+                files.add(self.trajectory)
+            return [*files.files, *self.save_beside(Path(folder), explorer)]
 
     def save_beside(self, folder: Path, explorer: str = "") -> list[Path]:
         """Write what `save` does beside the trajectory."""

@@ -12,6 +12,7 @@ from interarea.design.controllers.controller import Controller
 from interarea.models.blocks.plant import event_parameters
 from interarea.models.case.case import Case
 from interarea.models.errors import Collected
+from interarea.models.files import together
 
 from ..errors import ScenarioError, StepError, nearest
 from ..results.result import Result
@@ -87,6 +88,8 @@ def write_run(
 ) -> tuple[Result, list[Path]]:
     """Run any scenario and write its files, the trajectory while it runs: any length fits in memory.
 
+    All files get their names at the end, or after an error none.
+
     The result's trajectory is what its figure needs: the whole is in the files.
     explorer : see `Run.save`.
 
@@ -103,17 +106,21 @@ def write_run(
         files.add(part)
         gathered.add(part)
 
-    with TrajectoryFiles(folder, loaded.record, loaded.every) as files, system.master(sink=take) as master:
-        gathered, failed = system.gathered(master), None
-        try:
-            master.advance(progress=progress)
-        except StepError as error:
-            if master.index < 0:
-                raise  # there is nothing to write
-            take(master.trajectory)
-            failed = error
-        result = system.result(master, gathered, failed)
-    written = [*files.files, *result.save_beside(folder, explorer)]
+    with together():
+        with (
+            TrajectoryFiles(folder, loaded.record, loaded.every) as files,
+            system.master(sink=take) as master,
+        ):
+            gathered, failed = system.gathered(master), None
+            try:
+                master.advance(progress=progress)
+            except StepError as error:
+                if master.index < 0:
+                    raise  # there is nothing to write
+                take(master.trajectory)
+                failed = error
+            result = system.result(master, gathered, failed)
+        written = [*files.files, *result.save_beside(folder, explorer)]
     if failed is None:
         return result, written
     for name in METRICS_FILES:

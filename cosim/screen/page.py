@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from interarea.models.files import write_whole
+from interarea.models.files import together, write_whole
 
 from ..explorer.address import link_of
 from ..explorer.content import RANGES
@@ -73,8 +73,6 @@ def write_screening(
         if row["critical_at_least"]:
             row["critical_s"] = screening.longest_s
     document = {"screening": asdict(screening), "rows": rows}
-    write_whole(folder / "screen.json", (json.dumps(document, indent=1) + "\n").encode())
-    write_whole(folder / "screen.csv", pd.DataFrame(rows).to_csv(index=False, lineterminator="\n").encode())
     environment = page_environment(Path(__file__).parent)
     environment.filters["plain"] = plain
     controllers = list(dict.fromkeys(one.controller for one in result))
@@ -93,7 +91,10 @@ def write_screening(
         searched=any(one.critical_s is not None for one in result),
         svg=page_figure(angle_figure(result), "angles"),
     )
-    return write_whole(folder / "screen.html", text.encode("utf-8"))
+    with together():
+        write_whole(folder / "screen.json", json.dumps(document, indent=1) + "\n")
+        write_whole(folder / "screen.csv", pd.DataFrame(rows).to_csv(index=False, lineterminator="\n"))
+        return write_whole(folder / "screen.html", text)
 
 
 def _counts(result: Sequence[Found], controller: str) -> dict[str, Any]:

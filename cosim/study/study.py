@@ -35,7 +35,7 @@ from interarea.fmu_build.write.cache import (
     place,
 )
 from interarea.models.case.case import load_case
-from interarea.models.files import temporary_folder, write_whole
+from interarea.models.files import temporary_folder, together, write_whole
 from interarea.models.grid.powerflow import solve_powerflow
 from interarea.models.processes import process_pool
 
@@ -139,8 +139,9 @@ def run_study(
             if "packets" in spec
             else None
         )
-        page = beside.submit(_explorer, spec["case"], names, specs, out / "explorer.html", cache)
         folder = ending.enter_context(temporary_folder())
+        explorer = folder / "explorer.html"
+        page = beside.submit(_explorer, spec["case"], names, specs, explorer, cache)
         faults = survival_started(spec, specs, folder, cache, beside)
         opinion = (
             beside.submit(second_solver_record, spec["case"], names, specs, cache) if second_solver else None
@@ -203,7 +204,6 @@ def run_study(
             runs,
         )
         drawn = save_figures(parts, cache, f"figures/{_figure_key(parts)}", done)
-        figures = {key: place(path, out / "figures" / path.name) for key, path in drawn.items()}
         shown = {key: path.with_suffix(".html") for key, path in drawn.items()}
 
         done = stage("second solver")
@@ -223,24 +223,31 @@ def run_study(
         study["pade"] = pade
         study["explorer"] = presets
         study["second_solver"] = second
-        study["figures"] = {key: path.relative_to(out).as_posix() for key, path in figures.items()}
+        study["figures"] = {key: f"figures/{path.name}" for key, path in drawn.items()}
         study["provenance"] = _provenance(name, parts, fmus)
         study["loops"]["coordinate_table"] = lead_by_coordinates(
             relative, loops, relative_modes.inter_area.eigenvalue
         )
-        study["figure_list"] = _figure_list(spec, figures)
+        study["figure_list"] = _figure_list(spec, drawn)
         if "claims" in spec:
             study |= _judged(Path(spec["claims"]), study)
-        for label, path in fmus.items():
-            place(path, out / "fmus" / f"{label}.fmu")
-        for label, run in runs.items():
-            place(run.trajectory, out / "results" / f"{label}.parquet")
-        write_report(study, shown, out / "report.html")
-        done(0.9)
-        text = json.dumps(study, indent=1, allow_nan=False)
-        write_whole(out / "study.json", f"{text}\n".encode())
+        placed = {f"fmus/{label}.fmu": path for label, path in fmus.items()}
+        placed |= {f"results/{label}.parquet": run.trajectory for label, run in runs.items()}
+        placed |= {study["figures"][key]: path for key, path in drawn.items()}
+        _write(study, {**placed, explorer.name: explorer}, shown, out)
         done(1.0)
         return study
+
+
+def _write(
+    study: Mapping[str, Any], placed: Mapping[str, Path], shown: Mapping[str, Path], out: Path
+) -> None:
+    """Write all files of a study, or after an error none. placed : name below `out` -> the file."""
+    with together():
+        for name, file in placed.items():
+            place(file, out / name)
+        write_report(study, shown, out / "report.html")
+        write_whole(out / "study.json", json.dumps(study, indent=1, allow_nan=False) + "\n")
 
 
 def _compile(case_name: str, lanes: bool, cache: Path) -> None:

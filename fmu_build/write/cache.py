@@ -29,8 +29,8 @@ from typing import Any
 
 import numpy as np
 
+from interarea.models.files import at_once, settle, temporary_folder, write_whole
 from interarea.models.files import default_cache as default_cache
-from interarea.models.files import settle, temporary_folder, write_whole
 
 _log = logging.getLogger("interarea")
 _PROOF = ".sha256"
@@ -162,8 +162,9 @@ def artefact(cache: Path, kind: str, key: str, suffix: str, make: Callable[[Path
 
 def keep(path: Path, content: bytes) -> Path:
     """Write an artefact that was made elsewhere, with its proof; return `path`."""
-    _prove(path, content)
-    return write_whole(path, content)
+    with at_once():
+        _prove(path, content)
+        return write_whole(path, content)
 
 
 def is_whole(path: Path) -> bool:

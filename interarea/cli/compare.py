@@ -53,6 +53,7 @@ def compare(
     from interarea.cosim.results.record import write_json
     from interarea.cosim.run.compare import compare_controllers, write_comparison
     from interarea.fmu_build.write.cache import default_cache
+    from interarea.models.files import together
 
     with stage_progress(controllers) as progress:
         stages = {Path(c).stem if Path(c).suffix else c: c for c in controllers}
@@ -72,13 +73,14 @@ def compare(
     }
     files: list[Path] = []
     if out is not None:
-        for one in result:
-            one.run.save(out / one.name)
         command = shlex.join(
             ["interarea", "compare", *controllers, "--scenario", scenario, "--out", str(out)]
         )
-        files = [out / "compare.json", write_comparison(result, loaded, out / "compare.html", command)]
-        write_json(document, files[0])
+        with together():
+            for one in result:
+                one.run.save(out / one.name)
+            files = [out / "compare.json", write_comparison(result, loaded, out / "compare.html", command)]
+            write_json(document, files[0])
     if json_:
         typer.echo(json.dumps(document, indent=2, allow_nan=False))
     else:

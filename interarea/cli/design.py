@@ -70,7 +70,7 @@ def design(
     a grid, loops, operating points and what is asked follow from it by rules; the design file is written
     beside the controller, each choice with its reason, to go on from.
     """
-    from interarea.cosim.designs.comparison import HEADER, compare, save_comparison
+    from interarea.cosim.designs.comparison import FIGURES, HEADER, compare, save_comparison
     from interarea.cosim.designs.design_file import DESIGN_STEPS, load_design, run_design
     from interarea.cosim.designs.worth import design_rival, has_rival, with_rival, with_worth
     from interarea.fmu_build.write.cache import default_cache
@@ -88,7 +88,7 @@ def design(
     table, cache = load_design(spec), default_cache()
     case = load_case(table.case)
     if plots is not None:
-        folder_for(plots, "--plots")
+        folder_for(plots, "--plots", files=FIGURES)
     others = {name: _system(name, case) for name in against or ()}
     rival_step = ("own-signal rival",) if worth and has_rival(table) else ()
     with stage_progress((*DESIGN_STEPS, *rival_step, "alternatives")) as report:

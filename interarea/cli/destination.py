@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 from interarea.cosim.errors import DestinationError
 
 
-def folder_for(path: Path, option: str = "--out") -> Path:
+def folder_for(path: Path, option: str = "--out", *, files: Iterable[str] = ()) -> Path:
     """Return `path` if it is a folder, or can be made one, in which files can be written; nothing is made.
+
+    files : names in it that must not be folders.
 
     Raises DestinationError, naming `option`.
     """
     if path.exists() and not path.is_dir():
         raise DestinationError(f"{option} {path}: is a file, wanted: a folder (made if not there)")
     _require_room(path, path, option)
+    for name in files:
+        if (path / name).is_dir():
+            raise DestinationError(f"{option} {path}: {name} in it is a folder, wanted: a file or nothing")
     return path
 
 

@@ -66,6 +66,7 @@ def build(
     from interarea.models.blocks.channel import channel_block
     from interarea.models.blocks.plant import plant_block
     from interarea.models.case.case import load_case
+    from interarea.models.files import together
 
     from .destination import folder_for
 
@@ -78,7 +79,7 @@ def build(
         if result is not None:
             blocks |= {"channel": channel_block(), result.name: result.block(loaded.omega_b)}
     files = {}
-    with steps([f"{name}.fmu" for name in blocks]) as report:
+    with steps([f"{name}.fmu" for name in blocks]) as report, together():
         for name, block in blocks.items():
             report(f"{name}.fmu")
             fmu = complete_fmu(block_fmu(block, cache, platforms=names_of(platforms)), cache)

@@ -116,7 +116,7 @@ def export(
     from interarea.models.exporters.dyr import dyr_of
     from interarea.models.exporters.matpower import matpower_of
     from interarea.models.exporters.raw import raw_of
-    from interarea.models.files import write_whole
+    from interarea.models.files import together, write_whole
     from interarea.models.grid.powerflow import solve_powerflow
 
     from .destination import file_for
@@ -137,8 +137,9 @@ def export(
     written = [(out, raw_of(loaded, flow) if suffix == ".raw" else matpower_of(loaded, flow))]
     if suffix == ".raw" and any(m.model != "power_flow" for m in loaded.machines):
         written.append((out.with_suffix(".dyr"), dyr_of(loaded)))
-    for path, content in written:
-        write_whole(path, content.text)
+    with together():
+        for path, content in written:
+            write_whole(path, content.text)
     _tell({path: content.losses for path, content in written}, json_)
 
 

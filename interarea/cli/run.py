@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from interarea.models.case.case import Case
 
 _GUARDED = "INTERAREA_GUARDED"  #: in the environment of a run that has a process of its own: its parent's id
+_FILES = (
+    *("trajectory.csv", "trajectory.parquet", "ledger.json", "scenario.toml", "run.json", "fmu_log.txt"),
+    *("metrics.json", "run.svg", "report.html"),
+)
 _OWN_S = 0.3  # in which a child that has got a terminal's signal itself ends
 
 
@@ -71,7 +75,7 @@ def run(
     if out is None and not self_test:
         raise typer.BadParameter("a folder for the results is needed, or --self-test", param_hint="--out")
     if out is not None:
-        folder_for(out)
+        folder_for(out, files=(*_FILES, "explorer.html"))
     code = _run_apart(Path(scenario), out)
     if code is not None:
         raise typer.Exit(code)

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from interarea.cosim.grid_study.automatic import GridDesign
     from interarea.models.case.case import Case
 
+_FILES = (
+    *("study.json", "report.html", "explorer.html", "case.toml", "controller.json", "design.toml"),
+    *("fmus/plant.fmu", "fmus/controller.fmu"),
+)
 OutFolder = Annotated[
     Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
 ]
@@ -42,7 +46,7 @@ def study(
     from .destination import folder_for
     from .grids import grid_of
 
-    folder_for(out)
+    folder_for(out, files=_FILES)
     if (grid := grid_of(name, dyr)) is not None:
         _study_grid(name, dyr, *grid, out, json_=json_)
         return

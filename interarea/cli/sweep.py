@@ -118,7 +118,7 @@ def maps(
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of the page's name")] = False,
 ) -> None:
     """Draw the maps of a sweep: stability, margins certified and simulated, worst runs; one page."""
-    from interarea.cosim.maps.page import STEPS, write_maps
+    from interarea.cosim.maps.page import STEPS, explorer_beside, write_maps
 
     from .destination import file_for
 
@@ -129,6 +129,7 @@ def maps(
     if not folder.exists():
         raise SweepError(f"{folder}: no such folder, wanted: that of a sweep's results (its --out)")
     page = file_for(out or folder / "maps.html")
+    file_for(explorer_beside(page))
     check_workers(workers, None)
     with stage_progress(STEPS) as report:
         page = write_maps(folder, page, worst=worst, workers=workers, progress=report)
@@ -193,7 +194,8 @@ def screen(
     check_workers(workers, scheduler)
     if (bus and trips) or (branch and not trips):
         raise SweepError("--bus is of faults and --branch of --trips, allowed: the one that fits")
-    folder_for(out)
+    pages = ("screen.json", "screen.csv", "screen.html", *(["explorer.html"] if explore else []))
+    folder_for(out, files=pages)
     screening = Screening(
         case=grid,
         kind="trip" if trips else "fault",

@@ -8,7 +8,7 @@ import re
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from ..files import default_cache, write_whole
+from ..files import at_once, default_cache, write_whole
 from .emit import devices_header
 from .language.structure import Model
 from .library import library
@@ -30,7 +30,8 @@ def devices_file(own: Iterable[Model] = (), keys: Collection[str] | None = None)
     text = _text(tuple(own)) if keys is None else with_devices(_text(tuple(own)), keys)
     digest = hashlib.sha256(text.encode("ascii")).hexdigest()[:24]
     path = default_cache() / "devices" / digest / HEADER  # content names the folder
-    return path if path.is_file() else write_whole(path, text)
+    with at_once():
+        return path if path.is_file() else write_whole(path, text)
 
 
 def with_devices(header: str, keys: Collection[str]) -> str:

@@ -134,3 +134,22 @@ def test_a_study(share: int, cache: Path, tmp_path: Path, monkeypatch: pytest.Mo
         assert left(out) == whole, n
         tried += 1
     assert tried >= 4
+
+
+@pytest.mark.slow
+def test_a_folder_in_the_place_of_each_file_of_a_study(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("INTERAREA_CACHE", str(cache))
+    name = small_study(tmp_path)
+    run_study(name, tmp_path / "first", second_solver=False)
+    keep_models_of_the_explorer(name, cache, tmp_path, monkeypatch)
+    names = sorted(left(tmp_path / "first"))
+    assert len(names) >= 10
+    for k, blocked in enumerate(names):
+        out = tmp_path / f"{k}"
+        (out / blocked).mkdir(parents=True)
+        with pytest.raises(IsADirectoryError) as refused:
+            run_study(name, out, second_solver=False)
+        assert str(refused.value.filename) == str(out / blocked)
+        assert left(out) == {}
