@@ -60,7 +60,7 @@ def plant_fmu(
         return plant_block(case, event_slots=event_slots, show=show, more=more)
 
     provided = [case.model_dump_json(), event_slots, None if show is None else list(show), list(more)]
-    return _kept_fmu(cache, "plant", case.name, provided, block)
+    return built_fmu(cache, "plant", case.name, provided, block)
 
 
 def concentrator_fmu(signals: int, cache: Path) -> Path:
@@ -71,7 +71,7 @@ def concentrator_fmu(signals: int, cache: Path) -> Path:
 
         return concentrator_block(signals)
 
-    return _kept_fmu(cache, "concentrator", f"concentrator{signals}", [signals], block)
+    return built_fmu(cache, "concentrator", f"concentrator{signals}", [signals], block)
 
 
 def detector_fmu(signals: Sequence[str], cache: Path) -> Path:
@@ -82,7 +82,7 @@ def detector_fmu(signals: Sequence[str], cache: Path) -> Path:
 
         return detector_block(signals)
 
-    return _kept_fmu(cache, "detector", f"detector{len(signals)}", list(signals), block)
+    return built_fmu(cache, "detector", f"detector{len(signals)}", list(signals), block)
 
 
 def pmu_fmu(cache: Path) -> Path:
@@ -93,7 +93,7 @@ def pmu_fmu(cache: Path) -> Path:
 
         return pmu_block()
 
-    return _kept_fmu(cache, "pmu", "pmu", [], block)
+    return built_fmu(cache, "pmu", "pmu", [], block)
 
 
 def channel_fmu(cache: Path) -> Path:
@@ -104,10 +104,10 @@ def channel_fmu(cache: Path) -> Path:
 
         return channel_block()
 
-    return _kept_fmu(cache, "channel", "channel", [], block)
+    return built_fmu(cache, "channel", "channel", [], block)
 
 
-def _kept_fmu(cache: Path, kind: str, name: str, provided: list[Any], block: Callable[[], Block]) -> Path:
+def built_fmu(cache: Path, kind: str, name: str, provided: list[Any], block: Callable[[], Block]) -> Path:
     """Return the FMU of a block, which is made from `provided` only when no FMU made of the same is there."""
     key = content_hash(
         provided,

@@ -12,15 +12,21 @@ from threadpoolctl import threadpool_limits
 from interarea.design.controllers.bank import ControllerBank, load_controller
 from interarea.design.controllers.bundled import shipped_controller, shipped_names
 from interarea.design.controllers.controller import Controller, ControllerError
-from interarea.fmu_build.write.cache import artefact, code_hash, content_hash, file_hash, numerics_versions
-from interarea.fmu_build.write.package import block_fmu
+from interarea.fmu_build.write.cache import (
+    artefact,
+    code_hash,
+    content_hash,
+    file_hash,
+    numerics_versions,
+    source_hash,
+)
 from interarea.models.blocks.controller import with_trust
 from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case
 
 from ..errors import ScenarioError, nearest
 from ..scenario.names import CONTROLLER_NAMES, NAMED_CONTROLLERS, no_controller
-from .artefacts import linear_plant, plant_fmu
+from .artefacts import built_fmu, linear_plant, plant_fmu
 from .controller_fmu import controller_from_fmu
 
 if TYPE_CHECKING:
@@ -158,7 +164,12 @@ def controller_fmu(
     controller: Controller | ControllerBank, omega_b: float, cache: Path, *, trust: bool = False
 ) -> Path:
     """Return the FMU of a controller: pu in, pu out; `omega_b` in rad/s. trust : `controller_block_of`."""
-    return block_fmu(controller_block_of(controller, omega_b, trust=trust), cache)
+    provided = [controller.as_dict(), omega_b, trust, source_hash("design/controllers")]
+
+    def block() -> Block:
+        return controller_block_of(controller, omega_b, trust=trust)
+
+    return built_fmu(cache, "controller", controller.name, provided, block)
 
 
 def controller_block_of(controller: Controller | ControllerBank, omega_b: float, *, trust: bool) -> Block:

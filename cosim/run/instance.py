@@ -10,6 +10,7 @@ from typing import Any
 from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.open.fmu_file import FmuFile
+from interarea.fmu_build.open.own import open_own
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case
@@ -80,7 +81,7 @@ class Fmus:
 
     def plant(self, case: Case, event_slots: int, more: tuple[str, ...] = ()) -> FmuFile:
         """Return the plant of a case; `more`: outputs beside those that it shows by itself."""
-        return self.open(plant_fmu(case, self.cache, event_slots=event_slots, more=more))
+        return self.built(plant_fmu(case, self.cache, event_slots=event_slots, more=more))
 
     def plant_block(self, case: Case, event_slots: int, more: tuple[str, ...] = ()) -> Block:
         """Return what the plant of a case is made of, the same object for the same."""
@@ -99,19 +100,19 @@ class Fmus:
 
     def pmu(self) -> FmuFile:
         """Return the PMU."""
-        return self.open(pmu_fmu(self.cache))
+        return self.built(pmu_fmu(self.cache))
 
     def channel(self) -> FmuFile:
         """Return the channel."""
-        return self.open(channel_fmu(self.cache))
+        return self.built(channel_fmu(self.cache))
 
     def concentrator(self, signals: int) -> FmuFile:
         """Return the concentrator of so many signals."""
-        return self.open(concentrator_fmu(signals, self.cache))
+        return self.built(concentrator_fmu(signals, self.cache))
 
     def detector(self, signals: Sequence[str]) -> FmuFile:
         """Return the detector of these signals."""
-        return self.open(detector_fmu(signals, self.cache))
+        return self.built(detector_fmu(signals, self.cache))
 
     def controller(
         self, controller: Controller | ControllerBank, omega_b: float, *, trust: bool = False
@@ -119,7 +120,7 @@ class Fmus:
         """Return the FMU of a controller; `omega_b` in rad/s. trust : see `controller_block_of`."""
         key = (id(controller), trust)
         if key not in self._controllers:
-            file = self.open(controller_fmu(controller, omega_b, self.cache, trust=trust))
+            file = self.built(controller_fmu(controller, omega_b, self.cache, trust=trust))
             self._controllers[key] = (controller, file)
         return self._controllers[key][1]
 
@@ -138,6 +139,12 @@ class Fmus:
         """Open a file, once."""
         if path not in self._files:
             self._files[path] = FmuFile(path)
+        return self._files[path]
+
+    def built(self, path: Path) -> FmuFile:
+        """Open a file that was built into the cache, once."""
+        if path not in self._files:
+            self._files[path] = open_own(path, self.cache)
         return self._files[path]
 
     def close(self) -> None:

@@ -96,7 +96,7 @@ class LiveFmus(Fmus):
         case = change.apply(base)
         show, more = self.plan.sweep.show, self.plan.sweep.base.shows
         if case is base and slots == EVENT_SLOTS:
-            return Plant(case, self.open(plant_fmu(case, self.cache, show=show, more=more)), own=False)
+            return Plant(case, self.built(plant_fmu(case, self.cache, show=show, more=more)), own=False)
         path = self.scratch / f"plant-{case.hash}-{slots}.fmu"
         build_fmu(plant_block(case, event_slots=slots, show=show, more=more), path, cache=self.cache)
         return Plant(case, FmuFile(path), own=True)

@@ -175,7 +175,11 @@ class ControllerBank:
 
     def save(self, path: str | Path) -> Path:
         """Write the bank as JSON; every number survives to the last bit."""
-        data = {
+        return write_whole(path, json_text(self.as_dict()))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the bank as JSON values, which `load_controller` reads from a file."""
+        return {
             "schema": SCHEMA,
             "kind": "bank",
             "name": self.name,
@@ -189,7 +193,6 @@ class ControllerBank:
             "lyapunov": None if self.lyapunov is None else np.asarray(self.lyapunov).tolist(),
             **({} if self.guard is None else {"guard": asdict(self.guard)}),
         }
-        return write_whole(path, json_text(data))
 
     @classmethod
     def load(cls, path: str | Path) -> ControllerBank:

@@ -244,12 +244,13 @@ class Controller:
             )
         scale = np.array([omega_b if name.endswith("_dw") else 1.0 for name in self.inputs])
         K = self.system
-        documentation = {"Design": document(plain(self.design))}
+        design, certificate = plain(self.design), plain(self.certificate)
+        documentation = {"Design": document(design)}
         if self.certificate is not None:
-            documentation["Certificate"] = document(plain(self.certificate))
+            documentation["Certificate"] = document(certificate)
         record = {
-            "design": plain(self.design),
-            "certificate": plain(self.certificate),
+            "design": design,
+            "certificate": certificate,
             **({} if self.guard is None else {"guard": asdict(self.guard)}),
         }
         # inside a script element only "</" would end it
@@ -322,11 +323,12 @@ def guard_of(data: Any) -> Guard:
 
 def plain(value: Any) -> Any:
     """Return a value made of JSON types: arrays become lists, complex numbers [re, im]."""
+    kind = type(value)
+    if value is None or kind in (str, bool, int) or (kind is float and math.isfinite(value)):  # nearly all
+        return value
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
-        return [plain(v) for v in value]
-    if isinstance(value, list | tuple | set):
+    if isinstance(value, np.ndarray | list | tuple | set):
         return [plain(v) for v in value]
     if isinstance(value, bool | np.bool_):
         return bool(value)
@@ -336,8 +338,6 @@ def plain(value: Any) -> Any:
         return int(value)
     if isinstance(value, float | np.floating):
         return float(value) if math.isfinite(value) else None
-    if value is None or isinstance(value, str):
-        return value
     return str(value)
 
 

@@ -82,19 +82,23 @@ class FmuFile:
         FmuFileError : an archive that would do harm, or is damaged.
         """
         if self._folder is None:
-            wanted = (f"binaries/{self._platform}/", "resources/")
-            report, folder = Report(str(self.path)), new_folder()
-            whole = False
-            try:
-                whole = unpack_checked(self.path, folder, report, wanted=lambda n: n.startswith(wanted))
-            finally:
-                if not whole:
-                    shutil.rmtree(folder, ignore_errors=True)
-            if not whole:
-                found = report.findings[0]
-                raise FmuFileError(f"{self.path.name}: not unpacked: {found.where}: {found.message}")
-            self._folder = folder
+            self._folder = self._unpacked()
         return self._folder
+
+    def _unpacked(self) -> Path:
+        """Unpack what is used of the archive into a new folder and return that."""
+        wanted = (f"binaries/{self._platform}/", "resources/")
+        report, folder = Report(str(self.path)), new_folder()
+        whole = False
+        try:
+            whole = unpack_checked(self.path, folder, report, wanted=lambda n: n.startswith(wanted))
+        finally:
+            if not whole:
+                shutil.rmtree(folder, ignore_errors=True)
+        if not whole:
+            found = report.findings[0]
+            raise FmuFileError(f"{self.path.name}: not unpacked: {found.where}: {found.message}")
+        return folder
 
     @cached_property
     def _library(self) -> str:

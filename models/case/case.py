@@ -27,7 +27,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Self
 
@@ -132,7 +132,14 @@ def load_case(name_or_path: str | Path) -> Case:
     ------
     CaseError : unknown name (with the nearest ones), unreadable file, or any rule of the case broken.
     """
-    return case_of(case_document(name_or_path), where=str(name_or_path))
+    name = str(name_or_path)
+    return case_of(case_document(name), where=name) if name.endswith(".toml") else _bundled_case(name)
+
+
+@lru_cache(maxsize=16)
+def _bundled_case(name: str) -> Case:
+    """Return a bundled case, read once in a process: nobody changes its file, and a case is frozen."""
+    return case_of(case_document(name), where=name)
 
 
 def case_of(document: Mapping[str, Any], *, where: str) -> Case:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import cProfile
 import dataclasses
 import pickle
+import pstats
 import subprocess
 import sys
 from typing import Any
@@ -57,3 +59,18 @@ def test_a_run_without_a_controller_loads_no_python_control() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300
     )
     assert done.stdout.split() == ["roots", "False"]
+
+
+def test_a_warm_run_makes_few_calls() -> None:
+    """Of 5 s with controller and two channels: 115 000 calls before, 14 700 when this was written."""
+    scenario = SCENARIO | {
+        "controller": "wdc",
+        "stop_s": 5.0,
+        "channels": {"remote": {"signal": "G2_dw", "latency_s": 0.1}, "local": {"signal": "G4_dw"}},
+    }
+    run_scenario(scenario)
+    run_scenario(scenario)
+    with cProfile.Profile() as profile:
+        run_scenario(scenario)
+    calls = pstats.Stats(profile).total_calls  # type: ignore[attr-defined]
+    assert calls <= 16_000
