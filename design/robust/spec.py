@@ -13,7 +13,7 @@ from ..delay.signal_conditions import Condition
 from ..errors import InfeasibleDesign
 from ..linear.linearise import select
 from ..modes.modes import Mode
-from ..synthesis.check import UNREACHABLE_MODE, describe_mode, describe_reach, modal_shares
+from ..synthesis.check import describe_mode, describe_reach, out_of_reach
 from ..synthesis.generalized_plant import check_design_plant
 from .smoothed_objective import COMMON_SPEED, BandOffsets
 from .stages import Stage
@@ -175,14 +175,11 @@ def require_moved(
     """
     picked = select(plant, list(spec.actuators), list(spec.signals))
     A, B, C = (np.asarray(M, dtype=float) for M in (picked.A, picked.B, picked.C))
-    values, shares = modal_shares(A, B, C)
-    # a common speed that nothing brings back has a gain without bound, beside which no other mode has a share
-    shares = shares / max(float(shares[np.abs(values) > COMMON_SPEED].max(initial=0.0)), 1e-300)
+    values = np.linalg.eigvals(A)
     targets = {f"mode {n!r}": m.eigenvalue for n, m in (modes or {}).items() if n.startswith("inter-area")}
     unstable = [complex(v) for v in values if not v.real < 0.0 and v.imag >= 0.0 and abs(v) > COMMON_SPEED]
     for name, eigenvalue in [*targets.items(), *(("unstable mode", v) for v in unstable)]:
-        share = float(shares[int(np.argmin(np.abs(values - eigenvalue)))])
-        if not share >= UNREACHABLE_MODE:
+        if out_of_reach(A, B, C, complex(values[np.argmin(np.abs(values - eigenvalue))])):
             raise InfeasibleDesign(
                 f"robust design, operating point {point!r}: {name} {describe_mode(eigenvalue)} cannot be "
                 f"moved by {', '.join(spec.actuators)} from {', '.join(spec.signals)}: "

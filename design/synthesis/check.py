@@ -12,12 +12,13 @@ import numpy as np
 from ..errors import InfeasibleDesign, UncertifiedDesign
 from ..linear.norms import hinf_of
 from ..lmi.problem import Matrix
-from .generalized_plant import GeneralizedPlant
+from .generalized_plant import GeneralizedPlant, scaled
 from .lmi_form import PoleRegion
 
-#: Share of the largest modal residue below which a mode counts as out of the actuator's reach.
+#: Share of the largest modal gain below which a mode is suspected where a design fails.
 WEAK_MODE = 1e-2
-UNREACHABLE_MODE = 1e-8
+#: Share of the size of the matrices below which a part counts as not reached: 1e5 times their rounding.
+STAIRCASE = 1e-11
 
 
 @dataclass(frozen=True)
@@ -65,33 +66,88 @@ def modal_shares(A: Matrix, B: Matrix, C: Matrix) -> tuple[Matrix, Matrix]:
     r"""Return the eigenvalues and, for each, controllability times observability as a share of the largest.
 
     The measure is the modal gain :math:`|C v_k| |w_k^H B| / (|w_k^H v_k| |\mathrm{Re} \lambda_k|)`, which
-    does not depend on coordinates.
+    does not depend on coordinates; a decay below 1e-6 of the largest eigenvalue counts as that. It ranks
+    modes and does not tell whether one is fixed: `out_of_reach` does.
     """
     values, V = np.linalg.eig(A)
-    W = np.linalg.inv(V)
+    W = np.linalg.pinv(V)  # of a defective eigenvalue V is singular
     gain = np.linalg.norm(C @ V, axis=0) * np.linalg.norm(W @ B, axis=1)
-    gain = gain / np.maximum(np.abs(values.real), 1e-3 * np.maximum(np.abs(values), 1e-9))
+    size = np.abs(values)
+    decay = np.maximum(np.abs(values.real), 1e-3 * np.maximum(size, 1e-3 * max(float(size.max()), 1e-300)))
+    gain = gain / decay
     return values, gain / max(float(gain.max()), 1e-300)
 
 
-def modal_parts(A: Matrix, B: Matrix, C: Matrix) -> tuple[Matrix, Matrix, Matrix]:
-    r"""Return the eigenvalues, and the controllability and observability of each, 0..1.
+def modal_parts(A: Matrix, B: Matrix, C: Matrix, mode: complex) -> tuple[float, float]:
+    r"""Return the controllability and observability of an eigenvalue of A: 0 if it is fixed.
 
-    :math:`|w_k^H B| / |w_k|` and :math:`|C v_k| / |v_k|` as shares of the largest: zero exactly for a mode
-    that no input reaches, or no output shows.
+    :math:`\sigma_{min}[A - \lambda I, B]` and :math:`\sigma_{min}[A - \lambda I; C]` as shares of the size
+    of A, in balanced states, B and C brought to the size of A: the test of Popov, Belevitch and Hautus as a
+    distance. It holds for repeated and defective eigenvalues and for integrators too. [Zhou1996], section 3.3
     """
-    values, V = np.linalg.eig(A)
-    W = np.linalg.inv(V)
-    reach = np.linalg.norm(W @ B, axis=1) / np.linalg.norm(W, axis=1)
-    seen = np.linalg.norm(C @ V, axis=0) / np.linalg.norm(V, axis=0)
-    return values, reach / max(float(reach.max()), 1e-300), seen / max(float(seen.max()), 1e-300)
+    for _ in range(2):  # states to the size of inputs and outputs, these to the size of A
+        size = max(float(np.linalg.norm(A, 2)), abs(mode), 1e-300)
+        B, C = (M * (size / max(float(np.linalg.norm(M, 2)), 1e-300)) for M in (B, C))
+        A, B, C = _balanced(A, B, C)
+    size = max(float(np.linalg.norm(A, 2)), abs(mode), 1e-300)
+    shifted = A / size - mode / size * np.eye(A.shape[0])
+
+    def least(M: Matrix, parts: Callable[[list[Matrix]], Matrix]) -> float:
+        largest = float(np.linalg.norm(M, 2))
+        if not largest > 0.0:
+            return float(np.linalg.svd(shifted, compute_uv=False)[-1])
+        return float(np.linalg.svd(parts([shifted, M / largest]), compute_uv=False)[-1])
+
+    return least(B, np.hstack), least(C, np.vstack)
+
+
+def _balanced(A: Matrix, B: Matrix, C: Matrix) -> tuple[Matrix, Matrix, Matrix]:
+    """Return the matrices in the states of Osborne's method on [A B; C 0]."""
+    (n, m), p = B.shape, C.shape[0]
+    P = scaled(
+        GeneralizedPlant(
+            *(A, np.zeros((n, 0)), B, np.zeros((0, n)), C),
+            *(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((p, 0))),
+        )
+    )
+    return P.A, P.B2, P.C2
+
+
+def fixed_modes(A: Matrix, B: Matrix, C: Matrix) -> Matrix:
+    """Return the eigenvalues of A that no feedback from the outputs to the inputs moves.
+
+    Those of the parts that inputs do not reach and outputs do not show, split off by orthogonal staircases: a
+    fixed eigenvalue that is repeated elsewhere in A is found as well. [Zhou1996], section 3.3
+    """
+    size = max(float(np.linalg.norm(A, 2)), 1e-300)
+    B, C = (M * (size / max(float(np.linalg.norm(M, 2)), 1e-300)) for M in (B, C))
+    A, B, C = _balanced(A, B, C)
+    return np.concatenate([_not_reached(A, B), _not_reached(A.T, C.T)])
+
+
+def _not_reached(A: Matrix, B: Matrix) -> Matrix:
+    """Return the eigenvalues of the part of A that B does not reach."""
+    limit = STAIRCASE * max(float(np.linalg.norm(A, 2)), float(np.linalg.norm(B, 2)))
+    while A.size:
+        U, s, _ = np.linalg.svd(B)
+        rank = int(np.count_nonzero(s > limit))
+        if rank == 0:
+            return np.linalg.eigvals(A)
+        A = U.T @ A @ U
+        A, B = A[rank:, rank:], A[rank:, :rank]
+    return np.zeros(0)
+
+
+def out_of_reach(A: Matrix, B: Matrix, C: Matrix, mode: complex) -> bool:
+    """Whether no feedback from the outputs to the inputs moves an eigenvalue of A."""
+    near = 1e-6 * max(abs(mode), 1e-3 * float(np.linalg.norm(A, 2)))
+    return bool(np.any(np.abs(fixed_modes(A, B, C) - mode) <= near))
 
 
 def describe_reach(A: Matrix, B: Matrix, C: Matrix, mode: complex) -> str:
     """Return the controllability and observability of an eigenvalue of A in words."""
-    values, reach, seen = modal_parts(A, B, C)
-    k = int(np.argmin(np.abs(values - mode)))
-    message = f"controllability {reach[k]:.1e}, observability {seen[k]:.1e} of the strongest mode's"
+    reach, seen = modal_parts(A, B, C, mode)
+    message = f"controllability {reach:.1e}, observability {seen:.1e} of the size of A"
     return message + ("; it is unstable and stays so" if not mode.real < 0.0 else "")
 
 
@@ -107,26 +163,23 @@ def require_reachable(
     """
     values, shares = modal_shares(A, B, C)
     outside = set(region.outside(values).tolist())
-    weak = [
-        (complex(v), float(s))
-        for v, s in zip(values, shares, strict=True)
-        if v in outside and v.imag >= 0.0 and s < WEAK_MODE
-    ]
-    fixed = [(v, s) for v, s in weak if s < UNREACHABLE_MODE]
-    if fixed:
-        v, s = fixed[0]
-        zeta = -v.real / abs(v)
+    rows = [(v, s) for v, s in zip(values, shares, strict=True) if v in outside and v.imag >= 0.0]
+    fixed = fixed_modes(A, B, C)
+    zero = -1e-9 * float(np.abs(values).max(initial=0.0))  # an eigenvalue at 0, but for rounding
+    staying = [v for v in fixed if v.imag >= 0.0 and (v.real > zero or region.outside(np.array([v])).size)]
+    if staying:
+        v = complex(max(staying, key=lambda v: v.real))
+        zeta = -v.real / max(abs(v), 1e-300)
         raise InfeasibleDesign(
             f"{what}: mode {describe_mode(v)} lies outside the region ({region.describe()}) and cannot be "
-            f"moved: controllability x observability is {s:.1e} of the strongest mode's "
-            f"({describe_reach(A, B, C, v)}); the region must "
-            f"hold it (damping ratio <= {zeta:.4f}, decay rate <= {-v.real:.4g} 1/s, radius >= {abs(v):.4g} "
-            "rad/s), or choose another actuator or signal",
+            f"moved: {describe_reach(A, B, C, v)}; the region must hold it (damping ratio <= {zeta:.4f}, "
+            f"decay rate <= {-v.real:.4g} 1/s, radius >= {abs(v):.4g} rad/s), or choose another actuator or "
+            "signal",
             constraint="controllability",
             asked=region.damping_ratio,
             reachable=max(zeta, 0.0) if zeta < region.damping_ratio else region.damping_ratio,
         )
-    return weak
+    return [(complex(v), float(s)) for v, s in rows if s < WEAK_MODE]
 
 
 def describe_mode(value: complex) -> str:

@@ -6,7 +6,8 @@ recovered, closed and checked (`Synthesis`); none trusts the solver's status.
 Conditioning. The bare minimum of gamma has controllers with poles of 1e4 rad/s.
 Every problem therefore minimises ``gamma + eps trace(X + Y) / n``, keeps the
 poles inside a disk, and, where asked or needed, solves a second time at a slightly
-larger gamma for well-conditioned X, Y.
+larger gamma for well-conditioned X, Y. Where no pole region is asked for, the two
+Riccati equations give the optimum without a solver (`riccati.without_region`).
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from .check import Synthesis, checked, largest_feasible, require_reachable, weak
 from .fault_tolerant import fault_tolerant
 from .generalized_plant import GeneralizedPlant, balanced_states, effort_plant, mixed_sensitivity, scaled
 from .lmi_form import PoleRegion, Unknowns, closed_loop, require_region
+from .riccati import without_region
 
 __all__ = [
     "Conditioning",
@@ -41,6 +43,7 @@ __all__ = [
 
 #: Slacks of gamma tried in turn where the controller at a smaller one cannot be recovered and certified.
 _SLACKS = (1e-3, 1e-2, 0.05, 0.2)
+_FIRST_WEIGHT, _MOST_WEIGHTS, _SHARE = 1e-3, 4, 1e-4  # of the trace: first, how many, wanted beside gamma
 
 
 @dataclass(frozen=True)
@@ -49,12 +52,13 @@ class Conditioning:
 
     Attributes
     ----------
-    trace_weight : eps in ``gamma + eps trace(X + Y) / n``.
+    trace_weight : eps in ``gamma + eps trace(X + Y) / n``; None: so small that the second term is at most
+        2e-4 of the first, which is then that near to the optimum.
     gamma_slack : None: the first solution is used, and a second solve (`conditioned_problem`) only
         where its controller does not pass the check. r: the second solve at (1 + r) times the optimum.
     """
 
-    trace_weight: float = 1e-3
+    trace_weight: float | None = None
     gamma_slack: float | None = None
 
 
@@ -150,20 +154,16 @@ def hinf_region(
     P = scaled(balanced_states(P))
     weak = require_reachable(P.A, P.B2, P.C2, region, what)
 
-    problem = region_problem(P, region, conditioning.trace_weight)
-    solution = solve(problem, engine)
-    solves = 1
+    if region.trivial:
+        exact = without_region(P, region, slack=conditioning.gamma_slack, what=what)
+        if exact is not None:
+            _require_cap(exact.facts["gamma_optimum"], gamma_cap, region, weak, what)
+            return exact
+    problem, solution, solves = _least_norm(P, region, conditioning.trace_weight, engine)
     if solution.status not in ("optimal", "almost optimal"):
         _explain(P, region, problem, solution, weak, engine, what)
     optimum = solution.scalars["gamma"]
-    if gamma_cap is not None and not optimum <= gamma_cap:
-        raise InfeasibleDesign(
-            f"{what}: the least norm in the region ({region.describe()}) is {optimum:.4g}, allowed is "
-            f"{gamma_cap:.4g}; raise the cap to {1.01 * optimum:.4g} or loosen the region{weak_words(weak)}",
-            constraint="gamma",
-            asked=gamma_cap,
-            reachable=optimum,
-        )
+    _require_cap(optimum, gamma_cap, region, weak, what)
     slack = conditioning.gamma_slack
     refusal: UncertifiedDesign | None = None
     for r in (0.0, *_SLACKS) if slack is None else (slack, *(x for x in _SLACKS if x > slack)):
@@ -203,6 +203,41 @@ def hinf_region(
         raise refusal
     _explain(P, region, problem, solution, weak, engine, what)
     raise AssertionError("unreachable")
+
+
+def _require_cap(
+    optimum: float, cap: float | None, region: PoleRegion, weak: list[tuple[complex, float]], what: str
+) -> None:
+    if cap is not None and not optimum <= cap:
+        raise InfeasibleDesign(
+            f"{what}: the least norm in the region ({region.describe()}) is {optimum:.4g}, allowed is "
+            f"{cap:.4g}; raise the cap to {1.01 * optimum:.4g} or loosen the region{weak_words(weak)}",
+            constraint="gamma",
+            asked=cap,
+            reachable=optimum,
+        )
+
+
+def _least_norm(
+    P: GeneralizedPlant, region: PoleRegion, weight: float | None, engine: str
+) -> tuple[Problem, Solution, int]:
+    """Return `region_problem`, its solution, and how many were solved until the trace was small."""
+    eps = _FIRST_WEIGHT if weight is None else weight
+    problem = region_problem(P, region, eps)
+    solution, solves = solve(problem, engine), 1
+    while weight is None and solves < _MOST_WEIGHTS and usable(problem, solution):
+        size = float(np.trace(solution.values["X"]) + np.trace(solution.values["Y"])) / P.order
+        share = eps * size / max(solution.scalars["gamma"], 1e-300)
+        if share <= 2.0 * _SHARE:
+            break
+        eps *= _SHARE / share
+        finer = region_problem(P, region, eps)
+        result = solve(finer, engine)
+        solves += 1
+        if not usable(finer, result):
+            break
+        problem, solution = finer, result
+    return problem, solution, solves
 
 
 def region_problem(P: GeneralizedPlant, region: PoleRegion, trace_weight: float) -> Problem:

@@ -61,6 +61,11 @@ class PoleRegion:
             bad |= ~(size <= self.radius * (1.0 + tolerance))
         return poles[bad]
 
+    @property
+    def trivial(self) -> bool:
+        """Whether stability is all that is asked for."""
+        return self.damping_ratio == 0.0 and not self.decay_rate and self.radius is None
+
     def describe(self) -> str:
         """Return the conditions in words."""
         words = [f"damping ratio >= {self.damping_ratio:.4g}"]

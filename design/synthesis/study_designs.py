@@ -23,7 +23,7 @@ from ..errors import InfeasibleDesign, UncertifiedDesign
 from ..linear.linearise import select, speeds_in_rad
 from ..lmi.problem import Matrix
 from ..reduction.balanced import balanced_truncation
-from .check import UNREACHABLE_MODE, describe_mode, modal_shares
+from .check import describe_mode, describe_reach, out_of_reach
 from .generalized_plant import mixed_sensitivity
 from .hinf import Conditioning, Synthesis, conventional, fault_tolerant, wide_area_damping
 from .lmi_form import PoleRegion
@@ -315,21 +315,22 @@ def require_target_modes(
     ------
     InfeasibleDesign
     """
-    values, shares = modal_shares(loop.A, loop.B, loop.C)
+    values = np.linalg.eigvals(loop.A)
     frequency = np.abs(values.imag) / (2.0 * np.pi)
     inside = (frequency >= band_hz[0]) & (frequency <= band_hz[1]) & (values.imag > 0.0)
     if not np.any(inside):
         return
     damping = np.where(inside, -values.real / np.maximum(np.abs(values), 1e-12), np.inf)
     k = int(np.argmin(damping))
-    if not shares[k] >= UNREACHABLE_MODE:
+    mode = complex(values[k])
+    if out_of_reach(loop.A, loop.B, loop.C, mode):
         raise InfeasibleDesign(
-            f"{what}: mode {describe_mode(complex(values[k]))} cannot be moved from "
-            f"{', '.join(loop.input_labels)} with {', '.join(loop.output_labels)}: controllability x "
-            f"observability is {shares[k]:.1e} of the strongest mode's; choose another actuator or signal "
+            f"{what}: mode {describe_mode(mode)} cannot be moved from "
+            f"{', '.join(loop.input_labels)} with {', '.join(loop.output_labels)}: "
+            f"{describe_reach(loop.A, loop.B, loop.C, mode)}; choose another actuator or signal "
             "(see the loop ranking)",
             constraint="controllability",
-            asked=float(shares[k]),
+            asked=None,
         )
 
 

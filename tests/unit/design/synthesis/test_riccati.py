@@ -1,4 +1,4 @@
-"""The Riccati oracle against a closed form, its own closed loop, and the LMIs."""
+"""The Riccati equations against a closed form, their own closed loop, and the LMIs."""
 
 from __future__ import annotations
 
@@ -6,11 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from independent.riccati import hinf_riccati
 
+from interarea.design.errors import InfeasibleDesign
 from interarea.design.linear.norms import hinf_of
-from interarea.design.synthesis.generalized_plant import GeneralizedPlant
-from interarea.design.synthesis.hinf import Conditioning, PoleRegion, hinf_region
+from interarea.design.lmi.solve import solve
+from interarea.design.synthesis.generalized_plant import GeneralizedPlant, scaled
+from interarea.design.synthesis.hinf import PoleRegion, hinf_region, region_problem
+from interarea.design.synthesis.riccati import hinf_riccati
+
+FREE = PoleRegion(0.0, None, None)
+
+
+def least_by_lmi(P: GeneralizedPlant) -> float:
+    """The least norm by semidefinite programming, the traces weighed with 1e-9."""
+    return solve(region_problem(scaled(P), FREE, 1e-9)).scalars["gamma"]
 
 
 def scalar_plant(a: float) -> GeneralizedPlant:
@@ -51,8 +60,7 @@ def test_scalar_optimum(a: float) -> None:
     """X = Y = gamma at the optimum of the two scalar Riccati equations: gamma = a + sqrt(a^2 + 2)."""
     exact = a + np.sqrt(a**2 + 2.0)
     assert hinf_riccati(scalar_plant(a)).gamma == pytest.approx(exact, rel=1e-6)
-    lmi = hinf_region(scalar_plant(a), PoleRegion(0.0, None, None), conditioning=Conditioning(1e-9))
-    assert lmi.facts["gamma_optimum"] == pytest.approx(exact, rel=1e-5)
+    assert least_by_lmi(scalar_plant(a)) == pytest.approx(exact, rel=1e-5)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -69,11 +77,45 @@ def test_central_controller_attains_its_level(seed: int) -> None:
 def test_lmi_and_riccati_agree(seed: int) -> None:
     """Two ways to the same optimum; the LMI's may not be below it, and its controller passes its check."""
     P = random_plant(seed)
-    oracle = hinf_riccati(P).gamma
-    design = hinf_region(P, PoleRegion(0.0, None, None), conditioning=Conditioning(1e-9))
-    assert design.facts["gamma_optimum"] == pytest.approx(oracle, rel=1e-4)
-    assert design.facts["gamma_optimum"] >= oracle * (1 - 1e-6)
-    assert oracle * (1 - 1e-6) <= design.norm_of["normal"] <= design.gamma * (1 + 1e-3)
+    design = hinf_region(P, FREE)
+    optimum, lmi = design.facts["gamma_optimum"], least_by_lmi(P)
+    assert lmi == pytest.approx(optimum, rel=1e-4)
+    assert lmi >= optimum * (1 - 1e-6)
+    assert design.engine == "Riccati equations" and design.solves == 0
+    assert optimum * (1 - 1e-6) <= design.norm_of["normal"] <= design.gamma * (1 + 1e-6)
+    assert design.gamma <= optimum * (1 + 1e-3)
+
+
+@pytest.mark.parametrize("seed", range(10, 14))
+def test_the_weight_of_the_traces_leaves_the_norm_alone(seed: int) -> None:
+    """A disk of 1e4 rad/s holds every pole: by LMIs, within 3e-4 of the optimum without it."""
+    P = random_plant(seed)
+    design = hinf_region(P, PoleRegion(0.0, None, 1e4))
+    assert design.engine == "structured"
+    assert 1 - 1e-6 <= design.facts["gamma_optimum"] / hinf_riccati(P).gamma <= 1 + 3e-4
+
+
+def test_a_singular_problem_goes_to_the_lmis() -> None:
+    design = hinf_region(replace(scalar_plant(-1.0), D12=np.zeros((2, 1))), FREE)
+    assert design.engine == "structured"
+
+
+def test_feedthrough_that_asks_for_one_of_the_controller_goes_to_the_lmis() -> None:
+    """The central controller has D_K not zero, which the loop here forbids: the LMIs have the larger norm."""
+    P = random_plant(3, d11=True)
+    design = hinf_region(P, FREE)
+    assert design.engine == "structured" and not design.controller.D.any()
+    assert design.facts["gamma_optimum"] >= hinf_riccati(P).gamma * (1 - 1e-6)
+
+
+@pytest.mark.parametrize("cap", [1.0, 3.0])
+def test_the_cap_holds_without_a_region_too(cap: float) -> None:
+    """The optimum of a = 1 is 1 + sqrt(3)."""
+    if cap > 1.0 + np.sqrt(3.0):
+        assert hinf_region(scalar_plant(1.0), FREE, gamma_cap=cap).norm_of["normal"] <= cap
+        return
+    with pytest.raises(InfeasibleDesign, match=r"the least norm .* is 2\.732, allowed is 1"):
+        hinf_region(scalar_plant(1.0), FREE, gamma_cap=cap)
 
 
 def test_singular_problem_is_regularised_and_says_so() -> None:

@@ -1,18 +1,27 @@
-r"""H-infinity control by two Riccati equations: the oracle beside the LMIs.
+r"""H-infinity control by two Riccati equations: what is exact where no pole region is asked for.
 
 `hinf_riccati` is the two-Riccati solution of the H-infinity problem with D11 of any value,
 inside a bisection over gamma. [Doyle1989], [Zhou1996]
+`without_region` is the design by it, checked as one by LMIs is.
 """
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
 
-from interarea.design.lmi.problem import Matrix
-from interarea.design.synthesis.generalized_plant import GeneralizedPlant
+from ..errors import UncertifiedDesign
+from ..lmi.problem import Matrix
+from ..lmi.solve import one_blas_thread
+from .check import Synthesis, checked
+from .generalized_plant import GeneralizedPlant
+from .lmi_form import PoleRegion
+
+#: Shares by which the level of the controller lies above the optimum, tried in turn.
+_SLACKS = (5e-4, 1e-3, 1e-2, 0.05, 0.2)
 
 
 @dataclass(frozen=True)
@@ -20,6 +29,7 @@ class HinfDesign:
     """Central controller u = +K y of the standard problem; `note` says what was regularised."""
 
     gamma: float  #: level at which the conditions hold; within the bisection's tolerance of the optimum
+    trials: int  #: levels tried
     A: Matrix
     B: Matrix
     C: Matrix
@@ -27,7 +37,7 @@ class HinfDesign:
     note: str
 
 
-def hinf_riccati(P: GeneralizedPlant, *, tolerance: float = 1e-7, regularise: float = 1e-6) -> HinfDesign:
+def hinf_riccati(P: GeneralizedPlant, *, tolerance: float = 1e-9, regularise: float = 1e-6) -> HinfDesign:
     r"""Solve ``min |T_zw|`` by bisection over the two-Riccati conditions. [Doyle1989], [Zhou1996]
 
     D11 need not vanish, D12 and D21 any: they are brought to the standard form
@@ -45,7 +55,7 @@ def hinf_riccati(P: GeneralizedPlant, *, tolerance: float = 1e-7, regularise: fl
     P, note = _full_rank(P, regularise)
     low = float(np.linalg.norm(_static_floor(P)))
     high = max(1.0, 2.0 * low)
-    found = _central(P, high)
+    found, trials = _central(P, high), 1
     while found is None:
         low, high = high, 4.0 * high
         if high > 1e12:
@@ -53,15 +63,73 @@ def hinf_riccati(P: GeneralizedPlant, *, tolerance: float = 1e-7, regularise: fl
                 "H-infinity Riccati: no level is feasible; (A, B2) is not stabilizable, (C2, A) is not "
                 "detectable, or zeros lie on the imaginary axis"
             )
-        found = _central(P, high)
+        found, trials = _central(P, high), trials + 1
     while high - low > tolerance * high:
         middle = 0.5 * (low + high) if low > 0.5 * high else max(np.sqrt(max(low, 1e-12) * high), 0.25 * high)
-        trial = _central(P, middle)
+        trial, trials = _central(P, middle), trials + 1
         if trial is None:
             low = middle
         else:
             high, found = middle, trial
-    return HinfDesign(high, *found, note=note)
+    return HinfDesign(float(high), trials, *found, note=note)
+
+
+def without_region(
+    P: GeneralizedPlant, region: PoleRegion, *, slack: float | None, what: str
+) -> Synthesis | None:
+    """Return the central controller a little above the optimum; None where these equations do not apply.
+
+    They do not where D12 or D21 lack rank, zeros lie on the imaginary axis, or the controller has D_K not 0.
+
+    slack : share by which its level lies above the optimum; None: 5e-4, more where the check fails there.
+
+    Raises
+    ------
+    UncertifiedDesign : the closed loop contradicts every level.
+    """
+    started = time.perf_counter()
+    try:
+        with one_blas_thread():
+            optimum = hinf_riccati(P)
+    except ValueError:
+        return None
+    if optimum.note:
+        return None
+    refusal: UncertifiedDesign | None = None
+    for r in _SLACKS if slack is None else (slack, *(x for x in _SLACKS if x > slack)):
+        level = (1.0 + r) * optimum.gamma
+        central = _central(P, level)
+        if central is None:
+            continue
+        *K, D_K = central
+        if not _norm(D_K) <= 1e-12 * max(1.0, _norm(K[2]) * _norm(K[1])):
+            return None
+        try:
+            pattern, wanted = {"normal": (P.C2, P.D21)}, {"normal": region}
+            poles_of, norm_of = checked(P, (K[0], K[1], K[2]), pattern, wanted, level, what=what)
+        except UncertifiedDesign as error:
+            refusal = error if refusal is None else refusal
+            continue
+        return Synthesis(
+            controller=P.controller(*K),
+            gamma=level,
+            norm_of=norm_of,
+            poles_of=poles_of,
+            region_of=wanted,
+            solves=0,
+            seconds=time.perf_counter() - started,
+            engine="Riccati equations",
+            facts={
+                "gamma_optimum": optimum.gamma,
+                "gamma_slack": r,
+                "gap": 1e-9,
+                "iterations": optimum.trials,
+                "status": "optimal",
+            },
+        )
+    if refusal is not None:
+        raise refusal
+    return None
 
 
 def _full_rank(P: GeneralizedPlant, regularise: float) -> tuple[GeneralizedPlant, str]:
