@@ -9,7 +9,7 @@ from typing import Any
 import control
 
 from interarea.cosim.designs.ranked_loops import ranked_loops
-from interarea.cosim.run.artefacts import linear_plant, sparse_linear_plant
+from interarea.cosim.run.artefacts import growth_at_rest, linear_plant, sparse_linear_plant
 from interarea.design.linear.linearise import remove_reference
 from interarea.design.linear.systems import SystemLike, kind_of, state_space
 from interarea.design.modes.loop_choice import KINDS
@@ -71,7 +71,8 @@ def import_case(
     coordinates : CSV with the columns bus, latitude, longitude.
     release_limits : widen the limits beyond which controls would start; what was changed is in the report.
     devices : files of devices of one's own; records of their names (USRMDL or not) become these.
-    report : called with what was read, assumed and dropped, and how the controls start, as text.
+    report : called with what was read, assumed and dropped, how the controls start, and whether the grid is
+        stable at rest, as text.
 
     Raises
     ------
@@ -99,7 +100,8 @@ def import_case(
         devices=devices,
     )
     if report is not None:
-        report(imported.report.text())
+        growth = growth_at_rest(imported.case, default_cache())
+        report(imported.report.text() + ("" if growth is None else f"\nat rest {growth.text}"))
     return imported.case
 
 
@@ -129,6 +131,8 @@ def linearise(case: Case | str | Path, *, reference: bool = False) -> control.St
 
 def modes(case: Case | str | Path) -> SwingModes:
     """Return the swing modes of a case, a Mapping name -> `Mode`, named by shape (``inter-area``).
+
+    Its `growth` is the verdict on all eigenvalues, swing modes or not; the repr begins with it.
 
     Raises
     ------

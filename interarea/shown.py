@@ -44,11 +44,15 @@ class SwingModes(Modes):
     @classmethod
     def of(cls, modes: Modes, case: Case) -> SwingModes:
         """Return named modes with the case they belong to."""
-        return cls(modes.by_name, modes.eigenvalues, case)
+        return cls(modes.by_name, modes.eigenvalues, modes.growth, case)
 
     def __repr__(self) -> str:
         listed = ", ".join(f"{n} {m.frequency_hz:.3f} Hz {m.damping_ratio:.3f}" for n, m in self.items())
-        return f"Modes({self._title}: {listed})"
+        return f"Modes({self._title}: {self._verdict}; {listed})"
+
+    @property
+    def _verdict(self) -> str:
+        return "" if self.growth is None else self.growth.text
 
     @property
     def _title(self) -> str:
@@ -80,7 +84,7 @@ class SwingModes(Modes):
         return shape_plot(self[mode] if mode else self.inter_area, self.case)
 
     def _repr_html_(self) -> str:
-        return _html(f"{self._title}: swing modes", self.to_frame())
+        return f"<p>{html.escape(self._verdict)}</p>" + _html(f"{self._title}: swing modes", self.to_frame())
 
 
 @dataclass(frozen=True, repr=False)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import control
 
     from interarea.design.linear.sparse_plant import SparsePlant
+    from interarea.design.modes.growth import Growth
     from interarea.models.blocks.variables import Block
 
 MOST_DENSE = 3000  #: states of a linear model as matrices: 72 MB each, and a minute for all modes
@@ -232,6 +233,22 @@ def sparse_linear_plant(case: Case, cache: Path) -> SparsePlant:
     point = operating_point(case)
     block = plant_block(case, event_slots=0, point=point)
     return sparse_plant(DeviceSlopes(block, cache=cache), block.data, point.power_flow.voltages)
+
+
+def growth_at_rest(case: Case, cache: Path) -> Growth | None:
+    """Return the verdict on a case at rest without a controller; None where it has no dynamics to judge.
+
+    Of a case in several parts, of one that has power flow alone and of one that cannot start there is none.
+    """
+    from interarea.design.modes.growth import growth_of_plant
+    from interarea.models.errors import UserError
+
+    if not case.machines or any(machine.model == "power_flow" for machine in case.machines):
+        return None
+    try:
+        return growth_of_plant(sparse_linear_plant(case, cache))
+    except UserError:  # said where the case is run
+        return None
 
 
 def _save_linear(system: LinearMatrices, path: Path) -> None:

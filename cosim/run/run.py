@@ -23,6 +23,7 @@ from ..scenario.names import wrong_targets
 from ..scenario.scenario import Scenario, load_scenario
 from ..scenario.ways import Way
 from ..trajectory import Trajectory
+from .artefacts import growth_at_rest
 from .controllers import ControllerLike, controller_of
 from .detector import add_detector, flags
 from .instance import Fmus, Instance
@@ -71,7 +72,7 @@ def run_system(
     """Run any scenario: a `Run` when it has a case, else a plain `Result`. Parameters as `run_scenario`."""
     loaded = load_scenario(scenario)
     _refuse_joint(loaded)
-    system = system_of(loaded, case=case, controller=controller, cache=cache).warned()
+    system = _told(system_of(loaded, case=case, controller=controller, cache=cache))
     if controller is not None and system.swing is not None:
         name = system.parts[CONTROLLER].file.description.title if CONTROLLER in system.parts else "none"
         system.scenario = loaded.model_copy(update={"controller": name})  # results tell what ran
@@ -100,7 +101,7 @@ def write_run(
     """
     loaded = load_scenario(scenario)
     _refuse_joint(loaded)
-    system = system_of(loaded, cache=cache).warned()
+    system = _told(system_of(loaded, cache=cache))
 
     def take(part: Trajectory) -> None:
         files.add(part)
@@ -128,6 +129,17 @@ def write_run(
     until = f"results up to t = {float(result.trajectory.time_s[-1]):.9g} s are in {folder}"
     failed.args = (f"{failed}; {until}",)
     raise failed
+
+
+def _told(system: System) -> System:
+    """Warn of what was hardly meant, a grid that grows before anything happens too."""
+    if PLANT in system.parts:
+        growth = growth_at_rest(system.case, system.fmus.cache)
+        if growth is not None and not growth.stable:
+            system.warnings.append(
+                f"case {system.case.name}, at rest and without a controller: {growth.text}"
+            )
+    return system.warned()
 
 
 def _refuse_joint(scenario: Scenario) -> None:

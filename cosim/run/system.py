@@ -414,7 +414,7 @@ class System:
     def warned(self) -> System:
         """Return this system after a `ScenarioWarning` for each of its warnings."""
         for line in self.warnings:
-            warn(line, ScenarioWarning, stacklevel=3)
+            warn(line, ScenarioWarning, stacklevel=4)
         return self
 
     def linear_swings(self) -> LoopModes | str:

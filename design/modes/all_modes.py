@@ -10,17 +10,20 @@ from typing import Any
 
 import numpy as np
 
+from ..linear.matrices import LinearMatrices
 from ..linear.resolvent import Loop, OpenLoop
 from ..linear.sparse_plant import SparsePlant
 from ..linear.standing import Standing, standing_of
+from .growth import WHOLE
 from .mode_count import RIGHT, SLOWEST, Count, OnTheLine, Rectangle, Region, count_modes
 from .mode_search import Pair, Search
-from .modes import Mode, ModeError, Participation
+from .modes import Mode, ModeError, Participation, modes_of
 from .patterns import pattern_parts
 
 RESIDUAL = 1e-9  #: largest |A v - lambda v| / (|lambda| |v|)
 COMMON = "common frequency"  #: all machines together, what governors hold
 _MECHANICAL = 0.1  # share of angles and speeds below which a mode is of the controls
+_SAME = 1e-5  # relative: one mode computed in two ways
 _ROUNDS = 8
 _LEFT = (-SLOWEST, -3.0 * SLOWEST, -0.3 * SLOWEST)  # 1/s: where the count below the band starts
 
@@ -32,7 +35,7 @@ class AllModes:
     Attributes
     ----------
     modes : names by shape (`inter-area 2`, `local area 1.3`, `common frequency`, `control 4`), numbered by
-        frequency.
+        frequency. Of a plant of at most `growth.WHOLE` states the swing modes have the names of `modes_of`.
     counted : modes within by the argument principle; always as many as `modes`.
     band_hz, below : the region that was counted. moved : lines that were moved off a mode, in words.
     residual : the largest of any mode.
@@ -145,7 +148,7 @@ def all_modes(
         raise ModeError(f"below = {below:g}, wanted a damping ratio over 0 and under 1, such as 0.2")
     requested = Region((2.0 * np.pi * low, 2.0 * np.pi * high), float(below))
     search = Search(loop or OpenLoop(plant), requested, RESIDUAL)
-    search.everywhere()
+    search.everywhere(requested)
     exact = _Exact(search)
     region, count = _counted(exact, requested)
     for _ in range(_ROUNDS):
@@ -162,7 +165,7 @@ def all_modes(
     slow = _near_zero(exact, region, standing)
     hz = (region.band[0] / (2.0 * np.pi), region.band[1] / (2.0 * np.pi))
     return AllModes(
-        modes=_named(plant, pairs, areas),
+        modes=_named(plant, pairs, areas, _swings(plant, areas) if loop is None else {}),
         counted=count.modes,
         band_hz=hz,
         below=region.below,
@@ -224,15 +227,43 @@ def _near_zero(exact: _Exact, region: Region, standing: Standing) -> Count:
     )
 
 
-def _named(plant: SparsePlant, pairs: list[Pair], areas: Mapping[str, int]) -> tuple[Mode, ...]:
+def _swings(plant: SparsePlant, areas: Mapping[str, int]) -> Mapping[str, Mode]:
+    """The swing modes by the names that `modes_of` gives them; none where it is large or has others."""
+    if plant.nstates > WHOLE:
+        return {}
+    C = np.zeros((len(plant.machines), plant.nstates))
+    C[np.arange(len(plant.machines)), plant.speed] = 1.0
+    speeds = [f"{machine}_dw" for machine in plant.machines]
+    A, none = plant.state_matrix(), np.zeros((plant.nstates, 0))
+    try:
+        return modes_of(LinearMatrices(A, none, C, C[:, :0], plant.states, [], speeds), areas)
+    except ModeError:
+        return {}
+
+
+def _named(
+    plant: SparsePlant, pairs: list[Pair], areas: Mapping[str, int], swings: Mapping[str, Mode]
+) -> tuple[Mode, ...]:
+    """Name modes by shape; where all swing modes are known, what is none of them is a control's."""
     area_of = [areas[m] for m in plant.machines]
-    kinds = [_kind(plant, p, area_of) for p in pairs]
+    kinds = []
+    known: list[Mode | None] = []
+    for pair in pairs:
+        kind, share = _kind(plant, pair, area_of)
+        near = [m for m in swings.values() if abs(m.eigenvalue - pair.value) <= _SAME * abs(pair.value)]
+        known.append(near[0] if near else None)
+        if near:
+            kind, share = near[0].name, near[0].share
+        elif swings and kind != COMMON:
+            kind = "control"
+        kinds.append((kind, share))
     of_kind = [kind for kind, _ in kinds]
     modes = []
     for k, (pair, (kind, share)) in enumerate(zip(pairs, kinds, strict=True)):
         separator = "." if kind.startswith("local") else " "
         number = of_kind[: k + 1].count(kind)
-        name = kind if of_kind.count(kind) == 1 else f"{kind}{separator}{number}"
+        swing = known[k]
+        name = kind if of_kind.count(kind) == 1 or swing is not None else f"{kind}{separator}{number}"
         speeds = pair.right[plant.speed]
         speeds = speeds / speeds[np.argmax(np.abs(speeds))]
         weight = np.abs(pair.left * pair.right)
@@ -245,6 +276,7 @@ def _named(plant: SparsePlant, pairs: list[Pair], areas: Mapping[str, int]) -> t
                 share=share,
                 right=pair.right,
                 left=pair.left,
+                rivals=() if swing is None else swing.rivals,
             )
         )
     return tuple(modes)

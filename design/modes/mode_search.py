@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..linear.resolvent import Loop
-from .mode_count import RIGHT, Region
+from .mode_count import RIGHT, Rectangle, Region
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -85,7 +85,7 @@ class Search:
     """Looks for the eigenpairs of a loop within a region, and remembers those it has."""
 
     loop: Loop
-    region: Region
+    region: Region | Rectangle
     tolerance: float
     pairs: list[Pair] = field(default_factory=list)
     beside: list[complex] = field(default_factory=list)  #: eigenvalues out of the region, about right
@@ -93,13 +93,18 @@ class Search:
     _cells: list[_Cell] = field(default_factory=list)
     _random: np.random.Generator = field(default_factory=lambda: np.random.default_rng(7))
 
-    def everywhere(self) -> None:
-        """Look once in every cell; what an ended look did not reach is looked at in smaller ones."""
-        todo = _cells(self.region, max(1, round(self.loop.nstates / _STATES_A_CELL)))
+    def about(self, centre: complex) -> None:
+        """Look once about a point, with what is known left out."""
+        sides = (centre.real - 1e-3, centre.real + 1e-3), (centre.imag - 1e-3, centre.imag + 1e-3)
+        self._keep(self._ritz(_Cell(*sides), _MOST_STEPS, deflated=True)[0])
+
+    def everywhere(self, region: Region) -> None:
+        """Look once in every cell of a region; what a look did not reach is looked at in smaller ones."""
+        todo = _cells(region, max(1, round(self.loop.nstates / _STATES_A_CELL)))
         discs: list[tuple[complex, float]] = []
         while todo:
             cell = todo.pop()
-            left_out = cell.real[1] < -self.region.slope * cell.imag[1]
+            left_out = cell.real[1] < -region.slope * cell.imag[1]
             if left_out or any(cell.within(*disc) for disc in discs):
                 continue
             result, reached = self._ritz(cell, _MOST_STEPS, deflated=False)

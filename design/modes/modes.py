@@ -17,6 +17,7 @@ from scipy.linalg import eig
 
 from interarea.models.errors import UserError
 
+from .growth import Growth, growth_of_spectrum
 from .patterns import assigned_names, pattern_energies, pattern_parts
 
 if TYPE_CHECKING:
@@ -114,10 +115,11 @@ class Mode:
 
 @dataclass(frozen=True)
 class Modes(Mapping[str, Mode]):
-    """The named swing modes of a system, with all its eigenvalues."""
+    """The named swing modes of a system, with all its eigenvalues and the verdict on them."""
 
     by_name: Mapping[str, Mode]
     eigenvalues: ComplexMatrix
+    growth: Growth | None = None  #: on all eigenvalues, swing modes or not
 
     def __getitem__(self, name: str) -> Mode:
         try:
@@ -187,7 +189,9 @@ def modes_of(
     if len(machines) < 2:
         raise ModeError(f"{len(machines)} machine(s) in `areas`: a swing mode needs at least two")
     C = _speed_rows(system, machines)
-    spectrum = _Spectrum.of(np.asarray(system.A, dtype=float))
+    A = np.asarray(system.A, dtype=float)
+    spectrum = _Spectrum.of(A)
+    growth = growth_of_spectrum(A, system.state_labels, spectrum.values, spectrum.left, spectrum.right)
     swinging = spectrum.swinging(system, C, band_hz)
     if len(swinging) < len(machines) - 1:
         modes = (spectrum.values[i] for i in swinging)
@@ -195,7 +199,7 @@ def modes_of(
         raise ModeError(
             f"{len(machines)} machines have {len(machines) - 1} swing modes, but {len(swinging)} were found "
             f"between {band_hz[0]:g} and {band_hz[1]:g} Hz ({listed}); a machine missing from `areas`, "
-            "an overdamped mode, or another band"
+            f"an overdamped mode, or another band; the whole spectrum: {growth.text}"
         )
     area_of = [areas[m] for m in machines]
     states = _speed_states(system, C)
@@ -221,10 +225,11 @@ def modes_of(
     if len(set(areas.values())) > 1 and not any(n.startswith("inter-area") for n in found_modes):
         raise ModeError(
             f"no mode in which the areas {sorted(set(areas.values()))} swing against each other; found "
-            f"{', '.join(found_modes)}: are the machines assigned to the right areas?"
+            f"{', '.join(found_modes)}: are the machines assigned to the right areas? The whole spectrum: "
+            f"{growth.text}"
         )
     order = sorted(found_modes, key=_name_key)
-    return Modes({name: found_modes[name] for name in order}, spectrum.values)
+    return Modes({name: found_modes[name] for name in order}, spectrum.values, growth)
 
 
 @dataclass(frozen=True)

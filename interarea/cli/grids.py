@@ -61,10 +61,13 @@ def import_grid(
     ] = False,
 ) -> None:
     """Read a grid, solve its power flow, write it as a case file; say what was read, assumed and dropped."""
+    from interarea.cosim.run.artefacts import growth_at_rest
+    from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.write_toml import export_toml
     from interarea.models.importers.file import import_grid as read_grid
 
     from .destination import file_for
+    from .terminal import busy
 
     file_for(out)
     imported = read_grid(
@@ -82,11 +85,16 @@ def import_grid(
     )
     out.parent.mkdir(parents=True, exist_ok=True)
     export_toml(imported.case, out)
+    with busy(f"whether {imported.case.name} is stable at rest"):
+        growth = growth_at_rest(imported.case, default_cache())
     if json_:
-        typer.echo(json.dumps({"file": str(out), **imported.report.as_dict()}, indent=2))
+        verdict = {"growth": None if growth is None else growth.as_dict()}
+        typer.echo(json.dumps({"file": str(out), **verdict, **imported.report.as_dict()}, indent=2))
         return
     typer.echo(out)
     typer.echo(imported.report.text(), err=True)
+    if growth is not None:
+        typer.echo(f"at rest {growth.text}", err=True)
 
 
 def export(

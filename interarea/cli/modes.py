@@ -90,6 +90,7 @@ def modes(
         _all_modes(loaded, *region, paths, around, participation, shapes, json_, plot)
         return
     from interarea.cosim.run.artefacts import linear_matrices
+    from interarea.design.modes.growth import growth_of
     from interarea.design.modes.modes import modes_of
     from interarea.fmu_build.write.cache import default_cache
 
@@ -105,12 +106,15 @@ def modes(
 
             moved = parameter_sensitivities(loaded, sensitivity, cache)
     files = _plots(result, loaded, plot)
+    growth = result.growth or growth_of(system.A, system.state_labels)
     if json_:
         document = _as_dict(loaded, result, participation, moved, files)
+        document = {"case": document.pop("case"), "growth": growth.as_dict(), **document}
         if margins:
             document["margins"] = limits
         typer.echo(json.dumps(document, indent=2, allow_nan=False))
         return
+    typer.echo(growth.text)
     _print_modes(f"{loaded.name}: {system.nstates} states, swing modes", result, participation)
     if shapes:
         _print_shapes(result, loaded)
@@ -186,18 +190,26 @@ def _all_modes(
     from interarea.cosim.designs.sensitivities import all_mode_sensitivities
     from interarea.cosim.run.artefacts import sparse_linear_plant
     from interarea.design.modes.all_modes import all_modes
+    from interarea.design.modes.growth import growth_of_plant
     from interarea.fmu_build.write.cache import default_cache
 
     with busy(f"all modes of {case.name}"):
         plant = sparse_linear_plant(case, default_cache())
         loop = None if around is None else _with_controller(case, plant, *around, band_hz[1])
         result = all_modes(plant, case.areas, band_hz=band_hz, below=below, loop=loop)
+        found = [mode.eigenvalue for mode in result.modes]
+        growth = growth_of_plant(plant, loop, found)
         moved = all_mode_sensitivities(case, result.modes, paths if result.modes else [], default_cache())
         by_name = {mode.name: mode for mode in result.modes}
         files = _plots(by_name, case, plot)
     if as_json:
         states = plant.nstates
-        document = {"case": case.name, "states": states, **result.as_dict(count, shapes=shapes)}
+        document = {
+            "case": case.name,
+            "growth": growth.as_dict(),
+            "states": states,
+            **result.as_dict(count, shapes=shapes),
+        }
         document |= {"controller": around and around[0], "latency_s": around and around[1]}
         document["sensitivity"] = _sensitivity_dict(moved)
         document["plots"] = [str(file) for file in files]
@@ -210,6 +222,7 @@ def _all_modes(
     title += f"{result.below:g}: {len(by_name)}, counted independently: {result.counted}"
     if around is not None:
         title += f"; with {around[0]}, signals {around[1]:g} s late"
+    typer.echo(growth.text)
     _print_modes(title, by_name, count)
     for line in (*result.moved, *result.remarks):
         typer.echo(line)

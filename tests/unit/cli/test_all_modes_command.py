@@ -11,11 +11,12 @@ def test_all_modes_are_printed_with_their_count(interarea) -> None:  # type: ign
     code, out, _ = interarea("modes", "two-area-thesis", "--band", "0.1:2.5", "--below", "0.2", "--shapes")
     assert code == 0
     lines = out.splitlines()
-    assert lines[0] == (
+    assert lines[0] == "stable: of 56 eigenvalues none grows faster than 1.0e-06 1/s"
+    assert lines[1] == (
         "two-area-thesis: 56 states, modes from 0.1 to 2.5 Hz below a damping ratio of 0.2: 1, "
         "counted independently: 1"
     )
-    assert lines[2].split()[:3] == ["inter-area", "0.6227", "0.0806"]
+    assert lines[3].split()[:3] == ["inter-area", "0.6227", "0.0806"]
     assert "its eigenvalue 0 is no instability" in out
     assert "speeds of the machines" in out
 

@@ -91,7 +91,7 @@ def test_machines_without_a_place_are_named_and_too_few_places_give_a_compass(no
 
     def drawn(case: Case) -> str:
         mode = Mode("inter-area", 1j, SHAPE, Participation(), 1.0, NONE, NONE)
-        return str(SwingModes({"inter-area": mode}, NONE, case).plot().axes[0].name)
+        return str(SwingModes({"inter-area": mode}, NONE, case=case).plot().axes[0].name)
 
     assert drawn(load_case(CASE)) == "polar"
     assert drawn(placed({m.bus: (60.0, 20.0) for m in machines})) == "polar"
