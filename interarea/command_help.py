@@ -25,6 +25,7 @@ SUMMARIES = {
     "check": "Check an FMU or SSP file against the standard.",
     "import": "Read a grid, solve its power flow, write a case file.",
     "export": "Write a case as RAW, DYR, MATPOWER or TOML.",
+    "meter": "Meter a record: what swings, how damped, forced or modal.",
     "cache": "Show, check or trim the cache of FMUs and designs.",
     "study": "Run a whole study and write its report.",
 }
@@ -52,6 +53,7 @@ EXAMPLES = {
     "import": "interarea import grid.raw --dyr grid.dyr --out grid.toml",
     "export": "interarea export new-england --out grid.raw",
     "device": "interarea device tgov1 --set R=0.05 --set T1=0.5 --set T2=2 --set T3=7",
+    "meter": "interarea meter pmu.csv --case grid.toml --band 0.1:2",
     "cache": "interarea cache --check",
     "study": "interarea study thesis --out out/thesis --no-second-solver",
 }

@@ -108,6 +108,10 @@ COMMANDS = {
         "grids:export",
         "Write a case, or it at another operating point, as one file; what its format cannot hold is named.",
     ),
+    "meter": (
+        "records.meter:meter",
+        "Meter a record: what swings, how damped by two methods, forced or modal, which mode of a case.",
+    ),
     "cache": (
         "cache:cache",
         "Show what the cache of FMUs and designs holds; check it, trim it.",

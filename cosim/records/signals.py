@@ -1,0 +1,171 @@
+"""The signals of a record that swing: of one quantity, at an even rate, and their strongest combinations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from .even import resampled
+from .record import Array, Record, RecordError
+
+BAND_HZ = (0.1, 2.5)
+#: what is looked at where it was measured, the best first
+_QUANTITIES = ("speed", "frequency", "active power", "rotor angle", "voltage angle", "voltage")
+_ANGLES = ("rotor angle", "voltage angle")
+_RATE = 4.0  # samples a period of the upper end of the band
+_MOST_COMBINED = 3
+_COARSE = 0.3  # of what swings in the band: steps of the numbers above which a quantity is taken last
+_LEAST_SHARE = 0.02  # of the motion in the band: a combination with less is noise
+_LEAST_PERIODS = 2.0  # of the lower end of the band
+
+
+@dataclass(frozen=True, eq=False)
+class Swings:
+    """What swings in a record.
+
+    names, terminals : of the signals. unit : theirs. raw : (points, signals). values : without slow motion.
+    combined : (points, combinations), of unit size in the band. weights : (combinations, signals), combined =
+    values weights^T.
+    """
+
+    names: tuple[str, ...]
+    terminals: tuple[str, ...]
+    quantity: str
+    unit: str
+    raw: Array
+    values: Array
+    combined: Array
+    weights: Array
+    step_s: float
+    notes: tuple[str, ...]
+
+    @property
+    def length_s(self) -> float:
+        """Length of the record, s."""
+        return len(self.values) * self.step_s
+
+
+def swings_of(
+    record: Record,
+    band_hz: tuple[float, float] = BAND_HZ,
+    quantity: str | None = None,
+    of: Sequence[str] = (),
+) -> Swings:
+    """Return the signals of the best quantity that was measured, or of `quantity`, or the channels `of`.
+
+    Of speeds, frequencies and angles at three places or more their mean is taken out. Angles are taken as
+    frequencies, by their slope.
+
+    Raises
+    ------
+    RecordError : no such channel, none that moves, a rate or length that does not show the band.
+    """
+    low, high = band_hz
+    _require_shown(record, low, high)
+    chosen, what, notes = _chosen(record, band_hz, quantity, of)
+    values = np.column_stack([record[c] for c in chosen])
+    unit = next(c.unit for c in record.channels if c.name == chosen[0])
+    if what in _ANGLES:
+        values, unit = np.gradient(values, record.step_s, axis=0) / (2.0 * np.pi), "Hz"
+    if values.shape[1] >= 3 and what in ("speed", "frequency", *_ANGLES):
+        values = values - values.mean(axis=1, keepdims=True)
+        notes.append("the mean of all places is taken out")
+    step_s = record.step_s
+    if step_s * _RATE * high < 0.75:
+        values, step_s, _ = resampled(values, step_s, _RATE * high, record.source)
+    raw, values = values, _passed(values, step_s, (0.8 * low, None))
+    inside = _passed(values, step_s, band_hz)
+    size = inside.std(axis=0)
+    if not size.max() > 0.0:
+        raise RecordError(f"{record.source}: no {what} swings from {low:g} to {high:g} Hz")
+    scale = 1.0 / np.maximum(size, 1e-6 * size.max())
+    _, sigma, right = np.linalg.svd(inside * scale, full_matrices=False)
+    share = sigma**2 / np.sum(sigma**2)
+    count = int(min(_MOST_COMBINED, max(1, np.sum(share > _LEAST_SHARE))))
+    weights = right[:count] * scale / (sigma[:count, None] / np.sqrt(len(values)))
+    terminal = {c.name: c.terminal for c in record.channels}
+    return Swings(
+        tuple(chosen), tuple(terminal[n] for n in chosen), what, unit, raw, values, values @ weights.T,
+        weights, step_s, tuple(notes),
+    )  # fmt: skip
+
+
+def _require_shown(record: Record, low: float, high: float) -> None:
+    """Raise unless the record is quick and long enough for a band."""
+    if not 0.0 < low < high:
+        raise RecordError(f"band {low:g}:{high:g} Hz, allowed: 0 < low < high")
+    if not 1.0 / record.step_s >= 2.0 * high:
+        raise RecordError(
+            f"{record.source}: {1.0 / record.step_s:.4g} samples a second show nothing up to {high:g} Hz, "
+            f"wanted: {2.0 * high:g} at least, or a band that ends below {0.5 / record.step_s:.4g} Hz"
+        )
+    if not record.length_s >= 0.99 * _LEAST_PERIODS / low:
+        raise RecordError(
+            f"{record.source}: {record.length_s:.4g} s are too short for {low:g} Hz, wanted: "
+            f"{_LEAST_PERIODS / low:g} s at least, or a band from {_LEAST_PERIODS / record.length_s:.2g} Hz"
+        )
+
+
+def _chosen(
+    record: Record, band_hz: tuple[float, float], quantity: str | None, of: Sequence[str]
+) -> tuple[list[str], str, list[str]]:
+    """Return the channels to look at, their quantity, and notes."""
+    still = set(record.still())
+    what, names, notes = _asked(record, of) if of else _best(record, band_hz, quantity, still)
+    moving = [n for n in names if n not in still]
+    if not moving:
+        which = f"none of {', '.join(names[:4])} moves" if names else f"no channel of {what} is there"
+        raise RecordError(
+            f"{record.source}: {which}, wanted: a measured {', '.join(_QUANTITIES[:3])} that moves"
+        )
+    left = [n for n in names if n in still]
+    return moving, what, [*notes, *([f"{', '.join(left[:6])}: never moves, left out"] if left else [])]
+
+
+def _asked(record: Record, of: Sequence[str]) -> tuple[str, list[str], list[str]]:
+    for name in of:
+        record[name]  # raises for one that is not there
+    kinds = {c.quantity for c in record.channels if c.name in of}
+    if len(kinds) > 1:
+        raise RecordError(
+            f"{record.source}: channels of {' and '.join(sorted(kinds))}, wanted: of one quantity"
+        )
+    return kinds.pop(), list(of), []
+
+
+def _best(
+    record: Record, band_hz: tuple[float, float], quantity: str | None, still: set[str]
+) -> tuple[str, list[str], list[str]]:
+    """Return the first quantity that moves and whose numbers are fine enough, its channels, and notes."""
+    wanted = _QUANTITIES if quantity is None else (quantity,)
+    there = {q: [c.name for c in record.channels if c.quantity == q] for q in wanted}
+    live = [q for q in wanted if not still.issuperset(there[q])]
+    fine = [q for q in live if q in _ANGLES or not _coarse(record, set(there[q]) - still, band_hz)]
+    what = (fine or live or list(wanted))[0]
+    coarse = quantity is None and bool(live) and what != live[0]
+    return what, there[what], [f"{live[0]}: its numbers are too coarse"] if coarse else []
+
+
+def _coarse(record: Record, names: set[str], band_hz: tuple[float, float]) -> bool:
+    """Whether the numbers of most channels step by much of what swings in a band."""
+    coarse = 0
+    for name in names:
+        values = np.sort(record[name])
+        steps = np.diff(values)
+        step = float(np.median(steps[steps > 1e-9 * np.ptp(values)]))
+        coarse += step > _COARSE * float(_passed(record[name][:, None], record.step_s, band_hz).std())
+    return coarse > len(names) / 2
+
+
+def _passed(values: Array, step_s: float, band_hz: tuple[float, float | None]) -> Array:
+    """Return what lies in a band, by a filter of zero phase."""
+    low, high = band_hz
+    nyquist = 0.5 / step_s
+    if high is None or high >= 0.98 * nyquist:
+        sos = butter(2, low / nyquist, "high", output="sos")
+    else:
+        sos = butter(2, [low / nyquist, high / nyquist], "band", output="sos")
+    return np.asarray(sosfiltfilt(sos, values - values.mean(axis=0), axis=0))

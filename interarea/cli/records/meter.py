@@ -1,0 +1,97 @@
+"""The command `meter`: how damped a record is, and whether what swings in it is forced."""
+
+from __future__ import annotations
+
+import json
+from cmath import phase
+from math import degrees
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..terminal import busy, note, print_table
+from .options import Band, CaseName, RecordFile, Units, Window, numbers, opened
+
+if TYPE_CHECKING:
+    from interarea.cosim.records.meter import Meter, Swing
+    from interarea.design.modes.modes import Mode
+
+_SHOWN = 4  #: terminals of a shape
+
+
+def meter(
+    file: RecordFile,
+    case: CaseName = None,
+    band: Band = None,
+    quantity: Annotated[
+        str | None,
+        typer.Option(
+            "--quantity", metavar="NAME", help="speed, frequency, active power, voltage angle, voltage"
+        ),
+    ] = None,
+    channel: Annotated[
+        list[str] | None, typer.Option("--channel", metavar="NAME", help="look at this channel alone; repeat")
+    ] = None,
+    window: Window = None,
+    unit: Units = None,
+    json_: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
+) -> None:
+    """Meter a record: what swings, how damped by two methods, forced or modal, which mode of a case."""
+    from interarea.cosim.records.meter import meter as metered
+    from interarea.cosim.records.signals import BAND_HZ
+
+    region = BAND_HZ if band is None else numbers(band, "--band", "LOW:HIGH in Hz, such as 0.1:2.5")
+    named, frequency_hz = _modes(case, region)
+    record = opened(file, window, unit, frequency_hz)
+    with busy(f"metering {file.name}"):
+        result = metered(record, band_hz=region, quantity=quantity, channels=channel or (), modes=named)
+    for line in result.notes[len(record.notes) :]:
+        note(f"{file.name}: {line}")
+    if json_:
+        typer.echo(json.dumps(result.as_dict(), indent=2, allow_nan=False))
+        return
+    _print(result, case)
+
+
+def _modes(case: str | None, band_hz: tuple[float, float]) -> tuple[tuple[Mode, ...], float]:
+    """Return all modes of a case in a band and its frequency, Hz."""
+    if case is None:
+        return (), 60.0
+    from interarea.cosim.run.artefacts import sparse_linear_plant
+    from interarea.design.modes.all_modes import all_modes
+    from interarea.fmu_build.write.cache import default_cache
+    from interarea.models.case.case import load_case
+
+    loaded = load_case(case)
+    with busy(f"all modes of {loaded.name}"):
+        found = all_modes(
+            sparse_linear_plant(loaded, default_cache()), loaded.areas, band_hz=band_hz, below=0.3
+        )
+    return found.modes, loaded.frequency_hz
+
+
+def _print(result: Meter, case: str | None) -> None:
+    rows = [row for swing in result.swings for row in _rows(swing, result.unit, case)]
+    title = f"{result.source}: {result.length_s:g} s, {result.kind}, {result.quantity}; intervals of 95 %"
+    if not rows:
+        typer.echo(f"{title}: nothing stands out")
+        return
+    print_table(title, ("Hz", "kind", "damping ratio", "method", "rms", "mode", "shape, why"), rows)
+
+
+def _rows(swing: Swing, unit: str, case: str | None) -> list[tuple[str, ...]]:
+    mode = (
+        f"{swing.mode} ({swing.mode_damping:.3f} in the case)" if swing.mode else "none of it" if case else ""
+    )
+    top = sorted(swing.shape.items(), key=lambda item: -abs(item[1]))[:_SHOWN]
+    shape = ", ".join(f"{name} {abs(z):.2f} {round(degrees(phase(z))):+d}°" for name, z in top)
+    told = (f"{swing.amplitude:.3g} {unit}", mode, f"{shape}; {swing.why}")
+    if not swing.estimates:
+        return [(f"{swing.frequency_hz:.4f}", swing.kind, "-", "", *told)]
+    rows: list[tuple[str, ...]] = []
+    for k, e in enumerate(swing.estimates):
+        low, high = e.damping_interval
+        ratio = f"{e.damping_ratio:.4f} ({low:.4f} to {high:.4f})"
+        rest = told if k == 0 else ("", "", "")
+        rows.append((f"{e.frequency_hz:.4f}", swing.kind if k == 0 else "", ratio, e.method, *rest))
+    return rows

@@ -1,0 +1,66 @@
+"""What the commands on records share: which file, how it is read, and what was assumed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..terminal import note
+
+if TYPE_CHECKING:
+    from interarea.cosim.records.record import Record
+
+RecordFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="FILE",
+        help="PMU csv, COMTRADE (.cfg, .cff), channels of PSS/E as csv, trajectory.csv or .parquet of a run",
+        show_default=False,
+    ),
+]
+CaseName = Annotated[
+    str | None, typer.Option("--case", metavar="CASE", help="bundled case or TOML file of the same grid")
+]
+Band = Annotated[
+    str | None, typer.Option("--band", metavar="LOW:HIGH", help="frequencies looked at, Hz; 0.1:2.5")
+]
+Window = Annotated[
+    str | None, typer.Option("--window", metavar="START:END", help="part of the record that is taken, s")
+]
+Units = Annotated[
+    list[str] | None,
+    typer.Option("--unit", metavar="WHAT=UNIT", help="unit of a channel or quantity, as VA=rad, where wrong"),
+]
+
+
+def opened(file: Path, window: str | None, units: list[str] | None, frequency_hz: float = 60.0) -> Record:
+    """Return the record of a file; say on stderr what was assumed."""
+    from interarea.cosim.records.read import read_record
+    from interarea.cosim.records.record import RecordError
+
+    named = {}
+    for text in units or ():
+        what, equals, unit = text.partition("=")
+        if not equals:
+            raise RecordError(f"--unit {text!r}, wanted WHAT=UNIT, such as VA=rad")
+        named[what.strip()] = unit.strip()
+    span = None if window is None else numbers(window, "--window", "START:END in s, such as 10:70")
+    record = read_record(file, units=named, window_s=span, frequency_hz=frequency_hz)
+    for line in record.notes:
+        note(f"{file.name}: {line}")
+    return record
+
+
+def numbers(text: str, option: str, wanted: str) -> tuple[float, float]:
+    """Return the two numbers of LOW:HIGH."""
+    from interarea.cosim.records.record import RecordError
+
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise RecordError(f"{option} {text!r}, wanted {wanted}") from None
+    if not low < high:
+        raise RecordError(f"{option} {text!r}, allowed: the first below the second")
+    return low, high

@@ -1,0 +1,190 @@
+"""The mode meter against what is known exactly: a linear grid that noise drives, sines, and runs."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import control
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.linalg
+from command_line import invoke
+
+import interarea as ia
+from interarea.cosim.records.meter import meter
+from interarea.cosim.records.record import Channel, Record, RecordError
+
+STEP_S = 0.1
+CASE = "kundur-manual"
+Z, F = 0.0323, 0.5455  # damping ratio and frequency of its inter-area mode, of which `exact` makes sure
+
+
+@cache
+def grid() -> control.StateSpace:
+    return ia.linearise(CASE)
+
+
+def ambient(seed: int, length_s: float, case: control.StateSpace | None = None) -> Record:
+    """Return speeds of the machines, every rotor driven by noise of 0.3 1/s, by the exact discrete system."""
+    plant = grid() if case is None else case
+    A, labels = np.asarray(plant.A), list(plant.state_labels)
+    rotors = [k for k, name in enumerate(labels) if name.endswith(".slip")]
+    n, m = len(A), len(rotors)
+    whole = np.zeros((n + m, n + m))
+    whole[:n, :n], whole[rotors, range(n, n + m)] = A, 1.0
+    whole[n:, n:] = -0.3 * np.eye(m)
+    enters = np.vstack([np.zeros((n, m)), np.eye(m)])
+    N = n + m
+    block = scipy.linalg.expm(np.block([[-whole, enters @ enters.T], [np.zeros((N, N)), whole.T]]) * STEP_S)
+    moves = block[N:, N:].T
+    values, vectors = np.linalg.eigh(moves @ block[:N, N:])
+    noise = vectors * np.sqrt(np.maximum(values, 0.0))
+    outputs = [k for k, name in enumerate(plant.output_labels) if name.endswith("_dw")]
+    C = np.hstack([np.asarray(plant.C)[outputs], np.zeros((len(outputs), m))])
+    rng, x, skip = np.random.default_rng(seed), np.zeros(N), 600
+    rows = np.empty((skip + round(length_s / STEP_S), len(outputs)))
+    for k in range(len(rows)):
+        rows[k] = C @ x
+        x = moves @ x + noise @ rng.standard_normal(N)
+    names = [plant.output_labels[k].removesuffix("_dw") for k in outputs]
+    channels = tuple(Channel(f"plant.{name}_dw", "speed", "pu", name) for name in names)
+    return Record("ambient", STEP_S * np.arange(len(rows) - skip, dtype=float), rows[skip:], channels)
+
+
+def with_sine(record: Record, f: float, times: float, harmonics: dict[int, float] | None = None) -> Record:
+    """Return a record with a sine of `times` the ambient rms of the largest signal, its mean taken out."""
+    shape = np.array([1.0, 0.4, -0.7, -0.7])
+    size = times * (record.values - record.values.mean(axis=1, keepdims=True)).std(axis=0)[0]
+    sine = sum(
+        a * np.cos(2 * np.pi * k * f * record.time_s + 1.0) for k, a in {1: 1.0, **(harmonics or {})}.items()
+    )
+    return Record("forced", record.time_s, record.values + size * np.outer(sine, shape), record.channels)
+
+
+def exact() -> tuple[float, float]:
+    swinging = [z for z in np.linalg.eigvals(np.asarray(grid().A)) if 3.0 < z.imag < 4.0]
+    return -swinging[0].real / abs(swinging[0]), swinging[0].imag / (2 * np.pi)
+
+
+@pytest.mark.slow
+def test_ten_minutes_of_ambient_motion_give_the_damping_by_two_methods() -> None:
+    modes = list(ia.modes(CASE).values())
+    assert exact() == pytest.approx((Z, F), abs=1e-4)
+    found = meter(ambient(1, 600.0), modes=modes)
+    assert found.kind == "ambient"
+    swing = next(s for s in found.swings if abs(s.frequency_hz - F) < 0.02)
+    assert swing.kind == "modal"
+    assert swing.mode == "inter-area"
+    assert len({e.method for e in swing.estimates}) == 2
+    for estimate in swing.estimates:
+        low, high = estimate.damping_interval
+        assert low < Z < high
+        assert 0.003 < high - low < 0.04
+        assert estimate.frequency_hz == pytest.approx(F, abs=0.01)
+
+
+@pytest.mark.slow
+def test_intervals_hold_what_they_promise_and_are_not_wide() -> None:
+    inside, off, found = 0, [], 0
+    for seed in range(60):
+        swings = meter(ambient(seed, 600.0)).swings
+        near = [s for s in swings if abs(s.frequency_hz - F) < 0.03 and s.estimates]
+        found += bool(near)
+        for s in near[:1]:
+            low, high = s.estimates[0].damping_interval
+            inside += low <= Z <= high
+            off.append(s.estimates[0].damping_ratio - Z)
+    assert found == 60
+    assert inside >= 52  # of a binomial of 60 with 0.95, the chance of fewer is 0.5 %
+    assert abs(np.mean(off)) < 0.003
+    assert np.std(off) < 0.008
+
+
+@pytest.mark.parametrize(("f", "length_s"), [(0.31, 60.0), (0.545, 180.0), (0.9, 60.0)])
+def test_a_line_is_forced_and_gets_no_damping_ratio(f: float, length_s: float) -> None:
+    """The second is at the mode itself, where a minute is not enough to be certain."""
+    found = meter(with_sine(ambient(3, length_s), f, 3.0))
+    top = found.swings[0]
+    assert top.kind == "forced"
+    assert top.frequency_hz == pytest.approx(f, abs=0.002)
+    assert top.estimates == ()
+    assert "damping_ratio" not in json.dumps(found.as_dict()["swings"][0])
+
+
+@pytest.mark.slow
+def test_harmonics_that_stand_are_told_and_the_mode_beside_a_line_is_metered() -> None:
+    found = meter(with_sine(ambient(4, 600.0), 0.8, 1.5, {3: 0.4}), band_hz=(0.1, 2.8))
+    line = next(s for s in found.swings if s.kind == "forced")
+    assert "harmonics 3 stand too" in line.why
+    mode = next(s for s in found.swings if abs(s.frequency_hz - F) < 0.02)
+    low, high = mode.estimates[0].damping_interval
+    assert low < Z < high
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sixty_seconds_of_a_mode_are_not_called_forced(seed: int) -> None:
+    try:
+        kinds = {s.kind for s in meter(ambient(seed, 60.0)).swings}
+    except RecordError as error:
+        assert "too short for a damping ratio, wanted: 120 s" in str(error)
+        return
+    assert "forced" not in kinds
+
+
+def test_a_run_rings_down_as_its_own_fit_and_its_roots_say(tmp_path: Path) -> None:
+    run = ia.simulate("ring-down")
+    run.save(tmp_path)
+    found = meter(ia.read_record(tmp_path / "trajectory.parquet"), modes=list(ia.modes(run.case).values()))
+    assert found.kind == "ring-down"
+    swing = next(s for s in found.swings if s.mode == "inter-area")
+    estimate = swing.estimates[0]
+    assert estimate.damping_ratio == pytest.approx(run.metrics.damping_ratio["inter-area"], abs=0.002)
+    low, high = estimate.damping_interval
+    assert low < run.metrics.damping_ratio["inter-area"] < high
+    assert high - low < 0.02
+
+
+def test_too_short_and_too_slow_records_are_refused_with_what_would_do() -> None:
+    short = ambient(1, 60.0)
+    with pytest.raises(RecordError, match=r"8 s are too short for 0\.1 Hz, wanted: 20 s at least, or a band"):
+        meter(short.between(0.0, 8.0))
+    with pytest.raises(
+        RecordError, match=r"10 samples a second show nothing up to 8 Hz, wanted: 16 at least"
+    ):
+        meter(short, band_hz=(0.1, 8.0))
+    with pytest.raises(RecordError, match="no channel of voltage is there"):
+        meter(short, quantity="voltage")
+    flat = Record("flat", short.time_s, np.ones((len(short.time_s), 4)), short.channels)
+    with pytest.raises(RecordError, match=r"none of plant\.G1_dw, .* moves"):
+        meter(flat)
+
+
+def test_the_command_prints_a_table_or_json_and_refuses_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = with_sine(ambient(5, 60.0), 0.9, 3.0)
+    path = tmp_path / "speeds.parquet"
+    frame = record.to_frame().reset_index()
+    frame.to_parquet(path)
+    code, out, _ = invoke(["meter", str(path)], monkeypatch)
+    assert code == 0
+    assert "forced" in out
+    code, out, _ = invoke(["meter", str(path), "--json"], monkeypatch)
+    assert json.loads(out)["swings"][0]["kind"] == "forced"
+    for words, says in (
+        (["--band", "1"], "--band '1', wanted LOW:HIGH in Hz"),
+        (["--window", "0:5"], "too short for 0.1 Hz"),
+        (["--unit", "VA"], "--unit 'VA', wanted WHAT=UNIT"),
+        (["--channel", "plant.G9_dw"], "no channel 'plant.G9_dw'; did you mean"),
+    ):
+        code, out, err = invoke(["meter", str(path), *words], monkeypatch)
+        assert (code, out) == (2, "")
+        assert says in err
+        assert err.count("interarea: ") == 1
+    pd.DataFrame({"a": [1]}).to_csv(tmp_path / "x.csv")
+    code, _, err = invoke(["meter", str(tmp_path / "x.csv")], monkeypatch)
+    assert code == 2
+    assert "no row begins with Time" in err
