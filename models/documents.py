@@ -1,7 +1,8 @@
 """Documents of the user's, TOML and JSON: read strictly, told apart, times in cycles as seconds.
 
 A byte-order mark is read over. Refused by place and value: numbers that arithmetic would overflow on,
-integers beyond 64 bits, NaN and infinity in JSON, a JSON key given twice, tables without end.
+integers beyond 64 bits, control characters in texts, NaN and infinity in JSON, a JSON key given twice,
+tables without end.
 
 A time is a number of seconds or terms joined by +: `1.5 s`, `8 cycles`, and `start`: its table's `start_s`.
 """
@@ -20,6 +21,8 @@ from .errors import UserError
 LARGEST_DOCUMENT = 256 << 20  #: bytes; a case takes 0.7 kB a bus (wecc-240), so this is some 380 000 buses
 LARGEST = 1e30  #: size of a number; a limit that is absent counts as this
 _LARGEST_INTEGER = 2**63 - 1
+#: what moves or colours a terminal that the text is printed to
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _SHOWN = 40  #: characters of a number in a message
 
 
@@ -93,7 +96,7 @@ def _parsed(content: bytes | str, language: str, read: Callable[[str], Any]) -> 
     try:
         text = content if isinstance(content, str) else content.decode("utf-8-sig")
         found = read(text.removeprefix("\ufeff"))
-        _check_numbers(found, "")
+        _check_values(found, "")
     except RecursionError:
         raise DocumentError(f"not valid {language}: nested too deeply") from None
     except DocumentError:
@@ -121,13 +124,17 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _check_numbers(value: Any, where: str) -> None:
+def _check_values(value: Any, where: str) -> None:
     if isinstance(value, dict):
         for key, item in value.items():
-            _check_numbers(item, f"{where}.{key}" if where else str(key))
+            _check_values(item, f"{where}.{key}" if where else str(key))
     elif isinstance(value, list):
         for k, item in enumerate(value, start=1):
-            _check_numbers(item, f"{where} {k}")
+            _check_values(item, f"{where} {k}")
+    elif isinstance(value, str) and (found := _CONTROL.search(value)):
+        raise DocumentError(
+            f"{where}: control character U+{ord(found[0]):04X} at {found.start() + 1}, allowed: text without"
+        )
     elif isinstance(value, int) and not abs(value) <= _LARGEST_INTEGER:
         digits = str(abs(value))
         text = digits if len(digits) <= _SHOWN else f"{digits[:_SHOWN]}... ({len(digits)} digits)"

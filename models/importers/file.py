@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..errors import CaseError
 from ..grid.powerflow import solve_powerflow
 from ..grid.start import release_limits as release_limits_of
@@ -20,6 +22,7 @@ FORMATS = ".raw (PSS/E version 23 to 36) or .m (MATPOWER), plain, .gz, .xz or .b
 _PACKED = (".gz", ".xz", ".bz2")
 
 
+@np.errstate(all="ignore")  # of numbers such as 1e300; what comes of them is checked
 def import_grid(
     grid: str | Path,
     *,

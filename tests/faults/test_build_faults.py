@@ -136,6 +136,7 @@ def test_a_study(share: int, cache: Path, tmp_path: Path, monkeypatch: pytest.Mo
     assert tried >= 4
 
 
+@LONG
 @pytest.mark.slow
 def test_a_folder_in_the_place_of_each_file_of_a_study(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
