@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from interarea.design.linear.sparse_plant import SparsePlant
     from interarea.design.modes.growth import Growth
+    from interarea.models.blocks.detector import Patterns
     from interarea.models.blocks.variables import Block
 
 MOST_DENSE = 3000  #: states of a linear model as matrices: 72 MB each, and a minute for all modes
@@ -75,15 +76,16 @@ def concentrator_fmu(signals: int, cache: Path) -> Path:
     return built_fmu(cache, "concentrator", f"concentrator{signals}", [signals], block)
 
 
-def detector_fmu(signals: Sequence[str], cache: Path) -> Path:
+def detector_fmu(signals: Sequence[str], cache: Path, patterns: Patterns | None = None) -> Path:
     """Return the FMU of a detector of these signals; its thresholds are its parameters."""
+    designed = [] if patterns is None else [patterns.basis.tolist(), *patterns.numbers]
 
     def block() -> Block:
         from interarea.models.blocks.detector import detector_block
 
-        return detector_block(signals)
+        return detector_block(signals, patterns=patterns)
 
-    return built_fmu(cache, "detector", f"detector{len(signals)}", list(signals), block)
+    return built_fmu(cache, "detector", f"detector{len(signals)}", [*signals, *designed], block)
 
 
 def pmu_fmu(cache: Path) -> Path:

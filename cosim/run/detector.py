@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from functools import partial
+from pathlib import Path
 
-from interarea.models.blocks.detector import detector_block
+from interarea.design.controllers.detector_record import load_detector
+from interarea.models.blocks.detector import Patterns, detector_block
 
+from ..errors import ScenarioError
 from ..scenario.detector import DETECTOR, few_signals
 from ..scenario.scenario import Scenario
 from .instance import Instance
@@ -18,13 +21,41 @@ def add_detector(system: System, scenario: Scenario) -> None:
     ways, table = scenario.signals, scenario.detector
     if table is None:
         return
-    names = tuple(w.signal for w in ways)
-    block = partial(detector_block, names)
-    system.put(Instance(DETECTOR, system.fmus.detector(names), table.parameters(ways), block))
+    names, patterns = tuple(w.signal for w in ways), patterns_of(scenario)
+    block = partial(detector_block, names, patterns=patterns)
+    file = system.fmus.detector(names, patterns)
+    system.put(Instance(DETECTOR, file, table.parameters(ways), block))
     system.warnings += few_signals(ways)
     for w in ways:
         for source, variable in ((w.y, w.signal), (w.age, f"{w.signal}_age"), (w.valid, f"{w.signal}_valid")):
             system.connections.append((source, f"{DETECTOR}.{variable}"))
+
+
+def patterns_of(scenario: Scenario) -> Patterns | None:
+    """Return the patterns of the file that a scenario's detector names, in the order of its signals.
+
+    Raises
+    ------
+    ScenarioError : a file for other signals, another interval or another grid. DetectorDesignError : no file.
+    """
+    table, ways = scenario.detector, scenario.signals
+    if table is None or not table.file:
+        return None
+    found = load_detector(scenario.folder / table.file)
+    names = [w.signal for w in ways]
+    where = f"{scenario.name}: detector.file = {table.file!r} was designed for"
+    if sorted(names) != sorted(found.signals):
+        raise ScenarioError(
+            f"{where} {', '.join(found.signals)}, here travel {', '.join(names)}, allowed: the same signals"
+        )
+    if abs(found.interval_s - ways[0].interval_s) > 1e-9:
+        raise ScenarioError(
+            f"{where} packets every {found.interval_s:g} s, here they come every {ways[0].interval_s:g} s"
+        )
+    case = Path(scenario.case).stem
+    if found.case != case:
+        raise ScenarioError(f"{where} the case {found.case!r}, here it is {case!r}; design one for it")
+    return found.patterns.of([found.signals.index(name) for name in names])
 
 
 def flags(signal: str, valid: str, inputs: Collection[str], detector: bool) -> Iterator[tuple[str, str]]:

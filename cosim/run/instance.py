@@ -11,6 +11,7 @@ from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.open.fmu_file import FmuFile
 from interarea.fmu_build.open.own import open_own
+from interarea.models.blocks.detector import Patterns
 from interarea.models.blocks.plant import event_parameters, plant_block
 from interarea.models.blocks.variables import Block
 from interarea.models.case.case import Case
@@ -110,9 +111,9 @@ class Fmus:
         """Return the concentrator of so many signals."""
         return self.built(concentrator_fmu(signals, self.cache))
 
-    def detector(self, signals: Sequence[str]) -> FmuFile:
+    def detector(self, signals: Sequence[str], patterns: Patterns | None = None) -> FmuFile:
         """Return the detector of these signals."""
-        return self.built(detector_fmu(signals, self.cache))
+        return self.built(detector_fmu(signals, self.cache, patterns))
 
     def controller(
         self, controller: Controller | ControllerBank, omega_b: float, *, trust: bool = False

@@ -25,6 +25,8 @@ class DetectorTable(Table):
     A signal that no input of the controller takes is a witness: it is compared with the others.
     """
 
+    #: of `design_detector`, beside this file: how right signals move together; default: not tested
+    file: Annotated[str, Field(examples=["detector.json"])] = ""
     range_pu: Annotated[float, Field(gt=0.0, examples=[0.05])] = 0.05  #: largest magnitude of a signal
     jump_pu_per_s: Annotated[float, Field(gt=0.0, examples=[0.24])] = 0.24  #: its largest change in a second
     repeat_frames: Annotated[int, Field(ge=1)] = 10  #: equal frames in a row while others move: too many
@@ -34,7 +36,7 @@ class DetectorTable(Table):
     apart_share: Annotated[float, Field(ge=0.0)] = 0.75
     average_s: Positive = 2.0  #: time over which means are taken: a period of the slowest swing, or more
     #: how long a signal passes every test before it is trusted again; twice as long each further time
-    return_s: Annotated[float, Field(ge=0.0, examples=[5.0])] = 5.0
+    return_s: Annotated[float, Field(ge=0.0, examples=[5.0])] = 60.0
     wait_s: Annotated[float, Field(ge=0.0)] = 1.0  #: signals later than this are not waited for
 
     def wrong(self, ways: Sequence[Way], names: Collection[str]) -> Iterator[str]:

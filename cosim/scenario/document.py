@@ -21,6 +21,8 @@ def resolved_document(scenario: Scenario) -> dict[str, Any]:
     for key, path in (("case", scenario.case_path), ("controller", scenario.controller_path)):
         if isinstance(path, Path) and path.exists():
             table[key] = str(path.absolute())
+    if scenario.detector is not None and scenario.detector.file:
+        table["detector"]["file"] = str((scenario.folder / scenario.detector.file).absolute())
     for name, row in table.get("fmus", {}).items():
         row["file"] = str((scenario.folder / scenario.fmus[name].file).absolute())
     return table

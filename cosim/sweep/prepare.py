@@ -13,6 +13,7 @@ from interarea.models.blocks.plant import plant_block, plant_sources
 from ..master.kernel.build import load_kernel
 from ..run.artefacts import channel_fmu, concentrator_fmu, detector_fmu, plant_fmu, pmu_fmu
 from ..run.controllers import controller_fmu
+from ..run.detector import patterns_of
 from .plan import SweepPlan, case_in, own_fmu
 
 
@@ -26,9 +27,10 @@ def prepare(plan: SweepPlan, cache: Path) -> list[Path]:
         files.append(Path(load_kernel(cache)._name))
     files += [own_fmu(cache, key) for key in dict.fromkeys(plan.fmus.values())]
     files += [concentrator_fmu(len(c.signals), cache) for c in plan.sweep.base.concentrators.values()]
-    detected = plan.sweep.base.detector is not None
+    base = plan.sweep.base
+    detected = base.detector is not None
     if detected:
-        files.append(detector_fmu(tuple(way.signal for way in plan.sweep.base.signals), cache))
+        files.append(detector_fmu(tuple(way.signal for way in base.signals), cache, patterns_of(base)))
     if any(path.pmu for path in plan.sweep.base.signals):
         files.append(pmu_fmu(cache))
     cases = {name: plan.case(name) for name in plan.cases}

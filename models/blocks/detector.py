@@ -3,22 +3,74 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 from .sizes import MOST_SIGNALS
 from .variables import Block, Variable, VariableTable
 
 _FOLDER = Path(__file__).resolve().parents[1] / "c"
 #: what the integer output NAME_reason says, by its value
-REASONS = ("trusted", "lost", "range", "jump", "repeat", "apart")
-MOST_STAMPS = 256  #: that a mean is taken over (detector.h)
+REASONS = ("trusted", "lost", "range", "jump", "repeat", "apart", "pattern")
+WEAKEST = 0.05  #: singular value of a direction that the other signals show
 
 
-def detector_block(signals: Sequence[str], name: str = "detector", *, step_s: float = 0.01) -> Block:
+@dataclass(frozen=True)
+class Patterns:
+    """How right signals move together (semantics: detector/pattern.h).
+
+    basis : (signals, samples, size), orthonormal as a matrix of signals * samples rows.
+    frames : stamps that each sample is a mean of. threshold : allowed score. floor : of what is left, pu.
+    """
+
+    basis: npt.NDArray[np.float64]
+    frames: int
+    threshold: float
+    floor: float
+
+    @property
+    def numbers(self) -> tuple[int, float, float]:
+        """All of it but the basis."""
+        return self.frames, self.threshold, self.floor
+
+    def of(self, order: Sequence[int]) -> Patterns:
+        """Return the patterns of the same signals in another order."""
+        return replace(self, basis=self.basis[list(order)])
+
+    @property
+    def data(self) -> dict[str, npt.NDArray[Any]]:
+        """Arrays of the record."""
+        n, samples, size = self.basis.shape
+        others = np.zeros((n, (n - 1) * samples, size))
+        for i in range(n):
+            U, singular, _ = np.linalg.svd(
+                np.delete(self.basis, i, axis=0).reshape(-1, size), full_matrices=False
+            )
+            seen = int(np.sum(singular > WEAKEST))  # a direction that the others hardly show tells nothing
+            others[i, :, :seen] = U[:, :seen]
+        return {
+            "pattern.size": np.array([self.frames, samples, size], dtype=np.int32),
+            "pattern.all": self.basis.ravel(),
+            "pattern.others": others.ravel(),
+        }
+
+
+def detector_block(
+    signals: Sequence[str],
+    name: str = "detector",
+    *,
+    patterns: Patterns | None = None,
+    step_s: float = 0.01,
+) -> Block:
     """Return the block of a detector of these signals: inputs NAME, ``NAME_age`` (s) and ``NAME_valid``.
 
     Boolean outputs: ``NAME_usable``, the flag is up and the signal is not isolated; ``NAME_trusted``, it is
     not isolated. Integer outputs: ``NAME_reason`` (`REASONS`) and ``isolations``, how many there were.
+    patterns : how right signals move together; None: their patterns are not tested.
     FMI parameters: ``interval``, ``wait``, ``average``, ``return_time`` (s), ``moving`` (pu), ``share``,
     ``repeats``; of each signal ``range[i]``, ``jump[i]`` (a second), ``apart[i]`` in its unit.
 
@@ -34,9 +86,9 @@ def detector_block(signals: Sequence[str], name: str = "detector", *, step_s: fl
         kind="detector",
         name=name,
         description="Detector of wrong signals: which of several measured frequencies are to be trusted",
-        table=VariableTable([*_ports(signals), *_parameters(signals)]),
-        data={},
-        sources=(_FOLDER / "detector" / "detector.c",),
+        table=VariableTable([*_ports(signals), *_parameters(signals, patterns)]),
+        data={} if patterns is None else patterns.data,
+        sources=(_FOLDER / "detector" / "detector.c", _FOLDER / "detector" / "pattern.c"),
         step_s=step_s,
         model_exchange=False,
         documentation={"Behaviour": _BEHAVIOUR},
@@ -62,14 +114,21 @@ def _ports(signals: Sequence[str]) -> Iterator[Variable]:
     yield Variable("isolations", "output", "Isolations so far", type="Integer", depends_on=())
 
 
-def _parameters(signals: Sequence[str]) -> Iterator[Variable]:
+def _parameters(signals: Sequence[str], patterns: Patterns | None) -> Iterator[Variable]:
     for key, text, unit, start in (
         ("interval", "Interval of frames", "s", 0.02),
         ("wait", "Lag up to which signals wait for each other", "s", 1.0),
         ("average", "Time over which means are compared", "s", 2.0),
-        ("return_time", "How long a signal passes every test before it comes back, the first time", "s", 5.0),
+        (
+            "return_time",
+            "How long a signal passes every test before it comes back, the first time",
+            "s",
+            60.0,
+        ),
         ("moving", "Change from frame to frame by which a signal moves", "pu", 1e-6),
         ("share", "Share of the others' span by which a mean may be further apart", "1", 0.75),
+        ("pattern", "Largest score against the patterns", "1", patterns.threshold if patterns else 1.0),
+        ("floor", "What is left of a window anyhow", "pu", patterns.floor if patterns else 1.0),
     ):
         yield Variable(key, "parameter", text, unit=unit, start=start, min=0.0)
     for i, s in enumerate(signals, start=1):

@@ -4,6 +4,7 @@
 #include <stdio.h>
 
 #include "../block/sampled.h"
+#include "pattern.h"
 
 static const double SLACK = 1e-9; /* s; instants closer than this count as equal */
 static const double MOST_FAILURES = 7.0;
@@ -16,15 +17,16 @@ static int trusted(const Block *b, size_t i) { return b->iu[i] && memory_of(b, i
 BlockStatus block_needs(const Record *record, const BlockLayout *l, BlockNeeds *needs, BlockMessage *message)
 {
     const size_t n = l->n_iu;
+    Patterns patterns;
 
-    (void)record;
     if (n < 1 || n > DETECTOR_SIGNALS || l->n_u != 2 * n || l->n_x + l->n_y + l->n_w + l->n_iw != 0
-        || l->n_p != P_SIGNAL + PER_SIGNAL * n || l->n_iy != 3 * n + 1 || l->n_ip != IP_COUNT) {
-        snprintf(message->text, sizeof message->text, "detector: the variables do not fit this binary");
+        || l->n_p != P_SIGNAL + PER_SIGNAL * n || l->n_iy != 3 * n + 1 || l->n_ip != IP_COUNT || !patterns_of(record, n, &patterns)) {
+        snprintf(message->text, sizeof message->text,
+                 "detector: the variables or the patterns of the record do not fit this binary");
         return BLOCK_ERROR;
     }
     needs->n_memory = M_SIGNALS + DM_COUNT * n;
-    needs->n_scratch = n;
+    needs->n_scratch = n + (patterns.frames > 0 ? n * patterns.samples : 0);
     return BLOCK_OK;
 }
 
@@ -37,6 +39,7 @@ static const char *wrong(const Block *b)
         return "average must lie in 1 to 256 intervals";
     if (!(p[P_WAIT] >= 0.0 && p[P_RETURN] >= 0.0 && p[P_MOVING] >= 0.0 && p[P_SHARE] >= 0.0))
         return "wait, return_time, moving and share must not be negative";
+    if (!(p[P_PATTERN] > 0.0 && p[P_FLOOR] > 0.0)) return "pattern and floor must be positive";
     if (!(b->ip[IP_REPEATS] >= 1)) return "repeats must be at least 1";
     for (size_t i = 0; i < count_of(b); ++i)
         for (int k = 0; k < PER_SIGNAL; ++k)
@@ -206,11 +209,51 @@ static void compare_means(Block *b, double t)
     if (most > 1.0) fail(b, furthest, t, REASON_APART);
 }
 
+/* The mean over `count` stamps, the newest of them `back` before the newest. */
+static double block_mean(const Block *b, size_t i, size_t back, size_t count)
+{
+    const double *aligned = memory_of(b, i) + DM_ALIGNED;
+    const size_t newest = (size_t)b->memory[M_STAMPS] - back;
+    double sum = 0.0;
+
+    for (size_t k = 0; k < count; ++k) sum += aligned[(newest - k) % DETECTOR_STAMPS];
+    return sum / (double)count;
+}
+
+/* Compares the last window of all signals with the patterns of the record; the newest stamp is in memory. */
+static void compare_patterns(Block *b, const Patterns *patterns, double t)
+{
+    const size_t n = count_of(b), L = patterns->samples, frames = patterns->frames;
+    double *x = b->scratch + n, whole, allowed, least = INFINITY;
+    size_t isolated = 0, named = n;
+
+    if (b->memory[M_STAMPS] + 1.0 < (double)(frames * L)) return;
+    for (size_t i = 0; i < n; ++i) {
+        if (!trusted(b, i)) {
+            named = i;
+            ++isolated;
+        }
+        for (size_t s = 0; s < L; ++s) x[i * L + s] = block_mean(b, i, (L - 1 - s) * frames, frames);
+    }
+    whole = pattern_left(patterns, x, n);
+    if (isnan(whole) || isolated > 1) return; /* a value is missing, or too few are left to compare */
+    for (size_t i = 0; i < n; ++i) {
+        const double left = pattern_left(patterns, x, i);
+        if (isolated == 1 ? i != named : left >= least) continue;
+        least = left;
+        named = i;
+    }
+    allowed = b->p[P_PATTERN] * (b->p[P_FLOOR] + 3.0 * least);
+    if (whole * whole - least * least > allowed * allowed)
+        fail(b, named, t, REASON_PATTERN);
+}
+
 /* Compares the signals at every stamp that all of them have reached by time t. */
 static void compare(Block *b, double t)
 {
     const double interval = b->p[P_INTERVAL];
     double *m = b->memory, reached = INFINITY;
+    Patterns patterns;
 
     for (size_t i = 0; i < count_of(b); ++i)
         if (present(b, i, t)) reached = fmin(reached, frame(memory_of(b, i), 0)[0]);
@@ -220,12 +263,15 @@ static void compare(Block *b, double t)
         m[M_STAMP] = reached;
         m[M_STAMPS] = 0.0;
     }
+    (void)patterns_of(b->record, count_of(b), &patterns);
     for (; m[M_STAMP] <= reached; m[M_STAMP] += 1.0, m[M_STAMPS] += 1.0) {
         for (size_t i = 0; i < count_of(b); ++i) {
             double *own = memory_of(b, i);
             own[DM_ALIGNED + (size_t)m[M_STAMPS] % DETECTOR_STAMPS] =
                 present(b, i, t) ? value_at(b, own, m[M_STAMP] * interval) : NAN;
         }
+        if (patterns.frames > 0 && fmod(m[M_STAMP] + 1.0, (double)patterns.frames) == 0.0)
+            compare_patterns(b, &patterns, t);
     }
     if (m[M_STAMPS] > 0.0) compare_means(b, t);
 }

@@ -19,6 +19,11 @@
  * averaged over the period of its slowest swing. The first half wave of a swing has a mean too, hence the span.
  * The test needs two others, and only the signal that is furthest beyond its limit is named at a stamp.
  *
+ * With patterns in the record (pattern.h) a third test of all signals at the same stamps:
+ *
+ *     pattern sqrt(r^2 - r_i^2) / (floor + 3 r_i) > pattern, r_i the least; while one signal is isolated it alone is
+ *             tested, while more are, or a flag is down, none
+ *
  * A signal that fails is isolated. It comes back when it has passed every test for return 2^(n - 1), n the number
  * of times it was isolated so far, at most 2^6 return. Of each signal
  *
@@ -32,11 +37,11 @@
 enum { DETECTOR_SIGNALS = 32, DETECTOR_FRAMES = 128, DETECTOR_STAMPS = 256, DETECTOR_GAP = 5 };
 /* Real inputs: the values, then the ages. */
 /* Real parameters: the common ones, then PER_SIGNAL of each signal. Integer parameter: IP_REPEATS. */
-enum { P_INTERVAL, P_WAIT, P_AVERAGE, P_RETURN, P_MOVING, P_SHARE, P_SIGNAL };
+enum { P_INTERVAL, P_WAIT, P_AVERAGE, P_RETURN, P_MOVING, P_SHARE, P_PATTERN, P_FLOOR, P_SIGNAL };
 enum { S_RANGE, S_JUMP, S_APART, PER_SIGNAL };
 enum { IP_REPEATS, IP_COUNT };
 /* Integer outputs: usable of each, trusted of each, reason of each, then the number of isolations so far. */
-enum { REASON_NONE, REASON_LOST, REASON_RANGE, REASON_JUMP, REASON_REPEAT, REASON_APART };
+enum { REASON_NONE, REASON_LOST, REASON_RANGE, REASON_JUMP, REASON_REPEAT, REASON_APART, REASON_PATTERN };
 
 /* Discrete state: a head, then of each signal DM_COUNT numbers. */
 enum { M_STAMP, M_STAMPS, M_ALARMS, M_SIGNALS };

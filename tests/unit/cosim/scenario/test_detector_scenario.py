@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 from interarea.cosim.errors import ScenarioError, ScenarioWarning
 from interarea.cosim.run.run import system_of
 from interarea.cosim.scenario.scenario import load_scenario
-from interarea.models.blocks.detector import REASONS
+from interarea.design.controllers.detector_record import DetectorDesign
+from interarea.models.blocks.detector import REASONS, Patterns
 from interarea.simulation import simulate
 
 WRONG_S = 1.5
@@ -73,11 +75,12 @@ def test_a_bank_switches_to_what_needs_no_wrong_signal() -> None:
 
 
 @pytest.mark.slow
-def test_with_the_detector_synchronism_is_kept() -> None:
+def test_a_polarity_that_makes_the_loop_swing_no_longer_does() -> None:
     wrong = {"kind": "polarity"}
-    without, with_it = (simulate(scenario("active", wrong, d, 12.0)) for d in (False, True))
-    assert without.metrics.synchronism is False or "swing" in str(without.metrics.verdict)
-    assert with_it.metrics.synchronism is True
+    without, with_it = (simulate(scenario("ftc", wrong, d, 12.0)) for d in (False, True))
+    assert without.metrics.verdict is not None and with_it.metrics.verdict is not None
+    assert not without.metrics.verdict.stable
+    assert with_it.metrics.verdict.stable
 
 
 @pytest.mark.parametrize(
@@ -134,3 +137,32 @@ def test_two_signals_are_a_warning() -> None:
     del table["channels"]["third"], table["channels"]["last"]
     with pytest.warns(ScenarioWarning, match="of two that disagree it cannot say which is wrong"):
         assert "detector" in system_of(load_scenario(table)).warned().parts
+
+
+@pytest.mark.parametrize(
+    ("of", "says"),
+    [
+        ({"signals": ("G2_dw", "G4_dw", "G1_dw")}, "was designed for G2_dw, G4_dw, G1_dw, here travel"),
+        ({"interval_s": 0.04}, "was designed for packets every 0.04 s, here they come every 0.02 s"),
+        ({"case": "new-england"}, "was designed for the case 'new-england', here it is 'two-area-thesis'"),
+    ],
+)
+def test_a_detector_of_something_else_is_refused(of: dict[str, Any], says: str, tmp_path: Path) -> None:
+    signals = tuple(signal for signal, _ in CHANNELS.values())
+    keys = {"case": "two-area-thesis", "signals": signals, "interval_s": 0.02, **of}
+    basis = np.eye(12 * len(keys["signals"]))[:, :6].reshape(len(keys["signals"]), 12, 6)
+    made = DetectorDesign(
+        keys["case"],
+        "robust",
+        keys["signals"],
+        keys["interval_s"],
+        1e-5,
+        Patterns(basis, 4, 3.0, 1e-4),
+        2.0,
+        1,
+        1,
+    )
+    made.save(tmp_path / "detector.json")
+    table = {**scenario(), "detector": {"file": str(tmp_path / "detector.json")}}
+    with pytest.raises(ScenarioError, match=says):
+        system_of(load_scenario(table))

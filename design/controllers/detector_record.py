@@ -1,0 +1,125 @@
+"""What a detector of wrong signals was designed as: how right signals move together, with its record.
+
+A window of all signals after a disturbance lies near a subspace of few directions; a wrong signal leaves it,
+and the window without that signal does not (identification by reconstruction [Dunia1996]).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from interarea.models.blocks.detector import Patterns
+from interarea.models.errors import UserError
+from interarea.models.files import write_whole
+
+Array = npt.NDArray[np.float64]
+FRAMES, SAMPLES, SIZE = 4, 12, 12  #: stamps a sample, samples a window, directions of a swing
+_SCHEMA = 1
+
+
+class DetectorDesignError(UserError):
+    """No detector can be designed of this, or a file is none."""
+
+
+@dataclass(frozen=True)
+class DetectorDesign:
+    """A detector for some signals of a grid, and what it was made and judged of.
+
+    signals : names, in the order of the patterns. interval_s : between their frames. noise_pu : standard
+    deviation of each frame in the runs. largest : largest score of right signals in the judged runs.
+    made_of, judged_by : runs.
+    """
+
+    case: str
+    controller: str
+    signals: tuple[str, ...]
+    interval_s: float
+    noise_pu: float
+    patterns: Patterns
+    largest: float
+    made_of: int
+    judged_by: int
+
+    def save(self, path: str | Path) -> Path:
+        """Write the JSON file that ``[detector] file`` names; return its path."""
+        p = self.patterns
+        table = {
+            "schema": _SCHEMA,
+            "detector": {"case": self.case, "controller": self.controller, "signals": list(self.signals)},
+            "interval_s": self.interval_s,
+            "noise_pu": self.noise_pu,
+            "frames": p.frames,
+            "threshold": p.threshold,
+            "floor": p.floor,
+            "largest": self.largest,
+            "runs": {"made_of": self.made_of, "judged_by": self.judged_by},
+            "basis": p.basis.tolist(),
+        }
+        return write_whole(Path(path), (json.dumps(table, allow_nan=False) + "\n").encode())
+
+
+def load_detector(path: str | Path) -> DetectorDesign:
+    """Read a detector's file.
+
+    Raises
+    ------
+    DetectorDesignError : no such file, or not one of `DetectorDesign.save`.
+    """
+    try:
+        table: Any = json.loads(Path(path).read_text(encoding="utf-8"))
+        of, runs = table["detector"], table["runs"]
+        basis = np.array(table["basis"], dtype=np.float64)
+        if table["schema"] != _SCHEMA or basis.ndim != 3 or len(basis) != len(of["signals"]):
+            raise ValueError("another schema, or a basis of other signals")
+        numbers = (int(table["frames"]), float(table["threshold"]), float(table["floor"]))
+        return DetectorDesign(
+            *(str(of["case"]), str(of["controller"]), tuple(map(str, of["signals"]))),
+            *(float(table["interval_s"]), float(table["noise_pu"]), Patterns(basis, *numbers)),
+            *(float(table["largest"]), int(runs["made_of"]), int(runs["judged_by"])),
+        )
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DetectorDesignError(f"{path}: no file of a detector ({error}); design one") from None
+
+
+def windows(curves: Array, frames: int, samples: int) -> Array:
+    """Return every window (windows, signals, samples) of curves (signals, stamps): means, newest last."""
+    signals, stamps = curves.shape
+    count = stamps // frames
+    means = curves[:, : count * frames].reshape(signals, count, frames).mean(axis=2)
+    return np.stack([means[:, k : k + samples] for k in range(count - samples + 1)])
+
+
+def basis_of(curves: Sequence[Array], floor: float, size: int = SIZE) -> Array:
+    """Return the `size` directions that windows of curves have in common, each window of length 1.
+
+    floor : windows shorter than ten of it are left out.
+    """
+    found = np.concatenate([windows(c, FRAMES, SAMPLES) for c in curves])
+    length = np.sqrt((found**2).sum(axis=(1, 2)))
+    rows = (found / np.maximum(length, 1e-300)[:, None, None])[length > 10.0 * floor]
+    flat = rows.reshape(len(rows), -1)
+    _, vectors = np.linalg.eigh(flat.T @ flat)
+    return np.asarray(vectors[:, ::-1][:, :size]).reshape(*found.shape[1:], size)
+
+
+def scores(curves: Array, patterns: Patterns) -> Array:
+    """Return the score of each window (models/c/detector/pattern.h) of curves (signals, stamps)."""
+    n, samples, size = patterns.basis.shape
+    x = windows(curves, patterns.frames, samples)
+    V = patterns.basis.reshape(-1, size)
+    others = patterns.data["pattern.others"].reshape(n, -1, size)
+    left = [_left(np.delete(x, i, axis=1), others[i]) for i in range(n)]
+    least = np.min(left, axis=0)
+    return np.asarray(np.sqrt(np.maximum(_left(x, V) ** 2 - least**2, 0.0)) / (patterns.floor + 3.0 * least))
+
+
+def _left(x: Array, V: Array) -> Array:
+    flat = x.reshape(len(x), -1)
+    return np.asarray(np.sqrt(np.maximum((flat**2).sum(axis=1) - ((flat @ V) ** 2).sum(axis=1), 0.0)))

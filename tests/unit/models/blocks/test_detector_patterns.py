@@ -1,0 +1,136 @@
+"""The detector's patterns: the C against the same law in numpy, and what it names."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmu_runner import Runner
+
+from interarea.cosim.screen.detector_design import main
+from interarea.design.controllers.detector_record import (
+    FRAMES,
+    SAMPLES,
+    DetectorDesign,
+    DetectorDesignError,
+    basis_of,
+    load_detector,
+    scores,
+)
+from interarea.fmu_build.write.package import build_fmu
+from interarea.models.blocks.detector import REASONS, Patterns, detector_block
+
+SIGNALS = ("a", "b", "c", "d")
+FRAME_S, STAMPS, WRONG = 0.02, 300, 140
+FLOOR, THRESHOLD = 1e-6, 2.0
+SHAPES = np.array([[1.0, 0.9, -0.8, -0.7], [1.0, -0.8, 0.1, -0.1]])  # of two modes
+MODES_HZ = (0.5, 1.1)
+
+
+def swing(phases: tuple[float, float], sizes: tuple[float, float] = (1e-3, 3e-4)) -> np.ndarray:
+    """Two modes, damped: (signals, stamps)."""
+    t = FRAME_S * np.arange(STAMPS)
+    parts = [
+        size * np.exp(-0.3 * t) * np.cos(2 * np.pi * f * t + phase)
+        for f, phase, size in zip(MODES_HZ, phases, sizes, strict=True)
+    ]
+    return np.asarray(SHAPES.T @ np.array(parts))
+
+
+@pytest.fixture(scope="module")
+def patterns() -> Patterns:
+    random = np.random.default_rng(3)
+    curves = [swing(tuple(random.uniform(0, 6.3, 2)), tuple(random.uniform(0, 1e-3, 2))) for _ in range(30)]
+    return Patterns(basis_of(curves, FLOOR, size=6), FRAMES, THRESHOLD, FLOOR)
+
+
+@pytest.fixture(scope="module")
+def detector(patterns: Patterns, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    block = detector_block(SIGNALS, patterns=patterns)
+    return build_fmu(block, tmp_path_factory.mktemp("patterns") / "detector.fmu")
+
+
+def named(path: Path, curves: np.ndarray) -> tuple[dict[str, str], int | None]:
+    """Feed curves; the reason of each signal at the end, and the stamp at which one was named."""
+    first = None
+    with Runner(path) as run:
+        run.start({f"apart[{i}]": 1.0 for i in range(1, 5)})
+        for k in range(STAMPS):
+            run.set_of(dict(zip(SIGNALS, curves[:, k], strict=True)))
+            run.step(k * FRAME_S, FRAME_S)
+            if first is None and run.get("isolations"):
+                first = k
+        return {s: REASONS[run.get(f"{s}_reason")] for s in SIGNALS}, first
+
+
+WRONGS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "polarity": lambda u: -u[WRONG:],
+    "scale": lambda u: 3.0 * u[WRONG:],
+    "stamp": lambda u: u[WRONG - 20 : -20],
+    "sine": lambda u: u[WRONG:] + 5e-4 * np.sin(0.08 * np.arange(STAMPS - WRONG)),
+}
+
+
+@pytest.mark.parametrize("kind", WRONGS)
+@pytest.mark.parametrize("who", [0, 2])
+def test_the_c_names_what_numpy_names_at_the_same_stamp(
+    kind: str, who: int, detector: Path, patterns: Patterns
+) -> None:
+    curves = swing((0.3, 1.0))
+    curves[who, WRONG:] = WRONGS[kind](curves[who])
+    reasons, first = named(detector, curves)
+    assert reasons == {s: "pattern" if k == who else "trusted" for k, s in enumerate(SIGNALS)}
+    # window w is complete at stamp (w + SAMPLES) FRAMES - 1
+    expected = (np.nonzero(scores(curves, patterns) > THRESHOLD)[0][0] + SAMPLES) * FRAMES - 1
+    assert first == expected
+    assert (first - WRONG) * FRAME_S < 1.0
+
+
+def test_a_swing_that_no_run_has_shown_is_trusted(detector: Path) -> None:
+    """Other sizes and phases of the same modes; and a motion of all signals of another frequency."""
+    assert named(detector, swing((2.0, 4.0), (2e-3, 2e-3)))[1] is None
+    together = swing((0.0, 0.0)) + 1e-3 * np.sin(0.5 * np.arange(STAMPS)) * np.array(
+        [[1.0], [-1.0], [0.7], [0.8]]
+    )
+    assert named(detector, together)[1] is None
+
+
+def test_patterns_of_another_order_are_the_same_law(patterns: Patterns) -> None:
+    curves = swing((0.3, 1.0))
+    curves[1, WRONG:] *= -1.0
+    order = [2, 0, 3, 1]
+    ours, theirs = scores(curves[order], patterns.of(order)), scores(curves, patterns)
+    np.testing.assert_array_equal(ours > THRESHOLD, theirs > THRESHOLD)
+    np.testing.assert_allclose(
+        ours[ours > THRESHOLD], theirs[ours > THRESHOLD], rtol=1e-3
+    )  # of a difference of squares
+
+
+def test_a_design_is_written_and_read(patterns: Patterns, tmp_path: Path) -> None:
+    made = DetectorDesign("grid", "robust", SIGNALS, FRAME_S, 1e-5, patterns, 1.5, 30, 20)
+    again = load_detector(made.save(tmp_path / "d.json"))
+    np.testing.assert_array_equal(again.patterns.basis, patterns.basis)
+    assert (again.signals, again.patterns.numbers, again.largest) == (SIGNALS, patterns.numbers, 1.5)
+
+
+@pytest.mark.parametrize("text", ["", "{}", json.dumps({"schema": 2, "detector": {}, "runs": {}})])
+def test_other_files_are_refused_in_a_line(text: str, tmp_path: Path) -> None:
+    (tmp_path / "d.json").write_text(text)
+    with pytest.raises(DetectorDesignError, match="no file of a detector"):
+        load_detector(tmp_path / "d.json")
+
+
+def test_patterns_of_other_signals_do_not_fit(patterns: Patterns, tmp_path: Path) -> None:
+    path = build_fmu(detector_block(SIGNALS[:3], patterns=patterns), tmp_path / "three.fmu")
+    with pytest.raises(Exception), Runner(path):  # noqa: B017
+        pass
+
+
+def test_the_command_refuses_two_signals_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["two-area-thesis", "robust", "G2_dw", "G4_dw", "--out", str(tmp_path / "d.json")]) == 2
+    assert "allowed: three or more that differ" in capsys.readouterr().err
