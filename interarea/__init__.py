@@ -20,6 +20,10 @@ if all(os.path.isfile(os.path.join(_ROOT, *f)) for f in (("pyproject.toml",), ("
     __path__.append(_ROOT)
 
 if TYPE_CHECKING:  # what the table below says, for type checkers and editors
+    from interarea.control_systems import delay_margin as delay_margin
+    from interarea.control_systems import delayed_poles as delayed_poles
+    from interarea.control_systems import h2syn as h2syn
+    from interarea.control_systems import hinfsyn as hinfsyn
     from interarea.cosim.errors import StepError as StepError
     from interarea.cosim.records.read import read_record as read_record
     from interarea.cosim.run.system import System as System
@@ -51,6 +55,7 @@ _PUBLIC = {
     "grids": "load_case import_case modes loops linearise reduce",
     "synthesis": "design_controller load_controller certify",
     "simulation": "simulate Channel sweep read_sweep",
+    "control_systems": "delay_margin delayed_poles hinfsyn h2syn",
     "exchange": "build_fmu write_ssp write_container check",
     "design.controllers.controller": "Controller",
     "cosim.run.system": "System",

@@ -46,6 +46,12 @@ FUNCTIONS = {
     "read_record": "source: str | Path | pd.DataFrame, *, units: Mapping[str, str] | None = None, "
     "rate_hz: float | None = None, window_s: tuple[float, float] | None = None, fill_s: float = 0.5, "
     "frequency_hz: float = 60.0 -> Record",
+    "delay_margin": "loop: SystemLike, *, sign: int = -1, upto_s: float = 10.0 -> DelayMargin",
+    "delayed_poles": "loop: SystemLike, latency_s: float | Sequence[float], *, sign: int = -1, "
+    "right_of: float = -1.0, least: int = 1 -> npt.NDArray[np.complex128]",
+    "hinfsyn": "plant: SystemLike, measurements: int, controls: int, *, damping_ratio: float = 0.0, "
+    "decay_rate: float | None = None, radius: float | None = None -> Synthesis",
+    "h2syn": "plant: SystemLike, measurements: int, controls: int -> Synthesis",
     "build_fmu": "thing: Case | Controller | ControllerBank | SystemLike | str, path: str | Path, *, "
     "case: Case | str | Path = 'two-area-thesis', platforms: Sequence[str] | None = None -> Path",
     "write_ssp": "scenario: str | Path | Mapping[str, Any], path: str | Path, *, "
