@@ -30,6 +30,7 @@ from study_loop import SCENARIO
 
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.master.master import Master
+from interarea.cosim.master.plan import LoopPlan
 from interarea.cosim.run.run import system_of
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.fmu_build.open.fmu_file import FmuFile
@@ -52,7 +53,7 @@ def our_route(file: FmuFile, n: int, inputs: str, engine: str) -> Route:
     steps = 100_000 if engine == "kernel" else 2_000
     parts = [FmuParticipant(f"t{k}", file) for k in range(n)]
     wires = [(f"t{k - 1}.y", f"t{k}.u") for k in range(1, n)]
-    master = Master(parts, wires, stop_s=steps * H, step_s=H, inputs=inputs, engine=engine)  # type: ignore[arg-type]
+    master = Master(LoopPlan(wires, stop_s=steps * H, step_s=H, inputs=inputs, engine=engine), parts)  # type: ignore[arg-type]
     master.start()
     master.run(until_s=H)  # the kernel is compiled and bound
 

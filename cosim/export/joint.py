@@ -15,6 +15,7 @@ from ..errors import ScenarioError
 from ..master.graph import Connection, End
 from ..master.isolated import participant_of
 from ..master.master import Master
+from ..master.plan import LoopPlan
 from ..results.delay_ledger import DelayLedger, LedgerRow, packet_ledger
 from ..results.judge import Judge
 from ..results.metrics import METRICS, RING_DOWN
@@ -58,7 +59,7 @@ def run_joint(
     block = container_block(loaded, cache=folder, controller=controller)
     members = members_of(loaded, cache=folder, controller=controller)
     participant = participant_of(_NAME, FmuFile(block_fmu(block, folder)), {})
-    with Master([participant], (), stop_s=loaded.stop_s, step_s=members.step_s) as master:
+    with Master(LoopPlan((), stop_s=loaded.stop_s, step_s=members.step_s), [participant]) as master:
         trajectory = _named(master.run(progress=progress), members)
     ledger = _ledger(loaded, members)
     case = loaded.load_case()

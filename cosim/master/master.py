@@ -22,8 +22,7 @@ can, with the same bits.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Mapping
-from typing import Literal
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -31,7 +30,6 @@ from ..clock import Step, seconds, to_ticks
 from ..early_return import rolled_back, too_short
 from ..errors import GraphError, ScenarioError, StepError
 from ..participant import Participant
-from ..stepping_words import EARLY, INPUTS, LOOPS, Early, Inputs, Loops, early_word
 from ..trajectory import Trajectory
 from .algebraic_loop import initialise, iterate_loop
 from .fmu_log import FmuLog
@@ -40,37 +38,22 @@ from .instances import FmuParticipant
 from .kernel.build import kernel_or_reason
 from .kernel.kernel import Kernel, run_kernels, why_not
 from .node import Node
+from .plan import Engine, LoopPlan
 from .records import Fork, Records, Saved, Sink
 from .signals import Signal
 from .step_choice import clock_of, latency_ticks, step_and_reason
 from .stepping import Stepping, make_nodes, make_signals
 
 Progress = Callable[[float, float], object]
-Engine = Literal["auto", "kernel", "python"]
-ENGINES: tuple[Engine, ...] = ("auto", "kernel", "python")
 
 
 class Master:
-    """Steps `participants` along `connections` from `start_s` to `stop_s`.
+    """Steps `participants` as `plan` says.
 
     Parameters
     ----------
+    plan : the loop, with its instants and options.
     participants : any number, each with its own name.
-    connections : pairs ("instance.output", "instance.input"), in any order.
-    step_s : communication step H; None: chosen from the latencies (`step_and_reason`).
-    marks_s : instants that must be communication points (events, outages).
-    points : further communication points, ticks: instants at which a held signal changes (`Clock`);
-        left out when all inputs are held, as plain masters do.
-    latency_s : instance -> least time its inputs need to reach its outputs (a promise of that instance).
-    inputs : how inputs are handed over a step. loops : what to do with loops without a channel;
-        ``auto`` iterates where all their FMUs can save their state.
-    tolerance : of loops, relative to the largest value a signal has had.
-    substeps : parts of a step for FMUs that take no input derivatives.
-    engine : who steps in `run`: ``kernel`` compiled code, for FMUs in this process; ``python`` the reference;
-        ``auto`` the kernel where it can, else Python. `ran` says which it was, and why.
-    early : what follows when an FMU returns early from a step, see `early_return`; ``roll back`` needs every
-        FMU to save its state, and Python to step.
-    at_rest : all start where nothing moves (`clock_of`).
     sink : takes the results in parts while the run goes on, the last when it ends; they are not kept then.
 
     Raises
@@ -79,78 +62,51 @@ class Master:
     """
 
     def __init__(
-        self,
-        participants: Iterable[Participant],
-        connections: Iterable[tuple[str, str]],
-        *,
-        stop_s: float,
-        step_s: float | None = None,
-        start_s: float = 0.0,
-        marks_s: Iterable[float] = (),
-        points: Iterable[int] = (),
-        latency_s: Mapping[str, float] | None = None,
-        inputs: Inputs = "hermite",
-        loops: Loops = "auto",
-        tolerance: float = 1e-7,
-        substeps: int = 4,
-        engine: Engine = "auto",
-        early: Early = "continue",
-        at_rest: bool = False,
-        sink: Sink | None = None,
+        self, plan: LoopPlan, participants: Iterable[Participant], *, sink: Sink | None = None
     ) -> None:
-        early = early_word(early)
-        for key, value, allowed in (
-            *(("inputs", inputs, INPUTS), ("loops", loops, LOOPS)),
-            *(("engine", engine, ENGINES), ("early", early, EARLY)),
-        ):
-            if value not in allowed:
-                raise GraphError(f"{key} = {value!r}: allowed are {', '.join(allowed)}")
-        if early == "roll back" and engine == "kernel":
-            raise GraphError('engine = "kernel" cannot roll back early returns; use engine = "auto"')
+        self.plan = plan
         self.participants = {p.name: p for p in sorted(participants, key=lambda p: p.name)}
         descriptions = {n: p.description for n, p in self.participants.items()}
-        pairs = sorted(connections)
-        self.latency_s = dict(latency_s or {})
-        ticks = latency_ticks(self.latency_s, descriptions)
-        event_times = tuple(marks_s)
+        pairs = tuple(plan.connections)
+        ticks = latency_ticks(plan.latency_s, descriptions)
         self.step_s, self.step_reason = (
-            (step_s, "given")
-            if step_s is not None
-            else step_and_reason(self.latency_s.values(), [stop_s, *event_times])
+            (plan.step_s, "given")
+            if plan.step_s is not None
+            else step_and_reason(plan.latency_s.values(), [plan.stop_s, *plan.marks_s])
         )
-        self.inputs, self.loops, self.tolerance, self.substeps = inputs, loops, tolerance, substeps
-        holds = inputs.startswith("hold")
+        holds = plan.inputs.startswith("hold")
         self.clock = clock_of(
             descriptions,
-            start_s=start_s,
-            stop_s=stop_s,
+            start_s=plan.start_s,
+            stop_s=plan.stop_s,
             step_s=self.step_s,
-            marks_s=event_times,
+            marks_s=plan.marks_s,
             latency_ticks=ticks,
             edges=not holds,
-            points=() if holds else points,
-            at_rest=at_rest,
+            points=() if holds else plan.points,
+            at_rest=plan.at_rest,
         )
         self.graph: Graph = build_graph(descriptions, pairs, step_ticks=self.clock.step, latency_ticks=ticks)
         self._initial_graph = build_graph(
             descriptions, pairs, step_ticks=self.clock.stop - self.clock.start + 1
         )
-        self.signals = make_signals(self.participants, self.graph, inputs)
-        self.nodes = make_nodes(self.participants, self.graph, self.signals, inputs, substeps)
+        self.signals = make_signals(self.participants, self.graph, plan.inputs)
+        self.nodes = make_nodes(self.participants, self.graph, self.signals, plan.inputs, plan.substeps)
         self.residual = 0.0  #: of the initial values, relative
         self.repeated = 0  #: loop steps done again since the start
-        self.stepping = Stepping(descriptions, self.graph, self.signals, inputs, loops, tolerance)
-        self._plan = [self._planned(group) for group in self.stepping.groups]
+        self.stepping = Stepping(
+            descriptions, self.graph, self.signals, plan.inputs, plan.loops, plan.tolerance
+        )
+        self._order = [self._planned(group) for group in self.stepping.groups]
         self._index = -1
         self.recorded = 1 + int(np.count_nonzero(self.clock.steps.recorded))  #: points from start to end
         self._records = Records(self.participants.values(), self.recorded, sink)
-        self.engine = engine
+        self.engine: Engine = plan.engine
         self.ran = ""  #: who did the steps since the start: kernel | python | python (why not the kernel)
-        self.early = early
         self.rolled_back = 0  #: steps put back because an FMU returned early, since the start
         self._stopping = [p for p in self.participants.values() if isinstance(p, FmuParticipant)]
         self._kernel: Kernel | None = None
-        self._why_python = "early returns are rolled back" if early == "roll back" else ""
+        self._why_python = "early returns are rolled back" if plan.early == "roll back" else ""
         self._cancelled = False
         self.ends = self.clock.steps.ends
 
@@ -199,7 +155,7 @@ class Master:
         self._note("python")
         step = self.clock.steps[self._index]
         try:
-            if self.early == "roll back":
+            if self.plan.early == "roll back":
                 self.rolled_back += rolled_back(step, self._once, self.save, self.restore, self.release)
             else:
                 self._once(step)
@@ -368,17 +324,17 @@ class Master:
 
     def _once(self, step: Step) -> None:
         """Do one step, and no more."""
-        if self.early == "roll back":
+        if self.plan.early == "roll back":
             for p in self._stopping:
                 p.stops_early = not too_short(step)
         for s in self.signals:
             s.begin(step.start, step.edge)
-        for group, nodes, torn in self._plan:
+        for group, nodes, torn in self._order:
             if torn is None:
                 for node in nodes:
                     node.advance(step)
             else:
-                self.repeated += iterate_loop(group, self.nodes, torn, step, self.tolerance)
+                self.repeated += iterate_loop(group, self.nodes, torn, step, self.plan.tolerance)
         for s in self.signals:
             s.accept(step.start, step.end, step.edge)
 
@@ -408,7 +364,7 @@ class Master:
             self.stepping.torn_signals,
             self.stepping.iterated,
             self.clock.steps,
-            tolerance=self.tolerance,
+            tolerance=self.plan.tolerance,
             times=self._records.times,
             records=self._records.values,
         )

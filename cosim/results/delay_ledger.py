@@ -116,12 +116,12 @@ def delay_ledger(
     place = {name: k for k, name in enumerate(master.graph.order)}
     known = dict(delays or {})
     rows = [_into_pmu(_row(master, c, place, known), known) for c in master.graph.connections]
-    return DelayLedger(tuple(rows), master.step_s, master.inputs, tuple(rounded))
+    return DelayLedger(tuple(rows), master.step_s, master.plan.inputs, tuple(rounded))
 
 
 def _row(master: Master, c: Connection, place: Mapping[str, int], delays: Mapping[str, Delays]) -> LedgerRow:
     target = c.target.instance
-    if target in master.latency_s:
+    if target in master.plan.latency_s:
         ahead = place[c.source.instance] < place[target]
         return _through_channel(master, c, delays.get(target), ahead)
     description, node, h = master.participants[target].description, master.nodes[target], master.step_s
@@ -132,9 +132,9 @@ def _row(master: Master, c: Connection, place: Mapping[str, int], delays: Mappin
         exact = c.source.instance in delays and bool(master.clock.points)
         added = 0.5 * h if direct and not exact else 0.0
         note = "discrete: changes at communication points"
-    elif master.inputs == "hold-gauss-seidel" and place[c.source.instance] < place[target]:
+    elif master.plan.inputs == "hold-gauss-seidel" and place[c.source.instance] < place[target]:
         added, note = (0.0 if direct else -0.5 * h), "value at the end of the step held"
-    elif master.inputs in ("hold-jacobi", "hold-gauss-seidel"):
+    elif master.plan.inputs in ("hold-jacobi", "hold-gauss-seidel"):
         added, note = late, "value at the start of the step held"
     elif node.order == 0 and node.substeps > 1:
         note = f"no input derivatives: means over {node.substeps} parts of a step"
@@ -152,13 +152,13 @@ def _into_pmu(row: LedgerRow, delays: Mapping[str, Delays]) -> LedgerRow:
 
 
 def _through_channel(master: Master, c: Connection, known: Delays | None, ahead: bool) -> LedgerRow:
-    latency = master.latency_s[c.target.instance]
+    latency = master.plan.latency_s[c.target.instance]
     known = known or Delays(latency, latency)
     added, notes = known.waiting_s, []
     if c.cut:
         notes.append("first in the step")
-    elif master.inputs.startswith("hold"):
-        newest = ahead and master.inputs == "hold-gauss-seidel"
+    elif master.plan.inputs.startswith("hold"):
+        newest = ahead and master.plan.inputs == "hold-gauss-seidel"
         added += (0.0 if newest else master.step_s) - latency
         notes.append(f"value at the {'end' if newest else 'start'} of the step held")
     if known.seed is not None:
@@ -234,7 +234,7 @@ def explain(master: Master, ledger: DelayLedger) -> str:
     g = master.graph
     lines = [
         f"step {1e3 * master.step_s:g} ms ({master.step_reason}), {len(master.clock.steps)} steps, "
-        f"inputs: {master.inputs}",
+        f"inputs: {master.plan.inputs}",
         "events at " + (", ".join(f"{m / 1e9:.9g}" for m in master.clock.marks) or "none") + " s",
         *([f"packets come out at {n} more points"] if (n := len(master.clock.points)) else []),
         "order of a step: "

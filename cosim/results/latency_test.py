@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, cast
 
@@ -116,7 +116,9 @@ def self_test(
     tags = {e: _Tag(1.0 + k / len(ends), _WIDTHS * width_s + 0.37 * k * master.step_s, width_s)
             for k, e in enumerate(ends)}  # fmt: skip
     latest = max([t.centre_s for t in tags.values()], default=0.0)
-    longest = sum(master.latency_s.values()) + 2.0 * len(master.participants) * max(master.step_s, interval_s)
+    longest = sum(master.plan.latency_s.values()) + 2.0 * len(master.participants) * max(
+        master.step_s, interval_s
+    )
     step = to_ticks(master.step_s, "step_s")
     steps = -(-to_ticks(round(latest + _WIDTHS * width_s + longest, 6), "length") // step)
     parts: list[_StandIn | _Tap] = []
@@ -125,21 +127,19 @@ def self_test(
             parts.append(_Tap(channels[name]))
         else:
             own = {e.variable: t for e, t in tags.items() if e.instance == name}
-            parts.append(_StandIn(name, p.description, own, master.latency_s.get(name, 0.0)))
-    rig = Master(
-        cast(list[Participant], parts),
-        [(str(c.source), str(c.target)) for c in master.graph.connections],
+            parts.append(_StandIn(name, p.description, own, master.plan.latency_s.get(name, 0.0)))
+    plan = replace(
+        master.plan,
+        start_s=0.0,
         stop_s=seconds(steps * step),
         step_s=master.step_s,
+        marks_s=(),
         points=points(seconds(steps * step)),
-        latency_s=master.latency_s,
-        inputs=master.inputs,
-        loops=master.loops,
-        tolerance=master.tolerance,
-        substeps=master.substeps,
         engine="python",
+        early="continue",
         at_rest=True,
     )
+    rig = Master(plan, cast(list[Participant], parts))
     with rig:
         rig.run()
     ledger = delay_ledger(rig, delays(rig.clock))

@@ -41,6 +41,7 @@ from ..master.graph import end_of, pairs_of
 from ..master.instances import FmuParticipant, Value
 from ..master.isolated import participant_of
 from ..master.master import Master
+from ..master.plan import LoopPlan
 from ..master.records import Sink
 from ..participant import Participant
 from ..results.judge import Gathered, Judge
@@ -77,7 +78,7 @@ class System:
     arrivals : ``exact``: packets come out of a channel at their instant, which is a communication point;
         ``grid``: at the next point there is, as the ledger then says.
     strict : refuse FMUs whose description breaks the standard where it does no harm; else a warning tells.
-    options : `Master`'s (inputs, loops, tolerance, substeps, engine).
+    options : `LoopPlan`'s (inputs, loops, tolerance, substeps, engine).
     """
 
     def __init__(
@@ -328,6 +329,13 @@ class System:
         """Ticks at which packets come out, where these are communication points."""
         return points_of(self.channels.values(), self.arrivals, self.start_s, self.stop_s)
 
+    @property
+    def plan(self) -> LoopPlan:
+        """The loop as it stands, without its participants. GraphError : an option that does not exist."""
+        times: dict[str, Any] = {"stop_s": self.stop_s, "start_s": self.start_s, "step_s": self.step_s}
+        times |= {"marks_s": self.marks_s, "points": self.points, "latency_s": self.latency_s}
+        return LoopPlan(self.connections, **times, at_rest=self.at_rest, **self.options)
+
     def master(
         self, participants: Collection[FmuParticipant] | None = None, sink: Sink | None = None
     ) -> Master:
@@ -349,19 +357,7 @@ class System:
         for source, target in self.connections:
             end_of(source, by_name)
             end_of(target, by_name)
-        return Master(
-            parts,
-            self.connections,
-            stop_s=self.stop_s,
-            start_s=self.start_s,
-            step_s=self.step_s,
-            marks_s=self.marks_s,
-            points=self.points,
-            latency_s=self.latency_s,
-            at_rest=self.at_rest,
-            sink=sink,
-            **self.options,
-        )
+        return Master(self.plan, parts, sink=sink)
 
     def run(self, *, progress: Callable[[float, float], object] | None = None) -> Result:
         """Run to the end and return what happened.

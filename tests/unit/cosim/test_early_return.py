@@ -33,7 +33,7 @@ def test_the_word_of_0_1_for_continue_is_still_read(whims: Path) -> None:
     same = {"case": "two-area-thesis", "stop_s": 1.0, "master": {"early": "go on"}}
     assert load_scenario(same).master.early == "continue"
     with chain(whims, 0.4321, early="go on").master() as master:
-        assert master.early == "continue"
+        assert master.plan.early == "continue"
 
 
 def exact(t: np.ndarray, at: float) -> tuple[np.ndarray, np.ndarray]:

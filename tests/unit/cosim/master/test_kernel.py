@@ -20,6 +20,7 @@ from interarea.cosim.errors import GraphError, StepError
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.master.kernel import build as kernel_build
 from interarea.cosim.master.master import Master
+from interarea.cosim.master.plan import LoopPlan
 from interarea.cosim.scenario.scenario import load_scenario
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.errors import BuildError
@@ -117,12 +118,12 @@ def test_any_order_of_declaration_gives_the_same_bits(cache: Path, by_hand: Cont
             FmuParticipant(p.name, p.file, {n: v for n, (_, v) in p._start.items()})  # type: ignore[attr-defined]
             for p in master.participants.values()
         ]
-        latency = master.latency_s
+        latency = master.plan.latency_s
     for _ in range(2):
         parts, wires = parts[::-1], wires[1:] + wires[:1]
         options: dict[str, Any] = {"stop_s": 2.0, "step_s": 0.01, "marks_s": [0.7, 0.5], "latency_s": latency}
         options["at_rest"] = True
-        with Master(parts, wires, engine="kernel", **options) as again:
+        with Master(LoopPlan(wires, engine="kernel", **options), parts) as again:
             assert again.run().data.equals(first)
 
 
@@ -159,7 +160,7 @@ def test_integers_and_reals_of_a_kicked_decay(cache: Path) -> None:
     """Its state jumps at 0.55 s: the Integer output counts it, the Real shows it."""
     file = FmuFile(block_fmu(decay_block(), cache))
     parts = [FmuParticipant("a", file, {"kicking": True}), FmuParticipant("b", file)]
-    with Master(parts, [("a.y", "b.u")], stop_s=2.0, step_s=0.1, marks_s=[0.55]) as master:
+    with Master(LoopPlan([("a.y", "b.u")], stop_s=2.0, step_s=0.1, marks_s=[0.55]), parts) as master:
         fast = master.run()
         master.engine = "python"
         master.start()
@@ -186,7 +187,7 @@ def mixed(foreign: dict[str, FmuFile], **start: float) -> Master:
     parts.append(FmuParticipant("sink", foreign["lag"]))
     wires = [("a.y", "b.u"), ("b.y", "a.u"), ("g.last", "h.u"), ("g.even", "h.open"), ("g.total", "h.add")]
     wires.append(("h.y", "sink.u"))
-    return Master(parts, wires, stop_s=2.0, step_s=0.1, marks_s=[0.55])
+    return Master(LoopPlan(wires, stop_s=2.0, step_s=0.1, marks_s=[0.55]), parts)
 
 
 def test_foreign_fmus_with_values_of_every_type(foreign: dict[str, FmuFile]) -> None:
@@ -233,7 +234,7 @@ def test_a_failing_fmu_is_named_with_call_time_and_its_last_log_line(cache: Path
 
     def make() -> Master:
         parts = [FmuParticipant("fine", file), FmuParticipant("bad", file, dict(start))]
-        return Master(parts, [("fine.y", "bad.u")], stop_s=2.0, step_s=0.1)
+        return Master(LoopPlan([("fine.y", "bad.u")], stop_s=2.0, step_s=0.1), parts)
 
     says = 'bad: fmi2DoStep at t = 0.5 s: returned discard.*"fmi2DoStep: decay: x = '
     stop = check_the_same_stop(make, says)
@@ -323,29 +324,29 @@ def test_progress_is_told_and_may_cancel(long_run: Master) -> None:
 def test_participants_in_python_are_stepped_in_python_and_the_result_says_so() -> None:
     one = np.array([[-1.0]])
     part = Linear("x", one, one, one, np.zeros((1, 1)), ["u"], ["y"])
-    run = Master([part], [], stop_s=0.1, step_s=0.01).run()
+    run = Master(LoopPlan([], stop_s=0.1, step_s=0.01), [part]).run()
     assert run.engine == "python (x is no FMU in this process)"
     with pytest.raises(GraphError, match=r'engine = "kernel" cannot step this: x is no FMU'):
-        Master([part], [], stop_s=0.1, step_s=0.01, engine="kernel").run()
+        Master(LoopPlan([], stop_s=0.1, step_s=0.01, engine="kernel"), [part]).run()
     with pytest.raises(GraphError, match="allowed are auto, kernel, python"):
-        Master([part], [], stop_s=0.1, step_s=0.01, engine="fast")  # type: ignore[arg-type]
+        Master(LoopPlan([], stop_s=0.1, step_s=0.01, engine="fast"), [part])  # type: ignore[arg-type]
 
 
 def test_without_a_compiler_python_steps_and_a_message_says_so(
     cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     file = FmuFile(block_fmu(decay_block(), cache))
-    with Master([FmuParticipant("a", file)], [], stop_s=1.0, step_s=0.1) as master:
+    with Master(LoopPlan([], stop_s=1.0, step_s=0.1), [FmuParticipant("a", file)]) as master:
         fast = master.run()
     monkeypatch.setenv("CC", "no-such-compiler-anywhere")
-    with Master([FmuParticipant("a", file)], [], stop_s=1.0, step_s=0.1) as master:
+    with Master(LoopPlan([], stop_s=1.0, step_s=0.1), [FmuParticipant("a", file)]) as master:
         slow = master.run()
     assert fast.engine == "kernel"
     assert slow.engine.startswith("python (the C compiler 'no-such-compiler-anywhere'")
     assert "stepping in Python" in caplog.text
     assert slow.data.equals(fast.data)
     with (
-        Master([FmuParticipant("a", file)], [], stop_s=1.0, step_s=0.1, engine="kernel") as master,
+        Master(LoopPlan([], stop_s=1.0, step_s=0.1, engine="kernel"), [FmuParticipant("a", file)]) as master,
         pytest.raises(GraphError, match="no-such-compiler-anywhere"),
     ):
         master.run()
@@ -373,7 +374,7 @@ def test_a_discarded_step_is_handed_to_the_participant_with_what_was_sent(
 
         monkeypatch.setattr(FmuParticipant, "discarded", finish)
         parts = [FmuParticipant("a", file), FmuParticipant("b", file, {"kicking": True, "ceiling": 2.0})]
-        master = Master(parts, [("a.y", "b.u")], stop_s=1.0, step_s=0.1)
+        master = Master(LoopPlan([("a.y", "b.u")], stop_s=1.0, step_s=0.1), parts)
         master.engine = engine  # type: ignore[assignment]
         with master, pytest.raises(StepError, match=r"not allowed in state .step discarded") as error:
             master.run()  # taken as finished, but the FMU waits for its state to be put back

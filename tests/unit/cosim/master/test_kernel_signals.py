@@ -22,6 +22,7 @@ from interarea.cosim.master import kernel
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.master.kernel.build import KIND_OF, KernelSignal
 from interarea.cosim.master.master import Master
+from interarea.cosim.master.plan import LoopPlan
 from interarea.cosim.master.signals import Kind, Signal
 from interarea.cosim.polynomials import mean_between, slope_at, value_at
 from interarea.fmu_build.open.fmu_file import FmuFile
@@ -149,7 +150,7 @@ def test_an_offset_between_units_is_never_dropped(
         FmuParticipant("c", file, {"x": 0.0}),
     ]
     wires = [("a.y", "b.u"), ("b.y", "c.u")]
-    with Master(parts, wires, stop_s=2.0, step_s=0.05, engine=engine) as master:
+    with Master(LoopPlan(wires, stop_s=2.0, step_s=0.05, engine=engine), parts) as master:
         run = master.run()
     t, warm, cold = np.asarray(run.time_s), 26.85, 26.85 - 273.15
     decay = np.exp(-t)

@@ -13,6 +13,7 @@ from participants import Delay, Linear, delayed_reference
 
 from interarea.cosim.errors import GraphError, StepError
 from interarea.cosim.master.master import Master
+from interarea.cosim.master.plan import LoopPlan
 from interarea.cosim.results.delay_ledger import delay_ledger, explain
 
 TAU, STOP = 0.1, 10.0
@@ -57,7 +58,9 @@ def loop(
         wires.append(("plant.l", "controller.l"))
     turn = options.pop("turn", 0)
     parts, wires = parts[turn:] + parts[:turn], wires[turn:] + wires[:turn]
-    return Master(parts, wires, stop_s=STOP, step_s=step_s, marks_s=PULSE, latency_s=latency, **options)
+    return Master(
+        LoopPlan(wires, stop_s=STOP, step_s=step_s, marks_s=PULSE, latency_s=latency, **options), parts
+    )
 
 
 @cache
@@ -166,7 +169,7 @@ def gain(name: str, k: float, constant: float = 0.0) -> Linear:
 def test_an_algebraic_loop_is_solved_to_its_closed_form(k: float) -> None:
     """y = k y + 1 through two instances: y = 1 / (1 - k), also where plain sweeps would diverge."""
     parts = [gain("a", k, 1.0), gain("b", 1.0)]
-    with Master(parts, [("a.y", "b.u"), ("b.y", "a.u")], stop_s=0.1, step_s=0.01) as master:
+    with Master(LoopPlan([("a.y", "b.u"), ("b.y", "a.u")], stop_s=0.1, step_s=0.01), parts) as master:
         run = master.run()
     assert master.residual <= 1e-12
     np.testing.assert_allclose(run["a.y"], 1.0 / (1.0 - k), rtol=1e-6)
@@ -175,7 +178,7 @@ def test_an_algebraic_loop_is_solved_to_its_closed_form(k: float) -> None:
 def test_a_loop_without_a_solution_says_so() -> None:
     parts = [gain("a", 1.0, 1.0), gain("b", 1.0)]
     with pytest.raises(StepError, match="solving the initial values"):
-        Master(parts, [("a.y", "b.u"), ("b.y", "a.u")], stop_s=0.1, step_s=0.01).run()
+        Master(LoopPlan([("a.y", "b.u"), ("b.y", "a.u")], stop_s=0.1, step_s=0.01), parts).run()
 
 
 class Spoiled(Linear):
@@ -192,7 +195,7 @@ def test_nan_stops_the_run_at_that_step_with_the_results_so_far() -> None:
     bad = Spoiled("bad", one, one, one, np.zeros((1, 1)), ["u"], ["y"])
     sink = Linear("sink", one, one, one, np.zeros((1, 1)), ["u"], ["y"])
     with pytest.raises(StepError, match=r"bad: reading outputs at t = 0.5 s: output y is nan") as caught:
-        Master([bad, sink], [("bad.y", "sink.u")], stop_s=1.0, step_s=0.01).run()
+        Master(LoopPlan([("bad.y", "sink.u")], stop_s=1.0, step_s=0.01), [bad, sink]).run()
     assert caught.value.trajectory is not None
     assert caught.value.trajectory.time_s[-1] == 0.49
 
@@ -209,7 +212,7 @@ def test_the_explanation_names_order_loops_and_what_is_not_connected() -> None:
     assert "iterated with saved states" in text
     assert "events at 1, 1.1, 1.2, 1.3 s" in text
     alone = Linear("x", A, B, C, np.zeros((2, 1)), ["vs"], ["r", "l"])
-    single = Master([alone], [], stop_s=1.0)
+    single = Master(LoopPlan([], stop_s=1.0), [alone])
     assert "not connected: x.vs keeps its start value 0" in explain(single, delay_ledger(single))
 
 
@@ -217,7 +220,7 @@ def test_steps_of_one_length_refuse_events_off_the_grid() -> None:
     rigid = gain("a", 0.0)
     rigid.description = rigid.description.__class__(**{**vars(rigid.description), "variable_step": False})
     with pytest.raises(GraphError, match=r"use 0\.01 or 0\.02"):
-        Master([rigid], [], stop_s=1.0, step_s=0.01, marks_s=[0.015])
+        Master(LoopPlan([], stop_s=1.0, step_s=0.01, marks_s=[0.015]), [rigid])
 
 
 @pytest.mark.parametrize("latency", [0.05, 0.0537])
@@ -233,7 +236,9 @@ def test_a_start_far_from_rest_comes_through_a_channel_with_its_kink(latency: fl
     parts = [swing, total, Delay("late", latency)]
 
     def error(**options: Any) -> float:
-        run = Master(parts, wires, stop_s=1.0, step_s=0.01, latency_s={"late": latency}, **options).run()
+        run = Master(
+            LoopPlan(wires, stop_s=1.0, step_s=0.01, latency_s={"late": latency}, **options), parts
+        ).run()
         exact = (1.0 - np.cos(w * np.maximum(run.time_s - latency, 0.0))) / w
         assert len(run.time_s) == 101  # the kink is a communication point and no row
         return float(np.max(np.abs(run["sum.y"] - exact)))
@@ -253,6 +258,6 @@ def test_a_jump_inside_a_channel_reaches_the_loop_at_its_instant() -> None:
     cut = Delay("cut", 0.05, zero_from=0.5)
     wires = list(itertools.chain([("ramp.y", "cut.u"), ("cut.y", "sum.u")]))
     run = Master(
-        [ramp, total, cut], wires, stop_s=1.0, step_s=0.01, marks_s=[0.5], latency_s={"cut": 0.05}
+        LoopPlan(wires, stop_s=1.0, step_s=0.01, marks_s=[0.5], latency_s={"cut": 0.05}), [ramp, total, cut]
     ).run()
     assert run["sum.y"][-1] == pytest.approx(0.5, abs=2e-9)  # a tick of 1 ns

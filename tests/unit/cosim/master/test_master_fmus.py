@@ -14,6 +14,7 @@ import pytest
 from interarea.cosim.errors import GraphError, StepError
 from interarea.cosim.master.instances import FmuParticipant
 from interarea.cosim.master.master import Master
+from interarea.cosim.master.plan import LoopPlan
 from interarea.cosim.results.delay_ledger import delay_ledger, explain
 from interarea.fmu_build.errors import FmuFileError
 from interarea.fmu_build.open.fmu_file import FmuFile
@@ -33,7 +34,7 @@ def ring(lag: FmuFile, step_s: float, **options: object) -> Master:
     parts = [FmuParticipant("a", lag, {"T": 0.5}), FmuParticipant("b", lag, {"T": 0.2})]
     parts.append(FmuParticipant("fading", lag, {"T": 0.3}))
     wires = [("a.y", "b.u"), ("b.y", "a.u")]
-    return Master(parts, wires, stop_s=2.0, step_s=step_s, **options)  # type: ignore[arg-type]
+    return Master(LoopPlan(wires, stop_s=2.0, step_s=step_s, **options), parts)  # type: ignore[arg-type]
 
 
 def test_a_loop_of_foreign_fmus_runs_without_what_they_lack(lag: FmuFile) -> None:
@@ -53,7 +54,7 @@ def test_a_driven_foreign_fmu_converges_with_second_order(lag: FmuFile) -> None:
     errors = []
     for h in (0.1, 0.05):
         parts = [FmuParticipant("a", lag, {"T": 0.5}), FmuParticipant("b", lag, {"T": 0.2})]
-        with Master(parts, [("a.y", "b.u")], stop_s=2.0, step_s=h) as master:
+        with Master(LoopPlan([("a.y", "b.u")], stop_s=2.0, step_s=h), parts) as master:
             run = master.run()
         t = run.time_s
         exact = (0.5 * np.exp(-t / 0.5) - 0.2 * np.exp(-t / 0.2)) / 0.3
@@ -64,7 +65,7 @@ def test_a_driven_foreign_fmu_converges_with_second_order(lag: FmuFile) -> None:
 
 def test_a_failing_fmu_is_named_with_call_time_and_results_so_far(lag: FmuFile) -> None:
     bad = FmuParticipant("bad", lag, {"spoil_at": 1.0})
-    with Master([bad], [], stop_s=2.0, step_s=0.1) as master, pytest.raises(StepError) as caught:
+    with Master(LoopPlan([], stop_s=2.0, step_s=0.1), [bad]) as master, pytest.raises(StepError) as caught:
         master.run()
     assert (caught.value.instance, caught.value.call, caught.value.time_s) == ("bad", "fmi2DoStep", 1.0)
     assert caught.value.trajectory is not None

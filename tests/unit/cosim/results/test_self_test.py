@@ -10,6 +10,7 @@ import pytest
 from participants import Delay, Linear
 
 from interarea.cosim.master.master import Master
+from interarea.cosim.master.plan import LoopPlan
 from interarea.cosim.results.delay_ledger import Delays
 from interarea.cosim.results.latency_test import self_test
 from interarea.cosim.run.system import System
@@ -48,7 +49,7 @@ def test_every_kind_of_connection_has_the_latency_that_the_ledger_states(
     parts.append(lag("rigid", input_order=0))
     parts[-1].description = replace(parts[-1].description, variable_step=False)
     wires = [("a.y", "b.u"), ("b.y", "c.u"), ("c.y", "a.u"), ("c.y", "rigid.u")]
-    with Master(parts, wires, stop_s=1.0, step_s=0.02, inputs=inputs) as master:
+    with Master(LoopPlan(wires, stop_s=1.0, step_s=0.02, inputs=inputs), parts) as master:
         test = self_test(master, **NOTHING)
     assert test.passed, str(test)
     assert test.worst_s <= 1e-6
@@ -98,7 +99,9 @@ def test_units_are_taken_out_of_the_measurement() -> None:
         for direct in (False, True):
             a = with_port(lag("a"), "outputs", unit=unit_out)
             b = with_port(lag("b", direct=direct), "inputs", unit=unit_in)
-            with Master([a, b], [("a.y", "b.u")], stop_s=1.0, step_s=0.02, inputs="hold-jacobi") as master:
+            with Master(
+                LoopPlan([("a.y", "b.u")], stop_s=1.0, step_s=0.02, inputs="hold-jacobi"), [a, b]
+            ) as master:
                 test = self_test(master, **NOTHING)
             assert test.passed, str(test)
             assert test["b.u"].measured_s == pytest.approx(0.02 if direct else 0.01, abs=1e-6)
@@ -108,7 +111,7 @@ def test_units_are_taken_out_of_the_measurement() -> None:
 def test_discrete_outputs_change_at_communication_points(kind: Any) -> None:
     a = with_port(lag("a"), "outputs", type=kind, discrete=True)
     b = with_port(lag("b"), "inputs", type=kind)
-    with Master([a, b], [("a.y", "b.u")], stop_s=1.0, step_s=0.02) as master:
+    with Master(LoopPlan([("a.y", "b.u")], stop_s=1.0, step_s=0.02), [a, b]) as master:
         test = self_test(master, **NOTHING)
     assert test.passed, str(test)
     assert test["b.u"].measured_s == pytest.approx(0.0, abs=1e-6)
@@ -117,7 +120,7 @@ def test_discrete_outputs_change_at_communication_points(kind: Any) -> None:
 def test_a_channel_that_is_later_than_stated_is_found() -> None:
     parts: list[Any] = [lag("a"), Delay("late", 0.11), lag("b")]
     wires = [("a.y", "late.u"), ("late.y", "b.u")]
-    with Master(parts, wires, stop_s=1.0, step_s=0.01, latency_s={"late": 0.1}) as master:
+    with Master(LoopPlan(wires, stop_s=1.0, step_s=0.01, latency_s={"late": 0.1}), parts) as master:
         stated = {"late": Delays(0.1, 0.1)}
         test = self_test(master, {"late": Delay("late", 0.11)}, delays=lambda clock: stated)
         right = self_test(master, {"late": Delay("late", 0.1)}, delays=lambda clock: stated)
@@ -139,7 +142,7 @@ def test_a_channel_that_scales_is_found_by_the_height_of_its_impulse() -> None:
     half.receive = halved  # type: ignore[method-assign]
     parts: list[Any] = [lag("a"), Delay("half", 0.1), lag("b")]
     wires = [("a.y", "half.u"), ("half.y", "b.u")]
-    with Master(parts, wires, stop_s=1.0, step_s=0.01, latency_s={"half": 0.1}) as master:
+    with Master(LoopPlan(wires, stop_s=1.0, step_s=0.01, latency_s={"half": 0.1}), parts) as master:
         test = self_test(master, {"half": half}, delays=lambda clock: {"half": Delays(0.1, 0.1)})
     assert not test.passed and test["half.u"].height == pytest.approx(0.5, rel=1e-9)
     assert "0.5 times as high" in str(test)
@@ -147,6 +150,6 @@ def test_a_channel_that_scales_is_found_by_the_height_of_its_impulse() -> None:
 
 def test_the_master_under_test_is_not_touched() -> None:
     a, b = lag("a"), lag("b")
-    with Master([a, b], [("a.y", "b.u")], stop_s=1.0, step_s=0.02) as master:
+    with Master(LoopPlan([("a.y", "b.u")], stop_s=1.0, step_s=0.02), [a, b]) as master:
         self_test(master, **NOTHING)
         assert (a.started, b.started) == (0, 0)
