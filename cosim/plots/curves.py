@@ -13,9 +13,8 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import control
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
@@ -24,8 +23,10 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from interarea.design.linear.norms import response
 from interarea.models.files import write_whole
+
+if TYPE_CHECKING:
+    import control
 
 Array = npt.NDArray[np.float64]
 Curve = tuple[npt.ArrayLike, npt.ArrayLike]
@@ -124,6 +125,8 @@ def singular_value_plot(
     systems: Mapping[str, control.StateSpace], omega: Array, *, ylabel: str = "dB"
 ) -> Figure:
     """Draw the largest singular value of each system over frequency (rad/s)."""
+    from interarea.design.linear.norms import response  # loads python-control, a second
+
     figure, axes = new_figure()
     with mpl.rc_context(STYLE):
         for k, (label, system) in enumerate(systems.items()):
@@ -137,6 +140,8 @@ def singular_value_plot(
 
 def bode_plot(systems: Mapping[str, control.StateSpace], omega: Array) -> Figure:
     """Draw magnitude and phase of each input-output pair: one column per input, one output."""
+    from interarea.design.linear.norms import response  # loads python-control, a second
+
     first = next(iter(systems.values()))
     inputs = first.input_labels
     figure, axes = new_figure(2, len(inputs), height=3.7, sharex=True, sharey="row", squeeze=False)

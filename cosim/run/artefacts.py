@@ -15,6 +15,7 @@ import numpy as np
 from interarea.design.linear.matrices import LinearMatrices
 from interarea.fmu_build.write.cache import (
     artefact,
+    cached_json,
     code_hash,
     content_hash,
     numerics_versions,
@@ -242,15 +243,20 @@ def growth_at_rest(case: Case, cache: Path) -> Growth | None:
 
     Of a case in several parts, of one that has power flow alone and of one that cannot start there is none.
     """
-    from interarea.design.modes.growth import growth_of_plant
+    from interarea.design.modes.growth import Growth, growth_of_plant
     from interarea.models.errors import UserError
 
     if not case.machines or any(machine.model == "power_flow" for machine in case.machines):
         return None
+    sources = [source_hash(room) for room in ("models", "design/modes", "design/linear", "fmu_build/write")]
+    key = content_hash(case.model_dump_json(), *sources, source_hash("models", "*.[ch]"), numerics_versions())
     try:
-        return growth_of_plant(sparse_linear_plant(case, cache))
+        verdict = cached_json(
+            cache, "growth", key, lambda: growth_of_plant(sparse_linear_plant(case, cache)).as_dict()
+        )
     except UserError:  # said where the case is run
         return None
+    return Growth.from_dict(verdict)
 
 
 def _save_linear(system: LinearMatrices, path: Path) -> None:

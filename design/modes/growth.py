@@ -103,6 +103,12 @@ class Growth:
             ],
         }
 
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Growth:
+        """Return the verdict of `as_dict`."""
+        growing = tuple(Growing(complex(*g["eigenvalue"]), g["participation"]) for g in data["growing"])
+        return cls(growing, data["counted"], data["states"], data["slowest"])
+
 
 def growth_of_spectrum(
     A: Matrix, labels: Sequence[str], values: ComplexMatrix, left: ComplexMatrix, right: ComplexMatrix

@@ -8,6 +8,7 @@ import pickle
 import pstats
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -74,3 +75,20 @@ def test_a_warm_run_makes_few_calls() -> None:
         run_scenario(scenario)
     calls = pstats.Stats(profile).total_calls  # type: ignore[attr-defined]
     assert calls <= 16_000
+
+
+def test_the_files_of_a_run_are_written_without_python_control(tmp_path: Path) -> None:
+    """Figure and report too, which an earlier state drew with it loaded: a second of each run."""
+    code = (
+        "import sys; from interarea.cosim.run.run import write_run; from pathlib import Path; "
+        f"files = write_run({SCENARIO!r}, Path({str(tmp_path)!r}))[1]; "
+        "print(*sorted({f.suffix for f in files}), *{'control', 'scipy.signal', 'cvxpy'} & set(sys.modules))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300
+    )
+    assert (
+        {".html", ".svg", ".csv"}
+        <= {*done.stdout.split()}
+        <= {*(".csv", ".html", ".json", ".parquet", ".svg", ".toml")}
+    )

@@ -171,3 +171,14 @@ def test_what_grows_beside_damped_swings_is_told(  # type: ignore[no-untyped-def
     for given in ((), ("--band", "0.05:4", "--below", "0.5")):
         said = interarea("modes", str(out), *given)[1].splitlines()[0]
         assert f"at rest {said}" == verdict
+
+
+def test_the_verdict_of_a_case_is_computed_once_and_read_to_the_last_bit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    case = load_case("kundur-thyristor-z")
+    computed = growth_of_plant(sparse_linear_plant(case, default_cache()))
+    first = growth_at_rest(case, default_cache())
+    monkeypatch.setattr(growth, "growth_of_plant", None)  # not called again
+    assert computed == first == growth_at_rest(case, default_cache())
+    assert not computed.stable and computed.text == first.text
