@@ -26,6 +26,7 @@ SUMMARIES = {
     "import": "Read a grid, solve its power flow, write a case file.",
     "export": "Write a case as RAW, DYR, MATPOWER or TOML.",
     "meter": "Meter a record: what swings, how damped, forced or modal.",
+    "locate": "Locate an oscillation by energy flow at each terminal.",
     "cache": "Show, check or trim the cache of FMUs and designs.",
     "study": "Run a whole study and write its report.",
 }
@@ -54,6 +55,7 @@ EXAMPLES = {
     "export": "interarea export new-england --out grid.raw",
     "device": "interarea device tgov1 --set R=0.05 --set T1=0.5 --set T2=2 --set T3=7",
     "meter": "interarea meter pmu.csv --case grid.toml --band 0.1:2",
+    "locate": "interarea locate pmu.csv --window 60:80",
     "cache": "interarea cache --check",
     "study": "interarea study thesis --out out/thesis --no-second-solver",
 }

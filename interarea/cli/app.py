@@ -112,6 +112,10 @@ COMMANDS = {
         "records.meter:meter",
         "Meter a record: what swings, how damped by two methods, forced or modal, which mode of a case.",
     ),
+    "locate": (
+        "records.locate:locate",
+        "Locate an oscillation by the dissipating energy flow at each terminal, with checks.",
+    ),
     "cache": (
         "cache:cache",
         "Show what the cache of FMUs and designs holds; check it, trim it.",

@@ -1,0 +1,204 @@
+"""Where an oscillation comes from, by the dissipating energy flow at each terminal (Maslennikov, Wang and
+Litvinov 2017).
+
+    W(t) = integral of (dP d(theta) + dQ d(ln V))
+
+of what swings in a narrow band around one frequency. P and Q count out of the bus, into line or machine.
+Where W rises, energy leaves the bus; where it falls, it comes in: the source is beyond that terminal. This is
+proved for networks without losses, loads of constant power and classical machines alone; resistance of lines,
+loads and some exciters move energy too (Chevalier, Vorobev and Turitsyn 2019). So the answer is a hint; how
+strong it is the checks tell: the ends of a line agree, one terminal stands out, both halves say the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import butter, sosfiltfilt
+
+from .record import Array, Record, RecordError
+from .signals import BAND_HZ
+from .terminals import Terminal, terminals_of
+
+_SIDE_HZ, _SIDE = 0.15, 0.25  # of the band-pass, at most this share of the frequency
+_EDGE_PERIODS = 2.0  # left out at both ends, where the filter sets in
+_LEAST_PERIODS = 10.0
+_CLEAR = 2.0  # of the largest inflow over the next: less is no single source
+_AGREE = 0.2  # of the difference of the ends of a line over their mean
+_STANDS_OUT = 5.0  # of the line over the median of the spectrum around it
+_FLOOR_HZ = 0.8
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Energy flow at a terminal. slope : of W, its power; below 0: energy comes in there. halves : of the
+    record's two halves. rms : of P in the band. machine : whether the terminal is one of a machine."""
+
+    terminal: str
+    slope: float
+    halves: tuple[float, float]
+    rms: float
+    machine: bool
+
+
+@dataclass(frozen=True)
+class Source:
+    """What the energy flow says. flows : by size, the largest first. source : terminal through which most
+    energy comes in; "" where none can be named. why : in words. lines : of two ends, how they agree."""
+
+    source_file: str
+    frequency_hz: float
+    length_s: float
+    unit: str
+    flows: tuple[Flow, ...]
+    source: str
+    why: str
+    lines: tuple[tuple[str, str, float], ...]
+    notes: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain types, for JSON."""
+        plain = {k: v for k, v in vars(self).items() if k not in ("flows", "lines", "notes")}
+        plain["flows"] = [{**vars(f), "halves": list(f.halves)} for f in self.flows]
+        return {**plain, "lines": [list(line) for line in self.lines], "notes": list(self.notes)}
+
+
+def located(
+    record: Record,
+    *,
+    band_hz: tuple[float, float] = BAND_HZ,
+    frequency_hz: float | None = None,
+    at: Mapping[str, str] | None = None,
+) -> Source:
+    """Return where the largest oscillation of a band comes from.
+
+    frequency_hz : of the oscillation; that of the largest peak in the powers. at : as `terminals_of`.
+
+    Raises
+    ------
+    RecordError : no terminal with power, voltage and angle, no oscillation, or too few periods of it.
+    """
+    terminals, notes = terminals_of(record, at)
+    f = _peak(record, terminals, band_hz) if frequency_hz is None else frequency_hz
+    if not 0.0 < f < 0.4 / record.step_s:
+        raise RecordError(f"{record.source}: {f:g} Hz, allowed: above 0 and below {0.4 / record.step_s:g}")
+    if not record.length_s * f >= _LEAST_PERIODS:
+        raise RecordError(
+            f"{record.source}: {record.length_s:.4g} s are {record.length_s * f:.3g} periods of {f:.3g} Hz, "
+            f"wanted: {_LEAST_PERIODS:g} at least, {_LEAST_PERIODS / f:.3g} s"
+        )
+    flows = _flows(record, terminals, f)
+    source, why = _verdict(flows)
+    lines = tuple(_line_ends(flows))
+    apart = [line for line in lines if not line[2] <= _AGREE]
+    if apart and source in {name for line in apart for name in line[:2]}:
+        source, why = "", f"the ends of {apart[0][0]} and {apart[0][1]} disagree by {apart[0][2]:.0%}; {why}"
+    without_q = [t.name for t in terminals if t.Q is None]
+    if without_q:
+        notes.append(f"{', '.join(without_q[:4])}: no reactive power, its part is left out")
+    order = sorted(flows, key=lambda flow: -abs(flow.slope))
+    unit = f"{terminals[0].unit} rad/s"
+    return Source(record.source, f, record.length_s, unit, tuple(order), source, why, lines, tuple(notes))
+
+
+def _peak(record: Record, terminals: Sequence[Terminal], band_hz: tuple[float, float]) -> float:
+    """Return the frequency with the largest peak in the powers, of a Hann window."""
+    P = np.column_stack([t.P - np.linspace(t.P[0], t.P[-1], len(t.P)) for t in terminals])
+    window = np.hanning(len(P))[:, None]
+    size = np.sqrt(
+        np.sum(np.abs(np.fft.rfft((P - P.mean(axis=0)) * window, 4 * len(P), axis=0)) ** 2, axis=1)
+    )
+    f = np.fft.rfftfreq(4 * len(P), record.step_s)
+    inside = (f >= max(band_hz[0], _LEAST_PERIODS / record.length_s)) & (f <= band_hz[1])
+    if not inside.any():
+        raise RecordError(
+            f"{record.source}: {record.length_s:.4g} s have fewer than {_LEAST_PERIODS:g} periods of "
+            f"{band_hz[1]:g} Hz, allowed: a longer record, or a higher band"
+        )
+    floor = median_filter(size, round(_FLOOR_HZ / f[1]), mode="nearest")  # ambient power is red
+    f, size, over = f[inside], size[inside], (size / floor)[inside]
+    if not over.max() >= _STANDS_OUT:
+        band = f"{band_hz[0]:g} to {band_hz[1]:g} Hz"
+        raise RecordError(
+            f"{record.source}: no oscillation stands out from {band}, the largest is {over.max():.2g} times "
+            f"what is around it, wanted: {_STANDS_OUT:g} times, or --frequency"
+        )
+    size = np.where(over >= _STANDS_OUT, size, 0.0)
+    return float(f[np.argmax(size)])
+
+
+def _flows(record: Record, terminals: Sequence[Terminal], f: float) -> list[Flow]:
+    """Return slope of W at each terminal, of the record and of its halves."""
+    side = min(_SIDE_HZ, _SIDE * f)
+    sos = butter(
+        2, [2.0 * record.step_s * (f - side), 2.0 * record.step_s * (f + side)], "band", output="sos"
+    )
+
+    def swinging(values: Array) -> Array:
+        line = np.linspace(values[0], values[-1], len(values))
+        return np.asarray(sosfiltfilt(sos, values - line))
+
+    edge = min(round(_EDGE_PERIODS / f / record.step_s), len(record.time_s) // 8)
+    found = []
+    for t in terminals:
+        P, theta = swinging(t.P), swinging(t.angle)
+        power = P * np.gradient(theta, record.step_s)
+        if t.Q is not None:
+            power = power + swinging(t.Q) * np.gradient(swinging(t.log_v), record.step_s)
+        power = power[edge : len(power) - edge]
+        middle = len(power) // 2
+        W = np.cumsum(power) * record.step_s
+        slopes = [_slope(w, record.step_s) for w in (W, W[:middle], W[middle:])]
+        found.append(Flow(t.name, slopes[0], (slopes[1], slopes[2]), float(P.std()), t.machine))
+    return found
+
+
+def _slope(W: Array, step_s: float) -> float:
+    """Return the slope of the line through W."""
+    return float(np.polyfit(np.arange(len(W)) * step_s, W, 1)[0])
+
+
+def _verdict(flows: Sequence[Flow]) -> tuple[str, str]:
+    """Return the terminal through which the energy comes in, or "", and why.
+
+    Where machines were measured they alone are judged: what comes in from a line may have come from any.
+    """
+    flows = [flow for flow in flows if flow.machine] or flows
+    into = sorted((flow for flow in flows if flow.slope < 0.0), key=lambda flow: flow.slope)
+    if not into:
+        return "", "energy comes in at no terminal: the source is outside what is observed"
+    first = into[0]
+    if (other := _otherwise(flows, first)) is not None:
+        return "", f"over the record it is {first.terminal}, in one of its halves {other}: no steady source"
+    if len(into) > 1 and not first.slope <= _CLEAR * into[1].slope:
+        both = f"{first.terminal} ({first.slope:.3g}) and {into[1].terminal} ({into[1].slope:.3g})"
+        return "", f"{both} are too alike: two sources, or one outside what is observed"
+    rest = f"{first.slope / into[1].slope:.3g} times the next" if len(into) > 1 else "the only one"
+    return first.terminal, f"most energy comes in through {first.terminal}, {rest}"
+
+
+def _otherwise(flows: Sequence[Flow], first: Flow) -> str | None:
+    """Return what else comes first in a half of the record; None where it is `first` in both."""
+    other = next((f for k in (0, 1) for f in flows if f.halves[k] < first.halves[k]), None)
+    if other is not None:
+        return other.terminal
+    return None if max(first.halves) < 0.0 else "no terminal"
+
+
+def _line_ends(flows: Sequence[Flow]) -> list[tuple[str, str, float]]:
+    """Return the pairs of terminals that are the two ends of one line, and how much their flows differ.
+
+    In the IEEE form both have one device name, such as ``Ln:4-6``, at two substations.
+    """
+    pairs = []
+    for a, b in combinations(flows, 2):
+        ends = [":".join(flow.terminal.split(":")[2:]) for flow in (a, b)]
+        if ends[0] and ends[0] == ends[1] and "-" in ends[0]:
+            mean = 0.5 * (abs(a.slope) + abs(b.slope))
+            pairs.append((a.terminal, b.terminal, abs(a.slope + b.slope) / mean if mean > 0.0 else 0.0))
+    return pairs

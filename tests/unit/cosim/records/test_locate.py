@@ -1,0 +1,168 @@
+"""Energy flow: a network whose flows are known in closed form, a run with a known source, a public event."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import invoke
+
+import interarea as ia
+from interarea.cosim.records.energy import located
+from interarea.cosim.records.record import Channel, Record, RecordError
+
+STEP_S, F = 1.0 / 30.0, 0.7
+TIME = np.arange(1800) * STEP_S
+RECORDS = Path(os.environ.get("INTERAREA_RECORDS", "no such folder"))
+
+
+def phasors(ends: dict[str, tuple[complex, complex]], noise: float = 0.0, seed: int = 0) -> Record:
+    """Return a PMU record: terminal -> complex amplitude of P (MW) and of the angle (rad) at F."""
+    rng, channels, columns = np.random.default_rng(seed), [], []
+    for name, (p, theta) in ends.items():
+        angle = 0.3 * TIME + np.real(theta * np.exp(2j * np.pi * F * TIME))
+        P = 100.0 + np.real(p * np.exp(2j * np.pi * F * TIME)) + noise * rng.standard_normal(len(TIME))
+        volts = np.full(len(TIME), 200.0) + 1e-6 * rng.standard_normal(len(TIME))
+        units = {"voltage": "kV", "voltage angle": "rad", "current": "A", "current angle": "rad"}
+        for quantity, values in zip(units, (volts, angle, P * 1e3 / 3.0 / 200.0, angle), strict=True):
+            channels.append(Channel(f"{name} {quantity}", quantity, units[quantity], name))
+            columns.append(values)
+    return Record("pmu.csv", TIME, np.column_stack(columns), tuple(channels))
+
+
+#: energy comes in at Ln:1-2 of substation 1; the ends of the line agree
+ENDS = {
+    "Sub:1:Ln:1-2": (5.0 * 1j, -0.01 + 0.0j),
+    "Sub:2:Ln:1-2": (-5.0 * 1j, -0.01 + 0.0j),
+    "Sub:1:Ln:9": (1.0j, -0.01 + 0.0j),
+}
+
+
+def test_slopes_are_those_of_the_closed_form() -> None:
+    """Of P = Re(p e^jwt) and angle = Re(th e^jwt) the mean of P d(angle)/dt is Re(p conj(jw th)) / 2."""
+    found = located(phasors(ENDS))
+    assert found.frequency_hz == pytest.approx(F, abs=0.005)
+    for flow in found.flows:
+        p, theta = ENDS[flow.terminal]
+        power = 0.5 * np.real(p * np.conj(1j * 2 * np.pi * F * theta))
+        assert flow.slope == pytest.approx(power, rel=0.01)
+        assert (
+            min(flow.halves) <= flow.slope * 1.01 if flow.slope > 0 else max(flow.halves) >= flow.slope * 1.01
+        )
+
+
+def test_the_terminal_where_energy_comes_in_is_named_and_the_ends_of_a_line_agree() -> None:
+    found = located(phasors(ENDS))
+    assert found.source == "Sub:1:Ln:1-2"
+    ((a, b, apart),) = found.lines
+    assert {a, b} == {"Sub:1:Ln:1-2", "Sub:2:Ln:1-2"}
+    assert apart < 0.01
+
+
+def test_no_source_is_named_where_the_checks_fail() -> None:
+    spoiled = {**ENDS, "Sub:2:Ln:1-2": (2.0j, 0.01 + 0.0j)}  # a wrong current transformer
+    found = located(phasors(spoiled))
+    assert found.source == ""
+    assert "disagree by" in found.why
+    twins = {"A": (-5.0j, 0.01 + 0j), "B": (-4.5j, 0.01 + 0j), "C": (9.0j, 0.01 + 0j)}
+    found = located(phasors(twins))
+    assert found.source == ""
+    assert "too alike" in found.why
+    found = located(phasors({"C": twins["C"]}))
+    assert found.source == ""
+    assert "outside what is observed" in found.why
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("machine", ["G1", "G3"])
+def test_the_machine_whose_turbine_swings_is_found_in_a_run(machine: str) -> None:
+    """A square wave of mechanical power on the full plant, of which the meter also says that it is forced."""
+    f = 0.8
+    pulses = [
+        {
+            "kind": "pm_pulse",
+            "machine": machine,
+            "size_pu": 0.02,
+            "start_s": 1 + k / f,
+            "end_s": 1 + (k + 0.5) / f,
+        }
+        for k in range(30)
+    ]
+    asked = {"case": "kundur-manual", "controller": "none", "stop_s": 38.0, "event": pulses}
+    run = ia.simulate({**asked, "show": ["branch[*].p", "branch[*].q", "bus*.v", "bus*.angle"]})
+    record = ia.read_record(run.to_frame()).between(13.0, 38.0)
+    case = ia.load_case("kundur-manual")
+    at = {m.name: f"bus{m.bus}" for m in case.machines}
+    at |= {f"branch[{b.name}]": f"bus{b.from_bus}" for b in case.branches}
+    found = located(record, at=at)
+    assert found.frequency_hz == pytest.approx(f, abs=0.01)
+    assert found.source == machine
+
+
+def test_records_that_cannot_be_located_are_refused_with_what_would_do() -> None:
+    record = phasors(ENDS)
+    with pytest.raises(RecordError, match=r"5 s are 3\.5 periods of 0\.7 Hz, wanted: 10 at least, 14\.3 s"):
+        located(record.between(0.0, 5.0), frequency_hz=F)
+    quiet = phasors(dict.fromkeys(ENDS, (0j, 0j)), noise=1.0)
+    with pytest.raises(RecordError, match="no oscillation stands out"):
+        located(quiet)
+    volts = record.only([c.name for c in record.channels if c.quantity == "voltage"])
+    with pytest.raises(RecordError, match="no terminal has power and angle, wanted at each: V, I"):
+        located(volts)
+
+
+def test_the_command_prints_a_table_or_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "r.parquet"
+    names = {"voltage": "VM", "voltage angle": "VA", "current": "IM", "current angle": "IA"}
+    record = phasors(ENDS)
+    rows = ["Time," + ",".join(c.terminal for c in record.channels)]
+    rows.append("T," + ",".join(names[c.quantity] for c in record.channels))
+    rows.append("s," + ",".join("RAD" if c.unit == "rad" else c.unit for c in record.channels))
+    rows.append("," * len(record.channels))
+    rows += [
+        f"{t:.4f}," + ",".join(f"{v:.8f}" for v in values)
+        for t, values in zip(TIME, record.values, strict=True)
+    ]
+    path = tmp_path / "pmu.csv"
+    path.write_text("\n".join(rows))
+    code, out, _ = invoke(["locate", str(path)], monkeypatch)
+    assert code == 0
+    assert "agree to" in out
+    code, out, _ = invoke(["locate", str(path), "--json"], monkeypatch)
+    document = json.loads(out)
+    assert document["source"] == located(record).source
+    code, _, err = invoke(["locate", str(path), "--frequency", "100"], monkeypatch)
+    assert code == 2
+    assert "100 Hz, allowed: above 0 and below 12" in err
+
+
+@pytest.mark.skipif(not (RECORDS / "case3row.mat").is_file(), reason="needs the record: docs/records.md")
+@pytest.mark.parametrize("start_s", [60.0, 70.0, 80.0, 90.0, 100.0])
+def test_twenty_seconds_of_the_public_event_name_one_terminal(start_s: float) -> None:
+    """Event 3 of ISO-NE: 1.13 Hz; by the energy flow the source is beyond Ln:2 of substation 2."""
+    import pandas as pd
+    from scipy.io import loadmat
+
+    data = loadmat(RECORDS / "case3row.mat")
+    words = [["" if not cell.size else str(cell[0]) for cell in row] for row in data["txt"][:3]]
+    frame = pd.DataFrame(
+        data["num"], columns=["Time", *(f"{a} {b}" for a, b in list(zip(*words[:2], strict=True))[1:])]
+    )
+    quantity = {
+        "F": "frequency",
+        "VM": "voltage",
+        "VA": "voltage angle",
+        "IM": "current",
+        "IA": "current angle",
+    }
+    columns = list(zip(frame.columns[1:], *(row[1:] for row in words), strict=True))
+    frame.attrs["units"] = {c: unit for c, _, _, unit in columns}
+    frame.attrs["quantity"] = {c: quantity[kind] for c, _, kind, _ in columns}
+    frame.attrs["terminal"] = {c: place for c, place, _, _ in columns}
+    found = located(ia.read_record(frame, window_s=(start_s, start_s + 20.0)))
+    assert found.frequency_hz == pytest.approx(1.14, abs=0.03)
+    assert found.source == "Sub:2:Ln:2"
+    assert all(apart < 0.025 for *_, apart in found.lines)
