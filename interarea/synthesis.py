@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from interarea.cosim.designs.bank_certificate import certify_bank
+from interarea.cosim.designs.bank_design import certify_bank
 from interarea.cosim.designs.design_file import (
     DESIGN_STEPS,
     DesignTable,
@@ -76,6 +76,11 @@ def design_controller(
     (2, True)
     """
     table = _table(spec, case)
+    if table.bank is not None:
+        raise ScenarioError(
+            f"design {table.name}: is a bank of controllers, allowed: one controller; "
+            "`interarea design FILE --out FILE.json` designs a bank"
+        )
     with notebook_bars(DESIGN_STEPS) as report:
         return run_design(table, default_cache(), progress=progress or report or silent).controller
 
@@ -85,7 +90,7 @@ def load_controller(
 ) -> Controller | ControllerBank:
     """Return a controller: bundled (``interarea list``), from a JSON file, or read back from its FMU.
 
-    case : for which wdc, cc, ftc and active are designed; its base speed is that of an FMU.
+    case : for which wdc, cc and ftc are designed; its base speed is that of an FMU.
 
     Raises
     ------

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import control
-import numpy as np
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
+from interarea.design.controllers.bank import ControllerBank
 from interarea.design.controllers.bundled import shipped_controller, shipped_names
 from interarea.design.controllers.controller import Controller
 from interarea.design.delay.signal_conditions import Condition, condition_of_many
+from interarea.design.linear.linearise import scaled_inputs, with_input
 from interarea.design.robust.design import design_robust
 from interarea.design.robust.operating_points import FamilyCertificate, inter_area_band, judge_family
 from interarea.design.robust.smoothed_objective import BandOffsets
@@ -29,6 +30,7 @@ from .acceptance import AcceptanceTable, judge_acceptance
 from .certificate_words import not_covered
 from .design_tables import (
     AskTable,
+    BankTable,
     GuardTable,
     Offsets,
     PartTable,
@@ -74,6 +76,8 @@ class DesignTable(Table):
     #: (rad/s, pu per rad/s): cap of the effort over frequency, straight between the points in log scales
     effort_cap: tuple[tuple[Positive, Positive], ...] = ((0.05, 0.155), (300.0, 0.155))
     effort_under: tuple[str, ...] = ()  #: conditions under which the search holds that cap; none: all
+    #: signal -> factor on the controller's gain from it once the search has ended; none: 1
+    gain_of: Mapping[str, float] = {}
     #: (rad/s, damping): how much more than elsewhere the optimisation wants there, piecewise linear
     offset: Offsets = Field(tuple(zip(*_OFFSETS, strict=True)), min_length=2)
     rho: Positive = 600.0  #: how closely the smoothed worst damping of the search follows the worst
@@ -101,6 +105,7 @@ class DesignTable(Table):
     #: non-linear faults that `interarea certify NAME --acceptance` runs
     acceptance: AcceptanceTable | None = None
     first_swing: FirstSwingTable | None = None  #: what the search lets a controller add to a first swing
+    bank: BankTable | None = None  #: other controllers for when signals are lost, behind a supervisor
     source: str = ""  #: where the design comes from
     _grid: Case | None = PrivateAttr(None)  # of `on`
 
@@ -147,6 +152,10 @@ class DesignTable(Table):
         for target in self.target:
             if target.under not in known:
                 raise ValueError(f"target.under = {target.under!r}, allowed: {', '.join(known)}")
+        if strange := sorted(set(self.gain_of) - set(self.signals)):
+            raise ValueError(f"gain_of names {strange}, allowed: {', '.join(self.signals)}")
+        if self.bank is not None:
+            self.bank.check(self.signals, self.guard)
         return self
 
     @model_validator(mode="after")
@@ -298,7 +307,8 @@ def run_design(
         "evaluations": made.evaluations,
     }
     guard = None if table.guard is None else table.guard.guard()
-    system = made.system if guard is None else _seeing(made.system, guard.follows)
+    found_system = scaled_inputs(made.system, table.gain_of)
+    system = found_system if guard is None else with_input(found_system, guard.follows)
     controller = Controller(table.name, system, table.limit_pu, facts, guard=guard)
     held = certify(table, controller, cache, progress=lambda _, share: progress(certifying, share, ""))
     progress(certifying, 1.0, "")
@@ -317,15 +327,7 @@ def _check_followed(table: DesignTable) -> None:
         )
 
 
-def _seeing(K: control.StateSpace, signal: str | None) -> control.StateSpace:
-    """Return `K` with an input of this name too, for its guard: the linear part does not answer it."""
-    if signal is None or signal in K.input_labels:
-        return K
-    B, D = (np.hstack([M, np.zeros((M.shape[0], 1))]) for M in (K.B, K.D))
-    return control.ss(K.A, B, K.C, D, inputs=[*K.input_labels, signal], outputs=K.output_labels, name=K.name)
-
-
-def _recorded(table: DesignTable) -> dict[str, Any]:
+def design_record(table: DesignTable) -> dict[str, Any]:
     """Everything of a design as JSON; what is asked without a bound is left out, JSON having no infinity."""
     data = table.model_dump(mode="json", exclude_none=True)
     data["ask"] = {key: value for key, value in data["ask"].items() if value != float("inf")}
@@ -421,12 +423,12 @@ def certify(
 
 def judged_by(table: DesignTable, controller: Controller, found: FamilyCertificate) -> Controller:
     """Return `controller` with the design that judged it, and what was `found`, in its record."""
-    design = {**controller.design, "specification": _recorded(table)}
+    design = {**controller.design, "specification": design_record(table)}
     return replace(controller, design=design, certificate=found.as_dict())
 
 
-def specification_of(controller: Controller) -> DesignTable | None:
-    """Return the design for a family that a controller carries in its record, None where it carries none.
+def specification_of(controller: Controller | ControllerBank) -> DesignTable | None:
+    """Return the design for a family that a controller or bank carries in its record, None where none.
 
     The designs of the study are for one operating point: their records name no conditions.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from itertools import pairwise
 from typing import Annotated
 
@@ -88,6 +88,44 @@ class PartTable(Table):
     actuator: str  #: input of the plant that this part drives
     signals: tuple[str, ...] = Field(min_length=1)  #: what this part sees
     order: Annotated[int, Field(ge=1, le=20)] = 4  #: states of this part, that of its washout counted
+
+
+class MemberTable(Table):
+    """A controller of a bank for when some signals alone arrive; points, limits, search as in the design."""
+
+    name: str  #: of the member: letters, digits and _
+    #: it acts where these arrive, and not all of those of a member before it
+    signals: tuple[str, ...] = Field(min_length=1)
+    #: as those of the design, of its own signals
+    conditions: tuple[str, ...] = Field(min_length=1)
+    order: Annotated[int, Field(ge=1, le=20)] = 6  #: states for each actuator
+    #: (rad/s, damping) as `offset` of the design; none: that of the design
+    offset: Offsets = ()
+    #: cap of the effort as `effort_cap` of the design; none: that of the design
+    effort_cap: tuple[tuple[Positive, Positive], ...] = ()
+    first_swing: bool = True  #: whether [first_swing] of the design holds for it
+    worst_swing: Ratio = 0.0  #: least damping ratio of any swing mode that its certificate asks for
+    inter_area: Ratio = 0.0  #: least damping ratio of the inter-area mode that it asks for
+
+
+class BankTable(Table):
+    """A bank instead of one controller: the design's own acts while all its signals arrive, else a `member`.
+
+    A supervisor follows the validity flags of the signals and fades from one to the other; it has the guard.
+    """
+
+    member: tuple[MemberTable, ...] = Field(min_length=1)  #: in order of preference, after the design's own
+    fade_s: Annotated[float, Field(ge=0.0)] = 0.05  #: time constant of the fade, 0: at once
+    loss_s: Annotated[float, Field(ge=0.0)] = 0.0  #: how long a flag is down before its signal is lost
+    return_s: Annotated[float, Field(ge=0.0)] = 1.0  #: how long a flag is up before its signal is back
+
+    def check(self, signals: Sequence[str], guard: GuardTable | None) -> None:
+        """Raise ValueError for members that see what the design does not, and a guard that turns."""
+        for member in self.member:
+            if strange := sorted(set(member.signals) - set(signals)):
+                raise ValueError(f"bank member {member.name} sees {strange}, allowed: {', '.join(signals)}")
+        if guard is not None and guard.follows is not None:
+            raise ValueError(f"guard.follows = {guard.follows!r}: the supervisor of a bank follows no flow")
 
 
 class StageTable(Table):

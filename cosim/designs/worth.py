@@ -51,7 +51,7 @@ def rival_table(table: DesignTable) -> DesignTable:
     orders = {part.actuator: part.order for part in table.part} or dict.fromkeys(table.actuators, table.order)
     own = _own_of(table)
     renamed = {code: _without_losses(code) for code in table.conditions}
-    left_out = {"remote", "local", "actuator", "part", "order", "start_from", "guard"}
+    left_out = {"remote", "local", "actuator", "part", "order", "start_from", "guard", "gain_of"}
     keys = table.model_dump(exclude=left_out, exclude_unset=True)
     keys |= {
         "name": f"{table.name}_own",

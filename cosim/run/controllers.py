@@ -10,7 +10,12 @@ from typing import TYPE_CHECKING, TypeAlias
 from threadpoolctl import threadpool_limits
 
 from interarea.design.controllers.bank import ControllerBank, load_controller
-from interarea.design.controllers.bundled import shipped_controller, shipped_names
+from interarea.design.controllers.bundled import (
+    shipped_bank,
+    shipped_banks,
+    shipped_controller,
+    shipped_names,
+)
 from interarea.design.controllers.controller import Controller, ControllerError
 from interarea.fmu_build.write.cache import (
     artefact,
@@ -57,8 +62,8 @@ def controller_of(
     name = str(which)
     if name == "none":
         return None
-    if name == "active":
-        return active_bank(case, cache)
+    if name in shipped_banks():
+        return shipped_bank(name)
     if name in NAMED_CONTROLLERS:
         return design_controller(case, name, cache)
     path = folder / name
@@ -139,25 +144,6 @@ def _design(
         return design
     plant = speeds_in_rad(relative, case.omega_b)
     return replace(design, certificate=certificate(plant, design, modes_of(relative, case.areas)))
-
-
-def active_bank(case: Case, cache: Path) -> ControllerBank:
-    """Return the bank of controllers with its switching certificate, designed when it is new."""
-    key = content_hash(
-        file_hash(plant_fmu(case, cache)),
-        code_hash("interarea.design.certificates.bank_design"),
-        numerics_versions(),
-    )
-
-    def make(path: Path) -> Path:
-        from interarea.design.certificates.bank_design import design_active
-        from interarea.design.linear.linearise import remove_reference
-
-        relative = remove_reference(linear_plant(case, cache))
-        with threadpool_limits(1):
-            return design_active(relative, omega_b=case.omega_b).save(path)
-
-    return ControllerBank.load(artefact(cache, "controllers", f"active-{key}", ".json", make))
 
 
 def controller_fmu(

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from interarea.design.controllers.bundled import shipped_names
+from interarea.design.controllers.bundled import shipped_banks, shipped_names
 from interarea.models.errors import Collected, UserError
 
 from ..errors import ScenarioError, nearest
@@ -15,7 +15,7 @@ if TYPE_CHECKING:  # the file is checked before what a case takes is loaded
     from interarea.models.case.case import Case
 
 CONTROLLER_NAMES = ("wdc", "cc", "ftc")  #: designed for a case, in the order in which the study tells them
-NAMED_CONTROLLERS = ("none", *CONTROLLER_NAMES, "active", *shipped_names())
+NAMED_CONTROLLERS = ("none", *CONTROLLER_NAMES, *shipped_banks(), *shipped_names())
 
 
 def beside(folder: Path, name: str) -> str | Path:

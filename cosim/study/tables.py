@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from interarea.design.controllers.bundled import shipped_banks
 from interarea.design.synthesis.study_designs import CcSpec, FtcSpec, WdcSpec
 from interarea.models.case.events import Event
 from interarea.models.table import Table
@@ -339,7 +340,7 @@ class StudyTable(Table):
         for k, row in enumerate(self.scenario):
             yield from _strange(f"scenario.{k}.controller", [row.controller], NAMED_CONTROLLERS)
         if self.survival is not None:
-            known = [name for name in NAMED_CONTROLLERS if name not in ("none", "active")]
+            known = [name for name in NAMED_CONTROLLERS if name not in ("none", *shipped_banks())]
             yield from _strange("survival.controllers", self.survival.controllers, known)
 
     def _of_figure(self, k: int, row: Figure) -> Iterator[str]:

@@ -6,14 +6,31 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from .bank import ControllerBank
     from .controller import Controller
 
 FOLDER = Path(__file__).resolve().parent
+BANK = "bank_"  #: before the name of a bank in that of its file
 
 
 def shipped_names() -> list[str]:
-    """Return the names of the shipped controllers."""
-    return sorted(path.stem for path in FOLDER.glob("*.json"))
+    """Return the names of the shipped controllers, banks not among them."""
+    return sorted(path.stem for path in FOLDER.glob("*.json") if not path.stem.startswith(BANK))
+
+
+def shipped_banks() -> list[str]:
+    """Return the names of the shipped banks of controllers."""
+    return sorted(path.stem.removeprefix(BANK) for path in FOLDER.glob(f"{BANK}*.json"))
+
+
+def shipped_bank(name: str) -> ControllerBank:
+    """Return a shipped bank. Raises ControllerError for a name that is not shipped."""
+    from .bank import ControllerBank
+    from .controller import ControllerError
+
+    if name not in shipped_banks():
+        raise ControllerError(f"bank {name!r} is not shipped, allowed: {', '.join(shipped_banks())}")
+    return ControllerBank.load(FOLDER / f"{BANK}{name}.json")
 
 
 def shipped_controller(name: str) -> Controller:

@@ -240,6 +240,24 @@ def bus_frequencies(
     return _like(system, (system.A, system.B, C, D), states, inputs, list(rows))
 
 
+def scaled_inputs(system: control.StateSpace, factor_of: Mapping[str, float]) -> control.StateSpace:
+    """Return a system with named inputs multiplied by a factor; others as they are."""
+    labels = list(system.input_labels)
+    scale = np.array([factor_of.get(str(name), 1.0) for name in labels])
+    matrices = (system.A, system.B * scale, system.C, system.D * scale)
+    return _like(system, matrices, list(system.state_labels), labels, list(system.output_labels))
+
+
+def with_input(system: control.StateSpace, name: str | None) -> control.StateSpace:
+    """Return a system with an input of this name too, which it does not answer; with None as it is."""
+    labels = list(system.input_labels)
+    if name is None or name in labels:
+        return system
+    B, D = (np.hstack([M, np.zeros((M.shape[0], 1))]) for M in (system.B, system.D))
+    matrices = (system.A, B, system.C, D)
+    return _like(system, matrices, list(system.state_labels), [*labels, name], list(system.output_labels))
+
+
 def speeds_in_rad(system: Linear, omega_b: float) -> Linear:
     """Scale the outputs ``*_dw`` from per unit to rad/s (dw_rad = omega_b dw_pu); the design's unit.
 

@@ -8,20 +8,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .terminal import busy, print_table, stage_progress
+from .terminal import busy, print_table, show_rows, show_worth, stage_progress
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     import control
 
-    from interarea.cosim.designs.acceptance import Acceptance
+    from interarea.cosim.designs.comparison import Alternative
     from interarea.cosim.designs.design_file import DesignTable
     from interarea.cosim.grid_study.automatic import GridDesign
     from interarea.design.certificates.switching import SwitchingCertificate
     from interarea.design.controllers.bank import ControllerBank
     from interarea.design.controllers.controller import Controller
     from interarea.design.robust.operating_points import FamilyCertificate
+    from interarea.design.robust.signal_worth import SignalWorth
     from interarea.models.case.case import Case
 
 DesignFile = Annotated[
@@ -70,7 +71,7 @@ def design(
     a grid, loops, operating points and what is asked follow from it by rules; the design file is written
     beside the controller, each choice with its reason, to go on from.
     """
-    from interarea.cosim.designs.comparison import FIGURES, HEADER, compare, save_comparison
+    from interarea.cosim.designs.comparison import FIGURES, compare, save_comparison
     from interarea.cosim.designs.design_file import DESIGN_STEPS, load_design, run_design
     from interarea.cosim.designs.worth import design_rival, has_rival, with_rival, with_worth
     from interarea.fmu_build.write.cache import default_cache
@@ -87,6 +88,9 @@ def design(
         return
     table, cache = load_design(spec), default_cache()
     case = load_case(table.case)
+    if table.bank is not None:
+        _design_bank(table, out, json_)
+        return
     if plots is not None:
         folder_for(plots, "--plots", files=FIGURES)
     others = {name: _system(name, case) for name in against or ()}
@@ -106,21 +110,34 @@ def design(
         alternatives = compare(table, {designed.name: designed.system, **done.tried, **others}, cache)
         drawn = save_comparison(table, alternatives, cache, plots) if plots is not None else ()
         report("alternatives", 1.0)
+    _show_designed(designed, table, alternatives, (out, *drawn), json_=json_)
+    if not certificate.passed:
+        raise typer.Exit(1)
+
+
+def _show_designed(
+    designed: Controller,
+    table: DesignTable,
+    alternatives: Sequence[Alternative],
+    files: Sequence[Path],
+    *,
+    json_: bool,
+) -> None:
+    from interarea.cosim.designs.comparison import HEADER
+
     if json_:
         document = {
             "controller": designed.name,
             "certificate": designed.certificate,
             "alternatives": [dict(zip(HEADER, a.cells(), strict=True)) for a in alternatives],
-            "files": [str(path) for path in (out, *drawn)],
+            "files": [str(path) for path in files],
         }
         typer.echo(json.dumps(document, indent=2, allow_nan=False))
     else:
-        _show(designed.name, certificate, table)
+        _show(designed.name, _certificate_of(designed), table)
         print_table("alternatives over the family", HEADER, [a.cells() for a in alternatives])
-        for path in (out, *drawn):
+        for path in files:
             typer.echo(path)
-    if not certificate.passed:
-        raise typer.Exit(1)
 
 
 def _show_made(made: GridDesign, assumptions: list[str], files: list[Path], *, json_: bool) -> None:
@@ -226,11 +243,11 @@ def certify(
         table = table.on(case)
     grid = table.grid
     loaded = _named(controller, grid)
+    if spec is None:
+        table = _own_family(loaded, controller, case) or table
     if isinstance(loaded, ControllerBank):
         _certify_bank(loaded, table, json_, out, acceptance=acceptance)
         return
-    if spec is None:
-        table = _own_family(loaded, controller, case) or table
     steps = steps_of(table, acceptance=acceptance)
     with stage_progress([*(["own-signal rival"] if worth else []), *steps, "worth of the signals"]) as report:
         if worth:
@@ -276,7 +293,7 @@ def _rival(table: DesignTable, controller: Controller, report: Callable[[str, fl
     return rival
 
 
-def _own_family(controller: Controller, name: str, case: str | None) -> DesignTable | None:
+def _own_family(controller: Controller | ControllerBank, name: str, case: str | None) -> DesignTable | None:
     """Return the design in a controller's record, for another case if one is given; None is told."""
     from interarea.cosim.designs.design_file import specification_of
 
@@ -287,6 +304,22 @@ def _own_family(controller: Controller, name: str, case: str | None) -> DesignTa
     return own if case is None else own.on(case)
 
 
+def _design_bank(table: DesignTable, out: Path, json_: bool) -> None:
+    """Design a bank, write it and show what is proven; exit code 1 where a member misses what was asked."""
+    from interarea.cosim.designs.bank_design import bank_steps, run_bank_design
+    from interarea.fmu_build.write.cache import default_cache
+
+    with stage_progress(bank_steps(table)) as report:
+        bank, missed = run_bank_design(table, default_cache(), progress=report)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    bank.save(out)
+    _certify_bank(bank, table, json_, None, acceptance=False)
+    for line in missed:
+        typer.echo(f"violated: {line}", err=json_)
+    if missed:
+        raise typer.Exit(1)
+
+
 def _certify_bank(
     bank: ControllerBank, table: DesignTable, json_: bool, out: Path | None, *, acceptance: bool
 ) -> None:
@@ -295,20 +328,18 @@ def _certify_bank(
     Exit code 1 where faults hold without the bank and not with it.
     """
     from interarea.cosim.designs.acceptance import judge_acceptance
-    from interarea.cosim.designs.bank_certificate import certify_bank
+    from interarea.cosim.designs.bank_design import bank_worth, certify_bank, judge_bank, judged_bank
     from interarea.cosim.designs.design_file import CERTIFICATE_STEPS
     from interarea.cosim.designs.family import family_cases
     from interarea.cosim.run.artefacts import linear_plant
     from interarea.design.linear.linearise import remove_reference, speeds_in_rad
     from interarea.fmu_build.write.cache import default_cache
-    from interarea.models.errors import UserError
 
-    if out is not None:
-        raise UserError(f"--out {out}: {bank.name} is a bank, allowed: one controller")
     case, cache = table.grid, default_cache()
     with busy(f"certifying {bank.name}"):
         plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
         result = certify_bank(plant, bank)
+        rows, worth = judge_bank(table, bank, cache), bank_worth(table, bank, cache)
     tried = None
     if acceptance and table.acceptance is not None:
         with stage_progress([CERTIFICATE_STEPS[-1]]) as report:
@@ -319,8 +350,18 @@ def _certify_bank(
                 cache,
                 progress=lambda share: report(CERTIFICATE_STEPS[-1], share),
             )
-    _show_bank(bank, table, result, tried, json_)
-    if tried is not None and tried.violations:
+    faults = None if tried is None else tried.as_dict()
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        judged_bank(table, bank, result, worth, faults).save(out)
+    if not json_:
+        show_rows(bank.name, rows)
+        show_worth(worth.as_dict())
+    _show_bank(bank, table, result, faults, json_, worth)
+    unstable = [row for row in rows if not row.stable]
+    for row in unstable:
+        typer.echo(f"violated: {row.point}, {row.condition}: unstable", err=json_)
+    if unstable or (tried is not None and tried.violations):
         raise typer.Exit(1)
 
 
@@ -328,15 +369,20 @@ def _show_bank(
     bank: ControllerBank,
     table: DesignTable,
     result: SwitchingCertificate,
-    tried: Acceptance | None,
+    faults: Mapping[str, Any] | None,
     json_: bool,
+    worth: SignalWorth,
 ) -> None:
     from interarea.cosim.designs.certificate_words import bank_not_covered, in_words
 
-    faults = None if tried is None else tried.as_dict()
     missing = bank_not_covered(table, faults)
     if json_:
-        record = {**result.as_dict(), "acceptance": faults, "not_covered": missing}
+        record = {
+            **result.as_dict(),
+            "acceptance": faults,
+            "worth": worth.as_dict(),
+            "not_covered": missing,
+        }
         typer.echo(json.dumps(record, indent=2))
         return
     typer.echo(f"not covered: {missing}")
@@ -353,21 +399,8 @@ def _show_bank(
             f"(slowest loop alone: {result.slowest:.4f} 1/s)"
         )
     typer.echo("lost is what a channel marks as lost; a signal that is stuck or wrong is not detected")
-    typer.echo(in_words(faults))
-    for violation in () if tried is None else tried.violations:
-        typer.echo(f"violated: {violation}")
-
-
-def _show_worth(result: Mapping[str, Any]) -> None:
-    from interarea.cosim.designs.worth import HEADER, table_rows
-
-    if result["afar"]:
-        print_table(
-            "worth of the signals, nothing lost (`without`: at the first point, at once)",
-            HEADER,
-            table_rows(result),
-        )
-    typer.echo(result["sentence"])
+    known = (bank.certificate or {}).get("acceptance")
+    typer.echo(in_words(faults) if faults is not None else f"on record: {in_words(known)}")
 
 
 def _show_conditions(table: DesignTable) -> None:
@@ -384,21 +417,7 @@ def _show(name: str, certified: FamilyCertificate, table: DesignTable) -> None:
 
     if certified.not_covered:
         typer.echo(f"not covered: {certified.not_covered}")
-    print_table(
-        f"{name}: full plants, linearised and without limits, exact latency",
-        ("operating point", "condition", "stable", "worst swing", "inter-area", "rightmost (1/s)"),
-        [
-            (
-                row.point,
-                row.condition,
-                "yes" if row.stable else "NO",
-                f"{row.worst_swing:.3f}",
-                f"{row.inter_area:.3f}",
-                f"{row.rightmost:.3f}",
-            )
-            for row in certified.rows
-        ],
-    )
+    show_rows(name, certified.rows)
     _show_conditions(table)
     typer.echo(
         "inter-area: least damped root in the band of the open loop's inter-area modes, of whatever mode; "
@@ -418,7 +437,7 @@ def _show(name: str, certified: FamilyCertificate, table: DesignTable) -> None:
         message = f"settled in {run['settled_s']:.1f} s" if run["synchronism"] else "SYNCHRONISM LOST"
         typer.echo(f"fault at {run['point']}, {' and '.join(run['lost']) or 'nothing'} lost: {message}")
     if certified.worth is not None:
-        _show_worth(certified.worth)
+        show_worth(certified.worth)
     if certified.acceptance is not None:
         typer.echo(in_words(certified.acceptance))
     for violation in certified.violations:

@@ -56,8 +56,10 @@ DESIGNED = {
     "wdc": "the study's wide-area damping controller, designed for the case when it is asked for",
     "cc": "the study's conventional controller, likewise",
     "ftc": "the study's fault-tolerant controller, likewise",
-    "active": "a bank of controllers behind a supervisor that follows lost signals",
 }
+
+
+_PREFIX = re.compile("^(design|study|bank)_")
 
 
 def bundled_files() -> dict[str, dict[str, Path]]:
@@ -72,8 +74,7 @@ def bundled_files() -> dict[str, dict[str, Path]]:
         "studies": (cosim / "study").rglob("study_*.toml"),
     }
     return {"cases": toml_files(models / "cases")} | {
-        kind: {p.stem.removeprefix("design_").removeprefix("study_"): p for p in sorted(paths)}
-        for kind, paths in files.items()
+        kind: {_PREFIX.sub("", p.stem): p for p in sorted(paths)} for kind, paths in files.items()
     }
 
 
@@ -91,7 +92,10 @@ def bundled() -> dict[str, dict[str, str]]:
 
 def _order(file: Path) -> str:
     record = json.loads(file.read_text(encoding="utf-8"))
-    return f"shipped for {record['design']['specification']['case']}, order {len(record['A'])}"
+    members = record.get("members", ())
+    what = f"a bank of {len(members)} controllers, one for each set of signals" if members else ""
+    what = what or f"order {len(record['A'])}"
+    return f"shipped for {record['design']['specification']['case']}, {what}"
 
 
 def _title(file: Path) -> str:

@@ -12,16 +12,17 @@ import sys
 import textwrap
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
 from interarea.models.errors import InterareaError, UserError
 
 if TYPE_CHECKING:
+    from interarea.design.robust.operating_points import FamilyRow
     from interarea.progress import Report
 
 DEBUG_VARIABLE = "INTERAREA_DEBUG"
@@ -225,3 +226,35 @@ def _of_the_cache(error: OSError) -> str:
     if error.filename is None or not Path(str(error.filename)).is_relative_to(default_cache()):
         return ""
     return " (the cache of FMUs and designs; INTERAREA_CACHE names a folder for it that can be written)"
+
+
+def show_rows(name: str, rows: Sequence[FamilyRow]) -> None:
+    """Print what a controller holds at each operating point under each condition."""
+    print_table(
+        f"{name}: full plants, linearised and without limits, exact latency",
+        ("operating point", "condition", "stable", "worst swing", "inter-area", "rightmost (1/s)"),
+        [
+            (
+                row.point,
+                row.condition,
+                "yes" if row.stable else "NO",
+                f"{row.worst_swing:.3f}",
+                f"{row.inter_area:.3f}",
+                f"{row.rightmost:.3f}",
+            )
+            for row in rows
+        ],
+    )
+
+
+def show_worth(result: Mapping[str, Any]) -> None:
+    """Print what the signals of a controller are worth, as `SignalWorth.as_dict` gives it."""
+    from interarea.cosim.designs.worth import HEADER, table_rows
+
+    if result["afar"]:
+        print_table(
+            "worth of the signals, nothing lost (`without`: at the first point, at once)",
+            HEADER,
+            table_rows(result),
+        )
+    typer.echo(result["sentence"])

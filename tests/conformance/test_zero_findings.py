@@ -14,8 +14,9 @@ from fmu_blocks import blocks
 from interarea.cosim.export.container import write_container
 from interarea.cosim.export.ssp import write_ssp
 from interarea.cosim.run.artefacts import channel_fmu, plant_fmu
-from interarea.cosim.run.controllers import active_bank, controller_fmu, design_controller
+from interarea.cosim.run.controllers import controller_fmu, design_controller
 from interarea.cosim.scenario.scenario import load_scenario
+from interarea.design.controllers.bundled import shipped_bank
 from interarea.design.controllers.controller import Controller
 from interarea.fmu_build.check.check import check_file
 from interarea.fmu_build.write.package import block_fmu
@@ -35,7 +36,7 @@ FMUS: dict[str, Callable[[Case, Path], Path]] = {
     "wdc": lambda case, cache: controller_fmu(design_controller(case, "wdc", cache), case.omega_b, cache),
     "cc": lambda case, cache: controller_fmu(design_controller(case, "cc", cache), case.omega_b, cache),
     "ftc": lambda case, cache: controller_fmu(design_controller(case, "ftc", cache), case.omega_b, cache),
-    "bank": lambda case, cache: controller_fmu(active_bank(case, cache), case.omega_b, cache),
+    "bank": lambda case, cache: controller_fmu(shipped_bank("active"), case.omega_b, cache),
 }
 
 

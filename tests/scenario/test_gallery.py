@@ -9,7 +9,7 @@ from scenario_loop import Loop
 
 from interarea.cosim.scenario.scenario import load_scenario, scenario_names
 
-DESIGNED = ("wdc", "cc", "ftc", "active")
+DESIGNED = ("wdc", "cc", "ftc")
 
 
 def _case(name: str) -> Any:

@@ -10,7 +10,6 @@ import pytest
 from scipy.linalg import expm
 
 from interarea.cosim.run.artefacts import linear_plant
-from interarea.cosim.run.controllers import active_bank
 from interarea.design.certificates.switching import (
     BankLoop,
     common_lyapunov,
@@ -19,6 +18,7 @@ from interarea.design.certificates.switching import (
     switching_certificate,
 )
 from interarea.design.controllers.bank import ControllerBank
+from interarea.design.controllers.bundled import shipped_bank
 from interarea.design.controllers.controller import Controller
 from interarea.design.errors import UncertifiedDesign
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
@@ -106,7 +106,7 @@ def test_unstable_member_cannot_stand_by() -> None:
 def test_active_bank_decays_for_any_sequence(cache: Path) -> None:
     """The proof on the full plant of the study, and that no simulated sequence decays slower than it says."""
     case = load_case("two-area-thesis")
-    bank = active_bank(case, cache)
+    bank = shipped_bank("active")
     plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
     loop = BankLoop(plant, bank)
     corners = loop.corners()

@@ -17,6 +17,7 @@ from interarea.design.robust.design_models import build_objective
 from interarea.design.robust.operating_points import judge_family
 from interarea.design.robust.smoothed_objective import BandOffsets
 from interarea.design.robust.spec import RobustSpec
+from interarea.synthesis import design_controller
 
 NOW, LOST = Condition("N"), Condition("L", ("B_dw",))
 
@@ -133,3 +134,25 @@ def test_targets_of_a_design_file_reach_the_search() -> None:
     assert table.spec().more_under == {"lost": BandOffsets((0.0, 9.0), (-0.04, 0.0))}
     with pytest.raises(Exception, match="under"):
         design_of(keys | {"target": [{"under": "gone"}]})
+
+
+def test_a_gain_is_changed_after_the_search() -> None:
+    """The same search, one input of what it finds lowered; a name that is no signal is refused."""
+    keys = {
+        "name": "quick",
+        "case": "two-area-thesis",
+        "remote": "G2_dw",
+        "local": "G4_dw",
+        "actuator": "G4_vs",
+        "order": 2,
+        "conditions": ["N"],
+        "point": [{"name": "base"}],
+        "starts": 1,
+        "evaluations": 60,
+        "polishes": 0,
+    }
+    plain, lowered = (design_controller(keys | more).system for more in ({}, {"gain_of": {"G2_dw": 0.25}}))
+    np.testing.assert_allclose(lowered.B, plain.B * [0.25, 1.0], rtol=1e-12)
+    np.testing.assert_allclose(lowered.D, plain.D * [0.25, 1.0], rtol=1e-12)
+    with pytest.raises(ScenarioError, match=r"gain_of names \['G9_dw'\], allowed: G2_dw, G4_dw"):
+        design_of(keys | {"gain_of": {"G9_dw": 0.5}})
