@@ -26,6 +26,7 @@ from ..linear.linearise import select
 from ..linear.systems import state_space
 from ..modes.modes import damping_ratio
 from .characteristic_roots import DelayError
+from .transfer_matrix import TransferMatrix, transfer_matrix
 
 if TYPE_CHECKING:
     import control
@@ -43,7 +44,6 @@ _LARGEST_TURN = 0.7  # rad between two points of the edge
 _SAME = 1e-6
 _ROUNDS = 12  # of Newton's method, each with the zeros of those before divided out
 _ASIDE = 1e-7 + 1e-7j
-_ACCURATE = 1e-9  # of the modal form against a solution of the equations
 
 
 @dataclass(frozen=True)
@@ -123,17 +123,13 @@ class LoopFunction:
     Parameters
     ----------
     plant : without reference angle, speeds in rad/s. controller : u = + K y, names among the plant's.
-
-    Raises
-    ------
-    DelayError : the poles of the plant are too close to each other for its modal form to be accurate.
     """
 
     def __init__(self, plant: control.StateSpace | LinearMatrices, controller: control.StateSpace) -> None:
         state_space(controller, "controller")
         self.signals = tuple(controller.input_labels)
         G = select(plant, list(controller.output_labels), list(self.signals))
-        self._G, self._K = _Modal(G), _Modal(controller)
+        self._G, self._K = transfer_matrix(G), transfer_matrix(controller)
         self.poles = np.concatenate([self._G.poles, self._K.poles])
 
     def loop(self, paths: Mapping[str, SignalWay], gain: float = 1.0) -> Characteristic:
@@ -204,7 +200,7 @@ class LoopFunction:
 class Characteristic:
     """f(s) = det(I - K H G) and its logarithmic derivative, at many points at once."""
 
-    def __init__(self, G: _Modal, K: _Modal, paths: list[SignalWay], gain: float) -> None:
+    def __init__(self, G: TransferMatrix, K: TransferMatrix, paths: list[SignalWay], gain: float) -> None:
         self._G, self._K, self._ways, self._gain = G, K, paths, gain
 
     def value(self, s: ComplexArray) -> ComplexArray:
@@ -235,40 +231,6 @@ class Characteristic:
     def _sent(self, s: ComplexArray) -> ComplexArray:
         H = self._gain * np.stack([path.transfer(s) for path in self._ways], axis=-1)
         return np.asarray(self._K.at(s) * H[:, None, :])
-
-
-class _Modal:
-    """C (s I - A)^-1 B + D by the eigenvectors of A."""
-
-    def __init__(self, system: control.StateSpace | LinearMatrices) -> None:
-        A, B, C, D = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C, system.D))
-        poles, vectors = np.linalg.eig(A) if A.size else (np.zeros(0, complex), np.zeros((0, 0)))
-        self.poles: ComplexArray = np.asarray(poles, dtype=np.complex128)
-        self._left = np.linalg.solve(vectors, B.astype(complex)) if A.size else np.zeros((0, B.shape[1]))
-        self._right, self._D = C @ vectors, D
-        self._residues = np.einsum("ij,jk->jik", self._right, self._left).reshape(len(self.poles), -1)
-        for s in (0.3 + 2.0j, 0.1 + 7.0j):
-            exact = C @ np.linalg.solve(s * np.eye(len(A)) - A, B) + D
-            error = np.max(np.abs(self.at(np.array([s]))[0] - exact), initial=0.0)
-            if not error <= _ACCURATE * (1e-12 + np.max(np.abs(exact), initial=0.0)) + 1e-14:
-                raise DelayError(
-                    f"modal form of {len(A)} states: off by {error:.1e} at {s:g} 1/s, its poles are too close"
-                )
-
-    @property
-    def outputs(self) -> int:
-        """Number of outputs."""
-        return int(self._D.shape[0])
-
-    def at(self, s: ComplexArray) -> ComplexArray:
-        """Return the transfer matrix (N, outputs, inputs) at s (N,)."""
-        value = (1.0 / (s[:, None] - self.poles[None, :])) @ self._residues
-        return np.asarray(value.reshape(len(s), *self._D.shape) + self._D)
-
-    def slope(self, s: ComplexArray) -> ComplexArray:
-        """Return its derivative (N, outputs, inputs)."""
-        value = -((s[:, None] - self.poles[None, :]) ** -2.0) @ self._residues
-        return np.asarray(value.reshape(len(s), *self._D.shape))
 
 
 def zeros_of(

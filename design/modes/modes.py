@@ -84,6 +84,15 @@ class Mode:
     left: ComplexMatrix
     rivals: tuple[complex, ...] = ()
 
+    def __repr__(self) -> str:
+        """Return name, frequency, damping and the machines that swing most, with their phases, in a line."""
+        most = sorted(self.shape.items(), key=lambda item: -abs(item[1]))[:4]
+        swing = ", ".join(f"{name} {abs(z):.2f} at {np.degrees(np.angle(z)):.0f} deg" for name, z in most)
+        doubt = f"; {self.doubt}" if self.doubt else ""
+        return (
+            f"Mode({self.name}: {self.frequency_hz:.4f} Hz, damping {self.damping_ratio:.4f}; {swing}{doubt})"
+        )
+
     @property
     def doubt(self) -> str:
         """Why the name is not certain, in words; empty when it is."""

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -67,14 +67,15 @@ def run(
 ) -> None:
     """Co-simulate one scenario; writes trajectory, ledgers, metrics and a plot.
 
-    With --self-test and no --out only the self-test is done. --record, --every and --strict stand in for the
+    Without --out nothing is written: the delay and packet ledgers and the result in a line are printed. With
+    --self-test and no --out only the self-test is done. --record, --every and --strict stand in for the
     scenario's keys of these names. The trajectory is written while it runs.
     """
     from .destination import folder_for
 
-    if out is None and not self_test:
-        raise typer.BadParameter("a folder for the results is needed, or --self-test", param_hint="--out")
-    if out is not None:
+    if out is None:
+        _refuse_unused({"--explore": explore, "--record": record, "--every": every})
+    else:
         folder_for(out, files=(*_FILES, "explorer.html"))
     code = _run_apart(Path(scenario), out)
     if code is not None:
@@ -101,36 +102,69 @@ def run(
         if explain:
             typer.echo(result.explain())
         _tell(loaded, result, files, json_)
+    elif not self_test:
+        _shown(loaded, explain=explain, json_=json_)
     if tested is not None and not tested.passed:
         raise typer.Exit(1)
+
+
+def _refuse_unused(options: Mapping[str, object]) -> None:
+    """Refuse options about files where none is written."""
+    for option, given in options.items():
+        if given:
+            raise typer.BadParameter(f"a folder for the results is needed by {option}", param_hint="--out")
+
+
+def _shown(scenario: Scenario, *, explain: bool, json_: bool) -> None:
+    """Run a scenario and print what it gives, with its ledgers; nothing is written."""
+    stage = f"running {scenario.name}"
+    with stage_progress((stage,)) as report:
+        result = _run(scenario, partial(report, stage))
+    (note if json_ else typer.echo)(result.explain() if explain else f"{result.ledger}\n\n{result.packets}")
+    _tell(scenario, result, [], json_)
+    note("nothing is written; --out DIR writes trajectory, metrics, ledger and a page")
+
+
+def _run(scenario: Scenario, tell: Callable[[float], object]) -> Result:
+    """Run a scenario, in one FMU where it asks for that. tell : takes the share that is done.
+
+    What runs it is loaded here: a mistake in the file is told before.
+    """
+    from interarea.cosim.export.joint import run_joint
+    from interarea.cosim.run.run import run_system
+    from interarea.fmu_build.write.cache import default_cache
+
+    tell(0.0)
+    runs = run_joint if scenario.master.joint else run_system
+    result: Result = runs(scenario, cache=default_cache(), progress=_shares(tell))
+    tell(1.0)
+    return result
 
 
 def _written(
     scenario: Scenario, out: Path, tell: Callable[[float], object], explorer: Path | None = None
 ) -> tuple[Result, list[Path]]:
-    """Run a scenario, in one FMU where it asks for that, and write what it gives into `out`.
+    """Do what `_run` does and write what it gives into `out`, the trajectory while it runs.
 
     explorer : the page beside it that the report links.
-
-    What runs it is loaded here: a mistake in the file is told before. tell : takes the share that is done.
     """
-    from interarea.cosim.export.joint import run_joint
+    from interarea.cosim.results.run import Run
     from interarea.cosim.run.run import write_run
     from interarea.fmu_build.write.cache import default_cache
 
-    def watch(now_s: float, end_s: float) -> None:
-        tell(min(now_s / end_s, 0.99))
-
-    tell(0.0)
     link = "" if explorer is None else explorer.name
     if scenario.master.joint:
-        run = run_joint(scenario, cache=default_cache(), progress=watch)
-        result: Result = run
-        files = run.save(out, explorer=link)
-    else:
-        result, files = write_run(scenario, out, cache=default_cache(), progress=watch, explorer=link)
+        result = _run(scenario, tell)
+        assert isinstance(result, Run)  # it has a case
+        return result, result.save(out, explorer=link)
+    tell(0.0)
+    written = write_run(scenario, out, cache=default_cache(), progress=_shares(tell), explorer=link)
     tell(1.0)
-    return result, files
+    return written
+
+
+def _shares(tell: Callable[[float], object]) -> Callable[[float, float], object]:
+    return lambda now_s, end_s: tell(min(now_s / end_s, 0.99))
 
 
 def _explored(scenario: Scenario, page: Path) -> Path:

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_line import invoke
 
 from interarea.cli.destination import folder_for
 from interarea.cli.terminal import complain, steady_streams
@@ -268,3 +269,20 @@ def test_a_sweep_of_which_nothing_runs_says_why(interarea) -> None:  # type: ign
     code, out, err = interarea("sweep", "far.toml", "--out", "far", "--workers", 1)
     assert code == 1 and "2 runs: 0 ok" in out and "2 failed" in out
     assert "commonest reason, 1 of 2: two-area-thesis-tie-plus-5000: the power flow does not converge" in err
+
+
+def test_a_run_without_a_folder_prints_and_writes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.toml").write_text(
+        'case = "two-area-thesis"\nstop_s = 0.4\ncontroller = "robust"\n[channels.remote]\n'
+        'signal = "G2_dw"\nlatency_s = 0.1\n',
+        encoding="utf-8",
+    )
+    code, out, err = invoke(["run", "s.toml"], monkeypatch)
+    assert code == 0, err
+    assert "remote" in out and "100" in out  # the ledger, in ms
+    assert "two-area-thesis, controller robust, 0.4 s: " in err
+    assert "nothing is written; --out DIR" in err
+    assert [p.name for p in tmp_path.iterdir()] == ["s.toml"]

@@ -15,6 +15,7 @@ from interarea.design.controllers.controller import Controller
 from interarea.design.delay.characteristic_roots import DelayError, discretised
 from interarea.design.delay.curves import delayed_loop, rightmost_roots, track_roots
 from interarea.design.delay.loop_modes import SWING_HZ, LoopFunction, SignalWay, zeros_of
+from interarea.design.delay.transfer_matrix import ModalForm, TransferMatrix
 from interarea.design.linear.linearise import remove_reference, speeds_in_rad
 from interarea.design.modes.modes import Modes, damping_ratio, modes_of
 from interarea.fmu_build.write.cache import default_cache
@@ -173,3 +174,28 @@ def test_nothing_arrives_over_a_lost_signal(plant: tuple[control.StateSpace, Mod
     values = np.linalg.eigvals(closed_loop_matrix(plant[0], K, lost=["G2_dw"]))
     assert found.least is not None
     assert np.min(np.abs(values - found.least)) <= 1e-7
+
+
+@pytest.mark.parametrize("latency_s", [0.0, 0.15])
+def test_a_controller_with_poles_of_any_multiplicity(
+    latency_s: float, plant: tuple[control.StateSpace, Modes]
+) -> None:
+    """A lead twice has a double pole, whose eigenvectors are one: there is no modal form."""
+    A = np.array([[-5.0, 1.0, 0.0], [0.0, -5.0, 0.0], [0.0, 0.0, -5.0]])
+    K = control.ss(A, [[0.0], [1.0], [1.0]], [[-12.0, 4.0, 1.0]], 0.0, inputs=["G2_dw"], outputs=["G4_vs"])
+    function = LoopFunction(plant[0], K)
+    assert not isinstance(function._K, ModalForm)
+    found = np.array(function.modes({"G2_dw": SignalWay(latency_s=latency_s)}, poles_of(plant[1])).roots)
+    exact = rightmost_roots(delayed_loop(plant[0], K, {"G2_dw": latency_s}), right_of=-4.0)
+    wanted, got = in_band(exact), in_band(found[found.real > -4.0])
+    assert len(wanted) >= 3
+    np.testing.assert_allclose(got, wanted, rtol=1e-6)
+
+
+def test_both_forms_of_a_transfer_matrix_agree(plant: tuple[control.StateSpace, Modes]) -> None:
+    K = controller("robust").system
+    s = np.array([0.2 + 4.0j, -1.0 + 9.0j, 0.01j])
+    modal, exact = ModalForm(K), TransferMatrix(K)
+    np.testing.assert_allclose(modal.at(s), exact.at(s), rtol=1e-8)
+    np.testing.assert_allclose(modal.slope(s), exact.slope(s), rtol=1e-8)
+    np.testing.assert_allclose(np.sort(modal.poles), np.sort(exact.poles), rtol=1e-6)

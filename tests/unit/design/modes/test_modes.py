@@ -189,3 +189,9 @@ def test_a_name_that_fits_another_mode_as_well_is_told() -> None:
 def test_pattern_energies_of_pure_patterns() -> None:
     assert pattern_energies(np.array([1, 1, -1, -1]), [1, 1, 2, 2])["inter-area"] == pytest.approx(1.0)
     assert pattern_energies(np.array([1, -1, 0, 0]), [1, 1, 2, 2])["local area 1"] == pytest.approx(1.0)
+
+
+def test_a_mode_shows_itself_as_a_person_reads_it() -> None:
+    shown = repr(modes_of(plant(), AREAS).inter_area)
+    assert shown.startswith("Mode(inter-area: 0.6227 Hz, damping 0.0806; G4 1.00 at 0 deg, ")
+    assert "array" not in shown and "\n" not in shown
