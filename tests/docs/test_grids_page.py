@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -25,3 +27,20 @@ def test_the_modes_of_the_bundled_grid_are_those_of_the_page(monkeypatch: pytest
         assert ratio == f"{mode['damping_ratio']:.4f}"
         assert machine == next(iter(mode["participation"])).partition(".")[0]
     assert f"{found['states']} states" in text
+
+
+@pytest.mark.slow
+def test_the_modes_of_the_fetched_grids_are_those_of_the_page(tmp_path: Path) -> None:
+    spec = importlib.util.spec_from_file_location("fetched_grids", PAGE.parent / "site" / "fetched_grids.py")
+    assert spec is not None and spec.loader is not None
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
+    try:
+        rows, least = made.tables(tmp_path)
+    except subprocess.CalledProcessError as error:
+        if b"pip does not" in error.stderr:
+            pytest.skip("the wheel with the grids cannot be fetched")
+        raise
+    text = PAGE.read_text(encoding="utf-8")
+    assert rows in text and least in text
+    assert rows.count("\n") + 1 == 21
