@@ -57,6 +57,8 @@ def import_case(
     coordinates: str | Path | None = None,
     release_limits: bool = False,
     devices: Sequence[str | Path] = (),
+    leave_out: Sequence[str] = (),
+    replace: Mapping[str, str] | None = None,
     report: Callable[[str], object] | None = None,
 ) -> Case:
     """Read a grid of PSS/E (RAW, with dynamic data in a DYR file) or MATPOWER; plain, .gz or .xz.
@@ -71,6 +73,7 @@ def import_case(
     coordinates : CSV with the columns bus, latitude, longitude.
     release_limits : widen the limits beyond which controls would start; what was changed is in the report.
     devices : files of devices of one's own; records of their names (USRMDL or not) become these.
+    leave_out, replace : models of DYR records to go on without, and to read as another (old -> new).
     report : called with what was read, assumed and dropped, how the controls start, and whether the grid is
         stable at rest, as text.
 
@@ -98,6 +101,8 @@ def import_case(
         coordinates=coordinates,
         release_limits=release_limits,
         devices=devices,
+        leave_out=leave_out,
+        replace_models=replace or {},
     )
     if report is not None:
         growth = growth_at_rest(imported.case, default_cache())

@@ -19,6 +19,7 @@ FUNCTIONS = {
     "P_exponent: float | None = None, Q_exponent: float | None = None, strict: bool = False, "
     "island: int | str | None = None, converters: str = 'refuse', coordinates: str | Path | None = None, "
     "release_limits: bool = False, devices: Sequence[str | Path] = (), "
+    "leave_out: Sequence[str] = (), replace: Mapping[str, str] | None = None, "
     "report: Callable[[str], object] | None = None -> Case",
     "modes": "case: Case | str | Path -> SwingModes",
     "loops": "case: Case | str | Path, *, band_hz: tuple[float, float] = (0.1, 2.5), below: float = 0.2, "

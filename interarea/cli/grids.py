@@ -56,6 +56,13 @@ def import_grid(
         list[str] | None,
         typer.Option("--device", metavar="FILE.toml", help="a device of your own, for records of its name"),
     ] = None,
+    leave_out: Annotated[
+        str, typer.Option("--leave-out", metavar="MODEL,...", help="models of the DYR to go on without")
+    ] = "",
+    replace: Annotated[
+        list[str] | None,
+        typer.Option("--replace", metavar="MODEL=MODEL", help="read records of a model as another's"),
+    ] = None,
     json_: Annotated[
         bool, typer.Option("--json", help="print what was read, assumed and dropped as JSON")
     ] = False,
@@ -82,6 +89,8 @@ def import_grid(
         coordinates=coordinates,
         release_limits=release_limits,
         devices=device or (),
+        leave_out=[name for name in leave_out.split(",") if name.strip()],
+        replace_models=_pairs(replace or []),
     )
     out.parent.mkdir(parents=True, exist_ok=True)
     export_toml(imported.case, out)
@@ -95,6 +104,17 @@ def import_grid(
     typer.echo(imported.report.text(), err=True)
     if growth is not None:
         typer.echo(f"at rest {growth.text}", err=True)
+
+
+def _pairs(given: list[str]) -> dict[str, str]:
+    """The models of options MODEL=MODEL."""
+    from interarea.models.errors import CaseError
+
+    pairs = [text.split("=") for text in given]
+    for text, parts in zip(given, pairs, strict=True):
+        if len(parts) != 2 or not all(part.strip() for part in parts):
+            raise CaseError(f"--replace {text!r}, allowed: MODEL=MODEL, such as WSIEG1=IEEEG1")
+    return {parts[0]: parts[1] for parts in pairs}
 
 
 def export(

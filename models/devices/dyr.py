@@ -103,7 +103,10 @@ def _values(record: DyrRecord, row: DyrModel) -> dict[str, float]:
         if name != "0":
             values[name] = value
         elif value != 0.0:
-            raise DeviceError(f"{what} = {value:g}, allowed: 0 (what it asks for is not modelled)")
+            raise DeviceError(
+                f"{what} = {value:g}, allowed: 0 (what it asks for is not modelled; "
+                f"--replace {record.model}=MODEL reads it as another)"
+            )
     return values
 
 

@@ -6,12 +6,12 @@ import cmath
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from .report import Report
-from .static import StaticBranch, StaticGrid, StaticUnit
+from .static import StaticBranch, StaticGrid, StaticLoad, StaticUnit
 from .stored import Solution
 from .topology import live_islands
 
@@ -44,7 +44,9 @@ def load_exponents(
     P_exponent: float | None, Q_exponent: float | None, grid: StaticGrid, report: Report, where: str
 ) -> tuple[float, float]:
     """Return how P and Q of loads follow the voltage: as given, else as constant impedance, which is said."""
-    if None in (P_exponent, Q_exponent) and any(load.follows is None for load in grid.loads):
+    if None in (P_exponent, Q_exponent) and any(
+        load.follows is None and load.law is None for load in grid.loads
+    ):
         report.assume("loads follow the voltage as constant impedance unless the exponents say else", where)
     return 2.0 if P_exponent is None else P_exponent, 2.0 if Q_exponent is None else Q_exponent
 
@@ -216,11 +218,12 @@ def _loads(grid: StaticGrid, solution: Solution, exponents: tuple[float, float])
     rows: dict[str, Any] = {}
     for load in grid.loads:
         name = name_of[load.letter](load.letter, load.home, load.identity)
-        p, q = exponents if load.follows is None else (load.follows, load.follows)
         if load.p or load.q or not (load.ip or load.iq or load.yp or load.yq):
-            rows[unique(name)] = {
-                "bus": load.bus, "P_mw": load.p, "Q_mvar": load.q, "P_exponent": p, "Q_exponent": q,
-            }  # fmt: skip
+            for share_p, p, share_q, q in _terms(load, exponents):
+                rows[unique(name)] = {
+                    "bus": load.bus, "P_mw": share_p * load.p, "Q_mvar": share_q * load.q,
+                    "P_exponent": p, "Q_exponent": q,
+                }  # fmt: skip
         if load.ip or load.iq:
             volts = abs(solution.voltages[load.bus])
             rows[unique(f"{name}_I")] = {
@@ -228,6 +231,14 @@ def _loads(grid: StaticGrid, solution: Solution, exponents: tuple[float, float])
                 "P_exponent": 1.0, "Q_exponent": 1.0,
             }  # fmt: skip
     return rows
+
+
+def _terms(load: StaticLoad, exponents: tuple[float, float]) -> Sequence[tuple[float, float, float, float]]:
+    """Share and exponent of P, and of Q, of each row that a load becomes."""
+    if load.law is not None:
+        return load.law
+    p, q = exponents if load.follows is None else (load.follows, load.follows)
+    return [(1.0, p, 1.0, q)]
 
 
 def _names(keys: list[tuple[int, str]]) -> Callable[[str, int, str], str]:

@@ -11,6 +11,7 @@ controls        -> devices of the package, by their `[dyr]` tables (models/devic
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,11 +21,13 @@ from ..devices.dyr import device_for_dyr, dyr_models, own_records
 from ..devices.language.structure import Model
 from ..devices.library import NONE
 from ..errors import CaseError, nearest
-from .dyr import KNOWN, DyrRecord, read_dyr
+from .dyr import KNOWN, DyrFile, DyrRecord, read_dyr
+from .load_records import MODELS as LOADS
 from .raw.record import Record
 from .report import Report
 
 MACHINE = "machine model"
+ROUNDED = 5e-4  #: pu by which X''d may stand above X'd in a file: both have so few digits
 #: machine models that are converters
 CONVERTERS = frozenset(
     ["REGCA1", "REGCB1", "REGCC1", "GDFORM", "WT1G1", "WT2G1", "WT3G1", "WT3G2", "WT4G1", "WT4G2", "PVGU1"]
@@ -64,8 +67,55 @@ class Dynamics:
     constant: dict[str, float]
 
 
+def read_dynamics(path: Path, own: Mapping[str, Model] = NONE) -> DyrFile:
+    """Return the records of a DYR file; own : devices of the user's own, whose names are known too."""
+    return read_dyr(path, KNOWN | dyr_models().keys() | own_records(own.values()).keys())
+
+
+def replaced(file: DyrFile, leave_out: Collection[str], models: Mapping[str, str], report: Report) -> DyrFile:
+    """Return the file without the records of some models, and with records of others read as another model's.
+
+    A record with more fields than the other model has is cut, which is said.
+
+    Raises
+    ------
+    CaseError : a model that the file does not have.
+    """
+    gone = {name.strip().upper() for name in leave_out}
+    other = {old.strip().upper(): new.strip().upper() for old, new in models.items()}
+    present = {record.model for record in file.records}
+    for option, names in (("leave_out", gone), ("replace", other)):
+        for name in sorted(set(names) - present):
+            allowed = ", ".join(sorted(present))
+            raise CaseError(f"{file.path}: {option} {name!r}: no record of that model, allowed: {allowed}")
+    if gone & other.keys():
+        raise CaseError(
+            f"{file.path}: {sorted(gone & other.keys())[0]} is left out and replaced, allowed: one"
+        )
+    kept = []
+    for record in file.records:
+        if record.model in gone:
+            report.assume(f"{record.model} left out, as was asked", record.where)
+        elif record.model in other:
+            kept.append(_as(record, other[record.model], report))
+        else:
+            kept.append(record)
+    return dataclasses.replace(file, records=tuple(kept))
+
+
+def _as(record: DyrRecord, model: str, report: Report) -> DyrRecord:
+    """A record read as that of another model."""
+    count = MACHINES[model][0] if model in MACHINES else None
+    if model in dyr_models():
+        count = len(dyr_models()[model][1].fields)
+    more = len(record.fields) - count if count is not None else 0
+    cut = f", its last {more} field(s) {' '.join(record.fields[count:])} left out" if more > 0 else ""
+    report.assume(f"{record.model} read as {model}, as was asked{cut}", record.where)
+    return dataclasses.replace(record, model=model, fields=record.fields[:count])
+
+
 def machine_dynamics(
-    path: Path,
+    file: DyrFile,
     machine_of: Mapping[tuple[int, str], str],
     out: Collection[tuple[int, str]],
     report: Report,
@@ -73,7 +123,7 @@ def machine_dynamics(
     converters_as_current: bool = False,
     own: Mapping[str, Model] = NONE,
 ) -> Dynamics:
-    """Return the dynamic data of the DYR file `path`.
+    """Return the dynamic data of a DYR file.
 
     machine_of : (bus, id) -> name of a unit in service. out : units out of service, whose records are
     counted and passed over. A unit without a machine model is constant P and Q and a converter is refused,
@@ -86,18 +136,19 @@ def machine_dynamics(
         kind for one machine; each with file and line.
     """
     records = dyr_models() | own_records(own.values())
-    file = read_dyr(path, KNOWN | records.keys())
     for note in file.notes:
         place, _, what = note.partition(": ")
         report.assume(what, place)
     report.read["DYR lines of comment"] = file.comments
-    units = _Units(path, machine_of, report)
+    units = _Units(file.path, machine_of, report)
     if converters_as_current:
         units.take_converters(file.records)
     for record in file.records:
+        if record.model in LOADS:
+            continue
         name = units.concerned(record, out, records)
         if name is not None:
-            units.take(name, record, *_row(record, own, records))
+            units.take(name, record, *_row(record, own, records, report))
     units.take_the_rest(1.0 if converters_as_current else 0.0)
     rows = {name: row for name, row in units.rows.items() if name not in units.constant}
     return Dynamics(rows, units.where, units.constant)
@@ -171,7 +222,9 @@ class _Units:
             self.report.assume(f"unit without DYR record taken as {kind}", place)
 
 
-def _row(record: DyrRecord, own: Mapping[str, Model], records: Collection[str]) -> tuple[str, dict[str, Any]]:
+def _row(
+    record: DyrRecord, own: Mapping[str, Model], records: Collection[str], report: Report
+) -> tuple[str, dict[str, Any]]:
     """What a record is, and the keys it gives."""
     if record.model not in MACHINES:
         if record.model not in records:
@@ -180,6 +233,9 @@ def _row(record: DyrRecord, own: Mapping[str, Model], records: Collection[str]) 
         device = result.model.device
         return device.kind, {"kind": device.key} | dict(result.parameters)
     count, convert = MACHINES[record.model]
+    if record.model == "GENCLS" and len(record.fields) == count + 1:  # a reactance, which the RAW has too
+        report.assume("third field of GENCLS left out: the reactance is that of the RAW", record.where)
+        record = dataclasses.replace(record, fields=record.fields[:count])
     if len(record.fields) != count:
         less = len(record.fields) < count
         raise CaseError(
@@ -189,6 +245,10 @@ def _row(record: DyrRecord, own: Mapping[str, Model], records: Collection[str]) 
     position = {str(k + 1): k for k in range(count)}
     fields = Record(record.model, record.fields, record.where, position)
     row = convert(record.where, *(fields.number(str(k + 1)) for k in range(count)))
+    for transient, subtransient in (("Xd1", "Xd2"), ("Xq1", "Xq2")):
+        if 0.0 < row.get(subtransient, 0.0) - row.get(transient, 0.0) <= ROUNDED:
+            report.assume(f"{subtransient} above {transient} by rounding: taken as {transient}", record.where)
+            row |= {"Xd2": row[transient], "Xq2": row[transient]}
     return MACHINE, row | {"torque_by_speed": True} if row["model"] == "round_rotor" else row
 
 
@@ -198,8 +258,10 @@ def _unknown(record: DyrRecord, records: Collection[str]) -> str:
         advice = f"; draw it as a device named {model} and give its file with --device"
     elif model in CONVERTERS:
         advice = "; --converters current takes converters as constant currents"
-    elif near := nearest(model, [*MACHINES, *records]):
-        advice = f"; {near}"
+    else:
+        near = "" if model in KNOWN else nearest(model, [*MACHINES, *records])
+        advice = f"; {near}" if near else ""
+        advice += f"; --leave-out {model} goes on without it, --replace {model}=MODEL reads it as another"
     return f"model {model!r} at bus {record.bus} is not supported{advice}"
 
 

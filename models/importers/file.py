@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -36,11 +37,14 @@ def import_grid(
     coordinates: str | Path | None = None,
     release_limits: bool = False,
     devices: Sequence[str | Path] = (),
+    leave_out: Sequence[str] = (),
+    replace_models: Mapping[str, str] = MappingProxyType({}),
 ) -> Imported:
     """Return the grid of a file of PSS/E or MATPOWER, or of a name in `PUBLISHED`; options as `import_psse`.
 
     converters : "refuse", or "current" for constant currents. release_limits : widen the limits that keep
-    controls from resting where their machines start.
+    controls from resting where their machines start. leave_out, replace_models : models of DYR
+    records to pass over, and to read as another.
 
     Raises
     ------
@@ -55,9 +59,11 @@ def import_grid(
         "island": island,
         "coordinates": coordinates,
     }
+    models: dict[str, Any] = {"devices": devices, "leave_out": leave_out}
     file = Path(grid)
     if str(grid) in PUBLISHED and not file.exists():
-        how |= {"converters": converters, "release_limits": release_limits, "devices": devices}
+        how |= {"converters": converters, "release_limits": release_limits, "replace_models": replace_models}
+        how |= models
         return _import_published(str(grid), dyr, how)
     if not file.is_file():
         what = "is a folder" if file.is_dir() else "is no regular file" if file.exists() else "no such file"
@@ -71,10 +77,13 @@ def import_grid(
             raise CaseError(f"{dyr}: dynamic data goes with a RAW file, not with MATPOWER")
         if devices:
             raise CaseError(f"{devices[0]}: a device goes with a DYR file, which MATPOWER does not have")
+        if leave_out or replace_models:
+            raise CaseError(f"{file}: has no DYR file, so there is no model to leave out or to replace")
         return import_matpower(file, **how)
     if suffix == ".raw":
         current = converters == "current"
-        imported = import_psse(file, dyr, converters_as_current=current, devices=devices, **how)
+        how |= models
+        imported = import_psse(file, dyr, converters_as_current=current, replace=replace_models, **how)
         return imported if dyr is None else _started(imported, release=release_limits)
     raise CaseError(f"{file}: suffix {suffix!r}, allowed: {FORMATS}")
 

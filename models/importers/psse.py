@@ -5,14 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from ..case.case import Case, case_of, devices_of
 from ..case.document import with_device_texts
 from ..errors import CaseError
 from .document import case_name, document_of, load_exponents, unit_names
-from .dynamics import Dynamics, machine_dynamics
+from .dynamics import Dynamics, machine_dynamics, read_dynamics, replaced
 from .imported import Imported
+from .load_records import take_load_records
 from .places import read_places
 from .raw.converters import read_converters
 from .raw.file import RawFile, read_raw
@@ -40,6 +42,8 @@ def import_psse(
     coordinates: str | Path | None = None,
     frequency_hz: float | None = None,
     devices: Sequence[str | Path] = (),
+    leave_out: Sequence[str] = (),
+    replace: Mapping[str, str] = MappingProxyType({}),
 ) -> Imported:
     """Return the grid of a PSS/E RAW (version 23 to 36) and DYR file, each plain, gzip or xz.
 
@@ -50,7 +54,9 @@ def import_psse(
         or "all" with a slack bus.
     converters_as_current : converters become constant currents instead of being refused. coordinates : CSV
     with bus, latitude, longitude. frequency_hz : for a file that has none; 60 Hz when not given. devices :
-    files of devices of one's own, which records of their names (USRMDL or not) become.
+    files of devices of one's own, which records of their names (USRMDL or not) become. leave_out : models
+    whose records are passed over. replace : model -> the one that its records are read as, by the order of
+    their fields.
 
     Raises
     ------
@@ -70,19 +76,21 @@ def import_psse(
     settle(grid, report, island)
     decide_units_at_load_buses(grid, report)
     solution = solve_stored(grid, slacks_of(grid, report), report)
-    exponents = load_exponents(P_exponent, Q_exponent, grid, report, str(path))
     names = unit_names(grid)
     dynamics = Dynamics({}, {}, {})
     if dyr is not None:
         machine_of = {(u.home, u.identity): n for u, n in zip(grid.units, names, strict=True)}
         out |= {key for key in _all_units(file) if key not in machine_of}
+        read = replaced(read_dynamics(Path(dyr), own), leave_out, replace, report)
+        take_load_records(read.records, grid.loads, report)
         dynamics = machine_dynamics(
-            Path(dyr), machine_of, out, report, converters_as_current=converters_as_current, own=own
+            read, machine_of, out, report, converters_as_current=converters_as_current, own=own
         )
         if len(dynamics.constant) == len(names):
             raise CaseError(f"{dyr}: no machine model for any unit of {path.name}, allowed: at least one")
         _compare_reactances(grid, names, dynamics, report)
         grid.source += f" and {Path(dyr).name}"
+    exponents = load_exponents(P_exponent, Q_exponent, grid, report, str(path))
     document = document_of(
         grid,
         solution,

@@ -74,6 +74,7 @@ class StaticLoad:
 
     follows : how the constant-power part follows the voltage in the dynamics, None as the user says.
     q_free : its Q is not given; the stored voltages tell it.
+    groups : its area, zone and owner. law : share and exponent of P, and of Q, of each term of a load record.
     """
 
     bus: int
@@ -90,6 +91,8 @@ class StaticLoad:
     follows: float | None = None
     q_free: bool = False
     home: int = 0  #: the bus in the file, from which it has its name
+    groups: tuple[int, int, int] = (1, 1, 1)
+    law: tuple[tuple[float, float, float, float], ...] | None = None
 
     def __post_init__(self) -> None:
         self.home = self.home or self.bus

@@ -74,7 +74,9 @@ def _load(record: Record, grid: StaticGrid) -> None:
         p, q = p - record.number("DGENP", 0.0), q - record.number("DGENQ", 0.0)
     on = record.code("STATUS", 1, (0, 1)) == 1
     identity = record.identity("ID")
-    grid.loads.append(StaticLoad(bus.number, "L", identity, p, q, record.where, ip, iq, yp, -yq, on))
+    load = StaticLoad(bus.number, "L", identity, p, q, record.where, ip, iq, yp, -yq, on)
+    load.groups = (record.whole("AREA", 1), record.whole("ZONE", 1), record.whole("OWNER", 1))
+    grid.loads.append(load)
 
 
 def _switched(record: Record, grid: StaticGrid, count: Counter[int], report: Report) -> None:

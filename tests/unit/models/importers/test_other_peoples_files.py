@@ -12,7 +12,7 @@ from raw_grids import raw_grid
 import interarea as ia
 from interarea.models.case.case import load_case
 from interarea.models.errors import CaseError
-from interarea.models.importers.dynamics import machine_dynamics
+from interarea.models.importers.dynamics import machine_dynamics, read_dynamics
 from interarea.models.importers.dyr import read_dyr
 from interarea.models.importers.file import import_grid
 from interarea.models.importers.imported import Imported
@@ -58,7 +58,7 @@ def test_a_line_of_comment_that_looks_like_a_record_is_named(spoiled: str, tmp_p
     assert found.comments == 2
     with pytest.raises(CaseError, match=r"names EXST1.*--strict"):
         name_of = {(m.bus, "1"): m.name for m in CASE.machines}
-        machine_dynamics(tmp_path / "grid.dyr", name_of, (), Report(strict=True))
+        machine_dynamics(read_dynamics(tmp_path / "grid.dyr"), name_of, (), Report(strict=True))
 
 
 def _written(folder: Path, text: str) -> Path:
