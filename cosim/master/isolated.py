@@ -21,17 +21,21 @@ import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Iterator, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
 from interarea.fmu_build.open.fmu_file import FmuFile
+from interarea.fmu_build.open.ports import Description
 from interarea.fmu_build.write.lane_library import GroupLibrary
 from interarea.models.processes import end_with_parent
 
 from ..errors import ScenarioError, StepError
 from .fmu_log import FmuLog
 from .instances import FmuParticipant, Value
+from .real_code import DLL_SUFFIXES as DLL_SUFFIXES
+from .real_code import ServedRealCode
 
 _PATIENCE_S = 5.0
 _log = logging.getLogger("interarea")
@@ -51,28 +55,35 @@ _CALL_OF = {
 }
 
 
-class WorkerParticipant(FmuParticipant):
-    """An instance of `file` that lives in a worker process; otherwise as `FmuParticipant`.
+class _Worker(ABC):
+    """The process of an instance, and the calls that travel there.
 
     time_limit_s : longest time that one call may take, s.
     """
 
-    def __init__(
-        self,
-        name: str,
-        file: FmuFile,
-        start: Mapping[str, Value] | None = None,
-        *,
-        time_limit_s: float = TIME_LIMIT_S,
-    ) -> None:
+    kind = "FMU"
+    log: FmuLog
+    u: Any
+    du: Any
+    y: Any
+    dy: Any
+    bound_inputs: tuple[str, ...]
+    bound_slopes: tuple[str, ...]
+    stops_early: bool
+
+    def __init__(self, name: str, path: Path, time_limit_s: float) -> None:
         if not time_limit_s > 0.0:
             raise ScenarioError(f"{name}: time_limit_s = {time_limit_s:g}, allowed: above 0")
-        self.time_limit_s = time_limit_s
+        self.name, self.path, self.time_limit_s = name, path, time_limit_s
+        self.time_s: float | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._watch: _Watch | None = None
         self._said: IO[bytes] | None = None
         self._unsent: tuple[int, list[float], list[float]] | None = None
-        super().__init__(name, file, start)
+
+    @abstractmethod
+    def _start_values(self) -> Mapping[str, Value]:
+        """Start values by name."""
 
     def begin(self, start_s: float, stop_s: float) -> None:
         """Start the worker (again, if it died), instantiate or reset there, enter initialisation."""
@@ -80,8 +91,7 @@ class WorkerParticipant(FmuParticipant):
             self._spawn()
         self._unsent = None
         self.log.forget()
-        start = {name: value for name, (_, value) in self._start.items()}
-        self._ask("set_start", start)
+        self._ask("set_start", self._start_values())
         self._ask("bind", self.bound_inputs, self.bound_slopes)
         self.time_s = start_s
         self._ask("begin", start_s, stop_s)
@@ -120,11 +130,6 @@ class WorkerParticipant(FmuParticipant):
         if self._process is not None and self._process.poll() is None:
             self._ask("release", state)
 
-    def value_of(self, name: str) -> float:
-        """Return the present value of any Real, Integer, Boolean or Enumeration variable."""
-        self._variable(name)
-        return float(self._ask("value_of", name))
-
     def last_log(self) -> str:
         """Return the last line the FMU logged or printed, or an empty string."""
         if self._said is None:
@@ -155,7 +160,7 @@ class WorkerParticipant(FmuParticipant):
 
     # -- private --------------------------------------------------------------------------
 
-    def _spawn(self) -> None:
+    def _spawn(self) -> Any:
         self.close()
         self._said = tempfile.TemporaryFile()  # noqa: SIM115
         self._process = subprocess.Popen(
@@ -166,7 +171,7 @@ class WorkerParticipant(FmuParticipant):
         )
         self._watch = _Watch(self._process)
         self._watch.start()
-        self._ask("open", self.name, str(self.file.path.resolve()))
+        return self._ask("open", self.name, str(self.path.resolve()))
 
     def _ask(self, method: str, *arguments: Any) -> Any:
         """Have the worker do one call and return what it gives.
@@ -193,7 +198,9 @@ class WorkerParticipant(FmuParticipant):
             if watch.fired:
                 what = f"no answer within {limit_s:g} s, so its process was killed"
                 raise self._died(method, what, advice="allow more with time_limit_s") from error
-            raise self._died(method, f"the FMU crashed its process ({_death(process.returncode)})") from error
+            raise self._died(
+                method, f"the {self.kind} crashed its process ({_death(process.returncode)})"
+            ) from error
         if news is not None:
             self.log.merge(news)
         if failed:
@@ -204,6 +211,69 @@ class WorkerParticipant(FmuParticipant):
         call = _CALL_OF.get(method, "starting the worker process")
         log = self.last_log()
         return StepError(what, instance=self.name, call=call, time_s=self.time_s, last_log=log, advice=advice)
+
+
+class WorkerParticipant(_Worker, FmuParticipant):
+    """An instance of `file` that lives in a worker process; otherwise as `FmuParticipant`.
+
+    time_limit_s : longest time that one call may take, s.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        file: FmuFile,
+        start: Mapping[str, Value] | None = None,
+        *,
+        time_limit_s: float = TIME_LIMIT_S,
+    ) -> None:
+        _Worker.__init__(self, name, file.path, time_limit_s)
+        FmuParticipant.__init__(self, name, file, start)
+
+    def _start_values(self) -> Mapping[str, Value]:
+        return {name: value for name, (_, value) in self._start.items()}
+
+    def value_of(self, name: str) -> float:
+        """Return the present value of any Real, Integer, Boolean or Enumeration variable."""
+        self._variable(name)
+        return float(self._ask("value_of", name))
+
+
+class RealCodeParticipant(_Worker):
+    """An IEEE/CIGRE DLL in a worker process, called at its own sample times; outputs are held between.
+
+    start : values of parameters, inputs and outputs at the begin.
+
+    Raises
+    ------
+    GraphError : a start value of no port. FmuFileError : a file that is no such DLL of this machine.
+    """
+
+    kind = "DLL"
+
+    def __init__(
+        self,
+        name: str,
+        path: Path,
+        start: Mapping[str, Value] | None = None,
+        time_limit_s: float | None = None,
+    ) -> None:
+        super().__init__(name, path, TIME_LIMIT_S if time_limit_s is None else time_limit_s)
+        self.stops_early = False
+        self.log = FmuLog(name, lambda: self.time_s)
+        self._start = dict(start or {})
+        self.description: Description = self._spawn()
+        self._ask("set_start", self._start)
+        self.bind((), ())
+
+    def _start_values(self) -> Mapping[str, Value]:
+        return self._start
+
+    def bind(self, inputs: Sequence[str], slopes: Sequence[str]) -> None:
+        """Fix the inputs that will be sent; makes the buffers."""
+        self.bound_inputs, self.bound_slopes = tuple(inputs), tuple(slopes)
+        self.u, self.du = [0.0] * len(inputs), [0.0] * (3 * len(inputs))
+        self.y, self.dy = [0.0] * len(self.description.outputs), [0.0] * len(slopes)
 
 
 def participant_of(
@@ -311,6 +381,11 @@ class _Served(FmuParticipant):
         result = getattr(self, method)(*arguments)
         return (list(self.y), list(self.dy)) if method == "receive" else result
 
+    def close(self) -> None:
+        """End the instance, and the file that this process has opened."""
+        super().close()
+        self.file.close()
+
     def take(self, order: int, u: list[float], du: list[float]) -> None:
         """Send what the parent had set."""
         for buffer, values in ((self.u, u), (self.du, du)):
@@ -321,7 +396,7 @@ class _Served(FmuParticipant):
 
 def serve(calls: IO[bytes], answers: IO[bytes]) -> None:
     """Answer calls until their end; then end the instance."""
-    served: _Served | None = None
+    served: _Served | ServedRealCode | None = None
     try:
         while True:
             try:
@@ -329,7 +404,10 @@ def serve(calls: IO[bytes], answers: IO[bytes]) -> None:
             except EOFError:
                 return
             try:
-                if method == "open":
+                if method == "open" and arguments[1].endswith(DLL_SUFFIXES):
+                    served = ServedRealCode(*arguments)
+                    result = served.description
+                elif method == "open":
                     served, result = _Served(*arguments), None
                 else:
                     assert served is not None
@@ -337,7 +415,7 @@ def serve(calls: IO[bytes], answers: IO[bytes]) -> None:
                     if unsent is not None:
                         served.take(*unsent)
                     result = served.do(method, arguments)
-                answer = (False, result)
+                answer: tuple[bool, Any] = (False, result)
             except Exception as error:
                 answer = (True, error)
             news = None if served is None else served.log.news()
@@ -346,7 +424,6 @@ def serve(calls: IO[bytes], answers: IO[bytes]) -> None:
     finally:
         if served is not None:
             served.close()
-            served.file.close()
 
 
 def main() -> None:

@@ -15,12 +15,13 @@ from interarea.models.errors import Collected
 from interarea.models.files import together
 
 from ..errors import ScenarioError, StepError, nearest
+from ..master.real_code import DLL_SUFFIXES
 from ..results.result import Result
 from ..results.ringdown import Swing
 from ..results.run import METRICS_FILES, Run
 from ..results.trajectory_files import TrajectoryFiles, chosen
 from ..scenario.names import wrong_targets
-from ..scenario.scenario import Scenario, load_scenario
+from ..scenario.scenario import FmuTable, Scenario, load_scenario
 from ..scenario.ways import Way
 from ..trajectory import Trajectory
 from .artefacts import growth_at_rest
@@ -209,8 +210,7 @@ def system_of(
             _connect_signals(system, scenario)
     for name, table in scenario.fmus.items():
         with wrong:
-            file = system.fmus.own(name, scenario.folder / table.file)
-            system.put(Instance(name, file, dict(table.start), process=table.process))
+            _add_own(system, name, scenario.folder / table.file, table)
         if table.latency_s:
             system.latency_s[name] = table.latency_s
     for path in scenario.connections:
@@ -237,6 +237,15 @@ def _start_plant(system: System, scenario: Scenario) -> None:
             _known(name, names, f"{scenario.name}: plant.{name} is no parameter of the plant")
     wrong.end(ScenarioError)
     system.parts[PLANT] = replace(plant, start=dict(scenario.plant))
+
+
+def _add_own(system: System, name: str, path: Path, table: FmuTable) -> None:
+    """Add an FMU or DLL of the user's."""
+    if path.suffix in DLL_SUFFIXES:
+        system.fmu(name, path, start=table.start, time_limit_s=table.time_limit_s)
+    else:
+        file = system.fmus.own(name, path)
+        system.put(Instance(name, file, dict(table.start), process=table.process))
 
 
 def _add_controller(

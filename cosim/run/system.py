@@ -39,7 +39,7 @@ from ..clock import on_tick, roundings
 from ..errors import GraphError, ScenarioError, ScenarioWarning, StepError, nearest
 from ..master.graph import end_of, pairs_of
 from ..master.instances import FmuParticipant, Value
-from ..master.isolated import participant_of
+from ..master.isolated import DLL_SUFFIXES, RealCodeParticipant, participant_of
 from ..master.master import Master
 from ..master.plan import LoopPlan
 from ..master.records import Sink
@@ -161,6 +161,9 @@ class System:
     ) -> System:
         """Add any FMI 2.0 co-simulation FMU with start values for its parameters, states or inputs.
 
+        An IEEE/CIGRE DLL (``.dll``, ``.so``) takes part too: always in a process of its own, called at its
+        sample times; its start values are those of parameters, inputs and outputs.
+
         start : start values by name; those whose names are no keywords of this method can be `values` too.
         latency_s : a promise that its inputs need at least that long to reach its outputs.
         isolate : run it in a process of its own, which it may crash (`WorkerParticipant`).
@@ -170,6 +173,9 @@ class System:
         ------
         GraphError : see `FmuFile` and `FmuParticipant`. ScenarioError : a time limit without isolate.
         """
+        if Path(file).suffix in DLL_SUFFIXES:
+            dll = RealCodeParticipant(name, Path(file), {**(start or {}), **values}, time_limit_s)
+            return self.add(dll, latency_s=latency_s)
         process: dict[str, Any] = {"isolate": isolate, "time_limit_s": time_limit_s}
         opened = self.fmus.open(Path(file))
         begin = start_values(name, opened, start, values, latency_s=latency_s, **process)

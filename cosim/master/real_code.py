@@ -1,0 +1,134 @@
+"""An IEEE/CIGRE DLL as the worker process holds it: called at its sample times, outputs held between."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from interarea.fmu_build.open.ports import Description, Port
+from interarea.fmu_build.open.real_code import ERROR, MESSAGE, RealCode, RealCodeLibrary
+
+from ..errors import GraphError, StepError, nearest
+from .fmu_log import FmuLog
+from .instances import Value
+
+DLL_SUFFIXES = (".dll", ".so", ".dylib")
+_SLACK = 1e-9  #: of a sample time: instants this close are the same
+
+
+class ServedRealCode:
+    """The instance in the worker. Inputs follow the polynomials that the master hands over."""
+
+    def __init__(self, name: str, path: str) -> None:
+        self.name = name
+        self.library = RealCodeLibrary(Path(path))
+        info = self.library.info
+        self.description = Description(
+            tuple(Port(p.name, description=p.description) for p in info.inputs),
+            tuple(Port(p.name, discrete=True, description=p.description) for p in info.outputs),
+            {},
+            input_order=3,
+            saves_state=True,
+            title=info.texts["name"],
+        )
+        self.stops_early = False
+        self.log = FmuLog(name, lambda: self.time_s)
+        self.time_s: float | None = None
+        self._model = RealCode(self.library)
+        self._start: Mapping[str, Value] = {}
+        self._bound: tuple[str, ...] = ()
+        self._poly: dict[str, list[float]] = {}
+        self._sample = 0
+        self._origin = 0.0
+        self._states: list[tuple[bytes, int, float, dict[str, list[float]]]] = []
+
+    def do(self, method: str, arguments: tuple[Any, ...]) -> Any:
+        """Do one call of the parent."""
+        return getattr(self, method)(*arguments)
+
+    def set_start(self, start: Mapping[str, Value]) -> None:
+        """Take values of parameters, inputs and outputs for the next `begin`."""
+        info = self.library.info
+        names = [p.name for p in (*info.parameters, *info.inputs, *info.outputs)]
+        for key in start:
+            if key not in names:
+                raise GraphError(
+                    f"{self.name}: no {key!r} in {self.library.path.name}; {nearest(key, names)}"
+                )
+        self._start = start
+
+    def bind(self, inputs: tuple[str, ...], slopes: tuple[str, ...]) -> None:
+        """Fix the inputs that will be sent."""
+        self._bound = inputs
+
+    def begin(self, start_s: float, stop_s: float) -> None:
+        """Make a new instance with its start values."""
+        model = self._model = RealCode(self.library)
+        for key, value in self._start.items():
+            for values in (model.parameters, model.inputs, model.outputs):
+                if key in values:
+                    values[key] = value
+        self.time_s = self._origin = start_s
+        self._sample = 0
+        self._poly = {}
+        self._call("Model_FirstCall")
+        self._call("Model_CheckParameters")
+
+    def ready(self) -> None:
+        """Start at the inputs of the begin, and call it there for the first time."""
+        self._call("Model_Initialize")
+        self._call("Model_Outputs")
+
+    def take(self, order: int, u: list[float], du: list[float]) -> None:
+        """Take inputs and their derivatives up to `order`."""
+        for k, name in enumerate(self._bound):
+            self._poly[name] = [u[k], *(du[3 * k + m] if m < order else 0.0 for m in range(3))]
+            self._model.inputs[name] = u[k]
+
+    def advance(self, time_s: float, length_s: float) -> None:
+        """Call the DLL at each of its sample times up to the end of the step."""
+        step = self.library.info.sample_time_s
+        while (at := self._origin + (self._sample + 1) * step) <= time_s + length_s + _SLACK * step:
+            h = at - time_s
+            for name, (u, d1, d2, d3) in self._poly.items():
+                self._model.inputs[name] = u + h * (d1 + h * (d2 / 2.0 + h * d3 / 6.0))
+            self.time_s = at
+            self._call("Model_Outputs")
+            self._sample += 1
+        self.time_s = time_s + length_s
+
+    def receive(self, slopes: bool) -> tuple[list[float], list[float]]:
+        """Return the outputs; they have no slopes."""
+        return [self._model.outputs[p.name] for p in self.description.outputs], []
+
+    def save(self) -> int:
+        """Keep a copy of the state; return its number."""
+        state = (self._model.snapshot(), self._sample, self.time_s or 0.0, dict(self._poly))
+        self._states.append(state)
+        return len(self._states) - 1
+
+    def restore(self, number: int) -> None:
+        """Go back to a copy."""
+        snapshot, self._sample, self.time_s, self._poly = self._states[number]
+        self._model.restore(snapshot)
+
+    def release(self, number: int) -> None:
+        """Forget a copy; the last one leaves no place behind."""
+        if number == len(self._states) - 1:
+            self._states.pop()
+
+    def close(self) -> None:
+        """End the instance."""
+        self._model.call("Model_Terminate")
+
+    def _call(self, name: str) -> None:
+        code = self._model.call(name, self.time_s)
+        said = self._model.text()
+        if code == MESSAGE and said:
+            print(said, file=sys.stderr, flush=True)
+        if code >= ERROR:
+            raise StepError(
+                f"return code {code}", instance=self.name, call=name, time_s=self.time_s, last_log=said
+            )

@@ -1,0 +1,119 @@
+"""IEEE/CIGRE DLLs in a run: in a process of their own, called at their sample times."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import interarea
+from interarea.cosim.errors import GraphError, StepError
+from interarea.cosim.run.controllers import controller_of
+from interarea.cosim.run.system import System
+from interarea.fmu_build.errors import FmuFileError
+from interarea.fmu_build.write.real_code import build_dll
+from interarea.models.case.case import load_case
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the DLLs are compiled for Linux")
+LAG = Path(__file__).parents[3] / "conformance" / "blocks" / "lag_dll.c"
+SCENARIO = """
+name = "with-dll"
+case = "two-area-thesis"
+stop_s = 3.0
+step_s = 0.01
+connections = [
+    ["plant.G2_dw", "remote", "mine.G2_dw"],
+    ["plant.G4_dw", "mine.G4_dw"],
+    ["mine.G4_vs", "plant.G4_vs"],
+]
+[fmus.mine]
+file = "robust.so"
+start = { limit = 0.15 }
+[channels.remote]
+latency_s = 0.1
+[[event]]
+kind = "vref_pulse"
+machine = "G1"
+size_pu = 0.05
+start_s = 1.0
+end_s = 1.2
+"""
+
+
+@pytest.fixture(scope="module")
+def robust(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the DLL of the bundled controller `robust`, to be called every millisecond."""
+    case = load_case("two-area-thesis")
+    controller = controller_of("robust", case, cache)
+    assert controller is not None
+    folder = tmp_path_factory.mktemp("dll")
+    return build_dll(controller.block(case.omega_b), folder, platform="linux64", cache=cache)
+
+
+def loop(step_s: float, dll: Path | None, cache: Path) -> np.ndarray:
+    """Speed of G2 in a loop that is closed by the FMU of `robust` or by its DLL."""
+    system = System(stop_s=3.0, step_s=step_s, cache=cache)
+    system.plant("two-area-thesis")
+    if dll is None:
+        system.controller("robust")
+    else:
+        system.fmu("controller", dll)
+    system.channel("remote", latency_s=0.1)
+    system.connect("plant.G2_dw", "remote", "controller.G2_dw").connect("plant.G4_dw", "controller.G4_dw")
+    system.connect("controller.G4_vs", "plant.G4_vs")
+    system.event("vref_pulse", machine="G1", size_pu=0.05, start_s=1.0, end_s=1.2)
+    data = system.run().data
+    return np.interp(np.arange(0.0, 3.0, 0.01), data["time_s"].to_numpy(), data["plant.G2_dw"].to_numpy())
+
+
+@pytest.mark.slow
+def test_a_dll_closes_the_loop_as_the_fmu_does(robust: Path, cache: Path) -> None:
+    """The DLL's output is held over a step, so the difference is half a step of delay and falls with it."""
+    fmu = loop(0.01, None, cache)
+    errors = [np.abs(loop(step_s, robust, cache) - fmu).max() / np.abs(fmu).max() for step_s in (0.01, 0.002)]
+    assert errors[1] < 5e-4
+    assert 4.0 < errors[0] / errors[1] < 6.0
+
+
+def test_a_scenario_names_a_dll_among_its_fmus(robust: Path, tmp_path: Path) -> None:
+    (tmp_path / "robust.so").write_bytes(robust.read_bytes())
+    file = tmp_path / "loop.toml"
+    file.write_text(SCENARIO)
+    run = interarea.simulate(file)
+    assert float(np.abs(run.data["mine.G4_vs"]).max()) > 1e-3
+    file.write_text(SCENARIO.replace("limit = 0.15", "limit = 1e-4"))
+    assert float(np.abs(interarea.simulate(file).data["mine.G4_vs"]).max()) == 1e-4
+
+
+def test_what_is_wrong_with_a_dll_is_one_error(robust: Path, tmp_path: Path, cache: Path) -> None:
+    system = System(stop_s=1.0, step_s=0.01, cache=cache)
+    with pytest.raises(GraphError, match=r"no 'limmit' in robust\.so"):
+        system.fmu("mine", robust, start={"limmit": 1.0}).run()
+    text = tmp_path / "text.so"
+    text.write_text("hello")
+    with pytest.raises(FmuFileError, match="the system cannot load it"):
+        System(stop_s=1.0, cache=cache).fmu("mine", text)
+    with pytest.raises(FmuFileError, match="no IEEE/CIGRE DLL: it does not have Model_GetInfo"):
+        System(stop_s=1.0, cache=cache).fmu(
+            "mine", compiled("NO_INTERFACE", tmp_path, ["-DModel_GetInfo=other"])
+        )
+    for defect in ("CRASH_ON_LOAD", "CRASH"):
+        with pytest.raises(StepError, match=r"the DLL crashed its process \(SIGABRT\)") as error:
+            System(stop_s=1.0, step_s=0.01, cache=cache).fmu("mine", compiled(defect, tmp_path)).run()
+        assert "\n" not in str(error.value)
+    bad = System(stop_s=1.0, step_s=0.01, cache=cache).fmu("mine", robust, start={"limit": -1.0})
+    with pytest.raises(StepError, match="limit was set to -1; allowed are 0 to"):
+        bad.run()
+
+
+def compiled(defect: str, folder: Path, more: list[str] | None = None) -> Path:
+    """Return the lag of the check's tests with a defect."""
+    path = folder / f"{defect.lower()}.so"
+    number = "NONE" if more else defect
+    command = [sys.executable, "-m", "ziglang", "cc", "-shared", "-fPIC", "-w", "-O1", *(more or [])]
+    command += ["-target", "x86_64-linux-gnu.2.17", "-rtlib=none", f"-DDEFECT={number}", f"-DIS_{number}"]
+    subprocess.run([*command, str(LAG), "-o", str(path), "-lm"], check=True, capture_output=True)
+    return path
