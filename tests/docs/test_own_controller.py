@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -19,3 +20,10 @@ def test_the_example_runs_as_written() -> None:
     exec(cell[1], names)
     assert names["run"].stable
     assert names["run"].damping_ratio("inter-area") == pytest.approx(0.16, abs=0.005)  # the page's number
+
+
+def test_the_extra_that_the_page_names_is_there() -> None:
+    extras = tomllib.loads((PAGE.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
+    name = re.search(r"interarea\[(\w+)\]", PAGE.read_text(encoding="utf-8"))
+    assert name is not None
+    assert extras["project"]["optional-dependencies"][name[1]][0].startswith("slycot")
