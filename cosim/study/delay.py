@@ -8,6 +8,7 @@ from typing import Any
 
 import control
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import brentq
 
 from interarea.design.certificates.closed_loop import closed_loop_matrix, effort, swing_poles
@@ -25,6 +26,7 @@ from interarea.design.modes.modes import Modes
 from interarea.design.reduction.gramians import ReductionError
 from interarea.design.synthesis.study_designs import WdcSpec, design_wdc
 
+Array = npt.NDArray[np.float64]
 #: step of the curve, s
 GRID_S = 0.02
 #: frequencies in which a root counts as a swing, Hz
@@ -37,6 +39,17 @@ def least_damping(
     """Return the least damping ratio of the exact loop's roots within `BAND_HZ`; 1 if there is none."""
     roots = rightmost_roots(delayed_loop(plant, K, latency_s_of), right_of=-2.5)
     return least_swing(roots)
+
+
+def latency_grid(values_s: Sequence[float]) -> Array:
+    """Return the latencies of the curve, s: steps of `GRID_S`, and each of the table's values itself.
+
+    >>> latency_grid([0.05]).tolist()
+    [0.0, 0.02, 0.04, 0.05]
+    """
+    count = round(max(values_s) / GRID_S)
+    steps = [round(GRID_S * k, 6) for k in range(count + 1)]
+    return np.unique([*(s for s in steps if s <= max(values_s)), *values_s])
 
 
 def latency_analysis(
@@ -57,8 +70,7 @@ def latency_analysis(
     """
     K = controller.system
     roots = swing_poles(plant, K, modes)
-    count = round(max(spec["latency"]["values_s"]) / GRID_S)
-    grid = np.array([round(GRID_S * k, 6) for k in range(count + 1)])
+    grid = latency_grid(spec["latency"]["values_s"])
     wirings = {"synchronous": list(K.input_labels), "non_synchronous": [spec["remote"]]}
     result = {}
     for k, (wiring, signals) in enumerate(wirings.items()):

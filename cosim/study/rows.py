@@ -132,8 +132,9 @@ def delay_table(parts: StudyParts) -> list[dict[str, Any]]:
 
 
 def _at(pairs: list[list[float]], delay_s: float) -> float:
-    delays = np.array([d for d, _ in pairs])
-    return float(np.interp(delay_s, delays, [z for _, z in pairs]))
+    """Return the value that was computed at this latency; nothing is interpolated."""
+    by_latency = {row[0]: row[1] for row in pairs}
+    return by_latency[delay_s]
 
 
 def sensitivity_row(parts: StudyParts) -> dict[str, Any]:
