@@ -95,8 +95,8 @@ def test_a_search_that_misses_looks_again(monkeypatch: pytest.MonkeyPatch) -> No
     """What the cells do not bring is missed by the count, and brought by deflated cells."""
     whole = Search.everywhere
 
-    def forgetful(self: Search) -> None:
-        whole(self)
+    def forgetful(self: Search, region: Region) -> None:
+        whole(self, region)
         del self.pairs[1:3]
 
     monkeypatch.setattr(Search, "everywhere", forgetful)
