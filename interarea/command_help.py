@@ -22,7 +22,7 @@ SUMMARIES = {
     "build": "Build the plant FMU of a case, with documentation.",
     "ssp": "Write a scenario as an SSP 1.0 archive.",
     "container": "Write a scenario as one FMU that contains the others.",
-    "check": "Check an FMU or SSP file against the standard.",
+    "check": "Check an FMU, SSP or DLL against its standard.",
     "import": "Read a grid, solve its power flow, write a case file.",
     "export": "Write a case as RAW, DYR, MATPOWER or TOML.",
     "meter": "Meter a record: what swings, how damped, forced or modal.",

@@ -6,6 +6,7 @@ import base64
 import gzip
 import html
 import json
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from .wasm import container_wasm
 _WEB = Path(__file__).resolve().parent / "web"
 _SHARED = ("settings.js", "verdict.js")  #: by page and worker
 _WORKER = ("eigenvalues.js", "worker.js")
+_AFTER = re.compile(r"\s+/\*[^*]*\*/$")  #: a comment behind code
 _PAGE = ("link.js", "plots.js", "diagram.js", "controls.js", "page.js")
 
 
@@ -126,12 +128,12 @@ def _read(name: str) -> str:
 
 
 def _compact(text: str) -> str:
-    """Without indents, blank lines and comments on lines of their own: what a browser does not need."""
+    """Without indents, blank lines, comments on their own and at ends of lines: what no browser needs."""
     lines: list[str] = []
     comment = False
     for line in (raw.strip() for raw in text.splitlines()):
         if comment or line.startswith("/*"):
             comment = "*/" not in line
         elif line:
-            lines.append(line)
+            lines.append(_AFTER.sub("", line))
     return "\n".join(lines)

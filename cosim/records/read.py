@@ -63,7 +63,8 @@ def read_record(
     Examples
     --------
     >>> import numpy as np, pandas as pd
-    >>> frame = pd.DataFrame({"Time": np.arange(60) / 30.0, "Bus 7 VM [kV]": 230.0})
+    >>> count = np.arange(60)
+    >>> frame = pd.DataFrame({"Time": count / 30.0, "Bus 7 VM [kV]": 230.0 + np.sin(count)})
     >>> read_record(frame).table().loc[0].to_dict()
     {'name': 'Bus 7 VM', 'quantity': 'voltage', 'unit': 'kV', 'terminal': 'Bus 7'}
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import subprocess
@@ -59,6 +60,7 @@ def tables(folder: Path) -> tuple[str, str]:
 
 def main() -> None:
     """Write the table and the sentence into the page."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     with TemporaryDirectory() as folder:
         rows, least = tables(Path(folder))
     before, _, after = PAGE.read_text(encoding="utf-8").partition(_HEAD)

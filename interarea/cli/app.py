@@ -98,7 +98,7 @@ COMMANDS = {
     ),
     "check": (
         "export:check",
-        "Check an FMU or SSP; one line per finding with its rule and fix; exit code 1 if there are any.",
+        "Check an FMU, SSP or DLL; one line per finding with its rule and fix; exit code 1 if there are any.",
     ),
     "import": (
         "grids:import_grid",

@@ -127,7 +127,9 @@ def test_run_explains_delays_and_packets_and_tests_itself(interarea, tmp_path: P
     assert counts["dropped"] > 0
     code, out, _ = interarea("run", file, "--self-test")
     assert code == 0 and "trajectory.csv" not in out
-    assert interarea("run", file)[0] == 2
+    code, out, _ = interarea("run", file)  # without --out: its result, and no file
+    assert code == 0 and "remote: sent" in out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "packets.toml"]
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ def test_without_latency_the_roots_are_the_eigenvalues(
 
 
 def test_with_latency_they_are_those_of_the_discretised_loop(plant: tuple[control.StateSpace, Modes]) -> None:
-    K = controller("robust_latency").system
+    K = controller("wide_area").system
     late = dict.fromkeys(K.input_labels, 0.2)
     found = LoopFunction(plant[0], K).modes({s: SignalWay(t) for s, t in late.items()}, poles_of(plant[1]))
     exact = rightmost_roots(delayed_loop(plant[0], K, late), right_of=-2.5)

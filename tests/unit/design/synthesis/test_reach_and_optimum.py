@@ -1,7 +1,7 @@
 """Which plants H-infinity design takes, which it refuses, and the least norm, over plants of 2 to 20 states.
 
-The aircraft are printed in [Hung1982] (AC1 of the COMPleib collection) and [Sobel1985] (AC11); AC4 of that
-collection is a missile with a fast actuator.
+The aircraft follow AC1 [Hung1982], AC4 and AC11 [Sobel1985] of the COMPleib collection; their digits were not
+compared with the print. No expectation is taken from there: the optimum is computed here by another path.
 Weights are those of the standard problem: noise on every state and measurement, cost of both.
 """
 
