@@ -9,8 +9,10 @@ A time is a number of seconds or terms joined by +: `1.5 s`, `8 cycles`, and `st
 
 from __future__ import annotations
 
+import ast
 import json
 import re
+import threading
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -22,6 +24,7 @@ LARGEST_DOCUMENT = 256 << 20  #: bytes; a case takes 0.7 kB a bus (wecc-240), so
 LARGEST = 1e30  #: size of a number; a limit that is absent counts as this
 _LARGEST_INTEGER = 2**63 - 1
 #: what moves or colours a terminal that the text is printed to
+_PARSING = threading.Lock()
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _SHOWN = 40  #: characters of a number in a message
 
@@ -90,6 +93,15 @@ def parse_json(content: bytes | str) -> Any:
     DocumentError : not JSON, not UTF-8, nested too deeply, a number that is too large or none.
     """
     return _parsed(content, "JSON", _strict_json)
+
+
+def parse_python(text: bytes | str, mode: str = "exec") -> Any:
+    """Return the tree of a text, as `ast.parse` does, one thread at a time.
+
+    Before Python 3.12 threads that parse at once end in "AST constructor recursion depth mismatch".
+    """
+    with _PARSING:
+        return ast.parse(text, mode=mode)
 
 
 def _parsed(content: bytes | str, language: str, read: Callable[[str], Any]) -> Any:

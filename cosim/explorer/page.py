@@ -30,6 +30,7 @@ _WEB = Path(__file__).resolve().parent / "web"
 _SHARED = ("settings.js", "verdict.js")  #: by page and worker
 _WORKER = ("eigenvalues.js", "worker.js")
 _AFTER = re.compile(r"\s+/\*[^*]*\*/$")  #: a comment behind code
+_TIGHT = re.compile(r"([:;,]) | (?=\{)")  #: spaces that a style sheet does without
 _PAGE = ("link.js", "plots.js", "diagram.js", "controls.js", "page.js")
 
 
@@ -89,7 +90,7 @@ def explorer_page(
     text = _read("page.html")
     fields = {
         "title": html.escape(f"{name} – interarea explorer"),
-        "style": _compact(_read("style.css")),
+        "style": _TIGHT.sub(r"\1", _compact(_read("style.css"))),
         "picture": picture_of(subject),
         "blob": blob,
         "shared": "\n".join(_compact(_read(name)) for name in _SHARED),

@@ -17,6 +17,8 @@ from dataclasses import dataclass
 from string import Formatter
 from typing import Any, Literal
 
+from interarea.models.documents import parse_python
+
 from ..errors import ScenarioError
 
 Verdict = Literal["agrees", "partly", "differs"]
@@ -116,7 +118,7 @@ def holds(part: str, evidence: Mapping[str, Number], where: str) -> bool:
     ScenarioError : not a comparison of numbers and named evidence.
     """
     try:
-        return bool(_value(ast.parse(part, mode="eval").body, evidence))
+        return bool(_value(parse_python(part, mode="eval").body, evidence))
     except (KeyError, SyntaxError, ValueError) as error:
         raise ScenarioError(
             f"{where}: {part!r}: {error}; allowed: comparisons, + - * /, abs(), not, numbers and "

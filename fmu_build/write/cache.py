@@ -29,6 +29,7 @@ from typing import Any
 
 import numpy as np
 
+from interarea.models.documents import parse_python
 from interarea.models.files import at_once, settle, temporary_folder, write_whole
 from interarea.models.files import default_cache as default_cache
 
@@ -101,7 +102,7 @@ def _source_file(name: str) -> Path | None:
 @forever
 def _imports(package: str, source: bytes) -> list[str]:
     imports = []
-    todo: list[Any] = list(ast.parse(source).body)
+    todo: list[Any] = list(parse_python(source).body)
     while todo:  # statements only: no expression holds an import, and they are most of a tree
         node = todo.pop()
         for block in ("body", "orelse", "finalbody", "handlers", "cases"):

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from ...documents import parse_python
 from ...errors import DeviceError, nearest
 
 LONGEST_LINE = 240  #: characters
@@ -104,7 +105,7 @@ def parse(text: str, where: str, calls: Mapping[str, tuple[int, int]] = FUNCTION
     if not text.isascii():
         raise DeviceError(f"{where}: {text.strip()[:60]!r} has letters beyond ASCII, allowed: ASCII")
     try:
-        tree = ast.parse(text.strip(), mode="eval").body
+        tree = parse_python(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise DeviceError(f"{where}: {text.strip()[:60]!r} is no expression") from None
     return _node(tree, where, calls, 0)
