@@ -106,12 +106,14 @@ def named_modes(plant: control.StateSpace, case: Case) -> Mapping[str, Mode] | N
         return None
 
 
+def at_point(case: Case, point: PointTable) -> Case:
+    """Return `case` at an operating point. Raises CaseError where there is none."""
+    return operating_variant(case, tie_flow_mw=point.tie_flow_mw, out=point.out, load_scale=point.load_scale)
+
+
 def family_cases(table: Family) -> dict[str, Case]:
     """Return operating point -> case of a design."""
-    return {
-        p.name: operating_variant(table.grid, tie_flow_mw=p.tie_flow_mw, out=p.out, load_scale=p.load_scale)
-        for p in table.point
-    }
+    return {point.name: at_point(table.grid, point) for point in table.point}
 
 
 def family_plants(table: Family, cache: Path) -> dict[str, FamilyPlant]:

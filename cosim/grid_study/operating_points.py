@@ -8,18 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from interarea.design.modes.all_modes import all_modes
 from interarea.design.modes.loop_choice import signals_of
 from interarea.design.modes.loop_points import LoopPoint
 from interarea.design.modes.modes import Mode
 from interarea.models.case.case import Case
-from interarea.models.case.variants import operating_variant
 from interarea.models.errors import InterareaError
 from interarea.models.grid.powerflow import solve_powerflow
 
 from ..designs.design_tables import PointTable
-from ..run.artefacts import sparse_linear_plant
-from .weak_modes import BAND_HZ, BELOW, WeakModes
+from ..designs.family import at_point
+from .weak_modes import WeakModes, modes_of_grid
 
 #: branches whose outage is tried, points that these are to give, and those that go into the design
 TRIED, USABLE, KEPT = 40, 12, 4
@@ -34,7 +32,7 @@ class TriedPoint:
     """A change to the grid and what it does to the modes without control.
 
     least : damping ratio of the worst inter-area mode there. moved : largest relative change of any such
-    mode's eigenvalue. local : least damping ratio of the other modes. problem : why it is no point, in words.
+    mode's eigenvalue. modes : all that were found. problem : why it is no point, in words.
     """
 
     point: PointTable
@@ -76,11 +74,6 @@ def chosen_points(tried: Sequence[TriedPoint]) -> tuple[PointTable, ...]:
     return (PointTable(name="base"), *(row.point for row in (*worst, *most, *others)))
 
 
-def variant(case: Case, point: PointTable) -> Case:
-    """Return `case` at an operating point. Raises CaseError where there is none."""
-    return operating_variant(case, tie_flow_mw=point.tie_flow_mw, out=point.out, load_scale=point.load_scale)
-
-
 def _swinging_branches(weak: WeakModes) -> list[str]:
     """Return the branches in service by how much their power swings in the targets, the most first."""
     modes = weak.found.modes
@@ -106,20 +99,17 @@ def _tie_points(case: Case) -> list[PointTable]:
 
 def _tried(weak: WeakModes, point: PointTable, cache: Path) -> TriedPoint:
     try:
-        changed = variant(weak.case, point)
-        plant = sparse_linear_plant(changed, cache)
-        found = all_modes(plant, changed.areas, band_hz=BAND_HZ, below=BELOW)
-        there = LoopPoint(point.name, plant, found.modes)
+        grid = modes_of_grid(at_point(weak.case, point), cache)
+        there = LoopPoint(point.name, grid.plant, grid.found.modes)
         pairs = [(target, there.like(target)) for target in weak.targets]
     except InterareaError as error:
         return TriedPoint(point, problem=str(error).splitlines()[0])
-    if found.unstable or found.growing_slowly:
+    if not grid.growth.stable:
         return TriedPoint(point, problem="unstable without control")
-    inter = [m for m in found.modes if m.name.startswith("inter-area")]
     moves = [abs(m.eigenvalue - t.eigenvalue) / abs(t.eigenvalue) for t, m in pairs if m is not None]
     return TriedPoint(
         point,
-        least=min((m.damping_ratio for m in inter), default=1.0),
+        least=min((m.damping_ratio for m in grid.inter_area), default=1.0),
         moved=max(moves, default=0.0),
-        modes=found.modes,
+        modes=grid.found.modes,
     )

@@ -8,6 +8,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from interarea.design.modes.modes import Mode
@@ -25,10 +26,15 @@ from ..plots.mode_map import shape_plot
 SHAPES = 4  #: modes whose shapes are drawn
 
 
-def write_page(study: Mapping[str, Any], modes: Sequence[Mode], case: Case, path: Path) -> Path:
+def mode_shapes(modes: Sequence[Mode], case: Case) -> list[Markup]:
+    """Draw the shapes of the first `SHAPES` modes, as figures of a page."""
+    return [page_figure(shape_plot(mode, case), f"shape-{k}") for k, mode in enumerate(modes[:SHAPES])]
+
+
+def write_page(study: Mapping[str, Any], modes: Sequence[Mode], shapes: Sequence[Markup], path: Path) -> Path:
     """Write the page of what `study` holds so far; a part that is not there yet says so.
 
-    modes : those shown, in the order of the page.
+    modes : those shown, in the order of the page. shapes : figures of the first ones (`mode_shapes`).
     """
     environment = page_environment(Path(__file__).parent)
     environment.filters |= {"plain": plain, "ratio": _ratio}
@@ -36,7 +42,7 @@ def write_page(study: Mapping[str, Any], modes: Sequence[Mode], case: Case, path
         study=study,
         headline=headline(study),
         modes=modes,
-        shapes=[page_figure(shape_plot(mode, case), f"shape-{k}") for k, mode in enumerate(modes[:SHAPES])],
+        shapes=shapes,
         damping=damping_rows((study.get("certificate") or {}).get("rows", ())),
         left_out=damping_rows(study.get("left_out", ())),
         worth=_worth(study),

@@ -27,10 +27,11 @@ from interarea.models.errors import CaseError
 from ..designs.acceptance import AcceptanceTable, FaultPlace
 from ..designs.design_file import DesignTable, design_of
 from ..designs.design_tables import PointTable
+from ..designs.family import at_point
 from ..designs.short_designs import LATENCY_S, ShortDesign, short_designs
 from ..designs.swing_sensitivity import STEP_S, first_swing
-from .operating_points import TriedPoint, chosen_points, tried_points, variant
-from .weak_modes import GIVEN_AWAY, WEAK, WeakModes
+from .operating_points import TriedPoint, chosen_points, tried_points
+from .weak_modes import GIVEN_AWAY, WEAK, WeakModes, in_words
 
 STEPS = ("loops", "operating points")  #: of `find`
 
@@ -99,9 +100,9 @@ class Proposal:
 
     def text(self) -> str:
         """Return the design file, the reasons as its comments."""
-        keys = self.table.model_dump(mode="json", exclude_unset=True)
+        keys = self.table.model_dump(mode="json", exclude_unset=True, exclude_none=True)
         head = "".join(f"# {line}\n" for line in self.reasons)
-        return head + toml_text(_plain(keys))
+        return head + toml_text(keys)
 
 
 def find(
@@ -288,7 +289,7 @@ def _acceptance(
 def _whole_without(weak: WeakModes, points: Sequence[PointTable], branch: str) -> bool:
     try:
         for point in points:
-            variant(weak.case, point.model_copy(update={"out": (*point.out, branch)}))
+            at_point(weak.case, point.model_copy(update={"out": (*point.out, branch)}))
     except CaseError:
         return False
     return True
@@ -319,11 +320,11 @@ def _reasons(findings: Findings, taken: ShortDesign, names: set[str]) -> tuple[s
     """Return the reason of each choice, one line each."""
     weak, tried = findings.weak, findings.points
     lines = [f"Made for {weak.case.name} from the grid alone; every number may be changed by hand."]
-    lines += ["Targets: " + ", ".join(_in_words(m) for m in weak.targets) + "."]
+    lines += ["Targets: " + ", ".join(in_words(m) for m in weak.targets) + "."]
     if weak.others:
         lines.append(
             f"Left as they are, weak but not inter-area (a stabilizer at their machines serves them): "
-            f"{', '.join(_in_words(m) for m in weak.others)}."
+            f"{', '.join(in_words(m) for m in weak.others)}."
         )
     lines += [
         f"Loops at {', '.join(d.chosen.actuators)}: a short design reaches {d.damping:.3f} ({d.sentence})."
@@ -348,14 +349,3 @@ def _reasons(findings: Findings, taken: ShortDesign, names: set[str]) -> tuple[s
         f"+.05, or {WEAK:g}), every other mode not {GIVEN_AWAY:g} below its worst without control."
     )
     return tuple(lines)
-
-
-def _in_words(mode: Mode) -> str:
-    return f"{mode.name} ({mode.frequency_hz:.2f} Hz, damping {mode.damping_ratio:.3f})"
-
-
-def _plain(value: Any) -> Any:
-    """Return JSON values without what is none."""
-    if isinstance(value, Mapping):
-        return {k: _plain(v) for k, v in value.items() if v is not None}
-    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value

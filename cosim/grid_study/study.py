@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -11,10 +11,8 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from interarea.design.controllers.controller import Controller
+from interarea.design.controllers.controller import Controller, plain
 from interarea.design.delay.signal_conditions import Condition
-from interarea.design.errors import InfeasibleDesign
-from interarea.design.modes.modes import Mode
 from interarea.design.robust.operating_points import inter_area_band, judge_family
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, place
 from interarea.models.case.case import Case
@@ -22,13 +20,13 @@ from interarea.models.errors import InterareaError
 from interarea.models.files import write_whole
 
 from ..designs.design_file import DesignTable
-from ..designs.family import FamilyPlant
+from ..designs.family import FamilyPlant, at_point
 from ..designs.worth import design_rival, has_rival, with_rival, worth
+from ..errors import machine_error
 from ..run.artefacts import plant_fmu
 from ..run.controllers import controller_fmu
 from .automatic import DESIGN_STAGES, Report, design_for
-from .operating_points import variant
-from .page import write_page
+from .page import mode_shapes, write_page
 from .proposal import Proposal
 from .weak_modes import modes_of_grid, weak_modes
 
@@ -57,7 +55,8 @@ def study_grid(
 
     Raises
     ------
-    OSError, BuildError : the machine cannot do it. CaseError : no operating point.
+    OSError, or what it caused : the machine cannot do it (a full disk, no memory). CaseError : no operating
+    point.
     """
     modes, (rival, latency, last) = STAGES[0], STAGES[len(DESIGN_STAGES) :]
     study: dict[str, Any] = {
@@ -68,15 +67,14 @@ def study_grid(
         "machines": len(case.machines),
         "problem": None,
     }
-    shapes: tuple[Mode, ...] = ()
-
-    def written() -> None:
-        write_page(study, shapes, case, out / "report.html")
-
     with threadpool_limits(1):
         report(modes, 0.0)
         found = modes_of_grid(case, cache)
-        shapes = found.shown
+        shown, shapes = found.shown, mode_shapes(found.shown, case)
+
+        def written() -> None:
+            write_page(study, shown, shapes, out / "report.html")
+
         study["modes"] = found.as_dict()
         written()
         report(modes, 1.0)
@@ -101,11 +99,13 @@ def study_grid(
             report(last, 0.0)
             place(plant_fmu(case, cache), out / "fmus" / "plant.fmu")
             place(controller_fmu(controller, case.omega_b, cache), out / "fmus" / "controller.fmu")
-        except (InterareaError, InfeasibleDesign) as error:
+        except InterareaError as error:
+            if machine_error(error) is not None:
+                raise
             study["problem"] = str(error)
         study["versions"] = {"interarea": version("interarea")}
         written()
-        text = json.dumps(_finite(study), indent=1, allow_nan=False)
+        text = json.dumps(plain(study), indent=1, allow_nan=False)
         write_whole(out / "study.json", f"{text}\n".encode())
         report(last, 1.0)
     return study
@@ -157,7 +157,7 @@ def _rival(table: DesignTable, case: Case, cache: Path, report: Report) -> Contr
 def _left_out(proposal: Proposal, controller: Controller, cache: Path) -> list[dict[str, Any]]:
     """Judge the controller at operating points that were tried and are not in the design."""
     table = proposal.table
-    cases = {row.point.name: variant(table.grid, row.point) for row in proposal.left_out}
+    cases = {row.point.name: at_point(table.grid, row.point) for row in proposal.left_out}
     if not cases:
         return []
     key = content_hash(
@@ -209,12 +209,3 @@ def _over_latency(
         ]
 
     return list(cached_json(cache, "grid-latency", key, made))
-
-
-def _finite(value: Any) -> Any:
-    """Return JSON values, numbers that JSON does not have as None."""
-    if isinstance(value, float):
-        return value if abs(value) < float("inf") else None
-    if isinstance(value, Mapping):
-        return {str(k): _finite(v) for k, v in value.items()}
-    return [_finite(v) for v in value] if isinstance(value, list | tuple) else value

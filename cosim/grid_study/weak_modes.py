@@ -8,6 +8,7 @@ from typing import Any
 
 from interarea.design.linear.sparse_plant import SparsePlant
 from interarea.design.modes.all_modes import AllModes, all_modes
+from interarea.design.modes.growth import Growth, growth_of_plant
 from interarea.design.modes.modes import Mode
 from interarea.models.case.case import Case
 
@@ -26,26 +27,36 @@ GIVEN_AWAY = 0.005
 
 @dataclass(frozen=True)
 class GridModes:
-    """All modes of a grid between the ends of `BAND_HZ`, without control."""
+    """A grid without control: modes between the ends of `BAND_HZ`, and whether anything at all grows."""
 
     case: Case
     plant: SparsePlant
     found: AllModes
+    growth: Growth
+
+    @property
+    def inter_area(self) -> tuple[Mode, ...]:
+        """The inter-area modes."""
+        return tuple(m for m in self.found.modes if m.name.startswith("inter-area"))
+
+    @property
+    def weak_others(self) -> tuple[Mode, ...]:
+        """Other modes that are damped by less than `WEAK`."""
+        inter_area = self.inter_area
+        return tuple(m for m in self.found.modes if m not in inter_area and m.damping_ratio < WEAK)
 
     @property
     def shown(self) -> tuple[Mode, ...]:
-        """Inter-area modes, and local ones that are weak, by damping."""
-        rows = [m for m in self.found.modes if m.name.startswith("inter-area") or m.damping_ratio < WEAK]
-        return tuple(sorted(rows, key=lambda m: (not m.name.startswith("inter-area"), m.damping_ratio)))
+        """Inter-area modes, then others that are weak, each by damping."""
+        groups = (self.inter_area, self.weak_others)
+        return tuple(m for group in groups for m in sorted(group, key=lambda m: m.damping_ratio))
 
     @property
     def growing(self) -> list[str]:
         """What grows, in words; empty where nothing does."""
-        rows = [f"{_described(m)}, with {', '.join(m.most(3))}" for m in self.found.unstable]
-        if self.found.growing_slowly:
-            hz = self.found.band_hz[0]
-            rows.append(f"{self.found.growing_slowly} eigenvalues slower than {hz:g} Hz that grow")
-        return rows
+        if self.growth.stable:
+            return []
+        return [one.text for one in self.growth.growing] or [self.growth.text]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the record as JSON values."""
@@ -55,12 +66,13 @@ class GridModes:
 def modes_of_grid(case: Case, cache: Path) -> GridModes:
     """Return the modes of a grid without control. Raises CaseError where it has no operating point."""
     plant = sparse_linear_plant(case, cache)
-    return GridModes(case, plant, all_modes(plant, case.areas, band_hz=BAND_HZ, below=BELOW))
+    found = all_modes(plant, case.areas, band_hz=BAND_HZ, below=BELOW)
+    return GridModes(case, plant, found, growth_of_plant(plant, known=[m.eigenvalue for m in found.modes]))
 
 
 @dataclass(frozen=True)
 class WeakModes:
-    """The modes of a grid without control. targets : inter-area ones; others : weak, but not among them."""
+    """What is to be damped in a grid. targets : inter-area modes; others : weak, but not among them."""
 
     case: Case
     plant: SparsePlant
@@ -87,27 +99,26 @@ def weak_modes(grid: GridModes) -> WeakModes:
     ------
     ScenarioError : a grid that grows by itself, with who takes part; no inter-area mode; none that is weak.
     """
-    case, found = grid.case, grid.found
+    case, targets = grid.case, grid.inter_area
     if grid.growing:
         raise ScenarioError(
             f"{case.name}: the grid is unstable without control: {'; '.join(grid.growing)}; make it stable "
             "first (dispatch, exciter gains, stabilizers), then design"
         )
-    targets = tuple(m for m in found.modes if m.name.startswith("inter-area"))
     if not targets:
         raise ScenarioError(
             f"{case.name}: no inter-area mode between {BAND_HZ[0]:g} and {BAND_HZ[1]:g} Hz below a damping "
             f"ratio of {BELOW:g}; nothing to design (areas of the buses decide the names)"
         )
     if not min(m.damping_ratio for m in targets) < WEAK:
-        listed = ", ".join(_described(m) for m in targets)
+        listed = ", ".join(in_words(m) for m in targets)
         raise ScenarioError(
             f"{case.name}: no weak inter-area mode, all have a damping ratio of {WEAK:g} or more: {listed}; "
             "nothing to design"
         )
-    others = tuple(m for m in found.modes if m not in targets and m.damping_ratio < WEAK)
-    return WeakModes(case, grid.plant, found, targets, others)
+    return WeakModes(case, grid.plant, grid.found, targets, grid.weak_others)
 
 
-def _described(mode: Mode) -> str:
-    return f"{mode.name} {mode.frequency_hz:.2f} Hz {mode.damping_ratio:.3f}"
+def in_words(mode: Mode) -> str:
+    """Return name, frequency and damping ratio of a mode."""
+    return f"{mode.name} ({mode.frequency_hz:.2f} Hz, damping {mode.damping_ratio:.3f})"
