@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -180,6 +180,40 @@ def require_reachable(
             reachable=max(zeta, 0.0) if zeta < region.damping_ratio else region.damping_ratio,
         )
     return [(complex(v), float(s)) for v, s in rows if s < WEAK_MODE]
+
+
+def first_certified(
+    slacks: Iterable[float], attempt: Callable[[float], Synthesis | None]
+) -> Synthesis | None:
+    """Return what `attempt` gives at the first slack of gamma where there is something and it passes.
+
+    None where there is nothing at any slack.
+
+    Raises
+    ------
+    UncertifiedDesign : of the first slack whose closed loop contradicts its level, if no later one passes.
+    """
+    refusal: UncertifiedDesign | None = None
+    for slack in slacks:
+        try:
+            result = attempt(slack)
+        except UncertifiedDesign as error:
+            refusal = refusal or error
+            continue
+        if result is not None:
+            return result
+    if refusal is not None:
+        raise refusal
+    return None
+
+
+def from_slack(given: float | None, ladder: Sequence[float]) -> Sequence[float]:
+    """Return the slacks to try: those of `ladder`, or the given one and the larger ones.
+
+    >>> from_slack(None, (1e-3, 1e-2)), from_slack(5e-3, (1e-3, 1e-2))
+    ((0.001, 0.01), (0.005, 0.01))
+    """
+    return ladder if given is None else (given, *(x for x in ladder if x > given))
 
 
 def describe_mode(value: complex) -> str:

@@ -24,7 +24,15 @@ from ..lmi.expressions import Program, bmat, linear, trace
 from ..lmi.problem import Matrix, Problem, Solution
 from ..lmi.recover import recover
 from ..lmi.solve import infeasibility, solve, usable
-from .check import Synthesis, checked, largest_feasible, require_reachable, weak_words
+from .check import (
+    Synthesis,
+    checked,
+    first_certified,
+    from_slack,
+    largest_feasible,
+    require_reachable,
+    weak_words,
+)
 from .fault_tolerant import fault_tolerant
 from .generalized_plant import GeneralizedPlant, balanced_states, effort_plant, mixed_sensitivity, scaled
 from .lmi_form import PoleRegion, Unknowns, closed_loop, require_region
@@ -164,9 +172,9 @@ def hinf_region(
         _explain(P, region, problem, solution, weak, engine, what)
     optimum = solution.scalars["gamma"]
     _require_cap(optimum, gamma_cap, region, weak, what)
-    slack = conditioning.gamma_slack
-    refusal: UncertifiedDesign | None = None
-    for r in (0.0, *_SLACKS) if slack is None else (slack, *(x for x in _SLACKS if x > slack)):
+
+    def attempt(r: float) -> Synthesis | None:
+        nonlocal solves
         gamma, trial, result = optimum, problem, solution
         if r > 0.0:
             gamma = (1.0 + r) * optimum
@@ -174,14 +182,10 @@ def hinf_region(
             result = solve(trial, engine)
             solves += 1
         if not usable(trial, result):
-            continue
-        try:
-            K = _recover(P, result, what)
-            pattern = {"normal": (P.C2, P.D21)}
-            poles_of, norm_of = checked(P, K, pattern, {"normal": region}, gamma, what=what)
-        except UncertifiedDesign as error:
-            refusal = error if refusal is None else refusal
-            continue
+            return None
+        K = _recover(P, result, what)
+        pattern = {"normal": (P.C2, P.D21)}
+        poles_of, norm_of = checked(P, K, pattern, {"normal": region}, gamma, what=what)
         return Synthesis(
             controller=P.controller(*K),
             gamma=gamma,
@@ -199,8 +203,10 @@ def hinf_region(
                 "status": result.status,
             },
         )
-    if refusal is not None:
-        raise refusal
+
+    design = first_certified(from_slack(conditioning.gamma_slack, (0.0, *_SLACKS)), attempt)
+    if design is not None:
+        return design
     _explain(P, region, problem, solution, weak, engine, what)
     raise AssertionError("unreachable")
 

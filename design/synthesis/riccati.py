@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
-from ..errors import UncertifiedDesign
 from ..lmi.problem import Matrix
 from ..lmi.solve import one_blas_thread
-from .check import Synthesis, checked
+from .check import Synthesis, checked, first_certified, from_slack
 from .generalized_plant import GeneralizedPlant
 from .lmi_form import PoleRegion
 
@@ -53,9 +52,10 @@ def hinf_riccati(P: GeneralizedPlant, *, tolerance: float = 1e-9, regularise: fl
         stabilizable or (C2, A) not detectable.
     """
     P, note = _full_rank(P, regularise)
+    standard = _normalised(P)
     low = float(np.linalg.norm(_static_floor(P)))
     high = max(1.0, 2.0 * low)
-    found, trials = _central(P, high), 1
+    found, trials = _central(standard, high), 1
     while found is None:
         low, high = high, 4.0 * high
         if high > 1e12:
@@ -63,10 +63,10 @@ def hinf_riccati(P: GeneralizedPlant, *, tolerance: float = 1e-9, regularise: fl
                 "H-infinity Riccati: no level is feasible; (A, B2) is not stabilizable, (C2, A) is not "
                 "detectable, or zeros lie on the imaginary axis"
             )
-        found, trials = _central(P, high), trials + 1
+        found, trials = _central(standard, high), trials + 1
     while high - low > tolerance * high:
         middle = 0.5 * (low + high) if low > 0.5 * high else max(np.sqrt(max(low, 1e-12) * high), 0.25 * high)
-        trial, trials = _central(P, middle), trials + 1
+        trial, trials = _central(standard, middle), trials + 1
         if trial is None:
             low = middle
         else:
@@ -95,21 +95,18 @@ def without_region(
         return None
     if optimum.note:
         return None
-    refusal: UncertifiedDesign | None = None
-    for r in _SLACKS if slack is None else (slack, *(x for x in _SLACKS if x > slack)):
+    standard = _normalised(P)
+
+    def attempt(r: float) -> Synthesis | None:
         level = (1.0 + r) * optimum.gamma
-        central = _central(P, level)
+        central = _central(standard, level)
         if central is None:
-            continue
+            return None
         *K, D_K = central
         if not _norm(D_K) <= 1e-12 * max(1.0, _norm(K[2]) * _norm(K[1])):
             return None
-        try:
-            pattern, wanted = {"normal": (P.C2, P.D21)}, {"normal": region}
-            poles_of, norm_of = checked(P, (K[0], K[1], K[2]), pattern, wanted, level, what=what)
-        except UncertifiedDesign as error:
-            refusal = error if refusal is None else refusal
-            continue
+        pattern, wanted = {"normal": (P.C2, P.D21)}, {"normal": region}
+        poles_of, norm_of = checked(P, (K[0], K[1], K[2]), pattern, wanted, level, what=what)
         return Synthesis(
             controller=P.controller(*K),
             gamma=level,
@@ -127,9 +124,8 @@ def without_region(
                 "status": "optimal",
             },
         )
-    if refusal is not None:
-        raise refusal
-    return None
+
+    return first_certified(from_slack(slack, _SLACKS), attempt)
 
 
 def _full_rank(P: GeneralizedPlant, regularise: float) -> tuple[GeneralizedPlant, str]:
@@ -166,9 +162,8 @@ def _static_floor(P: GeneralizedPlant) -> Matrix:
     return max((s for s in sides if s.size), key=lambda s: np.linalg.norm(s, 2), default=np.zeros((1, 1)))
 
 
-def _central(P: GeneralizedPlant, level: float) -> tuple[Matrix, Matrix, Matrix, Matrix] | None:
+def _central(N: _Normalised, level: float) -> tuple[Matrix, Matrix, Matrix, Matrix] | None:
     """Return the central controller with norm below `level`, None if there is none. [Zhou1996], th. 17.1"""
-    N = _normalised(P)
     D11, p1, m1 = N.P.D11, *N.P.D11.shape
     m2, p2 = N.P.B2.shape[1], N.P.C2.shape[0]
     d1111, d1112 = D11[: p1 - m2, : m1 - p2], D11[: p1 - m2, m1 - p2 :]
