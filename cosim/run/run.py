@@ -73,7 +73,7 @@ def run_system(
     """Run any scenario: a `Run` when it has a case, else a plain `Result`. Parameters as `run_scenario`."""
     loaded = load_scenario(scenario)
     _refuse_joint(loaded)
-    system = _told(system_of(loaded, case=case, controller=controller, cache=cache))
+    system = _with_warnings(system_of(loaded, case=case, controller=controller, cache=cache))
     if controller is not None and system.swing is not None:
         name = system.parts[CONTROLLER].file.description.title if CONTROLLER in system.parts else "none"
         system.scenario = loaded.model_copy(update={"controller": name})  # results tell what ran
@@ -102,7 +102,7 @@ def write_run(
     """
     loaded = load_scenario(scenario)
     _refuse_joint(loaded)
-    system = _told(system_of(loaded, cache=cache))
+    system = _with_warnings(system_of(loaded, cache=cache))
 
     def take(part: Trajectory) -> None:
         files.add(part)
@@ -132,8 +132,8 @@ def write_run(
     raise failed
 
 
-def _told(system: System) -> System:
-    """Warn of what was hardly meant, a grid that grows before anything happens too."""
+def _with_warnings(system: System) -> System:
+    """Give the warnings of a system; a case that is unstable at rest is one of them."""
     if PLANT in system.parts:
         growth = growth_at_rest(system.case, system.fmus.cache)
         if growth is not None and not growth.stable:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .terminal import busy, print_table
+from .terminal import busy, print_table, two_numbers
 
 if TYPE_CHECKING:
     from interarea.design.delay.late_plant import LatePlant
@@ -167,12 +167,8 @@ def region_of(band: str | None, below: float | None) -> tuple[tuple[float, float
     """Return the two frequencies (Hz) of `LOW:HIGH` and the damping ratio, where the modes are wanted."""
     from interarea.design.modes.modes import ModeError
 
-    text = band or "0.1:2.5"
-    try:
-        low, high = (float(part) for part in text.split(":"))
-    except ValueError:
-        raise ModeError(f"--band {text!r}, wanted LOW:HIGH in Hz, such as 0.1:2.5") from None
-    return (low, high), 0.2 if below is None else below
+    region = two_numbers(band or "0.1:2.5", "--band", "LOW:HIGH in Hz, such as 0.1:2.5", ModeError)
+    return region, 0.2 if below is None else below
 
 
 def _all_modes(

@@ -139,6 +139,15 @@ def _nobody(text: object) -> None:
     pass
 
 
+def two_numbers(text: str, option: str, wanted: str, error: type[Exception]) -> tuple[float, float]:
+    """Return the numbers of an option `LOW:HIGH`; raise `error`, which says what is `wanted`."""
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise error(f"{option} {text!r}, wanted {wanted}") from None
+    return low, high
+
+
 @contextmanager
 def busy(what: str) -> Iterator[None]:
     """Show on stderr that something is under way: on a terminal, else with `--verbose` a line."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..terminal import busy, note, print_table
-from .options import Band, CaseName, RecordFile, Units, Window, numbers, opened
+from .options import Band, CaseName, RecordFile, Units, Window, band_of, opened
 
 if TYPE_CHECKING:
     from interarea.cosim.records.energy import Source
@@ -30,9 +30,8 @@ def locate(
 ) -> None:
     """Locate an oscillation by the dissipating energy flow at each terminal, with checks."""
     from interarea.cosim.records.energy import located
-    from interarea.cosim.records.signals import BAND_HZ
 
-    region = BAND_HZ if band is None else numbers(band, "--band", "LOW:HIGH in Hz, such as 0.1:2.5")
+    region = band_of(band)
     places, frequency_hz = _places(case)
     record = opened(file, window, unit, frequency_hz)
     with busy(f"energy flow of {file.name}"):

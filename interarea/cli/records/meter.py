@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..terminal import busy, note, print_table
-from .options import Band, CaseName, RecordFile, Units, Window, numbers, opened
+from .options import Band, CaseName, RecordFile, Units, Window, band_of, opened
 
 if TYPE_CHECKING:
     from interarea.cosim.records.meter import Meter, Swing
@@ -38,9 +38,8 @@ def meter(
 ) -> None:
     """Meter a record: what swings, how damped by two methods, forced or modal, which mode of a case."""
     from interarea.cosim.records.meter import meter as metered
-    from interarea.cosim.records.signals import BAND_HZ
 
-    region = BAND_HZ if band is None else numbers(band, "--band", "LOW:HIGH in Hz, such as 0.1:2.5")
+    region = band_of(band)
     named, frequency_hz = _modes(case, region)
     record = opened(file, window, unit, frequency_hz)
     with busy(f"metering {file.name}"):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..terminal import note
+from ..terminal import note, two_numbers
 
 if TYPE_CHECKING:
     from interarea.cosim.records.record import Record
@@ -46,21 +46,25 @@ def opened(file: Path, window: str | None, units: list[str] | None, frequency_hz
         if not equals:
             raise RecordError(f"--unit {text!r}, wanted WHAT=UNIT, such as VA=rad")
         named[what.strip()] = unit.strip()
-    span = None if window is None else numbers(window, "--window", "START:END in s, such as 10:70")
+    span = None if window is None else _numbers(window, "--window", "START:END in s, such as 10:70")
     record = read_record(file, units=named, window_s=span, frequency_hz=frequency_hz)
     for line in record.notes:
         note(f"{file.name}: {line}")
     return record
 
 
-def numbers(text: str, option: str, wanted: str) -> tuple[float, float]:
-    """Return the two numbers of LOW:HIGH."""
+def band_of(text: str | None) -> tuple[float, float]:
+    """Return the frequencies (Hz) of `--band`, or those looked at without it."""
+    from interarea.cosim.records.signals import BAND_HZ
+
+    return BAND_HZ if text is None else _numbers(text, "--band", "LOW:HIGH in Hz, such as 0.1:2.5")
+
+
+def _numbers(text: str, option: str, wanted: str) -> tuple[float, float]:
+    """Return the two numbers of LOW:HIGH, the first below the second."""
     from interarea.cosim.records.record import RecordError
 
-    try:
-        low, high = (float(part) for part in text.split(":"))
-    except ValueError:
-        raise RecordError(f"{option} {text!r}, wanted {wanted}") from None
+    low, high = two_numbers(text, option, wanted, RecordError)
     if not low < high:
         raise RecordError(f"{option} {text!r}, allowed: the first below the second")
     return low, high
