@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +32,9 @@ from interarea.shown import Certificate
 
 if TYPE_CHECKING:
     from interarea.models.case.case import Case
+
+#: of every signal, under which a controller without a design of its own is judged; losses are added
+PLAIN = ("N", "s50", "s100", "s150", "s200")
 
 
 def design_controller(
@@ -126,11 +129,13 @@ def certify(
     case: Case | str | Path | None = None,
     *,
     spec: str | Path | Mapping[str, Any] | None = None,
+    conditions: Sequence[str] = (),
     progress: Callable[[str, float], object] | None = None,
 ) -> Certificate:
     """Recompute what a controller holds, on full linear plants with exact latency.
 
-    A controller is judged by the design in its own record, else by `robust`; a bank of controllers for every
+    A controller is judged by the design in its own record. Without one it must be stable on the case as it
+    is: every signal there, each lost in turn, all 0 to 200 ms late. A bank of controllers is judged for every
     sequence of losses and returns.
 
     Parameters
@@ -138,32 +143,73 @@ def certify(
     controller : object, `control.StateSpace` (u = +K y, speeds in rad/s, actuators in pu), name, JSON or FMU.
     case : another case than the design's.
     spec : design (file, bundled name, keys) that judges instead.
+    conditions : under which the controller must be stable on the case as it is, instead of any design; codes
+        as those of a design file, such as ``["N", "s100", "L:G2_dw"]``.
     progress : called with the step that is under way and the share of it that is done; without it a
         notebook shows bars.
 
     Raises
     ------
-    UserError : no such controller, case or design.
+    UserError : no such controller, case or design, or no such condition.
 
     Examples
     --------
     >>> bool(certify("robust_linear").to_frame()["worst_swing"].min() > 0.24)
     True
     """
-    table = _table(spec or "robust", case)
+    judged, table = judged_and_design(controller, case, spec, conditions)
     grid = table.grid
-    judged = controller_like(controller, grid)
     if isinstance(judged, ControllerBank):
         plant = remove_reference(linear_plant(grid, default_cache()))
         proof = certify_bank(speeds_in_rad(plant, grid.omega_b), judged)
         return Certificate(judged.name, grid.name, proof)
-    own = specification_of(judged) if spec is None else None
-    if own is not None:
-        table = own if case is None else own.on(case)
     with notebook_bars(steps_of(table, acceptance=False)) as report:
         certificate = certify_family(table, judged, default_cache(), progress=progress or report or silent)
         certificate = certified_worth(table, judged, certificate, default_cache())
     return Certificate(judged.name, table.case, certificate, {c.name: c.in_words for c in table.family()})
+
+
+def judged_and_design(
+    controller: Controller | ControllerBank | SystemLike | str | Path,
+    case: Case | str | Path | None,
+    spec: str | Path | Mapping[str, Any] | None,
+    conditions: Sequence[str] = (),
+) -> tuple[Controller | ControllerBank, DesignTable]:
+    """Return a controller, and the design that judges it: `spec`, that of its record, or plain conditions.
+
+    case : another than the design's. conditions : plain ones of one's own instead of any design.
+
+    Raises
+    ------
+    UserError : no such controller, case or design; conditions beside a design, or of another kind.
+    """
+    given = None if spec is None else _table(spec, case)
+    if given is not None and conditions:
+        raise ScenarioError(f"conditions beside the design {given.name}, allowed: one of them")
+    grid = given.grid if given is not None else case_like("two-area-thesis" if case is None else case)
+    judged = controller_like(controller, grid)
+    own = specification_of(judged) if given is None and not conditions else None
+    if own is not None:
+        return judged, own if case is None else own.on(grid)
+    return judged, given or plain_design(judged, grid, conditions)
+
+
+def plain_design(judged: Controller | ControllerBank, grid: Case, conditions: Sequence[str]) -> DesignTable:
+    """Return the design that asks for a stable loop on `grid` as it is, under `conditions` (`certify`)."""
+    signals = tuple(judged.inputs)
+    plain = (*PLAIN, *(f"L:{s}" for s in signals), *(f"s200+L:{s}" for s in signals if len(signals) > 1))
+    states = max(c.order for c in (judged.members if isinstance(judged, ControllerBank) else (judged,)))
+    keys: dict[str, Any] = {
+        "name": judged.name,
+        "case": grid.name,
+        "part": [
+            {"actuator": name, "signals": signals, "order": min(max(states, 1), 20)}
+            for name in judged.outputs
+        ],
+        "conditions": tuple(conditions) or plain,
+        "point": [{"name": "as it is"}],
+    }
+    return design_of(keys, where="conditions").on(grid)
 
 
 def _table(spec: str | Path | Mapping[str, Any], case: Case | str | Path | None) -> DesignTable:

@@ -35,7 +35,7 @@ FUNCTIONS = {
     "load_controller": "name: str | Path, *, case: Case | str | Path = 'two-area-thesis' "
     "-> Controller | ControllerBank",
     "certify": f"controller: {CONTROLLER}, case: Case | str | Path | None = None, *, "
-    "spec: str | Path | Mapping[str, Any] | None = None, "
+    "spec: str | Path | Mapping[str, Any] | None = None, conditions: Sequence[str] = (), "
     "progress: Callable[[str, float], object] | None = None -> Certificate",
     "simulate": "scenario: str | Path | Mapping[str, Any], *, case: Case | str | Path | None = None, "
     f"controller: {CONTROLLER} | None = None, progress: Callable[[float, float], object] | None = None "

@@ -19,6 +19,8 @@ class Judging(Protocol):
 
     @property
     def acceptance(self) -> AcceptanceTable | None: ...
+    @property
+    def point(self) -> Sequence[object]: ...
     def family(self) -> Sequence[Condition]: ...
 
 
@@ -35,6 +37,8 @@ def not_covered(table: Judging, signals: Sequence[str], acceptance: Mapping[str,
         parts.append(f"the loss of {', of '.join(missing)}")
     if not any(len(condition.lost) > 1 for condition in table.family()) and len(signals) > 1:
         parts.append("two signals lost at once")
+    if len(table.point) == 1:
+        parts.append("other operating points")
     return "; ".join([*parts, _WRONG])
 
 
@@ -56,6 +60,21 @@ def _faults_left_out(table: Judging, acceptance: Mapping[str, Any] | None) -> li
         places = ", ".join(acceptance["unsolved"])
         return [f"linear loops after faults where no power flow is found ({places}: with the branch)"]
     return []
+
+
+def drive_in_words(drive: float, predicted: str, faults: Sequence[Mapping[str, Any]]) -> str:
+    """Return the drive after a fault in a line, with what follows from it unless a run contradicts that.
+
+    >>> drive_in_words(0.01, "kept", [{"synchronism": True}])
+    'drive after the fault 0.010 pu: synchronism kept (predicted)'
+    >>> drive_in_words(0.01, "kept", [{"synchronism": True}, {"synchronism": False}])
+    'drive after the fault 0.010 pu'
+    """
+    came = "kept" if all(run["synchronism"] for run in faults) else "lost"
+    refuted = predicted in ("kept", "lost") and predicted != came
+    return f"drive after the fault {drive:.3f} pu" + (
+        "" if refuted else f": synchronism {predicted} (predicted)"
+    )
 
 
 def in_words(result: Mapping[str, Any] | None) -> str:

@@ -30,7 +30,7 @@ DesignFile = Annotated[
     typer.Option(
         "--spec",
         metavar="SPEC.toml",
-        help="design (file or bundled name) whose family judges; default: the controller's own, else robust",
+        help="design (file or bundled name) whose family judges; default: the controller's own",
         show_default=False,
     ),
 ]
@@ -167,19 +167,13 @@ def _certificate_of(controller: Controller) -> FamilyCertificate:
     return FamilyCertificate(rows=rows, **record)
 
 
-def _named(name: str, case: Case) -> Controller | ControllerBank:
-    """Return the controller that a word of the command line means; those of the study are made for `case`."""
-    from interarea.synthesis import load_controller
-
-    with busy(f"reading {name}, designed for {case.name} where it is new"):
-        return load_controller(name, case=case)
-
-
 def _system(name: str, case: Case) -> control.StateSpace:
     from interarea.design.controllers.bank import ControllerBank
     from interarea.models.errors import UserError
+    from interarea.synthesis import load_controller
 
-    loaded = _named(name, case)
+    with busy(f"reading {name}, designed for {case.name} where it is new"):
+        loaded = load_controller(name, case=case)
     if isinstance(loaded, ControllerBank):
         raise UserError(f"--against {name}: is a bank, allowed: one controller")
     return loaded.system
@@ -197,6 +191,15 @@ def certify(
     spec: DesignFile = None,
     case: Annotated[
         str | None, typer.Option("--case", metavar="CASE", help="another case than the design's")
+    ] = None,
+    conditions: Annotated[
+        str | None,
+        typer.Option(
+            "--conditions",
+            metavar="CODE,...",
+            help="ask for a stable loop under these on the case as it is, such as N,s100,L:G2_dw; default "
+            "of a controller without a design: 0 to 200 ms late, each signal lost",
+        ),
     ] = None,
     acceptance: Annotated[
         bool,
@@ -226,11 +229,12 @@ def certify(
     """Recompute a controller's certificate on full linear plants, exact latency; exit code 1 if it fails.
 
     What is judged (operating points, losses, latencies, the fault, what is asked) is in the controller's own
-    record: the FMU alone is enough.
+    record: the FMU alone is enough. One without such a record is judged under plain conditions.
     """
     from interarea.cosim.designs.design_file import certify as recompute
-    from interarea.cosim.designs.design_file import judged_by, load_design, steps_of
+    from interarea.cosim.designs.design_file import judged_by, steps_of
     from interarea.cosim.designs.worth import certified_worth, with_rival
+    from interarea.cosim.errors import ScenarioError
     from interarea.design.controllers.bank import ControllerBank
     from interarea.fmu_build.write.cache import default_cache
 
@@ -238,13 +242,11 @@ def certify(
 
     if out is not None:
         file_for(out)
-    table = load_design(spec or "robust")
-    if case is not None:
-        table = table.on(case)
-    grid = table.grid
-    loaded = _named(controller, grid)
-    if spec is None:
-        table = _own_family(loaded, controller, case) or table
+    loaded, table = _judged(controller, case, spec, conditions)
+    if acceptance and table.acceptance is None:
+        raise ScenarioError(
+            f"--acceptance: the design that judges {loaded.name} names no faults; give one that does (--spec)"
+        )
     if isinstance(loaded, ControllerBank):
         _certify_bank(loaded, table, json_, out, acceptance=acceptance)
         return
@@ -276,6 +278,16 @@ def certify(
         raise typer.Exit(1)
 
 
+def _judged(
+    name: str, case: str | None, spec: str | None, conditions: str | None
+) -> tuple[Controller | ControllerBank, DesignTable]:
+    """Return the controller that a word of the command line means, and the design that judges it."""
+    from interarea.synthesis import judged_and_design
+
+    with busy(f"reading {name}, designed for the case where it is new"):
+        return judged_and_design(name, case, spec, tuple(conditions.split(",")) if conditions else ())
+
+
 def _rival(table: DesignTable, controller: Controller, report: Callable[[str, float], object]) -> Controller:
     """Design the own-signal rival of a controller that the design of `table` fits."""
     from interarea.cosim.designs.worth import design_rival
@@ -291,17 +303,6 @@ def _rival(table: DesignTable, controller: Controller, report: Callable[[str, fl
     rival = design_rival(table, default_cache(), progress=lambda _, share, __: report(name, 0.99 * share))
     report(name, 1.0)
     return rival
-
-
-def _own_family(controller: Controller | ControllerBank, name: str, case: str | None) -> DesignTable | None:
-    """Return the design in a controller's record, for another case if one is given; None is told."""
-    from interarea.cosim.designs.design_file import specification_of
-
-    own = specification_of(controller)
-    if own is None:
-        typer.echo(f"{name} names no family of its own: judged by that of `robust`", err=True)
-        return None
-    return own if case is None else own.on(case)
 
 
 def _design_bank(table: DesignTable, out: Path, json_: bool) -> None:
@@ -413,7 +414,7 @@ def _show_conditions(table: DesignTable) -> None:
 
 
 def _show(name: str, certified: FamilyCertificate, table: DesignTable) -> None:
-    from interarea.cosim.designs.certificate_words import in_words
+    from interarea.cosim.designs.certificate_words import drive_in_words, in_words
 
     if certified.not_covered:
         typer.echo(f"not covered: {certified.not_covered}")
@@ -430,9 +431,7 @@ def _show(name: str, certified: FamilyCertificate, table: DesignTable) -> None:
     for lost, gain in certified.loss_criterion.items():
         typer.echo(f"{lost} lost: loop gain of the rest at real s {gain:.3f} (unstable above 1)")
     if certified.drive is not None:
-        typer.echo(
-            f"drive after the fault {certified.drive:.3f} pu: synchronism {certified.predicted} (predicted)"
-        )
+        typer.echo(drive_in_words(certified.drive, certified.predicted, certified.faults))
     for run in certified.faults:
         message = f"settled in {run['settled_s']:.1f} s" if run["synchronism"] else "SYNCHRONISM LOST"
         typer.echo(f"fault at {run['point']}, {' and '.join(run['lost']) or 'nothing'} lost: {message}")
