@@ -306,6 +306,24 @@ def judge_acceptance(
     return found.acceptance(tuple(rows), tuple(unsolved))
 
 
+def clearing_times(
+    controller: ControllerOrBank, point: str, case: Case, table: AcceptanceTable, cache: Path
+) -> tuple[ClearingRow, ...]:
+    """Search the clearing times at one operating point, ceilings and loads of the case, as an acceptance."""
+    with Trial(case, controller, table, cache) as trial:
+        return tuple(_clearing_rows(trial, list(settings_of(table, point, None, controller.inputs))))
+
+
+def joined(parts: Sequence[Acceptance]) -> Acceptance:
+    """Return the acceptance of several operating points, each judged by itself."""
+    values: dict[str, Any] = {name: sum(getattr(part, name) for part in parts) for name in ("cases", "loops")}
+    for name in ("largest_angle_deg", "longest_s"):
+        values[name] = max(getattr(part, name) for part in parts)
+    for name in ("lost", "gained", "clearing", "standing", "unstable", "unsolved"):
+        values[name] = tuple(each for part in parts for each in getattr(part, name))
+    return Acceptance(**values)
+
+
 Groups: TypeAlias = Sequence[tuple[Setting, list[Setting]]]
 
 

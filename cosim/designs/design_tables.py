@@ -138,11 +138,14 @@ class StageTable(Table):
     steps: Annotated[int, Field(ge=1)] = 40  #: of the descent at each value of `rho`, at most
     #: (rad/s, damping) as `offset` of the design, in this stage alone; none: that of the design
     offset: Offsets = ()
+    #: s, of each start: no step is begun after it, so that a slower machine may reach less; none: no bound
+    longest_s: Positive | None = None
 
     def stage(self) -> Stage:
         """Return it as the search takes it."""
         offsets = BandOffsets(*zip(*self.offset, strict=True)) if self.offset else None
-        return Stage(self.points, self.conditions, self.rho, self.steps, offsets)
+        longest_s = float("inf") if self.longest_s is None else self.longest_s
+        return Stage(self.points, self.conditions, self.rho, self.steps, offsets, longest_s)
 
 
 class GuardTable(Table):

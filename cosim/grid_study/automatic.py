@@ -1,11 +1,12 @@
 """A design made and judged for a grid, from its data alone: sets of loops tried until one holds.
 
+The linear certificate comes first: faults are run for a set that passes it, or for the best where none does.
 Every part is kept in the cache by the hash of what it came from: what is stopped goes on where it was.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,15 +16,14 @@ from interarea.design.errors import InfeasibleDesign
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
 from interarea.models.case.case import Case
 
-from ..designs.design_file import DESIGN_STEPS, DesignTable, certify, judged_by, run_design
-from .proposal import Proposal, find, propose
+from ..designs.design_file import DESIGN_STEPS, DesignTable, run_design
+from .clock import Clock
+from .faults import judged_with_faults
+from .proposal import Findings, Proposal, find, propose
 from .weak_modes import WeakModes, modes_of_grid, weak_modes
 
 DESIGN_STAGES = ("modes", "loops and operating points", "search", "faults")  #: of `design_grid`
 TRIED_SETS = 3  #: sets of loops for which a whole design is searched, at most
-#: output limits that are tried until no fault is lost that holds without control, pu: a guard that watches a
-#: lost signal limits nothing, and a smaller output adds less to a first swing
-LIMITS_PU = (0.05, 0.02, 0.01)
 
 Report = Callable[[str, float], object]
 
@@ -42,12 +42,18 @@ class GridDesign:
 
 
 def design_grid(
-    case: Case, cache: Path, *, name: str = "", named: str = "", report: Report = lambda stage, share: None
+    case: Case,
+    cache: Path,
+    clock: Clock,
+    *,
+    name: str = "",
+    named: str = "",
+    report: Report = lambda stage, share: None,
 ) -> GridDesign:
     """Make a design for a grid, run it, judge it with faults; parts are found again in `cache`.
 
-    name : of the controller. named : how the design file names the case. report : called with one of
-    `DESIGN_STAGES` and the share of it that is done.
+    clock : of the time that it may take. name : of the controller. named : how the design file names the
+    case. report : called with one of `DESIGN_STAGES` and the share of it that is done.
 
     Raises
     ------
@@ -56,49 +62,65 @@ def design_grid(
     report(DESIGN_STAGES[0], 0.0)
     weak = weak_modes(modes_of_grid(case, cache))
     report(DESIGN_STAGES[0], 1.0)
-    return design_for(weak, cache, name=name, named=named, report=report)
+    return design_for(weak, cache, clock, name=name, named=named, report=report)
 
 
 def design_for(
     weak: WeakModes,
     cache: Path,
+    clock: Clock,
     *,
     name: str = "",
     named: str = "",
     report: Report = lambda stage, share: None,
+    shown: Callable[[Findings], object] = lambda findings: None,
 ) -> GridDesign:
-    """Try sets of loops until a design holds what is asked, or return the best of `TRIED_SETS`.
+    """Try sets of loops until a design holds what is asked, or return the best within the time.
 
-    Arguments and errors as `design_grid`.
+    Arguments and errors as `design_grid`. shown : called with what is found before the first search.
     """
     _, loops, search, faults = DESIGN_STAGES
     shares = {"loops": (0.0, 0.8), "operating points": (0.8, 0.2)}
 
-    def shown(step: str, share: float) -> None:
+    def told(step: str, share: float) -> None:
         start, part = shares[step]
         report(loops, start + part * share)
 
-    findings = find(weak, cache, progress=shown)
+    findings = find(weak, cache, clock, progress=told)
     report(loops, 1.0)
-    best, problem = None, ""
+    shown(findings)
+    weakest = {"base": weak.weakest.damping_ratio} | {r.point.name: r.least for r in findings.points}
+    tried: list[GridDesign] = []
+    problem = ""
     for taken in findings.sets[:TRIED_SETS]:
+        names = ", ".join(taken.chosen.actuators)
+        if clock.over("search") and (tried or problem):
+            clock.leave(f"a design for {names}")
+            continue
         report(search, 0.0)
-        proposal = propose(findings, taken, cache, name=name, case=named)
+        proposal = propose(findings, taken, cache, clock, name=name, case=named)
         try:
             controller = _searched(proposal.table, cache, lambda share: report(search, share))
         except InfeasibleDesign as error:
             problem = str(error)
             continue
         report(search, 1.0)
-        done = _with_faults(proposal, controller, cache, lambda share: report(faults, share))
-        report(faults, 1.0)
-        if best is None or _better(done) > _better(best):
-            best = done
-        if done.certificate["passed"]:
-            break
-    if best is None:
+        tried.append(GridDesign(proposal, controller))
+        if tried[-1].certificate["passed"]:
+            tried[-1] = _with_faults(tried[-1], cache, clock, weakest, lambda share: report(faults, share))
+            if tried[-1].certificate["passed"]:
+                break
+    if not tried:
         raise InfeasibleDesign(problem, constraint="stability")
-    return best
+    best = max(tried, key=_better)
+    if best.certificate["acceptance"] is None:
+        best = _with_faults(best, cache, clock, weakest, lambda share: report(faults, share))
+    report(search, 1.0)
+    report(faults, 1.0)
+    if not clock.left_out:
+        return best
+    line = f"Within {clock.minutes:g} minutes there was no time for: {'; '.join(clock.left_out)}."
+    return replace(best, proposal=replace(best.proposal, reasons=(*best.proposal.reasons, line)))
 
 
 def _searched(table: DesignTable, cache: Path, progress: Callable[[float], object]) -> Controller:
@@ -116,35 +138,25 @@ def _searched(table: DesignTable, cache: Path, progress: Callable[[float], objec
 
 
 def _with_faults(
-    proposal: Proposal, controller: Controller, cache: Path, progress: Callable[[float], object]
+    design: GridDesign,
+    cache: Path,
+    clock: Clock,
+    weakest: Mapping[str, float],
+    progress: Callable[[float], object],
 ) -> GridDesign:
-    """Judge a controller with the faults of its design, with smaller output limits where faults are lost."""
-    best: GridDesign | None = None
-    for k, limit_pu in enumerate(LIMITS_PU):
-        table = proposal.table.model_copy(update={"limit_pu": limit_pu})
-        limited = replace(controller, limit_pu=limit_pu)
-        key = content_hash(
-            table.grid.hash, table.model_dump(mode="json"), limited.as_dict(), code_hash(certify.__module__)
-        )
-
-        def made(table: DesignTable = table, limited: Controller = limited, k: int = k) -> dict[str, Any]:
-            def tell(step: str, share: float) -> None:
-                progress((k + 0.99 * share) / len(LIMITS_PU))
-
-            judged = certify(table, limited, cache, acceptance=True, progress=tell)
-            return judged_by(table, limited, judged).as_dict()
-
-        judged = Controller.from_dict(cached_json(cache, "grid-faults", key, made))
-        done = GridDesign(replace(proposal, table=table), judged)
-        if best is None or _better(done) > _better(best):
-            best = done
-        if not done.certificate["acceptance"]["lost"] and not done.certificate["acceptance"]["standing"]:
-            break
-    assert best is not None
-    return best
+    """Judge a design with its faults, at the largest output limit that holds."""
+    table = design.proposal.table
+    judged = judged_with_faults(table, design.controller, cache, clock, weakest=weakest, progress=progress)
+    limited = table.model_copy(update={"limit_pu": judged.limit_pu})
+    return GridDesign(replace(design.proposal, table=limited), judged)
 
 
-def _better(design: GridDesign) -> tuple[int, float]:
-    """Return what decides between designs: fewer violations, then more inter-area damping."""
-    certificate = design.certificate
-    return -len(certificate["violations"]), certificate["inter_area"]
+def _better(design: GridDesign) -> tuple[int, float, int]:
+    """Return what decides between designs: unstable loops, what is missed of what is asked, lost faults."""
+    certificate, asked = design.certificate, design.proposal.table.ask
+    unstable = sum(not row["stable"] for row in certificate["rows"])
+    lost = len((certificate["acceptance"] or {}).get("lost", ()))
+    reached = min(
+        certificate["inter_area"] - asked.inter_area, certificate["worst_swing"] - asked.worst_swing
+    )
+    return -unstable, min(reached, 0.0), -lost

@@ -17,6 +17,7 @@ from interarea.models.grid.powerflow import solve_powerflow
 
 from ..designs.design_tables import PointTable
 from ..designs.family import at_point
+from .clock import Clock
 from .weak_modes import WeakModes, modes_of_grid
 
 #: branches whose outage is tried, points that these are to give, and those that go into the design
@@ -43,23 +44,33 @@ class TriedPoint:
 
 
 def tried_points(
-    weak: WeakModes, cache: Path, *, progress: Callable[[float], object] = lambda share: None
+    weak: WeakModes,
+    cache: Path,
+    clock: Clock,
+    *,
+    progress: Callable[[float], object] = lambda share: None,
 ) -> tuple[TriedPoint, ...]:
-    """Try the outages of branches whose power swings most in the weak modes, other loads and tie flows."""
+    """Try other loads and tie flows, and the outages of branches whose power swings most in the weak modes.
+
+    As many as there is time for.
+    """
     others = [PointTable(name=f"load {100 * (k - 1):+.0f} %", load_scale=k) for k in LOADS]
     others += _tie_points(weak.case)
     rows: list[TriedPoint] = []
+    for k, point in enumerate(others):
+        progress(k / (USABLE + len(others)))
+        rows.append(_tried(weak, point, cache))
     for name in _swinging_branches(weak)[:TRIED]:
-        usable = sum(not row.problem for row in rows)
+        usable = sum(not row.problem for row in rows if row.point.out)
         if usable == USABLE:
             break
-        progress(usable / (USABLE + len(others)))
+        if clock.over("operating points"):
+            clock.leave(f"outages of branches after the first {usable}")
+            break
+        progress((len(others) + usable) / (USABLE + len(others)))
         rows.append(_tried(weak, PointTable(name=f"{name} out", out=(name,)), cache))
-    for k, point in enumerate(others):
-        progress((USABLE + k) / (USABLE + len(others)))
-        rows.append(_tried(weak, point, cache))
     progress(1.0)
-    return tuple(rows)
+    return tuple(sorted(rows, key=lambda row: not row.point.out))
 
 
 def chosen_points(tried: Sequence[TriedPoint]) -> tuple[PointTable, ...]:

@@ -30,6 +30,7 @@ from ..designs.design_tables import PointTable
 from ..designs.family import at_point
 from ..designs.short_designs import LATENCY_S, ShortDesign, short_designs
 from ..designs.swing_sensitivity import STEP_S, first_swing
+from .clock import GUESS, SEARCH, Clock
 from .operating_points import TriedPoint, chosen_points, tried_points
 from .weak_modes import GIVEN_AWAY, WEAK, WeakModes, in_words
 
@@ -49,7 +50,8 @@ EFFORT = 0.25
 LIMIT_PU = 0.05  #: of each output, as field installations limit stabilizers [IEEE421.5-2016]
 LATENCIES_MS = (100, 200)  #: of all signals: the range of wide-area networks
 PLANT_ORDER = 40  #: of the models of the search; the certificate takes the full plants
-FAULTS, CLEAR_S = 6, 0.1  #: of the acceptance
+FAULTS, CLEAR_S = 6, 0.1  #: of the acceptance, at most; s
+RUNS = 60  #: at one operating point, each fault with nothing lost and each signal lost: as many faults as fit
 #: (rad/s, damping): slow roots are asked more than their stability, or the common speed runs away where a
 #: signal is lost (New England, `designs/design_new_england.toml`)
 _SLOW = ((0.0, 0.1), (0.15, 0.1), (0.3, 0.0), (0.5, -0.1))
@@ -106,9 +108,13 @@ class Proposal:
 
 
 def find(
-    weak: WeakModes, cache: Path, *, progress: Callable[[str, float], object] = lambda step, share: None
+    weak: WeakModes,
+    cache: Path,
+    clock: Clock,
+    *,
+    progress: Callable[[str, float], object] = lambda step, share: None,
 ) -> Findings:
-    """Design sets of loops shortly and try operating points.
+    """Design sets of loops shortly and try operating points, as far as there is time.
 
     progress : called with one of `STEPS` and the share of it that is done.
 
@@ -117,29 +123,31 @@ def find(
     ModeError : no actuator reaches the weak modes. InfeasibleDesign : no short design is stable.
     """
     loops, points = STEPS
-    designs = _short_designs(weak, cache, lambda share: progress(loops, share))
+    designs = _short_designs(weak, cache, clock, lambda share: progress(loops, share))
     if not max(design.damping for design in designs) > 0.0:
         raise InfeasibleDesign(
             "no short design of any set of loops keeps the grid stable; name actuators and signals in a "
             "design file",
             constraint="loops",
         )
-    return Findings(weak, designs, tried_points(weak, cache, progress=lambda share: progress(points, share)))
+    tried = tried_points(weak, cache, clock, progress=lambda share: progress(points, share))
+    return Findings(weak, designs, tried)
 
 
 def propose(
-    findings: Findings, taken: ShortDesign, cache: Path, *, name: str = "", case: str = ""
+    findings: Findings, taken: ShortDesign, cache: Path, clock: Clock, *, name: str = "", case: str = ""
 ) -> Proposal:
     """Make a design for one set of loops.
 
-    name : of the controller, default that of the case. case : what the design file names it by.
+    clock : says how long its search may take. name : of the controller, default that of the case. case : what
+    the design file names it by.
     """
     weak, tried = findings.weak, findings.points
     kept = chosen_points(tried)
     names = {point.name for point in kept}
     parts = {a: _signals(weak, a, s) for a, s in taken.chosen.loops.items()}
     signals = tuple(dict.fromkeys(s for seen in parts.values() for s in seen))
-    acceptance = _acceptance(weak, tried, kept)
+    acceptance = _acceptance(weak, tried, kept, RUNS // (1 + len(signals)))
     guard = _guard(weak, acceptance, parts, cache)
     least = [_least_of_all(row) for row in tried if row.point.name in names]
     least.append(min(m.damping_ratio for m in weak.found.modes))
@@ -166,8 +174,8 @@ def propose(
         "acceptance": acceptance.model_dump(mode="json", exclude_unset=True),
         "part": [{"actuator": a, "signals": list(s), "order": ORDER} for a, s in parts.items()],
         "stage": [
-            {"points": ["base"], "rho": [60.0, 150.0], "steps": 25},
-            {"rho": [150.0, 600.0], "steps": 30},
+            {"points": ["base"], "rho": [60.0, 150.0], "steps": 25, "longest_s": clock.seconds(GUESS)},
+            {"rho": [150.0, 600.0], "steps": 30, "longest_s": clock.seconds(SEARCH)},
         ],
         "point": [point.model_dump(mode="json", exclude_unset=True) for point in kept],
     }
@@ -178,14 +186,15 @@ def propose(
     return Proposal(table, findings, taken, _reasons(findings, taken, names))
 
 
-def _short_designs(
-    weak: WeakModes, cache: Path, progress: Callable[[float], object]
-) -> tuple[ShortDesign, ...]:
-    """Design the best sets of each size shortly."""
+def ranked_sets(weak: WeakModes) -> list[LoopSet]:
+    """Return the best sets of each number of actuators, by their residues alone: a matter of seconds.
+
+    Raises
+    ------
+    ModeError : no actuator reaches the weak modes.
+    """
     sets: list[LoopSet] = []
-    for together in range(1, MOST_ACTUATORS + 1):
-        if together > len(weak.plant.inputs):
-            break
+    for together in range(1, min(MOST_ACTUATORS, len(weak.plant.inputs)) + 1):
         choice = choose_loops(
             weak.plant,
             weak.found.modes,
@@ -197,19 +206,29 @@ def _short_designs(
             most=SETS,
         )
         sets += choice.sets
+    return sets
 
-    def told(done: int) -> None:
-        progress(done / len(sets))
 
-    def made() -> list[tuple[float, float]]:
-        rows = short_designs(weak.case, sets, cache, latency_s=LATENCY_S, told=told)
-        return [(row.damping, row.own) for row in rows]
+def _short_designs(
+    weak: WeakModes, cache: Path, clock: Clock, progress: Callable[[float], object]
+) -> tuple[ShortDesign, ...]:
+    """Design the best sets of each size shortly, those with few actuators first."""
+    sets = ranked_sets(weak)
+    designs: list[ShortDesign] = []
+    for k, one in enumerate(sorted(sets, key=lambda each: sets.index(each) % SETS)):
+        progress(k / len(sets))
+        if designs and clock.over("loops"):
+            clock.leave(f"a short design of the loops at {', '.join(one.actuators)}")
+            continue
 
-    key = content_hash(
-        weak.case.hash, [dict(one.loops) for one in sets], LATENCY_S, code_hash(short_designs.__module__)
-    )
-    reached = cached_json(cache, "grid-loops", key, made)
-    return tuple(ShortDesign(one, *values) for one, values in zip(sets, reached, strict=True))
+        def made(one: LoopSet = one) -> tuple[float, float]:
+            (row,) = short_designs(weak.case, [one], cache, latency_s=LATENCY_S)
+            return row.damping, row.own
+
+        loops = dict(one.loops)
+        key = content_hash(weak.case.hash, loops, LATENCY_S, code_hash(short_designs.__module__))
+        designs.append(ShortDesign(one, *cached_json(cache, "grid-loops", key, made)))
+    return tuple(sorted(designs, key=lambda design: len(design.chosen.actuators)))
 
 
 def _signals(weak: WeakModes, actuator: str, signal: str) -> tuple[str, ...]:
@@ -268,9 +287,9 @@ def _least_of_all(row: TriedPoint) -> float:
 
 
 def _acceptance(
-    weak: WeakModes, tried: Sequence[TriedPoint], points: Sequence[PointTable]
+    weak: WeakModes, tried: Sequence[TriedPoint], points: Sequence[PointTable], most: int
 ) -> AcceptanceTable:
-    """Faults at the branches whose power swings most, each cleared by the trip of that branch.
+    """Return `most` faults at the branches whose power swings most, each cleared by the trip of that branch.
 
     A branch whose trip cuts the grid at some operating point is passed over.
     """
@@ -278,7 +297,11 @@ def _acceptance(
     faults: list[FaultPlace] = []
     for name in (row.point.out[0] for row in tried if row.point.out and not row.problem):
         known = {fault.bus for fault in faults}
-        if len(faults) < FAULTS and ends[name] not in known and _whole_without(weak, points, name):
+        if (
+            len(faults) < min(max(most, 1), FAULTS)
+            and ends[name] not in known
+            and _whole_without(weak, points, name)
+        ):
             faults.append(FaultPlace(bus=ends[name], trip=name))
     if not faults:
         faults = [FaultPlace(bus=weak.case.machines[0].bus)]

@@ -26,8 +26,9 @@ from ..errors import machine_error
 from ..run.artefacts import plant_fmu
 from ..run.controllers import controller_fmu
 from .automatic import DESIGN_STAGES, Report, design_for
+from .clock import MINUTES, Clock
 from .page import mode_shapes, write_page
-from .proposal import Proposal
+from .proposal import Findings, Proposal, ranked_sets
 from .weak_modes import modes_of_grid, weak_modes
 
 STAGES = (*DESIGN_STAGES, "own-signal rival", "latency", "FMUs and page")
@@ -43,12 +44,13 @@ def study_grid(
     named: str = "",
     assumptions: Sequence[str] = (),
     command: str = "",
+    minutes: float = MINUTES,
     report: Report = lambda stage, share: None,
 ) -> dict[str, Any]:
     """Study a grid into the folder `out`; return what study.json holds.
 
     named : how the design file names the case. assumptions : made while its data were read, for the page.
-    command : that repeats the study.
+    command : that repeats the study. minutes : that it may take; the page says what is left out.
 
     Writes report.html (from the first second on), study.json, design.toml, controller.json and fmus/. What
     cannot be had stands in the place of its part, with the reason, under `problem`.
@@ -59,6 +61,7 @@ def study_grid(
     point.
     """
     modes, (rival, latency, last) = STAGES[0], STAGES[len(DESIGN_STAGES) :]
+    clock = Clock(minutes)
     study: dict[str, Any] = {
         "case": case.name,
         "command": command,
@@ -66,6 +69,8 @@ def study_grid(
         "buses": len(case.buses),
         "machines": len(case.machines),
         "problem": None,
+        "minutes": minutes,
+        "no_time_for": clock.left_out,
     }
     with threadpool_limits(1):
         report(modes, 0.0)
@@ -79,14 +84,24 @@ def study_grid(
         written()
         report(modes, 1.0)
         try:
-            done = design_for(weak_modes(found), cache, named=named, report=report)
+            weak = weak_modes(found)
+            study["loops"] = [{"actuators": one.actuators, "why": one.reason} for one in ranked_sets(weak)]
+            written()
+
+            def show(findings: Findings) -> None:
+                study.update(_found(findings))
+                written()
+
+            done = design_for(weak, cache, clock, named=named, report=report, shown=show)
             table, controller = done.proposal.table, done.controller
             study["certificate"] = controller.certificate
-            study |= _proposed(done.proposal)
+            study |= _found(done.proposal.findings, done.proposal) | _proposed(done.proposal)
             write_whole(out / "design.toml", done.proposal.text().encode())
             written()
             report(rival, 0.0)
-            if has_rival(table):
+            if has_rival(table) and clock.over(rival):
+                clock.leave("the rival that sees own signals alone")
+            elif has_rival(table):
                 controller = with_rival(controller, _rival(table, case, cache, report))
             report(rival, 1.0)
             study["worth"] = worth(table, controller, cache).as_dict()
@@ -111,30 +126,39 @@ def study_grid(
     return study
 
 
-def _proposed(proposal: Proposal) -> dict[str, Any]:
-    table = proposal.table
+def _found(findings: Findings, proposal: Proposal | None = None) -> dict[str, Any]:
+    """Return short designs and operating points as JSON values, and which of them a proposal takes."""
+    taken = None if proposal is None else proposal.taken.chosen.actuators
+    names = set() if proposal is None else {point.name for point in proposal.table.point}
     return {
-        "reasons": list(proposal.reasons),
         "loops": [
             {
                 "actuators": list(row.chosen.actuators),
+                "why": row.chosen.reason,
                 "damping": row.damping,
                 "own": row.own,
-                "taken": row.chosen.actuators == proposal.taken.chosen.actuators,
+                "taken": row.chosen.actuators == taken,
             }
-            for row in proposal.findings.loops
+            for row in findings.loops
         ],
-        "parts": [{"actuator": part.actuator, "signals": list(part.signals)} for part in table.part],
         "points": [
             {
                 "name": row.point.name,
                 "least": row.least,
                 "moved": row.moved,
                 "problem": row.problem,
-                "taken": any(row.point.name == point.name for point in table.point),
+                "taken": row.point.name in names,
             }
-            for row in proposal.findings.points
+            for row in findings.points
         ],
+    }
+
+
+def _proposed(proposal: Proposal) -> dict[str, Any]:
+    table = proposal.table
+    return {
+        "reasons": list(proposal.reasons),
+        "parts": [{"actuator": part.actuator, "signals": list(part.signals)} for part in table.part],
         "asked": {"inter_area": table.ask.inter_area, "worst_swing": table.ask.worst_swing},
     }
 

@@ -55,6 +55,7 @@ def newton_descent(
     held: float = 1e-2,
     least: float = 2e-5,
     progress: Callable[[float, float], object] | None = None,
+    over: Callable[[], bool] = lambda: False,
 ) -> tuple[Array, int]:
     """Return the parameters after at most `steps` steps from `start`, and evaluations.
 
@@ -62,11 +63,14 @@ def newton_descent(
     held : sigma of the first step, in units of the unknowns' scale.
     least : ends where five steps gain less than this in all.
     progress : called before each step with the share of the steps that is done and the objective.
+    over : whether no more step is to be begun.
     """
     theta = balanced(objective, start)
     value, count = objective.value(theta), 1
     gained: list[float] = []
     for step in range(steps):
+        if over():
+            break
         if progress is not None:
             progress(step / steps, value)
         if step % 5 == 4:

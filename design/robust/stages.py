@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from time import monotonic
 
 import numpy as np
 
@@ -31,6 +32,7 @@ class Stage:
     rho : how closely the smoothed worst follows the worst, from one to the next.
     steps : of the descent at each, at most.
     offsets : how much more than elsewhere a band is wanted in this stage; none: as in the whole.
+    longest_s : after which no more step is begun, of each start; what is reached by then goes on.
     """
 
     points: tuple[str, ...] = ()
@@ -38,6 +40,7 @@ class Stage:
     rho: tuple[float, ...] = (60.0, 120.0, 300.0)
     steps: int = 40
     offsets: BandOffsets | None = None
+    longest_s: float = float("inf")
 
     def of(self, objective: Objective) -> Objective:
         """Return the objective over the models of this stage."""
@@ -94,7 +97,9 @@ def staged_search(
     return theta, count, reached
 
 
-def stabilised(objective: Objective, theta: Array, descend: Descend) -> tuple[Array, int]:
+def stabilised(
+    objective: Objective, theta: Array, descend: Descend, over: Callable[[], bool] = lambda: False
+) -> tuple[Array, int]:
     """Return parameters that keep every model stable, if `descend` finds them from `theta`, and evaluations.
 
     The effort has no bound where an eigenvalue crosses the imaginary axis: to one that is on the wrong
@@ -102,7 +107,7 @@ def stabilised(objective: Objective, theta: Array, descend: Descend) -> tuple[Ar
     """
     free, count = replace(objective, efforts=(), swing=None), 0
     for _ in range(STABILISING):
-        if objective.worst(theta)[0] < STANDING:
+        if objective.worst(theta)[0] < STANDING or over():
             break
         theta, used = descend(free, theta)
         count += used
@@ -128,7 +133,12 @@ def _through(
     tell: Callable[[float, float], object],
 ) -> tuple[Array, int]:
     """Steps at each rho, and some of `descend` where they end: two eigenvalues may have met."""
-    theta, count = stabilised(objective, theta, descend)
+    end = monotonic() + stage.longest_s
+
+    def over() -> bool:
+        return monotonic() > end
+
+    theta, count = stabilised(objective, theta, descend, over)
     for k, rho in enumerate(stage.rho):
         smoothed = replace(objective, rho=rho)
         value = smoothed.value(theta)
@@ -137,9 +147,14 @@ def _through(
             def within(share: float, reached: float, done: float = k + turn / TURNS) -> None:
                 tell((done + share / TURNS) / len(stage.rho), reached)
 
-            theta, used = newton_descent(smoothed, theta, stage.steps, balanced=balanced, progress=within)
+            theta, used = newton_descent(
+                smoothed, theta, stage.steps, balanced=balanced, progress=within, over=over
+            )
+            count += used
+            if over():
+                return theta, count
             theta, more = descend(smoothed, theta)
-            count += used + more
+            count += more
             gained, value = value - smoothed.value(theta), smoothed.value(theta)
             if not gained > WORTHWHILE:
                 break

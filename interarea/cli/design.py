@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .study import Minutes, design_for_grid
 from .terminal import busy, print_table, show_rows, show_worth, stage_progress
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ def design(
     dyr: Annotated[
         Path | None, typer.Option("--dyr", metavar="FILE", help="PSS/E dynamic data of a grid")
     ] = None,
+    minutes: Minutes = 10.0,
     json_: Annotated[bool, typer.Option("--json", help="print JSON instead of tables")] = False,
 ) -> None:
     """Design a controller, from a design file or a grid alone; exit code 1 if it misses what was asked.
@@ -79,11 +81,10 @@ def design(
 
     from .destination import file_for, folder_for
     from .grids import grid_of
-    from .study import design_for_grid
 
     file_for(out)
     if (grid := grid_of(spec, dyr)) is not None:
-        made, written = design_for_grid(spec, grid[0], out)
+        made, written = design_for_grid(spec, grid[0], out, minutes)
         _show_made(made, grid[1], written, json_=json_)
         return
     table, cache = load_design(spec), default_cache()

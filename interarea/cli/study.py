@@ -19,6 +19,10 @@ _FILES = (
     *("study.json", "report.html", "explorer.html", "case.toml", "controller.json", "design.toml"),
     *("fmus/plant.fmu", "fmus/controller.fmu"),
 )
+Minutes = Annotated[
+    float,
+    typer.Option("--minutes", metavar="MIN", min=0.1, help="of a grid: time for it; the rest is left out"),
+]
 OutFolder = Annotated[
     Path, typer.Option("--out", metavar="DIR", help="folder for the results", show_default=False)
 ]
@@ -34,6 +38,7 @@ def study(
         ),
     ] = "thesis",
     dyr: Annotated[Path | None, typer.Option("--dyr", metavar="FILE", help="PSS/E dynamic data")] = None,
+    minutes: Minutes = 10.0,
     second_solver: Annotated[
         bool, typer.Option(help="of a study: solve every LMI by cvxpy with Clarabel too, in a process beside")
     ] = True,
@@ -48,13 +53,13 @@ def study(
 
     folder_for(out, files=_FILES)
     if (grid := grid_of(name, dyr)) is not None:
-        _study_grid(name, dyr, *grid, out, json_=json_)
+        _study_grid(name, dyr, *grid, out, minutes, json_=json_)
         return
     _run_study(name, out, second_solver=second_solver, json_=json_)
 
 
 def _study_grid(
-    name: str, dyr: Path | None, case: Case, assumptions: list[str], out: Path, *, json_: bool
+    name: str, dyr: Path | None, case: Case, assumptions: list[str], out: Path, minutes: float, *, json_: bool
 ) -> None:
     from interarea.cosim.grid_study.page import headline
     from interarea.cosim.grid_study.study import STAGES, study_grid
@@ -67,7 +72,7 @@ def _study_grid(
         out.mkdir(parents=True, exist_ok=True)
         export_toml(case, out / "case.toml")
         named = "case.toml"
-    command = f"interarea study {name}{f' --dyr {dyr}' if dyr else ''} --out {out}"
+    command = f"interarea study {name}{f' --dyr {dyr}' if dyr else ''} --out {out} --minutes {minutes:g}"
     with stage_progress(STAGES) as report:
         result = study_grid(
             case,
@@ -76,6 +81,7 @@ def _study_grid(
             named=named,
             assumptions=assumptions,
             command=command,
+            minutes=minutes,
             report=report,
         )
     files = [str(out / name) for name in ("study.json", "report.html")]
@@ -91,9 +97,10 @@ def _study_grid(
         raise typer.Exit(1)
 
 
-def design_for_grid(name: str, case: Case, out: Path) -> tuple[GridDesign, list[Path]]:
+def design_for_grid(name: str, case: Case, out: Path, minutes: float) -> tuple[GridDesign, list[Path]]:
     """Make the design of a grid; write the controller, and the design file beside it; return the files."""
     from interarea.cosim.grid_study.automatic import DESIGN_STAGES, design_grid
+    from interarea.cosim.grid_study.clock import Clock
     from interarea.fmu_build.write.cache import default_cache
     from interarea.models.case.document import case_names
     from interarea.models.case.write_toml import export_toml
@@ -106,7 +113,8 @@ def design_for_grid(name: str, case: Case, out: Path) -> tuple[GridDesign, list[
         files.append(file_for(out.with_suffix(".case.toml")))
         named = files[-1].name
     with stage_progress(DESIGN_STAGES) as report:
-        done = design_grid(case, default_cache(), name=_identifier(out.stem), named=named, report=report)
+        clock, controller = Clock(minutes), _identifier(out.stem)
+        done = design_grid(case, default_cache(), clock, name=controller, named=named, report=report)
     out.parent.mkdir(parents=True, exist_ok=True)
     done.controller.save(out)
     write_whole(files[1], done.proposal.text())

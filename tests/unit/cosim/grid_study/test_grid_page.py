@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from interarea.cosim.grid_study import automatic, proposal
+from interarea.cosim.grid_study import faults, proposal
 from interarea.cosim.grid_study.page import damping_rows, headline
 from interarea.cosim.grid_study.study import STAGES, study_grid
 from interarea.fmu_build.write.cache import default_cache
@@ -102,7 +102,7 @@ def test_a_study_of_a_grid_from_its_name_alone(
     More actuators, which hold here too, take minutes.
     """
     monkeypatch.setattr(proposal, "MOST_ACTUATORS", 1)
-    monkeypatch.setattr(automatic, "LIMITS_PU", (0.05,))
+    monkeypatch.setattr(faults, "LIMITS_PU", (0.05,))
     done: dict[str, float] = {}
 
     def report(stage: str, share: float) -> None:

@@ -11,6 +11,7 @@ from interarea.cosim.designs.design_file import load_design
 from interarea.cosim.designs.design_tables import PointTable
 from interarea.cosim.designs.short_designs import ShortDesign
 from interarea.cosim.errors import ScenarioError
+from interarea.cosim.grid_study.clock import Clock
 from interarea.cosim.grid_study.operating_points import TriedPoint, chosen_points, tried_points
 from interarea.cosim.grid_study.proposal import Findings, Proposal, propose
 from interarea.cosim.grid_study.weak_modes import WeakModes, modes_of_grid, weak_modes
@@ -29,7 +30,7 @@ def weak(cache: Path) -> WeakModes:
 
 @pytest.fixture(scope="module")
 def tried(weak: WeakModes, cache: Path) -> tuple[TriedPoint, ...]:
-    return tried_points(weak, cache)
+    return tried_points(weak, cache, Clock(1e3))
 
 
 def _set(damping: float, *actuators: str) -> ShortDesign:
@@ -40,7 +41,7 @@ def _set(damping: float, *actuators: str) -> ShortDesign:
 @pytest.fixture(scope="module")
 def proposal(weak: WeakModes, tried: tuple[TriedPoint, ...], cache: Path) -> Proposal:
     taken = _set(0.3, "G4_vs")
-    return propose(Findings(weak, (taken,), tried), taken, cache)
+    return propose(Findings(weak, (taken,), tried), taken, cache, Clock(10.0))
 
 
 def test_the_target_is_the_inter_area_mode(weak: WeakModes, cache: Path) -> None:
@@ -73,6 +74,13 @@ def test_an_outage_that_cuts_the_grid_is_no_point(tried: tuple[TriedPoint, ...])
     cut = next(row for row in tried if row.point.out == ("9-10",))
     assert "no path in service" in cut.problem
     assert cut.point.name not in {point.name for point in chosen_points(tried)}
+
+
+def test_what_there_is_no_time_for_is_left_out_and_said(weak: WeakModes, cache: Path) -> None:
+    late = Clock(0.0)
+    rows = tried_points(weak, cache, late)
+    assert [row.point.name for row in rows] == ["load +5 %", "load -10 %", "tie +100 MW", "tie -100 MW"]
+    assert late.left_out == ["outages of branches after the first 0"]
 
 
 def test_circuits_in_parallel_count_once(tried: tuple[TriedPoint, ...]) -> None:
@@ -134,6 +142,11 @@ def test_the_guard_limits_what_adds_to_the_first_swing(proposal: Proposal) -> No
     # side falls (measured at base, bus 8, with the plant alone)
     assert proposal.table.guard is not None
     assert proposal.table.guard.sides == {"G4_vs": 1.0}
+
+
+def test_the_search_may_take_its_shares_of_the_time(proposal: Proposal) -> None:
+    assert [stage.longest_s for stage in proposal.table.stage] == [15.0, 60.0]  # of ten minutes
+    assert sum((stage.longest_s or 0.0) for stage in proposal.table.stage) < 0.35 * 600.0
 
 
 def test_the_design_file_says_why_and_loads_as_the_same_design(proposal: Proposal, tmp_path: Path) -> None:

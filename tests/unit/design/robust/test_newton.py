@@ -181,6 +181,14 @@ def test_a_later_stage_goes_on_from_the_one_before(objective: Objective) -> None
     assert objective.value(both) < objective.value(only) - 3e-4
 
 
+def test_a_stage_without_time_leaves_what_it_got(objective: Objective) -> None:
+    first = Stage(points=("base",), rho=(40.0,), steps=10)
+    only, counted = _staged(objective, (first,))
+    both, count = _staged(objective, (first, Stage(rho=(40.0, 80.0), steps=20, longest_s=1e-9)))
+    assert objective.value(both) == pytest.approx(objective.value(only), abs=1e-12)
+    assert count == counted + 1  # the value from which no step was made
+
+
 def test_the_value_alone_is_that_with_the_gradient(objective: Objective) -> None:
     theta = _controller(objective, 3)
     assert objective.value(theta) == pytest.approx(objective(theta)[0], rel=1e-12)

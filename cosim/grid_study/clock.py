@@ -1,0 +1,55 @@
+"""The time that a study may take, shared out to its stages, and what was left out when it was over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from time import monotonic
+
+MINUTES = 10.0  #: of a whole study
+#: stage -> share of the whole time by when it begins nothing more; what it does not need is left to the next
+ENDS = {
+    "loops": 0.15,
+    "operating points": 0.25,
+    "search": 0.6,
+    "faults": 0.85,
+    "own-signal rival": 0.92,
+    "latency": 1.0,
+}
+#: shares of the whole time for the search of one set of loops: each first guess, and the stage that follows
+GUESS, SEARCH = 0.025, 0.1
+
+
+@dataclass
+class Clock:
+    """Runs from when it was made. left_out : in words, what there was no time for."""
+
+    minutes: float = MINUTES
+    left_out: list[str] = field(default_factory=list)
+    now: Callable[[], float] = monotonic
+
+    def __post_init__(self) -> None:
+        self._begin = self.now()
+
+    def over(self, stage: str) -> bool:
+        """Whether the time of a stage of `ENDS` is over.
+
+        >>> seconds = iter([0.0, 100.0, 200.0])
+        >>> clock = Clock(10.0, now=lambda: next(seconds))
+        >>> clock.over("operating points"), clock.over("operating points")
+        (False, True)
+        """
+        return self.now() - self._begin > ENDS[stage] * 60.0 * self.minutes
+
+    def seconds(self, share: float) -> float:
+        """Return a share of the whole time, s.
+
+        >>> Clock(10.0).seconds(0.1)
+        60.0
+        """
+        return share * 60.0 * self.minutes
+
+    def leave(self, text: str) -> None:
+        """Keep what there was no time for, once."""
+        if text not in self.left_out:
+            self.left_out.append(text)

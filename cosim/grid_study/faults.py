@@ -1,0 +1,141 @@
+"""Faults with a controller and without, point after point, with smaller output limits where some are lost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from interarea.design.controllers.controller import Controller
+from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
+from interarea.models.case.case import Case
+
+from ..designs.acceptance import (
+    Acceptance,
+    AcceptanceTable,
+    ClearingRow,
+    clearing_times,
+    joined,
+    judge_acceptance,
+)
+from ..designs.certificate_words import not_covered
+from ..designs.design_file import DesignTable, design_record
+from ..designs.family import family_cases
+from .clock import Clock
+
+#: output limits that are tried until no fault is lost that holds without control, pu: a guard that watches a
+#: lost signal limits nothing, and a smaller output adds less to a first swing
+LIMITS_PU = (0.05, 0.02, 0.01)
+
+
+def judged_with_faults(
+    table: DesignTable,
+    controller: Controller,
+    cache: Path,
+    clock: Clock,
+    *,
+    weakest: Mapping[str, float] | None = None,
+    progress: Callable[[float], object] = lambda share: None,
+) -> Controller:
+    """Return a controller with the faults of its design in its certificate, at the largest limit that holds.
+
+    Each limit is tried point after point until one point has a fault that is lost, or does not decay; of
+    limits that all have one, the one that comes furthest is run at all points. Clearing times follow.
+
+    table : the design, whose linear certificate `controller` has in its record.
+    weakest : operating point -> damping without control; the least come first.
+    """
+    order = sorted(family_cases(table).items(), key=lambda item: (weakest or {}).get(item[0], 1.0))
+    faults = _Faults(table, controller, dict(order), cache)
+    parts: dict[float, dict[str, Acceptance]] = {}
+    for k, limit_pu in enumerate(LIMITS_PU):
+        parts[limit_pu] = {}
+        for at, point in enumerate(faults.cases):
+            progress((k + at / len(faults.cases)) / (len(LIMITS_PU) + 1))
+            parts[limit_pu][point] = faults.run(limit_pu, point)
+            if parts[limit_pu][point].violations or clock.over("faults"):
+                break
+        if not _violations(parts[limit_pu]) or clock.over("faults"):
+            break
+    limit_pu = max(parts, key=lambda one: (len(parts[one]), -_violations(parts[one])))
+    found, without_time = parts[limit_pu], []
+    for at, point in enumerate(faults.cases):
+        progress((len(LIMITS_PU) + at / len(faults.cases)) / (len(LIMITS_PU) + 1))
+        if point not in found and clock.over("faults"):
+            without_time.append(point)
+            continue
+        if point not in found:
+            found[point] = faults.run(limit_pu, point)
+        if not clock.over("faults"):
+            found[point] = replace(found[point], clearing=faults.clearing(limit_pu, point))
+        else:
+            clock.leave(f"clearing times at {point}")
+    if without_time:
+        clock.leave(f"faults at {', '.join(without_time)}")
+    progress(1.0)
+    return _judged(table, replace(controller, limit_pu=limit_pu), joined(list(found.values())), without_time)
+
+
+@dataclass(frozen=True)
+class _Faults:
+    """The faults of a design at each of its operating points, found again in the cache."""
+
+    table: DesignTable
+    controller: Controller
+    cases: Mapping[str, Case]
+    cache: Path
+
+    def run(self, limit_pu: float, point: str) -> Acceptance:
+        """Judge every fault at one operating point, without clearing times."""
+
+        def made(limited: Controller, asked: AcceptanceTable) -> dict[str, Any]:
+            at = {point: self.cases[point]}
+            return asdict(judge_acceptance(limited, at, asked, self.cache, clearing=False))
+
+        kept = self._kept("grid-faults", limit_pu, point, made)
+        fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in kept.items()}
+        return Acceptance(**fields)
+
+    def clearing(self, limit_pu: float, point: str) -> tuple[ClearingRow, ...]:
+        """Search the clearing times at one operating point."""
+
+        def made(limited: Controller, asked: AcceptanceTable) -> list[dict[str, Any]]:
+            return [asdict(r) for r in clearing_times(limited, point, self.cases[point], asked, self.cache)]
+
+        return tuple(ClearingRow(**row) for row in self._kept("grid-clearing", limit_pu, point, made))
+
+    def _kept(
+        self, kind: str, limit_pu: float, point: str, made: Callable[[Controller, AcceptanceTable], Any]
+    ) -> Any:
+        asked = self.table.acceptance
+        assert asked is not None
+        limited = replace(self.controller, limit_pu=limit_pu, design={}, certificate=None)
+        key = content_hash(
+            self.cases[point].hash,
+            point,
+            asked.model_dump(mode="json"),
+            limited.as_dict(),
+            code_hash(AcceptanceTable.__module__),
+        )
+        return cached_json(self.cache, kind, key, lambda: made(limited, asked))
+
+
+def _violations(parts: Mapping[str, Acceptance]) -> int:
+    return sum(len(part.violations) for part in parts.values())
+
+
+def _judged(table: DesignTable, controller: Controller, faults: Acceptance, missing: list[str]) -> Controller:
+    """Return the controller with these faults beside the linear rows of its certificate."""
+    linear = dict(controller.certificate or {})
+    acceptance = faults.as_dict()
+    not_run = [f"non-linear faults at {point}: not judged, the time was over" for point in missing]
+    violations = [*linear["violations"], *faults.violations, *not_run]
+    certificate = linear | {
+        "acceptance": acceptance,
+        "violations": violations,
+        "passed": not violations,
+        "not_covered": "; ".join([*not_run, not_covered(table, controller.inputs, acceptance)]),
+    }
+    record = design_record(table.model_copy(update={"limit_pu": controller.limit_pu}))
+    return replace(controller, certificate=certificate, design={**controller.design, "specification": record})
