@@ -132,12 +132,17 @@ class FaultRuns:
 
         roots : rightmost of the linear loop in which each run ends, 1/s; None where it is not known.
         """
-        result = []
+        return [outcome for outcome, _ in self.judged(runs, roots)]
+
+    def judged(
+        self, runs: Sequence[GridRun], roots: Sequence[complex | None]
+    ) -> Iterator[tuple[Outcome, Trajectory]]:
+        """Give what each run came to, and what it showed; roots as of `outcomes`."""
         for run, root, (scenario, master) in zip(runs, roots, self._ended(runs), strict=True):
             data = master.trajectory
             angle = self._largest_angle(run, data)
             if not np.isfinite(angle):
-                result.append(Outcome(angle, None))
+                yield Outcome(angle, None), data
                 continue
             motion = motion_of(self.case, scenario, run.stop_s)
             speeds, angles = (
@@ -147,8 +152,7 @@ class FaultRuns:
             controls = {name: data[name] for name in data.reals_of("controller")}
             motion.add(data.time_s, speeds, angles, controls)
             limit = None if run.controller is None else control_limit_pu(master)
-            result.append(Outcome(angle, motion.verdict(limit, root)))
-        return result
+            yield Outcome(angle, motion.verdict(limit, root)), data
 
     def _ended(self, runs: Sequence[GridRun]) -> Iterator[tuple[Scenario, Master]]:
         for first in range(0, len(runs), TOGETHER):

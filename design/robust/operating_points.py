@@ -108,7 +108,7 @@ def judge_family(
     for point, plant in plants.items():
         for c in conditions:
             progress(len(rows) / (len(plants) * len(conditions)))
-            rows.append(_row(point, plant, K, c, bands[point]))
+            rows.append(family_row(point, plant, K, c, bands[point]))
     worst = min(row.worst_swing for row in rows)
     inter = min(row.inter_area for row in rows)
     # the gain from noise on the signals exists only for a stable loop; an unstable row is named anyway
@@ -206,13 +206,14 @@ def inter_area_band(modes: Mapping[str, Mode] | None) -> tuple[float, float]:
     return 0.5 * min(between), top
 
 
-def _row(
+def family_row(
     point: str,
     plant: JudgedPlant,
     K: control.StateSpace,
     condition: Condition,
     inter_area_hz: tuple[float, float],
 ) -> FamilyRow:
+    """Return what `K` does on one plant under one condition; parameters as of `judge_family`."""
     if isinstance(plant, LargePlant):
         facts = plant.facts(K, condition)
         return FamilyRow(point, condition.name, **asdict(facts))

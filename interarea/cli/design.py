@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .certificates.bank import certify_bank
+from .certificates.wrong_signals import certify_wrong, check_wrong_options
 from .study import Minutes, design_for_grid
 from .terminal import busy, print_table, show_rows, show_worth, stage_progress
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     import control
 
     from interarea.cosim.designs.comparison import Alternative
     from interarea.cosim.designs.design_file import DesignTable
     from interarea.cosim.grid_study.automatic import GridDesign
-    from interarea.design.certificates.switching import SwitchingCertificate
     from interarea.design.controllers.bank import ControllerBank
     from interarea.design.controllers.controller import Controller
     from interarea.design.robust.operating_points import FamilyCertificate
-    from interarea.design.robust.signal_worth import SignalWorth
     from interarea.models.case.case import Case
 
 DesignFile = Annotated[
@@ -216,6 +216,22 @@ def certify(
             "compare; default: the one on record",
         ),
     ] = False,
+    wrong_signals: Annotated[
+        bool,
+        typer.Option(
+            "--wrong-signals",
+            help="instead: twelve kinds of wrong signals, flag up, with and without a detector, non-linear",
+        ),
+    ] = False,
+    detector: Annotated[
+        Path | None,
+        typer.Option(
+            "--detector",
+            metavar="FILE.json",
+            help="with --wrong-signals: a designed detector; default: its tests that need no design",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -232,25 +248,48 @@ def certify(
     What is judged (operating points, losses, latencies, the fault, what is asked) is in the controller's own
     record: the FMU alone is enough. One without such a record is judged under plain conditions.
     """
-    from interarea.cosim.designs.design_file import certify as recompute
-    from interarea.cosim.designs.design_file import judged_by, steps_of
-    from interarea.cosim.designs.worth import certified_worth, with_rival
     from interarea.cosim.errors import ScenarioError
     from interarea.design.controllers.bank import ControllerBank
-    from interarea.fmu_build.write.cache import default_cache
 
     from .destination import file_for
 
     if out is not None:
         file_for(out)
+    check_wrong_options(wrong_signals, detector, others=acceptance or worth or out is not None)
     loaded, table = _judged(controller, case, spec, conditions)
     if acceptance and table.acceptance is None:
         raise ScenarioError(
             f"--acceptance: the design that judges {loaded.name} names no faults; give one that does (--spec)"
         )
-    if isinstance(loaded, ControllerBank):
-        _certify_bank(loaded, table, json_, out, acceptance=acceptance)
+    if wrong_signals:
+        certify_wrong(loaded, table, detector, json_=json_)
         return
+    if isinstance(loaded, ControllerBank):
+        certify_bank(loaded, table, json_, out, acceptance=acceptance)
+        return
+    certificate = _certified(loaded, table, out, acceptance=acceptance, worth=worth)
+    if json_:
+        typer.echo(json.dumps(certificate.as_dict(), indent=2, allow_nan=False))
+    else:
+        _show(loaded.name, certificate, table)
+        if not acceptance:
+            from interarea.cosim.designs.certificate_words import first_failures, kept_certificate
+
+            known = kept_certificate(controller, table.grid.hash) or loaded.certificate
+            typer.echo(f"on record: {first_failures(known)}")
+    if not certificate.passed:
+        raise typer.Exit(1)
+
+
+def _certified(
+    loaded: Controller, table: DesignTable, out: Path | None, *, acceptance: bool, worth: bool
+) -> FamilyCertificate:
+    """Return the certificate of a single controller; write it into `out` with the controller."""
+    from interarea.cosim.designs.design_file import certify as recompute
+    from interarea.cosim.designs.design_file import judged_by, steps_of
+    from interarea.cosim.designs.worth import certified_worth, with_rival
+    from interarea.fmu_build.write.cache import default_cache
+
     steps = steps_of(table, acceptance=acceptance)
     with stage_progress([*(["own-signal rival"] if worth else []), *steps, "worth of the signals"]) as report:
         if worth:
@@ -266,17 +305,7 @@ def certify(
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         judged_by(table, loaded, certificate).save(out)
-    if json_:
-        typer.echo(json.dumps(certificate.as_dict(), indent=2, allow_nan=False))
-    else:
-        _show(loaded.name, certificate, table)
-        if not acceptance:
-            from interarea.cosim.designs.certificate_words import first_failures, kept_certificate
-
-            known = kept_certificate(controller, table.grid.hash) or loaded.certificate
-            typer.echo(f"on record: {first_failures(known)}")
-    if not certificate.passed:
-        raise typer.Exit(1)
+    return certificate
 
 
 def _judged(
@@ -315,94 +344,11 @@ def _design_bank(table: DesignTable, out: Path, json_: bool) -> None:
         bank, missed = run_bank_design(table, default_cache(), progress=report)
     out.parent.mkdir(parents=True, exist_ok=True)
     bank.save(out)
-    _certify_bank(bank, table, json_, None, acceptance=False)
+    certify_bank(bank, table, json_, None, acceptance=False)
     for line in missed:
         typer.echo(f"violated: {line}", err=json_)
     if missed:
         raise typer.Exit(1)
-
-
-def _certify_bank(
-    bank: ControllerBank, table: DesignTable, json_: bool, out: Path | None, *, acceptance: bool
-) -> None:
-    """Print what is proven for every sequence of losses and, if asked for, what faults came to.
-
-    Exit code 1 where faults hold without the bank and not with it.
-    """
-    from interarea.cosim.designs.acceptance import judge_acceptance
-    from interarea.cosim.designs.bank_design import bank_worth, certify_bank, judge_bank, judged_bank
-    from interarea.cosim.designs.design_file import CERTIFICATE_STEPS
-    from interarea.cosim.designs.family import family_cases
-    from interarea.cosim.run.artefacts import linear_plant
-    from interarea.design.linear.linearise import remove_reference, speeds_in_rad
-    from interarea.fmu_build.write.cache import default_cache
-
-    case, cache = table.grid, default_cache()
-    with busy(f"certifying {bank.name}"):
-        plant = speeds_in_rad(remove_reference(linear_plant(case, cache)), case.omega_b)
-        result = certify_bank(plant, bank)
-        rows, worth = judge_bank(table, bank, cache), bank_worth(table, bank, cache)
-    tried = None
-    if acceptance and table.acceptance is not None:
-        with stage_progress([CERTIFICATE_STEPS[-1]]) as report:
-            tried = judge_acceptance(
-                bank,
-                family_cases(table),
-                table.acceptance,
-                cache,
-                progress=lambda share: report(CERTIFICATE_STEPS[-1], share),
-            )
-    faults = None if tried is None else tried.as_dict()
-    if out is not None:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        judged_bank(table, bank, result, worth, faults).save(out)
-    if not json_:
-        show_rows(bank.name, rows)
-        show_worth(worth.as_dict())
-    _show_bank(bank, table, result, faults, json_, worth)
-    unstable = [row for row in rows if not row.stable]
-    for row in unstable:
-        typer.echo(f"violated: {row.point}, {row.condition}: unstable", err=json_)
-    if unstable or (tried is not None and tried.violations):
-        raise typer.Exit(1)
-
-
-def _show_bank(
-    bank: ControllerBank,
-    table: DesignTable,
-    result: SwitchingCertificate,
-    faults: Mapping[str, Any] | None,
-    json_: bool,
-    worth: SignalWorth,
-) -> None:
-    from interarea.cosim.designs.certificate_words import bank_not_covered, in_words
-
-    missing = bank_not_covered(table, faults)
-    if json_:
-        record = {
-            **result.as_dict(),
-            "acceptance": faults,
-            "worth": worth.as_dict(),
-            "not_covered": missing,
-        }
-        typer.echo(json.dumps(record, indent=2))
-        return
-    typer.echo(f"not covered: {missing}")
-    typer.echo(
-        f"{bank.name} on {table.grid.name}: {result.kind}, {len(result.loops)} loops (active: what arrives)"
-    )
-    for loop in result.loops:
-        typer.echo(f"  {loop}")
-    if result.dwell_s > 0.0:
-        typer.echo(f"stable when changes of the signals are at least {result.dwell_s:.3g} s apart")
-    else:
-        typer.echo(
-            f"every sequence of losses and returns decays at {result.decay_rate:.4f} 1/s or faster "
-            f"(slowest loop alone: {result.slowest:.4f} 1/s)"
-        )
-    typer.echo("lost is what a channel marks as lost; a signal that is stuck or wrong is not detected")
-    known = (bank.certificate or {}).get("acceptance")
-    typer.echo(in_words(faults) if faults is not None else f"on record: {in_words(known)}")
 
 
 def _show_conditions(table: DesignTable) -> None:

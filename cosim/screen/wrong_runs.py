@@ -1,0 +1,168 @@
+"""Runs in which one measured signal is wrong while its flag is up: which kinds, after which disturbances."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+from interarea.design.controllers.bank import ControllerBank
+from interarea.design.controllers.controller import Controller
+from interarea.design.robust.signal_worth import own_signals
+from interarea.models.case.case import Case
+
+from ..designs.acceptance import FaultPlace
+from ..errors import ScenarioError
+
+Judged: TypeAlias = Controller | ControllerBank
+START_S, WRONG_S, STOP_S = 1.0, 1.5, 20.0  #: disturbance; the signal is wrong from then on; end of the run
+INTERVAL_S = 0.02  #: between packets
+REMOTE_S, WITNESS_S = 0.1, 0.05  #: latency; a signal of an actuator's own machine comes at once
+SWAP = "swap"
+REST, PULSE, FAULT, TRIP = DISTURBANCES = ("rest", "pulse", "bus fault", "tie trip")
+LEAST_SIGNALS = 4  #: that are compared: with the wrong one left out three agree
+
+
+def wrong_kinds(rated_hz: float, mode_hz: float) -> dict[str, dict[str, Any]]:
+    """Return what is wrong in words -> its table of `signal_faults`, without start: twelve kinds, some twice.
+
+    rated_hz : of the grid; signals are speeds in pu. mode_hz : of its inter-area swing.
+    """
+    return {
+        "stuck": {"kind": "stuck"},
+        "zero": {"kind": "scale", "factor": 0.0},
+        "times 3": {"kind": "scale", "factor": 3.0},
+        "times 10": {"kind": "scale", "factor": 10.0},
+        "polarity": {"kind": "polarity"},
+        "bias of 100 mHz": {"kind": "bias", "size": 0.1 / rated_hz},
+        "ramp of 50 mHz/s": {"kind": "ramp", "rate_per_s": 0.05 / rated_hz},
+        "drift to 100 mHz": {"kind": "drift", "size": 0.1 / rated_hz, "time_s": 2.0},
+        "replay of 1.5 s": {"kind": "replay", "length_s": 1.5},
+        "spikes of 500 mHz, 5 %": {"kind": "spike", "size": 0.5 / rated_hz, "probability": 0.05},
+        "noise of 10 mHz": {"kind": "noise", "rms": 0.01 / rated_hz},
+        "stamp 0.3 s wrong": {"kind": "time_error", "offset_s": 0.3},
+        "stamp 0.8 s wrong": {"kind": "time_error", "offset_s": 0.8},
+        "sine of 50 mHz at the mode": {
+            "kind": "oscillating",
+            "amplitude": 0.05 / rated_hz,
+            "frequency_hz": round(mode_hz, 2),
+        },
+        "swapped with another": {"kind": SWAP},
+    }
+
+
+@dataclass(frozen=True)
+class WrongRun:
+    """One run. ways : signal -> latency, s, those of the controller and witnesses. wrong : signal and its
+    table of `signal_faults` without start (of a swap `other` is a name); None: all are right. detector :
+    table of a scenario; None: none.
+
+    A swapped signal and its other travel through one concentrator with all the rest: a channel holds one.
+    """
+
+    case: str
+    controller: Judged | None
+    ways: Mapping[str, float]
+    events: Sequence[Mapping[str, Any]]
+    wrong: tuple[str, Mapping[str, Any]] | None = None
+    detector: Mapping[str, Any] | None = None
+    stop_s: float = STOP_S
+    interval_s: float = INTERVAL_S
+
+    def document(self) -> dict[str, Any]:
+        """Return it as a scenario; case and controller are given to it as objects."""
+        document: dict[str, Any] = {"case": self.case, "stop_s": self.stop_s, "event": list(self.events)}
+        if self.controller is None:
+            return document
+        ways = {s: self._way(s, t) for s, t in self.ways.items()}
+        if self.wrong is not None and self.wrong[1]["kind"] == SWAP:
+            signals = list(ways.values())
+            wait_s = max(self.ways.values())
+            line = {"signals": signals, "reporting_interval_s": self.interval_s, "wait_s": wait_s}
+            document["concentrators"] = {"pdc": line}
+        else:
+            document["channels"] = {
+                f"from_{s}": {**way, "reporting_interval_s": self.interval_s} for s, way in ways.items()
+            }
+        return document if self.detector is None else {**document, "detector": dict(self.detector)}
+
+    def _way(self, signal: str, latency_s: float) -> dict[str, Any]:
+        way: dict[str, Any] = {"signal": signal, "latency_s": latency_s}
+        if self.wrong is not None and self.wrong[0] == signal:
+            fault = {**self.wrong[1], "start_s": WRONG_S}
+            if fault["kind"] == SWAP:
+                fault["other"] = 1 + list(self.ways).index(fault["other"])
+            way["signal_faults"] = [fault]
+        return way
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What a controller sees that can be compared, and what is only compared.
+
+    ways : speed among the controller's inputs -> latency, s. witnesses : speeds that it does not see.
+    """
+
+    ways: Mapping[str, float]
+    witnesses: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def all(self) -> dict[str, float]:
+        """Both."""
+        return {**self.ways, **self.witnesses}
+
+
+def signals_of(case: Case, controller: Judged, compared: Sequence[str] = ()) -> Signals:
+    """Return the speeds that a controller sees, and witnesses: of the largest machines of each area in turn.
+
+    compared : what a detector was designed for; witnesses are those of it that the controller does not see.
+
+    Raises
+    ------
+    ScenarioError : a controller that sees no speed; a detector that does not compare one that it sees.
+    """
+    speeds = [f"{m.name}_dw" for m in case.machines]
+    own = {s for names in own_signals(controller.outputs, controller.inputs).values() for s in names}
+    ways = {s: 0.0 if s in own else REMOTE_S for s in controller.inputs if s in speeds}
+    if not ways:
+        raise ScenarioError(
+            f"{controller.name}: it sees {', '.join(controller.inputs)}, allowed: a controller with "
+            f"the speed of a machine of {case.name} among its signals"
+        )
+    if compared:
+        return Signals(ways, _witnesses(controller.name, ways, compared))
+    others = _by_area(case, [s for s in speeds if s not in ways])
+    return Signals(ways, dict.fromkeys(others[: max(0, LEAST_SIGNALS - len(ways))], WITNESS_S))
+
+
+def _witnesses(name: str, ways: Mapping[str, float], compared: Sequence[str]) -> dict[str, float]:
+    """Return what a detector compares besides `ways`."""
+    missing = [s for s in ways if s not in compared]
+    if missing:
+        raise ScenarioError(
+            f"{name}: the detector compares {', '.join(compared)} and not {', '.join(missing)}, allowed: one "
+            "designed for every speed that the controller sees"
+        )
+    return {s: WITNESS_S for s in compared if s not in ways}
+
+
+def _by_area(case: Case, signals: Sequence[str]) -> list[str]:
+    """Return speeds, those of the largest machine of each area first, then of the next."""
+    area_of = {bus.number: bus.area for bus in case.buses}
+    ranked: dict[object, list[str]] = {}
+    for m in sorted(case.machines, key=lambda m: -m.base_mva):
+        if f"{m.name}_dw" in signals:
+            ranked.setdefault(area_of[m.bus], []).append(f"{m.name}_dw")
+    return [s for k in range(len(signals)) for names in ranked.values() for s in names[k : k + 1]]
+
+
+def disturbances_of(case: Case, place: FaultPlace) -> dict[str, list[dict[str, Any]]]:
+    """Return name -> events: nothing; a pulse on the largest machine; a fault of 8 cycles; a trip."""
+    largest = max(case.machines, key=lambda m: m.base_mva).name
+    end_s = round(START_S + 8.0 / case.frequency_hz, 9)
+    pulse = {"kind": "vref_pulse", "machine": largest, "size_pu": 0.05, "start_s": START_S, "end_s": 1.3}
+    fault = {"kind": "bus_fault", "bus": place.bus, "start_s": START_S, "end_s": end_s}
+    found: dict[str, list[dict[str, Any]]] = {REST: [], PULSE: [pulse], FAULT: [fault]}
+    if place.trip is not None:
+        found[TRIP] = [{"kind": "branch_trip", "branch": place.trip, "start_s": START_S}]
+    return found

@@ -1,0 +1,309 @@
+"""What wrong signals do to a loop, with and without a detector: every kind, signal, disturbance and point.
+
+A run ends in a verdict (`results.verdict`). What breaks a certificate of wrong signals is a run with the
+detector that loses synchronism, or is left with a swing that does not fall, where the grid without control
+does better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import product
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from interarea.design.controllers.bank import ControllerBank
+from interarea.design.delay.signal_conditions import Condition
+from interarea.design.robust.operating_points import family_row, inter_area_band
+from interarea.models.case.case import Case
+from interarea.models.case.variants import operating_variant
+
+from ..designs.acceptance import FaultPlace
+from ..designs.family import FamilyPlant
+from ..designs.fault_runs import TOGETHER, FaultRuns, Outcome
+from ..results.verdict import LOST
+from ..trajectory import Trajectory
+from .wrong_runs import (
+    SWAP,
+    WRONG_S,
+    Judged,
+    Signals,
+    WrongRun,
+    disturbances_of,
+    signals_of,
+    wrong_kinds,
+)
+
+RIGHT = "nothing wrong"
+NAMED_SHARE = 0.99  #: of the isolations, of the right signal
+
+
+@dataclass(frozen=True)
+class WrongRow:
+    """One run. verdict : its first words; left_mhz : span of what decides it in the last window.
+
+    detected_s : from when the signal is wrong to its isolation; None: never. others : isolated though right.
+    without : verdict of the grid without control after the same disturbance.
+    """
+
+    kind: str
+    signal: str
+    disturbance: str
+    point: str
+    detector: bool
+    verdict: str
+    why: str
+    left_mhz: float
+    detected_s: float | None
+    others: tuple[str, ...]
+    without: str
+
+    @property
+    def stable(self) -> bool:
+        """Whether synchronism is kept and what is left falls."""
+        return self.verdict in _STABLE
+
+    @property
+    def worse(self) -> bool:
+        """Whether the grid without control does better."""
+        if self.verdict == LOST:
+            return self.without != LOST
+        return not self.stable and self.without in _STABLE
+
+    def __str__(self) -> str:
+        what = self.kind if self.kind == RIGHT else f"{self.signal}, {self.kind}"
+        return f"{what}, {self.disturbance} at {self.point}: {self.verdict}"
+
+
+_STABLE = ("settled", "settling slowly")
+
+
+@dataclass(frozen=True)
+class SignalOut:
+    """Damping of the linear loop with one signal isolated."""
+
+    point: str
+    signal: str
+    stable: bool
+    worst_swing: float
+    inter_area: float
+
+
+@dataclass(frozen=True)
+class WrongCertificate:
+    """What came out. detector : its table in the scenario."""
+
+    controller: str
+    case: str
+    signals: Mapping[str, float]
+    witnesses: tuple[str, ...]
+    detector: Mapping[str, Any]
+    rows: tuple[WrongRow, ...]
+    out: tuple[SignalOut, ...]
+
+    @property
+    def isolations(self) -> tuple[int, int]:
+        """How many signals were isolated, and how many of these were the wrong one."""
+        right = sum(r.detected_s is not None for r in self.rows)
+        return right + sum(len(r.others) for r in self.rows), right
+
+    @property
+    def violations(self) -> tuple[str, ...]:
+        """What breaks the certificate, a line each."""
+        lines = [str(r) for r in self.rows if r.worse and (r.detector or r.kind == RIGHT)]
+        lines += [
+            f"{r}: false alarm, {' and '.join(r.others)} isolated"
+            for r in self.rows
+            if r.kind == RIGHT and r.others
+        ]
+        every, right = self.isolations
+        if every and not right / every >= NAMED_SHARE:
+            lines.append(f"{every - right} of {every} isolated signals were right, allowed: 1 of 100")
+        lines += [f"{o.point}, {o.signal} isolated: unstable" for o in self.out if not o.stable]
+        return tuple(lines)
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing is violated."""
+        return not self.violations
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain types."""
+        every, right = self.isolations
+        return {
+            "controller": self.controller,
+            "case": self.case,
+            "signals": dict(self.signals),
+            "witnesses": list(self.witnesses),
+            "detector": dict(self.detector),
+            "runs": len(self.rows),
+            "isolated": every,
+            "rightly": right,
+            "summary": [dict(zip(HEADER, cells, strict=True)) for cells in self.table()],
+            "rows": [asdict(r) for r in self.rows],
+            "out": [asdict(o) for o in self.out],
+            "violations": list(self.violations),
+            "passed": self.passed,
+        }
+
+    def table(self) -> list[tuple[str, ...]]:
+        """Return a row for each kind and signal under `HEADER`."""
+        groups: dict[tuple[str, str], list[WrongRow]] = {}
+        for row in self.rows:
+            groups.setdefault((row.kind, row.signal), []).append(row)
+        return [(*names, *_cells(rows)) for names, rows in groups.items()]
+
+
+HEADER = (
+    "what is wrong",
+    "signal",
+    "runs",
+    "lost, swinging alone",
+    "with detector",
+    "seen",
+    "median (s)",
+    "longest (s)",
+    "others isolated",
+)
+
+
+def _cells(rows: Sequence[WrongRow]) -> Iterator[str]:
+    alone, watched = ([r for r in rows if r.detector is with_it] for with_it in (False, True))
+    yield str(len(alone))
+    for part in (alone, watched):
+        lost = sum(r.verdict == LOST for r in part)
+        yield f"{lost}, {sum(not r.stable for r in part) - lost}"
+    times = [r.detected_s for r in watched if r.detected_s is not None]
+    yield str(len(times)) if rows[0].kind != RIGHT else ""
+    yield f"{median(times):.2f}" if times else ""
+    yield f"{max(times):.2f}" if times else ""
+    yield str(sum(len(r.others) for r in watched))
+
+
+def points_of(case: Case) -> dict[str, Case]:
+    """Return the case, and a point no design has: 2 % more load, with a tie 50 MW more on it."""
+    tie_mw = 0.0 if case.tie is None else 50.0
+    words = "load +2 %" + (f", tie {tie_mw:+g} MW" if tie_mw else "")
+    return {"base": case, words: operating_variant(case, load_scale=1.02, tie_flow_mw=tie_mw)}
+
+
+def certify_wrong_signals(
+    case: Case,
+    controller: Judged,
+    place: FaultPlace,
+    cache: Path,
+    *,
+    detector: Mapping[str, Any] | None = None,
+    compared: Sequence[str] = (),
+    kinds: Sequence[str] | None = None,
+    disturbances: Sequence[str] | None = None,
+    points: Mapping[str, Case] | None = None,
+    progress: Callable[[float], object] = lambda share: None,
+) -> WrongCertificate:
+    """Return what each kind of wrong signal does to a loop.
+
+    place : of the fault, and of the trip. detector : table of a scenario; default: its tests that need no
+    design. compared : signals of the detector's file. kinds, disturbances : names of those to run; default
+    all. points : operating point -> case; default `points_of`.
+
+    Raises
+    ------
+    ScenarioError : see `signals_of`; a fault that does not fit.
+    """
+    signals = signals_of(case, controller, compared)
+    plant = FamilyPlant.of(case, tuple(controller.inputs), tuple(controller.outputs), cache)
+    low, high = inter_area_band(plant.modes)
+    every = wrong_kinds(case.frequency_hz, (low * high) ** 0.5)
+    chosen = {k: t for k, t in every.items() if kinds is None or k in kinds}
+    grids = points_of(case) if points is None else dict(points)
+    table = {} if detector is None else dict(detector)
+    rows: list[WrongRow] = []
+    for number, (point, grid) in enumerate(grids.items()):
+        events = disturbances_of(grid, place)
+        jobs = list(_jobs(case, controller, signals, table, chosen, events, disturbances))
+        with FaultRuns(grid, cache) as runs:
+            alone = {
+                d: WrongRun(case.name, None, {}, events[d]) for d in dict.fromkeys(j[0][1] for j in jobs)
+            }
+            bare = dict(zip(alone, runs.outcomes(list(alone.values()), [None] * len(alone)), strict=True))
+            # lanes step together runs of the same structure
+            for first in range(0, len(jobs), TOGETHER):
+                part = jobs[first : first + TOGETHER]
+                found = runs.judged([run for _, run in part], [None] * len(part))
+                for ((kind, d, signal), run), (outcome, data) in zip(part, found, strict=True):
+                    names = (kind, signal, d, point)
+                    rows.append(_row(names, run, outcome, data, bare[d], case.frequency_hz))
+                progress((number + (first + len(part)) / len(jobs)) / len(grids))
+    out = tuple(_with_signal_out(grids, controller, signals, cache))
+    return WrongCertificate(
+        controller.name, case.name, signals.ways, tuple(signals.witnesses), table, tuple(rows), out
+    )
+
+
+def _jobs(
+    case: Case,
+    controller: Judged,
+    signals: Signals,
+    detector: Mapping[str, Any],
+    kinds: Mapping[str, Mapping[str, Any]],
+    events: Mapping[str, Sequence[Mapping[str, Any]]],
+    disturbances: Sequence[str] | None,
+) -> Iterator[tuple[tuple[str, str, str], WrongRun]]:
+    """Yield (kind, disturbance, signal) and run, those of the same structure in a row."""
+    chosen = [d for d in events if disturbances is None or d in disturbances]
+    for table in (None, detector):
+        ways = signals.ways if table is None else signals.all
+        for d in chosen:
+            yield (RIGHT, d, ""), WrongRun(case.name, controller, ways, events[d], None, table)
+        for kind, signal, d in product(kinds, signals.ways, chosen):
+            wrong = dict(kinds[kind])
+            if wrong["kind"] == SWAP:
+                order = list(signals.ways)
+                if len(order) < 2:
+                    continue  # the controller sees no other
+                wrong["other"] = order[(order.index(signal) + 1) % len(order)]
+            run = WrongRun(case.name, controller, ways, events[d], (signal, wrong), table)
+            yield (kind, d, signal), run
+
+
+def _row(
+    names: tuple[str, str, str, str],
+    run: WrongRun,
+    outcome: Outcome,
+    data: Trajectory,
+    bare: Outcome,
+    rated_hz: float,
+) -> WrongRow:
+    isolated: dict[str, float] = {}
+    if run.detector is not None:
+        for s in run.ways:
+            reason = data[f"detector.{s}_reason"]
+            if (reason > 0).any():
+                isolated[s] = float(data.time_s[(reason > 0).argmax()]) - WRONG_S
+    right = isolated.pop(names[1], None)
+    v = outcome.verdict
+    verdict, why, left = (LOST, "the run ended early", 0.0) if v is None else (v.name, v.why, v.last)
+    without = LOST if bare.verdict is None else bare.verdict.name
+    return WrongRow(
+        *names, run.detector is not None, verdict, why, 1e3 * rated_hz * left, right, tuple(isolated), without
+    )
+
+
+def _with_signal_out(
+    grids: Mapping[str, Case], controller: Judged, signals: Signals, cache: Path
+) -> Iterator[SignalOut]:
+    """Yield the damping that is left while a signal is isolated, the others as late as in the runs."""
+    plants = {
+        p: FamilyPlant.of(c, tuple(controller.inputs), tuple(controller.outputs), cache)
+        for p, c in grids.items()
+    }
+    for signal in signals.ways:
+        K = controller.acting((signal,)) if isinstance(controller, ControllerBank) else controller
+        lost = (signal,) if signal in K.inputs else ()
+        late = {s: t for s, t in signals.ways.items() if s in K.inputs and s not in lost}
+        condition = Condition(f"{signal} isolated", lost, late)
+        for point, plant in plants.items():
+            row = family_row(point, plant.judged, K.system, condition, inter_area_band(plant.modes))
+            yield SignalOut(row.point, signal, row.stable, row.worst_swing, row.inter_area)

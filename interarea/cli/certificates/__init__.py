@@ -1,0 +1,1 @@
+"""What is certified beside the linear loops of a family."""

@@ -1,0 +1,114 @@
+"""What `certify --wrong-signals` does: a loop whose signals are wrong while their flags are up."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from ..terminal import print_table, stage_progress
+
+if TYPE_CHECKING:
+    from interarea.cosim.designs.acceptance import FaultPlace
+    from interarea.cosim.designs.design_file import DesignTable
+    from interarea.cosim.screen.wrong_signals import WrongCertificate
+    from interarea.design.controllers.bank import ControllerBank
+    from interarea.design.controllers.controller import Controller
+
+STEP = "wrong signals"
+_SHOWN = 20  # violations on the terminal; JSON has all
+
+
+def check_wrong_options(wrong_signals: bool, detector: Path | None, *, others: bool) -> None:
+    """Refuse options that do not go together; others : whether one of the plain certificate is given."""
+    from interarea.models.errors import UserError
+
+    if detector is not None and not wrong_signals:
+        raise UserError("--detector: is of --wrong-signals, allowed: both or none")
+    if wrong_signals and others:
+        raise UserError(
+            "--wrong-signals: --acceptance, --worth and --out are of the plain certificate, allowed: one "
+            "call for each"
+        )
+
+
+def fault_place(table: DesignTable) -> FaultPlace:
+    """Return where a design's faults are: the first of its acceptance with a trip, else its own.
+
+    Raises
+    ------
+    UserError : a design without any fault.
+    """
+    from interarea.cosim.designs.acceptance import FaultPlace
+    from interarea.models.errors import UserError
+
+    places = () if table.acceptance is None else table.acceptance.fault
+    for place in (*(p for p in places if p.trip is not None), *places):
+        return place
+    if table.fault is None:
+        raise UserError(
+            f"--wrong-signals: the design {table.name} has no fault, allowed: one with [fault] or "
+            "[acceptance], given by --spec"
+        )
+    return FaultPlace(bus=table.fault.bus, trip=table.fault.branch)
+
+
+def certify_wrong(
+    loaded: Controller | ControllerBank, table: DesignTable, detector: Path | None, *, json_: bool
+) -> None:
+    """Run a loop with every kind of wrong signal, print what came of it; exit code 1 where it fails."""
+    from interarea.cosim.screen.wrong_signals import certify_wrong_signals
+    from interarea.design.controllers.detector_record import load_detector
+    from interarea.fmu_build.write.cache import default_cache
+
+    place = fault_place(table)
+    compared = () if detector is None else load_detector(detector).signals
+    keys = {} if detector is None else {"file": str(detector.absolute())}
+    with stage_progress([STEP]) as report:
+        found = certify_wrong_signals(
+            table.grid,
+            loaded,
+            place,
+            default_cache(),
+            detector=keys,
+            compared=compared,
+            progress=lambda share: report(STEP, share),
+        )
+    if json_:
+        typer.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
+    else:
+        _show(found, place)
+    if not found.passed:
+        raise typer.Exit(1)
+
+
+def _show(found: WrongCertificate, place: FaultPlace) -> None:
+    from interarea.cosim.screen.wrong_signals import HEADER
+
+    late = ", ".join(f"{s} {1e3 * t:g} ms" for s, t in found.signals.items())
+    witnesses = f"; only compared: {', '.join(found.witnesses)}" if found.witnesses else ""
+    print_table(
+        f"{found.controller} on {found.case}, one signal wrong from 1.5 s on ({late}{witnesses})",
+        HEADER,
+        found.table(),
+    )
+    disturbances = ", ".join(dict.fromkeys(r.disturbance for r in found.rows))
+    points = " and ".join(dict.fromkeys(r.point for r in found.rows))
+    typer.echo(f"each at {points} with {disturbances}; fault at {place}; verdicts of 20 s")
+    print_table(
+        "linear loop with a signal isolated",
+        ("operating point", "signal", "stable", "worst swing", "inter-area"),
+        [
+            (o.point, o.signal, "yes" if o.stable else "NO", f"{o.worst_swing:.3f}", f"{o.inter_area:.3f}")
+            for o in found.out
+        ],
+    )
+    every, right = found.isolations
+    typer.echo(f"isolated: {every} signals, of which {right} were wrong")
+    for line in found.violations[:_SHOWN]:
+        typer.echo(f"violated: {line}")
+    if len(found.violations) > _SHOWN:
+        typer.echo(f"violated: {len(found.violations) - _SHOWN} more (--json has all)")
+    typer.echo("passed" if found.passed else "does not pass")

@@ -1,0 +1,180 @@
+"""The certificate of wrong signals: what breaks it, what it runs, what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+
+from interarea.cli.certificates.wrong_signals import check_wrong_options, fault_place
+from interarea.cosim.designs.acceptance import FaultPlace
+from interarea.cosim.designs.design_file import load_design
+from interarea.cosim.errors import ScenarioError
+from interarea.cosim.results.verdict import GROWING, LOST, STANDING
+from interarea.cosim.scenario.scenario import load_scenario
+from interarea.cosim.screen.wrong_runs import (
+    SWAP,
+    WrongRun,
+    disturbances_of,
+    signals_of,
+    wrong_kinds,
+)
+from interarea.cosim.screen.wrong_signals import (
+    RIGHT,
+    WrongCertificate,
+    WrongRow,
+    certify_wrong_signals,
+    points_of,
+)
+from interarea.design.controllers.controller import Controller
+from interarea.fmu_build.write.cache import default_cache
+from interarea.models.case.case import load_case
+from interarea.models.errors import UserError
+from interarea.synthesis import load_controller
+
+CASE = load_case("two-area-thesis")
+PLACE = FaultPlace(bus=8, trip="8-9 a")
+ROW = WrongRow("stuck", "G2_dw", "rest", "base", True, "settled", "", 0.0, 0.2, (), "settled")
+
+
+def certified(controller: Controller, **options: Any) -> WrongCertificate:
+    options = {"points": {"base": CASE}, **options}
+    return certify_wrong_signals(CASE, controller, PLACE, default_cache(), **options)
+
+
+def made_of(*rows: WrongRow) -> WrongCertificate:
+    return WrongCertificate("k", "grid", {"G2_dw": 0.1}, (), {}, rows, ())
+
+
+@pytest.mark.parametrize(
+    ("row", "broken"),
+    [
+        (ROW, False),
+        (replace(ROW, verdict=LOST), True),
+        (replace(ROW, verdict=LOST, without=LOST), False),  # no control loses it too
+        (replace(ROW, verdict=GROWING), True),
+        (replace(ROW, verdict=STANDING, without=STANDING), False),
+        (replace(ROW, verdict=LOST, without=STANDING), True),
+        (replace(ROW, verdict=LOST, detector=False), False),  # tolerance alone is shown, not asked
+        (replace(ROW, kind=RIGHT, signal="", verdict=GROWING, detector=False), True),
+        (replace(ROW, kind=RIGHT, signal="", detected_s=None, others=("G4_dw",)), True),
+        (replace(ROW, detected_s=None, others=("G4_dw",)), True),  # names another signal
+    ],
+)
+def test_what_breaks_the_certificate(row: WrongRow, broken: bool) -> None:
+    assert made_of(row).passed is not broken
+
+
+def test_one_wrong_name_in_a_hundred_is_allowed() -> None:
+    once = replace(ROW, others=("G4_dw",), detected_s=None)
+    assert made_of(*[ROW] * 99, once).passed
+    assert not made_of(*[ROW] * 98, once).passed
+
+
+def test_the_table_counts_runs() -> None:
+    rows = [
+        ROW,
+        replace(ROW, detected_s=0.6),
+        replace(ROW, detector=False, verdict=LOST),
+        replace(ROW, detected_s=None),
+    ]
+    alone, watched, *rest = made_of(*rows).table()[0][3:]
+    assert (alone, watched, rest) == ("1, 0", "0, 0", ["2", "0.40", "0.60", "0"])
+
+
+@pytest.mark.slow
+def test_a_loop_with_the_wrong_sign_fails_and_one_that_hardly_acts_passes() -> None:
+    """`robust` answers a wrong polarity with a growing swing; a fiftieth of it cannot."""
+    asked = {"kinds": ("polarity",), "disturbances": ("pulse",), "detector": {}}
+    robust = load_controller("robust")
+    assert isinstance(robust, Controller)
+    inverted = certified(robust.scaled(-3.0), **asked)
+    assert not inverted.passed
+    assert any(line.startswith(RIGHT) for line in inverted.violations)
+    plain = certified(robust, **asked)
+    assert [line for line in plain.violations if "G4_dw, polarity" in line]
+    weak = certified(robust.scaled(0.02), **asked)
+    assert weak.passed, weak.violations
+    assert {(r.detector, r.signal) for r in weak.rows} == {
+        (d, s) for d in (False, True) for s in ("", "G2_dw", "G4_dw")
+    }
+
+
+@pytest.mark.slow
+def test_a_stuck_signal_is_named_when_the_detector_says_so() -> None:
+    robust = load_controller("robust")
+    found = certified(robust, kinds=("stuck", "swapped with another"), disturbances=("bus fault",))
+    times = {r.signal: r.detected_s for r in found.rows if r.kind == "stuck" and r.detector}
+    # ten equal frames after 1.5 s, the remote ones 100 ms late, and one step
+    assert times["G4_dw"] == pytest.approx(0.2 + 0.015, abs=0.02)
+    assert times["G2_dw"] == pytest.approx(0.3 + 0.015, abs=0.02)
+    assert not any(r.others for r in found.rows)
+    swapped = [r for r in found.rows if r.kind == "swapped with another"]
+    assert len(swapped) == 4
+    with_g4_out = next(o for o in found.out if o.signal == "G4_dw")
+    with_g2_out = next(o for o in found.out if o.signal == "G2_dw")
+    # printed in docs/controllers.md: .245 and .296 with the remote signal lost; the grid alone has .077
+    assert (round(with_g2_out.worst_swing, 3), round(with_g2_out.inter_area, 3)) == (0.245, 0.296)
+    assert with_g4_out.inter_area < 0.1
+
+
+def test_twelve_kinds_are_run_and_each_is_a_scenario() -> None:
+    kinds = wrong_kinds(60.0, 0.55)
+    assert len({t["kind"] for t in kinds.values()}) == 12
+    robust = load_controller("robust")
+    events = disturbances_of(CASE, PLACE)
+    assert list(events) == ["rest", "pulse", "bus fault", "tie trip"]
+    for table in kinds.values():
+        wrong = {**table, "other": "G2_dw"} if table["kind"] == SWAP else table
+        run = WrongRun(CASE.name, robust, {"G2_dw": 0.1, "G4_dw": 0.0}, events["pulse"], ("G4_dw", wrong))
+        scenario = load_scenario(run.document())
+        lines = [
+            *scenario.channels.values(),
+            *(s for c in scenario.concentrators.values() for s in c.signals),
+        ]
+        faults = {line.signal: line.signal_faults for line in lines}
+        assert faults["G2_dw"] == () and [f.kind for f in faults["G4_dw"]] == [table["kind"]]
+        assert faults["G4_dw"][0].start_s == 1.5
+
+
+def test_the_second_point_is_no_designs_and_has_the_stated_load() -> None:
+    base, other = points_of(CASE).values()
+    total = [sum(q.P_mw for q in case.loads) for case in (base, other)]
+    assert total[1] == pytest.approx(1.02 * total[0])
+
+
+def test_signals_come_from_the_controller_and_witnesses_from_every_area() -> None:
+    robust = load_controller("robust")
+    found = signals_of(CASE, robust)
+    assert found.ways == {"G2_dw": 0.1, "G4_dw": 0.0}
+    assert set(found.witnesses) == {"G1_dw", "G3_dw"}
+    designed = signals_of(CASE, robust, ("G4_dw", "G3_dw", "G2_dw"))
+    assert (set(designed.ways), set(designed.witnesses)) == ({"G2_dw", "G4_dw"}, {"G3_dw"})
+
+
+def test_a_detector_without_a_signal_of_the_controller_is_refused() -> None:
+    with pytest.raises(ScenarioError, match="compares G1_dw, G2_dw, G3_dw and not G4_dw"):
+        signals_of(CASE, load_controller("robust"), ("G1_dw", "G2_dw", "G3_dw"))
+
+
+def test_a_controller_without_speeds_is_refused() -> None:
+    one = np.array([[-1.0]])
+    system = control.ss(one, one, one, [[0.0]], inputs=["tie_p"], outputs=["G4_vs"])
+    with pytest.raises(ScenarioError, match="it sees tie_p, allowed: a controller with the speed"):
+        signals_of(CASE, Controller.of(system))
+
+
+def test_options_that_do_not_go_together(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="--detector: is of --wrong-signals"):
+        check_wrong_options(False, tmp_path, others=False)
+    with pytest.raises(UserError, match="are of the plain certificate"):
+        check_wrong_options(True, None, others=True)
+    table = load_design("robust")
+    assert fault_place(table) == PLACE
+    bare = table.model_copy(update={"acceptance": None, "fault": None})
+    with pytest.raises(UserError, match="the design robust has no fault"):
+        fault_place(bare)
