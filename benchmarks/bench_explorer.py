@@ -115,13 +115,13 @@ def renderer_threads() -> Callable[[], list[Path]]:
     """Return a function that lists the threads (`/proc/PID/task/TID`) of this process' renderers."""
 
     def below(pid: int) -> list[int]:
-        found = [pid]
+        processes = [pid]
         for stat in Path("/proc").glob("[0-9]*/stat"):
             with contextlib.suppress(OSError):
                 fields = stat.read_text().rpartition(")")[2].split()
                 if int(fields[1]) == pid:
-                    found += below(int(stat.parent.name))
-        return found
+                    processes += below(int(stat.parent.name))
+        return processes
 
     processes = [
         pid for pid in below(os.getpid()) if b"--type=renderer" in _read(Path(f"/proc/{pid}/cmdline"))

@@ -152,19 +152,19 @@ def measured(name: str, folder: Path) -> dict[str, Any]:
     begin = time.process_time()
     case = import_grid(folder / raw, dyr=folder / dyr, converters="current", release_limits=True).case
     case = as_impedances(case)
-    found: dict[str, Any] = {"grid": name, "buses": len(case.buses), "machines": len(case.machines)}
-    found["import_s"] = time.process_time() - begin
+    row: dict[str, Any] = {"grid": name, "buses": len(case.buses), "machines": len(case.machines)}
+    row["import_s"] = time.process_time() - begin
     events = fault_at(bus)
     begin = time.process_time()
     slave = PlantSlave(case, events)
-    found["fmu_s"] = time.process_time() - begin
+    row["fmu_s"] = time.process_time() - begin
     speeds = [f"{m.name}_dw" for m in case.machines]
     voltages = [f"bus{b.number}.v" for b in case.buses[:: -(-len(case.buses) // BUSES)]]
     looked_at = PlantSlave(case, events, REFERENCE_S, show=[*speeds, *voltages])
     times = np.arange(0.0, STOP_S + COMMUNICATION_S / 2, COMMUNICATION_S)
     reference = looked_at.record(times, [*speeds, *voltages])
-    found["peak_speed_pu"] = float(np.abs(reference[:, : len(speeds)]).max())
-    found["runs"] = []
+    row["peak_speed_pu"] = float(np.abs(reference[:, : len(speeds)]).max())
+    row["runs"] = []
     for step_s in STEPS_S:
         cpu = []
         for _ in range(REPEAT):
@@ -183,19 +183,19 @@ def measured(name: str, folder: Path) -> dict[str, Any]:
             "voltage_error": of_voltage,
             "gridkit_ratio": min(cpu) / published,
         }
-        found["runs"].append(run)
+        row["runs"].append(run)
     slave.close()
     looked_at.close()
-    exact = [run for run in found["runs"] if max(run["error"], run["voltage_error"]) <= ERROR]
+    exact = [run for run in row["runs"] if max(run["error"], run["voltage_error"]) <= ERROR]
     chosen = max(exact, key=lambda run: run["step_s"])
     each_s = side_by_side(case, bus, chosen["step_s"])
-    found["lanes"] = {"step_s": chosen["step_s"], "cpu_s": each_s, "gridkit_ratio": each_s / published}
+    row["lanes"] = {"step_s": chosen["step_s"], "cpu_s": each_s, "gridkit_ratio": each_s / published}
     fault = event_parameters(case, events)
     for form in ("dense", "sparse") if len(case.buses) < 1000 else ("sparse",):
         each, event = right_hand_side(case, form, fault)
-        found[form] = {"right_hand_side_us": 1e6 * each, "event_in_steps": event / (4.0 * each)}
-    found["memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    return found
+        row[form] = {"right_hand_side_us": 1e6 * each, "event_in_steps": event / (4.0 * each)}
+    row["memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return row
 
 
 def ruled_run(slave: PlantSlave, speeds: list[str], stop_s: float) -> tuple[Any, float]:
@@ -203,36 +203,36 @@ def ruled_run(slave: PlantSlave, speeds: list[str], stop_s: float) -> tuple[Any,
     times = np.arange(1.0, stop_s + COMMUNICATION_S / 2, COMMUNICATION_S)
     slave.advance(1.0)
     begin = time.process_time()
-    found = slave.record(times, speeds)
-    return found, time.process_time() - begin
+    speeds_of_run = slave.record(times, speeds)
+    return speeds_of_run, time.process_time() - begin
 
 
 def measured_ruled(path: Path, stop_s: float, step_s: float, fine_s: float) -> dict[str, Any]:
     """Everything about one grid with devices by the rule."""
     begin = time.process_time()
     case = ruled_grid(path)
-    found: dict[str, Any] = {"grid": path.stem, "buses": len(case.buses), "machines": len(case.machines)}
-    found["import_s"] = time.process_time() - begin
+    row: dict[str, Any] = {"grid": path.stem, "buses": len(case.buses), "machines": len(case.machines)}
+    row["import_s"] = time.process_time() - begin
     bus = max(case.loads, key=lambda load: load.P_mw).bus
     events = events_of(
         [{"kind": "bus_fault", "bus": bus, "start_s": 1.0, "end_s": 1.1, "x_pu": 0.01}], where=path.stem
     )
     begin = time.process_time()
     slave = PlantSlave(case, events, step_s, show=["*_dw"])
-    found["fmu_s"] = time.process_time() - begin
+    row["fmu_s"] = time.process_time() - begin
     speeds = [f"{m.name}_dw" for m in case.machines]
-    coarse, found["cpu_s"] = ruled_run(slave, speeds, stop_s)
-    found["drift_pu"] = float(np.abs(coarse[0]).max())  # at 1 s, before the fault has moved anything
-    found["cpu_per_s"] = found["cpu_s"] / (stop_s - 1.0)
-    found["step_ns_per_bus"] = 1e9 * found["cpu_per_s"] * step_s / found["buses"]
-    found["peak_speed_pu"] = float(np.abs(coarse).max())
+    coarse, row["cpu_s"] = ruled_run(slave, speeds, stop_s)
+    row["drift_pu"] = float(np.abs(coarse[0]).max())  # at 1 s, before the fault has moved anything
+    row["cpu_per_s"] = row["cpu_s"] / (stop_s - 1.0)
+    row["step_ns_per_bus"] = 1e9 * row["cpu_per_s"] * step_s / row["buses"]
+    row["peak_speed_pu"] = float(np.abs(coarse).max())
     if fine_s:
         slave.restart(fine_s)
         fine, _ = ruled_run(slave, speeds, stop_s)
-        found["error"] = float(np.abs(coarse - fine).max() / np.abs(fine).max())
+        row["error"] = float(np.abs(coarse - fine).max() / np.abs(fine).max())
     slave.close()
-    found["memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    return found
+    row["memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return row
 
 
 def apart(measure: Callable[..., dict[str, Any]], *options: Any) -> dict[str, Any]:

@@ -35,8 +35,10 @@ WANTED = 0.8
 def ranked(case: Case, together: int) -> tuple[LoopSet, ...]:
     """Return every set of `together` actuators, the best score first."""
     plant = sparse_linear_plant(case, default_cache())
-    found = all_modes(plant, case.areas, band_hz=(0.1, 2.5), below=0.3)
-    return choose_loops(plant, found.modes, case.areas, kinds=["speed"], together=together, most=100_000).sets
+    result = all_modes(plant, case.areas, band_hz=(0.1, 2.5), below=0.3)
+    return choose_loops(
+        plant, result.modes, case.areas, kinds=["speed"], together=together, most=100_000
+    ).sets
 
 
 def picked(sets: tuple[LoopSet, ...], count: int, first: int) -> list[int]:
@@ -51,13 +53,13 @@ def summary(rows: Mapping[str, Mapping[str, Any]], first: int) -> dict[str, Any]
     by_place = sorted(rows.values(), key=lambda row: row["place"])
     best = max(by_place, key=lambda row: row["damping"])
     scores, dampings = ([row[key] for row in by_place] for key in ("score", "damping"))
-    found = {
+    result = {
         "sets": len(by_place),
         "rank_correlation": float(spearmanr(scores, dampings).statistic),
         "best": best["actuators"],
         "best_place": best["place"] + 1,
     }
-    return found | {"passed": bool(found["rank_correlation"] >= WANTED and found["best_place"] <= first)}
+    return result | {"passed": bool(result["rank_correlation"] >= WANTED and result["best_place"] <= first)}
 
 
 def main() -> None:
@@ -86,12 +88,12 @@ def main() -> None:
             f"damping {row['damping']:.3f}  {row['cpu_s']:.1f} CPU s",
             flush=True,
         )
-    found = summary(rows, options.first)
+    result = summary(rows, options.first)
     print(
-        f"{found['sets']} sets: rank correlation {found['rank_correlation']:.2f} (wanted {WANTED}), "
-        f"best {found['best']} at place {found['best_place']} (wanted: among the first {options.first})"
+        f"{result['sets']} sets: rank correlation {result['rank_correlation']:.2f} (wanted {WANTED}), "
+        f"best {result['best']} at place {result['best_place']} (wanted: among the first {options.first})"
     )
-    sys.exit(0 if found["passed"] else 1)
+    sys.exit(0 if result["passed"] else 1)
 
 
 if __name__ == "__main__":

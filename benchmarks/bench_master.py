@@ -101,7 +101,7 @@ def _clocked(route: Route, count: int) -> float:
 
 def chain_times(n: int, rounds: int, peers: bool) -> dict[str, float | str]:
     """Return microseconds per step and FMU by route, or why a route is not there."""
-    found: dict[str, float | str] = {}
+    row: dict[str, float | str] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         fmu = trivial_fmu(folder / "trivial.fmu")
@@ -122,9 +122,9 @@ def chain_times(n: int, rounds: int, peers: bool) -> dict[str, float | str]:
                 with quiet():
                     routes[title] = maker()
             except ImportError as error:
-                found[title] = f"not installed ({error})"
+                row[title] = f"not installed ({error})"
             except Exception as error:  # another tool's failure is a row of the table, not the end of the run
-                found[title] = f"fails: {type(error).__name__}: {error}"[:100]
+                row[title] = f"fails: {type(error).__name__}: {error}"[:100]
         best: dict[str, float] = {}
         for _ in range(rounds):
             for title, route in routes.items():
@@ -135,7 +135,7 @@ def chain_times(n: int, rounds: int, peers: bool) -> dict[str, float | str]:
             for route in routes.values():
                 route.close()
         file.close()
-    return {title: best.get(title, found.get(title, "")) for title in makers}
+    return {title: best.get(title, row.get(title, "")) for title in makers}
 
 
 def study_times(rounds: int) -> dict[str, float]:

@@ -79,15 +79,15 @@ def measured(case: Case, below: float, dense_up_to: int) -> dict[str, Any]:
     row: dict[str, Any] = {"grid": case.name, "below": below, "states": plant.nstates}
     row["blocks_s"] = time.process_time() - begin
     begin, wall = time.process_time(), time.perf_counter()
-    found = all_modes(plant, case.areas, band_hz=BAND_HZ, below=below)
+    modes = all_modes(plant, case.areas, band_hz=BAND_HZ, below=below)
     row |= {"cpu_s": time.process_time() - begin, "wall_s": time.perf_counter() - wall}
-    row |= {"found": len(found.modes), "counted": found.counted, "residual": found.residual}
-    row |= {"cells_and_refined": found.searched, "factorisations": found.factorisations, "dense": None}
+    row |= {"found": len(modes.modes), "counted": modes.counted, "residual": modes.residual}
+    row |= {"cells_and_refined": modes.searched, "factorisations": modes.factorisations, "dense": None}
     if plant.nstates <= dense_up_to:
         begin = time.process_time()
         values = np.linalg.eigvals(plant.state_matrix())
         row["dense_s"] = time.process_time() - begin
-        region = Region((2 * np.pi * found.band_hz[0], 2 * np.pi * found.band_hz[1]), found.below)
+        region = Region((2 * np.pi * modes.band_hz[0], 2 * np.pi * modes.band_hz[1]), modes.below)
         row["dense"] = int(np.sum(region.holds(values)))
     return row
 
@@ -110,16 +110,16 @@ def late(case: Case, latency_s: float, below: float, gain: float) -> dict[str, A
     delays = dict.fromkeys(signals, latency_s)
     begin = time.process_time()
     loop = LatePlant(plant, K, delays, omega_b=case.omega_b, high_hz=BAND_HZ[1])
-    found = all_modes(plant, case.areas, band_hz=BAND_HZ, below=below, loop=loop)
+    modes = all_modes(plant, case.areas, band_hz=BAND_HZ, below=below, loop=loop)
     row = {"grid": case.name, "late_s": latency_s, "below": below, "cpu_s": time.process_time() - begin}
     B, C = input_columns(plant, K.output_labels), output_rows(plant, {name: {name: 1.0} for name in signals})
     parts = plant.state_matrix(), B, case.omega_b * C, np.zeros((len(C), B.shape[1]))
     lines = delayed_loop(control.ss(*parts, inputs=K.output_labels, outputs=signals), K, delays)
     values = np.linalg.eigvals(discretised(lines.balanced(), _NODES))
-    region = Region((2 * np.pi * found.band_hz[0], 2 * np.pi * found.band_hz[1]), found.below)
-    off = [np.min(np.abs(mode.eigenvalue - values)) / abs(mode.eigenvalue) for mode in found.modes]
-    row |= {"found": len(found.modes), "counted": found.counted, "dense": int(np.sum(region.holds(values)))}
-    return row | {"off": float(max(off, default=0.0)), "residual": found.residual}
+    region = Region((2 * np.pi * modes.band_hz[0], 2 * np.pi * modes.band_hz[1]), modes.below)
+    off = [np.min(np.abs(mode.eigenvalue - values)) / abs(mode.eigenvalue) for mode in modes.modes]
+    row |= {"found": len(modes.modes), "counted": modes.counted, "dense": int(np.sum(region.holds(values)))}
+    return row | {"off": float(max(off, default=0.0)), "residual": modes.residual}
 
 
 def reduction(plant: SparsePlant, case: Case, order: int) -> dict[str, Any]:

@@ -52,9 +52,9 @@ LIMITS = "Efd limits + PSS + TGOV1, bus fault + trip"
 def dw_of(case: Case, events: tuple[Any, ...], times: npt.NDArray[np.float64], substep_s: float) -> Any:
     """Speeds of all machines at `times`, (times, machines)."""
     plant = PlantSlave(case, events, substep_s)
-    found = plant.record(times, [f"{m.name}_dw" for m in case.machines])
+    result = plant.record(times, [f"{m.name}_dw" for m in case.machines])
     plant.close()
-    return found
+    return result
 
 
 def against_andes(case: Case, table: list[dict[str, Any]], python: str, repeat: int) -> dict[str, Any]:
@@ -65,15 +65,15 @@ def against_andes(case: Case, table: list[dict[str, Any]], python: str, repeat: 
     ours: dict[float, dict[str, float]] = {h: {"cpu": np.inf} for h in SUBSTEPS_S}
     andes = {"cpu": np.inf}
     for _ in range(repeat):
-        found = ask_andes(python, case, events, stop_s=STOP_S, step_s=ANDES_STEP_S, tolerance=1e-4)
-        andes["cpu"] = min(andes["cpu"], found["cpu_s"][0] / STOP_S)
+        result = ask_andes(python, case, events, stop_s=STOP_S, step_s=ANDES_STEP_S, tolerance=1e-4)
+        andes["cpu"] = min(andes["cpu"], result["cpu_s"][0] / STOP_S)
         for h, row in ours.items():
             plant = PlantSlave(case, events, h)
             row["cpu"] = min(row["cpu"], plant.cpu_s(STOP_S, COMMUNICATION_S, speeds) / STOP_S)
             plant.close()
     exact = dw_of(case, events, times, REFERENCE_S)
-    theirs = np.array([np.interp(times, found["t"], dw) for dw in found["dw"]]).T
-    order = [found["machines"].index(m.name) for m in case.machines]
+    theirs = np.array([np.interp(times, result["t"], dw) for dw in result["dw"]]).T
+    order = [result["machines"].index(m.name) for m in case.machines]
     # ANDES writes its own times; linear interpolation between them is good to 1e-7 pu at 8 ms
     andes["error"] = float(np.abs(theirs[:, order] - exact).max())
     for h, row in ours.items():
@@ -82,9 +82,9 @@ def against_andes(case: Case, table: list[dict[str, Any]], python: str, repeat: 
     return {"andes": andes, "ours": ours}
 
 
-def print_against_andes(what: str, found: dict[str, Any]) -> float:
+def print_against_andes(what: str, result: dict[str, Any]) -> float:
     """Print a line for each substep; return the one that counts: as long as accuracy allows."""
-    andes, ours = found["andes"], found["ours"]
+    andes, ours = result["andes"], result["ours"]
     allowed = min(ACCURACY_PU, andes["error"])
     print(f"# {what}\n{'':22} {'CPU us per s':>13} {'dw differs, pu':>15} {'ANDES / FMU':>12}")
     print(f"{'ANDES, 8 ms':22} {1e6 * andes['cpu']:13.0f} {andes['error']:15.1e}")
@@ -130,11 +130,11 @@ def switching(exciter: str, stop_s: float = 6.0) -> dict[float, dict[str, float]
         for h in (SWITCH_STEPS_S[0] / 128, *SWITCH_STEPS_S):
             loop = PlainPlant(case, row)
             slips = [k for k, name in enumerate(loop.state_names) if name.endswith(".slip")]
-            found, counts = [], np.zeros(3)
+            result, counts = [], np.zeros(3)
             for begin in np.arange(0.0, stop_s - 1e-9, 0.02):
                 counts += loop.events(float(begin), float(begin) + 0.02, h)[1:]
-                found.append(loop.states()[slips])
-            rows[h] = {"slip": np.array(found), "counts": counts}
+                result.append(loop.states()[slips])
+            rows[h] = {"slip": np.array(result), "counts": counts}
     exact = rows.pop(SWITCH_STEPS_S[0] / 128)["slip"]
     return {
         h: {
@@ -159,15 +159,15 @@ def ordinary_step(case: Case, repeat: int) -> float:
 def print_switching(line: Callable[[str, float, float, bool], None], repeat: int) -> None:
     """Print the tables of steps with switches and the lines that have a target."""
     for exciter in LIMITED_EXCITERS:
-        found = switching(exciter)
+        result = switching(exciter)
         print(f"# limits of {exciter}, bus fault, 6 s")
         print(f"{'':8} {'dw differs, pu':>15} {'switches':>9} {'more':>7}")
-        for h, row in found.items():
+        for h, row in result.items():
             print(f"{1000 * h:5g} ms {row['error']:15.1e} {row['switches']:9.0f} {100 * row['more']:6.1f}%")
-        errors = [row["error"] for row in found.values()]
+        errors = [row["error"] for row in result.values()]
         order = np.log2(errors[0] / errors[-1]) / (len(errors) - 1)
         line(f"order of the error, {exciter}, 5 to 0.625 ms", order, 3.8, True)
-        line(f"evaluations more at 2.5 ms, {exciter}, %", 100.0 * found[0.0025]["more"], 25.0, False)
+        line(f"evaluations more at 2.5 ms, {exciter}, %", 100.0 * result[0.0025]["more"], 25.0, False)
     for name in ("two-area-thesis", "new-england", "nets-nyps"):
         line(
             f"ordinary step / plain Runge-Kutta step, {name}",
@@ -242,11 +242,14 @@ def main() -> int:
         ("line trip, constant-current P (Newton)", case.with_changes(CURRENT, name="current"), TRIP, 200.0),
         ("bus fault and trip, field limits reached", limited, FAULT, None),
     ):
-        found = against_andes(variant, table, options.andes_python, options.repeat)
-        chosen = print_against_andes(what, found)
-        numbers[what] = found | {"ours": {str(h): row for h, row in found["ours"].items()}, "chosen": chosen}
+        result = against_andes(variant, table, options.andes_python, options.repeat)
+        chosen = print_against_andes(what, result)
+        numbers[what] = result | {
+            "ours": {str(h): row for h, row in result["ours"].items()},
+            "chosen": chosen,
+        }
         if target is not None:
-            row = found["ours"][chosen]
+            row = result["ours"][chosen]
             line(f"ANDES at 8 ms / FMU at {1000 * chosen:g} ms, {what}", row["ratio"], target, True)
     print(f"# {'':56} {'ratio':>9}  target")
     line("FMU / plain C loop, 1 ms steps", against_plain_loop(case, options.repeat), 1.5, False)

@@ -124,9 +124,9 @@ def forks(runs: int, scratch: Path) -> tuple[float, float, int]:
             for shares in times:
                 runner.shares = shares
                 begin = time.process_time()
-                found = sum(o.forked for o in runner.outcomes(range(runs)))
+                result = sum(o.forked for o in runner.outcomes(range(runs)))
                 times[shares] = min(times[shares], 1e3 * (time.process_time() - begin) / runs)
-                forked = max(forked, found)
+                forked = max(forked, result)
     return times[True], times[False], forked
 
 
@@ -190,8 +190,8 @@ def andes_run(python: str) -> float:
 
     events = events_of(TRIP, where="bench_sweep")
     case = two_area({"exciter": THYRISTOR})
-    found = ask_andes(python, case, events, stop_s=20.0, step_s=0.01, tolerance=1e-4, repeat=2)
-    return 1e3 * float(min(found["cpu_s"]))
+    result = ask_andes(python, case, events, stop_s=20.0, step_s=0.01, tolerance=1e-4, repeat=2)
+    return 1e3 * float(min(result["cpu_s"]))
 
 
 def _verdict(reached: bool) -> str:

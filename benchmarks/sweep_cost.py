@@ -96,15 +96,15 @@ def _processor_s() -> float:
 
 def memory_of(document: dict[str, Any], runs: int, workers: int) -> list[tuple[int, float, list[float]]]:
     """Return (runs made, resident MB of the main process, of each worker) at ten moments of a sweep."""
-    found: list[tuple[int, float, list[float]]] = []
+    outcomes: list[tuple[int, float, list[float]]] = []
 
     def look(p: Progress) -> None:
-        if p.done >= (len(found) + 1) * runs // 10 and (p.done < runs or len(found) < 10):
+        if p.done >= (len(outcomes) + 1) * runs // 10 and (p.done < runs or len(outcomes) < 10):
             children = [c.pid for c in multiprocessing.active_children() if c.pid is not None]
-            found.append((p.done, resident_mb(os.getpid()), sorted(map(resident_mb, children))))
+            outcomes.append((p.done, resident_mb(os.getpid()), sorted(map(resident_mb, children))))
 
     cost_of(document, workers, look)
-    return found
+    return outcomes
 
 
 def resident_mb(process: int) -> float:

@@ -159,34 +159,34 @@ def errors(
     y = solve_dde(loop_of(controller, synchronous))
     exact = y[:, 0] - y[:, 1]
     peak = np.max(np.abs(exact))
-    found: dict[str, list[float]] = {}
+    measured: dict[str, list[float]] = {}
     for way in inputs:
-        found[way] = []
+        measured[way] = []
         for step_s in steps_s:
             times, dw24 = run_fmus(controller, synchronous, way, step_s)
             grid = np.round(times / _PANEL_S).astype(int)
             if not np.max(np.abs(grid * _PANEL_S - times)) < 1e-12:
                 raise ValueError(f"H = {step_s:g} s is no multiple of {_PANEL_S:g} s")
-            found[way].append(float(np.max(np.abs(dw24 - exact[grid])) / peak))
-    return found
+            measured[way].append(float(np.max(np.abs(dw24 - exact[grid])) / peak))
+    return measured
 
 
-def table(found: dict[str, list[float]], title: str = "inputs") -> str:
+def table(measured: dict[str, list[float]], title: str = "inputs") -> str:
     """Return a Markdown table of `errors`, with the order between 20 and 5 ms."""
     head = [title, *(f"H = {1e3 * h:g} ms" for h in STEPS_S), "order, 20 to 5 ms"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     first, last = STEPS_S.index(0.02), STEPS_S.index(0.005)
-    for name, row in found.items():
+    for name, row in measured.items():
         order = np.log(row[first] / row[last]) / np.log(STEPS_S[first] / STEPS_S[last])
         cells = [INPUTS.get(name, name), *(f"{e:.1e}" for e in row), f"{order:.1f}"]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
-def figure_of(found: dict[bool, dict[str, list[float]]]) -> Figure:
+def figure_of(measured: dict[bool, dict[str, list[float]]]) -> Figure:
     """Draw the errors over the step, synchronous and not."""
     figure, axes = new_figure(1, 2, height=3.0, sharey=True)
-    for ax, (synchronous, rows) in zip(axes, found.items(), strict=True):
+    for ax, (synchronous, rows) in zip(axes, measured.items(), strict=True):
         for k, (inputs, row) in enumerate(rows.items()):
             style = {"color": SERIES[k], "linestyle": DASHES[k], "marker": "o", "markersize": 3}
             ax.loglog([1e3 * h for h in STEPS_S], row, label=INPUTS[inputs], **style)
@@ -203,15 +203,15 @@ def figure_of(found: dict[bool, dict[str, list[float]]]) -> Figure:
 
 def main() -> None:
     """Measure, draw and write."""
-    found = {s: errors(two_lags(), s) for s in (True, False)}
-    save_figure(figure_of(found), _HERE / "delay-error.svg")
+    measured = {s: errors(two_lags(), s) for s in (True, False)}
+    save_figure(figure_of(measured), _HERE / "delay-error.svg")
     case, designed = load_case(CASE), {}
     for name in ("wdc", "cc", "ftc"):
         controller = design_controller(case, name, default_cache())
         designed[name.upper()] = errors(controller, True, ["hermite"])["hermite"]
     tables = {
-        "synchronous": table(found[True]),
-        "non-synchronous": table(found[False]),
+        "synchronous": table(measured[True]),
+        "non-synchronous": table(measured[False]),
         "designed": table(designed, "controller"),
     }
     page = _HERE / "delay_error.md"

@@ -107,8 +107,8 @@ def parse_python(text: bytes | str, mode: str = "exec") -> Any:
 def _parsed(content: bytes | str, language: str, read: Callable[[str], Any]) -> Any:
     try:
         text = content if isinstance(content, str) else content.decode("utf-8-sig")
-        found = read(text.removeprefix("\ufeff"))
-        _check_values(found, "")
+        document = read(text.removeprefix("\ufeff"))
+        _check_values(document, "")
     except RecursionError:
         raise DocumentError(f"not valid {language}: nested too deeply") from None
     except DocumentError:
@@ -116,7 +116,7 @@ def _parsed(content: bytes | str, language: str, read: Callable[[str], Any]) -> 
     except ValueError as error:  # that of the language, of UTF-8, of an integer of thousands of digits
         hint = " (an id given twice?)" if "overwrite" in str(error) or "declare" in str(error) else ""
         raise DocumentError(f"not valid {language}: {error}{hint}") from None
-    return found
+    return document
 
 
 def _strict_json(text: str) -> Any:
@@ -128,12 +128,12 @@ def _no_constant(word: str) -> float:
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    document = dict(pairs)
+    if len(document) < len(pairs):
         keys = [key for key, _ in pairs]
-        twice = next(key for key in found if keys.count(key) > 1)
+        twice = next(key for key in document if keys.count(key) > 1)
         raise DocumentError(f"not valid JSON: the key {twice!r} is given twice")
-    return found
+    return document
 
 
 def _check_values(value: Any, where: str) -> None:
@@ -143,9 +143,9 @@ def _check_values(value: Any, where: str) -> None:
     elif isinstance(value, list):
         for k, item in enumerate(value, start=1):
             _check_values(item, f"{where} {k}")
-    elif isinstance(value, str) and (found := _CONTROL.search(value)):
+    elif isinstance(value, str) and (match := _CONTROL.search(value)):
         raise DocumentError(
-            f"{where}: control character U+{ord(found[0]):04X} at {found.start() + 1}, allowed: text without"
+            f"{where}: control character U+{ord(match[0]):04X} at {match.start() + 1}, allowed: text without"
         )
     elif isinstance(value, int) and not abs(value) <= _LARGEST_INTEGER:
         digits = str(abs(value))
@@ -222,9 +222,9 @@ def _seconds(text: str, table: Mapping[str, Any], frequency_hz: Callable[[], flo
             if not isinstance(start, int | float) or isinstance(start, bool):
                 return text
             total += start
-        elif found := _TERM.fullmatch(word):
-            number = float(found["number"])
-            total += number if found["unit"] == "s" else number / frequency_hz()
+        elif match := _TERM.fullmatch(word):
+            number = float(match["number"])
+            total += number if match["unit"] == "s" else number / frequency_hz()
         else:
             return text
     return total

@@ -57,7 +57,7 @@ def instances(fmu: Path, names: list[str]) -> list[FMU2Slave]:
     """Return initialised instances of an FMU, ready to step."""
     model = read_model_description(str(fmu))
     folder = extract(str(fmu))
-    found = []
+    values = []
     for name in names:
         slave = FMU2Slave(
             guid=model.guid,
@@ -69,5 +69,5 @@ def instances(fmu: Path, names: list[str]) -> list[FMU2Slave]:
         slave.setupExperiment(startTime=0.0)
         slave.enterInitializationMode()
         slave.exitInitializationMode()
-        found.append(slave)
-    return found
+        values.append(slave)
+    return values

@@ -142,10 +142,10 @@ def ftc_half_steps() -> dict[str, object]:
         times = []
         for _ in range(3):
             start = time.process_time()
-            found = inner(problem, engine)
+            solution = inner(problem, engine)
             times.append(time.process_time() - start)
-        recorded.append((problem, found, min(times)))
-        return found
+        recorded.append((problem, solution, min(times)))
+        return solution
 
     synthesis_ftc.solve = recording
     try:
@@ -155,7 +155,7 @@ def ftc_half_steps() -> dict[str, object]:
     own = other = 0.0
     usable_ones = 0
     print("  #     m  structured (s)     objective   Clarabel (s)     objective  status             usable")
-    for k, (problem, found, seconds) in enumerate(recorded, start=1):
+    for k, (problem, solution, seconds) in enumerate(recorded, start=1):
         start = time.process_time()
         said = solve_clarabel(problem)
         taken = time.process_time() - start
@@ -163,7 +163,7 @@ def ftc_half_steps() -> dict[str, object]:
         own, other, usable_ones = own + seconds, other + taken, usable_ones + good
         m = sum(v.size for v in problem.variables) + len(problem.scalars)
         print(
-            f"{k:3d} {m:5d}  {seconds:14.3f}  {found.objective:12.8f}  {taken:13.2f}  "
+            f"{k:3d} {m:5d}  {seconds:14.3f}  {solution.objective:12.8f}  {taken:13.2f}  "
             f"{said.objective:12.8f}  {said.status:17s}  {'yes' if good else 'no'}",
             flush=True,
         )

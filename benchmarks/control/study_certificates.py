@@ -31,9 +31,9 @@ def main() -> None:
     assert table.acceptance is not None
     for name in CONTROLLER_NAMES:
         controller = design_controller(table.grid, name, cache)
-        found = certify(table, controller, cache)
+        certificate = certify(table, controller, cache)
         tried = judge_acceptance(controller, family_cases(table), table.acceptance, cache, clearing=False)
-        kept = replace(found, acceptance=tried.as_dict()).as_dict()
+        kept = replace(certificate, acceptance=tried.as_dict()).as_dict()
         path = Path(str(designs.__file__)).parent / f"certificate_{name}.json"
         path.write_text(json_text(json.loads(json.dumps(kept))), encoding="utf-8")
         print(f"{name}: {first_failures(kept)}", flush=True)

@@ -148,17 +148,17 @@ def small_signal(name: str, cache: Path) -> None:
         except (PowerFlowError, ModeError) as error:
             print(f"{name:14} {point:20} not judged: {error}", flush=True)
             continue
-        found = judge_family(
+        verdict = judge_family(
             {point: plant},
             answered(controller),
             table.family(),
             bands_hz={point: inter_area_band(modes)},
         )
-        unstable = sum(not row.stable for row in found.rows)
+        unstable = sum(not row.stable for row in verdict.rows)
         alone = min((mode.damping_ratio for mode in modes.values()), default=1.0)
         print(
-            f"{name:14} {point:20} worst {found.worst_swing:.3f} ({alone:.3f} without) "
-            f"inter-area {found.inter_area:.3f} unstable {unstable} of {len(found.rows)}",
+            f"{name:14} {point:20} worst {verdict.worst_swing:.3f} ({alone:.3f} without) "
+            f"inter-area {verdict.inter_area:.3f} unstable {unstable} of {len(verdict.rows)}",
             flush=True,
         )
 
@@ -175,11 +175,12 @@ def faults(name: str, cache: Path) -> None:
         places = [*table.acceptance.fault, *PLACES.get(table.grid.name, ())]
         places = [place for place in places if place.trip is None or place.trip in there]
         wanted = table.acceptance.model_copy(update={"fault": tuple(places)})
-        found = judge_acceptance(controller, {point: case}, wanted, cache, clearing=False)
-        count, lost, gained = count + found.cases, lost + len(found.lost), gained + len(found.gained)
+        verdict = judge_acceptance(controller, {point: case}, wanted, cache, clearing=False)
+        count, lost, gained = count + verdict.cases, lost + len(verdict.lost), gained + len(verdict.gained)
         print(
-            f"{name:14} {point:20} {found.cases} faults, {len(found.lost)} lost, {len(found.gained)} gained",
-            *(f"    lost: {each}" for each in found.lost),
+            f"{name:14} {point:20} {verdict.cases} faults, {len(verdict.lost)} lost, "
+            f"{len(verdict.gained)} gained",
+            *(f"    lost: {each}" for each in verdict.lost),
             sep="\n",
             flush=True,
         )

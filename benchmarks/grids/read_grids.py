@@ -95,11 +95,11 @@ def unmodelled(files: Sequence[Path]) -> tuple[int, dict[Path, Counter[str]]]:
     distinct = {
         hashlib.sha256("\n".join(read_lines(path)).encode()).digest(): path for path in reversed(files)
     }
-    found = {
+    result = {
         path: Counter(row.model for row in read_dyr(path, KNOWN | known).records if row.model not in known)
         for path in sorted(distinct.values())
     }
-    return len(found), {path: models for path, models in found.items() if models}
+    return len(result), {path: models for path, models in result.items() if models}
 
 
 def pair(raw: Path, dyr: Path, options: argparse.Namespace) -> dict[str, Any]:
@@ -150,9 +150,9 @@ def recorded(case: Case, stop_s: float, events: Sequence[Any] = ()) -> tuple[np.
 
     plant = PlantSlave(case, events, show=["*_dw", "*_delta"])
     names = [f"{m.name}_{key}" for key in ("dw", "delta") for m in case.machines]
-    found = plant.record(np.arange(0.0, stop_s + 0.05, 0.1).tolist(), names)
+    result = plant.record(np.arange(0.0, stop_s + 0.05, 0.1).tolist(), names)
     plant.close()
-    speeds, angles = np.split(found, 2, axis=1)
+    speeds, angles = np.split(result, 2, axis=1)
     return np.abs(speeds), angles
 
 

@@ -76,12 +76,12 @@ def load_mix(case: Case) -> dict[str, float]:
 
     Raises ValueError when the loads differ, or have an exponent other than 0, 1, 2.
     """
-    found = {tuple(_shares(load, letter) for letter in "PQ") for load in case.loads if load.in_service}
-    if len(found) != 1:
+    share_pairs = {tuple(_shares(load, letter) for letter in "PQ") for load in case.loads if load.in_service}
+    if len(share_pairs) != 1:
         raise ValueError(
-            f"{case.name}: ANDES has one voltage characteristic for all loads, here {len(found)}"
+            f"{case.name}: ANDES has one voltage characteristic for all loads, here {len(share_pairs)}"
         )
-    (p, q) = found.pop()
+    (p, q) = share_pairs.pop()
     return {
         f"{letter}2{kind}": share
         for letter, mix in (("p", p), ("q", q))

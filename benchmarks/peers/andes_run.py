@@ -50,7 +50,7 @@ def system_of(problem: dict[str, Any]) -> Any:
 def run(problem: dict[str, Any]) -> dict[str, Any]:
     """Return the results for one problem."""
     system = system_of(problem)
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         "buses": [int(b) for b in system.Bus.idx.v],
         "v": system.Bus.v.v.tolist(),
         "a": system.Bus.a.v.tolist(),
@@ -61,9 +61,9 @@ def run(problem: dict[str, Any]) -> dict[str, Any]:
     }
     if not problem.get("stop_s"):
         system.EIG.run()
-        found["eigenvalues"] = [[z.real, z.imag] for z in system.EIG.mu]
-        return found
-    found["cpu_s"] = []
+        result["eigenvalues"] = [[z.real, z.imag] for z in system.EIG.mu]
+        return result
+    result["cpu_s"] = []
     for _ in range(problem.get("repeat", 1)):
         system = system_of(problem)
         config = system.TDS.config
@@ -73,14 +73,14 @@ def run(problem: dict[str, Any]) -> dict[str, Any]:
         system.TDS.init()
         begin = time.process_time()
         done = system.TDS.run()
-        found["cpu_s"].append(time.process_time() - begin)
+        result["cpu_s"].append(time.process_time() - begin)
         if not done:
             raise RuntimeError(f"ANDES: the run stops at {float(system.dae.t):g} s")
     every = problem.get("every", 1)
-    found["t"] = [float(t) for t in system.dae.ts.t[::every]]
+    result["t"] = [float(t) for t in system.dae.ts.t[::every]]
     speed = system.dae.ts.x[::every, system.GENROU.omega.a] - 1.0
-    found["dw"] = speed.T.tolist()
-    return found
+    result["dw"] = speed.T.tolist()
+    return result
 
 
 def main() -> None:
@@ -88,9 +88,9 @@ def main() -> None:
     logging.disable(logging.WARNING)
     words = io.StringIO()
     with contextlib.redirect_stdout(words):
-        found = run(json.load(sys.stdin))
+        result = run(json.load(sys.stdin))
     sys.stderr.write(words.getvalue())
-    json.dump(found, sys.stdout)
+    json.dump(result, sys.stdout)
 
 
 if __name__ == "__main__":

@@ -164,15 +164,15 @@ def imported(python: str, name: str, step_s: float) -> tuple[Case, dict[str, Any
         network.write_bytes(raw.read_bytes())
         dynamics.write_text(reduced_records(dyr.read_text(encoding="latin-1"), models))
         both = {"files": [str(network), str(dynamics)]}
-        found = ask(python, both)
+        result = ask(python, both)
         case = import_psse(network, dynamics).case.with_changes(AS_POWER)
         begin, end = FILES_FAULT_S
         (event,) = events_of([FILES_FAULT | {"start_s": begin, "end_s": end}], where="compare_andes")
         how = {"stop_s": FILES_STOP_S, "step_s": step_s, "tolerance": 1e-8, "rows": rows_of_event(event)}
         moving = ask(python, both | how)
     return case, {
-        "power_flow_pu": voltage_difference(case, found),
-        "swing_modes": eigenvalue_difference(case, found),
+        "power_flow_pu": voltage_difference(case, result),
+        "swing_modes": eigenvalue_difference(case, result),
         "of_peak": float(np.abs(speeds_off(case, moving)).max()),
     }
 
@@ -207,17 +207,17 @@ def reduced_records(text: str, models: Sequence[str]) -> str:
     return "\n".join(kept) + "\n"
 
 
-def voltage_difference(case: Case, found: Mapping[str, Any]) -> float:
+def voltage_difference(case: Case, result: Mapping[str, Any]) -> float:
     """Largest difference of a complex bus voltage, pu."""
     flow = solve_powerflow(case)
-    theirs = np.array(found["v"]) * np.exp(1j * np.array(found["a"]))
-    ours = np.array([flow.voltage(bus) for bus in found["buses"]])
+    theirs = np.array(result["v"]) * np.exp(1j * np.array(result["a"]))
+    ours = np.array([flow.voltage(bus) for bus in result["buses"]])
     return float(np.abs(theirs - ours).max())
 
 
-def eigenvalue_difference(case: Case, found: Mapping[str, Any]) -> float:
+def eigenvalue_difference(case: Case, result: Mapping[str, Any]) -> float:
     """Largest distance from our swing modes (1 < Im < 12, Re > -5) to their nearest eigenvalues, 1/s."""
-    theirs = np.array([complex(*z) for z in found["eigenvalues"]])
+    theirs = np.array([complex(*z) for z in result["eigenvalues"]])
     ours = np.linalg.eigvals(linear_plant(case, default_cache()).A)
     swing = [z for z in ours if 1.0 < z.imag < 12.0 and z.real > -5.0]
     return float(max(np.abs(theirs - z).min() for z in swing))
@@ -234,11 +234,11 @@ def trajectory_difference(
     """Largest difference of the speeds' difference of `pair` over the run, and its peak; pu."""
     first, second = pair
     events = events_of(table, where="compare_andes")
-    found = ask_andes(python, case, events, stop_s=stop_s, step_s=step_s, tolerance=1e-8)
+    result = ask_andes(python, case, events, stop_s=stop_s, step_s=step_s, tolerance=1e-8)
     plant = PlantSlave(case, events, substep_s=0.0005)
-    ours = plant.record(found["t"], [f"{first}_dw", f"{second}_dw"])
+    ours = plant.record(result["t"], [f"{first}_dw", f"{second}_dw"])
     plant.close()
-    speed = dict(zip(found["machines"], np.array(found["dw"]), strict=True))
+    speed = dict(zip(result["machines"], np.array(result["dw"]), strict=True))
     swing = ours[:, 0] - ours[:, 1]
     differs = np.abs(speed[first] - speed[second] - swing).max()
     return float(differs), float(np.abs(swing).max())
@@ -250,14 +250,14 @@ def write_trajectories(python: str, file: Path) -> None:
     for name in RECORDED:
         controls, table = RUNS[name]
         events = events_of(table, where="compare_andes")
-        found = ask_andes(
+        result = ask_andes(
             python, two_area(controls), events, stop_s=RECORDED_S, step_s=1 / 1920, tolerance=1e-9
         )
-        speed = dict(zip(found["machines"], np.array(found["dw"]), strict=True))
+        speed = dict(zip(result["machines"], np.array(result["dw"]), strict=True))
         times = np.arange(0.1, RECORDED_S + 0.05, 0.1)
-        dw24 = np.interp(times, found["t"], speed["G2"] - speed["G4"])
+        dw24 = np.interp(times, result["t"], speed["G2"] - speed["G4"])
         rows.append({"run": name, "machines": controls, "events": table, "dw24": dw24.round(10).tolist()})
-    source = f"ANDES {found['version']}, trapezoidal, 1/1920 s; benchmarks/peers/compare_andes.py --write"
+    source = f"ANDES {result['version']}, trapezoidal, 1/1920 s; benchmarks/peers/compare_andes.py --write"
     file.write_text(json.dumps({"source": source, "step_s": 0.1, "row": rows}, indent=1) + "\n")
 
 

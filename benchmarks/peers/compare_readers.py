@@ -149,9 +149,9 @@ def main() -> int:
             if python is None:
                 print(f"{tool}: not run (give --{tool}-python)")
                 continue
-            found = ask(python, tool, problem)
-            print(f"{tool} {found['version']}")
-            for path, imported, answer in zip(paths, ours, found["grids"], strict=True):
+            result = ask(python, tool, problem)
+            print(f"{tool} {result['version']}")
+            for path, imported, answer in zip(paths, ours, result["grids"], strict=True):
                 name = str(path.relative_to(options.folder))
                 row = {
                     "tool": tool,

@@ -80,14 +80,14 @@ def swing_modes(case: Case) -> list[complex]:
     return sorted((complex(z) for z in poles if 1.0 < z.imag < 15.0 and z.real > -3.2), key=lambda z: z.imag)
 
 
-def differences(case: Case, found: Mapping[str, Any]) -> tuple[float, float]:
+def differences(case: Case, result: Mapping[str, Any]) -> tuple[float, float]:
     """Largest differences of a complex bus voltage (pu, slack angles alike) and of a swing mode (1/s)."""
     flow = solve_powerflow(case)
     ours = np.array([flow.voltage(bus.number) for bus in case.buses])
-    theirs = np.array([complex(*z) for z in found["v"]])
+    theirs = np.array([complex(*z) for z in result["v"]])
     slack = next(k for k, b in enumerate(case.buses) if b.number == _slack_bus(case))
     theirs = theirs * (ours[slack] / theirs[slack] / abs(ours[slack] / theirs[slack]))
-    poles = np.array([complex(*z) for z in found["eigenvalues"]])
+    poles = np.array([complex(*z) for z in result["eigenvalues"]])
     return float(abs(theirs - ours).max()), float(max(abs(poles - z).min() for z in swing_modes(case)))
 
 
@@ -143,8 +143,8 @@ def main() -> int:
             f"{row['tops_machine']:13.1e} {'' if row['passed'] else 'DIFFERS'}",
             flush=True,
         )
-    found = ", ".join(f"{f:.3f} Hz" for f in results["ieee39 of tops, constant Efd"]["inter_area_hz"])
-    print(f"inter-area modes of ieee39 of tops, bus 39 against the rest: {found}")
+    result = ", ".join(f"{f:.3f} Hz" for f in results["ieee39 of tops, constant Efd"]["inter_area_hz"])
+    print(f"inter-area modes of ieee39 of tops, bus 39 against the rest: {result}")
     if options.json:
         options.json.write_text(json.dumps({"tops": same["version"], "runs": results}, indent=1))
     return int(worst)

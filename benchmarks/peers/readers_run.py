@@ -40,17 +40,17 @@ def veragrid(file: str, volts: dict[str, float], **_: Any) -> dict[str, Any]:
         control_taps_phase=False,
         control_remote_voltage=False,
     )
-    found = vg.power_flow(grid, options=options)
-    if not found.converged:
+    solution = vg.power_flow(grid, options=options)
+    if not solution.converged:
         raise RuntimeError("its power flow does not converge")
     buses = {
         bus.code: [abs(v), math.degrees(math.atan2(v.imag, v.real))]
-        for bus, v in zip(grid.get_buses(), found.voltage, strict=True)
+        for bus, v in zip(grid.get_buses(), solution.voltage, strict=True)
     }
     branches = grid.get_branches(add_vsc=False, add_hvdc=False, add_switch=True)
     flows = [
         [b.bus_from.code, b.bus_to.code, s.real, s.imag, t.real, t.imag]
-        for b, s, t in zip(branches, found.Sf, found.St, strict=True)
+        for b, s, t in zip(branches, solution.Sf, solution.St, strict=True)
     ]
     return {"buses": buses, "flows": flows}
 
@@ -103,11 +103,11 @@ def pypowsybl(file: str, volts: dict[str, float], shunts: dict[str, float]) -> d
             read_slack_bus=True,
             provider_parameters={"newtonRaphsonConvEpsPerEq": "1e-8", "useLoadModel": "true"},
         )
-        found = flow.run_ac(network, how)[0]
-        if found.status.name == "CONVERGED":
+        solution = flow.run_ac(network, how)[0]
+        if solution.status.name == "CONVERGED":
             break
     else:
-        raise RuntimeError(f"its power flow does not converge: {found.status_text}")
+        raise RuntimeError(f"its power flow does not converge: {solution.status_text}")
     table = network.get_bus_breaker_view_buses(all_attributes=True)
     kv = network.get_voltage_levels().nominal_v
     buses = {

@@ -88,14 +88,14 @@ def main() -> None:
         rest = float(np.abs(system.ode_fun(0.0, system.x0)).max())
         poles = np.linalg.eigvals(jacobian(system))
     sys.stderr.write(words.getvalue())
-    found = {
+    result = {
         "tables": given,
         "v": [[float(z.real), float(z.imag)] for z in np.asarray(system.v_0).ravel()],
         "rest": rest,
         "eigenvalues": [[float(z.real), float(z.imag)] for z in poles],
         "version": importlib.metadata.version("tops"),
     }
-    json.dump(found, sys.stdout)
+    json.dump(result, sys.stdout)
 
 
 if __name__ == "__main__":

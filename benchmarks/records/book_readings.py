@@ -49,8 +49,8 @@ def readings() -> Iterator[tuple[str, str, dict[str, Any], tuple[complex, ...], 
 def printed(name: str) -> tuple[complex, ...]:
     """Return the printed swing modes of the case, in the order of NAMES."""
     rows = tomllib.loads(PRINTED.read_text(encoding="utf-8"))["row"]
-    found = {r["mode"]: complex(float(r["real"]), float(r["imag"])) for r in rows if r["case"] == name}
-    return tuple(found[mode] for mode in NAMES)
+    eigenvalues = {r["mode"]: complex(float(r["real"]), float(r["imag"])) for r in rows if r["case"] == name}
+    return tuple(eigenvalues[mode] for mode in NAMES)
 
 
 def modes_here(case: Case) -> tuple[complex, ...]:
@@ -74,8 +74,8 @@ def stabilizer_needed(system: control.StateSpace, at: complex, near: complex) ->
     A, B, C, D = (np.asarray(matrix) for matrix in (system.A, system.B, system.C, system.D))
     speeds = [k for k, name in enumerate(system.output_labels) if name.endswith("_dw")]
     G = C[speeds] @ np.linalg.solve(at * np.eye(len(A)) - A, B) + D[speeds]
-    found = 1.0 / np.linalg.eigvals(G)
-    return complex(found[np.argmin(abs(found - near))])
+    eigenvalues = 1.0 / np.linalg.eigvals(G)
+    return complex(eigenvalues[np.argmin(abs(eigenvalues - near))])
 
 
 def stabilizer_of_the_book(s: complex) -> complex:
@@ -106,8 +106,10 @@ def modes_in_andes(python: str) -> None:
     problem = {"loads": load_mix(case), "frequency_hz": case.frequency_hz, "base_mva": case.base_mva}
     print(f"\n{case.name} in ANDES")
     for what, rows in (("speed", rows_of(case)), ("bus frequency", on_bus_frequency(rows_of(case)))):
-        found = [complex(*pair) for pair in ask(python, problem | {"rows": rows})["eigenvalues"]]
-        swing = sorted((z for z in found if 2.5 < z.imag < 10.0 and z.real > -3.2), key=lambda z: z.imag)
+        eigenvalues = [complex(*pair) for pair in ask(python, problem | {"rows": rows})["eigenvalues"]]
+        swing = sorted(
+            (z for z in eigenvalues if 2.5 < z.imag < 10.0 and z.real > -3.2), key=lambda z: z.imag
+        )
         print(f"  stabilizers on {what:71}", *(f"{z.real:8.4f}{z.imag:+8.4f}j" for z in swing))
 
 

@@ -80,12 +80,12 @@ class Row:
         start = np.log([PRINTED[name] or START[name] for name in free])
         for k in range(starts):
             guess = start + np.random.default_rng(k).normal(0.0, 0.7 if k else 0.0, len(free))
-            found = least_squares(
+            solution = least_squares(
                 lambda x: self.misfit(PRINTED | dict(zip(free, np.exp(x), strict=True))), guess, max_nfev=60
             )
-            largest = float(abs(found.fun).max())
+            largest = float(abs(solution.fun).max())
             if largest < best[0]:
-                best = (largest, dict(zip(free, map(float, np.exp(found.x)), strict=True)))
+                best = (largest, dict(zip(free, map(float, np.exp(solution.x)), strict=True)))
         return best
 
 
@@ -97,9 +97,11 @@ def main() -> int:
     row = Row()
     print(f"as printed {abs(row.misfit(PRINTED)).max():6.1f}")
     for count in range(1, options.constants + 1):
-        found = sorted((row.fit(free) for free in itertools.combinations(PRINTED, count)), key=lambda f: f[0])
-        print(f"{count} changed, the nearest of {len(found)} choices")
-        for largest, constants in found[:8]:
+        solution = sorted(
+            (row.fit(free) for free in itertools.combinations(PRINTED, count)), key=lambda f: f[0]
+        )
+        print(f"{count} changed, the nearest of {len(solution)} choices")
+        for largest, constants in solution[:8]:
             print(
                 f"  {largest:8.1f}  ", ", ".join(f"{name} = {value:.4g}" for name, value in constants.items())
             )

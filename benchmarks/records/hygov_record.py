@@ -38,7 +38,7 @@ def between(time: Array, values: Array) -> Callable[[float], float]:
 
 def state(rate: Callable[[float, float], float], start: float, time: Array) -> Array:
     """Return the state of dx/dt = rate(t, x) at `time`, by Heun's rule in parts of 0.5 ms at most."""
-    x, found = start, [start]
+    x, values = start, [start]
     for a, b in pairwise(time.tolist()):
         parts = max(1, int(np.ceil((b - a) / 5e-4)))
         h = (b - a) / parts
@@ -46,8 +46,8 @@ def state(rate: Callable[[float, float], float], start: float, time: Array) -> A
             t = a + k * h
             first = rate(t, x)
             x += 0.5 * h * (first + rate(t + h * (1.0 - 1e-9), x + h * first))
-        found.append(x)
-    return np.array(found)
+        values.append(x)
+    return np.array(values)
 
 
 def main() -> int:
@@ -83,8 +83,8 @@ def main() -> int:
         "flow, from the gate": (q, state(lambda t, x: (1.0 - (x / g_of(t)) ** 2) / Tw, q[0], time)),
         "power, from gate, flow and speed": (power, At * (q / g) ** 2 * (q - qNL) - Dturb * w * g),
     }  # fmt: skip
-    for name, (recorded, found) in blocks.items():
-        print(f"{name:40} {np.abs(found - recorded).max() / np.ptp(recorded):.1e}")
+    for name, (recorded, values) in blocks.items():
+        print(f"{name:40} {np.abs(values - recorded).max() / np.ptp(recorded):.1e}")
     return 0
 
 

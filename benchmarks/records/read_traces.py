@@ -124,18 +124,18 @@ def with_low_voltage_load(case: Case, events: list[Any], pieces: int = 6) -> lis
                 strict=True,
             )
         ]
-        found = [fault, *events_of(rows, where="load")]
-        plant = PlantSlave(case, found, 0.001)
+        result = [fault, *events_of(rows, where="load")]
+        plant = PlantSlave(case, result, 0.001)
         v = plant.record([0.0, *times], [f"bus{load.bus}.v"])[1:, 0]
         plant.close()
         a, b = 1.502, 1.769
         shares = np.where(v < 0.5, a * b * v ** (b - 1.0) * np.exp(-a * v**b) / (v / 0.5) - 1.0, 0.0)
-    return found
+    return result
 
 
 def columns(names: Iterable[str], case: Case) -> dict[str, tuple[str, Callable[[Array], Array]]]:
     """Return for each column that the plant has its variable and how it becomes the column's unit."""
-    found = {}
+    result = {}
     for name in names:
         word, _, unit = name.rpartition("_")
         first, _, second = word.rpartition("_")
@@ -150,8 +150,8 @@ def columns(names: Iterable[str], case: Case) -> dict[str, tuple[str, Callable[[
         variable = _COLUMN[quantity][0].format(bus=bus, machine=machine.name if machine else "")
         factor = 180.0 / np.pi if unit == "deg" else 1.0
         offset = 1.0 if quantity == "w" and re.match(r"w_\d", name) else 0.0
-        found[name] = variable, lambda values, f=factor, o=offset: o + f * values
-    return found
+        result[name] = variable, lambda values, f=factor, o=offset: o + f * values
+    return result
 
 
 def printed_half(texts: list[str]) -> Array:
@@ -235,22 +235,22 @@ def main() -> int:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     whole = tomllib.loads(options.manifest.read_text(encoding="utf-8"))
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for trace in whole["trace"]:
         if options.only and trace["id"] not in options.only:
             continue
         try:
-            found[trace["id"]] = compare(
+            result[trace["id"]] = compare(
                 trace, options.manifest.parent, whole,
                 two_steps=options.psse_steps, as_given=options.as_given, late_limits=options.late_limits,
             )  # fmt: skip
-            text = ", ".join(f"{name} {a:.1e}/{b:.1e}" for name, (a, b) in found[trace["id"]].items())
+            text = ", ".join(f"{name} {a:.1e}/{b:.1e}" for name, (a, b) in result[trace["id"]].items())
         except (CaseError, KeyError, FileNotFoundError, FMICallException) as error:
             text = f"refused: {error}"
         print(f"{trace['id']}: {text}", flush=True)
     if options.json:
-        options.json.write_text(json.dumps(found, indent=1))
-    return int(any(not error <= WITHIN for row in found.values() for error, _ in row.values()))
+        options.json.write_text(json.dumps(result, indent=1))
+    return int(any(not error <= WITHIN for row in result.values() for error, _ in row.values()))
 
 
 if __name__ == "__main__":

@@ -156,16 +156,18 @@ def _stable(
                 tracks.append([entry])
             else:
                 track.append(entry)
-    found = [t[3] for t in tracks if len(t) >= _LEAST_ORDERS and np.median([e[3] for e in t]) >= _LEAST_SHARE]
-    return _apart(found)
+    estimates = [
+        t[3] for t in tracks if len(t) >= _LEAST_ORDERS and np.median([e[3] for e in t]) >= _LEAST_SHARE
+    ]
+    return _apart(estimates)
 
 
 def _apart(
-    found: list[tuple[int, complex, ComplexArray, float]],
+    estimates: list[tuple[int, complex, ComplexArray, float]],
 ) -> list[tuple[int, complex, ComplexArray, float]]:
     """Leave out of two tracks of one pole the weaker one."""
     left: list[tuple[int, complex, ComplexArray, float]] = []
-    for entry in sorted(found, key=lambda e: -e[3]):
+    for entry in sorted(estimates, key=lambda e: -e[3]):
         if all(abs(entry[1] - e[1]) > 0.03 * abs(e[1]) for e in left):
             left.append(entry)
     return left

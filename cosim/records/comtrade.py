@@ -111,11 +111,11 @@ def _read(path: Path, text: str, data: bytes) -> Comtrade:
     lines = _Lines(path, text)
     head = lines.next("station, device, revision", 2)
     count = lines.next("number of channels such as 8,6A,2D", 3)
-    found = re.fullmatch(r"(\d+),(\d+)A,(\d+)D", ",".join(count[:3]), re.IGNORECASE)
-    if found is None:
+    counts = re.fullmatch(r"(\d+),(\d+)A,(\d+)D", ",".join(count[:3]), re.IGNORECASE)
+    if counts is None:
         raise lines.wrong("number of channels such as 8,6A,2D", ",".join(count))
-    analogs = tuple(_analog(lines) for _ in range(int(found[2])))
-    flags = tuple(lines.next("a status channel", 2)[1] for _ in range(int(found[3])))
+    analogs = tuple(_analog(lines) for _ in range(int(counts[2])))
+    flags = tuple(lines.next("a status channel", 2)[1] for _ in range(int(counts[3])))
     frequency_hz = lines.number_of(lines.next("line frequency")[0], "line frequency, Hz", 0.0)
     many = int(lines.number_of(lines.next("number of sampling rates")[0], "number of sampling rates"))
     rates = []

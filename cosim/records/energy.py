@@ -144,7 +144,7 @@ def _flows(record: Record, terminals: Sequence[Terminal], f: float) -> list[Flow
         return np.asarray(sosfiltfilt(sos, values - line))
 
     edge = min(round(_EDGE_PERIODS / f / record.step_s), len(record.time_s) // 8)
-    found = []
+    flows = []
     for t in terminals:
         P, theta = swinging(t.P), swinging(t.angle)
         power = P * np.gradient(theta, record.step_s)
@@ -154,8 +154,8 @@ def _flows(record: Record, terminals: Sequence[Terminal], f: float) -> list[Flow
         middle = len(power) // 2
         W = np.cumsum(power) * record.step_s
         slopes = [_slope(w, record.step_s) for w in (W, W[:middle], W[middle:])]
-        found.append(Flow(t.name, slopes[0], (slopes[1], slopes[2]), float(P.std()), t.machine))
-    return found
+        flows.append(Flow(t.name, slopes[0], (slopes[1], slopes[2]), float(P.std()), t.machine))
+    return flows
 
 
 def _slope(W: Array, step_s: float) -> float:

@@ -56,20 +56,20 @@ class Line:
 
 def lines_of(values: Array, step_s: float, band_hz: tuple[float, float]) -> list[Line]:
     """Return the swings that stand out of the spectrum of signals (points, signals), the largest first."""
-    found: list[Line] = []
+    lines: list[Line] = []
     rest = values
     for frequency in _peaks(values, step_s, band_hz):
         if any(
             abs(frequency - k * line.frequency_hz) < 2.0 / (len(values) * step_s)
-            for line in found
+            for line in lines
             for k in range(1, 6)
         ):
             continue
         line = _judged(rest, step_s, frequency)
-        found.append(line)
+        lines.append(line)
         if line.kind == FORCED:
             rest = without(rest, step_s, [line.frequency_hz * k for k in (1, *line.harmonics)])
-    return found
+    return lines
 
 
 def without(values: Array, step_s: float, frequencies_hz: list[float]) -> Array:

@@ -97,10 +97,10 @@ def meter(
     start = _jolt(swings)
     if start is None and not swings.length_s >= LEAST_AMBIENT_S:
         start = int(np.argmax(np.abs(swings.combined).max(axis=1)))
-        found, error = _ring_down(swings, start, band_hz)
-        if not (error <= _POOR_FIT and found):
-            found = [s for s in _ambient(swings, band_hz) if s.kind != MODAL]
-            if not found:
+        swings_seen, error = _ring_down(swings, start, band_hz)
+        if not (error <= _POOR_FIT and swings_seen):
+            swings_seen = [s for s in _ambient(swings, band_hz) if s.kind != MODAL]
+            if not swings_seen:
                 raise RecordError(
                     f"{record.source}: {swings.length_s:.4g} s without a disturbance that rings down (misfit "
                     f"{error:.0%}) and without a forced line are too short for a damping ratio, wanted: "
@@ -110,15 +110,15 @@ def meter(
         else:
             kind = "ring-down"
     elif start is not None:
-        found, error = _ring_down(swings, start, band_hz)
+        swings_seen, error = _ring_down(swings, start, band_hz)
         kind = "ring-down"
         if not error <= _POOR_FIT:
-            found, kind = _ambient(swings, band_hz), "ambient"
+            swings_seen, kind = _ambient(swings, band_hz), "ambient"
     else:
-        found, kind = _ambient(swings, band_hz), "ambient"
-    found = [_named(s, modes) for s in found]
+        swings_seen, kind = _ambient(swings, band_hz), "ambient"
+    swings_seen = [_named(s, modes) for s in swings_seen]
     return Meter(
-        record.source, record.length_s, swings.quantity, swings.unit, kind, tuple(found),
+        record.source, record.length_s, swings.quantity, swings.unit, kind, tuple(swings_seen),
         (*record.notes, *swings.notes),
     )  # fmt: skip
 
@@ -145,7 +145,7 @@ def _ring_down(swings: Swings, start: int, band_hz: tuple[float, float]) -> tupl
     poles = np.array([mode.pole for mode in fit.modes], dtype=complex)
     spread = _spread(time, values[:, moving], poles)
     top = max((float(np.max(np.abs(mode.amplitudes))) for mode in fit.modes), default=0.0)
-    found = []
+    swings_seen = []
     for k, mode in enumerate(fit.modes):
         size = float(np.max(np.abs(mode.amplitudes)))
         if not (band_hz[0] <= mode.frequency_hz <= band_hz[1] and size >= _LEAST_STRENGTH * top):
@@ -154,8 +154,10 @@ def _ring_down(swings: Swings, start: int, band_hz: tuple[float, float]) -> tupl
         amplitudes[moving] = mode.amplitudes
         estimate = _with_spread(mode.pole, spread[k])
         why = f"rings down; misfit {fit.error:.1%} of the largest value"
-        found.append(Swing(mode.frequency_hz, MODAL, size, (estimate,), _shape(swings, amplitudes), why))
-    return found, fit.error
+        swings_seen.append(
+            Swing(mode.frequency_hz, MODAL, size, (estimate,), _shape(swings, amplitudes), why)
+        )
+    return swings_seen, fit.error
 
 
 def _spread(time: Array, values: Array, poles: npt.NDArray[np.complex128]) -> Array:
@@ -200,15 +202,15 @@ def _with_spread(pole: complex, covariance: Array) -> Estimate:
 def _ambient(swings: Swings, band_hz: tuple[float, float]) -> list[Swing]:
     lines = lines_of(swings.combined, swings.step_s, band_hz)
     stand = [line for line in lines if line.kind != MODAL]
-    found = [_of_line(swings, line) for line in stand]
+    swings_seen = [_of_line(swings, line) for line in stand]
     taken = [line.frequency_hz * k for line in stand if line.kind == FORCED for k in (1, *line.harmonics)]
     if swings.length_s >= LEAST_AMBIENT_S:
         rest = without(swings.combined, swings.step_s, taken)
         for mode in ambient_modes(rest, swings.step_s, band_hz):
             f = mode.pole.imag / (2.0 * np.pi)
             if all(abs(f - line.frequency_hz) > line.width_hz for line in stand if line.kind == UNDECIDED):
-                found.append(_of_mode(swings, mode, taken))
-    return sorted(found, key=lambda s: -s.amplitude)
+                swings_seen.append(_of_mode(swings, mode, taken))
+    return sorted(swings_seen, key=lambda s: -s.amplitude)
 
 
 def _of_line(swings: Swings, line: Line) -> Swing:

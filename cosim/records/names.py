@@ -121,28 +121,28 @@ def own_channel(column: str, unit: str) -> Raw | None:
     if not dot:
         return None
     for pattern, quantity in _OWN:
-        if found := re.fullmatch(pattern, variable):
-            at = found["at"]
+        if match := re.fullmatch(pattern, variable):
+            at = match["at"]
             return Raw(Channel(column, quantity, unit, at if instance == "plant" else f"{instance}.{at}"))
     return Raw(Channel(column, "other", unit or "1", ""))
 
 
 def psse_channel(name: str, frequency_hz: float) -> Raw | None:
     """Return the channel of a PSS/E name such as ``POWR 101[NUC-A 21.6]1``; None of another name."""
-    found = _PSSE_NAME.match(name.strip().strip('"'))
-    if found is None or found["kind"] not in _PSSE:
+    match = _PSSE_NAME.match(name.strip().strip('"'))
+    if match is None or match["kind"] not in _PSSE:
         return None
-    quantity, unit, factor = _PSSE[found["kind"]]
+    quantity, unit, factor = _PSSE[match["kind"]]
     offset, text = 0.0, " ".join(name.strip().strip('"').split())
     if quantity == "frequency":  # pu deviation
         unit, factor, offset = "Hz", frequency_hz, frequency_hz
-    if found["to"]:  # flows are MW and Mvar
-        terminal = f"{found['bus']}-{found['to']} {found['circuit']}"
+    if match["to"]:  # flows are MW and Mvar
+        terminal = f"{match['bus']}-{match['to']} {match['circuit']}"
         unit = {"active power": "MW", "reactive power": "Mvar"}.get(quantity, unit)
-    elif quantity in ("voltage", "voltage angle", "frequency") and found["kind"] != "ETRM":
-        terminal = f"bus{found['bus']}"
+    elif quantity in ("voltage", "voltage angle", "frequency") and match["kind"] != "ETRM":
+        terminal = f"bus{match['bus']}"
     else:
-        terminal = f"{found['bus']} {found['id'] or '1'}"
+        terminal = f"{match['bus']} {match['id'] or '1'}"
     return Raw(Channel(text, quantity, unit, terminal), factor, offset)
 
 

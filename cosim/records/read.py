@@ -230,8 +230,8 @@ def _named_columns(
         ]
     psse = [psse_channel(name, frequency_hz) for name in names[1:]]
     if sum(raw is not None for raw in psse) > len(psse) / 2:
-        found = [raw or other_channel(name) for raw, name in zip(psse, names[1:], strict=True)]
-        return found, [_PSSE_SAID.format(frequency_hz)]
+        channels = [raw or other_channel(name) for raw, name in zip(psse, names[1:], strict=True)]
+        return channels, [_PSSE_SAID.format(frequency_hz)]
     if names[0] == TIME:
         return [own_channel(n, "pu") or other_channel(n) for n in names[1:]], [_OWN_SAID]
     units = _units_row(extra, len(names))
@@ -396,11 +396,11 @@ def _wrong_scale(source: str, channel: Channel, got: str, allowed: str, unit: st
 def _told_apart(raws: Sequence[Raw]) -> list[Raw]:
     """Return the channels with names of their own."""
     seen: dict[str, int] = {}
-    found = []
+    channels = []
     for raw in raws:
         name = raw.channel.name
         seen[name] = seen.get(name, 0) + 1
         if seen[name] > 1:
             raw = replace(raw, channel=replace(raw.channel, name=f"{name} ({seen[name]})"))
-        found.append(raw)
-    return found
+        channels.append(raw)
+    return channels

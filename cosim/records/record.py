@@ -97,11 +97,11 @@ class Record:
     @cached_property
     def terminals(self) -> dict[str, dict[str, str]]:
         """Terminal -> quantity -> name of its channel; the first where there are several."""
-        found: dict[str, dict[str, str]] = {}
+        names: dict[str, dict[str, str]] = {}
         for c in self.channels:
             if c.terminal:
-                found.setdefault(c.terminal, {}).setdefault(c.quantity, c.name)
-        return found
+                names.setdefault(c.terminal, {}).setdefault(c.quantity, c.name)
+        return names
 
     def of(self, terminal: str, quantity: str) -> Array | None:
         """Return what was measured of a quantity at a terminal, (points,); None where it was not."""

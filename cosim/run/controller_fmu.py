@@ -88,10 +88,10 @@ def record_of_fmu(path: Path) -> dict[str, Any]:
             page = archive.read("documentation/index.html").decode("utf-8")
     except (zipfile.BadZipFile, zlib.error, UnicodeDecodeError) as error:
         raise ControllerError(f"controller FMU {path}: its documentation is damaged ({error})") from error
-    found = re.search(f'<script type="application/json" id="{RECORD}">(.*?)</script>', page, re.DOTALL)
-    if found is None:
+    match = re.search(f'<script type="application/json" id="{RECORD}">(.*?)</script>', page, re.DOTALL)
+    if match is None:
         return {}
     try:
-        return dict(json.loads(found[1]))
+        return dict(json.loads(match[1]))
     except (TypeError, ValueError) as error:
         raise ControllerError(f"controller FMU {path}: its record is no JSON object ({error})") from error

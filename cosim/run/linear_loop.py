@@ -113,8 +113,8 @@ def _swings(loop: Loop) -> LoopModes:
             loop.kept[key] = open_loop_modes(np.linalg.eigvals(grid.A).astype(complex), modes)
         else:
             loop.kept[key] = LoopFunction(grid, _controller(loop, part, lost)).modes(ways, modes)
-    found: LoopModes = loop.kept[key]
-    return found
+    cached: LoopModes = loop.kept[key]
+    return cached
 
 
 def _refuse(scenario: Scenario, start: float, stop: float) -> None:
@@ -155,8 +155,8 @@ def _linear(loop: Loop, buses: Mapping[str, int]) -> tuple[LinearMatrices, dict[
         relative = remove_reference(bus_frequencies(linear, outputs, buses, case.omega_b))
         modes = {name: mode.eigenvalue for name, mode in modes_of(relative, case.areas).items()}
         loop.kept[key] = (speeds_in_rad(relative, case.omega_b), modes)
-    found: tuple[LinearMatrices, dict[str, complex]] = loop.kept[key]
-    return found
+    known: tuple[LinearMatrices, dict[str, complex]] = loop.kept[key]
+    return known
 
 
 def _controller(loop: Loop, part: Instance, lost: frozenset[str]) -> control.StateSpace:
@@ -176,14 +176,14 @@ def _controller(loop: Loop, part: Instance, lost: frozenset[str]) -> control.Sta
 
 def _sent(loop: Loop, way: Way, at_s: float) -> SignalWay:
     """How a signal gets to the controller from `at_s` on, with the PMU where it has one."""
-    found = _way(loop.scenario.lines[way.u.partition(".")[0]], way.u, at_s)
+    path = _way(loop.scenario.lines[way.u.partition(".")[0]], way.u, at_s)
     if way.pmu is None:
-        return found
+        return path
     if way.pmu.quantity != "frequency":
         raise NotLinearError(
             f"{way.source} measures {way.pmu.quantity}: linear loops know its frequency only"
         )
-    return replace(found, measured=way.pmu.filter(loop.case.frequency_hz, way.interval_s, way.source))
+    return replace(path, measured=way.pmu.filter(loop.case.frequency_hz, way.interval_s, way.source))
 
 
 def _way(line: ChannelLine | ConcentratorLine, end: str, at_s: float) -> SignalWay:

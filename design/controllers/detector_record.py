@@ -101,12 +101,12 @@ def basis_of(curves: Sequence[Array], floor: float, size: int = SIZE) -> Array:
 
     floor : windows shorter than ten of it are left out.
     """
-    found = np.concatenate([windows(c, FRAMES, SAMPLES) for c in curves])
-    length = np.sqrt((found**2).sum(axis=(1, 2)))
-    rows = (found / np.maximum(length, 1e-300)[:, None, None])[length > 10.0 * floor]
+    sampled = np.concatenate([windows(c, FRAMES, SAMPLES) for c in curves])
+    length = np.sqrt((sampled**2).sum(axis=(1, 2)))
+    rows = (sampled / np.maximum(length, 1e-300)[:, None, None])[length > 10.0 * floor]
     flat = rows.reshape(len(rows), -1)
     _, vectors = np.linalg.eigh(flat.T @ flat)
-    return np.asarray(vectors[:, ::-1][:, :size]).reshape(*found.shape[1:], size)
+    return np.asarray(vectors[:, ::-1][:, :size]).reshape(*sampled.shape[1:], size)
 
 
 def scores(curves: Array, patterns: Patterns) -> Array:

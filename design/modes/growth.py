@@ -161,14 +161,14 @@ def growth_of_plant(plant: SparsePlant, loop: Loop | None = None, known: Sequenc
         return growth_of(plant.state_matrix(), plant.states)
     search = Search(around, region, _RESIDUAL)
     for centre in (*(z for z in known if z.real > 0.0), *_CENTRES):
-        if _times(found := _found(search, plant.states)) == counted:
+        if _times(growing := _modes_that_grow(search, plant.states)) == counted:
             break
         search.about(complex(centre))
-    found = _found(search, plant.states)
-    return Growth(found, max(counted, _times(found), 1), around.nstates, SLOWEST)
+    growing = _modes_that_grow(search, plant.states)
+    return Growth(growing, max(counted, _times(growing), 1), around.nstates, SLOWEST)
 
 
-def _found(search: Search, labels: Sequence[str]) -> tuple[Growing, ...]:
+def _modes_that_grow(search: Search, labels: Sequence[str]) -> tuple[Growing, ...]:
     """What a search has found that grows, exact for a loop with delays, fastest first."""
     result: list[Growing] = []
     for pair in search.pairs:

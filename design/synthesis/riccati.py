@@ -55,23 +55,23 @@ def hinf_riccati(P: GeneralizedPlant, *, tolerance: float = 1e-9, regularise: fl
     standard = _normalised(P)
     low = float(np.linalg.norm(_static_floor(P)))
     high = max(1.0, 2.0 * low)
-    found, trials = _central(standard, high), 1
-    while found is None:
+    controller, trials = _central(standard, high), 1
+    while controller is None:
         low, high = high, 4.0 * high
         if high > 1e12:
             raise ValueError(
                 "H-infinity Riccati: no level is feasible; (A, B2) is not stabilizable, (C2, A) is not "
                 "detectable, or zeros lie on the imaginary axis"
             )
-        found, trials = _central(standard, high), trials + 1
+        controller, trials = _central(standard, high), trials + 1
     while high - low > tolerance * high:
         middle = 0.5 * (low + high) if low > 0.5 * high else max(np.sqrt(max(low, 1e-12) * high), 0.25 * high)
         trial, trials = _central(standard, middle), trials + 1
         if trial is None:
             low = middle
         else:
-            high, found = middle, trial
-    return HinfDesign(float(high), trials, *found, note=note)
+            high, controller = middle, trial
+    return HinfDesign(float(high), trials, *controller, note=note)
 
 
 def without_region(

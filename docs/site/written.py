@@ -119,9 +119,9 @@ def written_page() -> Iterator[str]:
 
 
 def _key_table(file: Mapping[str, Any], folder: Path | None) -> Iterator[str]:
-    found = {} if folder is None else keys_of(next(iter(sorted(folder.glob(file["path"])))))
+    keys = {} if folder is None else keys_of(next(iter(sorted(folder.glob(file["path"])))))
     examples: dict[str, str] = {}
-    for key, value in found.items():
+    for key, value in keys.items():
         name = told_by(key, file["keys"])
         text = value if isinstance(value, str) else json.dumps(value, default=str)
         if name is not None and text and len(text) <= SHORT:

@@ -85,8 +85,8 @@ def check_fmu(path: Path, folder: Path, report: Report, *, run: bool, timeout_s:
     """Check an unpacked FMU; `path` is its archive."""
     file = folder / _DESCRIPTION
     if not file.is_file():
-        found = sorted(p.relative_to(folder).as_posix() for p in folder.rglob(_DESCRIPTION))
-        where = f"; there is {found[0]}" if found else ""
+        descriptions = sorted(p.relative_to(folder).as_posix() for p in folder.rglob(_DESCRIPTION))
+        where = f"; there is {descriptions[0]}" if descriptions else ""
         report.add("FMI2 2.1 archive", _DESCRIPTION, f"is not at the root{where}", "pack it there")
         return
     root = read_xml(file, _DESCRIPTION, report)

@@ -96,8 +96,8 @@ class FmuFile:
             if not whole:
                 shutil.rmtree(folder, ignore_errors=True)
         if not whole:
-            found = report.findings[0]
-            raise FmuFileError(f"{self.path.name}: not unpacked: {found.where}: {found.message}")
+            finding = report.findings[0]
+            raise FmuFileError(f"{self.path.name}: not unpacked: {finding.where}: {finding.message}")
         return folder
 
     @cached_property
@@ -208,9 +208,9 @@ def _looked_at(path: Path, interface: str) -> tuple[ModelDescription, list[str],
     content = read_checked(path, DESCRIPTION, MOST_BYTES, report)
     root = None if content is None else parse_xml(content[1], DESCRIPTION, report)
     if root is None or content is None:
-        found = report.findings[0]
-        where = "" if found.where == path.name else f"{found.where} "
-        raise FmuFileError(f"{path.name}: not an FMU ({where}{found.message})")
+        finding = report.findings[0]
+        where = "" if finding.where == path.name else f"{finding.where} "
+        raise FmuFileError(f"{path.name}: not an FMU ({where}{finding.message})")
     version = root.get("fmiVersion")
     if version != "2.0":
         raise FmuFileError(f"{path.name}: is FMI {version}; the master steps FMI 2.0 FMUs")

@@ -193,8 +193,8 @@ def _all_modes(
         plant = sparse_linear_plant(case, default_cache())
         loop = None if around is None else _with_controller(case, plant, *around, band_hz[1])
         result = all_modes(plant, case.areas, band_hz=band_hz, below=below, loop=loop)
-        found = [mode.eigenvalue for mode in result.modes]
-        growth = growth_of_plant(plant, loop, found)
+        eigenvalues = [mode.eigenvalue for mode in result.modes]
+        growth = growth_of_plant(plant, loop, eigenvalues)
         moved = all_mode_sensitivities(case, result.modes, paths if result.modes else [], default_cache())
         by_name = {mode.name: mode for mode in result.modes}
         files = _plots(by_name, case, plot)

@@ -103,7 +103,7 @@ class StartError(CaseError):
     def __init__(self, unrest: list[Unrest]) -> None:
         more = f" (and {len(unrest) - 1} more: interarea modes CASE --margins)" if len(unrest) > 1 else ""
         super().__init__(f"{unrest[0].error}{more}")
-        self.found = tuple(unrest)
+        self.unrest = tuple(unrest)
 
 
 @dataclass(frozen=True)

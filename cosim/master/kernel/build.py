@@ -157,22 +157,22 @@ def load_kernel(folder: Path | None = None) -> ctypes.CDLL:
         raise BuildError(f"cannot load the kernel {path}: {error}") from error
 
 
-_told: set[str] = set()
-_found: dict[tuple[str | None, ...], ctypes.CDLL] = {}  # by what decides where it is and what makes it
+_logged: set[str] = set()
+_loaded: dict[tuple[str | None, ...], ctypes.CDLL] = {}  # by what decides where it is and what makes it
 _DECIDES = ("INTERAREA_CACHE", "XDG_CACHE_HOME", "LOCALAPPDATA", "HOME", "CC")
 
 
 def kernel_or_reason() -> tuple[ctypes.CDLL | None, str]:
     """Return the kernel, or None and why it cannot be had, which is logged once."""
     key = tuple(os.environ.get(name) for name in _DECIDES)
-    if key in _found:
-        return _found[key], ""
+    if key in _loaded:
+        return _loaded[key], ""
     try:
-        _found[key] = load_kernel()
-        return _found[key], ""
+        _loaded[key] = load_kernel()
+        return _loaded[key], ""
     except BuildError as error:
         reason = str(error).partition("\n")[0]
-    if reason not in _told:
+    if reason not in _logged:
         _log.warning("stepping in Python, which gives the same results but is slower: %s", reason)
-        _told.add(reason)
+        _logged.add(reason)
     return None, reason

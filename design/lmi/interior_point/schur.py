@@ -35,7 +35,7 @@ class _Columns:
         self.parts = 2 if kind is np.complex128 else 1  #: real ones of a number
         self.width = 0
         self._parts: list[Matrix] = []
-        self._found: dict[tuple[int, bytes], int] = {}
+        self._first_column: dict[tuple[int, bytes], int] = {}
         self._block_size = block_size
 
     def place(self, factor: Matrix) -> tuple[int, float]:
@@ -47,11 +47,11 @@ class _Columns:
             scale = float(np.copysign(scale, lead.real if lead.real != 0.0 else lead.imag))
             factor = factor / scale + 0.0
         key = (factor.shape[1], factor.tobytes())
-        if key not in self._found:
-            self._found[key] = self.width
+        if key not in self._first_column:
+            self._first_column[key] = self.width
             self._parts.append(factor)
             self.width += factor.shape[1]
-        return self._found[key], scale
+        return self._first_column[key], scale
 
     @property
     def reals(self) -> int:

@@ -63,10 +63,10 @@ def _modes(case: str | None, band_hz: tuple[float, float]) -> tuple[tuple[Mode, 
 
     loaded = load_case(case)
     with busy(f"all modes of {loaded.name}"):
-        found = all_modes(
+        modes = all_modes(
             sparse_linear_plant(loaded, default_cache()), loaded.areas, band_hz=band_hz, below=0.3
         )
-    return found.modes, loaded.frequency_hz
+    return modes.modes, loaded.frequency_hz
 
 
 def _print(result: Meter, case: str | None) -> None:

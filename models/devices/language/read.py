@@ -117,7 +117,7 @@ class _Reader(Source):
         return tuple(solved), fixed
 
     def read_computed(self, known: frozenset[str] | set[str]) -> dict[str, Computed]:
-        found = {}
+        sections = {}
         for name, row in self.table("computed").items():
             line = self.line_of(name, "computed")
             if name not in self.parameters:
@@ -131,8 +131,8 @@ class _Reader(Source):
                 when = self.number(when, f"computed.{name}.when", line)
             elif not NAME.fullmatch(when.replace("-", "_")):
                 raise self.fail(f"computed.{name}.when, allowed: a number or a word", line)
-            found[name] = Computed(when, self.expression(row["value"], "computed", known))
-        return found
+            sections[name] = Computed(when, self.expression(row["value"], "computed", known))
+        return sections
 
     def read_check(self, text: str, remedy: Any) -> Check:
         node = self.expression(text, "check", self.constants)

@@ -36,7 +36,7 @@ def test_margins_are_distances_to_the_limits():
 def test_every_control_that_cannot_rest_is_named_with_its_cure():
     with pytest.raises(StartError, match=r"G3\.exciter: efd .* above Efd_max = 1\.5;.*and 1 more") as caught:
         operating_point(TIGHT)
-    assert [u.machine for u in caught.value.found] == ["G3", "G6"]
+    assert [u.machine for u in caught.value.unrest] == ["G3", "G6"]
     third = next(k for k, m in enumerate(GRID.machines) if m.name == "G3")
     assert f"set Efd_max to at least {FIELD[third]:.6g}" in start_of(TIGHT).text()
 
@@ -81,7 +81,7 @@ def test_an_import_says_how_its_controls_start(tmp_path):
     raw = records / "ThreeBusMulti.raw"
     said = import_grid(raw, dyr=dyr).report.text()
     assert "start: 1 controls cannot rest" in said and "above EMAX = 1.2" in said
-    found = import_grid(raw, dyr=dyr, release_limits=True)
-    assert "exciter.EMAX: 1.2 -> " in found.report.text()
-    rest = operating_point(found.case).controls.of("exciter")[0].rest
+    imported = import_grid(raw, dyr=dyr, release_limits=True)
+    assert "exciter.EMAX: 1.2 -> " in imported.report.text()
+    rest = operating_point(imported.case).controls.of("exciter")[0].rest
     assert rest.instance.values["EMAX"] == pytest.approx(1.1 * rest.output, rel=1e-9)
