@@ -15,8 +15,10 @@ from interarea.design.controllers.controller import Controller
 from interarea.design.errors import InfeasibleDesign
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
 from interarea.models.case.case import Case
+from interarea.models.errors import InterareaError
 
 from ..designs.design_file import DESIGN_STEPS, DesignTable, run_design
+from ..errors import machine_error
 from .clock import Clock
 from .faults import judged_with_faults
 from .proposal import Findings, Proposal, find, propose
@@ -101,7 +103,9 @@ def design_for(
         proposal = propose(findings, taken, cache, clock, name=name, case=named)
         try:
             controller = _searched(proposal.table, cache, lambda share: report(search, share))
-        except InfeasibleDesign as error:
+        except InterareaError as error:
+            if machine_error(error) is not None:
+                raise
             problem = str(error)
             continue
         report(search, 1.0)

@@ -11,8 +11,9 @@ MINUTES = 10.0  #: of a whole study
 ENDS = {
     "loops": 0.15,
     "operating points": 0.25,
-    "search": 0.6,
-    "faults": 0.85,
+    "search": 0.55,
+    "faults": 0.75,
+    "local stabilizers": 0.85,
     "own-signal rival": 0.92,
     "latency": 1.0,
 }

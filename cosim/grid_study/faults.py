@@ -35,6 +35,7 @@ def judged_with_faults(
     cache: Path,
     clock: Clock,
     *,
+    stage: str = "faults",
     weakest: Mapping[str, float] | None = None,
     progress: Callable[[float], object] = lambda share: None,
 ) -> Controller:
@@ -43,7 +44,7 @@ def judged_with_faults(
     Each limit is tried point after point until one point has a fault that is lost, or does not decay; of
     limits that all have one, the one that comes furthest is run at all points. Clearing times follow.
 
-    table : the design, whose linear certificate `controller` has in its record.
+    table : the design, whose linear certificate `controller` has in its record. stage : of the clock.
     weakest : operating point -> damping without control; the least come first.
     """
     order = sorted(family_cases(table).items(), key=lambda item: (weakest or {}).get(item[0], 1.0))
@@ -54,25 +55,25 @@ def judged_with_faults(
         for at, point in enumerate(faults.cases):
             progress((k + at / len(faults.cases)) / (len(LIMITS_PU) + 1))
             parts[limit_pu][point] = faults.run(limit_pu, point)
-            if parts[limit_pu][point].violations or clock.over("faults"):
+            if parts[limit_pu][point].violations or clock.over(stage):
                 break
-        if not _violations(parts[limit_pu]) or clock.over("faults"):
+        if not _violations(parts[limit_pu]) or clock.over(stage):
             break
     limit_pu = max(parts, key=lambda one: (len(parts[one]), -_violations(parts[one])))
     found, without_time = parts[limit_pu], []
     for at, point in enumerate(faults.cases):
         progress((len(LIMITS_PU) + at / len(faults.cases)) / (len(LIMITS_PU) + 1))
-        if point not in found and clock.over("faults"):
+        if point not in found and clock.over(stage):
             without_time.append(point)
             continue
         if point not in found:
             found[point] = faults.run(limit_pu, point)
-        if not clock.over("faults"):
+        if not clock.over(stage):
             found[point] = replace(found[point], clearing=faults.clearing(limit_pu, point))
         else:
-            clock.leave(f"clearing times at {point}")
+            clock.leave(f"clearing times of {table.name} at {point}")
     if without_time:
-        clock.leave(f"faults at {', '.join(without_time)}")
+        clock.leave(f"faults of {table.name} at {', '.join(without_time)}")
     progress(1.0)
     return _judged(table, replace(controller, limit_pu=limit_pu), joined(list(found.values())), without_time)
 

@@ -82,6 +82,9 @@ def headline(study: Mapping[str, Any]) -> tuple[str, ...]:
     if "worth" in study:
         sentence = study["worth"]["sentence"]
         lines.append(f"{sentence[:1].upper()}{sentence[1:]}.")
+    if "local" in study:
+        sentence = study["local"]["sentence"]
+        lines.append(f"{sentence[:1].upper()}{sentence[1:]}.")
     if study["problem"]:
         lines.append(f"It stops here: {study['problem']}.")
     return tuple(lines)

@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from interarea.design.controllers.controller import Controller, plain
 from interarea.design.delay.signal_conditions import Condition
+from interarea.design.modes.loop_points import LoopSet
 from interarea.design.robust.operating_points import inter_area_band, judge_family
 from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash, place
 from interarea.models.case.case import Case
@@ -27,11 +28,12 @@ from ..run.artefacts import plant_fmu
 from ..run.controllers import controller_fmu
 from .automatic import DESIGN_STAGES, Report, design_for
 from .clock import MINUTES, Clock
+from .local_stabilizers import local_rival, which_to_build
 from .page import mode_shapes, write_page
 from .proposal import Findings, Proposal, ranked_sets
 from .weak_modes import modes_of_grid, weak_modes
 
-STAGES = (*DESIGN_STAGES, "own-signal rival", "latency", "FMUs and page")
+STAGES = (*DESIGN_STAGES, "local stabilizers", "own-signal rival", "latency", "FMUs and page")
 #: s, of all signals: curves of damping
 LATENCIES_S = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
 
@@ -52,7 +54,8 @@ def study_grid(
     named : how the design file names the case. assumptions : made while its data were read, for the page.
     command : that repeats the study. minutes : that it may take; the page says what is left out.
 
-    Writes report.html (from the first second on), study.json, design.toml, controller.json and fmus/. What
+    Writes report.html (from the first second on), study.json, design.toml, controller.json, local.json and
+    fmus/. What
     cannot be had stands in the place of its part, with the reason, under `problem`.
 
     Raises
@@ -60,7 +63,7 @@ def study_grid(
     OSError, or what it caused : the machine cannot do it (a full disk, no memory). CaseError : no operating
     point.
     """
-    modes, (rival, latency, last) = STAGES[0], STAGES[len(DESIGN_STAGES) :]
+    modes, (beside, rival, latency, last) = STAGES[0], STAGES[len(DESIGN_STAGES) :]
     clock = Clock(minutes)
     study: dict[str, Any] = {
         "case": case.name,
@@ -85,7 +88,7 @@ def study_grid(
         report(modes, 1.0)
         try:
             weak = weak_modes(found)
-            study["loops"] = [{"actuators": one.actuators, "why": one.reason} for one in ranked_sets(weak)]
+            study["loops"] = [_loop_row(one) for one in ranked_sets(weak)]
             written()
 
             def show(findings: Findings) -> None:
@@ -98,6 +101,11 @@ def study_grid(
             study |= _found(done.proposal.findings, done.proposal) | _proposed(done.proposal)
             write_whole(out / "design.toml", done.proposal.text().encode())
             written()
+            report(beside, 0.0)
+            local = local_rival(weak, table, cache, clock, progress=lambda share: report(beside, 0.9 * share))
+            study["local"] = _local(controller, local, table, out / "local.json")
+            written()
+            report(beside, 1.0)
             report(rival, 0.0)
             if has_rival(table) and clock.over(rival):
                 clock.leave("the rival that sees own signals alone")
@@ -132,13 +140,7 @@ def _found(findings: Findings, proposal: Proposal | None = None) -> dict[str, An
     names = set() if proposal is None else {point.name for point in proposal.table.point}
     return {
         "loops": [
-            {
-                "actuators": list(row.chosen.actuators),
-                "why": row.chosen.reason,
-                "damping": row.damping,
-                "own": row.own,
-                "taken": row.chosen.actuators == taken,
-            }
+            _loop_row(row.chosen, row.damping, row.own, taken=row.chosen.actuators == taken)
             for row in findings.loops
         ],
         "points": [
@@ -154,6 +156,14 @@ def _found(findings: Findings, proposal: Proposal | None = None) -> dict[str, An
     }
 
 
+def _loop_row(
+    chosen: LoopSet, damping: float | None = None, own: float | None = None, *, taken: bool = False
+) -> dict[str, Any]:
+    """Return a set of loops as JSON values; None stands for what no short design has shown yet."""
+    reached = {"damping": damping, "own": own, "taken": taken}
+    return {"actuators": list(chosen.actuators), "why": chosen.reason, **reached}
+
+
 def _proposed(proposal: Proposal) -> dict[str, Any]:
     table = proposal.table
     return {
@@ -163,8 +173,22 @@ def _proposed(proposal: Proposal) -> dict[str, Any]:
     }
 
 
+def _local(wide: Controller, local: Controller | None, table: DesignTable, file: Path) -> dict[str, Any]:
+    """Return local stabilizers beside the wide-area loop as JSON values; write them to `file`."""
+    sentence = which_to_build(wide, local, (table.ask.inter_area, table.ask.worst_swing))
+    if local is None:
+        return {"sentence": sentence, "stabilizers": [], "certificate": None}
+    local.save(file)
+    return {
+        "sentence": sentence,
+        "stabilizers": list(local.design["local"]),
+        "limit_pu": local.limit_pu,
+        "certificate": local.certificate,
+    }
+
+
 def _rival(table: DesignTable, case: Case, cache: Path, report: Report) -> Controller:
-    name = STAGES[len(DESIGN_STAGES)]
+    name = "own-signal rival"
     key = content_hash(
         case.hash,
         table.model_dump(mode="json"),

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from interarea.models.case.case import Case
 
 _FILES = (
-    *("study.json", "report.html", "explorer.html", "case.toml", "controller.json", "design.toml"),
-    *("fmus/plant.fmu", "fmus/controller.fmu"),
+    *("study.json", "report.html", "explorer.html", "case.toml", "controller.json", "local.json"),
+    *("design.toml", "fmus/plant.fmu", "fmus/controller.fmu"),
 )
 Minutes = Annotated[
     float,

@@ -97,8 +97,8 @@ def test_points_that_there_was_no_time_for_are_not_passed(
     )
     assert not certificate["passed"] and POINTS[0] in certificate["not_covered"]
     assert clock.left_out == [
-        f"clearing times at {POINTS[-1]}",
-        f"faults at {', '.join(POINTS[:-1])}",
+        f"clearing times of robust at {POINTS[-1]}",
+        f"faults of robust at {', '.join(POINTS[:-1])}",
     ]
 
 

@@ -9,8 +9,10 @@ from typing import Any
 import pytest
 
 from interarea.cosim.grid_study import faults, proposal
+from interarea.cosim.grid_study import study as grid_study
 from interarea.cosim.grid_study.page import damping_rows, headline
 from interarea.cosim.grid_study.study import STAGES, study_grid
+from interarea.design.errors import InfeasibleDesign
 from interarea.fmu_build.write.cache import default_cache
 from interarea.models.case.case import load_case
 
@@ -81,10 +83,28 @@ def test_a_study_that_cannot_go_on_has_the_reason_in_its_place(interarea: Any, t
     assert "unstable without control" in err
     folder = tmp_path / "out"
     page = (folder / "report.html").read_text(encoding="utf-8")
-    assert page.count("Not computed: nets-nyps-no-pss: the grid is unstable without control") == 6
+    assert page.count("Not computed: nets-nyps-no-pss: the grid is unstable without control") == 7
     assert "unstable" in json.loads((folder / "study.json").read_text(encoding="utf-8"))["problem"]
     assert not (folder / "controller.json").exists()
     assert out.splitlines() == [str(tmp_path / "out" / n) for n in ("study.json", "report.html")]
+
+
+def test_loops_stand_on_the_page_before_the_first_design(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    seen: list[str] = []
+
+    def stopped(*_: Any, **__: Any) -> None:
+        seen.append((tmp_path / "report.html").read_text(encoding="utf-8"))
+        raise InfeasibleDesign("no controller", constraint="stability")
+
+    monkeypatch.setattr(grid_study, "design_for", stopped)
+    study = study_grid(load_case("two-area-thesis"), tmp_path, default_cache(), minutes=3.0)
+    assert "The best sets of loops by their residues" in seen[0]
+    assert '<td class="t">G4_vs</td><td class="n">–</td>' in seen[0]
+    assert "not computed yet" in seen[0] and "Not computed" not in seen[0]
+    assert study["problem"] == "no controller"
+    assert study["loops"][0]["actuators"] == ["G4_vs"]
 
 
 def test_dynamic_data_beside_a_case_is_a_mistake(interarea: Any, tmp_path: Path) -> None:
@@ -122,4 +142,7 @@ def test_a_study_of_a_grid_from_its_name_alone(
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "not computed yet" not in page
     assert study["worth"]["sentence"][1:40] in page
+    assert study["local"]["sentence"][1:30] in page
+    local = json.loads((tmp_path / "local.json").read_text(encoding="utf-8"))
+    assert local["certificate"]["acceptance"]["cases"] > 0
     assert (tmp_path / "fmus" / "controller.fmu").is_file()

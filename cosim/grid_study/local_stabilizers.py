@@ -1,0 +1,271 @@
+r"""Stabilizers at single machines, tuned by residue phase: what can be had without any signal from afar.
+
+A small gain K from a machine's own speed to its exciter moves a mode by :math:`R K(\lambda)`, R the residue.
+The structure is that of the stabilizer `speed` of a case file, a washout and equal lead-lags
+[Kundur1994, sec. 12.5]; its phase at the mode makes the product real and negative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from math import ceil
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+
+from interarea.design.controllers.controller import Controller
+from interarea.design.delay.signal_conditions import Condition
+from interarea.design.modes.modes import Mode
+from interarea.design.robust.operating_points import inter_area_band, judge_family
+from interarea.fmu_build.write.cache import cached_json, code_hash, content_hash
+from interarea.models.errors import InterareaError
+
+from ..designs.design_file import DesignTable, certify, design_of, judged_by
+from ..designs.family import FamilyPlant
+from .clock import Clock
+from .faults import judged_with_faults
+from .weak_modes import WEAK, WeakModes
+
+MOST = 6  #: machines that get one
+WASHOUT_S = 10.0
+#: degrees that one lead-lag makes up at most, and that a machine may need in all
+STAGE_DEG, MOST_DEG = 55.0, 150.0
+MOST_GAIN = 50.0  #: pu per pu of speed: what field stabilizers are set to at most [Kundur1994, sec. 12.5]
+#: damping ratio that each is to add to its mode to first order, tried for all together
+ADDED = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3)
+FACTORS = (0.5, 2.0)  #: on the gain of one of them at a time, after that
+STAGE = "local stabilizers"  #: of `clock.ENDS`
+
+
+@dataclass(frozen=True)
+class Stabilizer:
+    """A stabilizer as a device `speed` has it: K s Tw/(1 + s Tw) ((1 + s T1)/(1 + s T2))^stages."""
+
+    machine: str
+    mode: str  #: which it is tuned for
+    K: float  #: pu per pu of speed
+    T1: float  #: s
+    T2: float  #: s
+    stages: int
+
+    def response(self, s: complex) -> complex:
+        """Return the gain at a complex frequency, pu per pu."""
+        lead = (1.0 + s * self.T1) / (1.0 + s * self.T2)
+        return complex(self.K * s * WASHOUT_S / (1.0 + s * WASHOUT_S) * lead**self.stages)
+
+
+def tuned_for(mode: Mode, machine: str, residue: complex) -> Stabilizer | None:
+    """Return the stabilizer of a machine that moves a mode straight to the left; None: too much phase.
+
+    residue : of the mode from the machine's exciter to its speed, 1/s. The gain is that of one per unit of
+    damping ratio, to first order.
+    """
+    s = mode.eigenvalue
+    missing_deg = _lead_deg(residue * s * WASHOUT_S / (1.0 + s * WASHOUT_S))
+    if not abs(missing_deg) <= MOST_DEG:
+        return None
+    stages = max(ceil(abs(missing_deg) / STAGE_DEG), 1)
+    lead_deg = 0.0
+    for _ in range(6):  # a stage's lead at s is not quite that at the mode's frequency
+        lead_deg += missing_deg
+        sine = np.sin(np.radians(lead_deg / stages))
+        ratio = float((1.0 + sine) / (1.0 - sine))
+        T2 = 1.0 / (abs(s) * ratio**0.5)
+        one = Stabilizer(machine, mode.name, 1.0, ratio * T2, T2, stages)
+        missing_deg = _lead_deg(residue * one.response(s))
+    return replace(one, K=abs(s) / abs(residue * one.response(s)))
+
+
+def _lead_deg(move: complex) -> float:
+    """Return by how much a move of a mode has to be turned to be real and negative."""
+    return float(np.degrees(np.angle(-1.0 / move)))
+
+
+def tuned_stabilizers(weak: WeakModes) -> list[Stabilizer]:
+    """Return a stabilizer for each weak mode in turn, the least damped first, until `MOST` have one.
+
+    Each is at the machine, of those without one, that needs the least gain for it, and not more than
+    `MOST_GAIN` for the least that is tried.
+    """
+    plant = weak.plant
+    modes = sorted((*weak.targets, *weak.others), key=lambda m: m.damping_ratio)
+    modes = [m for m in modes if m.damping_ratio < WEAK]
+    found: dict[str, Stabilizer] = {}
+    for mode in (mode for _ in range(MOST) for mode in modes):
+        rows: list[Stabilizer] = []
+        for k, machine in enumerate(plant.machines):
+            if machine in found or f"{machine}_vs" not in plant.inputs:
+                continue
+            b = plant.Bu[:, [plant.inputs.index(f"{machine}_vs")]].toarray()[:, 0]
+            residue = complex((mode.left @ b) * mode.right[plant.speed[k]])
+            one = tuned_for(mode, machine, residue) if residue else None
+            if one is not None and one.K * ADDED[0] <= MOST_GAIN:
+                rows.append(one)
+        if rows and len(found) < MOST:
+            best = min(rows, key=lambda one: one.K)
+            found[best.machine] = best
+    return list(found.values())
+
+
+def as_controller(
+    stabilizers: Sequence[Stabilizer], omega_b: float, name: str, limit_pu: float
+) -> Controller:
+    """Return stabilizers as one controller, each from its machine's speed (rad/s) to its exciter (pu)."""
+    parts = []
+    for one in stabilizers:
+        lead = control.tf([one.T1, 1.0], [one.T2, 1.0])
+        washout = control.tf([one.K / omega_b * WASHOUT_S, 0.0], [WASHOUT_S, 1.0])
+        system = control.ss(washout)
+        for _ in range(one.stages):
+            system = control.ss(lead) * system
+        parts.append(system)
+    whole = control.append(*parts)
+    labelled = control.ss(
+        whole.A,
+        whole.B,
+        whole.C,
+        whole.D,
+        inputs=[f"{one.machine}_dw" for one in stabilizers],
+        outputs=[f"{one.machine}_vs" for one in stabilizers],
+        name=name,
+    )
+    facts = {"method": "residue phase", "local": [asdict(one) for one in stabilizers]}
+    return Controller(name, labelled, limit_pu, facts)
+
+
+def local_rival(
+    weak: WeakModes,
+    wide: DesignTable,
+    cache: Path,
+    clock: Clock,
+    *,
+    progress: Callable[[float], object] = lambda share: None,
+) -> Controller | None:
+    """Return local stabilizers, judged as the wide-area loop is with nothing late; None where none can be.
+
+    wide : the design of the wide-area loop, whose operating points, faults and wishes are taken.
+    """
+    units = tuned_stabilizers(weak)
+    if not units:
+        return None
+    name = f"{wide.name}_local"
+    key = content_hash(weak.case.hash, [asdict(one) for one in units], code_hash(__name__))
+
+    def found() -> list[dict[str, Any]]:
+        return [asdict(one) for one in _with_gains(weak, units, clock, cache)]
+
+    stabilizers = [Stabilizer(**one) for one in cached_json(cache, "grid-local", key, found)]
+    progress(0.3)
+    controller = as_controller(stabilizers, weak.case.omega_b, name, wide.limit_pu)
+    table = _table(wide, stabilizers, name)
+    found_key = content_hash(
+        table.grid.hash, table.model_dump(mode="json"), controller.as_dict(), code_hash(certify.__module__)
+    )
+
+    def made() -> dict[str, Any]:
+        return judged_by(table, controller, certify(table, controller, cache)).as_dict()
+
+    judged = Controller.from_dict(cached_json(cache, "grid-local-certificate", found_key, made))
+    progress(0.5)
+    return judged_with_faults(
+        table, judged, cache, clock, stage=STAGE, progress=lambda share: progress(0.5 + 0.5 * share)
+    )
+
+
+def which_to_build(wide: Controller, local: Controller | None, asked: tuple[float, float]) -> str:
+    """Return in a sentence which to build.
+
+    asked : inter-area damping, damping of every swing.
+    """
+    if local is None:
+        return "no machine can be tuned by residue phase: a wide-area loop is what there is"
+    machines = ", ".join(name.removesuffix("_dw") for name in local.inputs)
+    there = f"local stabilizers at {machines} reach {_reached(local)}"
+    afar = f"the wide-area loop {_reached(wide)}"
+    if _passed(local):
+        return f"build local stabilizers, no link: {there}, {afar}, each with any one signal lost"
+    if _passed(wide):
+        return f"build the wide-area loop: {afar}; {there}, which misses {_missed(local)}"
+    better = "wide-area loop" if _short(wide, asked) >= _short(local, asked) else "local stabilizers"
+    return (
+        f"neither holds all that is asked; the {better} come nearer: {afar} and misses {_missed(wide)}; "
+        f"{there} and miss {_missed(local)}"
+    )
+
+
+def _passed(controller: Controller) -> bool:
+    return bool((controller.certificate or {})["passed"])
+
+
+def _missed(controller: Controller) -> str:
+    violations = (controller.certificate or {})["violations"]
+    return f"{len(violations)} of what is asked (first: {violations[0]})"
+
+
+def _reached(controller: Controller) -> str:
+    certificate = controller.certificate or {}
+    return f"inter-area {certificate['inter_area']:.3f} and every swing {certificate['worst_swing']:.3f}"
+
+
+def _short(controller: Controller, asked: tuple[float, float]) -> tuple[bool, float]:
+    certificate = controller.certificate or {}
+    inter_area, worst_swing = asked
+    short = min(certificate["inter_area"] - inter_area, certificate["worst_swing"] - worst_swing, 0.0)
+    return all(row["stable"] for row in certificate["rows"]), short
+
+
+def _table(wide: DesignTable, stabilizers: Sequence[Stabilizer], name: str) -> DesignTable:
+    """Return the design of a wide-area loop with the own signals of stabilizers in the place of its loops."""
+    signals = [f"{one.machine}_dw" for one in stabilizers]
+    acceptance = None if wide.acceptance is None else wide.acceptance.model_copy(update={"latency_s": (0.0,)})
+    keys: dict[str, Any] = {
+        "name": name,
+        "case": wide.case,
+        "conditions": ["N", *(f"L:{signal}" for signal in signals)],
+        "limit_pu": wide.limit_pu,
+        "ask": {"inter_area": wide.ask.inter_area, "worst_swing": wide.ask.worst_swing},
+        "part": [
+            {"actuator": f"{one.machine}_vs", "signals": [f"{one.machine}_dw"], "order": one.stages + 1}
+            for one in stabilizers
+        ],
+        "point": [point.model_dump(mode="json", exclude_unset=True) for point in wide.point],
+    }
+    if acceptance is not None:
+        keys["acceptance"] = acceptance.model_dump(mode="json", exclude_unset=True)
+    table = design_of(keys, where=f"local stabilizers of {wide.name}")
+    table._grid = wide.grid
+    return table
+
+
+def _with_gains(weak: WeakModes, units: Sequence[Stabilizer], clock: Clock, cache: Path) -> list[Stabilizer]:
+    """Return stabilizers with the gains that damp the grid as it is best: all together, then one by one."""
+    signals = tuple(f"{one.machine}_dw" for one in units)
+    actuators = tuple(f"{one.machine}_vs" for one in units)
+    plant = FamilyPlant.of(weak.case, signals, actuators, cache)
+    band = inter_area_band(plant.modes)
+
+    def reached(gains: Sequence[float]) -> float:
+        ones = [replace(one, K=K) for one, K in zip(units, gains, strict=True)]
+        K = as_controller(ones, weak.case.omega_b, "tried", 1.0).system
+        try:
+            (row,) = judge_family({"base": plant.judged}, K, [Condition("N")], bands_hz={"base": band}).rows
+        except InterareaError:  # a loop of which not all modes are known
+            return -np.inf
+        return min(row.inter_area, WEAK) + min(row.worst_swing, WEAK) if row.stable else -np.inf
+
+    tried = [[min(added * one.K, MOST_GAIN) for one in units] for added in ADDED]
+    values = [reached(gains) for gains in tried]
+    best, value = max(zip(tried, values, strict=True), key=lambda row: row[1])
+    for k in range(len(units)):
+        for factor in FACTORS:
+            if clock.over(STAGE):
+                clock.leave("gains of single local stabilizers")
+                break
+            gains = [min(factor * K, MOST_GAIN) if j == k else K for j, K in enumerate(best)]
+            there = reached(gains)
+            if there > value:
+                best, value = gains, there
+    return [replace(one, K=K) for one, K in zip(units, best, strict=True)]
